@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from errpipe.diagnosis.evidence import Active, Listed, Scene
-from errpipe.diagnosis.hypotheses import Library
 from errpipe.diagnosis.search import Search
 from errpipe.diagnosis.shapes import Shape
 
@@ -31,7 +30,7 @@ class Remainder:
 
 
 def remainder(
-    search: Search, library: Library, chosen: list[tuple[int, float]], shapes: list[Shape], index: list[np.ndarray]
+    search: Search, chosen: list[tuple[int, float]], shapes: list[Shape], index: list[np.ndarray]
 ) -> Remainder:
     """Add shapes greedily beside the chosen hypotheses. index: the shapes' columns in the library's table."""
     named = scene = search.scene(chosen)

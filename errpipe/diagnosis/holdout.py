@@ -93,7 +93,7 @@ def held_out(case: Case) -> HeldOut:
             chosen = [(x.index, x.size) for x in part.explain(starts=2).accepted] if effects else []
             chosen = supported_by_held_out(part, chosen, judged)
         names = [i for i, _ in chosen]
-        remainder = admit.remainder(part, library, chosen, case.free_shapes, case.places)
+        remainder = admit.remainder(part, chosen, case.free_shapes, case.places)
         ways = [(part.active(chosen), judged.columns(names)), _textbook(part, chosen, judged)]
         if remainder.taken:
             ways.append((remainder.active, judged.columns(names, remainder.taken)))
@@ -108,7 +108,7 @@ def held_out(case: Case) -> HeldOut:
         alone.append(judged.left(part.data, ways[by_name][0], part.noise, ways[by_name][1], f))
         named.append(judged.whitened(part.data, ways[by_name][0], part.noise, ways[by_name][1], f))
         of_inputs = admit.remainder(
-            part, library, chosen, [case.free_shapes[k] for k in inputs], [case.places[k] for k in inputs]
+            part, chosen, [case.free_shapes[k] for k in inputs], [case.places[k] for k in inputs]
         )
         columns = judged.columns(names, tuple(inputs[k] for k in of_inputs.taken))
         with_inputs.append(judged.whitened(part.data, of_inputs.active, part.noise, columns, f))

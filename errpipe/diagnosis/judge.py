@@ -253,7 +253,7 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
 
 def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     """The best of what the search found, in the noise that suits it, and the remainder beside it."""
-    library, nuisance, rows = made.library, made.nuisance, made.pair.rows
+    nuisance, rows = made.nuisance, made.pair.rows
     explanation = explanations[-1]
     if not made.plain:
         tried = [zoomed(made, copy.copy(search), e) for e in explanations]
@@ -279,9 +279,9 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     chosen = chosen_of(explanation)
     sigma = max(search.scene(chosen).rms(), 1e-9)
     search.sigma = sigma
-    remainder = admit.remainder(search, library, chosen, made.free_shapes, made.places)
+    remainder = admit.remainder(search, chosen, made.free_shapes, made.places)
     if made.session is not None and not predicts_held_out(search, chosen, remainder, judged):
-        remainder = admit.remainder(search, library, chosen, [], [])
+        remainder = admit.remainder(search, chosen, [], [])
     known = {f.name: getattr(made, f.name) for f in fields(SetUp)} | {"nuisance": nuisance}
     return Case(**known, search=search, explanation=explanation, sigma=sigma, remainder=remainder)
 

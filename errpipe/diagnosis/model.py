@@ -53,7 +53,7 @@ def modelled(case: Case, k: int) -> Modelled:
     f = case.explanation.accepted[k]
     others = [(g.index, g.size) for j, g in enumerate(case.explanation.accepted) if j != k]
     scene = case.search.scene(others)
-    hypothesis, spans = _refine(case, scene, f.hypothesis, f.size)
+    hypothesis, spans = _refine(case, scene, f.hypothesis)
     curved = None
     if len(hypothesis.terms[0].linear()) > 1 and len(hypothesis.terms[0].free()) > 1:
         hypothesis, spans, curved = _refine_jointly(case, scene, hypothesis)
@@ -75,10 +75,10 @@ def modelled(case: Case, k: int) -> Modelled:
         wide = cov.copy()
         wide[:cores, :cores] += _along(case, scene, hypothesis, f.size, spans, scale[:cores])
         linear = [_wider(e, w) for e, w in zip(linear, _linear(hypothesis, b, wide, scale), strict=True)]
-    estimates = linear + _amplitudes(hypothesis, linear, cov, scale)
+    estimates = linear + _amplitudes(linear, cov, scale)
     if not hypothesis.mask:
-        between = _between_stretches(case, scene, block[:, :cores])
-        uneven = _linear(hypothesis, b, between, scale) + _amplitudes(hypothesis, linear, between, scale)
+        between = _between_stretches(scene, block[:, :cores])
+        uneven = _linear(hypothesis, b, between, scale) + _amplitudes(linear, between, scale)
         estimates = [_wider(e, u) for e, u in zip(estimates, uneven, strict=True)]
     largest = {p.name for p in hypothesis.terms[0].linear() if p.at_largest}
     estimates = [_at_largest(e, contribution, block, cov) if e.name in largest else e for e in estimates]
@@ -166,7 +166,7 @@ def _dependence(case: Case, scene: Scene, block, b) -> float:
     return float(np.clip(np.sum(sums**2) / max(np.sum(score**2), 1e-300), 1.0, 200.0))
 
 
-def _between_stretches(case: Case, scene: Scene, core: np.ndarray) -> np.ndarray:
+def _between_stretches(scene: Scene, core: np.ndarray) -> np.ndarray:
     """Covariance of the textbook form's sizes by the jackknife: each of a few stretches of neighbouring rows left out.
 
     A real part is stronger here than there and today than tomorrow; many rows do not average that out. Scaled to
@@ -194,7 +194,7 @@ def _linear(h: Hypothesis, b, cov, scale) -> list[Estimate]:
     return out
 
 
-def _amplitudes(h: Hypothesis, estimates: list[Estimate], cov, scale) -> list[Estimate]:
+def _amplitudes(estimates: list[Estimate], cov, scale) -> list[Estimate]:
     """Amplitudes of waves, beside their sines and cosines."""
     out = []
     names = [e.name for e in estimates]
@@ -219,7 +219,7 @@ def _at_largest(e: Estimate, contribution: np.ndarray, block: np.ndarray, cov: n
     return Estimate(e.name, value, e.unit, value - reach, value + reach)
 
 
-def _refine(case: Case, scene: Scene, h: Hypothesis, size: float):
+def _refine(case: Case, scene: Scene, h: Hypothesis):
     """Each non-linear parameter in turn to its best value nearby, and the span over which the evidence holds."""
     spans, best = [], h
     for j, p in enumerate(h.terms[0].nonlinear()):

@@ -108,7 +108,7 @@ def gain_of_a_part(case: Case, m: model.Modelled) -> bool:
     return False
 
 
-def only_a_wave_in_time(case: Case, m: model.Modelled, left: np.ndarray) -> bool:
+def only_a_wave_in_time(m: model.Modelled, left: np.ndarray) -> bool:
     """Does a sine over the order of the rows (mains hum, folded down) explain more than the finding?
 
     left: residual of the whole explanation, shape (rows,).

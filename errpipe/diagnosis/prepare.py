@@ -85,7 +85,7 @@ def _pair(recording: Recording, component: str, error: str, twin: str, unit: str
     turned = float(np.var(recorded + simulated)) < REVERSED * alike
     if turned:
         mismatch = recording.array(error) + recording.array(twin)
-    outlying = spikes(mismatch[rows], recording.run_codes()[rows])
+    outlying = spikes(mismatch[rows])
     keep = _judged_rows(recording, rows)
     rows, outlying = rows[keep], outlying[keep]
     return Pair(component, unit, error, twin, rows[~outlying], mismatch[rows[~outlying]], rows[outlying], turned)
@@ -113,7 +113,7 @@ def _repeated(recording: Recording, rows: np.ndarray) -> np.ndarray:
     return np.r_[False, same.all(axis=1)]
 
 
-def spikes(values: np.ndarray, run: np.ndarray, times: float = 6.0) -> np.ndarray:
+def spikes(values: np.ndarray, times: float = 6.0) -> np.ndarray:
     """Isolated outliers: far from the median of their six neighbours, which agree among themselves."""
     n = values.size
     out = np.zeros(n, dtype=bool)

@@ -104,7 +104,7 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
     for k, (m, s) in enumerate(zip(made, indicators, strict=True)):
         wanders = case.over_noise < 0.0 or (slow and s.wandering > s.gain)
         a_gain = any(plausible.gain_of_a_part(case, other) for other in made[: k + 1])  # or beside one
-        if wanders or a_gain or plausible.only_a_wave_in_time(case, m, after):
+        if wanders or a_gain or plausible.only_a_wave_in_time(m, after):
             most[k] = UNPROVED
         elif plausible.no_size(m):
             most[k] = UNSIZED
@@ -221,7 +221,7 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
         indistinguishable_from=tuple(r[0] for r in close),
         confidence_of_class=round(class_confidence, 3) if close else None,
         would_separate=sentence,
-        says=_says(case, h.effect, h.drivers, made, indicators[k]),
+        says=_says(case, h.effect, h.drivers, made),
         rms_um=float(np.std(made.contribution)),
         rivals=tuple(Rival(effect=r[0], lost_by=round(float(r[1]), 2)) for r in rivals[:6]),
         compensable=term.compensable and bool(term.lower(values)) and not h.mask,
@@ -297,7 +297,7 @@ def _gains(case: Case, b: np.ndarray, covariance: np.ndarray) -> Iterator[tuple[
         yield nuisance, float(row @ b), float(np.sqrt(row @ covariance @ row))
 
 
-def _says(case: Case, effect: str, drivers, made: model.Modelled, s: confidence.Indicators) -> str:
+def _says(case: Case, effect: str, drivers, made: model.Modelled) -> str:
     wave = any(e.name == "amplitude" for e in made.estimates)
     told = [e for e in made.estimates if not (wave and e.name.startswith(("sine", "cosine")))]
     shown = told[: MOST_NUMBERS - 1] + told[-1:] if wave and len(told) > MOST_NUMBERS else told[:MOST_NUMBERS]

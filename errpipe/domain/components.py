@@ -58,6 +58,11 @@ class Component(Frozen):
     axis: str | None = None
     unit: Literal["um", "urad", "N", "N m"]
 
+    @property
+    def is_straightness(self) -> bool:
+        """Whether a linear axis deviates across its own direction."""
+        return self.kind == "straightness"
+
 
 def parse(name: str) -> Component:
     """The component a name stands for. Raises ValueError naming the nearest component."""

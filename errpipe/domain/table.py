@@ -9,20 +9,33 @@ code. Every target and every evaluator sees only this.
 
 Units: deviations um and urad, corrections in each output's `correction_unit`. deviation = actual - commanded;
 correction = -deviation.
-
-Longer than 400 lines: one document and what makes it a valid one.
 """
 
 from __future__ import annotations
 
-import re
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from errpipe.domain import operations
 from errpipe.domain.operations import LARGEST_NUMBER, NotNegative, Number, Positive
-from errpipe.domain.recording import Frozen
+from errpipe.domain.table_nodes import (  # noqa: F401  # asked for as names of this module, `t.LagNode`
+    AffineNode,
+    AnyNode,
+    ApproachNode,
+    ClipNode,
+    ConstantNode,
+    DirectionNode,
+    FirstNode,
+    InputNode,
+    LagNode,
+    LookupNode,
+    Node,
+    PowerNode,
+    ProductNode,
+    SwitchNode,
+    check_node,
+)
+from errpipe.domain.table_text import AXIS, TITLE, Index, Name, Part, text
 
 MAX_INPUTS = 64  # this and the following: limits of the format (schemas/ect-2.md)
 MAX_NODES = 1024
@@ -56,6 +69,7 @@ STATUS = (
     "not_finite",
     "holding",
 )
+STATUS_BIT = {name: 1 << n for n, name in enumerate(STATUS)}
 # Why a reading is not believed, and what stands in for it: the codes a controller shows per input.
 FAULTS = ("none", "missing", "stale", "range", "rate")
 SOURCES = ("reading", "substitute", "held", "default")
@@ -71,50 +85,6 @@ CORRECTION_FACTORS = {
     ("urad", "deg"): 5.729577951308232e-05,
     ("urad", "rad"): 1e-06,
 }
-
-
-# What a text may hold beside letters outside ASCII. Names are printed into programs, comments and file names of many
-# controllers: no quote, star, semicolon, angle or curly bracket, backslash, question mark or the like is let through.
-TITLE = (re.compile(r"[ -~\u0080-\U0010ffff]*"), "control characters are not allowed")
-NAME = (
-    re.compile(r"[A-Za-z0-9 _.:%/^()\[\]+\u0080-\U0010ffff-]*"),
-    "allowed: letters, digits, spaces and _ - . : + % / ^ ( ) [ ]",
-)
-AXIS = (re.compile(r"[A-Za-z0-9]*"), "allowed: letters A to Z and digits")
-
-
-def text_problem(value: str, longest: int, signs: tuple[re.Pattern[str], str] = NAME) -> str:
-    """Why a text does not fit its zero-ended field of `longest` bytes of UTF-8; empty where it does."""
-    allowed, says = signs
-    try:
-        size = len(value.encode())
-    except UnicodeEncodeError:  # half a surrogate pair
-        return f"{value!r} is not text"
-    if size > longest:
-        return f"{value!r} is longer than {longest} bytes"
-    odd = allowed.match(value).end()  # type: ignore[union-attr]  # it matches the empty text too
-    return f"{value!r} holds {value[odd]!r} ({says})" if odd < len(value) else ""
-
-
-def text(longest: int, signs: tuple[re.Pattern[str], str] = NAME) -> AfterValidator:
-    """Validator of a text field; see `text_problem`."""
-
-    def check(value: str) -> str:
-        if problem := text_problem(value, longest, signs):
-            raise ValueError(problem)
-        return value
-
-    return AfterValidator(check)
-
-
-Name = Annotated[str, Field(min_length=1), text(31)]
-Index = Annotated[int, Field(ge=0)]
-
-
-class Part(Frozen):
-    """A part of the table: immutable, no unknown keys, no NaN or infinity."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class Substitute(Part):
@@ -194,91 +164,6 @@ class TableInput(Part):
     def fast(self) -> bool:
         """Whether nodes that read it run every position cycle."""
         return self.kind in FAST_KINDS
-
-
-class Node(Part):
-    """One operation on earlier nodes (`of` are their numbers). slow: runs in thermal cycles only."""
-
-    slow: bool = Field(False, description="Runs in thermal cycles only.")
-    of: tuple[Index, ...] = Field((), description="Numbers of the nodes it reads, all of them earlier ones.")
-
-    operands: ClassVar[tuple[int, int]] = (1, 1)  # fewest and most operands
-
-
-class ConstantNode(operations.Constant, Node):
-    operands: ClassVar = (0, 0)
-
-
-class InputNode(Node):
-    operands: ClassVar = (0, 0)
-    op: Literal["input"] = "input"
-    input: Name = Field(description="Name of the input.")
-
-
-class AffineNode(operations.Affine, Node):
-    operands: ClassVar = (1, 64)
-
-
-class FirstNode(operations.First, Node):
-    operands: ClassVar = (1, 1)
-
-
-class LagNode(operations.Lag, Node):
-    operands: ClassVar = (1, 1)
-
-
-class ProductNode(operations.Product, Node):
-    operands: ClassVar = (1, 16)
-
-
-class PowerNode(operations.Power, Node):
-    operands: ClassVar = (1, 1)
-
-
-class ClipNode(operations.Clip, Node):
-    operands: ClassVar = (1, 1)
-
-
-class SwitchNode(operations.Switch, Node):
-    operands: ClassVar = (1, 1)
-
-
-class DirectionNode(operations.Direction, Node):
-    """Operands: the position, and where there is one the input that knows the direction (sign, 0 unknown)."""
-
-    operands: ClassVar = (1, 2)
-
-
-class ApproachNode(operations.Approach, Node):
-    """Operands: the position and its direction."""
-
-    operands: ClassVar = (2, 2)
-    threshold: NotNegative = Field(
-        0.0,
-        description="Readings no further apart than this agree; one alone between two that do is undone.",
-        json_schema_extra={"unit": "mm"},
-    )
-
-
-class LookupNode(operations.Lookup, Node):
-    operands: ClassVar = (1, 1)
-
-
-AnyNode = Annotated[
-    ConstantNode
-    | InputNode
-    | AffineNode
-    | FirstNode
-    | LagNode
-    | ProductNode
-    | PowerNode
-    | ClipNode
-    | SwitchNode
-    | DirectionNode
-    | ApproachNode
-    | LookupNode,
-    Field(discriminator="op"),
-]
 
 
 class Profile(Part):
@@ -434,7 +319,7 @@ class CompensationTable(Part):
                 if s.input not in believed or s.input == i.name:
                     raise ValueError(f"input {i.name}: {s.input!r} cannot be a source of its substitute")
         for number, node in enumerate(self.nodes):
-            _check_node(number, node, known)
+            check_node(number, node, known)
         for number, profile in enumerate(self.profiles):
             if profile.input is not None and profile.input not in known:
                 raise ValueError(f"profile {number}: input {profile.input!r} is not in the table")
@@ -459,23 +344,6 @@ def _unique(what: str, names) -> set[str]:
             raise ValueError(f"{what} {name!r} occurs twice")
         seen.add(name)
     return seen
-
-
-def _check_node(number: int, node: AnyNode, inputs: set[str]) -> None:
-    fewest, most = node.operands
-    if not fewest <= len(node.of) <= most:
-        raise ValueError(f"node {number} ({node.op}): {len(node.of)} operands (allowed: {fewest}..{most})")
-    for operand in node.of:
-        if operand >= number:
-            raise ValueError(f"node {number} ({node.op}): operand {operand} does not come before it")
-    if isinstance(node, InputNode) and node.input not in inputs:
-        raise ValueError(f"node {number}: input {node.input!r} is not in the table")
-    if isinstance(node, AffineNode) and len(node.weights) != len(node.of):
-        raise ValueError(f"node {number}: {len(node.weights)} weights for {len(node.of)} operands")
-    if isinstance(node, ClipNode) and not node.low <= node.high:
-        raise ValueError(f"node {number}: clip range is reversed")
-    if isinstance(node, SwitchNode) and not node.off <= node.on:
-        raise ValueError(f"node {number}: switch turns off above where it turns on")
 
 
 def _check_turns(number: int, profile: Profile, inputs: tuple[TableInput, ...]) -> None:

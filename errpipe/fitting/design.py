@@ -119,13 +119,13 @@ def inner_values(term: Term, searched: np.ndarray) -> list[float]:
     return [term.fixed[p.name] if p.name in term.fixed else remaining.pop(0) for p in term.nonlinear()]
 
 
-def response_name(recording: Recording, component: str) -> str:
-    """Name of a component's error column. Raises DataError where there is none."""
+def response_name(recording: Recording, component: str, asked_by: str = "fit") -> str:
+    """Name of a component's error column. Raises DataError naming those that are there."""
     name = recording.name("error", component=component)
     if name is None:
         known = recording.components()
         hint = did_you_mean(component, known)
-        raise DataError(f"fit: the recording has no response {component} (present: {', '.join(known)}).{hint}")
+        raise DataError(f"{asked_by}: the recording has no response {component} (present: {', '.join(known)}).{hint}")
     return name
 
 

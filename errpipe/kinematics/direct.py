@@ -190,12 +190,12 @@ def without_beam_errors(
     rows: mask of the recording's rows that position and value are of. Raises DataError where the set-up does not
     fit the component, or the air was not recorded that the correction needs.
     """
-    kind = parse(component).kind
-    if kind not in ("positioning", "straightness"):
+    c = parse(component)
+    if c.kind != "positioning" and not c.is_straightness:
         raise DataError(f"lasers.{component}: an angle has no dead path, no cosine error and no Abbe offset")
-    if kind == "straightness" and (laser.dead_path or laser.misalignment or not laser.wavelength_corrected):
+    if c.is_straightness and (laser.dead_path or laser.misalignment or not laser.wavelength_corrected):
         raise DataError(f"lasers.{component}: a straightness has an offset alone; dead path and cosine are of EXX")
-    if kind == "straightness":
+    if c.is_straightness:
         return value
     if laser.display_air is not None and laser.wavelength_corrected:
         raise DataError(
@@ -322,11 +322,11 @@ def _zero(chain: Chain | None, axis: str, targets: np.ndarray) -> float:
 
 def _conventions(curve: Curve, zero: float) -> Curve:
     """Positioning zero at its datum, straightness without line, angles without offset."""
-    kind, p, mean = parse(curve.component).kind, curve.position, curve.mean
+    c, p, mean = parse(curve.component), curve.position, curve.mean
     slope, error = 0.0, 0.0
-    if kind in ("positioning", "angular positioning"):
+    if c.kind in ("positioning", "angular positioning"):
         line = np.full(len(p), np.interp(zero, p, mean))
-    elif kind == "straightness":
+    elif c.is_straightness:
         line, slope, error = straight_part(p, mean)
     else:
         line = np.full(len(p), np.trapezoid(mean, p) / (p[-1] - p[0]))

@@ -78,7 +78,7 @@ class Parametrisation:
             for j, rough in enumerate(bases[chain.drives[c]].rough):
                 if rough > 0.0:
                     rows.append((f"{name}[{j}]", c, j, family, rough))
-                elif parse(name).kind != "straightness":  # the slope of a straightness is squareness
+                elif not parse(name).is_straightness:  # the slope of a straightness is squareness
                     rows.append((f"{name}[{j}]", c, j, {0: 3, 1: 7, 2: 4}[family], 1.0))
         names, *columns = zip(*rows, strict=True)
         return cls(chain, bases, Prior(names, *map(np.array, columns)))

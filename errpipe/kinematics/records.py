@@ -182,18 +182,18 @@ def _repeatability(p: np.ndarray, value: np.ndarray, side: np.ndarray) -> float:
 
 
 def _rows(chain: Chain, r: Record, laser, squares: Mapping[str, float], turns) -> o.Observations:
-    n, kind = len(r.position), parse(r.component).kind
+    n, c = len(r.position), parse(r.component)
     own = np.zeros((n, len(chain.components)))
     own[:, chain.index(r.component)] = sense(chain, r.component)
     guided = chain.machine.axes[r.axis].reference_on == "guideway"
-    if kind in ("positioning", "straightness") and (guided or (laser is not None and any(laser.offset))):
+    if (c.kind == "positioning" or c.is_straightness) and (guided or (laser is not None and any(laser.offset))):
         _add_arms(chain, own, r, laser or direct.Laser())
     middle = chain.travel[chain.axes.index(r.axis)].mean()
     metres = (r.position - middle) * 1e-3
     tag = f"{r.label} {r.component}".strip()
     zeros = [(f"{tag}: zero" + (f" {k + 1}" if r.zero.any() else ""), r.zero == k) for k in np.unique(r.zero)]
     value, columns = r.value.copy(), [(name, o.SHIFT, own_rows.astype(float)) for name, own_rows in zeros]
-    if kind == "straightness":
+    if c.is_straightness:
         turn = turns.get(r.component)
         if turn is None:
             columns.append((f"{tag}: straightedge", o.TURN, metres))
@@ -280,7 +280,7 @@ def _slope_per_squareness(chain: Chain, square: str, component: str) -> float:
 def _squares_of(chain: Chain, component: str) -> list[str]:
     """Squareness of the component's own axis that shows as its slope."""
     c = parse(component)
-    if c.kind != "straightness":
+    if not c.is_straightness:
         return []
     of_axis = [n for n in chain.components if n[0] in ROTATIONS and n[1:] == f"0{c.axis}"]
     return [n for n in of_axis if abs(_slope_per_squareness(chain, n, component)) > 1e-9]

@@ -126,7 +126,7 @@ def _shown(chain, values, setup: SetUp, name: str, axis: str, p, true, turns, wa
         arm = arm + p[:, None] * along
     own = true[name] * (float(reads @ LETTERS[component.direction]) if component.kind == "positioning" else 1.0)
     moved = own + (_turned(np.column_stack([true[f"E{d}{axis}"] for d in "ABC"]), arm) - arm) @ reads * 1e3
-    if component.kind == "straightness":
+    if component.is_straightness:
         return moved + _slope(chain, values, setup, name, axis, reads, along, turns) * p * 1e-3
     if component.kind != "positioning":
         return moved

@@ -79,11 +79,11 @@ def _smooth(rng, chain: Chain, a: int, name: str, size: float):
         return np.cos(t[..., None] * wave + phase) @ gain + slope * (t - 0.5)
 
     grid = np.linspace(low, high, 2001)
-    kind = parse(name).kind
-    if kind in ("positioning", "angular positioning") and not closed:
+    component = parse(name)
+    if component.kind in ("positioning", "angular positioning") and not closed:
         zero = float(raw(np.array([axis.zero]))[0])
         return lambda p: raw(p) - zero
-    if kind == "straightness":
+    if component.is_straightness:
         line = np.polyfit(grid, raw(grid), 1)
         return lambda p: raw(p) - np.polyval(line, np.clip(p, low, high))
     mean = float(raw(grid).mean())

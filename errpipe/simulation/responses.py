@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.errors import DataError, did_you_mean
+from errpipe.fitting.design import response_name
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,4 @@ def names_of(recording: Recording, component: str) -> tuple[str, ...]:
 
 def error_column(recording: Recording, component: str) -> str:
     """Name of a response's column. Raises DataError naming those that are there."""
-    name = recording.name("error", component=component)
-    if name is None:
-        known = recording.components()
-        hint = did_you_mean(component, known)
-        raise DataError(f"twin: the recording has no response {component} (present: {', '.join(known)}).{hint}")
-    return name
+    return response_name(recording, component, "twin")

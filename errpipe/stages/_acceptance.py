@@ -81,16 +81,15 @@ def decide(diagnosis: Diagnosis, recording: Recording, accept: Accept, whole: bo
     """One decision per finding, responses and findings in the diagnosis' order. whole: a model stands before."""
     made = []
     for response in diagnosis.responses:
-        decided = [_decide(f, response, recording, accept) for f in response.findings]
+        decided = [_decide(f, response, accept) for f in response.findings]
         named = any(d.accepted and d.finding.effect != "recalibration" for d in decided)
         made += [
-            _recalibration(d, recording, accept, whole, named) if d.finding.effect == "recalibration" else d
-            for d in decided
+            _recalibration(d, recording, whole, named) if d.finding.effect == "recalibration" else d for d in decided
         ]
     return made
 
 
-def _recalibration(d: Decision, recording: Recording, accept: Accept, whole: bool, named: bool) -> Decision:
+def _recalibration(d: Decision, recording: Recording, whole: bool, named: bool) -> Decision:
     """The simulation's own gains: terms of the mismatch where they are plain; alone they are for the simulation."""
     if whole:
         return replace(d, reason=REFITTED_NOTE)
@@ -100,7 +99,7 @@ def _recalibration(d: Decision, recording: Recording, accept: Accept, whole: boo
     return replace(d, terms=terms, reason="" if terms else RECALIBRATION)
 
 
-def _decide(f: Finding, response: ResponseDiagnosis, recording: Recording, accept: Accept) -> Decision:
+def _decide(f: Finding, response: ResponseDiagnosis, accept: Accept) -> Decision:
     decision = Decision(response.component, f)
     if f.effect == "unknown":
         return replace(decision, reason=UNKNOWN)

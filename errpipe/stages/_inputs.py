@@ -9,7 +9,8 @@ import numpy as np
 
 from errpipe.domain import driver as d
 from errpipe.domain.error_model import DatumReadings, ErrorModel
-from errpipe.domain.table import AXIS, NAME, Kind, TableInput, text_problem
+from errpipe.domain.table import Kind, TableInput
+from errpipe.domain.table_text import AXIS, NAME, text_problem
 from errpipe.errors import GateError, UsageError
 from errpipe.fitting.validity import box
 from errpipe.guard.description import GuardedSensor, SensorGuard

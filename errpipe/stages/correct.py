@@ -115,25 +115,28 @@ def chunks_of(program: Path) -> Iterator[bytes]:
 
 def whole_numbers(text: str) -> str:
     """The first length without a decimal point, in words; '' where there is none. 0 is the same in every unit."""
-    for number, line in enumerate(text.splitlines(), 1):
-        if match := _WHOLE.search(_COMMENT.sub("", line)):
-            return (
-                f"line {number}: {match[0]} has no decimal point and is taken as a whole length, as LinuxCNC does: a "
-                "control that counts it in least increments (Fanuc 3401#0 DPI = 0) would go 1000 times further by the "
-                "corrected program"
-            )
-    return ""
+    number, word = _first_match(_WHOLE, text)
+    return word and (
+        f"line {number}: {word} has no decimal point and is taken as a whole length, as LinuxCNC does: a control that "
+        "counts it in least increments (Fanuc 3401#0 DPI = 0) would go 1000 times further by the corrected program"
+    )
 
 
 def diameters(text: str) -> str:
     """The first word of a turning program, whose X may be a diameter, in words; '' where there is none."""
+    number, word = _first_match(_TURNING, text)
+    return word and (
+        f"line {number}: {word} is a lathe's, and X was taken as a radius, as LinuxCNC does: where the control counts "
+        "X in diameters (Fanuc 1006#3 DIA, Siemens DIAMON), do not use the corrected program"
+    )
+
+
+def _first_match(pattern: re.Pattern[str], text: str) -> tuple[int, str]:
+    """Number of the first line of a program with a match outside of comments, and the match; (0, '') without one."""
     for number, line in enumerate(text.splitlines(), 1):
-        if match := _TURNING.search(_COMMENT.sub("", line)):
-            return (
-                f"line {number}: {match[0].strip()} is a lathe's, and X was taken as a radius, as LinuxCNC does: where "
-                "the control counts X in diameters (Fanuc 1006#3 DIA, Siemens DIAMON), do not use the corrected program"
-            )
-    return ""
+        if match := pattern.search(_COMMENT.sub("", line)):
+            return number, match[0].strip()
+    return 0, ""
 
 
 def _refuse_large(program: Path) -> None:

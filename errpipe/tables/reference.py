@@ -13,7 +13,8 @@ Two ways to call it: at the controller's fixed rate (dt None), or over a recordi
 row before). Over a recording every node runs in every row, and ramp, fade time, slew and acceleration,
 which belong to a fixed rate, do nothing, nor is one reading alone between two that agree undone.
 
-Longer than 400 lines: the second opinion on the cycle, step by step as the specification has it, in one place.
+This is the cycle, its nodes, profiles and synthesis; readings and limits are `reference_readings` and
+`reference_limits`.
 """
 
 from __future__ import annotations
@@ -23,9 +24,8 @@ from dataclasses import dataclass
 
 from errpipe.domain import table as t
 from errpipe.kernels.arithmetic import exp, power
-
-_NOWHERE = 1e31  # where an anchor stands before the first reading: beyond every reading
-_BIT = {name: 1 << n for n, name in enumerate(t.STATUS)}
+from errpipe.tables.reference_limits import Limits, towards
+from errpipe.tables.reference_readings import Readings
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Cycle:
 
     def says(self) -> tuple[str, ...]:
         """Names of the status bits that are set."""
-        return tuple(name for name, bit in _BIT.items() if self.status & bit)
+        return tuple(name for name, bit in t.STATUS_BIT.items() if self.status & bit)
 
 
 @dataclass
@@ -65,14 +65,12 @@ class Evaluator:
 
     def __init__(self, table: t.CompensationTable):
         self.table = table
-        self._number = {i.name: n for n, i in enumerate(table.inputs)}
         self._component = {c.name: n for n, c in enumerate(table.components)}
         self._inverse_step = [1.0 / p.step for p in table.profiles]
         self._inverse_turn = [1.0 / (len(p.values) - 1) if p.periodic else 0.0 for p in table.profiles]
         self._alphas = [self._lag_factors(n) for n in table.nodes]
         self._rules_of_2 = table.table > 1
-        self._ramp = 0.0
-        self._correction = [0.0] * len(table.outputs)
+        self._limits = Limits(table)
         self.reset()
 
     def take_over(self, before: Evaluator) -> None:
@@ -83,34 +81,18 @@ class Evaluator:
         theirs, ours = ([(o.name, o.unit, o.correction_unit) for o in e.table.outputs] for e in (before, self))
         if theirs != ours:
             raise ValueError("the tables have other outputs: a correction would jump")
-        self._correction, self._ramp = list(before._correction), before._ramp
-        self._target = list(self._correction)
+        self._limits.take_over(before._limits)
 
     def reset(self) -> None:
         """The next cycle is the first of a run; corrections stay where they are, and go on from there."""
-        table = self.table
-        inputs, nodes, outputs = len(table.inputs), len(table.nodes), len(table.outputs)
-        self._raw = [float("nan")] * inputs
-        self._wait = [0.0] * inputs
-        self._good = [0.0] * inputs
-        self._age = [0.0] * inputs
-        self._anchor = [_NOWHERE] * inputs
-        self._rejected = [0] * inputs
-        self._now = [0.0] * inputs
-        self._left = [1.0] * inputs
-        self._seen = [False] * inputs
-        self._usable = [i.optional for i in table.inputs]
-        self._value = [0.0] * inputs
+        nodes = len(self.table.nodes)
+        self._readings = Readings(self.table)
         self._node = [0.0] * nodes
         self._ready = [False] * nodes
         self._a = [0.0] * nodes
         self._recalls: dict[int, _Recall] = {}
         self._fade = -1.0
-        if not self._rules_of_2:
-            self._ramp = 0.0
-            self._correction = [0.0] * outputs
-        self._rate = [0.0] * outputs
-        self._target = list(self._correction)
+        self._limits.reset()
         self._until_slow = 0
         self._heartbeat = 0
         self._status = 0
@@ -123,20 +105,23 @@ class Evaluator:
         dt: None at the controller's rate, else s since the row before; enable: corrections are wanted (else they go
         to 0); hold: they stay as they are, whatever `enable` says. Raises KeyError for an unknown input.
         """
-        self._status = _BIT["running"]
+        self._status = t.STATUS_BIT["running"]
         replay = dt is not None
         step = self.table.position_cycle_s if dt is None else dt
         slow = replay or self._until_slow == 0
         self._until_slow = (self.table.slow_every if slow else self._until_slow) - 1
-        faults, sources, lost = self._condition(inputs, step, replay)
+        readings = self._readings
+        faults, sources, lost = readings.condition(inputs, step, replay)
+        self._status |= readings.status
         for n, channel in enumerate(self.table.inputs):
             if slow or channel.fast or not self._rules_of_2:
-                self._show(n, channel)
+                readings.show(n, channel)
         self._run_nodes(slow, dt)
         self._move_fade(self._fade_target(lost), step, replay)
         components = self._components()
         deviation = self._synthesis(components)
-        correction = self._limit(deviation, step, replay, enable, hold)
+        correction = self._limits.limited(deviation, step, replay, enable, hold)
+        self._status |= self._limits.status
         self._heartbeat = (self._heartbeat + 1) % (1 << 32)
         names = [o.name for o in self.table.outputs]
         return Cycle(
@@ -147,7 +132,7 @@ class Evaluator:
             self._heartbeat,
             {i.name: t.FAULTS[f] for i, f in zip(self.table.inputs, faults, strict=True)},
             {i.name: t.SOURCES[s] for i, s in zip(self.table.inputs, sources, strict=True)},
-            {i.name: r for i, r in zip(self.table.inputs, self._rejected, strict=True)},
+            {i.name: r for i, r in zip(self.table.inputs, readings.rejected, strict=True)},
         )
 
     def nodes(self) -> tuple[float, ...]:
@@ -161,104 +146,6 @@ class Evaluator:
     def fade_of(self, names: set[str]) -> float:
         """What the validity boxes of some inputs leave of the table, 0..1, at the last cycle's values."""
         return self._fade_target(False, names)
-
-    # readings ---------------------------------------------------------------------------------------
-
-    def _condition(self, readings: Mapping[str, float], dt: float, replay: bool) -> tuple[list[int], list[int], bool]:
-        for name in readings:
-            if name not in self._number:
-                raise KeyError(f"the table has no input {name!r} (inputs: {', '.join(self._number)})")
-        faults = [self._judge(n, i, readings, dt, replay) for n, i in enumerate(self.table.inputs)]
-        sources = [0] * len(faults)
-        lost = False
-        for n, i in enumerate(self.table.inputs):
-            if faults[n] != 0:
-                sources[n] = self._stand_in(n, i, faults)
-                if not i.optional:
-                    self._status |= _BIT[("", "substituted", "held", "defaulted")[sources[n]]]
-                    lost = lost or (sources[n] == 3 and i.fade_on_default)
-        return faults, sources, lost
-
-    def _judge(self, n: int, channel: t.TableInput, readings: Mapping[str, float], dt: float, replay: bool) -> int:
-        self._age[n] = self._age[n] + dt
-        self._wait[n] = self._wait[n] + dt
-        if channel.name in readings:
-            self._raw[n] = float(readings[channel.name])
-            self._wait[n] = 0.0
-        v = self._raw[n]
-        if not -t.LARGEST_RESULT <= v <= t.LARGEST_RESULT:
-            return 1
-        if channel.stale_after_s is not None and self._wait[n] > channel.stale_after_s:
-            return 2
-        if v < channel.low or v > channel.high:
-            return 3
-        if channel.max_rate is not None and not self._follows(n, channel, v, channel.name in readings, replay):
-            return 4
-        self._good[n] = v
-        self._now[n] = v
-        self._age[n] = 0.0
-        self._seen[n] = True
-        self._usable[n] = True
-        return 0
-
-    def _follows(self, n: int, channel: t.TableInput, v: float, fresh: bool, replay: bool) -> bool:
-        """Whether a reading lies where `max_rate` and `noise` let it be; the anchor follows it at that rate.
-
-        The first reading of a run is believed once it has stayed there for half a thermal cycle.
-        """
-        settled = self._seen[n]
-        if not settled and (replay or not self._rules_of_2):
-            self._anchor[n] = v
-            return True
-        assert channel.max_rate is not None
-        reach = channel.max_rate * self._age[n]
-        moved = v - self._anchor[n]
-        if moved > reach + channel.noise or -moved > reach + channel.noise:
-            if not settled:
-                self._anchor[n] = v
-                self._age[n] = 0.0
-            elif fresh:
-                self._rejected[n] = (self._rejected[n] + 1) % (1 << 32)
-            return False
-        if not settled and self._age[n] < 0.5 * self.table.thermal_cycle_s:
-            return False
-        self._anchor[n] = self._anchor[n] + reach if moved > reach else self._anchor[n] - reach if -moved > reach else v
-        return True
-
-    def _stand_in(self, n: int, channel: t.TableInput, faults: list[int]) -> int:
-        if channel.optional:
-            self._now[n] = channel.default
-            return 3
-        sources = [self._number[s.input] for s in channel.substitute]
-        if sources and all(faults[s] == 0 for s in sources):
-            v = channel.substitute_offset
-            for s, part in zip(sources, channel.substitute, strict=True):
-                v = v + part.weight * self._good[s]
-            if v < channel.low:
-                v = channel.low
-            if v > channel.high:
-                v = channel.high
-            self._now[n] = v
-            self._usable[n] = True
-            return 1
-        if self._seen[n] and (channel.hold_s is None or self._age[n] < channel.hold_s):
-            self._now[n] = self._good[n]
-            return 2
-        self._now[n] = channel.default
-        return 3
-
-    def _show(self, n: int, channel: t.TableInput) -> None:
-        """What the table sees of an input: within its validity, and what is left of the table outside it."""
-        v = self._now[n]
-        self._left[n] = 1.0
-        if channel.valid is not None:
-            low, high = channel.valid
-            outside = low - v if v < low else v - high
-            if outside > 0.0:
-                self._left[n] = 1.0 - outside / (channel.margin or 1.0)
-                if self._rules_of_2:
-                    v = low if v < low else high
-        self._value[n] = v
 
     # nodes ------------------------------------------------------------------------------------------
 
@@ -281,14 +168,14 @@ class Evaluator:
             value = self._run_node(n, node, started, dt)
             if not -t.LARGEST_RESULT <= value <= t.LARGEST_RESULT:
                 value = 0.0
-                self._status |= _BIT["not_finite"]
+                self._status |= t.STATUS_BIT["not_finite"]
             self._node[n] = value
         if waiting:
-            self._status |= _BIT["waiting"]
+            self._status |= t.STATUS_BIT["waiting"]
 
     def _is_ready(self, node: t.Node) -> bool:
         if isinstance(node, t.InputNode):
-            return self._usable[self._number[node.input]]
+            return self._readings.usable[self._readings.number[node.input]]
         return all(self._ready[operand] for operand in node.of)
 
     def _run_node(self, n: int, node: t.Node, started: bool, dt: float | None) -> float:
@@ -297,7 +184,7 @@ class Evaluator:
             case t.ConstantNode():
                 return node.value
             case t.InputNode():
-                return self._value[self._number[node.input]]
+                return self._readings.value[self._readings.number[node.input]]
             case t.AffineNode():
                 total = node.offset
                 for weight, operand in zip(node.weights, node.of, strict=True):
@@ -401,23 +288,23 @@ class Evaluator:
         z = self._node[n]
         return side - (side - z) * exp(-(way / node.length)) if way > 0.0 else z
 
-    # profiles, synthesis, limits ---------------------------------------------------------------------
+    # profiles, synthesis ---------------------------------------------------------------------------
 
     def _fade_target(self, lost: bool, names: set[str] | None = None) -> float:
         if lost:
             return 0.0
         target = 1.0
         for n, channel in enumerate(self.table.inputs):
-            if (names is None or channel.name in names) and self._left[n] < target:
-                target = self._left[n]
+            if (names is None or channel.name in names) and self._readings.left[n] < target:
+                target = self._readings.left[n]
         return target if target > 0.0 else 0.0
 
     def _move_fade(self, target: float, dt: float, replay: bool) -> None:
-        self._fade = _towards(self._fade, target, dt, 0.0 if replay or self._fade < 0.0 else self.table.fade_s)
+        self._fade = towards(self._fade, target, dt, 0.0 if replay or self._fade < 0.0 else self.table.fade_s)
         if self._fade < 1.0:
-            self._status |= _BIT["fading"]
+            self._status |= t.STATUS_BIT["fading"]
         if self._fade <= 0.0:
-            self._status |= _BIT["faded"]
+            self._status |= t.STATUS_BIT["faded"]
 
     def _components(self) -> list[float]:
         profiles = [self._profile(n, p) for n, p in enumerate(self.table.profiles)]
@@ -433,7 +320,7 @@ class Evaluator:
         if profile.input is None:
             return profile.values[0] * profile.scale
         last = len(profile.values) - 1
-        s = (self._value[self._number[profile.input]] - profile.start) * self._inverse_step[n]
+        s = (self._readings.value[self._readings.number[profile.input]] - profile.start) * self._inverse_step[n]
         if profile.periodic:
             turns = s * self._inverse_turn[n]
             whole = int(turns)
@@ -441,7 +328,7 @@ class Evaluator:
                 whole -= 1
             s = s - float(whole) * last
         elif s < 0.0 or s > last:
-            self._status |= _BIT["beyond_profile"]
+            self._status |= t.STATUS_BIT["beyond_profile"]
         if s < 0.0:
             s = 0.0
         if s > last:
@@ -464,122 +351,9 @@ class Evaluator:
                 total = total + part
             if not -t.LARGEST_RESULT <= total <= t.LARGEST_RESULT:
                 total = 0.0
-                self._status |= _BIT["not_finite"]
+                self._status |= t.STATUS_BIT["not_finite"]
             out.append(total)
         return out
-
-    def _limit(self, deviation: list[float], dt: float, replay: bool, enable: bool, hold: bool) -> list[float]:
-        if hold:
-            self._status |= _BIT["holding"]
-        else:
-            self._ramp = _towards(self._ramp, 1.0 if enable else 0.0, dt, 0.0 if replay else self.table.ramp_s)
-        if self._ramp >= 1.0:
-            self._status |= _BIT["active"]
-        elif self._ramp > 0.0:
-            self._status |= _BIT["ramping"]
-        out = []
-        for n, output in enumerate(self.table.outputs):
-            target = -deviation[n] * self._ramp
-            if output.magnitude is not None:
-                if target > output.magnitude:
-                    target = output.magnitude
-                    self._status |= _BIT["at_magnitude"]
-                if target < -output.magnitude:
-                    target = -output.magnitude
-                    self._status |= _BIT["at_magnitude"]
-            if hold:
-                self._rate[n] = 0.0
-                self._target[n] = target
-            elif replay or (output.slew is None and output.acceleration is None):
-                self._correction[n] = target
-            else:
-                self._approach_target(n, output, target, dt)
-            out.append(self._correction[n] * output.factor)
-        return out
-
-    def _approach_target(self, n: int, output: t.Output, target: float, dt: float) -> None:
-        """Move a correction to its target within slew and acceleration; on target, it stays on it exactly.
-
-        Rates are per cycle. Of the rates reachable in this cycle the fastest is taken from which the
-        closing speed can still be braked before the target.
-        """
-        way = target - self._correction[n]
-        drift = target - self._target[n]
-        self._target[n] = target
-        slowest, fastest = -t.LARGEST_RESULT, t.LARGEST_RESULT
-        brake = 0.0
-        if output.slew is not None:
-            fastest = output.slew * dt
-            slowest = -fastest
-        if output.acceleration is not None:
-            brake = output.acceleration * dt * dt
-            if self._rate[n] + brake < fastest:
-                fastest = self._rate[n] + brake
-            if self._rate[n] - brake > slowest:
-                slowest = self._rate[n] - brake
-        arrives = slowest <= way <= fastest
-        if arrives and brake > 0.0:
-            landing = way - drift
-            arrives = -brake <= landing <= brake
-        if arrives:
-            self._rate[n] = way
-            self._correction[n] = target
-            return
-        self._status |= _BIT["at_rate"]
-        rate = self._closing_rate(n, way, drift, slowest, fastest, brake)
-        before = self._correction[n]
-        self._rate[n] = rate
-        self._correction[n] = before + rate
-        if output.magnitude is not None and self._rules_of_2:
-            bounded = min(max(self._correction[n], -output.magnitude), output.magnitude)
-            if bounded != self._correction[n]:
-                self._status |= _BIT["at_magnitude"]
-                self._correction[n] = bounded
-                self._rate[n] = bounded - before
-
-    def _closing_rate(self, n: int, way: float, drift: float, slowest: float, fastest: float, brake: float) -> float:
-        """Full towards, keep, full away: the first that can be braked; where braking would end the closing, half way.
-
-        Without an acceleration limit always full towards.
-        """
-        keep = self._rate[n]
-        if keep > fastest:
-            keep = fastest
-        if keep < slowest:
-            keep = slowest
-        if way > 0.0:
-            towards, away, sign = fastest, slowest, 1.0
-        else:
-            towards, away, sign = slowest, fastest, -1.0
-        if brake <= 0.0:
-            return towards
-        if _can_stop(sign * (towards - drift), sign * (way - towards), brake):
-            return towards
-        if sign * (keep - drift) > 0.0 and _can_stop(sign * (keep - drift), sign * (way - keep), brake):
-            return keep
-        if sign * (away - drift) > 0.0:
-            return away
-        half = drift + 0.5 * (way - drift)
-        return slowest if half < slowest else fastest if half > fastest else half
-
-
-def _can_stop(closing: float, left: float, brake: float) -> bool:
-    """Whether a closing speed can be braked to nothing within what is left of the way (per cycle)."""
-    if closing <= 0.0:
-        return True
-    return closing * (closing - brake) <= 2.0 * brake * left
-
-
-def _towards(value: float, target: float, dt: float, whole: float) -> float:
-    """Move from value to target by at most dt / whole; at once where whole is 0."""
-    if whole <= 0.0:
-        return target
-    step = dt / whole
-    if target > value + step:
-        return value + step
-    if target < value - step:
-        return value - step
-    return target
 
 
 def _lookup(node: t.LookupNode, u: float) -> float:

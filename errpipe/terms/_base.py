@@ -125,16 +125,6 @@ class Term(Frozen, ABC):
         """
         raise TypeError(f"{type(self).__name__} does not state its basis")
 
-    def basis_derivative(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        """d(basis)/d(nonlinear), shape (rows, linear, nonlinear); central differences unless overridden."""
-        out = np.empty((len(recording), len(self.linear()), len(nonlinear)))
-        for j, value in enumerate(nonlinear):
-            step = 1e-7 * max(abs(value), 1e-6)  # a wave of 0.02 mm over 0.4 m makes 1.3 turns within 1e-5
-            up = [*nonlinear[:j], value + step, *nonlinear[j + 1 :]]
-            down = [*nonlinear[:j], value - step, *nonlinear[j + 1 :]]
-            out[:, :, j] = (self.basis(recording, *up) - self.basis(recording, *down)) / (2 * step)
-        return out
-
     def settled(self, recording: Recording) -> Term:
         """The term with what it reads off the rows once (span, runs) written down; a fit calls it first."""
         return self

@@ -95,6 +95,14 @@ def lagged(recording: Recording, values: np.ndarray, tau: float, most: float = 1
     return responses.lag(sessions(recording), recording.time(), values, tau, tau, True)
 
 
+def of_reversal(column: np.ndarray, recording: Recording, axis: str, radial: bool) -> Slack:
+    """A step between the directions of an axis that is closed gradually, and differs along the axis."""
+    if recording.name("direction", axis=axis) is None:  # no contact changes sides at once
+        yield from gradual_reversal(column, recording, axis)
+    if not radial:
+        yield from bent(column, position(recording, axis))
+
+
 def gradual_reversal(step: np.ndarray, recording: Recording, axis: str) -> Slack:
     """A step between the directions of an axis that is closed over some travel after each reversal."""
     side, x = direction(recording, axis), position(recording, axis)

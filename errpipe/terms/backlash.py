@@ -10,11 +10,11 @@ import numpy as np
 from errpipe.domain.driver import Direction
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import direction, direction_column, position, share
+from errpipe.drivers.motion import direction, direction_column, share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import as_positioning, axes_acting, is_radial
-from errpipe.terms._slack import Slack, bent, gradual_reversal
+from errpipe.terms._slack import Slack, of_reversal
 
 
 class Backlash(Term):
@@ -55,10 +55,7 @@ class Backlash(Term):
         return (-0.5 * direction(recording, self.axis) * share(recording, self.axis, self.radial))[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
-        if recording.name("direction", axis=self.axis) is None:  # no contact changes sides at once
-            yield from gradual_reversal(base[:, 0], recording, self.axis)
-        if not self.radial:
-            yield from bent(base[:, 0], position(recording, self.axis))
+        return of_reversal(base[:, 0], recording, self.axis, self.radial)
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         half = -0.5 * parameters["lost_motion"]

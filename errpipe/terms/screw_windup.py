@@ -14,7 +14,7 @@ from errpipe.drivers.motion import direction, direction_column, position, positi
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import is_radial, linear_axes_acting
-from errpipe.terms._slack import Slack, bent, gradual_reversal
+from errpipe.terms._slack import Slack, of_reversal
 from errpipe.yamlfile import quantity
 
 
@@ -59,10 +59,7 @@ class ScrewWindup(Term):
         return (step * share(recording, self.axis, self.radial))[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
-        if recording.name("direction", axis=self.axis) is None:  # no contact changes sides at once
-            yield from gradual_reversal(base[:, 0], recording, self.axis)
-        if not self.radial:
-            yield from bent(base[:, 0], position(recording, self.axis))
+        return of_reversal(base[:, 0], recording, self.axis, self.radial)
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         half = -0.5 * parameters["step_at_far_end"]

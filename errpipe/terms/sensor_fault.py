@@ -110,8 +110,25 @@ def step_of(values: np.ndarray, first: int, last: int) -> float:
 def reconstructed(recording: Recording, sensor: str, inside: np.ndarray) -> np.ndarray:
     """What a sensor should have read: from the others, now and late, as they went together outside the stretch."""
     read = recording.array(sensor)
+    if ("others", sensor) not in recording.derived:
+        recording.derived["others", sensor] = _others(recording, sensor)
+    good = ~inside & np.isfinite(read)
+    if good.sum() < 10:
+        return read
+    A = recording.derived["others", sensor]
+    known = A[good]
+    size = np.maximum(known.std(axis=0), 1e-9)
+    size[0] = 1.0
+    known /= size
+    ridge = 1e-3 * good.sum() * np.diag(np.r_[0.0, np.ones(A.shape[1] - 1)])
+    weights = np.linalg.lstsq(known.T @ known + ridge, known.T @ read[good], rcond=None)[0]
+    return A / size @ weights
+
+
+def _others(recording: Recording, sensor: str) -> np.ndarray:
+    """A constant, the other temperatures and spindle speeds, each now and late, shape (rows, k)."""
     run, t = sessions(recording), recording.time()
-    columns = [np.ones(len(read))]
+    columns = [np.ones(len(recording))]
     for name in sensors(recording):
         other = recording.array(name)
         if name == sensor or not np.isfinite(other).all():
@@ -122,16 +139,7 @@ def reconstructed(recording: Recording, sensor: str, inside: np.ndarray) -> np.n
         speed = recording.array(name)
         if np.isfinite(speed).all():
             columns += [lag(run, t, speed / max(speed.max(), 1.0), tau, tau, True) for tau in (800.0, 4000.0)]
-    good = ~inside & np.isfinite(read)
-    A = np.column_stack(columns)
-    size = np.maximum(A[good].std(axis=0), 1e-9)
-    size[0] = 1.0
-    A = A / size
-    ridge = 1e-3 * good.sum() * np.diag(np.r_[0.0, np.ones(A.shape[1] - 1)])
-    if good.sum() < 10:
-        return read
-    weights = np.linalg.lstsq(A[good].T @ A[good] + ridge, A[good].T @ read[good], rcond=None)[0]
-    return A @ weights
+    return np.column_stack(columns)
 
 
 def suspicious(values: np.ndarray, t: np.ndarray, least: int = 8) -> list[tuple[int, int]]:

@@ -38,7 +38,7 @@ def axis_of_component(recording: Recording) -> Iterator[Finding]:
     moving = max(travels, key=lambda axis: travels[axis])
     for name in recording.names("error"):
         component = components.parse(str(recording.manifest.columns[name].component))
-        motion = component.kind in ("positioning", "straightness", "angular positioning")
+        motion = component.is_straightness or component.kind in ("positioning", "angular positioning")
         if not motion or component.axis is None:
             continue
         own_travel = travels.get(component.axis)

@@ -81,7 +81,7 @@ def figures(recording: Recording, axis: str | None = None, component: str | None
         "unit": components.unit(component),
         "targets": tuple(targets.tolist()),
         "cycles": cycles,
-        "notes": _notes(recording, axis, targets, cycles),
+        "notes": _notes(targets, cycles),
     }
     facts |= {NAMES[d]: direction for d, direction in directions.items()}
     if len(directions) == 2:
@@ -171,7 +171,7 @@ def _both(up: Direction, down: Direction) -> dict[str, Any]:
     }
 
 
-def _notes(recording: Recording, axis: str, targets: np.ndarray, cycles: int) -> tuple[str, ...]:
+def _notes(targets: np.ndarray, cycles: int) -> tuple[str, ...]:
     notes = []
     if cycles < 5:
         notes.append(f"{cycles} cycles; ISO 230-2 wants 5")

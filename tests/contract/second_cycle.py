@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from tests.contract.second_functions import exp, power
-from tests.contract.second_reader import Input, Node, Output, Profile, Table
+from tests.contract.second_records import Input, Node, Output, Profile, Table
 
 BIG = 1e30
 RUNNING, ACTIVE, RAMPING, SUBSTITUTED, HELD, DEFAULTED, FADING = 1, 2, 4, 8, 16, 32, 64

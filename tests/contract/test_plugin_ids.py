@@ -51,9 +51,7 @@ KINDS = (
         homonyms={
             "straightness": {
                 "domain/components.py": "kind of an ISO 230-1 component",
-                "kinematics": "kind of a measured line",
-                "simulation": "kind of a measured line",
-                "validation/implausible_columns.py": "kind of an ISO 230-1 component",
+                "kinematics/identify.py": "a family of error motions that share one prior",
             },
             "squareness": {
                 "domain/components.py": "kind of an ISO 230-1 component",

@@ -332,9 +332,7 @@ def test_an_effect_on_two_axes_is_compensated_on_both() -> None:
     assert [type(t).__name__ for t in terms_] == [type(terms_[0]).__name__] * 2
     whole = found("backlash", **{**BACKLASH, "more_terms": ({"term": "backlash", "axis": "Y"},)})
     spec = _acceptance.ask(
-        [_acceptance._decide(whole.responses[0].findings[0], whole.responses[0], axis(), _acceptance.Accept())],
-        whole,
-        None,
+        [_acceptance._decide(whole.responses[0].findings[0], whole.responses[0], _acceptance.Accept())], whole, None
     )
     assert [(t.term, getattr(t, "axis", "")) for t in spec.components[0].terms] == [
         ("offset", ""),
