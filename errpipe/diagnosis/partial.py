@@ -18,10 +18,12 @@ from errpipe.diagnosis.hypotheses import Hypothesis, Library, columns_of, scaled
 from errpipe.diagnosis.search import Search
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, position, position_name
+from errpipe.terms import NEVER
 
 LEADERS = 24  # hypotheses tried in part,
 EACH = 2  # and at most so many of each effect
 ON_A_STRETCH = ("geometric", "reversal", "servo", "friction")
+ELSEWHERE = 4.0  # log odds against an effect of another family that acts on a stretch of an axis (a bed warms in places)
 BINS = 14  # equal stretches of an axis or of time, neighbours of which are tried as one part
 FEW = 4  # columns up to which a part is tried with its slack columns
 BETTER = 7.0  # log Bayes factor by which a part must beat every whole,
@@ -81,7 +83,7 @@ class Groups:
 
 
 def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
-    """Runs (three or more), stretches of each axis, or time where there is one run."""
+    """Runs (three or more), stretches of each axis, and of time."""
     out = []
     run = recording.run_codes()[rows]
     codes = np.unique(run)
@@ -90,13 +92,15 @@ def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
         out.append(Groups(np.searchsorted(codes, run), codes.size, "runs", labels))
     along = {position_name(recording, axis): position(recording, axis)[rows] for axis in axes(recording)}
     clock = recording.name("time")
-    if codes.size < 3 and clock is not None and not along:
+    if clock is not None and np.all(np.diff(recording.time()[rows]) >= 0):
         along[clock] = recording.time()[rows]
     for name, x in along.items():
         if np.unique(x).size >= BINS // 2 and x.max() > x.min():
             edges = np.linspace(x.min(), x.max(), BINS + 1)
-            code = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
-            out.append(Groups(code, BINS, name, (), tuple(edges)))
+            if name == clock:  # as many rows in each: nothing is known of pauses
+                edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
+            code = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, edges.size - 2)
+            out.append(Groups(code, edges.size - 1, name, (), tuple(edges)))
     return out
 
 
@@ -107,7 +111,7 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
     """
     library, clock = search.library, recording.name("time")
     shortlist = candidates(search, alone)
-    whole = max(float(np.max(alone - search.prior)), 0.0)
+    whole = max(float(np.max(np.where(search.prior > 0.5 * NEVER, alone - search.prior, 0.0))), 0.0)
     parts: list[tuple[float, int, Groups, tuple[int, ...]]] = []
     scene = search.scene([])
     basis = np.linalg.solve(scene.chol, library.table.W[:, scene.active.index].T)  # (m, rows): projector's root
@@ -121,6 +125,8 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
             W = library.table.W[:, library.places[index]] * library.freedom_of(index)
             W = W if W.shape[1] <= FEW else W[:, : library.cores[index]]
             best_part = _best_part(scene, basis, y, W, groups, order, edges)
+            if best_part and groups.kind not in ("runs", clock) and not on_a_stretch(library.hypotheses[index], groups.kind):
+                best_part = (best_part[0] - ELSEWHERE, best_part[1])
             if best_part and best_part[0] > whole + BETTER + MENDING * whole and best_part[0] > 12.0:
                 parts.append((best_part[0], index, groups, best_part[1]))
     parts.sort(key=lambda p: -p[0])
@@ -159,7 +165,13 @@ def may_act_in_part(h: Hypothesis, kind: str, clock: str | None) -> bool:
         return False
     if getattr(term, "radial", False) and term.family == "reversal":
         return False  # a step close to a reversal is a spike
-    return kind == clock or kind in h.drivers or term.family in ON_A_STRETCH or "axis" in type(term).model_fields
+    return kind == clock or on_a_stretch(h, kind) or term.family == "thermal"
+
+
+def on_a_stretch(h: Hypothesis, axis: str) -> bool:
+    """Has this effect to do with a place along an axis?"""
+    term = h.terms[0]
+    return axis in h.drivers or term.family in ON_A_STRETCH or "axis" in type(term).model_fields
 
 
 def _best_part(scene, basis, y, W, groups: Groups, order, edges) -> tuple[float, tuple[int, ...]] | None:

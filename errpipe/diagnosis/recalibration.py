@@ -12,6 +12,7 @@ from errpipe.diagnosis.coloured import whiten
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.gains import DATUM, WHOLE, Nuisance
 from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
+from errpipe.terms import NEVER
 
 GAIN_SD = 0.10  # prior standard deviation of a simulation's gain less 1 (usual: 0..15 %)
 OFF = 3.0  # threshold: log Bayes factor for a recalibration
@@ -146,7 +147,10 @@ def together(separate: tuple[parts.Part, ...]) -> list[parts.Part]:
 
 
 def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray:
-    """Log prior odds: lower for effects that the simulation already holds."""
+    """Log prior odds: lower for effects that the simulation already holds.
+
+    None where a sensor is said to mislead a simulation in which nothing goes with a sensor.
+    """
     held = np.std(np.sum([p.contribution for p in d.parts], axis=0)) if d.parts else 0.0
     present = {p.hypothesis.effect for p in d.parts if np.std(p.contribution) > 0.05 * held and p.certainty > SURE}
     same: dict[tuple, list[np.ndarray]] = {}
@@ -154,7 +158,10 @@ def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray
         if p.certainty > SURE:
             same.setdefault((p.hypothesis.effect, p.hypothesis.drivers), []).append(p.contribution)
     prior = np.array([h.prior for h in library.hypotheses])
+    sensors = {h.drivers[0] for h in library.hypotheses if h.terms[0].one_sensor}
+    unread = bool(d.parts) and not any(sensors & set(p.hypothesis.drivers) for p in d.parts)
     for i, h in enumerate(library.hypotheses):
+        prior[i] += NEVER if unread and h.terms[0].misread else 0.0
         if h.effect in present:
             own = same.get((h.effect, h.drivers))
             prior[i] += PRESENT if own is None else (PRESENT + SAME) * max(share_held(library, i, p) for p in own)
