@@ -111,7 +111,8 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
     """
     library, clock = search.library, recording.name("time")
     shortlist = candidates(search, alone)
-    whole = max(float(np.max(np.where(search.prior > 0.5 * NEVER, alone - search.prior, 0.0))), 0.0)
+    everywhere = np.array([not h.terms[0].misread for h in library.hypotheses]) & (search.prior > 0.5 * NEVER)
+    whole = float(np.max(np.where(everywhere, alone - search.prior, 0.0)))
     parts: list[tuple[float, int, Groups, tuple[int, ...]]] = []
     scene = search.scene([])
     basis = np.linalg.solve(scene.chol, library.table.W[:, scene.active.index].T)  # (m, rows): projector's root

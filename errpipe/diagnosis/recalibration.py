@@ -19,6 +19,7 @@ OFF = 3.0  # threshold: log Bayes factor for a recalibration
 OWN_SD = 0.04  # prior standard deviation of the gain of a part's departures, relative to the part's gain
 PRESENT = -4.0  # log prior odds against an effect that the simulation already holds,
 SAME = -12.0  # and again where it would be driven by the same columns
+KNOWN = 0.05  # rms that a decomposition leaves, over the signal's, up to which it tells what a simulation reads
 SURE = 15.0  # log Bayes factor from which a part is certain to be in the simulation
 MAX_GAIN_PENALTY = 60.0  # largest penalty, in log evidence, of gains beyond the limits: the decomposition may be wrong
 CLAMPED_SD = 0.03  # standard deviation of a gain beyond the limits during the search for another explanation
@@ -149,7 +150,7 @@ def together(separate: tuple[parts.Part, ...]) -> list[parts.Part]:
 def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray:
     """Log prior odds: lower for effects that the simulation already holds.
 
-    None where a sensor is said to mislead a simulation in which nothing goes with a sensor.
+    So they are for a sensor that is said to mislead a simulation in which nothing goes with it.
     """
     held = np.std(np.sum([p.contribution for p in d.parts], axis=0)) if d.parts else 0.0
     present = {p.hypothesis.effect for p in d.parts if np.std(p.contribution) > 0.05 * held and p.certainty > SURE}
@@ -159,9 +160,11 @@ def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray
             same.setdefault((p.hypothesis.effect, p.hypothesis.drivers), []).append(p.contribution)
     prior = np.array([h.prior for h in library.hypotheses])
     sensors = {h.drivers[0] for h in library.hypotheses if h.terms[0].one_sensor}
-    unread = bool(d.parts) and not any(sensors & set(p.hypothesis.drivers) for p in d.parts)
+    read = {name for p in d.parts for name in p.hypothesis.drivers}
+    known = bool(d.parts) and d.leftover < KNOWN
     for i, h in enumerate(library.hypotheses):
-        prior[i] += NEVER if unread and h.terms[0].misread else 0.0
+        if known and h.terms[0].misread and not read & set(h.drivers):
+            prior[i] += SAME if read & sensors else NEVER
         if h.effect in present:
             own = same.get((h.effect, h.drivers))
             prior[i] += PRESENT if own is None else (PRESENT + SAME) * max(share_held(library, i, p) for p in own)

@@ -209,23 +209,15 @@ class Places(Listed):
 
 @dataclass(frozen=True)
 class Widths(Listed):
-    """Length of a stretch, as shares of the positions that the recording covers; a stretch is no more than `most`."""
+    """Length of a stretch, as shares of the positions that the recording covers."""
 
     bounded: ClassVar[bool] = False
 
     shares: tuple[float, ...] = (0.02, 0.035, 0.055, 0.08)
-    most: float = 0.15
 
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         _, span = resolved_lengths(recording, term.axis)
         return tuple(span * s for s in self.shares)
-
-    def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:
-        return np.minimum(super().neighbours(value, term, recording), self.limits(term, recording)[1])
-
-    def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
-        """Nothing is too narrow; what is as wide as the axis is no stretch of it."""
-        return 0.0, self.most * resolved_lengths(recording, term.axis)[1]
 
 
 @dataclass(frozen=True)
