@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import Scene, averaged
+from errpipe.diagnosis.evidence import averaged
 from errpipe.diagnosis.hypotheses import Hypothesis, Library, columns_of, scaled
 from errpipe.diagnosis.search import Search
 from errpipe.domain.recording import Recording
@@ -23,9 +23,7 @@ from errpipe.terms import NEVER
 LEADERS = 24  # hypotheses tried in part,
 EACH = 2  # and at most so many of each effect
 ON_A_STRETCH = ("geometric", "reversal", "servo", "friction")
-ELSEWHERE = (
-    4.0  # log odds against an effect of another family that acts on a stretch of an axis (a bed warms in places)
-)
+ELSEWHERE = 4.0  # log odds against any other on a stretch of an axis: a bed warms in places
 BINS = 14  # equal stretches of an axis or of time, neighbours of which are tried as one part
 FEW = 4  # columns up to which a part is tried with its slack columns
 BETTER = 7.0  # log Bayes factor by which a part must beat every whole,
@@ -123,46 +121,22 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
         order = np.argsort(groups.code, kind="stable")
         edges = np.searchsorted(groups.code[order], np.arange(groups.count + 1))
         for index in shortlist:
-            if not may_act_in_part(library.hypotheses[index], groups.kind, clock):
+            h = library.hypotheses[index]
+            if not may_act_in_part(h, groups.kind, clock):
                 continue
             W = library.table.W[:, library.places[index]] * library.freedom_of(index)
             W = W if W.shape[1] <= FEW else W[:, : library.cores[index]]
-            best_part = _best_part(scene, basis, y, W, groups, order, edges)
-            if (
-                best_part
-                and groups.kind not in ("runs", clock)
-                and not on_a_stretch(library.hypotheses[index], groups.kind)
-            ):
-                best_part = (best_part[0] - ELSEWHERE, best_part[1])
-            if best_part and best_part[0] > whole + BETTER + MENDING * whole and best_part[0] > 12.0:
-                parts.append((best_part[0], index, groups, best_part[1]))
+            odds = 0.0 if groups.kind in ("runs", clock) or on_a_stretch(h, groups.kind) else -ELSEWHERE
+            gain, members = _best_part(scene, basis, y, W, groups, order, edges) or (-np.inf, ())
+            if gain + odds > max(whole + BETTER + MENDING * whole, 12.0):
+                parts.append((gain + odds, index, groups, members))
     parts.sort(key=lambda p: -p[0])
-    fresh = {(index, groups.mask(members)): None for _gain, index, groups, members in parts[:8]}
-    if parts:
-        _, _, groups, members = parts[0]
-        inside = np.flatnonzero(np.isin(groups.code, members))
-        for index in _best_there(search, scene, basis[:, inside], inside, groups.kind, clock):
-            fresh[index, groups.mask(members)] = None
+    fresh = dict.fromkeys((index, groups.mask(members)) for _gain, index, groups, members in parts[:8])
+    for _gain, _index, groups, members in parts[:1]:
+        tried = [i for i in shortlist if may_act_in_part(library.hypotheses[i], groups.kind, clock)]
+        fresh |= dict.fromkeys((i, groups.mask(members)) for i in tried)
     made = [_extend(library, search, recording, rows, index, mask) for index, mask in fresh]
     return [i for i in made if i is not None]
-
-
-def _best_there(search: Search, scene: Scene, basis: np.ndarray, inside: np.ndarray, kind: str, clock) -> list[int]:
-    """Of each effect the hypotheses that explain most on these rows alone: another sensor or lag than on all rows."""
-    library, best = search.library, {}
-    y, table = search.data.y[inside], search.library.table.W[inside]
-    for index, h in enumerate(library.hypotheses):
-        if h.mask or h.terms[0].in_part == "never" or search.prior[index] < 0.5 * NEVER:
-            continue
-        if not may_act_in_part(h, kind, clock):
-            continue
-        W = table[:, library.places[index][: library.cores[index]]]
-        B = basis @ W
-        s = W.T @ y - B.T @ scene.half
-        gain = averaged((W.T @ W - B.T @ B)[None], s[None, :, None], np.array([scene.Q]), scene.n)[0, 0]
-        best.setdefault(h.effect, {}).setdefault(h.key, []).append((float(gain + search.prior[index]), index))
-    ranked = [sorted((max(points) for points in keys.values()), reverse=True) for keys in best.values()]
-    return [index for keys in ranked for _, index in keys[:EACH]]
 
 
 def candidates(search: Search, alone: np.ndarray) -> list[int]:
