@@ -37,7 +37,8 @@ REFUSED = (3, 4)  # exit codes: parameters that cannot be told apart; a gate sai
 class Example:
     """Two sessions of one machine; truth: the exact deviation of the second, um (rows,), NaN where none is known.
 
-    pipeline: a file of the templates or of the examples, or the name of a template of `errpipe init`.
+    pipeline: a file of the templates or of the examples, or the name of a template of `errpipe init`. A truth of two
+    columns is E_X and E_Y of holes at (x, y): each plate's shift and rotation is its set-up.
     """
 
     pipeline: str
@@ -109,6 +110,21 @@ def gantry(seed: int) -> Example:
     return _of_template("gantry", sample_recordings.gantry, seed)
 
 
+def drilled_plate(seed: int) -> Example:
+    """A drilling machine's plane with 0 to 2 times its deviations; noise of 0.3 to 3 times the usual."""
+    rng = np.random.default_rng(seed)
+    size, noise = rng.uniform(0.0, 2.0) * rng.choice([0.05, 1.0]), rng.uniform(0.3, 3.0)
+    names = ["E_X", "E_Y"]
+    exact = np.mean([sample_recordings.drilled_plate(k).frame[names].to_numpy() for k in AVERAGED], axis=0)
+
+    def session(k: int) -> Recording:
+        made = sample_recordings.drilled_plate(k)
+        values = size * exact + noise * (made.frame[names].to_numpy() - exact)
+        return Recording(made.manifest, made.frame.assign(E_X=values[:, 0], E_Y=values[:, 1]))
+
+    return Example("drilled-plate", "E_X", session(seed), session(seed + OTHER_SESSION), size * exact)
+
+
 def cutting_force(seed: int) -> Example:
     """A lathe whose post, spindle and tilt give way 0.2 to 3 times as much as usual; judged on the part that is cut."""
     spec = importlib.util.spec_from_file_location("lathe", EXAMPLES / "cutting-force" / "lathe.py")
@@ -125,7 +141,7 @@ def cutting_force(seed: int) -> Example:
     return Example("cutting-force/pipeline.yaml", "E_X", fitted, Recording(fitted.manifest, cut), truth)
 
 
-DRAWN = (ball_screw, spindle, laser, dial_gauge, gantry, cutting_force)
+DRAWN = (ball_screw, spindle, laser, dial_gauge, gantry, drilled_plate, cutting_force)
 
 
 def _pipeline(example: Example, folder: Path) -> Path:
@@ -158,10 +174,11 @@ def outcome(example: Example, folder: Path) -> tuple[float, float] | None:
     if code != 0 or _quietly(words) != 0:
         raise RuntimeError(f"{example.pipeline}: errpipe ended with {code}")
     frame = pd.read_csv(folder / "predicted.csv")
-    (column,) = [c for c in frame.columns if c.endswith("_predicted")]
-    run = example.later.run_codes()
-    before = _rms(example.truth, run)
-    return before, _rms(example.truth - frame[column].to_numpy(), run)
+    names = ("E_X", "E_Y") if example.truth.ndim == 2 else (example.component,)
+    none = np.zeros(len(frame))  # of a component that the gate left out
+    predicted = np.stack([frame.get(f"{n}_predicted", none) for n in names], axis=-1).reshape(example.truth.shape)
+    left = example.truth - predicted
+    return _rms(example.truth, example.later), _rms(left, example.later)
 
 
 def _quietly(words: list[str]) -> int:
@@ -170,10 +187,21 @@ def _quietly(words: list[str]) -> int:
         return errpipe(words)
 
 
-def _rms(deviation: np.ndarray, run: np.ndarray) -> float:
-    """Of deviations from each run's mean: the zero of a run is set by hand."""
+def _rms(deviation: np.ndarray, recording: Recording) -> float:
+    """Of deviations from each run's mean: the zero of a run is set by hand. Of plates also without their rotation."""
+    run = recording.run_codes()
+    if deviation.ndim == 2:
+        return float(np.sqrt(np.mean([_unclamped(deviation[run == k], recording, run == k) for k in np.unique(run)])))
     rows = pd.Series(deviation).groupby(run)
     return float(np.sqrt(np.nanmean((deviation - rows.transform("mean").to_numpy()) ** 2)))
+
+
+def _unclamped(deviation: np.ndarray, recording: Recording, plate: np.ndarray) -> float:
+    """Mean square of a plate's deviations, um (rows, 2), without its least-squares shift and rotation."""
+    x, y = (recording.array(n)[plate] for n in ("x", "y"))
+    place = np.stack([-(y - y.mean()), x - x.mean()], axis=1)
+    centred = deviation - deviation.mean(axis=0)
+    return float(np.mean((centred - place * np.sum(centred * place) / np.sum(place**2)) ** 2))
 
 
 def rows(first: int, seeds: int) -> Iterator[tuple[str, list[tuple[float, float] | None]]]:

@@ -70,10 +70,14 @@ def sensors(recording: Recording) -> tuple[str, ...]:
 
 
 def resolution(values: np.ndarray) -> float:
-    """The display step of a column: its smallest difference of values where all are multiples of it, else 0."""
+    """The display step of a column: its smallest difference of values where all are multiples of it, else 0.
+
+    Differences of a millionth of the range are of arithmetic: a deviation that is read minus commanded position.
+    """
     distinct = np.unique(values[np.isfinite(values)])
     if distinct.size < 2:
         return 0.0
+    distinct = distinct[np.r_[True, np.diff(distinct) > 1e-6 * np.ptp(distinct)]]
     step = float(np.diff(distinct).min())
     # Steps of 0.05 come back from text as 0.04999999999999716: compare in units of the step.
     ratio = (distinct - distinct[0]) / step

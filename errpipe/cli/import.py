@@ -38,6 +38,7 @@ def command(
     ),
     title: str = typer.Option("", "--title", metavar="TEXT", help="What was measured."),
     machine: str = typer.Option("", "--machine", metavar="TEXT", help="The machine."),
+    overwrite: bool = typer.Option(False, "--overwrite", help="Replace a recording that was changed by hand."),
     json: bool = Json,
 ) -> None:
     """Turn measurement files into a recording; every guess is shown.
@@ -53,25 +54,16 @@ def command(
     work = stage_module("import_files")
     from errpipe.importing.sheet import DoorOptions
 
-    options = work.options_of(
-        axis=axis,
-        component=component,
-        unit=unit,
-        sign=sign,
-        resolution=resolution,
-        torque_constant=torque_constant,
-        title=title,
-        machine=machine,
-        sets=sets,
-    )
+    said = {"axis": axis, "component": component, "unit": unit, "sign": sign, "title": title, "machine": machine}
+    options = work.options_of(**said, resolution=resolution, torque_constant=torque_constant, sets=sets)
     door = DoorOptions(sheet, tuple(n.strip() for n in names.split(",")) if names else (), period)
     proposal, shown = work.prepare(files, door, options)
     lines = folded([*shown["says"], *(f"  implausible: {text}" for text in shown["checks"])])
     if not yes:
         _confirm(lines, asked=not json)
-    done = work.write(proposal, out, options, files)
-    said = [*(lines if yes else ()), *done["says"]]
-    print_result("import", {**work.plain(shown), "folder": str(out)}, said, as_json=json)
+    done = work.write(proposal, out, options, files, overwrite)
+    says = [*(lines if yes else ()), *done["says"]]
+    print_result("import", {**work.plain(shown), "folder": str(out)}, says, as_json=json)
 
 
 def _confirm(lines: list[str], asked: bool) -> None:

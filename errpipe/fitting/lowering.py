@@ -38,6 +38,15 @@ def left_behind(model: ErrorModel) -> dict[str, list[str]]:
     return {c.component: [f.term["term"] for f in c.terms if not _lowered(f)] for c in model.components}
 
 
+def compensable(model: ErrorModel) -> ErrorModel:
+    """The model with those terms only that `lower` keeps, and without the limits that a table's outputs hold."""
+    parts = (
+        c.model_copy(update={"terms": tuple(f for f in c.terms if _lowered(f)), "limit": None})
+        for c in model.components
+    )
+    return model.model_copy(update={"components": tuple(parts)})
+
+
 def _lowered(fitted) -> tuple[Lowered, ...]:
     term = term_of(fitted)
     return (term.lower(fitted.values()) or ()) if term.compensable else ()

@@ -84,7 +84,7 @@ def _of_readings(
                     values[place] = figures[i]
             columns.append(values)
             header.append(f"run {run} {mark[way]}" + (f" [{reading_unit}]" if reading_unit else ""))
-    rows: list[list[Cell]] = [[t, *(c.get(t) for c in columns)] for t in targets if t is not None]
+    rows: list[list[Cell]] = [[t, *(c.get(t) for c in columns)] for t in dict.fromkeys(targets) if t is not None]
     above: list[list[Cell]] = [[c for c in row if c is not None] for row in sheet.rows[:at]]
     if title:
         above.append([title])
@@ -105,6 +105,10 @@ def _are_targets(row: list[Cell], below: list[list[Cell]], comma: bool) -> bool:
         cells = row[1:]
     values = [v for c in cells if (v := number(c, comma)) is not None]
     words = sum(isinstance(c, str) and bool(c) and number(c, comma) is None for c in cells)
+    repeated = any(a == b for a, b in pairwise(values))  # once for each side
+    if repeated and (not below or _sides(below[0], [*range(1, len(values) + 1)]) is None):
+        return False
+    values = [*dict.fromkeys(values)]
     steps = [b - a for a, b in pairwise(values)]
     counted = values == [1.0 + k for k in range(len(values))]  # the numbers of the runs
     return (

@@ -158,7 +158,7 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     if kind == "coolant" and not set(np.unique(_known(column))) <= {0.0, 1.0}:
         return "ignore", "called a coolant, but its values are not 0 and 1 (off and on)"
-    if kind == "direction" and _side(column) is None:
+    if kind == "direction" and None in [side(c) for c in column.cells if c not in (None, "")]:
         return "ignore", NO_SIDES
     if kind == "error" and re.search(CORRECTION, plain(column.header)) and np.unique(_known(column)).size <= 2:
         return "ignore", "called a compensation, but of two values: it says whether one is on"
@@ -266,7 +266,7 @@ def other_component(text: str, moved: str) -> str | None:
         return f"E{across}{moved}"
     for pattern, name in (
         (r"\b(roll\w*|rollen)\b", "roll"),
-        (r"\b(pitch|nick\w*)\b", "pitch"),
+        (r"\b(pitch(?! ?(error)? ?comp)|nick\w*)\b", "pitch"),  # of a screw: pitch error compensation
         (r"\b(yaw|gier\w*)\b", "yaw"),
     ):
         if re.search(pattern, word):

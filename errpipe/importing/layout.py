@@ -217,12 +217,15 @@ def _is_header(row: list[Cell], numbers: list[list[float | None]], r: int) -> bo
         word = isinstance(cell, str) and _WORD.match(cell) is not None and numbers[r][c] is None
         if word and below and sum(len(b) > c and b[c] is not None for b in below) >= 0.8 * len(below):
             return True
-    return _counts_runs(row, numbers, r)
+    return _counts_runs(row, numbers, r, r + 1)
 
 
-def _counts_runs(row: list[Cell], numbers: list[list[float | None]], r: int) -> bool:
-    """A row of run numbers below names of groups: `;1;2;3;1;2;3`, with nothing above the column of targets."""
-    counts, below = [v for v in numbers[r] if v is not None], numbers[r + 1 : r + 6]
+def _counts_runs(row: list[Cell], numbers: list[list[float | None]], r: int, start: int) -> bool:
+    """A row of run numbers below names of groups: `;1;2;3;1;2;3`, with nothing above the column of targets.
+
+    start: row of the first data.
+    """
+    counts, below = [v for v in numbers[r] if v is not None], numbers[start : start + 5]
     gap = not row or row[0] not in (None, "") or not all(b and b[0] is not None for b in below) or not below
     if gap or len(counts) < 2 or len(counts) < len(filled_cells(row)) or r == 0 or any(numbers[r - 1]):
         return False
@@ -237,7 +240,9 @@ def _header_rows(rows: list[list[Cell]], numbers: list[list[float | None]], star
             break  # a remark above the header
         words = [c for c in rows[r] if isinstance(c, str) and c]
         figures = sum(v is not None for v in numbers[r])
-        named = not header_rows and (_is_header(rows[r], numbers, r) if words else _counts_runs(rows[r], numbers, r))
+        above_units = all(_are_units([label(c) for c in rows[k]]) for k in header_rows)  # or none stand there
+        named = above_units and _counts_runs(rows[r], numbers, r, start)
+        named = named or (not header_rows and bool(words) and _is_header(rows[r], numbers, r))
         if (len(words) >= 2 and figures == 0) or named:
             header_rows.insert(0, r)
         else:

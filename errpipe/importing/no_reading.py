@@ -11,7 +11,10 @@ from errpipe.importing.dates import is_date
 from errpipe.importing.layout import Layout
 
 LARGEST = 1e30  # in any unit; SCPI instruments write 9.91e37 where they have no reading
-FILLED_IN = (999, 999.9, 9999, 9999.9, 9999.99, 99999, 999999, 32767, 32768, 65535, 2147483647)  # written for none
+FILLED_IN = (  # written for none: nines, and the largest of an integer
+    *(999, 999.9, 999.99, 9999, 9999.9, 9999.99, 99999, 99999.9, 99999.99, 999999, 999999.9),
+    *(32767, 32768, 65535, 2147483647),
+)
 _IN_BRACKETS = re.compile(r"\(\s*\d[\d.,]*\s*\)")
 _MARKED = re.compile(r"[+-]?\d[\d.,' ]*[.,'][\d.,']*")
 

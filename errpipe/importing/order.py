@@ -13,7 +13,26 @@ from errpipe.importing.columns import NO_SIDES
 from errpipe.importing.proposed import Proposal
 
 DENSE_ROWS = 500  # rows: a log, not a test of targets
+FEWEST_VISITS = 6  # readings; fewer do not show which positions are targets
 DENSE_PLACES = 100  # different commands: a log, not a test of targets
+
+
+def refuse_swapped(p: Proposal, command: str, actual: str) -> None:
+    """Raise DataError where the actual position comes back to equal places to the last digit, and the command does not.
+
+    The names are swapped, or a gauge stood at known places and the machine was read: a person knows.
+    """
+    x, y = p.data.get(command), p.data.get(actual)
+    guessed = p.guesses.get(command) and p.guesses.get(actual)
+    if x is None or y is None or not guessed or x.size < FEWEST_VISITS:
+        return
+    places, moves = np.unique(y[np.isfinite(y)]).size, float(np.mean(np.diff(y) != 0))
+    if np.unique(x).size > 0.8 * x.size and places <= 0.5 * y.size and moves > 0.8:
+        raise DataError(
+            f"{actual!r} comes back to the same {places} places to the last digit, and {command!r} does not: are the "
+            f"names swapped? Say --set {command}.role=actual --set {actual}.role=command; where a gauge stood at these "
+            f"places and the machine was read, --set {command}.role=command --set {actual}.role=actual"
+        )
 
 
 def settle_order(p: Proposal, axis: str) -> None:
@@ -65,6 +84,12 @@ def _turn_there_and_back(p: Proposal, x: np.ndarray) -> None:
     if side not in p.data or moves is None or not p.guesses.get(side, "").endswith(THERE_AND_BACK):
         return
     against = float(np.mean(moves == -p.data[side]))
+    if against >= FEWEST_OF_A_LABEL and np.unique(moves).size == 1:
+        way = "rise" if moves[0] > 0 else "fall"
+        raise DataError(
+            f"column {side!r} says one way of there and back, and the positions {way}: write + (approached from below) "
+            f"or - (from above) instead, or say --set {side}.role=ignore"
+        )
     if against >= FEWEST_OF_A_LABEL and np.unique(moves).size == 2:
         p.data[side] = -p.data[side]
         p.guesses[side] += "; the way there is down, as the positions fall there"

@@ -14,13 +14,13 @@ from errpipe.domain import components
 from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.importing import columns as guessing
-from errpipe.importing import dates, no_reading, order, settle, simulated, wide
+from errpipe.importing import dates, no_reading, order, rows_of, settle, simulated, wide
 from errpipe.importing.layout import Layout, RawColumn, facts, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
 from errpipe.importing.temperatures import with_temperatures
 from errpipe.importing.units import PER_LENGTH, in_brackets, in_role, per_length, plain_unit, unit_of
-from errpipe.importing.words import THERE_AND_BACK, axis_above, kind_by_name, plain
+from errpipe.importing.words import THERE_AND_BACK, axis_above, plain
 
 # What may be a unit that is not known: `um/m`, `pm`, `x 0.05um`, `0.0001`.
 _OTHER_UNIT = re.compile(r"[^\d\s]{1,3}/[^\d\s]{1,3}|[^\W\d_]{1,14}|%|°|[x×*]?\s?\d.*[^\W\d_]|0?[.,]0*\d")
@@ -37,12 +37,13 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         unit = (options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}).get("unit", c.unit)
         c.unit = unit_of(unit or "") or unit
     no_reading.empty(layout)
-    layout = wide.turned(_rows_of_one_axis(layout, options))
+    layout = wide.turned(rows_of.one_machine(rows_of.one_axis(layout, options), options))
     layout.columns = [part for c in dates.date_and_clock(layout.columns) for part in wide.split_labels(c)]
     if not layout.columns:
         raise DataError("no column has a value")
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
     guesses, unsure = with_temperatures(layout.columns, guessing.with_place(layout.columns, guesses))
+    layout = wide.merged_targets(layout, guesses)
     proposal = Proposal(notes=[*layout.notes, *unsure], headers=headers)
     proposal.facts.update(facts(layout.above))
     wide_layout = wide.find(layout, guesses)
@@ -80,33 +81,6 @@ def _refuse_another_title(p: Proposal, layout: Layout, options: ImportOptions) -
         )
 
 
-def _rows_of_one_axis(layout: Layout, options: ImportOptions) -> Layout:
-    """Rows of one axis where a column names the axis of each row. Raises DataError where the axis is ambiguous."""
-    for c in layout.columns:
-        filled = {str(cell).strip() for cell in c.cells if cell not in (None, "")}
-        letters = {text.upper() for text in filled}
-        axes = filled and not c.numeric and all(re.fullmatch(r"[XYZABCUVW]\d?", letter) for letter in letters)
-        if not axes or kind_by_name(c.header) == "direction":
-            continue
-        axis = options.axis or min(letters)
-        if len(letters) > 1 and options.axis is None:
-            raise DataError(
-                f"column {c.header!r} holds rows of several axes ({', '.join(sorted(letters))}): --axis says which one "
-                "is imported; one recording for each"
-            )
-        if axis not in letters:
-            raise DataError(f"column {c.header!r} has no row of axis {axis} (found: {', '.join(sorted(letters))})")
-        keep = np.array([str(cell).strip().upper() == axis for cell in c.cells])
-        kept = [
-            RawColumn(k.header, k.unit, [k.cells[i] for i in np.flatnonzero(keep)], k.values[keep])
-            for k in layout.columns
-            if k is not c
-        ]
-        note = f"{int(keep.sum())} of {len(keep)} rows: those with {c.header} = {axis}"
-        return Layout(kept, [f"Axis: {axis}", *layout.above], [*layout.notes, note])
-    return layout
-
-
 def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess | None:
     """A column's guess with what `--set COLUMN.role=...` and `--set COLUMN.axis=...` say, or None."""
     stated = options.sets.get(column.header) or options.sets.get(slug(column.header)) or {}
@@ -126,6 +100,7 @@ def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], unfolded: wi
         g.axis
         for header, g in guesses.items()
         if g.axis is not None and g.kind in motion and header not in runs and not guessing.is_straightness(header)
+        if unfolded is None or header == unfolded.target.header or not wide.is_figure(header)
     ]
     above = axis_above(layout.above)
     return named[0] if named and above not in named else above
@@ -180,10 +155,11 @@ def _wide(
     p.put("run", run, "from the headers of the columns", role="run")
     p.put(table.target.header, table.target.values[index], why, role="position", axis=axis, unit=unit)
     if np.isfinite(sides).all():
-        p.put("direction", sides, "from the headers of the columns", role="direction", axis=axis)
+        why = "from the headers of the columns" if table.way is None else f"from the column {table.way.header!r}"
+        p.put("direction", sides, why, role="direction", axis=axis)
     _wide_readings(layout, table, values, axis, options, p)
     for c in layout.columns:
-        if c is table.target or c is table.run or any(c is r for r, _, _ in table.readings):
+        if any(c is other for other in (table.target, table.run, table.way, *(r for r, _, _ in table.readings))):
             continue
         if any(c is s for s in table.statistics):
             p.notes.append(f"column {c.header!r} was left out: a figure over the runs, not a reading")

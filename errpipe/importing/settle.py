@@ -14,14 +14,13 @@ import numpy as np
 from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
-from errpipe.importing import dates, order, signs, simulated
+from errpipe.importing import dates, order, readings, signs, simulated
 from errpipe.importing.layout import EMPTY, Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.units import PER_LENGTH, plain_unit, split_header
 from errpipe.importing.words import axis_above
 
 PLACES = ("command", "position", "actual")
-ABSOLUTE = 0.1  # of the position: a steeper "deviation" is a reading (no axis is wrong by 10 %)
 
 
 def settle_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
@@ -179,13 +178,14 @@ def deviations_as_errors(p: Proposal, options: ImportOptions) -> None:
         if guessed and options.unit is not None:
             p.data[name], entry["unit"], guessed = *plain_unit(p.data[name], options.unit, "")[:2], False
             why = f"{why.split('; no unit')[0]}; unit by --unit"
-        slope = _slope(p.canonical(command), p.canonical(name))
-        if guessed and slope is not None and abs(slope) > ABSOLUTE and abs(abs(slope) - 1.0) > ABSOLUTE:
+        slope = readings.slope_of(p.canonical(command), p.canonical(name))
+        steep = slope is not None and abs(slope) > readings.ABSOLUTE
+        if guessed and slope is not None and steep and abs(abs(slope) - 1.0) > readings.ABSOLUTE:
             raise DataError(
                 f"{name!r} changes by {slope:.3g} for each mm of {command!r} and has "
                 "no unit: say it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
             )
-        if slope is None or abs(slope) > ABSOLUTE or not np.ptp(p.data[name]):
+        if slope is None or steep or not np.ptp(p.data[name]):
             continue
         unit = unit_by_size(p.data[name]) if guessed else entry["unit"]
         p.data[name], unit, _ = plain_unit(p.data[name], unit, "")
@@ -208,11 +208,11 @@ def leave_numbers(p: Proposal) -> None:
 
 def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> None:
     """The error of the axis, its sign, directions, runs, and what a log of an axis needs besides."""
-    turn_readings(p)
+    readings.turn_readings(p)
     signs.leave_corrections(p)
     signs.turn(p, layout, options)
-    readings_as_errors(p, axis)
-    derive_error(p, axis, options)
+    readings.readings_as_errors(p, axis)
+    readings.derive_error(p, axis, options)
     simulated.forces_as_responses(p)
     simulated.of_the_only_response(p)
     simulated.turn_signs(p, simulated.positions_as_deviations(p))
@@ -259,6 +259,14 @@ def _refuse_one_of_several_axes(p: Proposal, layout: Layout, options: ImportOpti
     }
     if len(moving) < 2 or options.axis is not None or axis_above(layout.above) is not None:
         return
+    along = [n for n, e in p.entries.items() if e["role"] == "error" and "from the axis" in p.guesses.get(n, "")]
+    if len({p.entries[n]["component"] for n in along}) > 1:
+        first, own = along[0], p.entries[along[0]]["component"]
+        raise DataError(
+            f"axes {', '.join(sorted(moving))} move in the same rows, and {', '.join(along)} are read: deviations of "
+            f"the tool point (R-test, cloud of points), with --set {first}.component=E_{own[-1]} and so on, or the "
+            f"positioning of each axis, with --set {first}.component={own} and so on?"
+        )
     for name, entry in p.entries.items():
         headers = entry.get("_headers", ())
         if "from the axis" in p.guesses.get(name, "") and not any(map(guessing.axis_in, headers)):
@@ -300,81 +308,3 @@ def _may_be_a_place(p: Proposal, c: RawColumn) -> bool:
         and c.unit in ("mm", "m", "inch", "um", "deg", "rad")
         and np.unique(c.values[np.isfinite(c.values)]).size > 3
     )
-
-
-def turn_readings(p: Proposal) -> None:
-    """Readings that fall one for one as the command rises count the other way: the actual position is minus them."""
-    for name in [n for n, e in p.entries.items() if e["role"] in ("actual", "position") and n in p.data]:
-        entry = p.entries[name]
-        command = p.first("command", entry["axis"]) or p.first("position", entry["axis"])
-        if command == name or command not in p.data:
-            continue
-        slope = _slope(p.canonical(command), p.canonical(name))
-        if slope is not None and abs(slope + 1.0) < ABSOLUTE:
-            raw = p.put(f"{name}_as_read", p.data.pop(name), role="ignore")
-            p.entries[name] = {**entry, "role": "actual", "derived": {"of": raw, "factor": -1.0}}
-            p.guesses[name] = f"{raw} falls one for one as {command} rises: it counts the other way and is turned"
-
-
-def _slope(x: np.ndarray, y: np.ndarray) -> float | None:
-    """Least-squares slope of y over x; None where x does not vary, or values are too small or large to say."""
-    good = np.isfinite(x) & np.isfinite(y)
-    if good.sum() <= 3:
-        return None
-    with np.errstate(all="ignore"):
-        from_mean = x[good] - x[good].mean()
-        spread = np.square(from_mean).sum()
-        slope = float((from_mean * (y[good] - y[good].mean())).sum() / spread)
-    return slope if np.isfinite(spread) and np.isfinite(slope) else None
-
-
-def readings_as_errors(p: Proposal, axis: str) -> None:
-    """An error column that runs along with the position is a reading: the error is derived from it."""
-    place = p.first("command", axis) or p.first("position", axis)
-    for name in [n for n, e in p.entries.items() if e["role"] == "error" and n in p.data]:
-        entry = p.entries[name]
-        if place is None or place not in p.data or entry["component"] != components.positioning(axis):
-            continue
-        slope = _slope(p.data[place], p.data[name])
-        if slope is None or abs(slope - 1.0) > ABSOLUTE:
-            continue
-        unit = p.entries[place].get("unit", "mm")
-        del p.entries[name]
-        p.guesses.pop(name, None)
-        name = p.put(
-            f"actual_{axis}" if name == entry["component"] else name,
-            p.data.pop(name),
-            role="actual",
-            axis=axis,
-            unit=unit,
-        )
-        p.guesses[name] = f"it rises with {place} one for one: absolute readings in {unit}, not deviations"
-
-
-def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
-    """error = actual - commanded, where both are recorded and no error column is."""
-    if any(e["role"] == "error" for e in p.entries.values()):
-        return
-    letters = list(dict.fromkeys([axis, *(e["axis"] for e in p.entries.values() if e.get("axis"))]))
-    moving = [a for a in letters if (c := p.first("command", a)) in p.data and np.ptp(p.data[c]) > 0]
-    if options.axis is not None:
-        letters = [options.axis]
-    elif len(moving) > 1 and p.rows < order.DENSE_ROWS:
-        raise DataError(
-            f"axes {', '.join(moving)} move together, and no column holds deviations: a cloud of points is a recording "
-            f"for `identify` (docs/recordings.md); --axis {moving[0]} imports that axis alone"
-        )
-    for letter in letters:
-        command = p.first("command", letter)
-        actual = p.first("actual", letter) or (p.first("position", letter) if command else None)
-        command = command or (p.first("position", letter) if actual else None)
-        if command is None or actual is None or command == actual:
-            continue
-        if p.entries[command]["role"] == "position":
-            p.entries[command]["role"] = "command"
-        component = options.component or components.positioning(letter)
-        unit = components.unit(component)
-        name = p.put(
-            component, None, role="error", component=component, unit=unit, derived={"minus": [actual, command]}
-        )
-        p.guesses[name] = f"error = {actual} - {command} (actual minus commanded)"

@@ -27,6 +27,9 @@ _EITHER_WAY = re.compile(
 _DIFFERENCE = re.compile(
     r"\b([^\W\d_]\w*)\.?(?: - | (?:minus|less|moins|meno|menos) )(?:the )?([^\W\d_]\w*)|\b([a-z])[a-z]-\3[a-z]\b"
 )
+_OPPOSITE = re.compile(
+    r"^-\s*[^\W\d]|\b(neg(ative|ated|iert\w*)?|minus|invers\w*|invert\w*|revers(ed|iert\w*)|umgekehrt\w*)\b"
+)
 _ON_THE_SIGN = re.compile(
     r"\bsign (convention|of (the )?(error|deviation|reading)s?)\b|\bvorzeichen"
     r"|\bpositive? (error|deviation|value|reading)s?\b|\bpositive[rs]? (fehler|abweichung|wert)|符号"
@@ -94,18 +97,27 @@ def _said(p: Proposal, name: str, layout: Layout) -> tuple[bool, str]:
     said = words.difference(" ".join(headers)) or words.difference(around)
     if said is not None:
         return said[0] < 0, f"the file says {said[1]!r}" + (": the sign is turned" if said[0] < 0 else "")
-    _ask(headers, layout)
+    _ask(headers, layout, p.guesses.get(name, ""))
     return False, ASSUMED
 
 
-def _ask(headers: tuple[str, ...], layout: Layout) -> None:
+def _doubtful(header: str, why: str) -> bool:
+    """Whether a header may say that its readings count the other way. why: what made its column one of errors."""
+    text = words.plain(header)
+    less = _DIFFERENCE.search(text)
+    names = [w for w in less.groups()[:2] if w] if less else []
+    plain = any(words.kind_by_name(w) in ("error", "run") or guessing.side(w) is not None for w in names)
+    if _EITHER_WAY.search(text) or words.is_error_of_a_correction(header) or (less and not plain):
+        return True
+    if why.startswith("error by its unit") and (words.kind_by_name(header) == "command" or words.unknown_word(header)):
+        return True
+    return why.startswith("error by its") and _OPPOSITE.search(text) is not None  # a run among others may have a side
+
+
+def _ask(headers: tuple[str, ...], layout: Layout, why: str) -> None:
     """Raise DataError for a header, or a line on the sign, that says which way readings count and is not understood."""
     for header in headers:
-        text = words.plain(header)
-        less = _DIFFERENCE.search(text)
-        names = [w for w in less.groups()[:2] if w] if less else []
-        plain = any(words.kind_by_name(w) in ("error", "run") or guessing.side(w) is not None for w in names)
-        if _EITHER_WAY.search(text) or (less and not plain):
+        if _doubtful(header, why):
             raise DataError(
                 f"column {header!r}: does it rise where the axis (the tool) goes too far, or fall? Say it: --sign "
                 "actual-minus-commanded, or --sign commanded-minus-actual"

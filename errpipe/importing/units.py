@@ -11,8 +11,8 @@ from errpipe.importing.words import kind_by_name
 
 # How units are written -> how the manifest writes them. Lower case, blanks removed.
 UNITS = {
-    **dict.fromkeys(("µm", "μm", "um", "micron", "microns", "mikrometer", "micrometer", "micrometers"), "um"),
-    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre"), "mm"),
+    **dict.fromkeys(("µm", "μm", "um", "micron", "microns", "mikrometer", "micrometer", "micrometers", "мкм"), "um"),
+    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "мм"), "mm"),
     **dict.fromkeys(("m", "meter", "metre"), "m"),
     **dict.fromkeys(("nm", "nanometer"), "nm"),
     **dict.fromkeys(("in", "inch", "inches", "zoll", '"'), "inch"),

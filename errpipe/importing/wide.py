@@ -21,11 +21,12 @@ _NO_NAME = re.compile(r"column \d+'*")  # of a column without a header
 _INSTRUMENT = re.compile(r"\b(laser|sensor|probe|gauge|dial|channel|ch|kanal|taster|uhr|messuhr|t)\W?\d+\b")
 ARROWS = "↑↓→←"
 _STATISTIC = re.compile(
-    r"\b(mittel\w*|mean|average|avg|median|sigma|std\w*|stabw\w*|streuung|umkehrspanne|reversal|hysteres[ei]s?|range|spanne"
-    r"|max\w*|min\w*|sum\w*|[smrb](?=[ ↑↓]|$)|\d ?s(igma)?|standard\w*"
+    r"\b(mittel\w*|mw|mean|average|avg|median|sigma|std\w*|stabw\w*|streuung|umkehrspanne|reversal|hysteres[ei]s?|range|spanne"
+    r"|max\w*|min\w*|sum\w*|([smrbu]|[bsx]i)(?=[ ↑↓]|$)|\d ?s(igma)?|standard\w*"
     r"|repeatab\w*|reproduc\w*|uncertainty|unsicherheit|moyenne|ecart type|media|promedio)\b|平均|最大|最小|標準|标准"
 )
-_MEAN = re.compile(r"\b(mean|average|avg|mittel\w*|moyenne|media|promedio)\b|[Øø∅\u0304\u0305]|平均")
+_FIGURE = re.compile("[UBMRS]")  # beside targets: the reversal of VDI/DGQ 3441, figures of ISO 230-2; no axis U or B
+_MEAN = re.compile(r"\b(mean|average|avg|mittel\w*|mw|moyenne|media|promedio)\b|[Øø∅\u0304\u0305]|平均")
 UNITS_OF_READINGS = ("um", "mm", "inch", "0.001 inch", "nm", "urad", "arcsec")
 MEASURED = ("command", "position", "actual", "error", "time")
 KINDS = ("ignore", "error", "run", "direction", "actual", "position", "command")
@@ -34,7 +35,7 @@ KINDS = ("ignore", "error", "run", "direction", "actual", "position", "command")
 class Wide:
     """The target column, the run and side (+1, -1, None) of every column of readings, and columns of statistics.
 
-    run: the column that names the runs where the headers do not, or None.
+    run, way: the columns that name the run, and the side, of each row where the headers do not, or None.
     """
 
     def __init__(
@@ -43,8 +44,9 @@ class Wide:
         readings: list[tuple[RawColumn, str, float | None]],
         statistics: list[RawColumn],
         run: RawColumn | None = None,
+        way: RawColumn | None = None,
     ):
-        self.target, self.readings, self.statistics, self.run = target, readings, statistics, run
+        self.target, self.readings, self.statistics, self.run, self.way = target, readings, statistics, run, way
 
 
 def run_and_side(header: str) -> tuple[str | None, float | None]:
@@ -80,7 +82,7 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     headers = {c.header.lower() for c in numeric}
     said = {c.header: run_and_side(_beside_negative(c.header, headers)) for c in numeric}
     places = [c for c in numeric if guesses[c.header].kind in ("command", "position")]
-    places = [c for c in places if len(places) == 1 or not _counts(c)]  # the numbers of the targets
+    places = [c for c in places if len(places) == 1 or not (_counts(c) or is_figure(c.header))]
     targets = [c for c in places if said[c.header] == (None, None)]
     targets = targets or [c for c in places if said[c.header][0] is None]
     if not targets and numeric and guesses[numeric[0].header].kind != "time" and _rises(numeric[0]):
@@ -106,7 +108,7 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
         else:
             readings.append((c, run or "1", side))
     if not readings:  # a report of the means alone: one run
-        readings = [(c, "mean", said[c.header][1]) for c in statistics if _MEAN.search(guessing.plain(c.header))]
+        readings = [(c, "mean", said[c.header][1]) for c in statistics if _is_mean(c.header)]
         statistics = [c for c in statistics if not any(c is r for r, _, _ in readings)]
     if any(side is None for _, _, side in readings):  # `1a`, `1b`: b alone is no direction
         readings = [(c, run, None) for c, run, _ in readings]
@@ -122,7 +124,11 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
                 "its targets were approached: write + and -, up and down, or fwd and rev into the header"
             )
         return None
-    return Wide(targets[0], readings, statistics, labels[0] if labels and not named else None)
+    ways = [
+        c for c in layout.columns if guesses[c.header].kind == "direction" and not any(c is r for r, _, _ in readings)
+    ]
+    way = ways[0] if ways and all(side is None for _, _, side in readings) else None
+    return Wide(targets[0], readings, statistics, labels[0] if labels and not named else None, way)
 
 
 def _beside_negative(header: str, headers: set[str]) -> str:
@@ -134,6 +140,18 @@ def _beside_negative(header: str, headers: set[str]) -> str:
 def statistic(name: str) -> bool:
     """Whether a header or the name of a row is that of a figure over the runs: a mean, a standard deviation."""
     return _STATISTIC.search(guessing.plain(name)) is not None or re.search("[Øø∅\u0304\u0305]", name) is not None
+
+
+def _is_mean(header: str) -> bool:
+    """Whether a header names a mean, also as a bar over a letter; `x̄ + 2s` is a bound of it."""
+    text = guessing.plain(header)
+    named = _MEAN.search(text) or re.search("[\u0304\u0305]", header)
+    return named is not None and re.search(r"\d ?s(igma)?\b|\d ?σ", text) is None
+
+
+def is_figure(header: str) -> bool:
+    """Whether a header beside the targets names a figure over the runs, although its letter is that of an axis."""
+    return _FIGURE.fullmatch(header) is not None or statistic(header)
 
 
 def _counts(c: RawColumn) -> bool:
@@ -157,12 +175,18 @@ def unfold(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]
     if not rows.size:
         raise DataError("no row holds a target and a reading")
     names = ["" for _ in target] if layout.run is None else [label(c) for c in layout.run.cells]
+    of_row = np.full(target.size, np.nan) if layout.way is None else guessing.sides(layout.way)
     refuse_there_and_back([c.header for c in readings], target[rows])
     order, run, side, value = [], [], [], []
     for name in dict.fromkeys(names[i] for i in rows):
         block = np.array([i for i in rows if names[i] == name])
-        for c, number_of_run, way in layout.readings:
-            own = block[np.isfinite(c.values[block])]
+        sided = [
+            (c, number_of_run, of_rows if way is None else way, rows_of_side)
+            for c, number_of_run, way in layout.readings
+            for of_rows, rows_of_side in _by_side(block, of_row)
+        ]
+        for c, number_of_run, way, part in sided:
+            own = part[np.isfinite(c.values[part])]
             rising = own.size > 1 and target[own[-1]] > target[own[0]]
             own = own if way is None or rising == (way > 0) else own[::-1]
             order.append(own)
@@ -170,6 +194,51 @@ def unfold(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]
             side += [np.nan if way is None else way] * own.size
             value.append(c.values[own])
     return np.concatenate(order), run, np.array(side), np.concatenate(value)
+
+
+def _by_side(rows: np.ndarray, side: np.ndarray) -> list[tuple[float | None, np.ndarray]]:
+    """The rows of each side, from below first; all of them with None where no row, or not every row, has a side."""
+    if not np.isfinite(side[rows]).all():
+        return [(None, rows)]
+    return [(way, rows[side[rows] == way]) for way in (1.0, -1.0) if (side[rows] == way).any()]
+
+
+def merged_targets(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Layout:
+    """The layout with each target also in the row of its other side, where both share one merged cell.
+
+    Raises DataError where more than one in ten rows holds a reading and no target.
+    """
+    kinds = {c.header: guesses[c.header].kind for c in layout.columns}
+    places = [c for c in layout.columns if kinds[c.header] in ("command", "position") and c.numeric]
+    ways = [c for c in layout.columns if kinds[c.header] == "direction"]
+    read = [
+        np.isfinite(c.values)
+        for c in layout.columns
+        if kinds[c.header] in ("error", "actual")
+        or (c.unit in UNITS_OF_READINGS and kinds[c.header] in ("ignore", "run"))
+    ]
+    if len(places) != 1 or not read or "time" in kinds.values():
+        return layout
+    place = places[0]
+    side = guessing.sides(ways[0]) if ways else np.full(place.values.size, np.nan)
+    filled = np.isfinite(place.values)
+    at, reading = np.arange(filled.size), np.any(read, axis=0)
+    for r in np.flatnonzero(~filled[1:] & reading[1:] & np.isfinite(side[1:])) + 1:
+        at[r] = r - 1 if filled[r - 1] and side[r - 1] == -side[r] else r
+    left = ~np.isfinite(place.values[at]) & reading & (np.arange(filled.size) < np.flatnonzero(filled)[-1])
+    if left.sum() > max(1.0, 0.1 * filled.size):
+        raise DataError(
+            f"{int(left.sum())} rows hold readings and no {place.header!r} (first: row {int(np.argmax(left)) + 1} "
+            "of the table): write the target into each row, and in a column of directions + (from below) or -"
+        )
+    if np.array_equal(at, np.arange(filled.size)):
+        return layout
+    note = (
+        f"{int((at != np.arange(filled.size)).sum())} rows share the {place.header!r} of the row above (merged cells)"
+    )
+    whole = RawColumn(place.header, place.unit, [place.cells[i] for i in at], place.values[at])
+    columns = [whole if c is place else c for c in layout.columns]
+    return Layout(columns, layout.above, [*layout.notes, note], layout.below)
 
 
 def refuse_there_and_back(names: Sequence[str], targets: np.ndarray) -> None:

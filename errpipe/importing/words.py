@@ -1,5 +1,7 @@
 """What columns, directions and signs are called: English, German, French, Italian, Spanish, Japanese, Chinese.
 
+Deviations, corrections and targets also in Portuguese, Dutch, Polish, Czech, Swedish, Danish, Turkish, Russian, Korean.
+
 Texts are compared as `plain` writes them: small letters, umlauts transcribed, no accents, blanks for underscores.
 """
 
@@ -10,7 +12,10 @@ import unicodedata
 
 CORRECTION = (  # minus the deviation
     r"\b(corrections?|\w*korrektur(en|wert|werte)?|corr|comp(ensation)?s?|\w*kompensation(swerte?)?|correzion[ei]"
-    r"|correccion(es)?|to apply|adjustments?|ausgleich(swerte?)?|verrechnung(swerte?)?)\b|補正|补偿"
+    r"|correccion(es)?|correctif|compensazion[ei]|compensacion(es)?|compensacao|correcao|correctie|compensatie|korekc\w*"
+    r"|kompensac\w*|kompenzac\w*|korrigering\w*|kompensering\w*|duezeltme\w*|telafi\w*"
+    r"|to apply|adjustments?|nachstell\w*|ausgleich(swerte?)?|verrechnung(swerte?)?)\b"
+    r"|補正|补偿|修正|коррекци|компенсаци|поправк|보정"
 )
 
 # In controllers: command minus actual position (LinuxCNC: pos-cmd less pos-fb; TwinCAT: SetPos less ActPos;
@@ -40,11 +45,11 @@ GROUPS = {
     "day": r"day|tag|jour",
     "shift": r"shift|schicht",
     "duty_cycle": r"duty ?cycle|lastzyklus|lastkollektiv",
-    "machine": r"machine|maschine",
+    "machine": r"machine|maschine|macchina|maquina|serial|serien(nummer|nr)|机床|機械",
     "session": r"session|sitzung|campaign|kampagne",
     "tool": r"tool|werkzeug|outil|utensile|herramienta",
 }
-GROUP = rf"^({'|'.join(GROUPS.values())})( ?(no|nr|id|name))?$"
+GROUP = rf"^({'|'.join(GROUPS.values())})[ -]?(no\.?|nr\.?|id|name|number|nummer|#)?$"
 
 # What headers are called -> what they hold. The first pattern that fits wins.
 WORDS: tuple[tuple[str, str], ...] = (
@@ -84,7 +89,8 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(humid|feucht)", "humidity"),
     (
         r"(deviation|abweich|\babw|error|err\b|fehler|\bdev\b|residual|lage ?abw|\becart|erreur|scostamento|desviacion"
-        r"|errore|偏差|誤差|误差)",
+        r"|errore|\berros?\b|desvio|afwijking|\bfout|odchyl|odchyłk|\bbład|\bchyb|avvik|afvigelse|\bfejl|\bsapma"
+        r"|\bhata|偏差|誤差|误差|отклонени|погрешност|ошибк|오차|편차)",
         "error",
     ),
     (DISPLACEMENT, "error"),
@@ -95,7 +101,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(accel|beschl)", "acceleration"),
     (
         r"(target|soll|ziel|nominal|\bnom\b|nennwert|command|\bcmd|\bnoml\b|setpoint|demand|ref(erence)?\b|consigne|theorique|cible|teoric"
-        r"|objetivo|目標|目标|指令)",
+        r"|objetivo|\balvo\b|doelpos|malpos|zadan|cilov|hedef|目標|目标|指令|задан|목표)",
         "command",
     ),
     (
@@ -155,6 +161,13 @@ _TITLE_OF_CORRECTIONS = re.compile(
     r"(korrekturwerte|korrekturtabelle|(correction|compensation|comp\.?) (values?|table|data))\b[^:=;]*$"
 )
 
+# Words of a header that say nothing about the sign of its readings.
+_NEUTRAL = re.compile(
+    r"readings?|values?|werte?|data|daten|results?|ergebnis(se)?|delta|diff(erence|erenz)?|probe|sensor|taster|channel"
+    r"|kanal|axis|axe|asse|eje|achse|mittel(wert)?|mean|average|avg|median|the|von|der|des|and|und|raw|roh(wert)?|test"
+    r"|pitch|yaw|roll\w*|nick\w*|gier\w*|level|tilt|neigung|inclination"
+)
+
 # Of an axis, with the number of a second one: X2. X1 is X, as controls name the only one too.
 AXIS_LETTER = r"([XYZABCUVW](?:[2-9](?!\d))?)"
 _CALLED_AXIS = r"(?:axis|achse|axe|asse|eje)\b"
@@ -179,7 +192,7 @@ def plain(text: object) -> str:
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", str(text).strip())
     spaced = _AXIS_BEFORE.sub(r"\1 ", spaced)
     word = unicodedata.normalize("NFKD", spaced.lower().translate(_LETTERS))
-    return "".join(c for c in word if not unicodedata.combining(c))
+    return unicodedata.normalize("NFC", "".join(c for c in word if not unicodedata.combining(c)))
 
 
 def kind_by_name(header: str) -> str | None:
@@ -187,6 +200,14 @@ def kind_by_name(header: str) -> str | None:
     text = plain(header)
     kind = next((kind for pattern, kind in WORDS if re.search(pattern, text)), None)
     return "error" if kind in ("command", "actual", "position") and difference(header) else kind  # `Soll-Ist`
+
+
+def unknown_word(header: str) -> str | None:
+    """The first word of a header of readings that is not understood, and may say their sign: `Fehlbetrag`; or None."""
+    for word in re.findall(r"[^\W\d_]{3,}|[^\W\d_a-z]{2,}", plain(header)):
+        if not _NEUTRAL.fullmatch(word) and kind_by_name(word) is None and not _ways_of(word):
+            return word
+    return None
 
 
 def way_of(header: str) -> float | None:
@@ -202,7 +223,14 @@ def _ways_of(word: str) -> list[float]:
 def is_correction(header: str) -> bool:
     """Whether a header names corrections; `error after correction` is an error."""
     text = plain(header)
-    return re.search(CORRECTION, text) is not None and not re.search(_STATE_OF_A_COMPENSATION, text)
+    named = re.search(CORRECTION, text) is not None and not is_error_of_a_correction(header)
+    return named and not re.search(_STATE_OF_A_COMPENSATION, text)
+
+
+def is_error_of_a_correction(header: str) -> bool:
+    """Whether a header names an error behind a correction: `comp. error` may be either; `error correction` is not."""
+    of = re.search(rf"(?:{CORRECTION})\W+(?:errors?|err|fehler|erreur|errore)\b", plain(header))
+    return of is not None
 
 
 def is_following_error(header: str) -> bool:

@@ -18,6 +18,7 @@ SETTLED = 1e9  # s: every lag has reached its operand
 def evaluate(table: Path, at: Mapping[str, float]) -> dict[str, Any]:
     """Deviation and correction at given readings; inputs that are not named stand at their default.
 
+    at: by the names of the table's inputs, or of a position by its axis, such as X.
     The readings are those of a settled machine: references are taken where inputs stand by default, then every lag is
     left to settle.
     """
@@ -25,6 +26,8 @@ def evaluate(table: Path, at: Mapping[str, float]) -> dict[str, Any]:
 
     compensation_table = _artefacts.read_table(table)
     names = [i.name for i in compensation_table.inputs]
+    of_axis = {i.axis: i.name for i in compensation_table.inputs if i.kind == "position"}
+    at = {name if name in names else of_axis.get(name, name): value for name, value in at.items()}
     unknown = [name for name in at if name not in names]
     if unknown:
         near = did_you_mean(unknown[0], names)

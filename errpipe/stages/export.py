@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from errpipe.guard.description import SensorGuard
     from errpipe.validation.gate import Passed
 
-ROUNDING_UM = 1e-6  # um (urad): sums in another order differ by 1e-12 of 1e5 um at most
-
 
 class Export(CompileOptions, SignOptions, Stage):
     """Compile the model into a compensation table and the files of controllers."""
@@ -53,7 +51,7 @@ class Export(CompileOptions, SignOptions, Stage):
     writes: ClassVar[tuple[str, ...]] = (_artefacts.TABLE, _artefacts.TWIN, _artefacts.MODEL, "export.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:
-        from errpipe.stages import _plausible
+        from errpipe.stages import _plausible, _proof
 
         model = _artefacts.read_model(context.needed("error_model") / _artefacts.MODEL)
         recording = _artefacts.recording_in(context.needed("recording"))
@@ -64,8 +62,8 @@ class Export(CompileOptions, SignOptions, Stage):
         context.progress(0.2, "compiling")
         table = compile_model(model, self, guard, recording)
         context.progress(0.5, "comparing table and model")
-        proof = compare(table, model, recording)
-        checks += _close_enough(proof, passed)
+        proof = _proof.compare(table, model, recording)
+        checks += _proof.remarks(proof, passed)
         from errpipe.stages.targets import checksums
 
         files = _write(context, table, model, self)
@@ -76,8 +74,8 @@ class Export(CompileOptions, SignOptions, Stage):
         context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, **document})
         worst = max((p["largest_difference_um"] for p in proof), default=0.0)
         summary = {"table": _artefacts.TABLE, "largest_difference_from_the_model_um": worst}
-        beyond = [p["component"] for p in proof if p["beyond_bound"]]
-        return summary | ({"beyond_the_tables_bound": ", ".join(beyond)} if beyond else {})
+        held = {p["component"]: p["rows_held_back"] for p in proof if p["rows_held_back"]}
+        return summary | ({"rows_held_back": ", ".join(f"{n} {rows}" for n, rows in held.items())} if held else {})
 
 
 def _gate(model: ErrorModel, recording: Recording, options: Export, context: Context) -> Passed:
@@ -107,68 +105,6 @@ def _guard(context: Context, recording: Recording) -> SensorGuard:
     guard = learn.learn(short_holes_held(recording))
     context.write_json("sensor_guard.json", guard.model_dump(mode="json"))
     return guard
-
-
-def compare(table: CompensationTable, model: ErrorModel, recording) -> list[dict[str, Any]]:
-    """Table beside model on the recording's own rows: largest and rms difference per component, um or urad.
-
-    Both read temperatures with short holes filled: what a table holds in place of a missing reading is no difference.
-    bound_um: what gridding and rounding may add. beyond_bound: whether more than that differs although the table holds
-    all terms, as where it does not believe a reading or fades.
-    """
-    import numpy as np
-
-    from errpipe.fitting.components import evaluate
-    from errpipe.fitting.lowering import left_behind
-    from errpipe.fitting.thermal_arithmetic import held_readings, rms
-    from errpipe.stages.predict import table_values
-    from errpipe.tables import bounds
-
-    allowed = {c.name: c.gridding for c in bounds.components(table)}
-    recording = held_readings(recording)
-    by_model, by_table = evaluate(model, recording), table_values(table, model, recording)
-    behind = left_behind(model)
-    out = []
-    for name, values in by_table.items():
-        difference = values - by_model[name]
-        known = np.isfinite(difference)
-        largest = float(np.abs(difference[known]).max(initial=0.0))
-        out.append(
-            {
-                "component": name,
-                "rows": int(known.sum()),
-                "largest_difference_um": largest,
-                "bound_um": allowed[name],
-                "beyond_bound": bool(not behind.get(name) and largest > allowed[name] + ROUNDING_UM),
-                "rms_difference_um": rms(difference[known]),
-                "rms_model_um": rms(by_model[name][known]),
-                "not_compensated": behind.get(name, []),
-            }
-        )
-    return out
-
-
-def _close_enough(proof: list[dict[str, Any]], passed: Passed) -> list[str]:
-    """What differs between table and model by more than the table's bound, in words.
-
-    Raises GateError where the table differs by more than the model gained on held-out rows: it may do harm.
-    """
-    from errpipe.errors import GateError
-
-    said = []
-    for p in (p for p in proof if p["beyond_bound"]):
-        name, off = p["component"], p["rms_difference_um"]
-        gains = [j["rms_before"] - j["rms_at_gain"] for j in passed.judged if j["component"] == name]
-        gain = min(gains, default=p["rms_model_um"])
-        words = (
-            f"{name}: on its own recording the table differs from the model by up to {p['largest_difference_um']:.3g}, "
-            f"rms {off:.3g} (bound of gridding and rounding {p['bound_um']:.2g}): it does not believe readings that "
-            "step faster than its max_rate, or fades outside what was seen"
-        )
-        if off >= gain:
-            raise GateError(f"export: {words}. The model gains {gain:.3g}. Nothing was exported.")
-        said.append(words)
-    return said
 
 
 def _write(context: Context, table: CompensationTable, model: ErrorModel, options: Export) -> list[dict]:

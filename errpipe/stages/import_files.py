@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 TABLE = "recording.csv"
 MAX_SHEETS_NAMED = 6  # other sheets that are named beside the one that is imported
+AS_IMPORTED = "# As imported: "  # before the identity of what was written, to know a recording that was changed
 DIGITS = 12  # of a number in the table: more than any instrument has
 
 
@@ -119,18 +120,21 @@ def _of_any_sheet(
     return proposal, f"{kind}, {name}" if len(sheets) > 1 else kind
 
 
-def write(proposal: Proposal, folder: Path, options: ImportOptions, files: Sequence[Path]) -> dict[str, Any]:
+def write(
+    proposal: Proposal, folder: Path, options: ImportOptions, files: Sequence[Path], overwrite: bool = False
+) -> dict[str, Any]:
     """Write the confirmed recording: `recording.yaml` with a comment beside every guess, and `recording.csv`.
 
-    Raises DataError and writes nothing where the reader of recordings would refuse it.
+    Raises DataError and writes nothing where the reader of recordings would refuse it; UsageError where a recording
+    stands there that was changed since it was imported, unless `overwrite`.
     """
     import tempfile
 
     manifest = _manifest(proposal, options, files)
-    parts = {
-        TABLE: _csv(proposal),
-        manifest_folder.MANIFEST: _commented(manifest_folder.manifest_text(manifest), proposal),
-    }
+    table, text = _csv(proposal), _commented(manifest_folder.manifest_text(manifest), proposal)
+    parts = {TABLE: table, manifest_folder.MANIFEST: f"{text}{AS_IMPORTED}{_identity(text, table)}\n"}
+    if not overwrite:
+        _refuse_changed(Path(folder), parts)
     with tempfile.TemporaryDirectory(prefix="errpipe-") as trial:
         for name, text in parts.items():
             jsonfile.write_text(Path(trial) / name, text)
@@ -151,6 +155,24 @@ def write(proposal: Proposal, folder: Path, options: ImportOptions, files: Seque
             f"next: errpipe init --template NAME DIR --recording {folder}",
         ],
     }
+
+
+def _identity(manifest: str, table: str) -> str:
+    return hashlib.sha256(f"{manifest}{table}".encode()).hexdigest()[:16]
+
+
+def _refuse_changed(folder: Path, parts: dict[str, str]) -> None:
+    """Raise UsageError where the folder's recording is not as an import wrote it: somebody's corrections are in it."""
+    there = {name: folder / name for name in parts if (folder / name).exists()}
+    texts = {name: file.read_text("utf-8", errors="replace") for name, file in there.items()}
+    if not there or texts == parts:
+        return
+    manifest, mark, identity = texts.get(manifest_folder.MANIFEST, "").partition(AS_IMPORTED)
+    if not mark or identity.strip() != _identity(manifest, texts.get(TABLE, "")):
+        raise UsageError(
+            f"{', '.join(map(str, there.values()))}: changed since it was imported, or not written by an import: "
+            "nothing was written. Name another folder with --out, or say --overwrite to lose what stands there"
+        )
 
 
 def _of_known_format(file: Path, door: DoorOptions, options: ImportOptions) -> Proposal | None:

@@ -20,21 +20,26 @@ PIPELINE = "pipeline.yaml"
 class Template:
     """sample: function of `simulation.sample_recordings` that makes the recording; None: the pipeline simulates it.
 
-    own: the pipeline for a recording of the user's, where it is another one. The targets stand in the pipeline.
+    own: the pipeline for a recording of the user's, where it is another one; needs: roles of which that has a column,
+    at least of one. The targets stand in the pipeline.
     """
 
     about: str
     sample: str | None
     machine: str | None = None
     own: str | None = None
+    needs: tuple[str, ...] = ()
 
+
+POSITIONING = ("positioning", "angular positioning")  # kinds of components of which ISO 230-2 has figures
+HEAT = ("temperature", "spindle_speed")
 
 TEMPLATES = {
     "laser-iso230": Template("one axis by laser after ISO 230-2", "laser"),
     "dial-gauge": Template("a hobby machine's axis by dial gauge", "dial_gauge"),
     "diagnose-log": Template("a log of the control, diagnosed", "axis_log"),
-    "spindle-drift": Template("spindle drift over seasons", None, own="spindle-drift-own"),
-    "gantry": Template("a gantry's Z reference, warming up", "gantry"),
+    "spindle-drift": Template("spindle drift over seasons", None, own="spindle-drift-own", needs=HEAT),
+    "gantry": Template("a gantry's Z reference, warming up", "gantry", needs=("temperature",)),
     "drilled-plate": Template("a planar map from drilled plates", "drilled_plate"),
     "five-axis": Template("a five-axis machine, identified", None, "five-axis.machine.yaml"),
 }
@@ -110,9 +115,10 @@ def _filled(name: str, text: str, folder: Path, recording: Path | None, targets:
         facts = _facts(Path(recording))
         words |= facts["words"]
         backlash, sensors = facts["both_directions"], facts["sensors"]
+        needs = TEMPLATES[name].needs
+        if needs and not {*needs} & facts["roles"]:
+            raise UsageError(f"{recording}: no column of role {' or '.join(needs)}, which template {name} needs")
         words["RECORDING"] = json.dumps(Path(os.path.relpath(recording, folder)).as_posix(), ensure_ascii=False)
-    if "@SENSOR@" in text and not sensors:
-        raise UsageError(f"{recording}: no column of role temperature, which template {name} fits")
     words["METHOD"] = "ridge" if recording is not None and len(sensors) > 1 else "linear"
     text = re.sub(r"(?m)^.*@SENSOR@.*\n", lambda line: "".join(_with_sensor(line[0], s) for s in sensors), text)
     for word, value in words.items():
@@ -138,17 +144,15 @@ def _facts(folder: Path) -> dict[str, Any]:
     recorded = recording.components()
     if not recorded:
         raise UsageError(f"{folder}: no column of role error; there is nothing to fit")
-    component = next(
-        (c for c in recorded if components.parse(c).kind in ("positioning", "angular positioning")), recorded[0]
-    )
+    component = next((c for c in recorded if components.parse(c).kind in POSITIONING), recorded[0])
     places = [c.axis for c in recording.manifest.columns.values() if c.role in ("command", "position") and c.axis]
     axis = components.parse(component).axis or next(iter(places), "X")
     place = recording.name("command", axis=axis) or recording.name("position", axis=axis)
     targets = np.unique(np.round(recording.array(place), 3)).size if place is not None else 3
     side = recording.name("direction", axis=axis)
     both = side is not None and np.unique(recording.array(side)).size > 1
-    runs = len(recording.run_labels())
+    runs, roles = len(recording.run_labels()), {c.role for c in recording.manifest.columns.values()}
     words = {"AXIS": axis, "COMPONENT": component, "DEGREE": str(max(1, min(10, targets // 2)))}
     words["HOLDOUT"] = "{scheme: leave-one-run-out}" if runs > 1 else "{scheme: blocks, blocks: 5}"
-    words["ISO"] = "true" if both and runs >= 2 else "false"
-    return {"words": words, "both_directions": both, "sensors": recording.names("temperature")}
+    words["ISO"] = "true" if both and runs >= 2 and components.parse(component).kind in POSITIONING else "false"
+    return {"words": words, "both_directions": both, "sensors": recording.names("temperature"), "roles": roles}

@@ -104,6 +104,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         already_scored = frozenset(s.key for s in scores)
         copied = frozenset([*retraining.run_contents(old_recording), *(s.content for s in scores)])
         scores += retraining.score_new_runs(recording, family, prediction, known, already_scored, copied)
+        gates += _name_gate(retraining.reused_names(old_recording, recording), any_new=bool(scores))
         change = _change(old_model, model, recording)
         gates += _table_gates(change, limits)
         gates += [_sensor_gate(old_model, model, allowed), _drift_gate(drift, model)]
@@ -121,6 +122,19 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         "drift": drift,
         "change": {} if refused else change,
     }
+
+
+def _name_gate(names: list[str], any_new: bool) -> list[Any]:
+    """New readings under the name of a run that fitted the champion count as old: fails where no run is new."""
+    from errpipe.validation.retraining import Gate
+
+    if not names:
+        return []
+    says = (
+        f"{', '.join(names[:6])}{', ...' if len(names) > 6 else ''}: called as runs that fitted the champion, with "
+        "other readings, and counted as these: give new runs names of their own, or a time with a date"
+    )
+    return [Gate("names of runs", any_new, says)]
 
 
 def _giving(pipeline: Pipeline, artefact: str) -> str:

@@ -91,11 +91,12 @@ def _between(figures: Mapping[str, Any]) -> str:
 
 
 def headline(component: Mapping[str, Any]) -> str:
-    """The three numbers that matter, in one line."""
-    floor = component["noise_floor"]
+    """The three numbers that matter, in one line; a fourth where the gate lets a part of the correction pass."""
+    floor, gain = component["noise_floor"], component["gain"]
+    part = f"{component['rms_at_gain']:.3g} with {gain:g} of the correction, " if 0.0 < gain < 1.0 else ""
     return (
         f"{component['rms_before']:.3g} -> {component['rms_after']:.3g} {component['unit']} on held-out rows, "
-        f"noise floor {'unknown' if floor is None else f'{floor:.3g}'}"
+        f"{part}noise floor {'unknown' if floor is None else f'{floor:.3g}'}"
     )
 
 

@@ -19,15 +19,13 @@ from errpipe.domain import table as t
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.lowering import Nodes
 from errpipe.errors import GateError
-from errpipe.tables import bounds
+from errpipe.tables import bounds, turn
 from errpipe.tables.gridding import grid, interpolation_error, quantise
 
 # Up to this many intervals all profiles of an axis take the finest grid among them: 2 KB each buys one place on
 # the grid for all of them (half the cycle of a machine of 21 components).
 COMMON_GRID_INTERVALS = 512
-SAME_STEP = 1e-6  # of the span: steps that differ by less are one step, written with few digits
-ROTARY, TURN = ("A", "B", "C"), 360.0  # letters of axes that turn; deg
-SMOOTH = 30.0  # deg beyond what was measured of a turn within which its slope ends: a step between usual targets
+ROTARY = ("A", "B", "C")  # letters of axes that turn
 
 
 @dataclass(frozen=True)
@@ -148,7 +146,9 @@ def _turns(
 ) -> tuple[dict[str, bounds.Span], set[str]]:
     """Axis -> range of its curves, and the axes that turn on."""
     seen = {i.axis: i.valid or (i.low, i.high) for i in inputs if i.kind == "position"} | dict(travel)
-    return seen, {axis for axis, ends in seen.items() if axis[:1] in ROTARY and (axis in turning or _is_turn(*ends))}
+    return seen, {
+        axis for axis, ends in seen.items() if axis[:1] in ROTARY and (axis in turning or turn.is_whole(*ends))
+    }
 
 
 def _travels(
@@ -159,24 +159,11 @@ def _travels(
     for channel in inputs:
         if channel.kind == "position" and channel.axis in travel:
             low, high = travel[channel.axis]
-            low, high = (math.floor(low), math.floor(low) + TURN) if channel.axis in turns else (low, high)
+            low, high = (math.floor(low), math.floor(low) + turn.TURN) if channel.axis in turns else (low, high)
             reach = [p.step * (len(p.values) - 1) for p in made if p.input == channel.name]
-            if max(reach, default=0.0) < (1 - SAME_STEP) * (high - low):
+            if max(reach, default=0.0) < (1 - turn.SAME_STEP) * (high - low):
                 out.append(t.Profile(input=channel.name, start=low, step=high - low, values=(0, 0)))
     return out
-
-
-def _is_turn(low: float, high: float) -> bool:
-    return abs(high - low - TURN) <= SAME_STEP * TURN
-
-
-def _bridge(x: np.ndarray, length: float, ends: np.ndarray, slopes: np.ndarray, *, straight: bool) -> np.ndarray:
-    """From one end to the other over x = 0 to `length`: straight, or going on with the slopes for a while."""
-    u = np.clip(x / length, 0.0, 1.0)
-    along = u if straight else u * u * (3.0 - 2.0 * u)
-    room = min(length, SMOOTH)
-    p, q = (np.clip(v / room, 0.0, 1.0) for v in (x, length - x))
-    return ends[0] + (ends[1] - ends[0]) * along + room * (slopes[0] * p * (1 - p) ** 2 - slopes[1] * q * (1 - q) ** 2)
 
 
 def _cycles(thermal_cycle_s: float, position_cycle_s: float) -> int:
@@ -198,6 +185,7 @@ class _Group:
     period: float | None
     pairs: list[Lowered]
     start: float = 0.0  # of a period
+    closing: float = 0.0  # largest change of the curve by which its turn was closed, in its unit
 
     def keeps(self, build: Nodes) -> bool:
         """Whether no validity box speaks about its driver."""
@@ -216,33 +204,15 @@ class _Group:
     def own_grid(self) -> tuple[float, float, int]:
         """Start, end and intervals of the nodes of its curves where they are equidistant; no intervals elsewhere."""
         nodes = np.array(self.nodes())
-        if nodes.size < 2 or np.ptp(np.diff(nodes)) > SAME_STEP * (nodes[-1] - nodes[0]):
+        if nodes.size < 2 or np.ptp(np.diff(nodes)) > turn.SAME_STEP * (nodes[-1] - nodes[0]):
             return 0.0, 0.0, 0
         return float(nodes[0]), float(nodes[-1]), nodes.size - 1
 
     def closed(self, low: float, high: float) -> _Group:
-        """Over an axis that turns on, measured from low to high: with a curve that repeats with every turn.
-
-        Where less than a turn was measured the rest is bridged. What the ends of a whole turn differ is spread evenly
-        over it, as the division of a circle is closed.
-        """
-        high, bare, nodes = min(high, low + TURN), self.curve, self.nodes()
-        ends = bare(np.array([low, high]))
-        near = 1e-3 * (high - low)
-        slopes = (bare(np.array([low + near, high])) - bare(np.array([low, high - near]))) / near
-        slopes = np.zeros(2) if nodes else slopes
-
-        def curve(x: np.ndarray) -> np.ndarray:
-            at = low + np.mod(x - low, TURN)
-            if not _is_turn(low, high):
-                rest = _bridge(at - high, low + TURN - high, ends[::-1], slopes[::-1], straight=bool(nodes))
-                return np.where(at <= high, bare(np.minimum(at, high)), rest)
-            return bare(at) - (ends[1] - ends[0]) * ((at - low) / TURN - 0.5)
-
-        if nodes and not _is_turn(nodes[0], nodes[-1]):
-            nodes = (*nodes, nodes[0] + TURN)
-        whole = Lowered(d.ONE, self.axis, curve, TURN, nodes)
-        return _Group(self.driver, self.axis, TURN, [whole], math.floor(low))
+        """Over an axis that turns on, measured from low to high: with a curve that repeats with every turn."""
+        one = turn.close(self.curve, str(self.axis), low, high, self.nodes())
+        whole = Lowered(d.ONE, self.axis, one.curve, turn.TURN, one.nodes)
+        return _Group(self.driver, self.axis, turn.TURN, [whole], one.start, one.change)
 
     def profile(
         self, build: Nodes, spans: list[bounds.Span], travel: Mapping[str, bounds.Span], bound: float, most: int
@@ -262,9 +232,14 @@ class _Group:
                 low, high = self.start, self.start + self.period
             what, periodic = f"profile over {self.axis}", self.period is not None
             made = grid(self.curve, low, high, bound=bound / factor, unit=unit, periodic=periodic, most=most, what=what)
-        if len(set(made.values)) == 1:
+        if len(set(made.values)) == 1 and not self.closing:
             return _constant(made.values[0] * made.scale)
-        return t.Profile.model_validate(made.model_dump() | {"input": channel.name})
+        return self.stated(made, channel.name)
+
+    def stated(self, made: t.Profile, channel: str) -> t.Profile:
+        """The profile over its input, with all that sets it apart from its curve in its error."""
+        error = made.interpolation_error + self.closing
+        return t.Profile.model_validate(made.model_dump() | {"input": channel, "interpolation_error": error})
 
 
 def _groups(build: Nodes, component: ComponentSource) -> list[_Group]:
@@ -289,7 +264,7 @@ def _on_common_grids(groups: list[_Group], made: list[t.Profile]) -> list[t.Prof
             end = p.start + p.step * (len(p.values) - 1)
             error = interpolation_error(group.curve, p.start, end, intervals)
             finer = quantise(group.curve, p.start, end, intervals, error, p.scale, p.periodic)
-            p = t.Profile.model_validate(finer.model_dump() | {"input": p.input})
+            p = group.stated(finer, p.input)
         out.append(p)
     return out
 

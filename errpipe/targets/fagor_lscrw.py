@@ -57,7 +57,9 @@ class FagorLscrw(ScrewMap):
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
         zero = float(np.interp(0.0, curve.positions, curve.up))
         rows = zip(curve.positions.tolist(), (zero - curve.up).tolist(), (zero - curve.down).tolist(), strict=True)
-        lines = [f"; {CAUTION}", f"; axis {curve.axis}, {curve.positions.size} points: position, error +, error -, mm"]
+        unit = "deg" if curve.axis[0] in "ABC" else "mm"
+        what = f"{curve.positions.size} points: position, error +, error -, {unit}"
+        lines = [f"; {CAUTION}", f"; axis {curve.axis}, {what}"]
         lines += [f"P{n} {x + 0.0:.4f} {up + 0.0:.4f} {down + 0.0:.4f}" for n, (x, up, down) in enumerate(rows, 1)]
         return f"LSCRW_{curve.axis}.txt", "\n".join([*lines, ""])
 

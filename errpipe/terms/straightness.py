@@ -20,8 +20,8 @@ from errpipe.yamlfile import quantity
 
 
 def bows(x: np.ndarray, low: float, high: float, order: int) -> np.ndarray:
-    """Chebyshev polynomials of degree 2..order over low..high, shape (rows, order - 1)."""
-    unit = (2 * np.asarray(x, dtype=float) - low - high) / (high - low)
+    """Chebyshev polynomials of degree 2..order over low..high, held beyond both, shape (rows, order - 1)."""
+    unit = (2 * np.clip(np.asarray(x, dtype=float), low, high) - low - high) / (high - low)
     return np.polynomial.chebyshev.chebvander(unit, order)[..., 2:]
 
 
@@ -29,7 +29,7 @@ class Straightness(Term):
     """A guideway is not straight: moving along one axis shifts the tool sideways, smoothly and not in proportion.
 
     Equation   deviation(x) = sum of b_k T_k(u), k = 2..order, u = position scaled to -1..1 over low..high
-    Assumes    a smooth guideway; degree 1 belongs to squareness, degree 0 to the datum
+    Assumes    a smooth guideway; degree 1 belongs to squareness, degree 0 to the datum; ends held beyond low..high
     Typical    2..20 um
     Moves      positive bow: the ends of travel lie further in the positive direction than the middle
     Source     ISO 230-1 (straightness error motion); Ni 1997, geometric errors
@@ -94,4 +94,4 @@ class Straightness(Term):
             return None
         gains = np.array([parameters[p.name] for p in self.linear()])
         low, high, order = self.low, self.high, self.order
-        return (Lowered(ONE, self.axis, lambda x: bows(np.clip(x, low, high), low, high, order) @ gains),)
+        return (Lowered(ONE, self.axis, lambda x: bows(x, low, high, order) @ gains),)

@@ -17,6 +17,7 @@ Code = Literal[
     "mixed-sign",
     "mixed-units",
     "not-a-temperature",
+    "other-zero",
     "outside-travel",
     "reversal-sign",
     "reversed-direction",
@@ -75,6 +76,10 @@ EXPLANATIONS: dict[str, str] = {
         "One run or one direction holds the same curve, or the same targets, 25.4 or 1000 times larger than the others."
     ),
     "not-a-temperature": "A temperature column follows the position back and forth within every run.",
+    "other-zero": (
+        "The deviation stands at one large value everywhere and hardly varies: the readings count from another zero "
+        "than the positions do. Subtract the reading at the reference position, or set both to zero there."
+    ),
     "outside-travel": (
         "Positions leave the travel of the manifest, or cover so little of it that their unit must be another one."
     ),

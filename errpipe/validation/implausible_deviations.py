@@ -11,6 +11,7 @@ from errpipe.validation.plausibility_finding import (
     is_fine,
     is_rearranged,
     level_of_rearranged,
+    means_at,
     noise_of_difference,
 )
 
@@ -75,6 +76,25 @@ def as_large_as_travel(r: Response) -> Finding | None:
     else:
         meant = "a position in m or inch that was declared as mm, or um declared as mm for the deviation"
     return Finding("as-large-as-travel", r.column, evidence, meant)
+
+
+OF_ITS_ZERO = 0.2  # largest range of the readings, of their distance from 0: the rest is a constant
+OTHER_ZERO_UM = 500.0  # um: as the limit of a correction
+
+
+def other_zero(r: Response) -> Finding | None:
+    """Readings that count from another zero than the positions, such as a laser's from the first target."""
+    if r.position is None or r.component.kind != "positioning":
+        return None
+    middle, spread = float(np.median(r.deviation)), float(np.ptp(r.deviation))
+    if abs(middle) <= OTHER_ZERO_UM or spread > OF_ITS_ZERO * abs(middle):
+        return None
+    return Finding(
+        "other-zero",
+        r.column,
+        f"the deviation stands at {middle:.6g} um everywhere and varies by {spread:.3g} um",
+        "readings that count from another zero than the positions: subtract the reading at the reference position",
+    )
 
 
 def too_small(r: Response) -> Finding | None:
@@ -289,27 +309,6 @@ def shifted_rows(r: Response) -> Finding | None:
     )
 
 
-def reversal_of_the_other_sign(r: Response) -> Finding | None:
-    """Lost motion stops an axis short; the other sign is possible (a scale, an overcompensated control) but rare."""
-    if r.direction is None or r.component.kind != "positioning":
-        return None
-    up, down = r.deviation[r.direction > 0], r.deviation[r.direction < 0]
-    if min(up.size, down.size) < MIN_STEPS:
-        return None
-    step = float(np.median(up) - np.median(down))
-    spread = 1.4826 * max(float(np.median(np.abs(v - np.median(v)))) for v in (up, down))
-    if step < max(5.0, spread):  # um
-        return None
-    return Finding(
-        "reversal-sign",
-        r.column,
-        f"approached from below the axis stands {step:.3g} um further than from above",
-        "the same with the sign or the direction turned, unless the control already corrects backlash too much",
-        level="ask",
-        of_sign=True,
-    )
-
-
 # ---------------------------------------------------------------- arithmetic
 
 
@@ -367,8 +366,7 @@ def _alike(r: Response, key: np.ndarray, label: float) -> bool:
     shared = np.intersect1d(levels[in_group], levels[outside_group])
     if shared.size < 5:
         return False
-    a = np.array([r.deviation[in_group & (levels == x)].mean() for x in shared])
-    b = np.array([r.deviation[outside_group & (levels == x)].mean() for x in shared])
+    a, b = (means_at(levels[rows], r.deviation[rows], shared) for rows in (in_group, outside_group))
     return np.ptp(a) > 0 and np.ptp(b) > 0 and float(np.corrcoef(a, b)[0, 1]) > 0.8
 
 
@@ -389,6 +387,7 @@ CHECKS: tuple[Check, ...] = (
     constant,
     absolute_readings,
     as_large_as_travel,
+    other_zero,
     too_small,
     jump,
     mixed_units,
@@ -396,5 +395,4 @@ CHECKS: tuple[Check, ...] = (
     expansion_of_no_material,
     worse_with_compensation,
     shifted_rows,
-    reversal_of_the_other_sign,
 )

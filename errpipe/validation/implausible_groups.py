@@ -15,6 +15,7 @@ from errpipe.validation.plausibility_finding import (
     is_fine,
     is_rearranged,
     level_of_rearranged,
+    means_at,
     noise_of_difference,
 )
 
@@ -168,7 +169,7 @@ def _curves(r: Response, groups: Sequence[np.ndarray]) -> np.ndarray | None:
         return None
     out = []
     for rows in groups:
-        mean = np.array([r.deviation[rows & (levels == x)].mean() for x in shared])
+        mean = means_at(levels[rows], r.deviation[rows], shared)
         out.append(mean - np.polyval(np.polyfit(shared, mean, 1), shared))
     curves = np.array(out)
     return curves if curves.std(axis=1).min() > MIN_SCATTER_UM else None

@@ -162,3 +162,10 @@ def _own(recording: Recording, roles: Sequence[str], axis: str | None) -> str | 
     if axis is None:
         return None
     return next((n for role in roles if (n := recording.name(role, axis=axis)) is not None), None)
+
+
+def means_at(places: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Mean of the values at each of some places, shape (at,), all of them among `places`; places, values: (n,)."""
+    levels, code = np.unique(places, return_inverse=True)
+    means = np.bincount(code, values) / np.bincount(code)
+    return np.asarray(means[np.searchsorted(levels, at)])

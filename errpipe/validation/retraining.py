@@ -99,6 +99,13 @@ def run_contents(recording: Recording) -> list[str]:
     return out
 
 
+def reused_names(old: Recording, new: Recording) -> list[str]:
+    """Labels of runs that are known by name, groups and time, and hold other readings: another run of an old name."""
+    before = dict(zip(run_keys(old), run_contents(old), strict=True))
+    now = zip(new.run_labels(), run_keys(new), run_contents(new), strict=True)
+    return [label for label, key, content in now if before.get(key, content) != content]
+
+
 def score_new_runs(
     recording: Recording,
     family: Family,

@@ -291,6 +291,7 @@ def turning() -> Block:
         turning=("C",),
         ramp_s=0.0,
         error_bound=0.5,
+        limits={"EBB": Limits(magnitude=41.0)},
     )
     rows = [{"x": 12.5 * k, "b": 340.0 + k, "c": (350.0 + 0.75 * k) % 360.0} for k in range(42)]
     rows += [

@@ -14,8 +14,9 @@ from errpipe.cleaning.sensor_jumps import SensorJumps
 from errpipe.cleaning.stuck_sensors import StuckSensors
 from errpipe.cleaning.time_order import TimeOrder
 from errpipe.cleaning.unit_slips import UnitSlips
-from errpipe.domain.recording import Constant
+from errpipe.domain.recording import Constant, Recording
 from errpipe.errors import DataError
+from errpipe.simulation import sample_recordings
 from tests.unit.cleaning.faulty_recordings import changed, recording, warm_up
 
 
@@ -391,11 +392,27 @@ def test_the_display_step_is_noted():
     assert clean(warm_up(), (Quantisation(),))[1].rules[0].done == ()
 
 
+def test_a_coarse_dial_gauge_has_no_outliers_for_its_rounding():
+    """Noise of a third of the step, read in 0.01 mm: a reading one step off its neighbours is rounding."""
+    for seed in range(8):
+        rng, made = np.random.default_rng(seed), sample_recordings.dial_gauge(seed)
+        commanded = made.array("commanded")
+        reading = np.round(commanded + 0.003 * rng.normal(size=len(made)), 2)
+        made = Recording(made.manifest, made.frame.assign(reading=reading, EXX=1e3 * (reading - commanded)))
+        assert Outliers(rule="outliers").find(made) == []
+        reading[30] += 0.2
+        slipped = Recording(made.manifest, made.frame.assign(reading=reading, EXX=1e3 * (reading - commanded)))
+        assert [a.rows.tolist() for a in Outliers(rule="outliers").find(slipped) if a.column == "EXX"] == [[30]]
+
+
 def test_a_step_is_read_off_a_column_of_text():
     values = np.array([float(f"{0.05 * k:.2f}") for k in range(300, 420)])
     assert resolution(values) == 0.05
     assert resolution(np.random.default_rng(0).standard_normal(100)) == 0.0
     assert resolution(np.array([1.0, 1.0])) == 0.0
+    commanded = np.linspace(0.0, 600.0, 88)
+    derived = 1e3 * ((commanded + 0.01 * np.arange(88) % 7) - commanded)  # 10 um, but for the arithmetic
+    assert resolution(derived) == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize("size", [5.0, -12.0])

@@ -17,6 +17,7 @@ from tests.unit.targets import machines
     ("at", "deviation", "says"),
     [
         ("x=500", 10.0, []),
+        ("X=500", 10.0, []),
         ("x=520", 10.0, ["x = 520 lies outside what was measured (0 .. 500)"]),
         ("x=1e6", 0.0, ["x = 1e+06 counts as no reading (allowed: -50 .. 550)"]),
         ("x=nan", 0.0, ["x = nan counts as no reading (allowed: -50 .. 550)"]),

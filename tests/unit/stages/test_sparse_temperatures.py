@@ -9,14 +9,14 @@ import pytest
 
 from errpipe.cli.app import main
 from errpipe.domain.recording import Recording
-from errpipe.errors import GateError
+from errpipe.errors import GateError, VerifyError
 from errpipe.fitting.thermal_arithmetic import short_holes_held, since_start
 from errpipe.formats import manifest_folder
 from errpipe.models.rises import Rises
 from errpipe.models.season import Season
 from errpipe.models.terms import Terms
 from errpipe.simulation import spindle_drift
-from errpipe.stages import export as stage
+from errpipe.stages import _proof
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.tables import batch, by_component, ect
 
@@ -81,34 +81,55 @@ def test_the_exported_table_is_the_model_on_its_own_recording(guard, tmp_path, c
     )
     assert main(["run", str(tmp_path / "pipeline.yaml"), "--out", str(tmp_path / "out")]) == 0, capsys.readouterr().err
     (proof,) = json.loads((tmp_path / "out/export/export.json").read_text())["proof"]
-    assert proof["largest_difference_um"] < 1e-6 and not proof["beyond_bound"]
+    assert proof["largest_difference_um"] < 1e-6 and proof["rows_held_back"] == 0
     table = ect.read(tmp_path / "out/export/table.ect")
     assert {i.stale_after_s for i in table.inputs if i.kind == "sensor"} == {1800.0}
     empty, held = by_table(table, recording), by_table(table, short_holes_held(recording))
     assert np.abs(empty - held).max() < 1e-9
 
 
-def test_a_table_that_is_further_from_the_model_than_that_gains_is_refused():
+def test_a_table_whose_guards_take_away_what_the_model_gains_is_refused():
     from errpipe.validation.gate import Passed
 
-    proof = {"component": "E_Z", "largest_difference_um": 19.8, "rms_difference_um": 6.0, "rms_model_um": 12.0}
-    proof |= {"bound_um": 0.01, "beyond_bound": True}
+    proof = {"component": "E_Z", "rows": 100, "largest_difference_um": 19.8, "rms_difference_um": 6.0}
+    proof |= {"rms_model_um": 12.0, "bound_um": 0.01, "unguarded_difference_um": 0.01, "rows_held_back": 7}
     judged = {"component": "E_Z", "rms_before": 15.0, "rms_at_gain": 2.0}
-    (said,) = stage._close_enough([proof], Passed(None, (), (judged,)))
-    assert "up to 19.8" in said and "max_rate" in said
+    (said,) = _proof.remarks([proof], Passed(None, (), (judged,)))
+    assert "7 of 100 rows" in said and "up to 19.8" in said and "max_rate" in said
     with pytest.raises(GateError, match="gains 5"):
-        stage._close_enough([proof], Passed(None, (), (judged | {"rms_at_gain": 10.0},)))
-    assert stage._close_enough([proof | {"beyond_bound": False}], Passed(None, (), ())) == []
+        _proof.remarks([proof], Passed(None, (), (judged | {"rms_at_gain": 10.0},)))
+    with pytest.raises(GateError, match="gains 5"):  # by whatever it differs
+        _proof.remarks([proof | {"rows_held_back": 0}], Passed(None, (), (judged | {"rms_at_gain": 10.0},)))
+    assert _proof.remarks([proof | {"rows_held_back": 0}], Passed(None, (), (judged,))) == []
+
+
+def of_terms(recording: Recording):
+    """Model of two terms, and its table."""
+    terms = [{"term": "offset"}, {"term": "thermal_drift", "sensor": "T_front"}]
+    model = Terms.model_validate({"components": [{"component": "E_Z", "terms": terms}]}).fit(recording).model
+    return model, compile_model(model, CompileOptions(), recording=recording)
 
 
 def test_a_step_that_a_table_of_terms_does_not_believe_is_said():
-    """One reading 30 K above its neighbours, in a model of which the table holds every term."""
+    """Readings 30 K above their neighbours from one row on, in a model of which the table holds every term."""
     recording, _ = spindle_drift.simulate(2, days=DAYS)
-    terms = [{"term": "offset"}, {"term": "thermal_drift", "sensor": "T_front"}]
-    model = Terms.model_validate({"components": [{"component": "E_Z", "terms": terms}]}).fit(recording).model
-    table = compile_model(model, CompileOptions(), recording=recording)
-    (same,) = stage.compare(table, model, recording)
+    model, table = of_terms(recording)
+    (same,) = _proof.compare(table, model, recording)
     jumped = recording.array("T_front").copy()
     jumped[500:] += 30.0
-    (other,) = stage.compare(table, model, recording.with_columns({"T_front": jumped}, {}))
-    assert not same["beyond_bound"] and other["beyond_bound"] and other["not_compensated"] == []
+    (other,) = _proof.compare(table, model, recording.with_columns({"T_front": jumped}, {}))
+    assert same["rows_held_back"] == 0 and other["rows_held_back"] > 100 and other["largest_difference_um"] > 1
+    assert other["unguarded_difference_um"] < 1e-6 and other["not_compensated"] == []
+
+
+def test_a_table_of_another_model_fails_the_run():
+    """Every row of the table 1 % more than its model says."""
+    from errpipe.validation.gate import Passed
+
+    recording, _ = spindle_drift.simulate(2, days=DAYS)
+    model, table = of_terms(recording)
+    (component,) = model.components
+    more = model.model_copy(update={"components": (component.model_copy(update={"gain": 1.01}),)})
+    assert _proof.remarks(_proof.compare(table, model, recording), Passed(None, (), ())) == []
+    with pytest.raises(VerifyError, match=r"differs from its model by .* its bound"):
+        _proof.remarks(_proof.compare(table, more, recording), Passed(None, (), ()))

@@ -44,6 +44,7 @@ def run(folder, pipeline: str, rows: dict[str, tuple[np.ndarray, dict]], constan
     manifest = Manifest(recording=1, tables=("recording.parquet",), columns=columns, constants=axes)
     frame = pd.DataFrame({name: values for name, (values, _) in rows.items()})
     frame.insert(0, "run", np.repeat(list("12345678"), len(frame) // 8))
+    folder.mkdir(exist_ok=True)
     manifest_folder.write(Recording(manifest, frame), folder / "rows")
     (folder / "p.yaml").write_text(pipeline)
     return main(["run", str(folder / "p.yaml"), "--out", str(folder / "out")])
@@ -100,3 +101,36 @@ def test_the_part_of_a_turn_that_nobody_measured_is_named_everywhere(tmp_path, l
     assert len(texts) == len(ROTARY)
     for text in (*texts, "\n".join(consequences)):
         assert [sentence for sentence in (BRIDGED, HELD) if sentence in text] == ([said] if said else [])
+
+
+def turning(folder, x: np.ndarray, deviation: np.ndarray, term: str, turns: int = 1) -> int:
+    """Exit code of a run on deviations of a rotary axis that turns on."""
+    rows = {
+        "c": (x, {"role": "position", "axis": "C", "unit": "deg"}),
+        "ECC": (deviation, {"role": "error", "component": "ECC", "unit": "urad"}),
+    }
+    pipeline = (TURNING % "linuxcnc_hal").replace("{term: measured_points, axis: C}", term)
+    return run(folder, pipeline, rows, {"C": {"kind": "rotary", "travel": (0.0, 360.0 * turns), "unit": "deg"}})
+
+
+def test_turns_that_do_not_repeat_are_refused_and_those_that_do_are_proved(tmp_path, capsys):
+    """Two turns of which the second stands 20 urad higher: of a table that repeats its first turn 14 urad were lost."""
+    x = np.tile(np.arange(0.0, 711.0, 10.0), 8)
+    wave = 30.0 * np.sin(np.radians(x)) + np.random.default_rng(6).normal(0, 0.3, x.size)
+    curve, line = "{term: smooth_curve, axis: C}", "{term: harmonics, axis: C, period: 360, orders: [1, 2]}"
+    assert turning(tmp_path / "other", x, wave + 20.0 * (x >= 360.0), curve, 2) == 4
+    said = capsys.readouterr().err
+    assert "measured from 0 to 710 deg and turns on" in said and "harmonics of 360 deg" in said
+    assert turning(tmp_path / "same", x, wave, curve, 2) == 0 and turning(tmp_path / "line", x, wave, line, 2) == 0
+    (proof,) = json.loads((tmp_path / "same" / "out" / "export" / "export.json").read_text())["proof"]
+    assert proof["unguarded_difference_um"] <= proof["bound_um"] < 3.0
+
+
+def test_what_closing_a_turn_changes_is_in_the_bound(tmp_path):
+    """A line over a whole turn: its ends, 8 urad apart, become one place."""
+    x = np.tile(np.arange(0.0, 361.0, 30.0), 8)
+    deviation = 80.0 * np.sin(np.radians(x)) + 8.0 * x / 360.0 + np.random.default_rng(7).normal(0, 0.1, x.size)
+    assert turning(tmp_path, x, deviation, "{term: measured_points, axis: C}") == 0
+    (proof,) = json.loads((tmp_path / "out" / "export" / "export.json").read_text())["proof"]
+    assert 3.9 < proof["unguarded_difference_um"] <= proof["bound_um"] < 4.2
+    assert main(["verify", str(tmp_path / "out" / "export")]) == 0

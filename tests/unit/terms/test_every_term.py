@@ -59,18 +59,26 @@ def test_plain_data_give_the_term_back(case):
     assert type(case.term).model_validate(plain(case.term)) == case.term
 
 
-def test_the_compiled_form_says_the_same(case):
+@pytest.mark.parametrize("stretch", [1.0, 1.05], ids=["", "beyond its span"])
+def test_the_compiled_form_says_the_same(case, stretch):
     lowered = case.term.lower(case.parameters)
     if lowered is None:
         return
     assert case.term.compensable
-    total = np.zeros(len(case.recording))
+    recording = _stretched(case.recording, stretch)
+    total = np.zeros(len(recording))
     for pair in lowered:
-        at = np.zeros(len(total)) if pair.axis is None else position(case.recording, pair.axis)
+        at = np.zeros(len(total)) if pair.axis is None else position(recording, pair.axis)
         profile = 1.0 if pair.profile is None else pair.profile(at)
-        total = total + profile * drive(pair.driver, case.recording)
-    value = case.term.value(case.recording, case.parameters)
+        total = total + profile * drive(pair.driver, recording)
+    value = case.term.value(recording, case.parameters)
     assert_allclose(total, value, rtol=1e-9, atol=1e-9 * np.abs(value).max())
+
+
+def _stretched(recording, by):
+    """The recording with all its positions further from their middle."""
+    middle = {n: recording.array(n).mean() for n in recording.names("position")}
+    return recording.with_columns({n: m + by * (recording.array(n) - m) for n, m in middle.items()}, {})
 
 
 def test_its_equation_for_simulations_says_the_same(case):

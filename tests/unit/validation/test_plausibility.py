@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
@@ -71,6 +72,31 @@ def test_backlash_of_the_other_sign_is_asked_not_refused() -> None:
     (findings,) = plausibility.findings(turned)
     assert findings.code == "reversal-sign" and findings.level == "ask"
     assert plausibility.refuse([findings])[0].startswith("Check: ")
+
+
+def test_backlash_of_the_other_sign_shows_beside_a_larger_curve() -> None:
+    """8 um of lost motion of an axis that is 60 um too long: judged at each target, not over the whole axis."""
+    plain = axis_test(4, warm=False)
+    f = plain.frame
+    turned = put(plain, EXX=0.075 * f.x + 4.0 * f["dir"] + 0.5 * np.random.default_rng(4).normal(size=len(f)))
+    assert [x.code for x in plausibility.findings(turned)] == ["reversal-sign"]
+    right = put(plain, EXX=0.075 * f.x - 4.0 * f["dir"] + 0.5 * np.random.default_rng(4).normal(size=len(f)))
+    assert plausibility.findings(right) == []
+
+
+def test_a_log_of_many_places_is_judged_in_time_that_grows_with_its_rows() -> None:
+    """200,000 rows, hardly two at one place: comparing every place with every row took 5 s."""
+    t = 0.001 * np.arange(200_000)
+    x = 400.0 + 300.0 * np.sin(0.5 * t)
+    columns = {
+        "x": Column(role="command", axis="X", unit="mm"),
+        "EXX": Column(role="error", component="EXX", unit="um"),
+    }
+    manifest = axis_test(1).manifest.model_copy(update={"columns": columns, "constants": {}})
+    log = Recording(manifest, pd.DataFrame({"x": x, "EXX": 0.02 * x + np.sin(3.0 * t)}))
+    started = time.process_time()
+    assert plausibility.findings(log) == []
+    assert time.process_time() - started < 1.5
 
 
 def test_a_worn_screw_is_asked_not_refused() -> None:

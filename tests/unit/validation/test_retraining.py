@@ -9,8 +9,18 @@ import pytest
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.fitting.holdout import Fold
 from errpipe.fitting.judging import HeldOut
+from errpipe.stages.retrain import _name_gate
 from errpipe.validation.input_drift import cusum, sensor_drift
-from errpipe.validation.retraining import Gate, RunScore, decide, e_value, run_contents, run_keys, score_new_runs
+from errpipe.validation.retraining import (
+    Gate,
+    RunScore,
+    decide,
+    e_value,
+    reused_names,
+    run_contents,
+    run_keys,
+    score_new_runs,
+)
 
 
 def score(run: int, champion: float, challenger: float, nothing: float = 100.0, season: str = "winter") -> RunScore:
@@ -90,6 +100,19 @@ def test_a_run_that_arrives_twice_is_scored_once_whatever_it_is_called() -> None
         score_new_runs(recording, Mean(), champion, known, frozenset(s.key for s in scores), frozenset(contents)) == []
     )
     assert later == set(contents[3:6])
+
+
+def test_new_readings_under_an_old_name_are_seen() -> None:
+    """Run 1 to 3 of every test, and no time: a later test is not new by its names, and its readings say that it is."""
+    kinds = {"run": Column(role="run"), "EXX": Column(role="error", component="EXX", unit="um")}
+    manifest = Manifest(recording=1, tables=("t.csv",), columns=kinds)
+    frame = pd.DataFrame({"run": np.repeat(list("123"), 4), "EXX": np.arange(12.0)})
+    old, later = Recording(manifest, frame), Recording(manifest, frame.assign(EXX=[*range(4), *range(50, 58)]))
+    assert reused_names(old, later) == ["2", "3"]
+    assert reused_names(old, old) == []
+    (gate,) = _name_gate(["2", "3"], any_new=False)
+    assert not gate.passed and gate.says.startswith("2, 3: called as runs that fitted the champion")
+    assert _name_gate([], any_new=False) == []
 
 
 def sensors(drifting: int | None, per_day: float, seed: int = 3) -> tuple[Recording, np.ndarray]:

@@ -290,6 +290,7 @@ WRONG: tuple[Wrong, ...] = (
     Wrong("an inch lost", _error(lambda f: _after(f, 64, -25400.0)), "jump", "one inch"),
     Wrong("a tenth of an inch lost", _error(lambda f: _after(f, 64, 2540.0)), "jump", "0.1 inch"),
     # sign
+    Wrong("readings zeroed half a metre away", _error(lambda f: f.EXX - 5e5), "other-zero", "another zero"),
     Wrong("commanded minus actual", lambda: with_actual(axis_test(), -1.0), "reversed-sign", "turn the sign"),
     Wrong(
         "the error of actual and command, halved", lambda: with_actual(axis_test(), 1.0, 0.5), "reversed-sign", "unit"

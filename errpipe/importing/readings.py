@@ -1,0 +1,107 @@
+"""Absolute readings beside commanded positions: turned where they count the other way, and subtracted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.domain import components
+from errpipe.errors import DataError
+from errpipe.importing import order
+from errpipe.importing.proposed import ImportOptions, Proposal
+
+ABSOLUTE = 0.1  # of the position: a steeper "deviation" is a reading (no axis is wrong by 10 %)
+
+
+def turn_readings(p: Proposal) -> None:
+    """Readings that fall one for one as the command rises count the other way: the actual position is minus them."""
+    for name in [n for n, e in p.entries.items() if e["role"] in ("actual", "position") and n in p.data]:
+        entry = p.entries[name]
+        command = p.first("command", entry["axis"]) or p.first("position", entry["axis"])
+        if command == name or command not in p.data:
+            continue
+        slope = slope_of(p.canonical(command), p.canonical(name))
+        if slope is not None and abs(slope + 1.0) < ABSOLUTE:
+            raw = p.put(f"{name}_as_read", p.data.pop(name), role="ignore")
+            p.entries[name] = {**entry, "role": "actual", "derived": {"of": raw, "factor": -1.0}}
+            p.guesses[name] = f"{raw} falls one for one as {command} rises: it counts the other way and is turned"
+
+
+def slope_of(x: np.ndarray, y: np.ndarray) -> float | None:
+    """Least-squares slope of y over x; None where x does not vary, or values are too small or large to say."""
+    good = np.isfinite(x) & np.isfinite(y)
+    if good.sum() <= 3:
+        return None
+    with np.errstate(all="ignore"):
+        from_mean = x[good] - x[good].mean()
+        spread = np.square(from_mean).sum()
+        slope = float((from_mean * (y[good] - y[good].mean())).sum() / spread)
+    return slope if np.isfinite(spread) and np.isfinite(slope) else None
+
+
+def readings_as_errors(p: Proposal, axis: str) -> None:
+    """An error column that runs along with the position is a reading: the error is derived from it."""
+    place = p.first("command", axis) or p.first("position", axis)
+    for name in [n for n, e in p.entries.items() if e["role"] == "error" and n in p.data]:
+        entry = p.entries[name]
+        if place is None or place not in p.data or entry["component"] != components.positioning(axis):
+            continue
+        slope, unit = slope_of(p.data[place], p.data[name]), p.entries[place].get("unit", "mm")
+        stated = "no unit is stated" not in p.guesses.get(name, "no unit is stated")
+        if slope is None or abs(slope - 1.0) > ABSOLUTE or (stated and entry["unit"] != unit):
+            continue  # 1 um per inch, or per m, is an error of an axis
+        del p.entries[name]
+        p.guesses.pop(name, None)
+        name = p.put(
+            f"actual_{axis}" if name == entry["component"] else name,
+            p.data.pop(name),
+            role="actual",
+            axis=axis,
+            unit=unit,
+        )
+        p.guesses[name] = f"it rises with {place} one for one: absolute readings in {unit}, not deviations"
+
+
+def _within_half_a_turn(p: Proposal, command: str, actual: str) -> None:
+    """Actual positions of a rotary axis that passed 360 = 0 before or after the command, less or more one turn."""
+    if p.entries[actual]["axis"][0] not in "ABC" or {p.entries[n].get("unit") for n in (command, actual)} != {"deg"}:
+        return
+    if command not in p.data or actual not in p.data:
+        return
+    turns = np.round((p.data[actual] - p.data[command]) / 360.0)
+    passed = np.abs(np.nan_to_num(turns)) == 1
+    if 0 < passed.mean() <= 0.5:
+        p.data[actual] = np.where(passed, p.data[actual] - 360.0 * turns, p.data[actual])
+        p.guesses[actual] = f"{p.guesses.get(actual, '')}; {int(passed.sum())} of them a turn off, as 360 = 0".strip(
+            "; "
+        )
+
+
+def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
+    """error = actual - commanded, where both are recorded and no error column is."""
+    if any(e["role"] == "error" for e in p.entries.values()):
+        return
+    letters = list(dict.fromkeys([axis, *(e["axis"] for e in p.entries.values() if e.get("axis"))]))
+    moving = [a for a in letters if (c := p.first("command", a)) in p.data and np.ptp(p.data[c]) > 0]
+    if options.axis is not None:
+        letters = [options.axis]
+    elif len(moving) > 1 and p.rows < order.DENSE_ROWS:
+        raise DataError(
+            f"axes {', '.join(moving)} move together, and no column holds deviations: a cloud of points is a recording "
+            f"for `identify` (docs/recordings.md); --axis {moving[0]} imports that axis alone"
+        )
+    for letter in letters:
+        command = p.first("command", letter)
+        actual = p.first("actual", letter) or (p.first("position", letter) if command else None)
+        command = command or (p.first("position", letter) if actual else None)
+        if command is None or actual is None or command == actual:
+            continue
+        if p.entries[command]["role"] == "position":
+            p.entries[command]["role"] = "command"
+        order.refuse_swapped(p, command, actual)
+        _within_half_a_turn(p, command, actual)
+        component = options.component or components.positioning(letter)
+        unit = components.unit(component)
+        name = p.put(
+            component, None, role="error", component=component, unit=unit, derived={"minus": [actual, command]}
+        )
+        p.guesses[name] = f"error = {actual} - {command} (actual minus commanded)"

@@ -1,0 +1,65 @@
+"""Rows of one axis, and of one machine, where a column of the file names those of each row."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from errpipe.errors import DataError
+from errpipe.importing import columns as guessing
+from errpipe.importing.layout import Layout, RawColumn
+from errpipe.importing.proposed import ImportOptions, slug
+from errpipe.importing.sheet import label
+from errpipe.importing.words import kind_by_name
+
+
+def one_axis(layout: Layout, options: ImportOptions) -> Layout:
+    """Rows of one axis where a column names the axis of each row. Raises DataError where the axis is ambiguous."""
+    for c in layout.columns:
+        filled = {str(cell).strip() for cell in c.cells if cell not in (None, "")}
+        letters = {text.upper() for text in filled}
+        axes = filled and not c.numeric and all(re.fullmatch(r"[XYZABCUVW]\d?", letter) for letter in letters)
+        if not axes or kind_by_name(c.header) == "direction":
+            continue
+        axis = options.axis or min(letters)
+        if len(letters) > 1 and options.axis is None:
+            raise DataError(
+                f"column {c.header!r} holds rows of several axes ({', '.join(sorted(letters))}): --axis says which one "
+                "is imported; one recording for each"
+            )
+        if axis not in letters:
+            raise DataError(f"column {c.header!r} has no row of axis {axis} (found: {', '.join(sorted(letters))})")
+        kept = _rows(layout, c, np.array([str(cell).strip().upper() == axis for cell in c.cells]), axis)
+        kept.above.insert(0, f"Axis: {axis}")
+        return kept
+    return layout
+
+
+def _rows(layout: Layout, by: RawColumn, keep: np.ndarray, value: str) -> Layout:
+    """Some rows of a layout, without the column that tells them apart."""
+    kept = [
+        RawColumn(c.header, c.unit, [c.cells[i] for i in np.flatnonzero(keep)], c.values[keep])
+        for c in layout.columns
+        if c is not by
+    ]
+    note = f"{int(keep.sum())} of {len(keep)} rows: those with {by.header} = {value}"
+    return Layout(kept, [*layout.above], [*layout.notes, note], layout.below)
+
+
+def one_machine(layout: Layout, options: ImportOptions) -> Layout:
+    """Rows of the machine that is named. Raises DataError where rows are of several: a table is of one of them."""
+    for c in layout.columns:
+        texts = [label(cell) for cell in c.cells]
+        names = sorted({*texts} - {""})
+        stated = options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}
+        of_machine = kind_by_name(c.header) == "group" and guessing.group_of(c.header) == "machine"
+        if not of_machine or "role" in stated or not 1 < len(names) <= 0.5 * len(texts):
+            continue
+        if options.machine not in names:
+            raise DataError(
+                f"column {c.header!r} holds rows of several machines ({', '.join(names)}): --machine says which one is "
+                f"imported; one recording for each (--set '{c.header}.role=group' keeps them together)"
+            )
+        return _rows(layout, c, np.array([text == options.machine for text in texts]), options.machine)
+    return layout

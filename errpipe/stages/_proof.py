@@ -1,0 +1,106 @@
+"""Proof of an export: the compiled table beside its error model on the recording's own rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from errpipe.errors import GateError, VerifyError
+
+if TYPE_CHECKING:
+
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.recording import Recording
+    from errpipe.domain.table import CompensationTable
+    from errpipe.validation.gate import Passed
+
+ROUNDING_UM = 1e-6  # um (urad): sums in another order differ by 1e-12 of 1e5 um at most
+
+
+def compare(table: CompensationTable, model: ErrorModel, recording: Recording) -> list[dict[str, Any]]:
+    """Table beside model on the recording's own rows: largest and rms difference per component, um or urad.
+
+    Both read temperatures with short holes filled: what a table holds in place of a missing reading is no difference.
+    bound_um: what gridding and rounding may add. The table's guards may add more, where they do not believe a reading
+    or fade outside what was seen: rows_held_back counts those rows. unguarded_difference_um: largest difference of the
+    same table without its guards from the terms that it holds, with readings moved into its validity box, where its
+    bound holds; beyond that, it is another model.
+    """
+    import numpy as np
+
+    from errpipe.fitting.components import evaluate
+    from errpipe.fitting.lowering import compensable, left_behind
+    from errpipe.fitting.thermal_arithmetic import held_readings, rms
+    from errpipe.stages.predict import table_values
+    from errpipe.tables import bounds
+
+    allowed = {c.name: c.gridding for c in bounds.components(table)}
+    recording = held_readings(recording)
+    by_model, by_table = evaluate(model, recording), table_values(table, model, recording)
+    free, inside = _unguarded(table), _within_validity(table, recording)
+    held, unguarded = evaluate(compensable(model), inside), table_values(free, model, inside)
+    believed = table_values(free, model, recording)
+    behind = left_behind(model)
+    out = []
+    for name, values in by_table.items():
+        difference = values - by_model[name]
+        known = np.isfinite(difference)
+        arithmetic = np.abs(unguarded[name] - held[name])
+        out.append(
+            {
+                "component": name,
+                "rows": int(known.sum()),
+                "largest_difference_um": float(np.abs(difference[known]).max(initial=0.0)),
+                "rms_difference_um": rms(difference[known]),
+                "rms_model_um": rms(by_model[name][known]),
+                "bound_um": allowed[name],
+                "unguarded_difference_um": float(arithmetic[np.isfinite(arithmetic)].max(initial=0.0)),
+                "rows_held_back": int((np.abs(values - believed[name])[known] > ROUNDING_UM).sum()),
+                "not_compensated": behind.get(name, []),
+            }
+        )
+    return out
+
+
+def _unguarded(table: CompensationTable) -> CompensationTable:
+    """The table that believes every reading and fades nowhere."""
+    free: dict[str, Any] = {"max_rate": None, "noise": 0.0, "stale_after_s": None, "valid": None, "margin": None}
+    return table.model_copy(update={"inputs": tuple(i.model_copy(update=free) for i in table.inputs)})
+
+
+def _within_validity(table: CompensationTable, recording: Recording) -> Recording:
+    """The recording with every reading moved to the nearest one that the table is valid for: its bound holds there."""
+    import numpy as np
+
+    boxes = {i.name: i.valid for i in table.inputs if i.valid is not None and i.name in recording}
+    return recording.with_columns({n: np.clip(recording.array(n), *box) for n, box in boxes.items()}, {})
+
+
+def remarks(proof: Sequence[Mapping[str, Any]], passed: Passed) -> list[str]:
+    """Where the table's guards hold it back on its own recording, in words.
+
+    Raises VerifyError where the table without guards differs from the model by more than its bound, and GateError
+    where the guards take away what the model gained on held-out rows: the table may do harm.
+    """
+    said = []
+    for p in proof:
+        name, off = p["component"], p["rms_difference_um"]
+        if not p["unguarded_difference_um"] <= p["bound_um"] + ROUNDING_UM:
+            raise VerifyError(
+                f"export: {name}: the table differs from its model by {p['unguarded_difference_um']:.4g}, its bound "
+                f"of gridding and rounding is {p['bound_um']:.4g}. Nothing was exported."
+            )
+        gains = [j["rms_before"] - j["rms_at_gain"] for j in passed.judged if j["component"] == name]
+        gain = min(gains, default=p["rms_model_um"])
+        words = f"{name}: on its own recording the table differs from its model by up to "
+        words += f"{p['largest_difference_um']:.3g}, rms {off:.3g}"
+        if p["rows_held_back"]:
+            words += (
+                f": it holds back in {p['rows_held_back']} of {p['rows']} rows, where readings step faster than its "
+                "max_rate or lie outside what the model has seen"
+            )
+        if off >= gain > 0.0:
+            raise GateError(f"export: {words}. The model gains {gain:.3g}. Nothing was exported.")
+        if p["rows_held_back"]:
+            said.append(words)
+    return said

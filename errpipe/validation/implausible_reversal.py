@@ -1,0 +1,49 @@
+"""Lost motion of the other sign: both directions compared at each target."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.validation.plausibility_finding import Finding, Response
+
+FEWEST_TARGETS = 5  # approached from both sides: of an axis up to 2 m (ISO 230-2, 5.3.2)
+FEWEST_READINGS = 8  # of a direction, where targets are not shared; fewer have no usual size
+
+
+def reversal_of_the_other_sign(r: Response) -> Finding | None:
+    """Lost motion stops an axis short; the other sign is possible (a scale, an overcompensated control) but rare."""
+    if r.direction is None or r.component.kind != "positioning":
+        return None
+    up, down = r.deviation[r.direction > 0], r.deviation[r.direction < 0]
+    if min(up.size, down.size) < FEWEST_READINGS:
+        return None
+    lost = _at_shared_targets(r)
+    step = float(np.median(lost) if lost.size >= FEWEST_TARGETS else np.median(up) - np.median(down))
+    samples = (
+        (lost,) if lost.size >= FEWEST_TARGETS else (up, down)
+    )  # beside targets, the curve of the axis counts as scatter
+    spread = 1.4826 * max(float(np.median(np.abs(v - np.median(v)))) for v in samples)
+    if step < max(5.0, spread):  # um
+        return None
+    return Finding(
+        "reversal-sign",
+        r.column,
+        f"approached from below the axis stands {step:.3g} um further than from above",
+        "the same with the sign or the direction turned, unless the control already corrects backlash too much",
+        level="ask",
+        of_sign=True,
+    )
+
+
+def _at_shared_targets(r: Response) -> np.ndarray:
+    """Mean from below less mean from above, um, at each target that was approached from both sides: (targets,)."""
+    if r.position is None or r.direction is None:
+        return np.empty(0)
+    _, target = np.unique(np.round(r.position, 3), return_inverse=True)
+    means = []
+    for rows in (r.direction > 0, r.direction < 0):
+        count = np.bincount(target[rows], minlength=target.max() + 1)
+        total = np.bincount(target[rows], r.deviation[rows], minlength=target.max() + 1)
+        means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+    lost = means[0] - means[1]
+    return np.asarray(lost[np.isfinite(lost)])
