@@ -18,10 +18,12 @@ from errpipe.diagnosis.hypotheses import Hypothesis, Library, columns_of, scaled
 from errpipe.diagnosis.search import Search
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, position, position_name
+from errpipe.terms import NEVER
 
 LEADERS = 24  # hypotheses tried in part,
 EACH = 2  # and at most so many of each effect
 ON_A_STRETCH = ("geometric", "reversal", "servo", "friction")
+ELSEWHERE = 4.0  # log odds against any other on a stretch of an axis: a bed warms in places
 BINS = 14  # equal stretches of an axis or of time, neighbours of which are tried as one part
 FEW = 4  # columns up to which a part is tried with its slack columns
 BETTER = 7.0  # log Bayes factor by which a part must beat every whole,
@@ -81,7 +83,7 @@ class Groups:
 
 
 def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
-    """Runs (three or more), stretches of each axis, or time where there is one run."""
+    """Runs (three or more), stretches of each axis, and of time."""
     out = []
     run = recording.run_codes()[rows]
     codes = np.unique(run)
@@ -90,13 +92,15 @@ def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
         out.append(Groups(np.searchsorted(codes, run), codes.size, "runs", labels))
     along = {position_name(recording, axis): position(recording, axis)[rows] for axis in axes(recording)}
     clock = recording.name("time")
-    if codes.size < 3 and clock is not None and not along:
+    if clock is not None and np.all(np.diff(recording.time()[rows]) >= 0):
         along[clock] = recording.time()[rows]
     for name, x in along.items():
         if np.unique(x).size >= BINS // 2 and x.max() > x.min():
             edges = np.linspace(x.min(), x.max(), BINS + 1)
-            code = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
-            out.append(Groups(code, BINS, name, (), tuple(edges)))
+            if name == clock:  # as many rows in each: nothing is known of pauses
+                edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
+            code = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, edges.size - 2)
+            out.append(Groups(code, edges.size - 1, name, (), tuple(edges)))
     return out
 
 
@@ -107,7 +111,8 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
     """
     library, clock = search.library, recording.name("time")
     shortlist = candidates(search, alone)
-    whole = max(float(np.max(alone - search.prior)), 0.0)
+    everywhere = np.array([not h.terms[0].misread for h in library.hypotheses]) & (search.prior > 0.5 * NEVER)
+    whole = float(np.max(np.where(everywhere, alone - search.prior, 0.0)))
     parts: list[tuple[float, int, Groups, tuple[int, ...]]] = []
     scene = search.scene([])
     basis = np.linalg.solve(scene.chol, library.table.W[:, scene.active.index].T)  # (m, rows): projector's root
@@ -116,22 +121,21 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
         order = np.argsort(groups.code, kind="stable")
         edges = np.searchsorted(groups.code[order], np.arange(groups.count + 1))
         for index in shortlist:
-            if not may_act_in_part(library.hypotheses[index], groups.kind, clock):
+            h = library.hypotheses[index]
+            if not may_act_in_part(h, groups.kind, clock):
                 continue
             W = library.table.W[:, library.places[index]] * library.freedom_of(index)
             W = W if W.shape[1] <= FEW else W[:, : library.cores[index]]
-            best_part = _best_part(scene, basis, y, W, groups, order, edges)
-            if best_part and best_part[0] > whole + BETTER + MENDING * whole and best_part[0] > 12.0:
-                parts.append((best_part[0], index, groups, best_part[1]))
+            odds = 0.0 if groups.kind in ("runs", clock) or on_a_stretch(h, groups.kind) else -ELSEWHERE
+            gain, members = _best_part(scene, basis, y, W, groups, order, edges) or (-np.inf, ())
+            if gain + odds > max(whole + BETTER + MENDING * whole, 12.0):
+                parts.append((gain + odds, index, groups, members))
     parts.sort(key=lambda p: -p[0])
-    fresh = [(index, groups, groups.mask(members)) for _gain, index, groups, members in parts[:8]]
-    if fresh:
-        _, groups, mask = fresh[0]
-        known = {(index, mask) for index, _, mask in fresh}
-        for index in shortlist:
-            if may_act_in_part(library.hypotheses[index], groups.kind, clock) and (index, mask) not in known:
-                fresh.append((index, groups, mask))
-    made = [_extend(library, search, recording, rows, index, mask) for index, _, mask in fresh]
+    fresh = dict.fromkeys((index, groups.mask(members)) for _gain, index, groups, members in parts[:8])
+    for _gain, _index, groups, members in parts[:1]:
+        tried = [i for i in shortlist if may_act_in_part(library.hypotheses[i], groups.kind, clock)]
+        fresh |= dict.fromkeys((i, groups.mask(members)) for i in tried)
+    made = [_extend(library, search, recording, rows, index, mask) for index, mask in fresh]
     return [i for i in made if i is not None]
 
 
@@ -159,7 +163,13 @@ def may_act_in_part(h: Hypothesis, kind: str, clock: str | None) -> bool:
         return False
     if getattr(term, "radial", False) and term.family == "reversal":
         return False  # a step close to a reversal is a spike
-    return kind == clock or kind in h.drivers or term.family in ON_A_STRETCH or "axis" in type(term).model_fields
+    return kind == clock or on_a_stretch(h, kind) or term.family == "thermal"
+
+
+def on_a_stretch(h: Hypothesis, axis: str) -> bool:
+    """Has this effect to do with a place along an axis?"""
+    term = h.terms[0]
+    return axis in h.drivers or term.family in ON_A_STRETCH or "axis" in type(term).model_fields
 
 
 def _best_part(scene, basis, y, W, groups: Groups, order, edges) -> tuple[float, tuple[int, ...]] | None:

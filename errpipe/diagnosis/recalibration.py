@@ -12,12 +12,14 @@ from errpipe.diagnosis.coloured import whiten
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.gains import DATUM, WHOLE, Nuisance
 from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
+from errpipe.terms import NEVER
 
 GAIN_SD = 0.10  # prior standard deviation of a simulation's gain less 1 (usual: 0..15 %)
 OFF = 3.0  # threshold: log Bayes factor for a recalibration
 OWN_SD = 0.04  # prior standard deviation of the gain of a part's departures, relative to the part's gain
 PRESENT = -4.0  # log prior odds against an effect that the simulation already holds,
 SAME = -12.0  # and again where it would be driven by the same columns
+KNOWN = 0.05  # rms that a decomposition leaves, over the signal's, up to which it tells what a simulation reads
 SURE = 15.0  # log Bayes factor from which a part is certain to be in the simulation
 MAX_GAIN_PENALTY = 60.0  # largest penalty, in log evidence, of gains beyond the limits: the decomposition may be wrong
 CLAMPED_SD = 0.03  # standard deviation of a gain beyond the limits during the search for another explanation
@@ -146,7 +148,10 @@ def together(separate: tuple[parts.Part, ...]) -> list[parts.Part]:
 
 
 def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray:
-    """Log prior odds: lower for effects that the simulation already holds."""
+    """Log prior odds: lower for effects that the simulation already holds.
+
+    So they are for a sensor that is said to mislead a simulation in which nothing goes with it.
+    """
     held = np.std(np.sum([p.contribution for p in d.parts], axis=0)) if d.parts else 0.0
     present = {p.hypothesis.effect for p in d.parts if np.std(p.contribution) > 0.05 * held and p.certainty > SURE}
     same: dict[tuple, list[np.ndarray]] = {}
@@ -154,7 +159,12 @@ def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray
         if p.certainty > SURE:
             same.setdefault((p.hypothesis.effect, p.hypothesis.drivers), []).append(p.contribution)
     prior = np.array([h.prior for h in library.hypotheses])
+    sensors = {h.drivers[0] for h in library.hypotheses if h.terms[0].one_sensor}
+    read = {name for p in d.parts for name in p.hypothesis.drivers}
+    known = bool(d.parts) and d.leftover < KNOWN
     for i, h in enumerate(library.hypotheses):
+        if known and h.terms[0].misread and not read & set(h.drivers):
+            prior[i] += SAME if read & sensors else NEVER
         if h.effect in present:
             own = same.get((h.effect, h.drivers))
             prior[i] += PRESENT if own is None else (PRESENT + SAME) * max(share_held(library, i, p) for p in own)

@@ -87,6 +87,7 @@ class Term(Frozen, ABC):
     artefact: ClassVar[str] = ""  # why it is no fault of the machine; "" where it is one
     nuisance: ClassVar[bool] = True  # may it be fitted beside accepted terms as a nuisance?
     simulated_log_odds: ClassVar[float] = 0.0  # log prior odds that a simulation holds it, beside the others
+    misread: ClassVar[bool] = False  # does the simulation read a sensor that lies? Then it holds what a sensor drives
     gain_sd: ClassVar[float | None] = None  # where the linear parameter is known to be 1: within this
     of_nature: ClassVar[bool] = False  # are the linear parameters constants of nature, which keep to their bounds?
     is_level: ClassVar[bool] = False  # the deviation where everything else is zero: never shrunk

@@ -22,6 +22,8 @@ from errpipe.terms._place import is_radial, linear_axes_acting
 from errpipe.terms._slack import Slack, bent, start_states
 from errpipe.yamlfile import quantity
 
+PER_MINUTE = 1.0 / 60.0  # mm/s in a feed of 1 mm/min
+
 
 class FeedHeating(Term):
     """The nut rubs on the screw and warms it: the screw gets longer the more the axis runs, and recovers at rest.
@@ -35,9 +37,8 @@ class FeedHeating(Term):
 
     term: Literal["feed_heating"] = "feed_heating"
     axis: Axis
-    column: str | None = Field(
-        None, description="Column of the feed or velocity that heats; none: the axis' own travel."
-    )
+    column: str | None = Field(None, description="Column of the velocity that heats; none: the axis' own travel.")
+    cycled: bool = Field(False, description="The column is a feed in mm/min at which the axis cycles between readings.")
     fixed_end: float = quantity("mm", "Position of the screw's fixed bearing, from where it grows.", 0.0)
     reports_as = "feed_heating"
     family = "thermal"
@@ -57,6 +58,9 @@ class FeedHeating(Term):
             known = recording.manifest.axis(axis)
             end = known.drive_end if known is not None and known.drive_end is not None else 0.0
             yield cls(axis=axis, column=recording.name("velocity", axis=axis), fixed_end=end)
+            for feed in recording.names("feed", axis=axis):  # a warm-up is read now and then
+                if np.nanstd(recording.array(feed)) > 0:
+                    yield cls(axis=axis, column=feed, cycled=True, fixed_end=end)
 
     def speed(self, recording: Recording) -> np.ndarray:
         """Mean speed from each row to the next in mm/s, shape (rows,).
@@ -65,7 +69,7 @@ class FeedHeating(Term):
         time passed, because the axis dwells between targets.
         """
         if self.column:
-            return np.abs(recording.array(self.column))
+            return np.abs(recording.array(self.column)) * (PER_MINUTE if self.cycled else 1.0)
         run, t = sessions(recording), recording.time()
         step = np.diff(t)
         distance = travelled(run, position(recording, self.axis))[1:]
@@ -100,6 +104,6 @@ class FeedHeating(Term):
         if self.column is None:
             return None  # the distance moved between two rows is no operation of a driver
         (tau,) = self.nonlinear_values(parameters)
-        slope, end = 1e-3 * parameters["slope"], self.fixed_end
-        warming = Lag(tau_up=tau, tau_down=tau, start="zero", of=times(magnitude(self.column), 0.01))
+        slope, end, scale = 1e-3 * parameters["slope"], self.fixed_end, PER_MINUTE if self.cycled else 1.0
+        warming = Lag(tau_up=tau, tau_down=tau, start="zero", of=times(magnitude(self.column), 0.01 * scale))
         return (Lowered(warming, self.axis, lambda x: slope * (x - end)),)

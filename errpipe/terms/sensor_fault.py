@@ -45,6 +45,7 @@ class SensorFault(Term):
     compensable = False
     artefact = "a sensor failed while it was recorded: repair it; the machine itself is not at fault"
     simulated_log_odds = NEVER
+    misread = True
     in_part = "never"
     prior_log_odds = -3.0
 

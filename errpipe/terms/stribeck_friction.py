@@ -15,6 +15,7 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._equations import curve, sign, times
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import driven_axes
+from errpipe.terms._slack import Slack, difference_of_shape
 
 
 class StribeckFriction(Term):
@@ -46,6 +47,15 @@ class StribeckFriction(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         v = recording.array(self.column)
         return (np.sign(v) * np.exp(-((v / nonlinear[0]) ** 2)))[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        v = recording.array(self.column)
+        for power in (
+            1.0,
+            0.5,
+        ):  # as Tustin's and Armstrong-Helouvry's: it falls more steeply at first, then more slowly
+            slower = np.sign(v) * np.exp(-(np.abs(v / nonlinear[0]) ** power))
+            yield difference_of_shape(slower, base[:, 0]), 0.5
 
     def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (v_s,) = self.nonlinear_values(parameters)

@@ -29,9 +29,13 @@ def test_a_form_that_the_textbook_does_not_carry_is_not_its_name(monkeypatch, te
     One that does far worse than no name was not determined by the rows that it was fitted on, and says nothing.
     """
 
-    explained = SimpleNamespace(explanation=Explanation((SimpleNamespace(),), np.zeros(1)))  # type: ignore[arg-type]
+    explained, in_part = (
+        SimpleNamespace(explanation=Explanation((SimpleNamespace(hypothesis=SimpleNamespace(mask=m)),), np.zeros(1)))
+        for m in ((), ("range", "t", 0.0, 60.0))  # type: ignore[arg-type]
+    )
     monkeypatch.setattr(unnamed, "textbook_alone", lambda case: alone)
     assert unnamed.departs(explained, held(3.0, textbook, 1.0)) == departs
+    assert not unnamed.departs(in_part, held(3.0, textbook, 1.0))  # the ends of a part are roughly known
     assert not unnamed.departs(SimpleNamespace(explanation=Explanation((), np.zeros(0))), held(3.0, textbook, 1.0))
 
 

@@ -1,0 +1,126 @@
+"""Effects that act for a while or on a stretch, sensors that the simulation does not read, forms real parts have."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.diagnosis import judge, prepare
+from errpipe.diagnosis.hypotheses import columns_of
+from errpipe.diagnosis.partial import may_act_in_part, partitions
+from errpipe.terms import NEVER
+
+from .machines import recording
+
+RUN_AND_TIME = {"run": {"role": "run"}, "t": {"role": "time", "unit": "s"}}
+
+
+def judged(columns, kinds, component, error, simulated, unit="um"):
+    kinds = RUN_AND_TIME | kinds
+    kinds |= {"y_read": {"role": "error", "component": component, "unit": unit}}
+    kinds |= {"y_sim": {"role": "simulated", "component": component, "unit": unit}}
+    raw = recording(columns | {"y_read": np.round(error, 4), "y_sim": np.round(simulated, 4)}, kinds)
+    (pair,), _ = prepare.pairs(raw)
+    return judge.judge(raw, prepare.followed(raw, prepare.condition(raw), pair), pair)
+
+
+def names(case):
+    return [f.hypothesis.effect for f in case.explanation.accepted]
+
+
+def positioning(seed: int = 0, runs: int = 7):
+    rng = np.random.default_rng(seed)
+    places = np.r_[np.linspace(10, 490, 13), np.linspace(490, 10, 13)]
+    x, run = np.tile(places, 2 * runs), np.repeat(np.arange(runs), 52)
+    t = np.arange(x.size) * 8.0 + run * 1500.0
+    nut = 20 + np.array([0.0, 1.5, 3.5, 3.2, 5.0, 6.1, 7.4])[run] + 0.5 * np.sin(t / 900)
+    columns = {"run": run.astype(str), "t": t, "x": x, "dir": np.tile(np.repeat([1.0, -1.0], 13), 2 * runs), "T": nut}
+    kinds = {"x": {"role": "position", "axis": "X", "unit": "mm"}, "dir": {"role": "direction", "axis": "X"}}
+    kinds |= {"T": {"role": "temperature", "unit": "degC", "location": "nut"}}
+    return columns, kinds, rng.standard_normal(x.size)
+
+
+def test_an_effect_acts_for_a_while_that_no_run_begins_or_ends():
+    columns, kinds, noise = positioning()
+    simulated, t = 20e-3 * columns["x"], columns["t"]
+    inside = (t > np.quantile(t, 0.36)) & (t < np.quantile(t, 0.79))
+    case = judged(columns, kinds, "EXX", simulated - 3.0 * columns["dir"] * inside + 0.5 * noise, simulated)
+    kept = {g.kind: g for g in partitions(case.recording, case.pair.rows)}
+    assert set(kept) == {"runs", "x", "t"}
+    assert np.ptp(np.bincount(kept["t"].code)) < 0.1 * t.size / 14  # as many rows in each
+
+
+def test_a_body_that_warms_may_act_on_a_stretch_but_what_goes_with_time_not():
+    columns, kinds, noise = positioning()
+    library = judged(columns, kinds, "EXX", 0.5 * noise, 20e-3 * columns["x"]).library
+    warm = next(h for h in library.hypotheses if h.effect == "thermal_drift")
+    assert may_act_in_part(warm, "x", "t")
+    assert not may_act_in_part(next(h for h in library.hypotheses if h.effect == "sensor_drift"), "x", "t")
+
+
+def test_no_sensor_misleads_a_simulation_that_reads_none():
+    columns, kinds, noise = positioning()
+    columns["T"][200:280] += 4.0
+    of_place = 20e-3 * columns["x"] - 2.0 * columns["dir"]
+    of_sensor = 12e-3 * columns["x"] * (columns["T"] - 20)
+    for simulated, excluded in ((of_place, True), (of_place + of_sensor, False)):
+        case = judged(columns, kinds, "EXX", simulated + 0.5 * noise, simulated)
+        odds = [p for p, h in zip(case.prior, case.library.hypotheses, strict=False) if h.effect == "sensor_fault"]
+        assert odds and (max(odds) < 0.5 * NEVER) == excluded
+
+
+def test_an_axis_that_cycles_between_readings_is_heated_by_its_feed():
+    rng = np.random.default_rng(3)
+    n, dt = 600, 15.0
+    t, feed = np.arange(n) * dt, np.repeat(rng.choice([0, 6000, 12000, 24000], 12), 50).astype(float)
+    x = np.tile(np.linspace(0, 600, 10), n // 10)
+    warm = np.zeros(n)
+    for i in range(1, n):
+        warm[i] = warm[i - 1] + (1 - np.exp(-dt / 2200)) * (feed[i] / 24000 - warm[i - 1])
+    bed = 20 + np.sin(t / 6000)
+    simulated = 10e-3 * x * (bed - 20)
+    error = simulated + 40e-3 * x * warm + 1.2 * rng.standard_normal(n)
+    columns = {"run": np.repeat("1", n), "t": t, "x": x, "feed": feed, "T": bed}
+    kinds = {"x": {"role": "position", "axis": "X", "unit": "mm"}}
+    kinds |= {"feed": {"role": "feed", "axis": "X", "unit": "mm/min"}}
+    kinds |= {"T": {"role": "temperature", "unit": "degC", "location": "bed"}}
+    case = judged(columns, kinds, "EXX", error, simulated)
+    assert names(case) == ["feed_heating"]
+    assert case.explanation.accepted[0].hypothesis.terms[0].cycled
+
+
+def left_by_form(case, effect, signal):
+    """rms that form and departures of an effect leave of a signal, over its own; of its best hypothesis."""
+    out = []
+    for h in case.library.hypotheses:
+        if h.effect == effect:
+            core, slack, _ = columns_of(h, case.recording)
+            columns = np.column_stack([core, slack])
+            out.append(np.std(signal - columns @ np.linalg.lstsq(columns, signal, rcond=None)[0]))
+    return min(out) / np.std(signal)
+
+
+def test_a_bow_on_a_circle_is_counted_from_any_centre():
+    rng = np.random.default_rng(0)
+    turn = np.concatenate([way * np.linspace(0, 2 * np.pi, 180, endpoint=False) for way in (1, -1, 1, -1)])
+    run = np.repeat(np.arange(4), 180)
+    x, y = 240 * np.cos(turn), 240 * np.sin(turn)
+    columns = {"run": run.astype(str), "t": np.arange(turn.size) * 0.33, "x": x, "y": y}
+    kinds = {a: {"role": "position", "axis": a.upper(), "unit": "mm"} for a in "xy"}
+    bow, simulated = np.sin(3.6 * x / 240 + 0.4) * np.sin(turn), 4.0 * np.sin(2 * turn)
+    case = judged(columns, kinds, "E_R", simulated + 5 * bow + 0.7 * rng.standard_normal(turn.size), simulated)
+    assert names(case) == ["straightness"]
+    assert left_by_form(case, "straightness", bow) < 0.005  # 0.10 where the centre is taken for known
+
+
+def test_friction_that_falls_more_slowly_than_stribecks_is_still_his():
+    rng = np.random.default_rng(1)
+    speed = np.repeat(rng.permutation([0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0] * 3), 40)
+    v = speed * np.tile(np.repeat([1.0, -1.0], 40), speed.size // 80)
+    t = np.arange(v.size) * 0.2
+    columns = {"run": np.repeat("1", v.size), "t": t, "x": 500 + np.cumsum(v) * 0.2, "v": v}
+    kinds = {"x": {"role": "position", "axis": "X", "unit": "mm"}}
+    kinds |= {"v": {"role": "velocity", "axis": "X", "unit": "mm/s"}}
+    simulated, falling = 60.0 * np.sign(v) + 0.8 * v, np.sign(v) * np.exp(-np.abs(v) / 4.0)
+    case = judged(columns, kinds, "F_X", simulated + 40 * falling + 5 * rng.standard_normal(v.size), simulated, "N")
+    assert names(case) == ["stribeck_friction"]
+    assert left_by_form(case, "stribeck_friction", falling) < 0.05  # 0.10 by the square alone
