@@ -134,11 +134,11 @@ def test_a_stream_of_a_new_item_at_every_time(tmp_path, capsys):
 
 @pytest.mark.parametrize("size", [1e-320, 1e-200, 1e200, 1e306])
 def test_values_too_small_or_large_for_a_slope_say_nothing(size):
-    from errpipe.importing import settle
+    from errpipe.importing import readings
 
     x = size * np.arange(6.0)
-    assert settle._slope(x, np.arange(6.0)) is None
-    assert settle._slope(np.arange(6.0), 2.0 * np.arange(6.0) + 1) == pytest.approx(2.0)
+    assert readings.slope_of(x, np.arange(6.0)) is None
+    assert readings.slope_of(np.arange(6.0), 2.0 * np.arange(6.0) + 1) == pytest.approx(2.0)
 
 
 def test_a_tdms_file_that_is_cut_is_read_as_far_as_it_goes_and_says_so(tmp_path, capsys):
