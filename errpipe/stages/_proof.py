@@ -39,21 +39,22 @@ def compare(table: CompensationTable, model: ErrorModel, recording: Recording) -
     free, inside = _unguarded(table), _within_validity(table, recording)
     held, unguarded = evaluate(compensable(model), inside), table_values(free, model, inside)
     believed = table_values(free, model, recording)
-    behind = left_behind(model)
+    behind, units = left_behind(model), {c.component: c.unit for c in model.components}
     out = []
     for name, values in by_table.items():
         difference = values - by_model[name]
         known = np.isfinite(difference)
-        arithmetic = np.abs(unguarded[name] - held[name])
+        arithmetic = np.abs(unguarded[name] - held[name])[np.isfinite(held[name])]
         out.append(
             {
                 "component": name,
+                "unit": units[name],
                 "rows": int(known.sum()),
                 "largest_difference_um": float(np.abs(difference[known]).max(initial=0.0)),
                 "rms_difference_um": rms(difference[known]),
                 "rms_model_um": rms(by_model[name][known]),
                 "bound_um": allowed[name],
-                "unguarded_difference_um": float(arithmetic[np.isfinite(arithmetic)].max(initial=0.0)),
+                "unguarded_difference_um": float(np.nan_to_num(arithmetic, nan=np.inf).max(initial=0.0)),
                 "rows_held_back": int((np.abs(values - believed[name])[known] > ROUNDING_UM).sum()),
                 "not_compensated": behind.get(name, []),
             }
@@ -83,23 +84,23 @@ def remarks(proof: Sequence[Mapping[str, Any]], passed: Passed) -> list[str]:
     """
     said = []
     for p in proof:
-        name, off = p["component"], p["rms_difference_um"]
+        name, unit, off = p["component"], p["unit"], p["rms_difference_um"]
         if not p["unguarded_difference_um"] <= p["bound_um"] + ROUNDING_UM:
             raise VerifyError(
                 f"export: {name}: the table differs from its model by {p['unguarded_difference_um']:.4g}, its bound "
-                f"of gridding and rounding is {p['bound_um']:.4g}. Nothing was exported."
+                f"of gridding and rounding is {p['bound_um']:.4g} {unit}. Nothing was exported."
             )
         gains = [j["rms_before"] - j["rms_at_gain"] for j in passed.judged if j["component"] == name]
         gain = min(gains, default=p["rms_model_um"])
         words = f"{name}: on its own recording the table differs from its model by up to "
-        words += f"{p['largest_difference_um']:.3g}, rms {off:.3g}"
+        words += f"{p['largest_difference_um']:.3g}, rms {off:.3g} {unit}"
         if p["rows_held_back"]:
             words += (
                 f": it holds back in {p['rows_held_back']} of {p['rows']} rows, where readings step faster than its "
                 "max_rate or lie outside what the model has seen"
             )
         if off >= gain > 0.0:
-            raise GateError(f"export: {words}. The model gains {gain:.3g}. Nothing was exported.")
+            raise GateError(f"export: {words}. The model gains {gain:.3g} {unit}. Nothing was exported.")
         if p["rows_held_back"]:
             said.append(words)
     return said

@@ -13,7 +13,7 @@ import pytest
 from errpipe.errors import DataError
 from errpipe.importing import words
 from errpipe.importing.sheet import DoorOptions
-from tests.unit.importing.test_import import TARGETS, deviation, holds_the_truth, imported, long_rows
+from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 
 RUNS, SIDES = (1, 2, 3), (1.0, -1.0)
 PAIRS = [deviation(r, s) for r in RUNS for s in SIDES]  # run 1 up, run 1 down, run 2 up, ...

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.unit.importing.test_import import imported
+from tests.unit.importing.known_test import imported
 
 START = datetime(2026, 3, 31, 8)
 COUNT = 60

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from errpipe.errors import DataError
-from tests.unit.importing.test_import import imported
+from tests.unit.importing.known_test import imported
 
 EVENING = datetime(2025, 3, 1, 18, 0)
 DAY, STEP, PROBED = 86400.0, 60.0, 600.0  # s

@@ -9,7 +9,7 @@ import pytest
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
-from tests.unit.importing import test_import
+from tests.unit.importing import known_test
 
 HOURS = np.arange(0.0, 4.0, 0.25)
 
@@ -27,7 +27,7 @@ def drift(header: str, mark: str = ",", factor: float = 1.0) -> str:
 
 def imported(tmp_path: Path, text: str, **said: str) -> Recording:
     (tmp_path / "log.csv").write_text(text)
-    return test_import.imported(tmp_path, tmp_path / "log.csv", **said)
+    return known_test.imported(tmp_path, tmp_path / "log.csv", **said)
 
 
 @pytest.mark.parametrize("response", ["drift [um]", "Z displacement [um]", "Verlagerung Z [um]", "E_Z"])

@@ -11,8 +11,8 @@ import pytest
 
 from errpipe.errors import DataError
 from errpipe.importing.sheet import DoorOptions, number, of_one_mark
+from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 from tests.unit.importing.test_first_hour import PAIRS, RUNS, SIDES, de, headers, long, mark, wide
-from tests.unit.importing.test_import import TARGETS, deviation, holds_the_truth, imported, long_rows
 
 ROWS = long_rows()
 AT = {

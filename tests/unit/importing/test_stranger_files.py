@@ -11,7 +11,7 @@ import pytest
 from errpipe.cli.app import main
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
-from tests.unit.importing.test_import import TARGETS, deviation, holds_the_truth, imported, long_rows
+from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 
 Rows = list[tuple[str, float, float, float]]
 

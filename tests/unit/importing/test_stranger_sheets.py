@@ -9,8 +9,8 @@ import pytest
 
 from errpipe.errors import DataError, UsageError
 from errpipe.importing import words
+from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 from tests.unit.importing.test_first_hour import RUNS, SIDES, de, long
-from tests.unit.importing.test_import import TARGETS, deviation, holds_the_truth, imported, long_rows
 
 
 def written(tmp_path: Path, text: str) -> Path:

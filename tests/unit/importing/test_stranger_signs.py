@@ -11,8 +11,8 @@ from errpipe.cli.app import main
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
 from errpipe.importing import order, words
+from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 from tests.unit.importing.test_first_hour import headers, long, mark, wide
-from tests.unit.importing.test_import import TARGETS, deviation, holds_the_truth, imported, long_rows
 
 
 def readings(header: str, sign: float = 1.0, above: str = "") -> str:

@@ -9,7 +9,7 @@ import pytest
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
-from tests.unit.importing import test_import
+from tests.unit.importing import known_test
 
 PLACES = np.linspace(0.0, 600.0, 31)
 SIMULATED = 0.02 * PLACES + 3.0 * np.sin(2 * np.pi * PLACES / 600.0)  # um
@@ -18,7 +18,7 @@ MISSING = 5.0  # um: the machine goes too far in plus by what the simulation lac
 
 def imported(tmp_path: Path, lines: list[str], **said: str) -> Recording:
     (tmp_path / "log.csv").write_text("\n".join(lines))
-    return test_import.imported(tmp_path, tmp_path / "log.csv", **said)
+    return known_test.imported(tmp_path, tmp_path / "log.csv", **said)
 
 
 def deviations(header: str) -> list[str]:

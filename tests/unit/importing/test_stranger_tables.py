@@ -11,8 +11,8 @@ import pytest
 from errpipe.errors import DataError, ErrpipeError
 from errpipe.importing.sheet import DoorOptions
 from errpipe.importing.words import kind_by_name
+from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 from tests.unit.importing.test_first_hour import PAIRS, RUNS, SIDES, headers, long, mark, wide
-from tests.unit.importing.test_import import TARGETS, deviation, holds_the_truth, imported, long_rows
 
 
 def written(tmp_path: Path, text: str) -> Path:

@@ -13,7 +13,7 @@ from errpipe.importing.columns import UNKNOWN, ColumnGuess, guess
 from errpipe.importing.layout import RawColumn
 from errpipe.importing.temperatures import with_temperatures
 from errpipe.importing.units import split_header
-from tests.unit.importing import test_import
+from tests.unit.importing import known_test
 
 ROWS = 120
 WARM = np.round(22.0 + 9.0 * (1.0 - np.exp(-3.0 * np.linspace(0.0, 1.0, ROWS))), 2)
@@ -119,7 +119,7 @@ def drift(names: str, rows: int = 12) -> str:
 @pytest.mark.parametrize("names", ["TC1 spindle;TC6 column", "Spindel vorn;Ständer", "broche;bâti"])
 def test_runs_of_two_seasons_keep_their_temperatures(tmp_path: Path, names: str) -> None:
     (tmp_path / "log.csv").write_text(drift(names))
-    recording: Recording = test_import.imported(tmp_path, tmp_path / "log.csv", axis="Z")
+    recording: Recording = known_test.imported(tmp_path, tmp_path / "log.csv", axis="Z")
     assert len(recording.names("temperature")) == 2
     assert recording.array(recording.names("temperature")[0])[12] == pytest.approx(26.0)
 

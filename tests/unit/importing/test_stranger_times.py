@@ -11,7 +11,7 @@ import pytest
 
 from errpipe.errors import DataError
 from errpipe.importing.sheet import DoorOptions
-from tests.unit.importing.test_import import imported
+from tests.unit.importing.known_test import imported
 
 STEP = 60.0  # s
 START = datetime(2025, 3, 1, 11, 58)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from errpipe.errors import DataError
-from tests.unit.importing.test_import import imported
+from tests.unit.importing.known_test import imported
 
 TARGETS = [0.0, 50.0, 100.0, 150.0, 200.0, 250.0, 300.0, 350.0, 400.0]
 INCH = 25.4

@@ -91,7 +91,7 @@ def test_the_exported_table_is_the_model_on_its_own_recording(guard, tmp_path, c
 def test_a_table_whose_guards_take_away_what_the_model_gains_is_refused():
     from errpipe.validation.gate import Passed
 
-    proof = {"component": "E_Z", "rows": 100, "largest_difference_um": 19.8, "rms_difference_um": 6.0}
+    proof = {"component": "E_Z", "unit": "um", "rows": 100, "largest_difference_um": 19.8, "rms_difference_um": 6.0}
     proof |= {"rms_model_um": 12.0, "bound_um": 0.01, "unguarded_difference_um": 0.01, "rows_held_back": 7}
     judged = {"component": "E_Z", "rms_before": 15.0, "rms_at_gain": 2.0}
     (said,) = _proof.remarks([proof], Passed(None, (), (judged,)))
@@ -133,3 +133,14 @@ def test_a_table_of_another_model_fails_the_run():
     assert _proof.remarks(_proof.compare(table, model, recording), Passed(None, (), ())) == []
     with pytest.raises(VerifyError, match=r"differs from its model by .* its bound"):
         _proof.remarks(_proof.compare(table, more, recording), Passed(None, (), ()))
+
+
+def test_a_table_that_gives_no_number_where_its_model_does_is_no_proof(monkeypatch):
+    from errpipe.stages import predict
+    from errpipe.validation.gate import Passed
+
+    recording, _ = spindle_drift.simulate(2, days=DAYS)
+    model, table = of_terms(recording)
+    monkeypatch.setattr(predict, "table_values", lambda *_: {"E_Z": np.full(len(recording), np.nan)})
+    with pytest.raises(VerifyError, match="differs from its model by inf"):
+        _proof.remarks(_proof.compare(table, model, recording), Passed(None, (), ()))
