@@ -50,10 +50,8 @@ class StribeckFriction(Term):
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         v = recording.array(self.column)
-        for power in (
-            1.0,
-            0.5,
-        ):  # as Tustin's and Armstrong-Helouvry's: it falls more steeply at first, then more slowly
+        # as Tustin's and Armstrong-Helouvry's: it falls more steeply at first, then more slowly
+        for power in (1.0, 0.5):
             slower = np.sign(v) * np.exp(-(np.abs(v / nonlinear[0]) ** power))
             yield difference_of_shape(slower, base[:, 0]), 0.5
 
