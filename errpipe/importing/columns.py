@@ -237,7 +237,15 @@ def is_radius(text: str) -> bool:
 
 # Quantities that are no positioning deviation of the axis along which they were measured.
 _DIAMETER = r"\b(diamet(er|re|ro)|durchmesser)|直[径徑]|(?i:^ø)"
+_OF_A_LATHE = r"\b(dia|diam|diamet\w*|durchm\w*)\b|[øØ⌀]|直[径徑]"  # of a position
 _RADIUS = r"\b(radi(us|al\w*)|d ?r|ball ?bar)\b|半径"  # of a circular test
+
+
+def is_diameter(text: str) -> bool:
+    """Whether a header says that its values are diameters: `X (dia)`, `X Ø`."""
+    return re.search(_OF_A_LATHE, plain(text)) is not None
+
+
 _SHAPES = (
     r"flatness|ebenheit|planeit|squareness|perpendicular|rechtwinkl|parallel(ism|itaet)|roundness|rundheit|run-?out|rundlauf"
     r"|planlauf|cylindric|zylinderform|平面度|垂直度|直角度|平行度|圆度|真円度"

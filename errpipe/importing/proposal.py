@@ -43,6 +43,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         raise DataError("no column has a value")
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
     guesses, unsure = with_temperatures(layout.columns, guessing.with_place(layout.columns, guesses))
+    _refuse_diameters(layout, guesses, options)
     layout = wide.side_by_side(wide.merged_targets(layout, guesses), guesses)
     proposal = Proposal(notes=[*layout.notes, *unsure], headers=headers)
     proposal.facts.update(facts(layout.above))
@@ -80,6 +81,25 @@ def _refuse_another_title(p: Proposal, layout: Layout, options: ImportOptions) -
             f"a line above says {title[:60]!r}, and no column does: say what was measured with --component, such as "
             f"EYX (or {own}, the positioning)"
         )
+
+
+_DIAMETERS = re.compile(
+    r"\b(diam\w*|durchmesser)[ -]?(program\w*|mode|on\b|values?|werte?|display|anzeige)|\bdurchmesser\w+|\bdiamon\b"
+)
+
+
+def _refuse_diameters(layout: Layout, guesses: dict[str, guessing.ColumnGuess], options: ImportOptions) -> None:
+    """Raise DataError where positions of an axis are diameters, as a lathe shows X: readings may be halved or not."""
+    places = [c for c in layout.columns if guesses[c.header].kind in settle.PLACES and c.numeric]
+    place = next((c for c in places if guessing.axis_in(c.header) and guessing.is_diameter(c.header)), None)
+    line = next((x for x in layout.above if _DIAMETERS.search(plain(x)) and places), None)
+    place = place or (places[0] if line is not None else None)
+    if place is None or {place.header, slug(place.header)} & {*options.sets}:
+        return
+    raise DataError(
+        f"{'a line above' if line else 'a header'} says diameters ({line or place.header!r}): write positions and "
+        f"readings as radii (half of a diameter), or, where they are, say --set '{place.header}.role=position'"
+    )
 
 
 def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess | None:

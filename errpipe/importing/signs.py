@@ -32,7 +32,17 @@ _OPPOSITE = re.compile(
 )
 _ON_THE_SIGN = re.compile(
     r"\bsign (convention|of (the )?(error|deviation|reading)s?)\b|\bvorzeichen"
-    r"|\bpositive? (error|deviation|value|reading)s?\b|\bpositive[rs]? (fehler|abweichung|wert)|符号"
+    r"|\bpositive? (error|deviation|value|reading)s?\b|\bpositive[rs]? (fehler|abweichung|wert)|符号|\bsigns? ?[:=]"
+    r"|\b(too|zu|trop|troppo|demasiado) (far|long|short|weit|kurz|lang|loin|court|corto|lungo|largo)\b"
+    r"|\b(stops?|falls?|stays?|bleibt) (short|zurueck)\b"
+)
+_SIGN_MEANS = re.compile(  # `+ = the axis stops early`, `Pluswerte bedeuten ...`, not `+ = from below`
+    r"(?:^|[\s(*;,:])(?:[+-]|plus\w*|minus\w*|positiv\w*|negativ\w*)(?: (?:values?|werte?|sign|numbers?|readings?|errors?))?"
+    r" ?(?:=|:|means?\b|bedeute[tn]\b|heisst\b|indicates?\b|signifie\b|significa\b) ?(.*)"
+)
+_A_WAY = re.compile(
+    r"approach|anfahr|direction|richtung|\b(from|von) (below|above|unten|oben)|forward|reverse|backward|vorwaerts"
+    r"|rueckwaerts|\b(up|down|auf|ab|cw|ccw)\b"
 )
 
 
@@ -114,6 +124,13 @@ def _doubtful(header: str, why: str) -> bool:
     return why.startswith("error by its") and _OPPOSITE.search(text) is not None  # a run among others may have a side
 
 
+def _is_on_the_sign(text: str) -> bool:
+    """Whether a line around the table says which way readings count; a line on the approach says a side."""
+    means = _SIGN_MEANS.search(text)
+    said = means is not None and bool(re.search(r"[^\W\d]{3}", means[1])) and not _A_WAY.search(means[1])
+    return said or _ON_THE_SIGN.search(text) is not None
+
+
 def _ask(headers: tuple[str, ...], layout: Layout, why: str) -> None:
     """Raise DataError for a header, or a line on the sign, that says which way readings count and is not understood."""
     for header in headers:
@@ -122,7 +139,7 @@ def _ask(headers: tuple[str, ...], layout: Layout, why: str) -> None:
                 f"column {header!r}: does it rise where the axis (the tool) goes too far, or fall? Say it: --sign "
                 "actual-minus-commanded, or --sign commanded-minus-actual"
             )
-    line = next((x for x in [*layout.above, *layout.below] if _ON_THE_SIGN.search(words.plain(x))), None)
+    line = next((x for x in [*layout.above, *layout.below] if _is_on_the_sign(words.plain(x))), None)
     if line is not None:
         raise DataError(
             f"a line says {line[:60]!r} of the sign, which is not understood: say it with --sign "

@@ -16,6 +16,7 @@ from pathlib import Path
 from types import ModuleType
 
 from errpipe.errors import DataError, ErrpipeError, UsageError
+from errpipe.importing import controller_files
 from errpipe.importing.doors import delimited, excel, halsampler, hdf5, matlab, mtconnect, tdms
 from errpipe.importing.sheet import DoorOptions, Sheet
 
@@ -56,6 +57,8 @@ def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
 
 def _refuse_known(path: Path, head: bytes) -> None:
     """Raise DataError for kinds of files that are not imported, with what to do instead."""
+    if (what := controller_files.what_it_is(path, head)) is not None:
+        raise DataError(f"{path}: {what}")
     if head.startswith(b"PAR1"):
         raise DataError(f"{path}: a Parquet table: write a recording.yaml beside it, which says what its columns are")
     if head.startswith((b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"7z\xbc\xaf")):
