@@ -71,6 +71,7 @@ _FILLERS = (
     "towards",
 )
 _FROM = ("from", "von", "de", "da", "desde")  # behind it a sign says where the axis came from: `from -` is below
+_SIGNS_IN_WORDS = ("plus", "minus", "positive", "negative", "positiv", "negativ")
 _SIGN = re.compile(r"\+|-|plus|minus|p|n|pos(itive?)?|neg(ative?)?")
 NO_SIDES = "called a direction, but its values are no two signs"
 COLDEST, HOTTEST = -40.0, 250.0  # degC: usual range of sensors in shops and machines
@@ -310,14 +311,35 @@ _SIDE_ABOVE = re.compile(
 )
 
 
+_OF_AN_APPROACH = re.compile(
+    r"\bapproach(?:ed|es|ing)?\b|\banfahr(?:t|richtung)?\b|\bangefahren\b|\bunidirectional\b|\beinseitig\b"
+    r"|^only (?=\w+ (?:runs?|passes|direction)$)|^nur "
+)
+_CAME_FROM = re.compile(rf"\b({'|'.join(_FROM)})(?: (?:the|der))? ?([+-](?!\w)|plus|minus|positiven?|negativen?)")
+_LONE_SIGN = re.compile(r"\(([+-])\)|[:=] ?([+-])$")
+
+
 def side_above(lines: list[str]) -> str | None:
     """What a line above a table says of the side of all its readings: `backward` of `Direction: backward`; or None.
 
-    A sign alone may be that of a beam or a drive: it says no side.
+    A sign alone may be that of a beam or a drive: it says a side only in a line on the approach.
     """
     found = [m[1].strip() for line in lines if (m := _SIDE_ABOVE.fullmatch(plain(line)))]
     said = [text for text in found if re.search(r"[^\W\d_]{2}", text) and side(text) is not None]
+    said += [text for line in lines if (text := _approach(plain(line))) is not None and not said]
     return said[0] if len({side(text) for text in said}) == 1 else None
+
+
+def _approach(line: str) -> str | None:
+    """What a line on the approach says of its side: `-` of `Approach from above (-)`, `from above` of `from +`."""
+    if not _OF_AN_APPROACH.search(line) or re.search(r"\d", line):
+        return None
+    if came := _CAME_FROM.search(line):
+        return "from below" if came[2].startswith(("-", "minus", "neg")) else "from above"
+    found = [a or b for a, b in _LONE_SIGN.findall(line)]
+    found += [w for w in re.findall(r"[^\W\d_]{2,}", line) if not _SIGN.fullmatch(w) or w in _SIGNS_IN_WORDS]
+    said = [w for w in found if side(w) is not None]
+    return said[-1] if len({side(w) for w in said}) == 1 else None
 
 
 def side_in(header: str) -> str | None:

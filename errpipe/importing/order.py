@@ -7,7 +7,7 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-from errpipe.domain import units
+from errpipe.domain import components, units
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
 from errpipe.importing import words
@@ -147,6 +147,28 @@ def _directions_and_runs(p: Proposal, axis: str) -> None:
         p.notes.append(
             "targets come several times in a run and nothing says from which side: backlash cannot be told from scatter"
         )
+
+
+def sides_of_falling_runs(p: Proposal) -> None:
+    """The side of each run of targets where the positions of some, or of all, fall and no column says a side.
+
+    Where all rise nothing is added: targets are listed so whichever way they were approached.
+    """
+    error = p.first("error")
+    axis = components.parse(p.entries[error]["component"]).axis if error is not None else None
+    place = p.first("command", axis) or p.first("position", axis)
+    if axis is None or place not in p.data or p.first("direction") is not None or _is_log(p, axis):
+        return
+    x = p.data[place]
+    labels = np.asarray(p.data.get(p.first("run") or "", [""] * x.size), dtype=str)
+    side = np.zeros(x.size)
+    for label in dict.fromkeys(labels.tolist()):
+        rows = np.flatnonzero(labels == label)
+        if rows.size > 1 and not np.isnan(x[rows]).any() and (np.unique(np.sign(np.diff(x[rows]))).size == 1):
+            side[rows] = np.sign(x[rows[1]] - x[rows[0]])
+    if (side != 0).all() and (side < 0).any():
+        why = "the positions of a run fall: approached from above" + (", or rise: from below" if max(side) > 0 else "")
+        p.put("direction", side, why, role="direction", axis=axis)
 
 
 LONGEST_PAUSE = 3600.0  # s: a drift that was not measured for longer has cooled, and may count from another zero

@@ -136,7 +136,7 @@ def _long(
     may_be_log: bool,
 ) -> None:
     """One row of the file is one row of the recording."""
-    keep = _measured_rows(layout, guesses) & ~_figures_below(layout, p) & ~_written_twice(layout, guesses, p)
+    keep = _measured_rows(layout, guesses) & ~_figures_below(layout, guesses, p) & ~_written_twice(layout, guesses, p)
     dropped = len(keep) - int(keep.sum())
     if dropped:
         p.notes.append(f"{dropped} rows without a position, time or reading were left out (sums, remarks, blank lines)")
@@ -220,8 +220,11 @@ def _measured_rows(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> 
     return keep & np.any(numbers, axis=0) if numbers else keep & False
 
 
-def _figures_below(layout: Layout, p: Proposal) -> np.ndarray:
-    """Rows of figures over the runs: `Mean;400;8.1`. The column of their names has numbers, or other names, above."""
+def _figures_below(layout: Layout, guesses: dict[str, guessing.ColumnGuess], p: Proposal) -> np.ndarray:
+    """Rows of figures over the runs: `Mean;400;8.1`. The column of their names has numbers, or other names, above.
+
+    In a column of runs each such name is one; elsewhere they are few.
+    """
     rows = len(layout.columns[0].cells)
     out, begun, texts = np.zeros(rows, dtype=bool), np.zeros(rows, dtype=bool), np.zeros(rows)
     for c in layout.columns:
@@ -231,6 +234,7 @@ def _figures_below(layout: Layout, p: Proposal) -> np.ndarray:
         for_all = [i for i, t in words.items() if wide.statistic(t) or (i > after and re.search(r"[^\W\d]", t))]
         named = [i for i in for_all if not begun[i]]  # in the first filled cell of a row: elsewhere it is a remark
         out[named] |= len(named) < 0.2 * rows
+        out[[i for i, t in words.items() if guesses[c.header].kind == "run" and wide.is_figure_over_runs(t)]] = True
         texts[[i for i, t in words.items() if c.numeric and is_word(t)]] += 1
         begun |= figure
         begun[list(words)] = True

@@ -37,7 +37,8 @@ _ON_THE_SIGN = re.compile(
     r"|\b(stops?|falls?|stays?|bleibt) (short|zurueck)\b"
 )
 _SIGN_MEANS = re.compile(  # `+ = the axis stops early`, `Pluswerte bedeuten ...`, not `+ = from below`
-    r"(?:^|[\s(*;,:])(?:[+-]|plus\w*|minus\w*|positiv\w*|negativ\w*)(?: (?:values?|werte?|sign|numbers?|readings?|errors?))?"
+    r"(?:^|[\s(*;,:])(?:[+-]|plus\w*|minus\w*|positiv\w*|negativ\w*)"
+    r"(?: (?:values?|werte?|sign|numbers?|readings?|errors?))?"
     r" ?(?:=|:|means?\b|bedeute[tn]\b|heisst\b|indicates?\b|signifie\b|significa\b) ?(.*)"
 )
 _A_WAY = re.compile(

@@ -145,6 +145,12 @@ def statistic(name: str) -> bool:
     return _STATISTIC.search(guessing.plain(name)) is not None or re.search("[Øø∅\u0304\u0305]", name) is not None
 
 
+def is_figure_over_runs(name: str) -> bool:
+    """Whether a run is called by a figure over the runs and nothing else: `Mean`, `Mean up`; `max load` is a run."""
+    rest = _STATISTIC.sub(" ", guessing.plain(name))
+    return statistic(name) and all(guessing.side(w) is not None for w in re.findall(r"[^\W\d_]+", rest))
+
+
 def _is_mean(header: str) -> bool:
     """Whether a header names a mean, also as a bar over a letter; `x̄ + 2s` is a bound of it."""
     text = guessing.plain(header)
@@ -174,10 +180,11 @@ def unfold(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]
     """
     target, readings = layout.target.values, [c for c, _, _ in layout.readings]
     keep = np.isfinite(target) & np.any([np.isfinite(c.values) for c in readings], axis=0)
+    names = ["" for _ in target] if layout.run is None else [label(c) for c in layout.run.cells]
+    keep &= np.array([not is_figure_over_runs(name) for name in names])  # the mean of each target is no run
     rows = np.flatnonzero(keep)
     if not rows.size:
         raise DataError("no row holds a target and a reading")
-    names = ["" for _ in target] if layout.run is None else [label(c) for c in layout.run.cells]
     of_row = np.full(target.size, np.nan) if layout.way is None else guessing.sides(layout.way)
     refuse_there_and_back([c.header for c in readings], target[rows])
     order, run, side, value = [], [], [], []
