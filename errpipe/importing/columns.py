@@ -42,7 +42,18 @@ KIND_OF_UNIT = {
     "um/m": "error",
     "mm/m": "error",
     "nm": "error",
+    "mdeg": "error",
+    "arcmin": "error",
 }
+SMALL_ANGLES = ("arcsec", "arcmin", "urad", "mrad", "mdeg", "um/m", "mm/m")  # of an axis that turns, or tilts
+_ANY_ANGLE = (
+    *SMALL_ANGLES,
+    "deg",
+    "rad",
+    "inch",
+    "s",
+    "min",
+)  # of a pitch; " and ' are written for inch and for arcsec
 OF_DEVIATIONS = ("um", "urad", "nm", "arcsec", "mrad")
 UNKNOWN = "nothing in its name, unit or values says what it is"
 PLACES = ("error", "counts")  # kinds of units in which a place may be logged, too: um, arcsec, counts
@@ -99,6 +110,8 @@ def _guess(column: RawColumn, axis: str | None) -> ColumnGuess:
     if (kind := kind_by_name(column.header)) is not None:
         kind, why = _settled(kind, column)
         return ColumnGuess(kind, axis, why or f"its name ({column.header!r})")
+    if column.numeric and column.unit in _ANY_ANGLE and _names_a_turn(column.header):
+        return ColumnGuess("error", axis, f"its name ({column.header!r}) and unit ({column.unit})")
     if column.unit in KIND_OF_UNIT and column.numeric:
         return ColumnGuess(KIND_OF_UNIT[column.unit], axis, f"its unit ({column.unit})")
     if _side(column) is not None and column.values.size > 3:
@@ -143,6 +156,8 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     if kind == "position" and unit in ("um", "urad", "arcsec", "nm") and not _too_large_for_a_deviation(column):
         return "error", f"its unit ({unit}: too small for a position)"
+    if kind == "actual" and unit in SMALL_ANGLES:
+        return "error", f"its unit ({unit})"
     if kind == "command" and unit in ("um", "nm") and not _too_large_for_a_deviation(column):
         return "error", f"its unit ({unit}: too small for a position)"
     if kind == "actual" and unit in OF_DEVIATIONS and component_in(column.header):
@@ -273,17 +288,25 @@ def other_component(text: str, moved: str) -> str | None:
                 f"other readings with --set '{text}.component=EYX'"
             )
         return f"E{across}{moved}"
-    for pattern, name in (
-        (r"\b(roll\w*|rollen)\b", "roll"),
-        (r"\b(pitch(?! ?(error)? ?comp)|nick\w*)\b", "pitch"),  # of a screw: pitch error compensation
-        (r"\b(yaw|gier\w*)\b", "yaw"),
-    ):
+    for pattern, name in _TURNS:
         if re.search(pattern, word):
             about = ANGLES.get(moved[0], {}).get(name)
             if about is None:
                 raise DataError(f"column {text!r}: about which axis? Say it with --component, such as EBZ")
             return f"E{about}{moved}"
     return None
+
+
+_TURNS = (
+    (r"\b(roll\w*|rollen)\b", "roll"),
+    (r"\b(pitch(?! ?(error)? ?comp)|nick\w*)\b", "pitch"),  # of a screw: pitch error compensation
+    (r"\b(yaw|gier\w*)\b", "yaw"),
+)
+
+
+def _names_a_turn(header: str) -> bool:
+    """Whether a header names roll, pitch or yaw."""
+    return any(re.search(pattern, plain(header)) for pattern, _ in _TURNS)
 
 
 _STRAIGHT = r"straight|gerad(?!e)|rectitud|rettilin|直线度|真直度"

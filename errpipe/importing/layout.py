@@ -28,6 +28,7 @@ _AXIS_OF_SHEET = re.compile(
     re.IGNORECASE,
 )
 _MOMENT = re.compile(r"(?=.*\d:\d|.*\d[./-]\d+[./-]\d)\d[\d.:/\-T ,+Z]*( [AP]M)?")
+_COMMENT = ("#", "%", "//", ";", "!")
 _RULE = re.compile(r"[-=_+:~*|]{2,}")
 
 
@@ -78,6 +79,7 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
         return _layout(sheet, [*sheet.header], [], rows, comma, [], notes)
     numbers = [[number(c, comma) for c in row] for row in rows]
     start = _first_data_row(sheet.name, rows, numbers)
+    _lift_comments(rows, numbers, start)
     head_rows = _header_rows(rows, numbers, start)
     names, units, used = _names(rows, head_rows, max(map(len, rows[start:])))
     above = [" ".join(str(c) for c in row if c not in (None, "")) for row in rows[: start - used]]
@@ -232,6 +234,26 @@ def _counts_runs(row: list[Cell], numbers: list[list[float | None]], r: int, sta
     return counts[0] == 1 and all(b in (a, a + 1, 1) for a, b in pairwise(counts))
 
 
+def _lift_comments(rows: list[list[Cell]], numbers: list[list[float | None]], start: int) -> None:
+    """Put comments between a header and its data above the header, in place. start: row of the first data."""
+    head = start - 1
+    while head > 0 and _is_comment(rows[head], numbers[head]):
+        head -= 1
+    texts = [label(c) for c in filled_cells(rows[head])]
+    wide = len(texts) >= max(2, 0.6 * len(filled_cells(rows[start])))
+    if head == start - 1 or not wide or any(v is not None for v in numbers[head]) or texts[0].startswith(_COMMENT):
+        return
+    for part in (rows, numbers):
+        part[head:start] = [*part[head + 1 : start], part[head]]  # type: ignore[index]
+
+
+def _is_comment(row: list[Cell], numbers: list[float | None]) -> bool:
+    """Whether a row is a remark: it begins with a mark of comments, or is a text alone that is no unit."""
+    texts = [label(c) for c in filled_cells(row)]
+    alone = len(texts) == 1 and not any(v is not None for v in numbers) and not _are_units(texts)
+    return bool(texts) and (texts[0].startswith(_COMMENT) or alone)
+
+
 def _header_rows(rows: list[list[Cell]], numbers: list[list[float | None]], start: int) -> list[int]:
     """Up to three rows right above the data that are a header: words, at least two, or as `_is_header` decides."""
     header_rows: list[int] = []
@@ -301,7 +323,8 @@ def _is_preamble(group: list[str], names: list[str]) -> bool:
     cells = [i for i, text in enumerate(group) if text]
     words = [n for n in names if n]
     complete = len(set(words)) == len(words) and all(_WORD.match(n) for n in words)
-    return complete and len(words) > 2 and cells in ([0], [0, 1])
+    named = len(words) > 2 or re.match(_OF_A_FACT, group[0], re.IGNORECASE) is not None
+    return complete and named and cells in ([0], [0, 1])
 
 
 def _are_positions(header: list[str]) -> bool:
@@ -358,6 +381,7 @@ FACTS = {
     "date": r"date|datum",
     "instrument": r"instrument|messger[äa]t|laser",
 }
+_OF_A_FACT = "|".join(("axis|achse|axe|asse|eje|soft|program|title|titel|test|company|firma", *FACTS.values()))
 
 
 def facts(above: list[str]) -> dict[str, str]:

@@ -62,6 +62,11 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
             f"readings of {component} in {unit}, per length: errpipe needs them in um (or mm) at each position, and of "
             "a level what it measured, with --component, such as EBX"
         )
+    if standard == "um" and unit in guessing.SMALL_ANGLES:
+        raise DataError(
+            f"readings in {unit} are angles, no {component}: say what turned with --component, such as EBX (pitch), "
+            "ECX (yaw) or EAX (roll) of X"
+        )
     values, unit, why = plain_unit(values, unit, why)
     if unit is None and standard == "urad":
         raise DataError(

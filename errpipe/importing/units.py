@@ -11,7 +11,9 @@ from errpipe.importing.words import kind_by_name
 
 # How units are written -> how the manifest writes them. Lower case, blanks removed.
 UNITS = {
-    **dict.fromkeys(("µm", "μm", "um", "micron", "microns", "mikrometer", "micrometer", "micrometers", "мкм"), "um"),
+    **dict.fromkeys(
+        ("µm", "μm", "um", "micron", "microns", "mikron", "mikrometer", "micrometer", "micrometers", "мкм"), "um"
+    ),
     **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "мм"), "mm"),
     **dict.fromkeys(("m", "meter", "metre"), "m"),
     **dict.fromkeys(("nm", "nanometer"), "nm"),
@@ -33,13 +35,16 @@ UNITS = {
     **dict.fromkeys(("µin", "μin", "uin", "microinch", "microinches", "millionths"), "microinch"),
     **dict.fromkeys(("°", "deg", "degree", "degrees", "grad"), "deg"),
     **dict.fromkeys(("mdeg", "m°"), "mdeg"),
-    **dict.fromkeys(("arcmin",), "arcmin"),
+    **dict.fromkeys(("arcmin", "arc-min", "arcminutes"), "arcmin"),
     **dict.fromkeys(("µrad", "μrad", "urad"), "urad"),
     **dict.fromkeys(("mrad",), "mrad"),
     **dict.fromkeys(("µm/m", "μm/m", "um/m"), "um/m"),  # of a level: an angle; of a length it is no reading
     "mm/m": "mm/m",
     **dict.fromkeys(("rad",), "rad"),
     **dict.fromkeys(("arcsec", "″", "''", "asec", "winkelsekunden", "bogensekunden", "winkelsek"), "arcsec"),
+    **dict.fromkeys(
+        ("arc-sec", "arc-seconds", "arcseconds", "arcsecs", "secofarc", "secondsofarc", "угл.сек"), "arcsec"
+    ),
     **dict.fromkeys(("a", "amp", "amps", "ampere"), "A"),
     **dict.fromkeys(("ma",), "mA"),
     **dict.fromkeys(("nm.", "n·m", "n.m", "n*m", "newtonmeter"), "N m"),

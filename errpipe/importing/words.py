@@ -66,9 +66,12 @@ WORDS: tuple[tuple[str, str], ...] = (
         r"|^(ambient|room|raum|umgebung|hall|halle|shop)( ?air| ?luft)?$",
         "temperature",
     ),
-    (r"(dir(ection)?|richtung|approach|anfahr|sense?|sens|sinn|sentido|direzione|verso|方向)\b", "direction"),
     (
-        r"\b(run|lauf|durchlauf|cycle|zyklus|messreihe|pass(?:age)?|serie|trial|essai|passe|prova|ensayo|pasada)\b|回数|次数",
+        r"(dir(ection)?|richtung|approach|anfahr|sense?|sens|sinn|sentido|direzione|verso|方向|направлени\w*)\b",
+        "direction",
+    ),
+    (
+        r"\b(run|lauf|durchlauf|cycle|zyklus|messreihe|pass(?:age)?|serie|trial|essai|passe|prova|ensayo|pasada)\b|回数|次数|^цикл|^проход",
         "run",
     ),
     (r"(count|inkrement|\binc\b|pulse|impuls|raw ?enc|\bdigits?\b|\bdiv(isions?)?\b|teilstrich|\blsb\b)", "counts"),
@@ -111,7 +114,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     ),
     (
         r"(position|\bpos|^[xyzabcuvw]\d?$|weg|^[xyz] ?(axis|achse|-achse)|\b(angle|(dreh|schwenk)?winkel)\b|posizione"
-        r"|posicion|\bquota\b|\bcota\b|位置)",
+        r"|posicion|\bquota\b|\bcota\b|位置|позици|положени|координат)",
         "position",
     ),
 )
@@ -120,6 +123,7 @@ WORDS: tuple[tuple[str, str], ...] = (
 UP = re.compile(
     r"\+1?|1|↑|→|>+|up?|auf(waerts)?|f|fw|fwd|forwards?|v|vor(waerts)?|h|hin(weg|fahrt)?|p|pos|positive?|plus|rising|asc(ending)?"
     r"|increasing|steigend|below|unten|aller|avance|montee|andata|avanti|ida|往|往路|行き?|正|正向"
+    r"|прям\w*|вперед|вверх|heen|fram|tam|oda"
 )
 DOWN = re.compile(
     r"-1?|↓|←|<+|d|dn|down|ab(waerts)?|b|bw|bwd|back|backwards?|r|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?"
@@ -131,7 +135,7 @@ DOWN = re.compile(
 THERE_AND_BACK = re.compile(
     r"fw|fwd|forwards?|vor(waerts)?|hin(weg|fahrt)?|aller|andata|ida|往|往路|行き?"
     r"|b|bw|bwd|back|backwards?|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?|her(weg|fahrt)?"
-    r"|ritorno|vuelta|復|復路|帰り?|v|h"
+    r"|ritorno|vuelta|復|復路|帰り?|v|h|прям\w*|вперед|обратн\w*|назад|heen|terug|fram|tillbaka|tam|zpet|oda|vissza"
 )
 
 # What a difference is of, by how far out it is read: the command, the machine's own scale, what the axis did.

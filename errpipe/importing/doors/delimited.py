@@ -1,7 +1,7 @@
 """Delimited text: CSV and its relatives as spreadsheets, lasers, loggers and scripts write them.
 
-Encodings UTF-8 (with or without a byte order mark), UTF-16 and Windows-1252; separators semicolon, tab, comma, bar or
-runs of blanks; decimal points or commas; any number of lines above the header.
+Encodings UTF-8 (with or without a byte order mark), UTF-16, Windows-1252 and those of Japan, China, Korea and Russia;
+separators semicolon, tab, comma, bar or runs of blanks; decimal points or commas; any number of lines above the header.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ suffixes = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".prn")
 
 SEPARATORS = (";", "\t", "|", ",")
 LONGEST_LINE = 1 << 16  # characters: beyond it a file is no table
+ENCODINGS = {"utf-8-sig": "UTF-8", "cp1252": "Windows-1252", "cp932": "Shift JIS", "cp1251": "Windows-1251"}
 SAMPLE_LINES = 400  # from which the dialect is guessed
 
 
@@ -140,15 +141,29 @@ def _decode(path: Path, data: bytes) -> tuple[str, str]:
     elif (wide := _wide(data[: 1 << 14])) is not None and b"\0" in data[: 1 << 14]:
         candidates = [wide]
     else:
-        candidates = ["utf-8-sig", *_east_asian(data[: 1 << 16]), "cp1252", "latin-1"]
+        head = data[: 1 << 16]
+        candidates = ["utf-8-sig", *(_cyrillic(head) or _east_asian(head)), "cp1252", "latin-1"]
     for encoding in candidates:
         try:
-            return {"utf-8-sig": "UTF-8", "cp1252": "Windows-1252", "cp932": "Shift JIS"}.get(
-                encoding, encoding
-            ), data.decode(encoding)
+            return ENCODINGS.get(encoding, encoding), data.decode(encoding)
         except UnicodeDecodeError:
             continue
     raise DataError(f"{path}: not text (tried {', '.join(candidates)})")
+
+
+FEWEST_CYRILLIC = 0.8  # of the bytes beyond ASCII in Russian words; the rest are signs such as ° and µ
+FEWEST_HANGUL = 0.9  # of the letters beyond ASCII; Chinese read as Korean shows many Chinese letters
+
+
+def _cyrillic(head: bytes) -> list[str]:
+    """The Cyrillic encoding in which the bytes beyond ASCII are words: no mixed scripts, capitals at the beginning."""
+    beyond = sum(byte > 127 for byte in head)
+    for encoding in ("cp1251", "koi8-r", "cp866"):
+        words = re.findall(r"[^\W\d_]+", head.decode(encoding, errors="replace"))
+        letters = sum(len(w) for w in words if re.fullmatch(r"[А-ЯЁ]?[а-яё]{2,}|[А-ЯЁ]{3,}", w))
+        if letters >= max(6, FEWEST_CYRILLIC * beyond):
+            return [encoding]
+    return []
 
 
 def _east_asian(head: bytes) -> list[str]:
@@ -156,6 +171,9 @@ def _east_asian(head: bytes) -> list[str]:
 
     Chinese read as Japanese shows half-width katakana, which Japanese files hardly use.
     """
+    letters = [c for c in head.decode("euc_kr", errors="replace") if c > "\x7f"]
+    if len(letters) > 3 and sum("가" <= c <= "힣" for c in letters) >= FEWEST_HANGUL * len(letters):
+        return ["cp949"]
     pairs = b"".join(re.findall(rb"[\x81-\xfe][\x80-\xfe](?:[\x81-\xfe][\x40-\xfe])*", head))
     if sum(byte > 127 for byte in pairs) < 0.7 * sum(byte > 127 for byte in head):
         return []
