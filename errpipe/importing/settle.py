@@ -231,6 +231,8 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
             "Say it with --set COLUMN.role=error, or --set COLUMN.role=actual"
             + "".join(f"; {note}" for note in layout.notes if "--names" in note or note.startswith(EMPTY))
         )
+    _refuse_too_few(p)
+    _refuse_unnamed_axis(p)
     _refuse_one_of_several_axes(p, layout, options)
     settle_units(p, layout)
     unknown = [c for c in layout.columns if _may_be_a_place(p, c)]
@@ -256,6 +258,25 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
             )
     order.settle_order(p, axis)
     p.entries = dict(sorted(p.entries.items(), key=lambda item: item[1]["role"] not in ("run", "time")))
+
+
+FEWEST_ROWS = 3  # with readings: two make a straight line through whatever was read
+
+
+def _refuse_too_few(p: Proposal) -> None:
+    """Raise DataError for a table of one or two rows: a remark, or the result of a test, not the test."""
+    if p.rows < FEWEST_ROWS:
+        raise DataError(
+            f"{p.rows} row{'s' if p.rows > 1 else ''} with a reading (at least {FEWEST_ROWS}; ISO 230-2 asks for five "
+            "targets a metre, each five times from both sides)"
+        )
+
+
+def _refuse_unnamed_axis(p: Proposal) -> None:
+    """Raise DataError where neither the file nor a person names the axis that is at the positions."""
+    place = p.first("command") or p.first("position")
+    if p.assumed_axis and place is not None and any(e["role"] == "error" for e in p.entries.values()):
+        raise DataError(f"no axis is named in the file: along which axis is {place!r}? Say it with --axis, such as X")
 
 
 def _refuse_one_of_several_axes(p: Proposal, layout: Layout, options: ImportOptions) -> None:

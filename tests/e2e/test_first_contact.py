@@ -74,7 +74,7 @@ def test_a_dial_gauge_to_a_screw_file_in_three_commands(tmp_path: Path, monkeypa
             lines += [f"{a:.1f},{a + e:.2f}" for a, e in zip(x, error, strict=True)]
     (tmp_path / "dial.csv").write_text("\n".join(lines))
     commands(
-        "errpipe import dial.csv --out recording --yes",
+        "errpipe import dial.csv --axis X --out recording --yes",
         "errpipe init --template dial-gauge work --recording recording",
         "errpipe run work/pipeline.yaml --out out",
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,9 @@ import numpy as np
 import pytest
 
 from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
 from errpipe.formats import manifest_folder
+from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.sheet import DoorOptions
 from errpipe.stages import import_files
 
@@ -35,11 +38,23 @@ def long_rows() -> list[tuple[str, float, float, float]]:
     return rows
 
 
+def prepared(files: list[Path], door: DoorOptions | None = None, **said: Any) -> tuple[Proposal, ImportOptions]:
+    """The proposal of files; where they name no axis a person says X."""
+    options = import_files.options_of(sets=said.pop("sets", []), **said)
+    try:
+        proposal, _ = import_files.prepare(files, door or DoorOptions(), options)
+    except DataError as err:
+        if "no axis is named in the file" not in str(err):
+            raise
+        options = replace(options, axis="X")
+        proposal, _ = import_files.prepare(files, door or DoorOptions(), options)
+    return proposal, options
+
+
 def imported(tmp_path: Path, file: Path | list[Path], door: DoorOptions | None = None, **said: Any) -> Recording:
     """The recording of a file, written and read back."""
     files = file if isinstance(file, list) else [file]
-    options = import_files.options_of(sets=said.pop("sets", []), **said)
-    proposal, _ = import_files.prepare(files, door or DoorOptions(), options)
+    proposal, options = prepared(files, door, **said)
     import_files.write(proposal, tmp_path / "rec", options, files)
     return manifest_folder.read(tmp_path / "rec")
 

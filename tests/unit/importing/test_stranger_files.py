@@ -153,7 +153,7 @@ def test_a_number_that_says_no_reading_is_an_empty_cell(tmp_path: Path, capsys: 
     """SCPI instruments write 9.91e37 where they have no reading."""
     rows = long_table("run;target [mm];error [um]", lambda r, x, s, d: f"{r};{x};{9.91e37 if x == TARGETS[2] else d}")
     (tmp_path / "f.csv").write_text(rows, encoding="utf-8")
-    assert main(["import", str(tmp_path / "f.csv"), "--out", str(tmp_path / "rec"), "--yes"]) == 0
+    assert main(["import", str(tmp_path / "f.csv"), "--out", str(tmp_path / "rec"), "--yes", "--axis", "X"]) == 0
     assert "6 values count as no reading (the first: 9.91e+37)" in capsys.readouterr().out
     assert "e+37" not in (tmp_path / "rec" / "recording.csv").read_text()
 
@@ -171,7 +171,7 @@ def test_readings_of_any_size_meet_no_division_by_zero(tmp_path: Path, size: flo
 def test_lost_directions_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = sorted(long_rows(), key=lambda row: row[1])
     (tmp_path / "f.csv").write_text("\n".join(["run;target;error_um", *(f"{r};{x};{d}" for r, x, _, d in rows)]))
-    assert main(["import", str(tmp_path / "f.csv"), "--out", str(tmp_path / "rec"), "--yes"]) == 0
+    assert main(["import", str(tmp_path / "f.csv"), "--out", str(tmp_path / "rec"), "--yes", "--axis", "X"]) == 0
     assert "backlash cannot be told from scatter" in " ".join(capsys.readouterr().out.split())
 
 
