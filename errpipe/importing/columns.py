@@ -54,6 +54,7 @@ _ANY_ANGLE = (
     "s",
     "min",
 )  # of a pitch; " and ' are written for inch and for arcsec
+OF_SMALL_LENGTHS = ("um", "urad", "arcsec", "nm", "0.001 inch", "0.0001 inch", "microinch")
 OF_DEVIATIONS = ("um", "urad", "nm", "arcsec", "mrad")
 UNKNOWN = "nothing in its name, unit or values says what it is"
 PLACES = ("error", "counts")  # kinds of units in which a place may be logged, too: um, arcsec, counts
@@ -63,7 +64,7 @@ _BEFORE = (
     r"(?:[dΔδ]|e(?=[XYZ]\b)|pos|err(?:or)?|dev|cmd|act|nom|target|soll|ist|ref)(?=[XYZ](?![a-z]))"  # posX, errY, dZ
 )
 _BEHIND = r"axis|achse|pos|cmd|act|soll|ist|abw|fehler|(?:err(?:or)?|dev|drift|target|nom)(?![a-z])"  # Xerr
-_AXIS = re.compile(rf"(?:^|[\s_.\-(/])(?:{_BEFORE})?{AXIS_LETTER}(?:\d|[\s_.\-)/\[]|$|{_BEHIND})", re.IGNORECASE)
+_AXIS = re.compile(rf"(?:^|[\s_.\-(/<])(?:{_BEFORE})?{AXIS_LETTER}(?:\d|[\s_.\-)/\[]|$|{_BEHIND})", re.IGNORECASE)
 _WORDS = re.compile(
     r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|(?<=[\u3040-\ud7af])(?=[A-Za-z])|(?<=[A-Za-z])(?=[\u3040-\ud7af])"
 )
@@ -154,7 +155,7 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return "ignore", "its values are no numbers"
     if kind == "time" and KIND_OF_UNIT.get(unit or "", "time") != "time":
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
-    if kind == "position" and unit in ("um", "urad", "arcsec", "nm") and not _too_large_for_a_deviation(column):
+    if kind == "position" and unit in OF_SMALL_LENGTHS and not _too_large_for_a_deviation(column):
         return "error", f"its unit ({unit}: too small for a position)"
     if kind == "actual" and unit in SMALL_ANGLES:
         return "error", f"its unit ({unit})"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,8 @@ _OTHER_ORDER = _forms("%d/%m/%Y", "%d/%m/%y", "%m-%d-%Y")
 # Ticks since an epoch, by the size of their numbers: from, to, s of one tick.
 EPOCHS = ((1e9, 4.2e9, 1.0), (1e12, 4.2e12, 1e-3), (1e15, 4.2e15, 1e-6), (1.1e17, 1.7e17, 1e-7), (1e18, 4.2e18, 1e-9))
 # Days of the years 2000 to 2099: of a spreadsheet (or modified Julian), of MATLAB's datenum, Julian.
+SPREADSHEET_ZERO = datetime(1899, 12, 30)  # of the days that Excel and its relatives count
+DAY = 86400.0  # s
 SERIAL_DAYS = ((36526.0, 73050.0), (730486.0, 767010.0), (2451544.5, 2488069.5))
 
 
@@ -80,6 +82,9 @@ def numbered(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str,
     if unit not in ROLE_UNITS["time"] and tick is not None:
         return (c.values - first) * tick, "s", f"{why}; ticks of {tick:g} s since an epoch, by their size", epoch
     days = any(low <= first <= last < high for low, high in SERIAL_DAYS)
+    if unit is None and days and re.search(r"\b(date|datum|fecha|data)\b", c.header, re.IGNORECASE) and first < 1e5:
+        start = (SPREADSHEET_ZERO + timedelta(days=first)).isoformat(timespec="seconds")
+        return (c.values - first) * DAY, "s", f"{why}; days as spreadsheets count them, written as s", start
     if unit is None and days and last - first < len(c.values):
         raise DataError(
             f"column {c.header!r} starts at {first:g}: days since a date, or seconds? (--set '{c.header}.unit=d', or s)"
@@ -196,6 +201,7 @@ _EAST_ASIAN = str.maketrans({"年": "/", "月": "/", "日": " ", "時": ":", "�
 def _usual_signs(text: str) -> str:
     """`7:00:00,5` with a point, `Mar 1, 2025 7:00` with a blank, `2. März 2026` in English, `07.58.00` with colons."""
     text = re.sub(r",(?=\d)", ".", text.translate(_EAST_ASIAN)).replace(",", " ")
+    text = re.sub(r"(:\d\d:\d\d):(\d{1,3})$", r"\1.\2", text)  # `08:00:00:250`, as data loggers write
     text = re.sub(r"(?<= )(\d{1,2})\.(\d\d)\.(\d\d)$", r"\1:\2:\3", text)
     text = re.sub(r"(?<=\d)\.(?= [^\W\d]{3})|(?<=[^\W\d])\.(?= )", "", text)
     return " ".join(re.sub(r"[^\W\d_]{3,}", _month, text).split())

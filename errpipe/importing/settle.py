@@ -238,6 +238,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     unknown = [c for c in layout.columns if _may_be_a_place(p, c)]
     for name, entry in p.entries.items():
         letter, _ = entry.pop("_axis", None), entry.pop("_headers", None)
+        _refuse_second_probe(p, name, letter, options)
         alone = letter is not None and p.first("position", letter) is None and p.first("command", letter) is None
         if alone and entry["component"] == components.positioning(letter) and letter in "XYZUVW":
             if unknown:
@@ -303,6 +304,17 @@ def _refuse_one_of_several_axes(p: Proposal, layout: Layout, options: ImportOpti
                 f"axes {', '.join(sorted(moving))} move, and {headers[0]!r} names none of them: deviations of which? "
                 f"Say it with --axis {min(moving)}, or --component (E_R: along a beam or bar)"
             )
+
+
+def _refuse_second_probe(p: Proposal, name: str, letter: str | None, options: ImportOptions) -> None:
+    """Raise DataError for readings called X2 without a position of an axis X2: a second probe, as of a spindle test."""
+    own = letter is not None and len(letter) > 1 and options.component is None
+    if own and not any(e.get("axis") == letter for n, e in p.entries.items() if n != name):
+        assert letter is not None
+        raise DataError(
+            f"{name!r} names {letter}, and no position of an axis {letter} is recorded: a second probe along "
+            f"{letter[0]}? Say --set {name}.role=ignore, or import it by itself with --component E_{letter[0]}"
+        )
 
 
 def _refuse_other_axis(p: Proposal, name: str, letter: str, options: ImportOptions) -> None:

@@ -34,7 +34,7 @@ SIMULATED = (
 FORCES = r"(force|kraft|torque|drehmoment|moment)"
 # Of a tool point: a deviation, unless it is as long as a travel.
 DISPLACEMENT = (
-    r"(displacement|\bgrowth|wachstum|laengung|verlagerung|verschiebung|\bdrift\b|spostamento|deplacement|desplazamiento"
+    r"(displacement|\bdisp\b|\bgrowth|wachstum|laengung|verlagerung|verschiebung|\bdrift\b|spostamento|deplacement|desplazamiento"
     r"|変位|位移)"
 )
 
@@ -174,7 +174,10 @@ _NEUTRAL = re.compile(
 
 # Of an axis, with the number of a second one: X2. X1 is X, as controls name the only one too.
 AXIS_LETTER = r"([XYZABCUVW](?:[2-9](?!\d))?)"
-_CALLED_AXIS = r"(?:axis|achse|axe|asse|eje)\b"
+_CALLED_AXIS = (
+    r"(?:axis|(?:mess|pruef|prüf|maschinen)?achse|axe|asse|eje|ось)\b"
+    r"(?: (?:under test|tested|measured|name|id|letter|of (?:motion|travel|movement)))?"
+)
 _AXIS_ABOVE = re.compile(
     rf"(?:\b{_CALLED_AXIS}|[軸轴])\s*[:=;：]?\s*{AXIS_LETTER}1?\b|\b{AXIS_LETTER}1?[- ]?(?:{_CALLED_AXIS}|[軸轴])",
     re.IGNORECASE,
