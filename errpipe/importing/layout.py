@@ -243,8 +243,8 @@ def _lift_comments(rows: list[list[Cell]], numbers: list[list[float | None]], st
     wide = len(texts) >= max(2, 0.6 * len(filled_cells(rows[start])))
     if head == start - 1 or not wide or any(v is not None for v in numbers[head]) or texts[0].startswith(_COMMENT):
         return
-    for part in (rows, numbers):
-        part[head:start] = [*part[head + 1 : start], part[head]]  # type: ignore[index]
+    rows[head:start] = [*rows[head + 1 : start], rows[head]]
+    numbers[head:start] = [*numbers[head + 1 : start], numbers[head]]
 
 
 def _is_comment(row: list[Cell], numbers: list[float | None]) -> bool:

@@ -81,14 +81,12 @@ def _largest(table: CompensationTable, axis: str) -> tuple[float, str]:
         if (low, high) == UNBOUNDED:
             continue
         grid = np.linspace(low, high, PLACES)
-        for side in (1.0, -1.0):
-            corrections = _sample.corrections(table, axis, {names[over]: grid}, np.full(PLACES, side))
+        both = {s: _sample.corrections(table, axis, {names[over]: grid}, np.full(PLACES, s)) for s in (1.0, -1.0)}
+        for side, corrections in both.items():
             k = int(np.argmax(np.abs(corrections)))
             if abs(corrections[k]) > 1.01 * best:
-                best, says = (
-                    float(abs(corrections[k])),
-                    _sentence(axis, over, float(grid[k]), side, -float(corrections[k])),
-                )
+                best = float(abs(corrections[k]))
+                says = _sentence(axis, over, float(grid[k]), _side_of(both, side, k), -float(corrections[k]))
     for i in table.inputs:
         if i.valid is not None and i.name not in names.values():
             ends = np.array(i.valid)
@@ -149,14 +147,22 @@ def of_files(read: Any) -> list[str]:
         for over, (low, high) in sorted(spans.items(), key=lambda item: item[0] != axis):
             at = {name: np.full(PLACES, (a + b) / 2) for name, (a, b) in spans.items()}
             at[over] = np.linspace(low, high, PLACES)
-            for side in (1.0, -1.0):
-                corrections = read.correction(axis, at, np.full(PLACES, side), cold)
+            both = {s: read.correction(axis, at, np.full(PLACES, s), cold) for s in (1.0, -1.0)}
+            for side, corrections in both.items():
                 k = int(np.argmax(np.abs(corrections)))
                 if abs(corrections[k]) > 1.01 * best:
                     best = float(abs(corrections[k]))
-                    says = _sentence(axis, over, float(at[over][k]), side, -float(corrections[k]))
+                    says = _sentence(axis, over, float(at[over][k]), _side_of(both, side, k), -float(corrections[k]))
         out += [says] if says else [_per_kelvin(line) for line in read.lines if line.axis == axis][:1]
     return out
+
+
+SAME = 1e-6  # mm (deg): corrections of both sides that differ by less are one
+
+
+def _side_of(corrections: dict[float, Any], side: float, k: int) -> float:
+    """The side of the k-th correction, or 0 where it is the same from the other: nothing was measured of sides."""
+    return side if abs(float(corrections[side][k] - corrections[-side][k])) > SAME else 0.0
 
 
 def _per_kelvin(line: Any) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,7 +13,13 @@ from errpipe.errors import GateError, VerifyError
 from errpipe.stages import targets
 from errpipe.tables import ect
 from tests.unit.tables.made import follower
-from tests.unit.targets.machines import compile_, straight, too_long_at_plus_x
+from tests.unit.targets.machines import (
+    compile_,
+    long_with_lost_motion,
+    straight,
+    too_long_at_plus_x,
+    too_long_from_above,
+)
 
 
 @pytest.mark.parametrize("name", ["linuxcnc_screw", "sinumerik_lec", "heidenhain_com", "iec_st"])
@@ -21,8 +28,20 @@ def test_a_checklist_says_what_will_happen(tmp_path: Path, name: str) -> None:
     done = targets.export(tmp_path / "table.ect", [name], tmp_path / "out")
     text = (tmp_path / "out" / name / targets.CHECKLIST).read_text()
     (says,) = re.findall(r"- (at X = .*)[.]", text)
-    wanted = "at X = 500 mm approached from below the axis stands 10.0 um too far and will be told to go 10.0 um less"
+    wanted = "at X = 500 mm the axis stands 10.0 um too far and will be told to go 10.0 um less"
     assert says == wanted and done["says"][-1] == wanted
+
+
+@pytest.mark.parametrize("table", [too_long_from_above, long_with_lost_motion])
+def test_a_checklist_names_a_side_only_where_sides_differ(tmp_path: Path, table: Any) -> None:
+    """It said `approached from below` of every table, also of one that was measured only from above."""
+    ect.write(table(), tmp_path / "table.ect")
+    ect.write(too_long_at_plus_x(), tmp_path / "one.ect")
+    both, one = (
+        targets.export(tmp_path / f"{name}.ect", ["linuxcnc_screw"], tmp_path / name)["says"][-1]
+        for name in ("table", "one")
+    )
+    assert " approached from above the axis" in both and "approached" not in one
 
 
 def test_a_machine_too_short_is_told_to_go_further(tmp_path: Path) -> None:
