@@ -25,6 +25,7 @@ from errpipe.importing.long_form import unstacked
 from errpipe.importing.proposal import propose
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.units import unit_of
+from errpipe.stages import _as_written
 from errpipe.validation import plausibility
 
 if TYPE_CHECKING:
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 TABLE = "recording.csv"
 MAX_SHEETS = 64  # with measurements, of one file; the rest is not opened
 MAX_SHEETS_NAMED = 6  # other sheets that are named beside the one that is imported
-AS_IMPORTED = "# As imported: "  # before the identity of what was written, to know a recording that was changed
 DIGITS = 12  # of a number in the table: more than any instrument has
 
 
@@ -147,7 +147,7 @@ def write(
 
     manifest = _manifest(proposal, options, files)
     table, text = _csv(proposal), _commented(manifest_folder.manifest_text(manifest), proposal)
-    parts = {TABLE: table, manifest_folder.MANIFEST: f"{text}{AS_IMPORTED}{_identity(text, table)}\n"}
+    parts = {TABLE: table, manifest_folder.MANIFEST: _as_written.marked(text, table)}
     if not overwrite:
         _refuse_changed(Path(folder), parts)
     with tempfile.TemporaryDirectory(prefix="errpipe-") as trial:
@@ -172,18 +172,13 @@ def write(
     }
 
 
-def _identity(manifest: str, table: str) -> str:
-    return hashlib.sha256(f"{manifest}{table}".encode()).hexdigest()[:16]
-
-
 def _refuse_changed(folder: Path, parts: dict[str, str]) -> None:
     """Raise UsageError where the folder's recording is not as an import wrote it: somebody's corrections are in it."""
     there = {name: folder / name for name in parts if (folder / name).exists()}
     texts = {name: file.read_text("utf-8", errors="replace") for name, file in there.items()}
     if not there or texts == parts:
         return
-    manifest, mark, identity = texts.get(manifest_folder.MANIFEST, "").partition(AS_IMPORTED)
-    if not mark or identity.strip() != _identity(manifest, texts.get(TABLE, "")):
+    if not _as_written.as_written(texts.get(manifest_folder.MANIFEST, ""), texts.get(TABLE, "")):
         raise UsageError(
             f"{', '.join(map(str, there.values()))}: changed since it was imported, or not written by an import: "
             "nothing was written. Name another folder with --out, or say --overwrite to lose what stands there"

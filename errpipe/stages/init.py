@@ -64,8 +64,12 @@ def init(folder: Path, name: str, recording: Path | None = None, targets: Sequen
     if recording is None and template.sample is not None:
         from errpipe.simulation import folder as recording_folder
         from errpipe.simulation import sample_recordings
+        from errpipe.stages import _as_written
 
-        recording_folder.write(folder / "recording", getattr(sample_recordings, template.sample)())
+        own = folder / "recording"
+        recording_folder.write(own, getattr(sample_recordings, template.sample)())
+        manifest, table = ((own / name).read_text("utf-8") for name in ("recording.yaml", "recording.csv"))
+        jsonfile.write_text(own / "recording.yaml", _as_written.marked(manifest, table))  # `import` may replace it
     for file, text in texts.items():
         jsonfile.write_text(folder / file, text)
     says = [f"{folder / file}" for file in texts]
