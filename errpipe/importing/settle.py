@@ -14,7 +14,7 @@ import numpy as np
 from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
-from errpipe.importing import dates, order, readings, signs, simulated
+from errpipe.importing import dates, doubts, order, readings, signs, simulated
 from errpipe.importing.layout import EMPTY, Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.units import PER_LENGTH, plain_unit, split_header
@@ -231,14 +231,14 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
             "Say it with --set COLUMN.role=error, or --set COLUMN.role=actual"
             + "".join(f"; {note}" for note in layout.notes if "--names" in note or note.startswith(EMPTY))
         )
-    _refuse_too_few(p)
-    _refuse_unnamed_axis(p)
+    doubts.refuse(p, layout, options)
     _refuse_one_of_several_axes(p, layout, options)
     settle_units(p, layout)
     unknown = [c for c in layout.columns if _may_be_a_place(p, c)]
+    doubts.refuse_nothing_beside(p, bool(unknown))
     for name, entry in p.entries.items():
         letter, _ = entry.pop("_axis", None), entry.pop("_headers", None)
-        _refuse_second_probe(p, name, letter, options)
+        doubts.refuse_second_probe(p, name, letter, options)
         alone = letter is not None and p.first("position", letter) is None and p.first("command", letter) is None
         if alone and entry["component"] == components.positioning(letter) and letter in "XYZUVW":
             if unknown:
@@ -259,25 +259,6 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
             )
     order.settle_order(p, axis)
     p.entries = dict(sorted(p.entries.items(), key=lambda item: item[1]["role"] not in ("run", "time")))
-
-
-FEWEST_ROWS = 3  # with readings: two make a straight line through whatever was read
-
-
-def _refuse_too_few(p: Proposal) -> None:
-    """Raise DataError for a table of one or two rows: a remark, or the result of a test, not the test."""
-    if p.rows < FEWEST_ROWS:
-        raise DataError(
-            f"{p.rows} row{'s' if p.rows > 1 else ''} with a reading (at least {FEWEST_ROWS}; ISO 230-2 asks for five "
-            "targets a metre, each five times from both sides)"
-        )
-
-
-def _refuse_unnamed_axis(p: Proposal) -> None:
-    """Raise DataError where neither the file nor a person names the axis that is at the positions."""
-    place = p.first("command") or p.first("position")
-    if p.assumed_axis and place is not None and any(e["role"] == "error" for e in p.entries.values()):
-        raise DataError(f"no axis is named in the file: along which axis is {place!r}? Say it with --axis, such as X")
 
 
 def _refuse_one_of_several_axes(p: Proposal, layout: Layout, options: ImportOptions) -> None:
@@ -304,17 +285,6 @@ def _refuse_one_of_several_axes(p: Proposal, layout: Layout, options: ImportOpti
                 f"axes {', '.join(sorted(moving))} move, and {headers[0]!r} names none of them: deviations of which? "
                 f"Say it with --axis {min(moving)}, or --component (E_R: along a beam or bar)"
             )
-
-
-def _refuse_second_probe(p: Proposal, name: str, letter: str | None, options: ImportOptions) -> None:
-    """Raise DataError for readings called X2 without a position of an axis X2: a second probe, as of a spindle test."""
-    own = letter is not None and len(letter) > 1 and options.component is None
-    if own and not any(e.get("axis") == letter for n, e in p.entries.items() if n != name):
-        assert letter is not None
-        raise DataError(
-            f"{name!r} names {letter}, and no position of an axis {letter} is recorded: a second probe along "
-            f"{letter[0]}? Say --set {name}.role=ignore, or import it by itself with --component E_{letter[0]}"
-        )
 
 
 def _refuse_other_axis(p: Proposal, name: str, letter: str, options: ImportOptions) -> None:

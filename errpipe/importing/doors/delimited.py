@@ -67,6 +67,8 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         raise DataError(f"{path}: not a table: {err}") from None
     if separator != " ":
         _refuse_short_rows(path, rows)
+    if separator == ",":
+        _refuse_torn_numbers(path, rows)
     words = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}[separator]
     return [Sheet(path.stem, rows, notes=[f"text in {encoding}, separated by {words}"]).limited()]
 
@@ -107,6 +109,21 @@ def _refuse_short_rows(path: Path, rows: list[list[Cell]]) -> None:
         raise DataError(
             f"{path}:{r + 1}  {len(rows[r])} cells, {width} in the rows around it: which one is missing? (write it "
             "empty, with its separator)"
+        )
+
+
+def _refuse_torn_numbers(path: Path, rows: list[list[Cell]]) -> None:
+    """Raise DataError where commas are decimal marks and separators: rows of whole numbers, longer than the header."""
+    figures = [sum(map(_figure, row)) for row in rows]
+    first = next((r for r, n in enumerate(figures) if n >= 2), 0)
+    header = [c for c in rows[first - 1] if c] if first else []
+    longer = [row for row, n in zip(rows, figures, strict=True) if n >= 2 and sum(map(bool, row)) > len(header)]
+    if len(header) < 2 or len(longer) < 0.5 * sum(n >= 2 for n in figures) or figures[first - 1]:
+        return
+    if not any("." in str(c) for row in longer for c in row if c):
+        raise DataError(
+            f"{path}: the header has {len(header)} columns and the rows {max(map(len, longer))}, without a decimal "
+            "point: are commas decimal marks and separators? Write decimal points, or another separator"
         )
 
 

@@ -247,7 +247,7 @@ def test_numbers_in_brackets_are_asked_about(tmp_path: Path) -> None:
 def test_two_errors_of_one_component_are_refused(tmp_path: Path) -> None:
     text = long("Run;Target [mm];Error before [um];Error after [um]", lambda r, x, s, d: f"{r};{x};{d};{d / 9}")
     (tmp_path / "f.csv").write_text(text)
-    with pytest.raises(DataError, match="are both role error of EXX"):
+    with pytest.raises(DataError, match="are both deviations of EXX"):
         imported(tmp_path, tmp_path / "f.csv")
 
 

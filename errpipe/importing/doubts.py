@@ -1,0 +1,143 @@
+"""What a file leaves open and a table cannot do without: asked for, never assumed."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from errpipe.domain import components
+from errpipe.errors import DataError
+from errpipe.importing import words
+from errpipe.importing.layout import Layout
+from errpipe.importing.proposed import ImportOptions, Proposal, slug
+
+FEWEST_ROWS = 3  # with readings: two make a straight line through whatever was read
+PLACES = ("command", "position", "actual")
+# What else a deviation may follow, where no position is recorded.
+INPUTS = (
+    "time",
+    "temperature",
+    "spindle_speed",
+    "feed",
+    "load",
+    "force",
+    "torque",
+    "current",
+    "pressure",
+    "cut_length",
+)
+# Lengths that are known better than the machine: where its own probe read them, its reading stands for the command.
+_ARTEFACT = re.compile(
+    r"\b(step ?gauges?|step ?bar|gau?ge ?blocks?|(stufen|parallel)?endmass\w*|kugel(balken|platte|leiste)"
+    r"|ball ?(plate|beam)|calibrated (length|value|position)s?|kalibrierte[rs]? (laenge|wert|position)\w*"
+    r"|cal\.? ?[xyz]|cale etalon|blocco campione)\b|ブロックゲージ|量块|步距规"
+)
+_SIGNS = re.compile(r"\b(signs?|vorzeichen|vz|signe|segno|signo)\b|符号|^\W*\+ ?/ ?-\W*$|^\W*±\W*$")
+_SHORT_OR_LONG = re.compile(
+    r"[ls]|long|short|(zu )?(lang|kurz|weit)|too (long|short|far)|over|under|far|near|\+|-|plus|minus"
+)
+
+
+def refuse(p: Proposal, layout: Layout, options: ImportOptions) -> None:
+    """Raise DataError for the first doubt on a proposal with all its deviations."""
+    _too_few(p)
+    _signs_in_a_column(p, layout, options)
+    _unnamed_axis(p)
+    _artefact(p, layout, options)
+    _twice(p)
+
+
+def _signs_in_a_column(p: Proposal, layout: Layout, options: ImportOptions) -> None:
+    """Signs of readings that stand in a column of their own, as `+` and `-`, or `L` and `S`."""
+    errors = [n for n, e in p.entries.items() if e["role"] == "error" and n in p.data]
+    if not errors or any(np.nanmin(p.data[n], initial=0.0) < 0 for n in errors):
+        return
+    for c in (c for c in layout.columns if not {c.header, slug(c.header)} & {*options.sets}):
+        labels = {words.plain(cell).removesuffix(".0").strip(".") for cell in c.cells if cell not in (None, "")}
+        ignored = p.entries.get(p.names.get(c.header, ""), {}).get("role") == "ignore"
+        of_signs = _SIGNS.search(words.plain(c.header)) and (not c.numeric or labels <= {"1", "-1"})
+        if of_signs or (ignored and len(labels) == 2 and all(map(_SHORT_OR_LONG.fullmatch, labels))):
+            raise DataError(
+                f"column {c.header!r} holds {' and '.join(sorted(labels))}: the signs of the readings? Write each "
+                f"reading with its sign (if they are none: --set '{c.header}.role=ignore')"
+            )
+
+
+def _artefact(p: Proposal, layout: Layout, options: ImportOptions) -> None:
+    """Lengths of a gauge that the machine's own probe read: its reading less the gauge is minus the deviation."""
+    said = next(
+        (x for x in [*layout.above, *(c.header for c in layout.columns)] if _ARTEFACT.search(words.plain(x))), None
+    )
+    if said is None or options.sign is not None or any("role" in keys for keys in options.sets.values()):
+        return
+    error = next((n for n, e in p.entries.items() if e["role"] == "error"), "")
+    pair = p.entries.get(error, {}).get("derived", {}).get("minus")
+    if pair:
+        raise DataError(
+            f"{said[:60]!r}: who read {pair[0]!r}? The machine's own probe on a gauge: --set {pair[0]}.role=command "
+            f"--set {pair[1]}.role=actual; a laser or gauge beside the machine: --set {pair[0]}.role=actual "
+            f"--set {pair[1]}.role=command"
+        )
+    raise DataError(
+        f"{said[:60]!r}: is {error!r} the reading of the machine less the length of the gauge? Then say --sign "
+        "commanded-minus-actual; where it is positive where the axis goes too far, --sign actual-minus-commanded"
+    )
+
+
+def _twice(p: Proposal) -> None:
+    """Two columns of deviations of one component, such as before and after a compensation."""
+    seen: dict[str, str] = {}
+    for name, entry in p.entries.items():
+        if entry["role"] != "error":
+            continue
+        first = seen.setdefault(entry["component"], name)
+        if first != name:
+            raise DataError(
+                f"{first!r} and {name!r} are both deviations of {entry['component']}: which one is meant? Say it with "
+                f"--set {name}.role=ignore (or {first}); where they are runs, call them run 1, run 2"
+            )
+
+
+def refuse_nothing_beside(p: Proposal, asked: bool) -> None:
+    """Raise DataError for readings without a position, a time or anything else that they could follow.
+
+    asked: whether a column that may be the position of a linear axis is asked about anyway.
+    """
+    roles = {e["role"] for e in p.entries.values()}
+    left_out = next((n for n, e in p.entries.items() if e["role"] == "ignore"), None)
+    for name, entry in p.entries.items():
+        letter = entry.get("_axis")
+        if entry["role"] != "error" or letter is None or entry["component"] != components.positioning(letter):
+            continue
+        recorded = any(e["role"] in PLACES and e.get("axis") == letter for e in p.entries.values())
+        if not recorded and (letter[0] in "ABC" or not (asked or roles & {*PLACES, *INPUTS})):
+            hint = f" (is it {left_out!r}? {p.guesses.get(left_out, '')})" if left_out else ""
+            raise DataError(f"no position of {letter} is recorded beside {name!r}: at which targets was it read?{hint}")
+
+
+def _too_few(p: Proposal) -> None:
+    """Raise DataError for a table of one or two rows: a remark, or the result of a test, not the test."""
+    if p.rows < FEWEST_ROWS:
+        raise DataError(
+            f"{p.rows} row{'s' if p.rows > 1 else ''} with a reading (at least {FEWEST_ROWS}; ISO 230-2 asks for five "
+            "targets a metre, each five times from both sides)"
+        )
+
+
+def _unnamed_axis(p: Proposal) -> None:
+    """Raise DataError where neither the file nor a person names the axis that is at the positions."""
+    place = p.first("command") or p.first("position")
+    if p.assumed_axis and place is not None and any(e["role"] == "error" for e in p.entries.values()):
+        raise DataError(f"no axis is named in the file: along which axis is {place!r}? Say it with --axis, such as X")
+
+
+def refuse_second_probe(p: Proposal, name: str, letter: str | None, options: ImportOptions) -> None:
+    """Raise DataError for readings called X2 without a position of an axis X2: a second probe, as of a spindle test."""
+    own = letter is not None and len(letter) > 1 and options.component is None
+    if own and not any(e.get("axis") == letter for n, e in p.entries.items() if n != name):
+        assert letter is not None
+        raise DataError(
+            f"{name!r} names {letter}, and no position of an axis {letter} is recorded: a second probe along "
+            f"{letter[0]}? Say --set {name}.role=ignore, or import it by itself with --component E_{letter[0]}"
+        )
