@@ -129,6 +129,7 @@ DOWN = re.compile(
     r"-1?|↓|←|<+|d|dn|down|ab(waerts)?|b|bw|bwd|back|backwards?|r|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?"
     r"|her(weg|fahrt)?|n|neg|negative?|minus|falling|desc(ending)?|decreasing|fallend|above|oben|recul|descente|ritorno|indietro|vuelta|復|復路"
     r"|帰り?|反向?|[负負]向?"
+    r"|обратн\w*|назад|вниз|terug|tillbaka|zpet|vissza"
 )
 
 # Of those, words that mean the way there and the way back: where targets fall, the way there comes from above.

@@ -9,6 +9,9 @@ from errpipe.validation.plausibility_finding import Finding, Response
 FEWEST_TARGETS = 5  # approached from both sides: of an axis up to 2 m (ISO 230-2, 5.3.2)
 FEWEST_READINGS = 8  # of a direction, where targets are not shared; fewer have no usual size
 
+SHOWN = 1.0  # um: from here on it is said; a smaller one is within what an axis with a scale shows either way
+LARGE = 5.0  # um: from here on a sign that nobody stated is asked for
+
 
 def reversal_of_the_other_sign(r: Response) -> Finding | None:
     """Lost motion stops an axis short; the other sign is possible (a scale, an overcompensated control) but rare."""
@@ -23,7 +26,7 @@ def reversal_of_the_other_sign(r: Response) -> Finding | None:
         (lost,) if lost.size >= FEWEST_TARGETS else (up, down)
     )  # beside targets, the curve of the axis counts as scatter
     spread = 1.4826 * max(float(np.median(np.abs(v - np.median(v)))) for v in samples)
-    if step < max(5.0, spread):  # um
+    if step < max(SHOWN, spread):
         return None
     return Finding(
         "reversal-sign",
@@ -31,7 +34,7 @@ def reversal_of_the_other_sign(r: Response) -> Finding | None:
         f"approached from below the axis stands {step:.3g} um further than from above",
         "the same with the sign or the direction turned, unless the control already corrects backlash too much",
         level="ask",
-        of_sign=True,
+        of_sign=step >= LARGE,
     )
 
 
