@@ -14,7 +14,7 @@ from errpipe.domain import components
 from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.importing import columns as guessing
-from errpipe.importing import dates, no_reading, order, rows_of, settle, simulated, wide
+from errpipe.importing import dates, no_reading, order, rows_of, settle, signs, simulated, wide
 from errpipe.importing.layout import Layout, RawColumn, facts, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
@@ -48,6 +48,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     proposal = Proposal(notes=[*layout.notes, *unsure], headers=headers)
     proposal.facts.update(facts(layout.above))
     proposal.side = guessing.side_above(layout.above)
+    proposal.notes += signs.compensated(layout.above)
     wide_layout = wide.find(layout, guesses)
     axis = options.axis or _axis(layout, guesses, wide_layout)
     if axis is None:
@@ -124,7 +125,11 @@ def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], unfolded: wi
         if unfolded is None or header == unfolded.target.header or not wide.is_figure(header)
     ]
     above = axis_above(layout.above)
-    return named[0] if named and above not in named else above
+    if named and above is not None and above not in named:
+        raise DataError(
+            f"a line above the table, its sheet or file names the axis {above}, a column {named[0]}: say it with --axis"
+        )
+    return above or (named[0] if named else None)
 
 
 def _long(

@@ -21,6 +21,7 @@ from errpipe.importing.units import PER_LENGTH, plain_unit, split_header
 from errpipe.importing.words import axis_above
 
 PLACES = ("command", "position", "actual")
+NO_DEVIATION = "no column holds a deviation"
 
 
 def settle_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
@@ -227,7 +228,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     if not any(e["role"] == "error" for e in p.entries.values()):
         have = ", ".join(_found(p, n) for n in p.entries)
         raise DataError(
-            f"no column holds a deviation, and no two hold an actual and a commanded position (found: {have}). "
+            f"{NO_DEVIATION}, and no two hold an actual and a commanded position (found: {have}). "
             "Say it with --set COLUMN.role=error, or --set COLUMN.role=actual"
             + "".join(f"; {note}" for note in layout.notes if "--names" in note or note.startswith(EMPTY))
         )

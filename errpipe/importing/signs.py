@@ -62,6 +62,22 @@ def leave_corrections(p: Proposal) -> None:
         p.guesses[name] = "corrections beside deviations: only the deviations are used"
 
 
+_SWITCHED_ON = re.compile(
+    r"\b(?:comp\w*|korrektur\w*|kompensation\w*|correction\w*)\W+(?:was |is |ist |war )?"
+    r"(?:on|active|aktiv|enabled|ein|an)\b|\b(?:with|mit|after|nach) (?:\w+ )?(?:comp\w*|korrektur|kompensation)\b"
+)
+_OF_THE_AIR = re.compile(r"temp|air|luft|environment|umgebung|material|wavelength|wellenlaenge|dead ?path|20 ?°")
+
+
+def compensated(above: list[str]) -> list[str]:
+    """A note where a line above says that the control's compensation was on; that of a laser's air is another one."""
+    lines = [x for x in above if _SWITCHED_ON.search(words.plain(x)) and not _OF_THE_AIR.search(words.plain(x))]
+    return [
+        f"a line says {x[:60]!r}: these are the deviations that a compensation leaves, and a new table is added to it"
+        for x in lines[:1]
+    ]
+
+
 def turn(p: Proposal, layout: Layout, options: ImportOptions) -> None:
     """Every error column as actual minus commanded. Raises DataError where the file says a sign that is not understood.
 

@@ -67,6 +67,23 @@ def are_runs(names: Sequence[str]) -> bool:
     return len(bare) == 1 and len(set(names)) == len(names) and (numbered or both)
 
 
+_CORRECTED = r"(?:comp|compensat\w*|kompens\w*|korrektur|korrigiert|correct\w*)"
+_STATES = re.compile(
+    rf"(?<![^\W_])(before|after|vorher|nachher|avant|apres|{_CORRECTED}[ -]?(?:on|off|ein|aus)"
+    rf"|un(?:comp|kompens|korr|corr)\w*|{_CORRECTED})(?![^\W_])"
+)
+
+
+def refuse_states(names: Sequence[str], what: str, answer: str) -> None:
+    """Raise DataError where names say several states of one machine, such as before and after a compensation."""
+    said = [tuple(m[0] for m in _STATES.finditer(plain(name))) for name in names]
+    if len(set(said)) > 1:
+        raise DataError(
+            f"{what} {', '.join(names)}: of several states of the machine? Runs of one test are of one state: {answer} "
+            "(where they are of one, rename them)"
+        )
+
+
 def of_one_test(part: Proposal, first: Proposal) -> bool:
     """Whether two parts have columns of the same names, roles, axes and components."""
     keys = ("role", "axis", "component", "of", "derived")

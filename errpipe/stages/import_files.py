@@ -16,7 +16,7 @@ from errpipe.domain import units
 from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError, ErrpipeError, UsageError, did_you_mean
 from errpipe.formats import _derived, manifest_folder
-from errpipe.importing import order, signs, together
+from errpipe.importing import order, settle, signs, together
 from errpipe.importing.across import upright
 from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
@@ -56,6 +56,7 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
     if len(logs) == len(parts):
         _of_any_sheet(logs[0], door, options)  # raises: what the file lacks
     measured = {file: part for file, part in parts.items() if file not in logs}
+    together.refuse_states([file.stem for file in measured], "files", "import the one that is meant")
     runs = together.sides_of_names([*measured.values()], [file.stem for file in measured])
     complete = together.one_after_another([*measured.values()], runs)
     order.sides_of_falling_runs(complete)
@@ -105,7 +106,7 @@ def _of_any_sheet(
     """The proposal of the first sheet of a file that holds measurements, and what was opened; others are named."""
     kind, sheets = open_file(file, door)
     out: list[tuple[Proposal, str]] = []
-    problems = []
+    problems, asked = [], ""
     for sheet in sheets:
         if len(out) == MAX_SHEETS:
             break
@@ -114,8 +115,13 @@ def _of_any_sheet(
             out.append((propose(layout, options, may_be_log), sheet.name))
         except DataError as err:
             problems.append(f"{sheet.name}: {err}" if len(sheets) > 1 else str(err))
+            question = "--" in str(err) and not str(err).startswith(settle.NO_DEVIATION)
+            asked = asked or (problems[-1] if question and not out else "")
     if not out:
         raise DataError(f"{file}: {'; '.join(problems)}")
+    if asked:  # the sheet before may be the one that is meant
+        raise DataError(f"{file}: {asked}. Or, of the other sheets, --sheet {out[0][1]!r}")
+    together.refuse_states([name for _, name in out], "sheets", "--sheet says which is imported")
     out = _with_runs_joined(out)
     proposal, name = out[0]
     if len(out) > 1:

@@ -291,3 +291,46 @@ def test_a_folder_of_init_takes_an_imported_recording(tmp_path: Path) -> None:
     with (folder / "recording" / "recording.csv").open("a") as stream:
         stream.write("9,+,0,1\n")
     assert main(command) == 2
+
+
+def test_a_line_and_a_column_that_name_two_axes(tmp_path: Path) -> None:
+    refused(tmp_path, signed(above="Y axis"), "names the axis Y, a column X")
+    holds_the_truth(imported(tmp_path, tmp_path / "f.csv", axis="X"))
+    refused(tmp_path, signed(), "names the axis Y, a column X", "laser_Y.csv")
+
+
+@pytest.mark.parametrize("names", [("before", "after"), ("X_comp_off", "X_comp_on"), ("vorher", "nachher")])
+def test_files_of_two_states_are_no_runs(tmp_path: Path, names: tuple[str, str]) -> None:
+    """Before and after a compensation became runs of one test, and the table half of it."""
+    files = [tmp_path / f"{name}.csv" for name in names]
+    for file, factor in zip(files, (1.0, 0.1), strict=True):
+        file.write_text(signed(factor), encoding="utf-8")
+    with pytest.raises(DataError, match="several states"):
+        imported(tmp_path, files)
+    renamed = [file.rename(tmp_path / f"{n}.csv") for n, file in enumerate(files)]
+    assert len(imported(tmp_path, renamed)) == 156
+
+
+LINES_ON = {"Pitch error compensation ON": True, "Mit Kompensation": True, "Compensation: OFF": False}
+LINES_ON |= {"Laser air compensation: on": False, "Temperature compensation is on": False}
+
+
+@pytest.mark.parametrize("line", LINES_ON)
+def test_a_compensation_that_was_on_is_said(tmp_path: Path, line: str) -> None:
+    (tmp_path / "f.csv").write_text(signed(above=line), encoding="utf-8")
+    holds_the_truth(imported(tmp_path, tmp_path / "f.csv"))
+    assert ("that a compensation leaves" in (tmp_path / "rec" / "recording.yaml").read_text("utf-8")) == LINES_ON[line]
+
+
+def test_a_sheet_with_a_question_is_not_passed_over(tmp_path: Path) -> None:
+    """The sheet of the readings asked for its axis, and that of a summary was imported instead, in silence."""
+    openpyxl = pytest.importorskip("openpyxl", reason="the sample is made by openpyxl")
+    book = openpyxl.Workbook()
+    for sheet, place in ((book.active, "Target [mm]"), (book.create_sheet("Summary"), "X [mm]")):
+        sheet.append(["Run", "Dir", place, "Error [um]"])
+        for r, x, s, d in long_rows():
+            sheet.append([r, mark(s), x, d])
+    book.save(tmp_path / "f.xlsx")
+    with pytest.raises(DataError, match=r"along which axis.*--sheet 'Summary'"):
+        import_files.prepare([tmp_path / "f.xlsx"], DoorOptions(), import_files.options_of(sets=[]))
+    holds_the_truth(imported(tmp_path, tmp_path / "f.xlsx", axis="X"))
