@@ -386,7 +386,8 @@ def _response(
     if magnitude and not np.any(c.values < 0):
         raise DataError(f"column {c.header!r} may hold sizes without their sign (if not: rename it, or --set its role)")
     if component is None:
-        component = guessing.other_component(c.header, moved)
+        of_a_screw = unit in ("um", "mm", "nm") and re.search(r"\bpitch\b", plain(c.header))
+        component = None if of_a_screw else guessing.other_component(c.header, moved)
         why += f"; component {component} from the name and the axis {moved}" if component else ""
     if component is None:
         component = components.positioning(axis)

@@ -22,7 +22,7 @@ ASSUMED = "the file does not say its sign: taken as actual minus commanded (--si
 # Quantities that count either way: what is entered in a control, or the gap between a sensor and what it looks at.
 _EITHER_WAY = re.compile(
     r"\b(offset|trim|gap|spalt|luftspalt|abstand|distance|stellwert|einstellwert|nachstellwert|eingabewert|to enter"
-    r"|undershoot|short|zu kurz|trop court)\b"
+    r"|undershoot|short|zu kurz|trop court)\b|[x×*·] ?\(?-1|-1\)? ?[x×*·]|(?<![\w-])[a-z]-[a-z](?![\w-])"
 )
 _DIFFERENCE = re.compile(
     r"\b([^\W\d_]\w*)\.?(?: - | (?:minus|less|moins|meno|menos) )(?:the )?([^\W\d_]\w*)|\b([a-z])[a-z]-\3[a-z]\b"
@@ -31,8 +31,12 @@ _OPPOSITE = re.compile(
     r"^-\s*[^\W\d]|\b(neg(ative|ated|iert\w*)?|minus|invers\w*|invert\w*|revers(ed|iert\w*)|umgekehrt\w*)\b"
 )
 _ON_THE_SIGN = re.compile(
-    r"\bsign (convention|of (the )?(error|deviation|reading)s?)\b|\bvorzeichen"
-    r"|\bpositive? (error|deviation|value|reading)s?\b|\bpositive[rs]? (fehler|abweichung|wert)|符号|\bsigns? ?[:=]"
+    r"\bvorzeichen|\bpositive? (error|deviation|value|reading)s?\b|\bpositive[rs]? (fehler|abweichung|wert)|符号"
+    r"|\bsigns?\b(?! ?off)|\bsigne\b"
+    r"|^(?:e|err|error|fehler|dev\w*|abw\w*|abweichung|偏差|误差|誤差)(?: [xyz])?\W{0,2}[=:].*\w ?(?:-|minus) ?[^\W\d]"
+    r"|\b(?:corrections?|compensations?) (?:to be|to) \w+|\bare (?:the )?(?:corrections?|compensation)\b"
+    r"|\b(?:invers\w*|invert\w*|negated|flipped|umgekehrt\w*) (?:error|dev|value|reading|fehler|abw|wert)"
+    r"|\b(?:multiplied by|times|mal) ?\(?-"
     r"|\b(too|zu|trop|troppo|demasiado) (far|long|short|weit|kurz|lang|loin|court|corto|lungo|largo)\b"
     r"|\b(stops?|falls?|stays?|bleibt) (short|zurueck)\b"
 )
@@ -134,7 +138,12 @@ def _doubtful(header: str, why: str) -> bool:
     less = _DIFFERENCE.search(text)
     names = [w for w in less.groups()[:2] if w] if less else []
     plain = any(words.kind_by_name(w) in ("error", "run") or guessing.side(w) is not None for w in names)
-    if _EITHER_WAY.search(text) or words.is_error_of_a_correction(header) or (less and not plain):
+    if (
+        _EITHER_WAY.search(text)
+        or words.names_both(header)
+        or words.is_error_of_a_correction(header)
+        or (less and not plain)
+    ):
         return True
     if why.startswith("error by its unit") and (words.kind_by_name(header) == "command" or words.unknown_word(header)):
         return True
@@ -156,7 +165,8 @@ def _ask(headers: tuple[str, ...], layout: Layout, why: str) -> None:
                 f"column {header!r}: does it rise where the axis (the tool) goes too far, or fall? Say it: --sign "
                 "actual-minus-commanded, or --sign commanded-minus-actual"
             )
-    line = next((x for x in [*layout.above, *layout.below] if _is_on_the_sign(words.plain(x))), None)
+    line = next((x for x in layout.below if words.titles_corrections(x)), None)
+    line = line or next((x for x in [*layout.above, *layout.below] if _is_on_the_sign(words.plain(x))), None)
     if line is not None:
         raise DataError(
             f"a line says {line[:60]!r} of the sign, which is not understood: say it with --sign "

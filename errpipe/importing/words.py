@@ -155,7 +155,7 @@ _OF_A_DIFFERENCE = (
 )
 _LESS = (
     r"\.?(?: (?:pos(?:ition)?|value|wert|reading)s?)?\s*(?:-|minus|less|moins|meno|menos)\s*"
-    r"(?:(?:the|(?:axis )?position) )?"
+    r"(?:(?:the|(?:axis )?position|[xyzabcuvw]) )?"
 )
 _ONE, _OTHER = (
     "|".join(rf"(?P<{name}{n}>(?<![^\W_])(?:{pattern})(?![^\W_]))" for n, pattern in _OF_A_DIFFERENCE) for name in "ab"
@@ -253,6 +253,13 @@ def difference(text: str) -> tuple[float, str] | None:
         if one[1] != other[1]:
             return (1.0 if one[1] > other[1] else -1.0), match.group(0)
     return None
+
+
+def names_both(text: str) -> bool:
+    """Whether a text names command and actual position, and not which of them is subtracted: `Soll zu Ist`."""
+    (_, command), _, (_, actual) = _OF_A_DIFFERENCE
+    found = [re.search(rf"(?<![^\W_])(?:{p})(?![^\W_])", plain(text)) for p in (command, actual)]
+    return all(found) and difference(text) is None
 
 
 def titles_corrections(line: str) -> bool:
