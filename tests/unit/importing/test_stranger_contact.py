@@ -55,6 +55,39 @@ def test_a_line_that_says_which_way_readings_count_is_asked_about(tmp_path: Path
     holds_the_truth(imported(tmp_path, tmp_path / "f.csv", sign="commanded-minus-actual"))
 
 
+TITLES = ["Sign reversed for controller input", "ready to enter (sign already changed)", "Inverse error values"]
+TITLES += [
+    "Error multiplied by -1",
+    "Values are corrections to be added",
+    "These are compensation values",
+    "E = Tp - Rp",
+]
+
+
+@pytest.mark.parametrize("line", TITLES)
+def test_a_title_on_the_sign_is_asked_about(tmp_path: Path, line: str) -> None:
+    refused(tmp_path, signed(-1.0, above=line), "--sign")
+    refused(tmp_path, signed(-1.0, below=line), "--sign")
+
+
+HEADERS = ["Abweichung (Soll zu Ist) [µm]", "Abw. Ist/Soll [µm]", "Error x(-1) [um]", "Error N-M [um]"]
+
+
+@pytest.mark.parametrize("header", HEADERS)
+def test_a_header_that_may_say_either_sign_is_asked_about(tmp_path: Path, header: str) -> None:
+    refused(tmp_path, signed(-1.0, header=f"Run;Dir;X [mm];{header}"), "--sign")
+
+
+def test_a_line_with_the_letters_of_the_axis_is_understood(tmp_path: Path) -> None:
+    (tmp_path / "f.csv").write_text(signed(-1.0, above="E = Xnom - Xact"), encoding="utf-8")
+    holds_the_truth(imported(tmp_path, tmp_path / "f.csv"))
+
+
+def test_a_pitch_error_in_um_is_that_of_a_screw(tmp_path: Path) -> None:
+    (tmp_path / "f.csv").write_text(signed(header="Run;Dir;X [mm];Pitch error [um]"), encoding="utf-8")
+    holds_the_truth(imported(tmp_path, tmp_path / "f.csv"))
+
+
 @pytest.mark.parametrize(
     "line", ["+ = approached from below", "Directions: + up, - down", "Temperature +20 = reference"]
 )
@@ -140,6 +173,13 @@ def test_a_line_on_the_approach_says_the_side(tmp_path: Path, line: str, listed:
     assert (recording.array("direction") == -1.0).all()
     at = dict(zip(recording.array("X"), recording.array("Error"), strict=True))
     assert at[600.0] == pytest.approx(deviation(2, -1.0)[-1])
+
+
+@pytest.mark.parametrize("line", ["all targets approached from -", "Approach from the negative side"])
+def test_a_sign_from_which_targets_were_approached_is_the_other_side(tmp_path: Path, line: str) -> None:
+    rows = [f"{r};{x};{d}" for r in (1, 2) for x, d in zip(TARGETS, deviation(r, 1.0), strict=True)]
+    (tmp_path / "f.csv").write_text("\n".join(["X axis", line, "Run;X [mm];Error [um]", *rows]), encoding="utf-8")
+    assert (imported(tmp_path, tmp_path / "f.csv").array("direction") == 1.0).all()
 
 
 @pytest.mark.parametrize("line", ["Approach from below and above", "Approach speed: -1000 mm/min", "Beam direction: -"])
