@@ -21,7 +21,7 @@ def command(
     other_outputs: bool = typer.Option(
         False,
         "--other-outputs",
-        help="It may correct other axes than the table before, or be made for another machine.",
+        help="It may correct other axes or in other units than the table before, or be made for another machine.",
     ),
     json: bool = Json,
 ) -> None:
