@@ -48,7 +48,10 @@ def input_values(at: list[str]) -> dict[str, float]:
         try:
             if not equals or not name.strip():
                 raise ValueError
-            values[name.strip()] = float(value)
+            number = float(value)
         except ValueError:
             raise UsageError(f"--at {text}: not of the form INPUT=VALUE, such as x=100") from None
+        if name.strip() in values:
+            raise UsageError(f"--at {text}: {name.strip()} was given before ({values[name.strip()]:g})")
+        values[name.strip()] = number
     return values

@@ -51,8 +51,8 @@ class Rows(NamedTuple):
 class Mode(NamedTuple):
     """The modes in force that no plain block changes, and what limits a segment.
 
-    scale: mm per unit; first, second, through: axes of the plane; centres: whether I, J, K are increments;
-    longest, chord_error: mm; segments: most of a block; coordinate, radius: largest words; line: longest, characters.
+    scale: mm per unit; first, second, through: axes of the plane; named: whether the program named them; centres:
+    whether I, J, K are increments; longest, chord_error: mm; segments: most of a block; coordinate, radius: largest words; line: longest, characters.
     """
 
     scale: float
@@ -60,6 +60,7 @@ class Mode(NamedTuple):
     first: int
     second: int
     through: int
+    named: bool
     centres: bool
     longest: float
     chord_error: float
@@ -195,6 +196,8 @@ def _centre(value, seen, here, goal, mode, clockwise):
     """Centre of an arc in its plane, and whether its words say one."""
     a, b = mode.first, mode.second
     if seen >> (6 + mode.through) & 1 or not mode.centres:
+        return 0.0, 0.0, False
+    if not mode.named and seen >> mode.through & 1 and not seen >> b & 1:
         return 0.0, 0.0, False
     for n in range(6, 10):
         if seen >> n & 1 and not abs(value[n]) <= mode.radius:

@@ -145,6 +145,7 @@ class _Reader:
             first=first,
             second=second,
             through=through,
+            named=state.plane_said,
             centres=not state.arc_absolute,
             longest=float(longest),
             chord_error=float(chord_error),
