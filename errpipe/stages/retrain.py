@@ -325,6 +325,9 @@ def _drift(model: ErrorModel, old: Recording, recording: Recording, known: froze
     apparent = _apparent_errors(model, both, prediction, reference)
     residuals, sizes = response_drift.drifts(both, reference, prediction)
     sensors = [asdict(d) for d in input_drift.sensor_drift(both, reference, apparent)]
+    read = [d["column"] for d in sensors if d["blamed"] and d["column"] in model.columns]
+    if read:  # what the champion predicts is wrong, not what was measured
+        sizes = [s | {"meaning": f"it predicts by {read[0]}, which drifts"} if s["meaning"] else s for s in sizes]
     return {"inputs": sensors, "residuals": residuals, "sizes": sizes}
 
 

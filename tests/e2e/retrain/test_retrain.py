@@ -169,6 +169,14 @@ def test_a_sensor_that_drifts_is_named_beside_the_decision(site: Path, capsys: p
     assert "::warning title=sensor drift::T_nut" in capsys.readouterr().out
 
 
+def test_readings_are_not_called_compensated_where_the_sensor_drifts_that_predicts_them(site: Path) -> None:
+    """A nut that reads 25 K too warm predicts five times what is measured: nobody is to take a table's share off that."""
+    record(site / "recording", 66, first=12, sensor_drift_from=14)
+    code, document = retrain(site)
+    (size,) = document["drift"]["sizes"]
+    assert size["meaning"] == "it predicts by T_nut, which drifts" and code == 4
+
+
 def test_an_earlier_judgement_that_is_none_is_refused_with_its_place(site: Path, capsys) -> None:
     record(site / "recording", 14)
     _, document = retrain(site)
