@@ -49,9 +49,9 @@ def _sensors(recording: Recording) -> list[dict[str, Any]]:
 
     early = recording.run_codes() < (len(recording.run_labels()) + 1) // 2
     return [
-        {"what": f"sensor {d.column}", "since": d.since, "size": d.size, "unit": "K"}
+        {"what": f"sensor {d.column}{'' if d.blamed else ' or another'}", "since": d.since, "size": d.size, "unit": "K"}
         for d in sensor_drift(recording, early)
-        if d.blamed
+        if d.suspected
     ]
 
 

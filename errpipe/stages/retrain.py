@@ -265,12 +265,14 @@ def _sensor_gate(old: ErrorModel, new: ErrorModel, allowed: Sequence[str]) -> Ga
 
 
 def _drift_gate(drift: Mapping[str, Any], model: ErrorModel) -> Gate:
-    """No promotion of a challenger that reads a drifting sensor: the drift was part of its training data."""
+    """No promotion of a challenger that reads a sensor which may drift: the drift was part of its training data."""
+    from errpipe.validation.input_drift import who_drifts
     from errpipe.validation.retraining import Gate
 
-    read = sorted(d["column"] for d in drift["inputs"] if d["blamed"] and d["column"] in model.columns)
-    says = f"drifting: {', '.join(read)}; repair or replace it first" if read else "no sensor of the challenger drifts"
-    return Gate("sensors", not read, says)
+    faulty = [d["column"] for d in drift["inputs"] if d["suspected"]]
+    if not set(faulty) & set(model.columns):
+        return Gate("sensors", True, "no sensor of the challenger drifts")
+    return Gate("sensors", False, f"{who_drifts(faulty)}; repair or replace it first")
 
 
 def _response_gates(drift: Mapping[str, Any]) -> list[Gate]:
@@ -325,7 +327,7 @@ def _drift(model: ErrorModel, old: Recording, recording: Recording, known: froze
     apparent = _apparent_errors(model, both, prediction, reference)
     residuals, sizes = response_drift.drifts(both, reference, prediction)
     sensors = [asdict(d) for d in input_drift.sensor_drift(both, reference, apparent)]
-    read = [d["column"] for d in sensors if d["blamed"] and d["column"] in model.columns]
+    read = [d["column"] for d in sensors if d["suspected"] and d["column"] in model.columns]
     if read:  # what the champion predicts is wrong, not what was measured
         sizes = [s | {"meaning": f"it predicts by {read[0]}, which drifts"} if s["meaning"] else s for s in sizes]
     return {"inputs": sensors, "residuals": residuals, "sizes": sizes}
