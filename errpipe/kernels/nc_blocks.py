@@ -52,7 +52,8 @@ class Mode(NamedTuple):
     """The modes in force that no plain block changes, and what limits a segment.
 
     scale: mm per unit; first, second, through: axes of the plane; named: whether the program named them; centres:
-    whether I, J, K are increments; longest, chord_error: mm; segments: most of a block; coordinate, radius: largest words; line: longest, characters.
+    whether I, J, K are increments; longest, chord_error: mm; segments: most of a block; coordinate, radius: largest
+    words; line: longest, characters.
     """
 
     scale: float

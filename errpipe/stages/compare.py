@@ -164,7 +164,9 @@ def _by_parameter(model: ErrorModel) -> dict[str, Any]:
 def _fields(out: Comparison, old: Compensation, new: Compensation) -> None:
     """Ranges of validity that differ; largest and rms difference per response, with the place."""
     new, same = changes.one_axis_one_name(old, new)
-    out.says += [f"{was} in the old one and {now} in the new one are one axis: asked as one" for now, was in same.items()]
+    out.says += [
+        f"{was} in the old one and {now} in the new one are one axis: asked as one" for now, was in same.items()
+    ]
     _ranges(out, old.ranges, new.ranges)
     differences = changes.compare(old, new)
     out.parts["changes"] = [asdict(c) for c in differences]

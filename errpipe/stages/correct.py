@@ -47,6 +47,8 @@ def correct(
     longest: float = 25.0,
 ) -> dict[str, Any]:
     """Write the corrected program. Raises DataError naming the line of anything that is not understood."""
+    if out is not None and Path(out).exists() and Path(out).samefile(program):
+        raise UsageError(f"--out {out}: is the program itself, which corrected twice is wrong by as much: name another")
     compensation_table = _artefacts.read_table(table)
     readings = readings_of(compensation_table, at)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -129,9 +131,9 @@ def diameters(text: str) -> str:
     """The first word of a turning program, whose X may be a diameter, in words; '' where there is none."""
     number, word = _first_match(_TURNING, text)
     return word and (
-        f"line {number}: {word} is a lathe's, and X was taken as a radius and no offset of a tool but G43's, as LinuxCNC "
-        "does: where the control counts X in diameters (Fanuc 1006#3 DIA, Siemens DIAMON), do not use the corrected "
-        "program; where T sets an offset, the correction is that of a place so far away"
+        f"line {number}: {word} is a lathe's, and X was taken as a radius and no tool offset but that of G43, as "
+        "LinuxCNC does: where the control counts X in diameters (Fanuc 1006#3 DIA, Siemens DIAMON), do not use the "
+        "corrected program; where T sets an offset, the correction is that of a place so far away"
     )
 
 

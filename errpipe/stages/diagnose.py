@@ -38,7 +38,11 @@ def diagnose(
     """
     if apply is not None and Path(apply).resolve() in (Path(recording).resolve(), Path(out).resolve()):
         raise UsageError(f"--apply {apply}: another folder is needed than the recording's and the diagnosis'")
-    if apply is not None and (Path(apply) / MANIFEST).exists() and not (Path(apply) / _apply_findings.DOCUMENT).exists():
+    if (
+        apply is not None
+        and (Path(apply) / MANIFEST).exists()
+        and not (Path(apply) / _apply_findings.DOCUMENT).exists()
+    ):
         raise UsageError(f"--apply {apply}: holds a recording that is no corrected simulation: name another folder")
     half = 1.0 if apply is None else 0.5
     try:

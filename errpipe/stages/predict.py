@@ -61,7 +61,7 @@ def predict(source: Path, recording: Path, out: Path, readings: Path | None = No
 
 
 def _refuse_out(out: Path, recording: Path) -> None:
-    """Raises UsageError where a prediction would take the place of what was measured, or its name is of another kind."""
+    """Raises UsageError where a prediction would replace what was measured, or is no file of rows."""
     if out.suffix.lower() not in (".csv", ".txt", ".parquet"):
         raise UsageError(f"--out {out}: a file of rows is needed (.csv or .parquet)")
     if out.exists() and out.resolve().is_relative_to((recording if recording.is_dir() else recording.parent).resolve()):

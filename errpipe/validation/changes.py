@@ -126,7 +126,8 @@ def one_axis_one_name(old: Compensation, new: Compensation) -> tuple[Compensatio
         own = {name: states.readings[other] for name, other in names.items()}
         return new.values(replace(states, readings={**states.readings, **own}))
 
-    roles, ranges, axes = ({names.get(n, n): v for n, v in d.items()} for d in (new.roles, new.ranges, new.axes))
+    roles, axes = ({names.get(n, n): v for n, v in d.items()} for d in (new.roles, new.axes))
+    ranges = {names.get(n, n): v for n, v in new.ranges.items()}
     return replace(new, roles=roles, ranges=ranges, axes=axes, values=values), names
 
 

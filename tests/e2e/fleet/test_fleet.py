@@ -50,6 +50,26 @@ def site(where: Path, machines: int, days: int = 6) -> Path:
     return where / "fleet.yaml"
 
 
+@pytest.mark.slow
+def test_a_recording_under_two_names_and_a_machine_of_the_other_sign_are_told(tmp_path: Path) -> None:
+    """Each alone is sound: only the fleet shows that one table would go to two machines, or drive the wrong way."""
+    fleet = site(tmp_path, 8)
+    places = {name: tmp_path / f"recordings/{name}/recording.csv" for name in ("m002", "m003", "m004")}
+    places["m003"].write_bytes(places["m002"].read_bytes())
+    head, *rows = places["m004"].read_text(encoding="utf-8").splitlines()
+    turned = (row.rpartition(",") for row in rows)
+    lines = [head, *(f"{left},{-float(value):.3f}" for left, _, value in turned), ""]
+    places["m004"].write_text("\n".join(lines), encoding="utf-8")
+    main(["fleet", str(fleet), "--out", str(tmp_path / "out"), "--jobs", "1"])
+    document = json.loads((tmp_path / "out/fleet.json").read_text(encoding="utf-8"))
+    assert document["suspicious"] == [
+        "m002, m003: the same readings; one recording under several names?",
+        "m004: EXX is that of its type with the other sign; which sign was declared?",
+    ]
+    page = (tmp_path / "out/fleet.md").read_text(encoding="utf-8")
+    assert all(text in page for text in document["suspicious"])
+
+
 def bytes_below(out: Path) -> dict[str, bytes]:
     """Every file of a fleet's run but times and locks of the system."""
     return {

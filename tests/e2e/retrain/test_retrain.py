@@ -170,7 +170,7 @@ def test_a_sensor_that_drifts_is_named_beside_the_decision(site: Path, capsys: p
 
 
 def test_readings_are_not_called_compensated_where_the_sensor_drifts_that_predicts_them(site: Path) -> None:
-    """A nut that reads 25 K too warm predicts five times what is measured: nobody is to take a table's share off that."""
+    """A nut that reads 25 K too warm predicts five times what is measured: no table ran."""
     record(site / "recording", 66, first=12, sensor_drift_from=14)
     code, document = retrain(site)
     (size,) = document["drift"]["sizes"]

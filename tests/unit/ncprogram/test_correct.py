@@ -281,6 +281,22 @@ def test_places_beyond_the_table_and_a_zero_that_was_not_stated_are_named(tmp_pa
     assert "outside_what_was_measured" not in correct_file(tmp_path / "p.ngc", tmp_path / "t.ect", None, {})
 
 
+def test_a_program_is_not_replaced_by_its_correction(tmp_path, capsys):
+    """The same command once more would correct what is corrected."""
+    from errpipe.cli.app import main
+    from errpipe.tables import ect
+    from tests.unit.targets import machines
+
+    ect.write(machines.too_long_at_plus_x(), tmp_path / "t.ect")
+    program = tmp_path / "p.ngc"
+    program.write_text("G90 G21 G54\nG0 X100 Y0 Z0\n")
+    (tmp_path / "link.ngc").symlink_to(program)
+    for out in (program, tmp_path / "link.ngc"):
+        assert main(["correct", str(program), "--table", str(tmp_path / "t.ect"), "--out", str(out)]) == 2
+        assert "is the program itself" in capsys.readouterr().err
+    assert program.read_text() == "G90 G21 G54\nG0 X100 Y0 Z0\n"
+
+
 LONG = "N1000 G1 X99.5 Y88.25 Z70.5 A123.4567 B45.6789 C359.1234 F1500.5 S12000 M8 (finish pass of the upper pocket)"
 
 

@@ -99,7 +99,7 @@ def test_a_table_that_corrects_in_other_units_does_not_replace_one_unasked(where
 
 
 def test_a_second_rollback_does_not_bring_the_bad_table_back(where: Path, capsys: Any) -> None:
-    """One, two, three were promoted; three is bad, and so turns out two: twice back is one, and further there is none."""
+    """One, two, three were promoted; three is bad, and so turns out two: twice back is one, then none."""
     reg = where / "reg"
     ect.write(machines.bent(), where / "three.ect")
     for name in ("one.ect", "two.ect", "three.ect"):
