@@ -240,12 +240,12 @@ def deviation_of(table: CompensationTable, at: Mapping[str, float]) -> Deviation
     angular = [o.name for o in table.outputs if o.axis in MOVED and o.correction_unit not in MM]
     if angular:
         raise GateError(f"correct: {', '.join(angular)} moves a linear axis by an angle")
-    if not any(o.axis in MOVED for o in table.outputs):
-        names = ", ".join(f"{o.name} ({f'axis {o.axis}' if o.axis else 'no axis'})" for o in table.outputs)
-        raise GateError(f"correct: the table corrects {names}; programs are corrected in X, Y and Z only")
     rotary = [a for a in axes if a not in "XYZ"]
     if rotary:
         raise GateError(f"correct: the table reads {', '.join(rotary)}; programs are corrected in X, Y and Z only")
+    if not any(o.axis in MOVED for o in table.outputs):
+        names = ", ".join(f"{o.name} ({f'axis {o.axis}' if o.axis else 'no axis'})" for o in table.outputs)
+        raise GateError(f"correct: the table corrects {names}; programs are corrected in X, Y and Z only")
     tool = next((i.name for i in table.inputs if i.kind == "tool"), None)
     outputs = [(n, o.axis, MM[o.correction_unit] * o.factor) for n, o in enumerate(table.outputs) if o.axis in MOVED]
     moving = tuple(axes)
