@@ -88,7 +88,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     prediction = _predictions(old_model, recording)
     scores = list(earlier)
     drift = _drift(old_model, old_recording, recording, known)
-    gates = _response_gates(drift)
+    gates = [*_response_gates(drift), *_unit_gates(old_recording, recording, known)]
     if refused:
         gates.append(retraining.Gate("pipeline", False, refused))
     else:
@@ -290,6 +290,18 @@ def _response_gates(drift: Mapping[str, Any]) -> list[Gate]:
     ]
 
 
+def _unit_gates(old: Recording, recording: Recording, known: frozenset[str]) -> list[Gate]:
+    """No promotion of a challenger whose new temperatures are in another unit: the controller's are not."""
+    from errpipe.validation.input_drift import other_unit
+    from errpipe.validation.retraining import Gate
+
+    both, reference = _with_new_runs(old, recording, known)
+    found = None if both is None else other_unit(both, reference)
+    if found is None:
+        return []
+    return [Gate("temperatures", False, f"since run {found[1]} all of them read as if in {found[0]}")]
+
+
 def _coverage_gates(pipeline: Pipeline, folder: Path) -> list[Gate]:
     from errpipe.validation.retraining import LEAST_COVERAGE, Gate
 
@@ -313,16 +325,11 @@ def _drift(model: ErrorModel, old: Recording, recording: Recording, known: froze
 
     The reference is what the champion was fitted on, also where those runs are no longer kept with the new ones.
     """
-    import numpy as np
+    from errpipe.validation import input_drift, response_drift
 
-    from errpipe.validation import input_drift, response_drift, retraining
-
-    keys = retraining.run_keys(recording)
-    new = np.isin(recording.run_codes(), [c for c, key in enumerate(keys) if key not in known])
-    both = _joined(old, recording.take(new))
+    both, reference = _with_new_runs(old, recording, known)
     if both is None:
         return {"inputs": [], "residuals": [], "sizes": []}
-    reference = np.arange(len(both)) < len(old)
     prediction = _predictions(model, both)
     apparent = _apparent_errors(model, both, prediction, reference)
     residuals, sizes = response_drift.drifts(both, reference, prediction)
@@ -356,6 +363,18 @@ def _apparent_errors(model: ErrorModel, recording: Recording, prediction, refere
         if np.any(weight > LEAST_SLOPE):
             out[column] = np.where(weight > LEAST_SLOPE, by_run / np.maximum(weight, LEAST_SLOPE), np.nan)
     return out
+
+
+def _with_new_runs(old: Recording, recording: Recording, known: frozenset[str]) -> tuple[Recording | None, np.ndarray]:
+    """The champion's recording followed by the runs that it did not see, and which rows are the champion's."""
+    import numpy as np
+
+    from errpipe.validation import retraining
+
+    keys = retraining.run_keys(recording)
+    new = np.isin(recording.run_codes(), [c for c, key in enumerate(keys) if key not in known])
+    both = _joined(old, recording.take(new))
+    return both, np.arange(0 if both is None else len(both)) < len(old)
 
 
 def _joined(old: Recording, new: Recording) -> Recording | None:

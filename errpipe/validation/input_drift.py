@@ -22,7 +22,7 @@ A machine that changed keeps the ratio below RATIO for ever in all but 1 / RATIO
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import MappingProxyType
@@ -42,6 +42,16 @@ ALIKE = 2.0  # times the quietest of these: whatever is quieter may as well be t
 SIGNS = np.array([1.0, -1.0])  # up and down
 # Likelihood of a sensor that drifts over that of a machine that changed: at most one change in 10 is misnamed
 RATIO = 10.0
+SCALES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {  # what reads so -> what it would be as declared
+    "degF instead of degC": lambda t: (t - 32.0) / 1.8,
+    "K instead of degC": lambda t: t - 273.15,
+    "degC instead of degF": lambda t: 1.8 * t + 32.0,
+    "degC instead of K": lambda t: t + 273.15,
+}
+FAR, SEASON = (
+    25.0,
+    15.0,
+)  # K; every sensor of a machine, air among them, moves by less from one run to another; a season
 FEWEST_RUNS = 4  # reference runs below which no scatter between runs is known
 
 
@@ -95,6 +105,28 @@ def sensor_drift(
     drifts = [replace(d, blamed=faulty == [k], suspected=k in faulty) for k, d in drift_of.items()]
     order = [names[k] for k in faulty]
     return sorted(drifts, key=lambda d: (order.index(d.column) if d.suspected else len(order), -d.statistic))
+
+
+def other_unit(recording: Recording, reference: np.ndarray) -> tuple[str, str] | None:
+    """The scale on which all temperatures of a new run read, and the first such run; None where they read as before.
+
+    Sensors that change their scale together agree with each other as before, so no drift shows it. Medians per run.
+    """
+    run, names = recording.run_codes(), recording.names("temperature")
+    columns = [recording.array(n) for n in names]
+    if not names or not all(np.isfinite(c[reference]).any() for c in columns):
+        return None
+    before = np.array([np.nanmedian(c[reference]) for c in columns])
+    for code in dict.fromkeys(run[~reference].tolist()):
+        rows = run == code
+        if not all(np.isfinite(c[rows]).any() for c in columns):
+            continue
+        now = np.array([np.nanmedian(c[rows]) for c in columns])
+        if np.all(np.abs(now - before) > FAR):
+            for scale, back in SCALES.items():
+                if np.all(np.abs(back(now) - before) < SEASON):
+                    return scale, recording.run_labels()[code]
+    return None
 
 
 def who_drifts(suspected: Sequence[str]) -> str:

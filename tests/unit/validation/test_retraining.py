@@ -10,7 +10,7 @@ from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.fitting.holdout import Fold
 from errpipe.fitting.judging import HeldOut
 from errpipe.stages.retrain import _name_gate
-from errpipe.validation.input_drift import cusum, sensor_drift, who_drifts
+from errpipe.validation.input_drift import cusum, other_unit, sensor_drift, who_drifts
 from errpipe.validation.retraining import (
     Gate,
     RunScore,
@@ -174,6 +174,31 @@ def test_a_healthy_sensor_is_not_called_faulty_because_the_others_know_too_littl
 def test_who_may_drift_is_said_with_the_likeliest_first() -> None:
     assert who_drifts(["nut"]) == "nut drifts"
     assert who_drifts(["nut", "bed", "air"]).startswith("nut, bed or air drifts (the likeliest first")
+
+
+@pytest.mark.parametrize(
+    ("scale", "offset", "told"),
+    [
+        (1.8, 32.0, "degF instead of degC"),
+        (1.0, 273.15, "K instead of degC"),
+        (1 / 1.8, -32.0 / 1.8, "degC instead of degF"),
+        (1.0, -273.15, "degC instead of K"),
+        (1.0, 18.0, None),  # from winter to summer
+        (1.0, 110.0, None),  # no scale
+    ],
+)
+def test_another_scale_of_all_temperatures_is_named_with_its_first_run(
+    scale: float, offset: float, told: str | None
+) -> None:
+    recording, reference = sensors(None, 0.0)
+    late, names = recording.run_codes() >= 30, recording.names("temperature")
+    if told in ("degC instead of degF", "degC instead of K"):
+        unturned = {n: (recording.array(n) - offset) / scale for n in names}
+        recording = recording.with_columns(unturned, {})
+    turned = {n: np.where(late, scale * recording.array(n) + offset, recording.array(n)) for n in names}
+    assert other_unit(recording.with_columns(turned, {}), reference) == (None if told is None else (told, "day 30"))
+    one = recording.with_columns({names[0]: turned[names[0]]}, {})
+    assert other_unit(one, reference) is None
 
 
 def test_sensors_that_do_not_drift_raise_no_alarm() -> None:
