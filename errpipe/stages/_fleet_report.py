@@ -102,6 +102,9 @@ def write_report(
     """Write fleet.json and fleet.md, and the pooled models where asked for; the document."""
     keep = ("name", "state", "message", "responses", "drift", "model")
     rows = [{"type": types[r["name"]], **{key: r[key] for key in keep}} for r in results]
+    for path in (out / POOLED).glob(f"*/{_artefacts.MODEL}") if pool else ():
+        if models.get(path.parent.name) is None:  # of an earlier run of the fleet
+            path.unlink()
     types_of = [_type(name, rows, models, out, pool) for name in sorted(set(types.values()))]
     document = {
         "fleet": VERSION,
