@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from errpipe import jsonfile
 from errpipe.domain.diagnosis import Diagnosis
 from errpipe.domain.error_model import ErrorModel
-from errpipe.errors import DataError, VerifyError
+from errpipe.errors import DataError, UsageError, VerifyError
 from errpipe.stages import _artefacts
 from errpipe.tables import by_component, ect
 from errpipe.validation import changes
@@ -45,6 +45,8 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
 
     Raises DataError where the two are not of one kind or nothing is known of one, VerifyError for a damaged one.
     """
+    if figure is not None and Path(figure).suffix.lower() != ".svg":
+        raise UsageError(f"--figure {figure}: is drawn as SVG (a name that ends in .svg)")
     kinds = kind_of(Path(old)), kind_of(Path(new))
     correcting = {"table", "model"}
     if kinds[0] != kinds[1] and not set(kinds) <= correcting:

@@ -85,7 +85,11 @@ def against(recording: Path, findings: Path, out: Path, simulation: Path | None 
     document = {"against": 1, "findings": [h.plain() for h in held]}
     jsonfile.write(Path(out) / "against.json", document)
     changed = [f"{h.effect} ({h.component})" for h in held if h.changed]
-    return {"says": [*(h.says for h in held), *earlier_findings.more_left(held)], "changed": changed, **document}
+    return {
+        "says": [*doubts(read), *(h.says for h in held), *earlier_findings.more_left(held)],
+        "changed": changed,
+        **document,
+    }
 
 
 def judged(

@@ -105,6 +105,12 @@ def test_an_axis_whose_column_has_another_name_is_asked_at_one_place(
     assert answer["largest_um"] == pytest.approx(2.0 * 10.0)  # um/m/K times 1 m times 10 K
 
 
+def test_a_figure_of_another_kind_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    old = model(tmp_path / "a.json", 11.0, (10.5, 11.5))
+    assert main(["compare", str(old), str(old), "--figure", str(tmp_path / "f.png")]) == 2
+    assert "is drawn as SVG" in capsys.readouterr().err and not (tmp_path / "f.png").exists()
+
+
 def test_a_changed_reading_a_new_run_and_a_lost_column(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     record(tmp_path / "old", 5)
     record(tmp_path / "new", 6)
