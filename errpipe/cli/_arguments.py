@@ -31,7 +31,7 @@ PublicKey = typer.Option(
     ..., "--public-key", envvar="ERRPIPE_PUBLIC_KEY", metavar="FILE", help="Whose signatures count."
 )
 Why = typer.Option(..., "--why", metavar="TEXT", help="The reason, one line; it is signed.")
-Time = typer.Option(None, "--time", metavar="TIME", help="When, ISO 8601; default: now.")
+Time = typer.Option(None, "--time", metavar="TIME", help="When, ISO 8601, UTC where no zone is said; default: now.")
 Json = typer.Option(False, "--json", help="One JSON document on standard output, also on failure.")
 
 

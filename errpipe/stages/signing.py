@@ -177,8 +177,10 @@ def log(registry: Path, machine: str | None, at: str | None, file: Path | None, 
             raise VerifyError(f"{file}: table {wanted} was never on record in {registry}")
     if at is not None:  # before the file: another table may have taken its place by then
         then = _time(at)
-        last = {row["machine"]: row for row in rows if row["time"] <= then}
-        rows = list(last.values())
+        until = _time(f"{at}T23:59:59") if len(at) == len("2026-03-03") else then  # a date alone is the whole day
+        last = {row["machine"]: row["number"] for row in rows if row["time"] <= then}
+        before = [r["number"] - last.get(r["machine"], 0) for r in rows]  # 0: it was on the machine at that time
+        rows = [r for r, n in zip(rows, before, strict=True) if n == 0 or (n > 0 and r["time"] <= until)]
     rows = [row for row in rows if file is None or row["identity"] == wanted]
     lines = [
         f"{r['machine']} {r['number']:>4}  {r['time']}  {r['action']:<8}  table {r['identity']}  {r['why']}"

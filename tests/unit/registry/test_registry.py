@@ -145,6 +145,17 @@ def test_what_a_file_was_on_at_a_time_is_not_what_it_was_on_before(where: Path, 
         assert [e["number"] for e in document["result"]["entries"]] == numbers
 
 
+def test_a_day_has_all_tables_that_were_on_the_machine_in_it(where: Path, capsys: Any) -> None:
+    """A part was cut at noon with the table of that morning: `--at 2026-03-03` showed the one before alone."""
+    for time, table in (("2026-02-01", "one.ect"), ("2026-03-03T08:00:00Z", "two.ect"), ("2026-03-09", "one.ect")):
+        words = ("promote", where / "reg", "7", where / table, "--why", "measured", "--time", time)
+        assert run(where, *words, capsys=capsys)[0] == 0
+    days = {"2026-03-03": [1, 2], "2026-03-02": [1], "2026-03-03T12:00:00Z": [2], "2026-03-04": [2], "2026-01-01": []}
+    for day, numbers in days.items():
+        _, document = run(where, "log", where / "reg", "7", "--at", day, capsys=capsys)
+        assert [e["number"] for e in document["result"]["entries"]] == numbers, day
+
+
 def test_a_registry_or_machine_that_is_not_there_is_no_empty_history(where: Path, capsys: Any) -> None:
     code, document = run(where, "log", where / "rge", "7", capsys=capsys)
     assert code == 2 and "no registry here" in document["error"]["message"]
