@@ -85,6 +85,8 @@ def promote(
     data, new = files.read(table, MAX_OBJECT_BYTES, UsageError), _artefacts.read_table(table)
     if data[:1] == b"{":  # the JSON twin: on record is what a controller loads
         data = ect.dumps(new)
+    if not other_outputs:
+        _of_no_other(store.machines(), machine, new, table)
     if past and not other_outputs:
         _same_kind(store.table(past[-1].table), new, machine, table)
     when = _time_after(past, time)
@@ -110,6 +112,16 @@ def _same_kind(before: bytes, table: CompensationTable, machine: str, path: Path
     raise GateError(
         f"machine {machine}: {path} {told}. Give it a name of its own in the registry, or say --other-outputs"
     )
+
+
+def _of_no_other(known: Sequence[str], machine: str, table: CompensationTable, path: Path) -> None:
+    """Raises GateError where a table is of another machine of this registry; 7-X may have tables of 7."""
+    of = table.machine
+    if of in known and of != machine and not machine.startswith((f"{of}-", f"{of}.", f"{of}_")):
+        raise GateError(
+            f"machine {machine}: {path} was made for {of}, which this registry has too. Promote it there, or say"
+            " --other-outputs"
+        )
 
 
 def _outputs(table: CompensationTable) -> str:

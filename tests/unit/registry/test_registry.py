@@ -98,6 +98,20 @@ def test_a_table_that_corrects_in_other_units_does_not_replace_one_unasked(where
     assert run(where, *words, "--other-outputs", capsys=capsys)[0] == 0
 
 
+def test_a_table_of_another_machine_of_the_registry_is_not_promoted_unasked(where: Path, capsys: Any) -> None:
+    """The first table of a machine has none before it to be compared with."""
+    for name in ("mill-3", "mill-4"):
+        ect.write(machines.too_long_at_plus_x().model_copy(update={"machine": name}), where / f"{name}.ect")
+    words = ("--why", "new")
+    assert run(where, "promote", where / "reg", "mill-4", where / "mill-4.ect", *words, capsys=capsys)[0] == 0
+    code, document = run(where, "promote", where / "reg", "mill-3", where / "mill-4.ect", *words, capsys=capsys)
+    assert code == 4 and "was made for mill-4, which this registry has too" in document["error"]["message"]
+    assert run(where, "promote", where / "reg", "mill-4-X", where / "mill-4.ect", *words, capsys=capsys)[0] == 0
+    assert run(where, "promote", where / "reg", "mill-3", where / "mill-3.ect", *words, capsys=capsys)[0] == 0
+    again = ("promote", where / "reg", "mill-5", where / "mill-4.ect", *words)
+    assert run(where, *again, capsys=capsys)[0] == 4 and run(where, *again, "--other-outputs", capsys=capsys)[0] == 0
+
+
 def test_a_second_rollback_does_not_bring_the_bad_table_back(where: Path, capsys: Any) -> None:
     """One, two, three were promoted; three is bad, and so turns out two: twice back is one, then none."""
     reg = where / "reg"
