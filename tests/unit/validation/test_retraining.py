@@ -159,7 +159,7 @@ def three_sensors(seed: int, drift_from: int, nights: int) -> tuple[Recording, n
 def test_a_healthy_sensor_is_not_called_faulty_because_the_others_know_too_little_of_it() -> None:
     """Of three sensors the rear one was named on the first nights: without it the two others are silent, too."""
     suspected, named = [], []
-    for seed in range(6):
+    for seed in range(4):
         recording, reference = three_sensors(seed, 40, 56)
         nights = recording.run_codes()
         for last in (43, 44, 46, 55):
@@ -167,8 +167,8 @@ def test_a_healthy_sensor_is_not_called_faulty_because_the_others_know_too_littl
             drift = sensor_drift(recording.take(rows), reference[rows])
             suspected.append({d.column for d in drift if d.suspected})
             named.append([d.column for d in drift if d.blamed])
-    assert all("front" in names for names in suspected if names) and sum(map(bool, suspected)) >= 18
-    assert all(names in ([], ["front"]) for names in named) and named[3::4].count(["front"]) >= 5
+    assert all("front" in names for names in suspected if names) and sum(map(bool, suspected)) >= 12
+    assert all(names in ([], ["front"]) for names in named) and named[3::4].count(["front"]) >= 3
 
 
 def test_who_may_drift_is_said_with_the_likeliest_first() -> None:
