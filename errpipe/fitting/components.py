@@ -83,7 +83,7 @@ def solved(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> ErrorMode
     return whole_model(recording, spec, mask, models)
 
 
-def solved_plainly(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> ErrorModel:
+def solved_without_intervals(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> ErrorModel:
     """`solved` without intervals and without asking whether parameters can be told apart: for predictions alone."""
     models: list[ComponentModel] = []
     for group in groups_of(spec):

@@ -110,7 +110,7 @@ class DutyCycles:
         optimum = minimize(cost, centre, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02, "maxiter": 300})
         return self._posterior(np.exp(optimum.x), runs)
 
-    def taught(self, run: int, known: Known) -> np.ndarray:
+    def information_of(self, run: int, known: Known) -> np.ndarray:
         """Information on b of one run, measured or only logged, (p, p), 1/um2."""
         half = solve_triangular(self._factor(run, known.own, known.noise), self.runs[run].triangle, lower=True)
         return half.T @ half
@@ -121,7 +121,7 @@ class DutyCycles:
         Each run counts once whatever its length; a candidate of several runs is the mean over them.
         """
         weight = np.mean([r.square for r in self.runs.values()], axis=0)
-        after = [known.precision + self.taught(r, known) for r in candidate] or [known.precision]
+        after = [known.precision + self.information_of(r, known) for r in candidate] or [known.precision]
         return float(np.sqrt(np.mean([np.trace(np.linalg.solve(p, weight)) for p in after])))
 
     def irreducible(self, known: Known) -> float:

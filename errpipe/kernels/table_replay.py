@@ -51,7 +51,7 @@ class Room(NamedTuple):
 
 
 @bare_kernel
-def all_sane(values):
+def all_in_range(values):
     """Whether every value is a number that a table may hold."""
     sane = 0
     for k in range(values.size):
@@ -244,7 +244,7 @@ def block_of_nodes(program, room, state, size):
             v = nodes[program.operands[begin + 1].number, :size] if node.count > 1 else out
             if not state_block(node, own, u, v, room.dt[:size], room.decay, out):
                 node_block(node, begin, program.operands, program.lookups, nodes, inputs, nodes[n])
-            if not all_sane(out):
+            if not all_in_range(out):
                 return False
             own.value = out[size - 1]
     return True
@@ -273,7 +273,7 @@ def block(program, plan, room, state, columns, begin, end, deviation, correction
         total = deviation[o, begin:end]
         sum_terms(program.terms, np.int64(own.first), np.int64(own.count), buffers.sums, buffers.nodes,
                   buffers.spare[0], total)  # fmt: skip
-        if not all_sane(total):
+        if not all_in_range(total):
             return False
         limit_block(own, state.outputs[o], total, correction[o, begin:end], marks)
     common = state.common[0]

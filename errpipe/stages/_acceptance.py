@@ -169,7 +169,7 @@ def parts(recording: Recording, component: str) -> tuple[Term, ...]:
     chosen: list[Term] = []
     design = np.ones((simulated.size, 1))
     while len(chosen) < MOST_PARTS and columns:
-        unexplained = [(_left(np.hstack([design, c]), simulated), k) for k, (_, c) in enumerate(columns)]
+        unexplained = [(_unexplained_share(np.hstack([design, c]), simulated), k) for k, (_, c) in enumerate(columns)]
         least, k = min(unexplained)
         term, column = columns.pop(k)
         chosen.append(term)
@@ -179,7 +179,7 @@ def parts(recording: Recording, component: str) -> tuple[Term, ...]:
     return ()
 
 
-def _left(design: np.ndarray, values: np.ndarray) -> float:
+def _unexplained_share(design: np.ndarray, values: np.ndarray) -> float:
     """Share of the variance that a least-squares fit of the columns leaves unexplained."""
     rows = np.isfinite(values) & np.isfinite(design).all(axis=1)
     if rows.sum() <= design.shape[1] + 1 or np.var(values[rows]) == 0:
@@ -191,7 +191,7 @@ def _left(design: np.ndarray, values: np.ndarray) -> float:
 # ---------------------------------------------------------------- what to fit
 
 
-def ask(decisions: Sequence[Decision], diagnosis: Diagnosis, existing: ModelSpec | None) -> ModelSpec:
+def specification_with(decisions: Sequence[Decision], diagnosis: Diagnosis, existing: ModelSpec | None) -> ModelSpec:
     """The specification with every accepted term; with an existing one, its terms too."""
     from errpipe.fitting.spec import ComponentSpec, ModelSpec
     from errpipe.terms.offset import Offset
@@ -233,7 +233,7 @@ def fit_accepted(
     from errpipe.models.terms import mismatch
 
     while True:
-        spec = ask(decisions, diagnosis, existing)
+        spec = specification_with(decisions, diagnosis, existing)
         source = recording if existing is not None else mismatch(recording, spec)
         try:
             fitted = model.fit(source, spec)

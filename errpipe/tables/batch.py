@@ -51,7 +51,7 @@ class Rows:
         self._compiled = _Compiled(table) if compiled else None
         self._begin()
 
-    def anew(self) -> Rows:
+    def restarted(self) -> Rows:
         """The same table before its first row; what does not change is shared."""
         other = copy(self)
         other._begin()

@@ -256,7 +256,7 @@ def lost_motion(table: CompensationTable) -> dict[str, float]:
     return {axis: value for axis, value in means.items() if abs(value) >= LEAST_REVERSAL}
 
 
-def knows_sides(table: CompensationTable, axis: str) -> bool:
+def depends_on_direction(table: CompensationTable, axis: str) -> bool:
     """Whether the correction of an axis over its own position depends on the direction of travel."""
     if axis not in positions_of(table):
         return False

@@ -62,7 +62,7 @@ def main() -> None:
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)
     usual = design.DesignOptions()
-    custom = design.customary(usual)
+    custom = design.usual_plan(usual)
     plans = {
         "customary": (usual, lambda done, day: custom[day % len(custom)]),
         "I-optimal": (usual, lambda done, day: design.propose(done, usual)),

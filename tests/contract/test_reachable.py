@@ -20,7 +20,7 @@ TOP = Path(errpipe.__file__).parent
 # Definition -> why it may stay. An entry that is no longer needed fails, too.
 KNOWN = {
     "ChangesPending": "the exit code of `plan`; raised by name of its code",
-    "customary": "the usual plan that examples/next-duty-cycle compares with",
+    "usual_plan": "the usual plan that examples/next-duty-cycle compares with",
     "linearity": "examples/placement",
     "extrapolation": "examples/placement",
 }

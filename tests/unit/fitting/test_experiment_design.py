@@ -40,7 +40,7 @@ def hours_until(plans, options, goal: float) -> int:
 
 def test_the_proposed_plan_saves_days():
     def custom(done):
-        yield from design.customary(OPTIONS) * 2
+        yield from design.usual_plan(OPTIONS) * 2
 
     def proposed(done):
         for _ in range(6):
@@ -53,7 +53,7 @@ def test_each_criterion_wins_its_own_game():
     i = design.propose([], OPTIONS)
     d = design.propose([], OPTIONS.model_copy(update={"criterion": "D"}))
     rows = np.vstack([design.basis(p, OPTIONS) for p in design.usage(OPTIONS)])
-    usual = design.customary(OPTIONS)[-1]
+    usual = design.usual_plan(OPTIONS)[-1]
     assert (
         design.uncertainty(design.information([i], OPTIONS), rows)
         <= design.uncertainty(design.information([d], OPTIONS), rows) + 1e-9

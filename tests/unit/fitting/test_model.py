@@ -9,7 +9,7 @@ from errpipe.drivers.evaluation import drive
 from errpipe.drivers.motion import position
 from errpipe.errors import DataError, NotIdentifiable
 from errpipe.fitting.judging import judge_all
-from errpipe.fitting.lowering import left_behind, lower
+from errpipe.fitting.lowering import lower, uncompensated_terms
 from errpipe.fitting.model import ModelSpec, evaluate, fit, term_of
 from tests.unit.fitting.axis_recordings import axis_recording, with_response
 
@@ -288,7 +288,7 @@ def test_lowered_pairs_add_up_to_the_model(axis):
     # static curve, wave, scale x rise, mixed x late rise, and all levels in one
     assert [p.period for p in pairs] == [None, 10.0, None, None, None]
     assert [p.axis for p in pairs] == ["X", "X", "X", "X", None]
-    assert left_behind(model) == {"EXX": []}
+    assert uncompensated_terms(model) == {"EXX": []}
 
 
 def test_an_option_that_a_term_does_not_have_is_refused():
