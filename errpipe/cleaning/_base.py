@@ -1,6 +1,6 @@
 """What a cleaning rule is: it looks at a recording and names actions; `clean` carries them out and reports.
 
-A rule never changes a recording itself, so nothing can be removed without its rows and its reason being told.
+A rule never changes a recording itself, so nothing can be removed without its rows and its reason being reported.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A reading is an outlier where it stands off the median of its neighbours by many times the scatter of such
 residuals, off the readings before it *and* off those after it (so the first reading after a step is none), and
-where its own neighbours are not drawn along (so a decaying spike, which is physics, is none). Beside a
+where its own neighbours do not depart with it (so a decaying spike, which is physics, is none). Beside a
 simulated twin the mismatch is judged, which has less shape of its own.
 """
 
@@ -16,17 +16,17 @@ from errpipe.cleaning._base import SENSORS, Action, Rule, resolution, rows_of_ru
 from errpipe.domain.recording import Recording
 from errpipe.yamlfile import quantity
 
-SIDE = 4  # readings on either side: the median of 8 shrugs off 3 other outliers
+SIDE = 4  # readings on either side: the median of 8 is robust to 3 other outliers
 MIN_READINGS = 3 * SIDE  # readings of a run; fewer give no scatter
 BLOCK = 50  # readings over which a local scatter is taken, so that a rough stretch is judged by its own roughness
 MAX_CONSECUTIVE = 2  # readings side by side that can be outliers; three are an event
 PAUSE = 5.0  # times the usual time between rows: a longer pause lets everything change, and ends a part
 EXTRAPOLATION = 1.25  # from the middle of one side's readings to the middle of the other's, in sides
-NEIGHBOUR_SHARE = 0.3  # a neighbour that goes along by this share of the departure makes it an event
+NEIGHBOUR_SHARE = 0.3  # a neighbour that departs the same way by this share of the departure makes it an event
 STEPS_AT_END = 2.7  # times the largest step elsewhere: e, as of a body whose time constant is that between two readings
 NORMAL = 1.4826  # from median absolute deviation to the standard deviation of a normal distribution
 REVERSAL = 3  # readings on either side of a reversal that are not judged
-RARE_REVERSALS = 0.1  # where more rows than this are near a reversal (a to-and-fro test), reversals tell nothing
+RARE_REVERSALS = 0.1  # where more rows than this are near a reversal (a to-and-fro test), reversals are no evidence
 
 
 class Outliers(Rule):
@@ -150,7 +150,7 @@ def _scatter(residual: np.ndarray, step: float) -> np.ndarray:
 def _larger_steps_elsewhere(y: np.ndarray, base: np.ndarray, part: np.ndarray, start: int, end: int) -> bool:
     """True where readings at the end of a part may be the start of something, such as a machine that is switched on.
 
-    Nothing beyond the end tells whether they come back, so they must stand off further than what moves elsewhere.
+    No reading beyond the end shows whether they come back, so they must stand off further than what moves elsewhere.
     """
     step = np.where(part[1:] == part[:-1], np.abs(np.diff(y)), 0.0)
     step[max(start - 1, 0) : end] = 0.0  # their own

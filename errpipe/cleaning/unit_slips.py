@@ -1,4 +1,4 @@
-"""Columns whose numbers speak another unit than their manifest: named with the evidence, never converted.
+"""Columns whose numbers are in another unit than the manifest states: named with the evidence, never converted.
 
 A sensor is set aside until its manifest is corrected. A response, a position or a speed that carries such a slip
 makes the whole recording worthless, and is refused.
@@ -30,7 +30,7 @@ MIN_ROWS = 20  # rows
 
 
 class UnitSlips(Rule):
-    """Name columns in degF, K, inch, m or another unit than stated, by comparing them with their fellows."""
+    """Name columns in degF, K, inch, m or another unit than stated, by comparing them with the other columns."""
 
     rule: Literal["unit_slips"] = "unit_slips"
     trust: tuple[str, ...] = Field((), description="Columns not to be judged (an oil that is truly at 68 degC).")

@@ -5,10 +5,11 @@ The deviation since the start of run r, um, is a regression with random coeffici
     y = X (b + d_r) + e,    b ~ N(0, gain^2 I),  d_r ~ N(0, own^2 I),  e ~ N(0, noise^2 I)
 
 X: principal components of the thermal states (causes of `thermal_causes`, else rises) over every run, of unit rms.
-b holds in every run, d_r is one run's departure from it, which no other run can teach. What a run tells of b depends
-on its temperatures alone, so it is known for a run that was logged without a measured deviation: the posterior
-covariance of b after it, and the expected square of a prediction's error over all logged states, are computed before
-it is measured (Bayesian I-optimal design; Chaloner and Verdinelli 1995, Statistical Science 10:273).
+b holds in every run, d_r is one run's departure from it, which no other run can teach. The information on b
+depends on a run's temperatures alone, so it is known for a run that was logged without a measured deviation: the
+posterior covariance of b after it, and the expected square of a prediction's error over all logged states,
+are computed before it is measured (Bayesian I-optimal design; Chaloner and Verdinelli 1995,
+Statistical Science 10:273).
 """
 
 from __future__ import annotations

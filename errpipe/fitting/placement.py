@@ -36,7 +36,7 @@ def linearity(readings: np.ndarray, error: np.ndarray, criterion: Literal["rms",
     """
     span = float(np.ptp(np.r_[0.0, error]))
     if span == 0.0:
-        raise DataError("placement: the error never moves, so no place tells it")
+        raise DataError("placement: the error never changes, so no place can predict it")
     power = np.sum(readings**2, axis=0)
     gain = np.where(power > 0, readings.T @ error / np.where(power > 0, power, 1.0), 0.0)
     residual = error[:, None] - readings * gain

@@ -28,7 +28,7 @@ driver, causally. Empty, impossible and racing readings are caught before, by ea
 
 Limits. A fault that is there at the start and constant does not show, and does no harm to a model of rises. Drifts so
 slow that `horizon` forgets them do not show either: the smallest fault per sensor is `smallest`, in K per horizon.
-Two sensors that always move together cannot be told apart: the ridge is raised until no fault shows in another
+Two sensors that always move together cannot be distinguished: the ridge is raised until no fault shows in another
 sensor by more than MAX_CORRELATION of its own size (`errpipe.guard.learn`).
 """
 

@@ -46,20 +46,20 @@ def moved_side(x, known, side, memory, threshold):
 
 @bare_kernel
 def recall(own, x, way, threshold, started):
-    """Undo what the last reading did where it stands alone between two that agree, or was alone in telling a way."""
+    """Undo what the last reading did where it is alone between two that agree, or alone states a direction."""
     if not started:
         own.last = own.before = x
     moved, away = x - own.last, x - own.before
     far = moved > threshold or -moved > threshold
     agrees = not (away > threshold or -away > threshold)
-    if started and agrees and (own.news != 0 or (own.doubt != 0 and far)):
+    if started and agrees and (own.changed != 0 or (own.departed != 0 and far)):
         own.value, own.memory = own.kept_value, own.kept_memory
         far = False
     own.kept_value, own.kept_memory = own.value, own.memory
-    own.doubt = 1 if own.stands != 0 and far else 0
-    own.stands = 0 if far else 1
-    own.news = 1 if way != 0 and way != own.told else 0
-    own.told = way
+    own.departed = 1 if own.steady != 0 and far else 0
+    own.steady = 0 if far else 1
+    own.changed = 1 if way != 0 and way != own.stated else 0
+    own.stated = way
     own.before, own.last = own.last, x
 
 

@@ -54,7 +54,7 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
     within = None
     if max_um is not None:
         within = result.largest is not None and result.largest <= max_um
-        seen = "no figure tells how far they differ" if result.largest is None else f"at most {result.largest:.4g}"
+        seen = "no figure of the difference" if result.largest is None else f"at most {result.largest:.4g}"
         result.says.append(f"limit {max_um:g}: {seen}: {'within' if within else 'NOT within the limit'}")
     if figure is not None:
         from errpipe.stages._compare_page import draw

@@ -54,10 +54,10 @@ class _Recall:
     before: float
     value: float = 0.0
     memory: float = 0.0
-    stands: bool = True
-    doubt: bool = False
-    told: int = 0
-    news: bool = False
+    steady: bool = True
+    departed: bool = False
+    stated: int = 0
+    changed: bool = False
 
 
 class Evaluator:
@@ -230,7 +230,7 @@ class Evaluator:
         return before + (y - before) * alpha
 
     def _recall(self, n: int, x: float, way: int, threshold: float, started: bool, replay: bool) -> None:
-        """Undo what the last reading did where it stands alone between two that agree, or was alone in telling a way.
+        """Undo what the last reading did where it is alone between two that agree, or alone states a direction.
 
         One reading away from where the axis stood, and back: at a fixed rate no axis does that, a bad sample does.
         """
@@ -242,14 +242,14 @@ class Evaluator:
         moved, away = x - own.last, x - own.before
         far = moved > threshold or -moved > threshold
         agrees = not (away > threshold or -away > threshold)
-        if started and agrees and (own.news or (own.doubt and far)):
+        if started and agrees and (own.changed or (own.departed and far)):
             self._node[n], self._a[n] = own.value, own.memory
             far = False
         own.value, own.memory = self._node[n], self._a[n]
-        own.doubt = own.stands and far
-        own.stands = not far
-        own.news = way not in (0, own.told)
-        own.told = way
+        own.departed = own.steady and far
+        own.steady = not far
+        own.changed = way not in (0, own.stated)
+        own.stated = way
         own.before, own.last = own.last, x
 
     def _direction(self, n: int, node: t.DirectionNode, x: float, known: float, started: bool, replay: bool) -> float:

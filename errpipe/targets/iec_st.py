@@ -3,7 +3,7 @@
 Value     corrections in each output's unit (mm), to be added to the commanded positions: minus the deviation.
 Blocks    FB_EctLoad unpacks the bytes of an `.ect` file (checksum, every index) into a structure, FB_EctCycle runs it
           once per position cycle, FB_EctStore keeps the last good file in RETAIN memory and exchanges two tables while
-          the machine runs (FB_EctSwitch), FB_EctFind numbers the inputs by name, FB_EctWatch tells of missed calls. A
+          the machine runs (FB_EctSwitch), FB_EctFind numbers the inputs by name, FB_EctWatch reports missed calls. A
           new table is new bytes: nothing is compiled again.
           FB_EctLoad refuses what the other readers refuse, every rule of the format page.
 Files     plain Structured Text; TwinCAT .TcPOU/.TcDUT/.TcGVL with errpipe.plcproj, a library project with its version;
