@@ -120,7 +120,7 @@ def substitute(inputs, substitutes, state):
             if state[substitutes[s].number].fault != 0:
                 whole = False
         if whole:
-            v = channel.offset
+            v = channel.substitute_offset
             for s in range(begin, begin + channel.count):
                 v = v + substitutes[s].weight * state[substitutes[s].number].good
             if v < channel.low:

@@ -15,14 +15,23 @@ from typing import Any
 
 import numpy as np
 
-from errpipe.domain.components import parse
+from errpipe.domain.components import SQUARENESS, STRAIGHTNESS, parse
 from errpipe.errors import DataError
 from errpipe.kinematics import basis, evidence, synthesis
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.errors import MachineErrors
 from errpipe.kinematics.observations import Observations, reading
 
-FAMILIES = ("positioning", "straightness", "angular", "scale", "slope of angle", "offset", "squareness", "radial slope")
+FAMILIES = (
+    "positioning",
+    STRAIGHTNESS,
+    "angular",
+    "scale",
+    "slope of angle",
+    "axis offset",
+    SQUARENESS,
+    "radial slope",
+)
 # Prior standard deviation, rms over the travel: the bending part of three families, the straight part of two (um,
 # urad), constants in um and in urad, the straight part of a rotary axis' radial and axial motion over part of a
 # turn. Sizes of ordinary machines; they are estimated anew from the readings.
@@ -122,7 +131,7 @@ def family_of(component: str) -> str:
     c = parse(component)
     if c.unit == "urad":
         return "angular"
-    return "positioning" if c.kind == "positioning" else "straightness"
+    return "positioning" if c.kind == "positioning" else STRAIGHTNESS
 
 
 @dataclass(frozen=True)

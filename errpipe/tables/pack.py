@@ -22,7 +22,7 @@ INPUT_RECORD = np.dtype(
             "stale",
             "hold",
             "default",
-            "offset",
+            "substitute_offset",
             "valid_low",
             "valid_high",
             "margin",
