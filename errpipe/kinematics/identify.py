@@ -179,13 +179,6 @@ class Identified:
         value = rows @ self.mean
         return value, np.sqrt(np.einsum("nkp,pq,nkq->nk", rows, self.covariance, rows, optimize=True))
 
-    def covariance_at(self, q: np.ndarray, tip: np.ndarray | None = None) -> np.ndarray:
-        """Covariance of the predicted tool point over all places, shape (3 n, 3 n), um2, X Y Z of a place together."""
-        q = np.atleast_2d(np.asarray(q, dtype=float))
-        jac = synthesis.jacobian(self.model.chain, q, tip)[:, :3]
-        rows = (jac[:, :, self.model.prior.component] * self.model.functions(q)[:, None, :]).reshape(3 * len(q), -1)
-        return rows @ self.covariance @ rows.T
-
     def errors(self, nodes: int = 201) -> MachineErrors:
         """The components as curves and constants, for synthesis and tables."""
         chain = self.model.chain

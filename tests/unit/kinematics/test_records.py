@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
-from machines import ready
+from machines import corrected, ready
 from numpy.testing import assert_allclose
 from records_played import ABBE, AIR, COSINE, WAVELENGTH, largest_gap, of_axis, played_x, solve
 
@@ -290,7 +290,7 @@ def test_a_machine_too_long_is_told_to_go_less_far_by_every_export(moved, defini
     q = np.zeros((2, 3))
     q[:, chain.axes.index("X")] = 0.0, 500.0
     deviation = synthesis.first_order(chain, q, solution.errors().at(q))
-    moved_to = synthesis.correct(chain, q, deviation)[:, chain.axes.index("X")] - q[:, chain.axes.index("X")]
+    moved_to = corrected(chain, q, deviation)[:, chain.axes.index("X")] - q[:, chain.axes.index("X")]
     assert 1e3 * (moved_to[1] - moved_to[0]) == pytest.approx(-20.0, abs=0.1)
 
 
