@@ -39,6 +39,7 @@ class Rule(Options, ABC):
 
     rule: str
     splits_runs: ClassVar[bool] = False  # whether it may give rows another run label
+    by_default: ClassVar[bool] = True  # whether it is applied where no rule is named
 
     @abstractmethod
     def find(self, recording: Recording) -> list[Action]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import types
 from importlib import import_module
@@ -80,6 +81,13 @@ def test_a_tag_of_the_registry_is_what_the_file_says(package: str) -> None:
     for tag in registry.tags:
         members = registry[tag] if isinstance(registry[tag], Choice) else (registry[tag],)
         assert {tags_of(member, registry.key)[0] for member in members} == {tag}
+
+
+@pytest.mark.parametrize("package", ["terms", "cleaning", "models", "stages"])
+def test_nothing_of_the_registry_is_left_to_write(package: str) -> None:
+    registered = getattr(import_module(f"errpipe.{package}"), REGISTRIES[package])
+    abstract = {f"{home(e)}: {', '.join(sorted(e.__abstractmethods__))}" for e in registered if inspect.isabstract(e)}
+    assert not abstract, f"methods that their base asks for: {sorted(abstract)}"
 
 
 @pytest.mark.parametrize("package", ["formats", "targets"])
