@@ -19,7 +19,7 @@ This is the cycle, its nodes, profiles and synthesis; readings and limits are `r
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from errpipe.domain import table as t
@@ -213,7 +213,7 @@ class Evaluator:
             case t.ApproachNode():
                 return self._approach(n, node, values[node.of[0]], values[node.of[1]], started, dt is not None)
             case t.LookupNode():
-                return _lookup(node, values[node.of[0]])
+                return _interpolate(node.values, (values[node.of[0]] - node.start) * (1.0 / node.step))
         raise TypeError(f"unknown node {node!r}")
 
     def _lag(self, n: int, node: t.LagNode, u: float, started: bool, dt: float | None) -> float:
@@ -329,16 +329,7 @@ class Evaluator:
             s = s - float(whole) * last
         elif s < 0.0 or s > last:
             self._status |= t.STATUS_BIT["beyond_profile"]
-        if s < 0.0:
-            s = 0.0
-        if s > last:
-            s = float(last)
-        j = int(s)
-        if j > last - 1:
-            j = last - 1
-        f = s - j
-        left, right = profile.values[j], profile.values[j + 1]
-        return (left + f * (right - left)) * profile.scale
+        return _interpolate(profile.values, s) * profile.scale
 
     def _synthesis(self, components: list[float]) -> list[float]:
         out = []
@@ -356,9 +347,9 @@ class Evaluator:
         return out
 
 
-def _lookup(node: t.LookupNode, u: float) -> float:
-    last = len(node.values) - 1
-    s = (u - node.start) * (1.0 / node.step)
+def _interpolate(values: Sequence[float], s: float) -> float:
+    """Straight lines between uniform values, held at the ends; s counts steps."""
+    last = len(values) - 1
     if s < 0.0:
         s = 0.0
     if s > last:
@@ -366,6 +357,5 @@ def _lookup(node: t.LookupNode, u: float) -> float:
     j = int(s)
     if j > last - 1:
         j = last - 1
-    f = s - j
-    left = node.values[j]
-    return left + f * (node.values[j + 1] - left)
+    left = values[j]
+    return left + (s - j) * (values[j + 1] - left)
