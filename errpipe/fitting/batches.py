@@ -87,18 +87,18 @@ class History:
     places: list[np.ndarray] = field(default_factory=list)  # of the sample: row of the recording
     centre: np.ndarray | None = None  # what the columns of `sums` count from, (k,)
     kept: list[Recording] = field(default_factory=list)  # rows of the sample
-    room: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # of the columns of a batch, (k, rows)
+    buffer: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # of the columns of a batch, (k, rows)
 
     def columns(self, batch: Recording) -> np.ndarray:
         """[1 | design | fixed part | response] of a batch, (rows, k = width + 3); NaN where something is missing.
 
         They stand where those of the batch before stood: new memory for each costs as much as the sums.
         """
-        if self.room.shape[1] < len(batch):
-            self.room = np.zeros((self.width + 3, len(batch)))
-            self._fill(batch, self.room.T, [s for s in self.slots if s not in self.moving])
-            self.room[0] = 1.0
-        out = self.room[:, : len(batch)].T  # columns side by side in memory
+        if self.buffer.shape[1] < len(batch):
+            self.buffer = np.zeros((self.width + 3, len(batch)))
+            self._fill(batch, self.buffer.T, [s for s in self.slots if s not in self.moving])
+            self.buffer[0] = 1.0
+        out = self.buffer[:, : len(batch)].T  # columns side by side in memory
         self._fill(batch, out, self.moving)
         if self.fixes:
             out[:, -2] = fixed_part(batch, 0, self.slots)
@@ -358,8 +358,8 @@ def _sampled(layout: Layout, run: int, begin: int, count: int) -> np.ndarray:
     every = -(-layout.rows // SAMPLE_ROWS)
     stretch = max(SHORTEST, min(STRETCH, SAMPLE_ROWS // len(layout.runs)))
     period = every * stretch
-    room = max(1, min(int(layout.lengths[run]), period) - stretch + 1)
-    first = (run * 2_654_435_761) % room  # Knuth's multiplicative hash: another place in every run
+    buffer = max(1, min(int(layout.lengths[run]), period) - stretch + 1)
+    first = (run * 2_654_435_761) % buffer  # Knuth's multiplicative hash: another place in every run
     starts = first - begin + period * np.arange((begin - first) // period, (begin + count - first) // period + 1)
     rows = (starts[:, None] + np.arange(stretch)).ravel()
     return rows[(rows >= 0) & (rows < count)]
