@@ -22,16 +22,7 @@ from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.errors import MachineErrors
 from errpipe.kinematics.observations import Observations, reading
 
-FAMILIES = (
-    "positioning",
-    STRAIGHTNESS,
-    "angular",
-    "scale",
-    "slope of angle",
-    "axis offset",
-    SQUARENESS,
-    "radial slope",
-)
+FAMILIES = ("positioning", STRAIGHTNESS, "angular", "scale", "slope of angle", "offset", SQUARENESS, "radial slope")
 # Prior standard deviation, rms over the travel: the bending part of three families, the straight part of two (um,
 # urad), constants in um and in urad, the straight part of a rotary axis' radial and axial motion over part of a
 # turn. Sizes of ordinary machines; they are estimated anew from the readings.

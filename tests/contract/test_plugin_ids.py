@@ -59,6 +59,7 @@ KINDS = (
             "backlash": {"validation/iso230_4.py": "an error that a circular test shows (ISO 230-4)"},
             "servo_mismatch": {"validation/iso230_4.py": "an error that a circular test shows (ISO 230-4)"},
             "offset": {
+                "kinematics/identify.py": "kind of machine parameter, published in identification.json",
                 "tables/layout.py": "published field of the table's affine node",
                 "simulation": "the same field of the affine driver, in generated source",
             },
