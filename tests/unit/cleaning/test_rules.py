@@ -445,3 +445,11 @@ def test_heat_of_a_fluid_and_steps_that_come_again_are_no_jump_of_a_sensor():
     new_run = source.array("T_room").copy()
     new_run[600:] += 10.0  # another day
     assert touched(clean(changed(source, T_room=new_run), (SensorJumps(),))[1], "sensor_jumps") == []
+
+
+def test_a_rule_that_is_not_by_default_waits_to_be_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    from errpipe import cleaning
+
+    monkeypatch.setattr(cleaning.RULES["gaps"], "by_default", False)
+    waiting = {rule.rule for rule in cleaning.DEFAULT} - {rule.rule for rule in cleaning.by_default()}
+    assert waiting == {"gaps"}
