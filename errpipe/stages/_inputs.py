@@ -50,7 +50,7 @@ def table_inputs(
 ) -> list[TableInput]:
     """One channel per column of the model, in its order.
 
-    guard: what a healthy sensor can read; recording: how fast its sensors moved, and how seldom they spoke.
+    guard: what a healthy sensor can read; recording: how fast its sensors moved, and how often they were read.
     """
     columns = dict(model.columns)
     _fitting_names(columns)
