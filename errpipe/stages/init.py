@@ -14,7 +14,6 @@ from typing import Any
 from errpipe.errors import UsageError, did_you_mean
 
 PIPELINE = "pipeline.yaml"
-SEASON = "season"  # the group whose members are left out whole, as for thermal families
 
 
 @dataclass(frozen=True)
@@ -155,8 +154,5 @@ def _facts(folder: Path) -> dict[str, Any]:
     runs, roles = len(recording.run_labels()), {c.role for c in recording.manifest.columns.values()}
     words = {"AXIS": axis, "COMPONENT": component, "DEGREE": str(max(1, min(10, targets // 2)))}
     words["HOLDOUT"] = "{scheme: leave-one-run-out}" if runs > 1 else "{scheme: blocks, blocks: 5}"
-    named = [n for n in recording.names("group") if SEASON in (n, recording.manifest.columns[n].of)]
-    if any(recording.frame[n].astype(str).nunique() > 1 for n in named):
-        words["HOLDOUT"] = f"{{scheme: leave-one-group-out, of: {SEASON}}}"
     words["ISO"] = "true" if both and runs >= 2 and components.parse(component).kind in POSITIONING else "false"
     return {"words": words, "both_directions": both, "sensors": recording.names("temperature"), "roles": roles}
