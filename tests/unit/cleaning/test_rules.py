@@ -478,3 +478,17 @@ def test_temperatures_logged_less_often_than_rows_are_neither_empty_nor_full_of_
     cleaned, report = clean(sparse)
     assert not [d for r in report.rules for d in r.done if d.what not in ("note",)]
     assert set(names) <= set(cleaned.frame)
+
+
+def test_coarse_steps_with_small_ones_between_are_no_outliers():
+    """A probe of 0.255 um whose converter adds 0.009 um: 6 % of a real warm-up's readings were outliers (exit 3)."""
+    rng = np.random.default_rng(6)
+    rows = 1200
+    growth = 17.0 * (1 - np.exp(-np.arange(rows) / 300.0)) + 0.03 * rng.standard_normal(rows)
+    shown = 0.2551 * np.round(growth / 0.2551) - 0.0088 * np.floor(growth / 1.5)
+    assert np.mean(np.diff(shown) == 0.0) > 0.5
+    slipped = shown.copy()
+    slipped[700] += 2.0
+    for values, found in ((shown, []), (slipped, [700])):
+        source = recording(run=np.full(rows, "1"), t=60.0 * np.arange(rows), E_Z=values)
+        assert touched(clean(source, (Outliers(),))[1], "outliers", "E_Z") == found
