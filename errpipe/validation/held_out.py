@@ -32,6 +32,8 @@ BLOCKS = "blocks:5"  # of one run, each predicted by the others
 TIE = 0.01  # of the held-out rms: the smaller gain wins within it
 VERSION = 1  # of the document's layout
 
+Blocks = Callable[[], Mapping[str, Sequence[HeldOut]]]
+
 
 def held_out(
     recording: Recording,
@@ -164,7 +166,7 @@ def component_figures(
     component: str,
     folds: Sequence[HeldOut],
     gains: dict[str, float] | None = None,
-    halves: Callable[[], Mapping[str, Sequence[HeldOut]]] | None = None,
+    halves: Blocks | None = None,
 ) -> dict[str, Any]:
     """Figures of one component over its held-out groups. gains: rms by gain where it is known from further rows.
 
@@ -182,16 +184,7 @@ def component_figures(
     readings = recording.array(name)[rows[order]] if name else None
     floor = noise_floor(recording, rows[order], after[order], readings)
     best = _least_that_ties(gains)
-    if halves is not None:
-        chance, runs = significance.p_of_halves(folds, best)
-    else:
-        chance, runs = significance.p_value(recording, folds, best), significance.independent_runs(recording, folds)
-    chance = chance if best > 0.0 else 1.0
-    if halves is not None:
-        helps = significance.of_halves_helps(chance, lambda: _share_left(halves()[component]))
-    else:
-        helps = chance <= significance.LEVEL
-    chosen = best if helps else 0.0
+    chance, runs, chosen = _tested(recording, component, folds, best, halves)
     figures = {
         "component": component,
         "unit": (recording.manifest.columns[name].unit if name else None) or "um",
@@ -222,6 +215,21 @@ def component_figures(
             [_at_gain(f, chosen) for f in folds],
         )
     return figures
+
+
+def _tested(
+    recording: Recording, component: str, folds: Sequence[HeldOut], best: float, halves: Blocks | None
+) -> tuple[float, int, float]:
+    """p of a gain, the observations behind it, and the gain that is exported: this one or 0."""
+    if halves is None:
+        chance, runs = significance.p_value(recording, folds, best), significance.independent_runs(recording, folds)
+    else:
+        chance, runs = significance.p_of_halves(folds, best)
+    chance = chance if best > 0.0 else 1.0
+    if halves is None:
+        return chance, runs, best if chance <= significance.LEVEL else 0.0
+    helps = significance.of_halves_helps(chance, lambda: _share_left(halves()[component]))
+    return chance, runs, best if helps else 0.0
 
 
 def _share_left(folds: Sequence[HeldOut]) -> float:
