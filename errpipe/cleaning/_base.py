@@ -1,6 +1,6 @@
 """What a cleaning rule is: it looks at a recording and names actions; `clean` carries them out and reports.
 
-A rule never changes a recording itself, so nothing can be removed without its rows and its reason being told.
+A rule never changes a recording itself, so nothing can be removed without its rows and its reason being reported.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ class Rule(Options, ABC):
 
     rule: str
     splits_runs: ClassVar[bool] = False  # whether it may give rows another run label
+    by_default: ClassVar[bool] = True  # whether it is applied where no rule is named
 
     @abstractmethod
     def find(self, recording: Recording) -> list[Action]:

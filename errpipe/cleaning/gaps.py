@@ -29,10 +29,10 @@ class Gaps(Rule):
         if recording.name("time") is None:
             return []
         t, run = recording.time(), recording.run_codes()
-        actions = [a for name in sensors(recording) if (a := self._held(recording, name, t, run)) is not None]
+        actions = [a for name in sensors(recording) if (a := self._cells_to_hold(recording, name, t, run)) is not None]
         return [*actions, *self._split(recording, t, run)]
 
-    def _held(self, recording: Recording, name: str, t: np.ndarray, run: np.ndarray) -> Action | None:
+    def _cells_to_hold(self, recording: Recording, name: str, t: np.ndarray, run: np.ndarray) -> Action | None:
         values = recording.array(name)
         missing, usual = np.isnan(values), rows_between(values)
         rows: list[int] = []

@@ -18,8 +18,8 @@ from errpipe.yamlfile import quantity
 
 SIDE = 4  # readings on either side whose median is a level
 PAUSE = 5.0  # times the usual time between rows: a longer pause lets everything change
-STAYS = 0.8  # of the step, between the levels on either side: less of it is a single wrong reading
-SLOWER = 0.1  # of the step, in the reading after it: more is a fast body that warms, which goes on
+MIN_LASTING_SHARE = 0.8  # of the step, between the levels on either side: less of it is a single wrong reading
+MAX_FURTHER_SHARE = 0.1  # of the step, in the reading after it: more is a fast body that warms, which goes on
 MIN_STEP = 2.0  # K or um: a smaller step is not worth a run
 MAX_JUMPS = 2  # of one sensor; one that steps more often does so by nature (coolant that is switched)
 DEAD_SHARE = 0.3  # of a sensor's cells after a jump: the rest is not worth the risk
@@ -43,7 +43,9 @@ class SensorJumps(Rule):
             if not at:
                 continue
             run = recording.run_codes()
-            rows = np.unique(np.concatenate([np.flatnonzero(run == run[row])[_after(run, row) :] for row in at]))
+            rows = np.unique(
+                np.concatenate([np.flatnonzero(run == run[row])[_rows_before_in_run(run, row) :] for row in at])
+            )
             unit = "K" if name in temperatures else recording.manifest.columns[name].unit or "um"
             reason = f"jumps by {_step(values, at[0]):.3g} {unit} from one reading to the next and stays there"
             if name in temperatures and rows.size > DEAD_SHARE * values.size:
@@ -63,7 +65,9 @@ class SensorJumps(Rule):
         for count in range(min(MAX_JUMPS, size.size - 1), 0, -1):
             usual = max(size[count], resolution(values), MIN_STEP / self.threshold)
             found = sorted(after[order[:count]])
-            if size[count - 1] > self.threshold * usual and all(_stays(values, recording, row, usual) for row in found):
+            if size[count - 1] > self.threshold * usual and all(
+                _is_lasting_step(values, recording, row, usual) for row in found
+            ):
                 return [int(row) for row in found]
         return []
 
@@ -74,7 +78,7 @@ def _drifts(recording: Recording) -> list[str]:
     return list(recording.names("error")) if recording.names("temperature") and not others else []
 
 
-def _after(run: np.ndarray, row: int) -> int:
+def _rows_before_in_run(run: np.ndarray, row: int) -> int:
     """How many rows of its run stand before a row."""
     return int(np.count_nonzero(run[:row] == run[row]))
 
@@ -96,7 +100,7 @@ def _neighbours(values: np.ndarray, recording: Recording) -> tuple[np.ndarray, n
     return np.concatenate(before), np.concatenate(after)
 
 
-def _stays(values: np.ndarray, recording: Recording, row: int, usual: float) -> bool:
+def _is_lasting_step(values: np.ndarray, recording: Recording, row: int, usual: float) -> bool:
     """Whether a step is one of the level: whole at once, and still there after it. usual: largest other change, K."""
     run = recording.run_codes()
     rows = np.flatnonzero((run == run[row]) & np.isfinite(values))
@@ -106,4 +110,7 @@ def _stays(values: np.ndarray, recording: Recording, row: int, usual: float) -> 
         return False
     step = right[0] - left[-1]
     beside = max(abs(right[1] - right[0]), abs(left[-1] - left[-2]))
-    return bool((np.median(right) - np.median(left)) / step >= STAYS and beside <= max(SLOWER * abs(step), usual))
+    return bool(
+        (np.median(right) - np.median(left)) / step >= MIN_LASTING_SHARE
+        and beside <= max(MAX_FURTHER_SHARE * abs(step), usual)
+    )

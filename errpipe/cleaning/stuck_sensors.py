@@ -20,7 +20,7 @@ SENTINELS = (0.0, -999.0, -9999.0, 999.9, 9999.0, 85.0, -127.0, -242.0, 850.0)  
 MIN_SENTINEL_OFFSET = 5.0  # K, hPa or %: a sentinel stands at least this far off the readings around it
 LONGER = 4.0  # a stuck stretch is this many times as long as the longest that is not
 MIN_STUCK_ROWS = 20  # rows: a shorter stretch is not judged
-ALONE_LONGER, ALONE_SHORTEST = 8.0, 60  # where no other sensor can tell, only an extreme stretch counts
+ALONE_LONGER, ALONE_SHORTEST = 8.0, 60  # where no other sensor can be compared, only an extreme stretch counts
 MAX_STRETCHES = 5  # of one sensor; more standing still than that is its nature
 MOVED = 4.0  # display steps, or scatters of the estimate, by which the others say that it should have moved
 RELATED = 0.5  # share of a sensor's variance that the others must explain to be compared with it
@@ -132,7 +132,7 @@ def _constant(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _should_have_moved(
     y: np.ndarray, others: list[np.ndarray], inside: np.ndarray, starts: np.ndarray, ends: np.ndarray
 ) -> tuple[bool, np.ndarray]:
-    """Whether the other sensors can tell at all, and for each stretch whether they say that it should have moved."""
+    """Are there sensors to compare with? And of each stretch: do they say that it should have moved?."""
     usable = [o for o in others if np.isfinite(o).mean() > 0.9]
     if not usable:
         return False, np.zeros(starts.size, dtype=bool)

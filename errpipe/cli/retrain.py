@@ -55,7 +55,7 @@ def command(
             max_change_um=max_change_um,
             max_change_um_per_k=max_change_um_per_k,
             allowed_sensors=allow_sensor,
-            talk=reporter.callbacks(),
+            callbacks=reporter.callbacks(),
         )
     finally:
         reporter.clear()

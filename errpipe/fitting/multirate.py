@@ -97,9 +97,9 @@ def _held(batches: Iterator[Recording], sensors: dict[str, tuple[_Sensor, int]])
                 before = np.searchsorted(rows, row, side="right") - 1
                 near = row - rows[before] <= limit
                 columns[name][first:end] = np.where(near, readings[before], np.nan)
-                start, begun = sensor.first.get(run, (0, np.nan))
+                start, value_of_first = sensor.first.get(run, (0, np.nan))
                 early = (row < start) & (start - row <= limit)
-                columns[name][first:end][early] = begun
+                columns[name][first:end][early] = value_of_first
                 latest[name] = (int(rows[-1]), float(readings[-1]))
             in_run += end - first
         yield _with(batch, columns)

@@ -211,7 +211,7 @@ def _centre(value, seen, here, goal, mode, clockwise):
 
 
 @bare_kernel
-def _turning_from_nowhere(seen, here):
+def _from_unknown_angle(seen, here):
     """Whether a rotary axis is named of which nobody knows where it stands."""
     nowhere = False
     for n in range(_ROTARY, here.size):
@@ -232,7 +232,7 @@ def _path(value, seen, motion, here, goal, mode, points):
         shape = arc_shape(here, goal, x, y, mode.first, mode.second, motion == 3, 1, mode.chord_error, mode.longest)
         error = chord_error_of(shape)
     pieces = straight_pieces(here, goal, mode.longest) if motion == 1 else shape[4]
-    if pieces > mode.segments or (pieces > 1 and _turning_from_nowhere(seen, here)):
+    if pieces > mode.segments or (pieces > 1 and _from_unknown_angle(seen, here)):
         return 0, error
     if pieces > points.shape[0]:
         return -1, error

@@ -65,7 +65,6 @@ class State:
     offset: str = "G54"
     tool_length: float = 0.0
     position: tuple[float | None, ...] = (None,) * 6
-    feed_mode: str = "G94"
     ended: bool = False
 
 
@@ -197,9 +196,7 @@ def _modes(block: Block, state: State, setup: Setup) -> State:
             state = _change_tool(block, state, setup, code)
         elif code == "G80":
             state = replace(state, motion="")
-        elif code in HARMLESS_G | LEAVING_G:
-            state = replace(state, feed_mode=code) if code in ("G94", "G95") else state
-        else:
+        elif code not in HARMLESS_G | LEAVING_G:
             raise refuse(block.line, block.source, f"{code} is not understood")
     return state
 

@@ -93,7 +93,7 @@ def model_json(model: ErrorModel) -> dict[str, Any]:
 
 
 def fingerprint_of(model: ErrorModel) -> str:
-    """What tells a model from every other one: the hash of its canonical JSON."""
+    """Identity of a model: the hash of its canonical JSON."""
     return jsonfile.fingerprint(model_json(model))
 
 

@@ -219,7 +219,7 @@ def lines(document: Mapping[str, Any]) -> list[str]:
             f"- {d['name']}: {plain_text(d['what'])} since run {plain_text(d['since'])}: {d['size']:+.3g} {d['unit']}"
         )
     out += [] if document["drifting"] else ["None."]
-    out += ["", "## Machines alike", "", "Of these the data do not tell the parameters apart (95 %).", ""]
+    out += ["", "## Machines alike", "", "Of these the data do not distinguish the parameters (95 %).", ""]
     for kind in document["types"]:
         for component, response in kind["responses"].items():
             groups = [", ".join(group) for group in response["alike"]]

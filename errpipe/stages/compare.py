@@ -54,7 +54,7 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
     within = None
     if max_um is not None:
         within = result.largest is not None and result.largest <= max_um
-        seen = "no figure tells how far they differ" if result.largest is None else f"at most {result.largest:.4g}"
+        seen = "no figure of the difference" if result.largest is None else f"at most {result.largest:.4g}"
         result.says.append(f"limit {max_um:g}: {seen}: {'within' if within else 'NOT within the limit'}")
     if figure is not None:
         from errpipe.stages._compare_page import draw
@@ -194,7 +194,7 @@ def _recordings(old: Path, new: Path) -> Comparison:
     own, other = before.manifest.columns, after.manifest.columns
     for name in (n for n in own if n in other and own[n] != other[n]):
         out.says.append(f"column {name}: is declared differently")
-    alike = {n for n in own if n in other and _holds(own[n]) == _holds(other[n])}
+    alike = {n for n in own if n in other and _meaning_of_column(own[n]) == _meaning_of_column(other[n])}
     _keys(out, "run", dict.fromkeys(before.run_labels()), dict.fromkeys(after.run_labels()))
     if len(before) != len(after):
         out.says.append(f"rows: {len(before)} -> {len(after)}")
@@ -215,7 +215,7 @@ def _recordings(old: Path, new: Path) -> Comparison:
     return out
 
 
-def _holds(column: Any) -> tuple[Any, ...]:
+def _meaning_of_column(column: Any) -> tuple[Any, ...]:
     """What a column holds, whatever it says of its source: columns of another axis are no change of this one."""
     return column.role, column.axis, column.component, column.unit
 

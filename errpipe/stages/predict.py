@@ -152,7 +152,7 @@ def _begin(table: CompensationTable, model: ErrorModel) -> Begin:
     packed = cache(lambda compiled: batch.Rows(by_component(table), compiled))
 
     def begin(rows: int) -> Evaluate:
-        replay, count, first = packed(batch.worth_compiling(rows)).anew(), 0, dict[str, float]()
+        replay, count, first = packed(batch.worth_compiling(rows)).restarted(), 0, dict[str, float]()
 
         def values(part: Recording) -> Mapping[str, np.ndarray]:
             nonlocal count

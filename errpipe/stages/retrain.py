@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from errpipe import jsonfile
 from errpipe.errors import DataError, GateError, UsageError, VerifyError
-from errpipe.pipeline.step import SILENT, Talk
+from errpipe.pipeline.step import NO_CALLBACKS, Callbacks
 from errpipe.stages import _artefacts
 from errpipe.stages._retrain_pages import github_annotations, write_pages
 
@@ -41,7 +41,7 @@ def retrain(
     max_change_um: float | None = None,
     max_change_um_per_k: float | None = None,
     allowed_sensors: Sequence[str] = (),
-    talk: Talk | None = None,
+    callbacks: Callbacks | None = None,
 ) -> dict[str, Any]:
     """Run the pipeline into OUT/run and decide whether its model replaces the champion's.
 
@@ -58,10 +58,10 @@ def retrain(
     earlier = _earlier_scores(out / DOCUMENT, fingerprint)
     refused = ""
     try:
-        runner.run(pipeline, out / RUN, talk=talk or SILENT)
+        runner.run(pipeline, out / RUN, callbacks=callbacks or NO_CALLBACKS)
     except GateError as err:
         refused = str(err)
-    folder = out / RUN / _giving(pipeline, "recording")
+    folder = out / RUN / _last_stage_with(pipeline, "recording")
     recording = _artefacts.recording_in(folder)
     _same_machine(champion, old_model, old_recording, recording)
     document = _judged(
@@ -92,7 +92,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     if refused:
         gates.append(retraining.Gate("pipeline", False, refused))
     else:
-        model_folder = out / RUN / _giving(pipeline, "error_model")
+        model_folder = out / RUN / _last_stage_with(pipeline, "error_model")
         model = _artefacts.read_model(model_folder / _artefacts.MODEL)
         lacking = [c.component for c in model.components if c.component not in prediction]
         if lacking:
@@ -137,7 +137,7 @@ def _name_gate(names: list[str], any_new: bool) -> list[Any]:
     return [Gate("names of runs", any_new, says)]
 
 
-def _giving(pipeline: Pipeline, artefact: str) -> str:
+def _last_stage_with(pipeline: Pipeline, artefact: str) -> str:
     """Name of the last stage that gives an artefact of a type. Raises DataError where none does."""
     names = [stage.label for stage in pipeline.stages if artefact in stage.gives]
     if not names:
@@ -148,8 +148,8 @@ def _giving(pipeline: Pipeline, artefact: str) -> str:
 def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, str]:
     from errpipe.formats.manifest_folder import MANIFEST
 
-    model = Path(folder) / _giving(pipeline, "error_model") / _artefacts.MODEL
-    recording = Path(folder) / _giving(pipeline, "recording")
+    model = Path(folder) / _last_stage_with(pipeline, "error_model") / _artefacts.MODEL
+    recording = Path(folder) / _last_stage_with(pipeline, "recording")
     for path in (model, recording / MANIFEST):
         if not path.is_file():
             raise DataError(

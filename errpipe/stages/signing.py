@@ -98,13 +98,13 @@ def _same_kind(before: bytes, table: CompensationTable, machine: str, path: Path
 
     old = ect.loads_any(before)
     if old.machine and table.machine and old.machine != table.machine:
-        told = f"was made for {table.machine!r}, the one on record for {old.machine!r}"
+        reason = f"was made for {table.machine!r}, the one on record for {old.machine!r}"
     elif _outputs(old) != _outputs(table):
-        told = f"corrects {_outputs(table)}, the one on record {_outputs(old)}, and a machine's table is replaced whole"
+        reason = f"corrects {_outputs(table)}, the one on record {_outputs(old)}, and a table is replaced whole"
     else:
         return
     raise GateError(
-        f"machine {machine}: {path} {told}. Give it a name of its own in the registry, or say --other-outputs"
+        f"machine {machine}: {path} {reason}. Give it a name of its own in the registry, or say --other-outputs"
     )
 
 

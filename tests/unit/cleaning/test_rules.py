@@ -492,3 +492,11 @@ def test_coarse_steps_with_small_ones_between_are_no_outliers():
     for values, found in ((shown, []), (slipped, [700])):
         source = recording(run=np.full(rows, "1"), t=60.0 * np.arange(rows), E_Z=values)
         assert touched(clean(source, (Outliers(),))[1], "outliers", "E_Z") == found
+
+
+def test_a_rule_that_is_not_by_default_waits_to_be_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    from errpipe import cleaning
+
+    monkeypatch.setattr(cleaning.RULES["gaps"], "by_default", False)
+    waiting = {rule.rule for rule in cleaning.DEFAULT} - {rule.rule for rule in cleaning.by_default()}
+    assert waiting == {"gaps"}
