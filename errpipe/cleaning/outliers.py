@@ -26,6 +26,7 @@ NEIGHBOUR_SHARE = 0.3  # a neighbour that departs the same way by this share of 
 STEPS_AT_END = 2.7  # times the largest step elsewhere: e, as of a body whose time constant is that between two readings
 NORMAL = 1.4826  # from median absolute deviation to the standard deviation of a normal distribution
 REVERSAL = 3  # readings on either side of a reversal that are not judged
+MOVING = 0.1  # of the readings: fewer that differ from the one before may all be wrong ones
 RARE_REVERSALS = 0.1  # where more rows than this are near a reversal (a to-and-fro test), reversals are no evidence
 
 
@@ -52,7 +53,8 @@ class Outliers(Rule):
     def _column(self, recording: Recording, name: str, role: str, protected: np.ndarray) -> Action | None:
         values = recording.array(name)
         judged, beside = _mismatch(recording, name, values) if role == "error" else (values, "")
-        rows = outlying(judged, recording.run_codes(), recording.time(), self.threshold, resolution(values))
+        step = max(resolution(values), _usual_step(judged))
+        rows = outlying(judged, recording.run_codes(), recording.time(), self.threshold, step)
         if role == "error":
             rows = rows[~protected[rows]]
         if not rows.size:
@@ -73,6 +75,16 @@ def outlying(values: np.ndarray, run: np.ndarray, t: np.ndarray, threshold: floa
         if rows.size >= MIN_READINGS:
             far_off.append(rows[_outliers_of_run(values[rows], _parts(t[rows]), threshold, step)])
     return np.concatenate(far_off) if far_off else np.zeros(0, dtype=np.int64)
+
+
+def _usual_step(values: np.ndarray) -> float:
+    """Median change of a column of which most readings repeat the one before; 0 of any other.
+
+    An instrument of coarse steps whose converter adds small ones has no common display step, nor scatter between steps.
+    """
+    change = np.abs(np.diff(values[np.isfinite(values)]))
+    moving = change[change > 0.0]
+    return float(np.median(moving)) if MOVING * change.size <= moving.size < 0.5 * change.size else 0.0
 
 
 def _parts(t: np.ndarray) -> np.ndarray:

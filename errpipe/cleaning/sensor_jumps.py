@@ -3,6 +3,7 @@
 A body cannot take a step from one reading to the next, so a level that shifts at once, and many times further than the
 column ever moves otherwise, is the sensor's. What it shows from there to the end of the run is blanked: which of the
 two levels is right is not known, and heat that is counted from the start of a run would count the step.
+A drift that is read where no axis moves jumps as little: its probe was moved, or its datum was set anew.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ SIDE = 4  # readings on either side whose median is a level
 PAUSE = 5.0  # times the usual time between rows: a longer pause lets everything change
 MIN_LASTING_SHARE = 0.8  # of the step, between the levels on either side: less of it is a single wrong reading
 MAX_FURTHER_SHARE = 0.1  # of the step, in the reading after it: more is a fast body that warms, which goes on
-MIN_STEP = 2.0  # K: a smaller step is not worth a run
+MIN_STEP = 2.0  # K or um: a smaller step is not worth a run
 MAX_JUMPS = 2  # of one sensor; one that steps more often does so by nature (coolant that is switched)
 DEAD_SHARE = 0.3  # of a sensor's cells after a jump: the rest is not worth the risk
 
 
 class SensorJumps(Rule):
-    """Blank a temperature from a jump on that no body can make, to the end of the run."""
+    """Blank a temperature, or a drift read where no axis moves, from an impossible jump to the end of its run."""
 
     rule: Literal["sensor_jumps"] = "sensor_jumps"
     threshold: float = quantity(
@@ -35,7 +36,8 @@ class SensorJumps(Rule):
     def find(self, recording: Recording) -> list[Action]:
         """Cells to blank, or the column to set aside where most of it would be blank."""
         actions = []
-        for name in recording.names("temperature"):
+        temperatures = recording.names("temperature")
+        for name in [*temperatures, *_drifts(recording)]:
             values = recording.array(name)
             at = self._jumps(values, recording)
             if not at:
@@ -44,8 +46,9 @@ class SensorJumps(Rule):
             rows = np.unique(
                 np.concatenate([np.flatnonzero(run == run[row])[_rows_before_in_run(run, row) :] for row in at])
             )
-            reason = f"jumps by {_step(values, at[0]):.3g} K from one reading to the next and stays there"
-            if rows.size > DEAD_SHARE * values.size:
+            unit = "K" if name in temperatures else recording.manifest.columns[name].unit or "um"
+            reason = f"jumps by {_step(values, at[0]):.3g} {unit} from one reading to the next and stays there"
+            if name in temperatures and rows.size > DEAD_SHARE * values.size:
                 actions.append(Action("set column aside", f"{reason}, before {rows.size} of {values.size} rows", name))
             else:
                 actions.append(Action("blank cells", reason, column=name, rows=rows))
@@ -67,6 +70,12 @@ class SensorJumps(Rule):
             ):
                 return [int(row) for row in found]
         return []
+
+
+def _drifts(recording: Recording) -> list[str]:
+    """Deviations that have no position, nor a simulation to compare with, beside temperatures."""
+    others = [n for role in ("position", "command", "simulated") for n in recording.names(role)]
+    return list(recording.names("error")) if recording.names("temperature") and not others else []
 
 
 def _rows_before_in_run(run: np.ndarray, row: int) -> int:

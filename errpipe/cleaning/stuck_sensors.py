@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from errpipe.cleaning._base import Action, Rule, resolution, sensors, stretches
+from errpipe.cleaning._base import Action, Rule, resolution, rows_between, sensors, stretches
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.yamlfile import quantity
@@ -65,11 +65,17 @@ class StuckSensors(Rule):
         finite = values[np.isfinite(values)]
         if finite.size == 0:
             return "holds no value"
-        if finite.size < (1 - self.empty) * values.size:
+        if _spoken_for(values) < (1 - self.empty) * values.size:
             return f"empty in {values.size - finite.size} of {values.size} rows"
         if finite.size >= MIN_STUCK_ROWS and np.ptp(finite) == 0.0:
             return f"shows {finite[0]:g} in every row"
         return ""
+
+
+def _spoken_for(values: np.ndarray) -> int:
+    """Rows for which a reading stands: its own and, of a sensor logged less often, those to its usual next one."""
+    steps = np.diff(np.r_[np.flatnonzero(np.isfinite(values)), values.size])
+    return int(np.minimum(steps, rows_between(values)).sum())
 
 
 def _sentinels(values: np.ndarray) -> tuple[np.ndarray, str]:
