@@ -32,8 +32,9 @@ _OPPOSITE = re.compile(
 )
 _ON_THE_SIGN = re.compile(
     r"\bvorzeichen|\bpositive? (error|deviation|value|reading)s?\b|\bpositive[rs]? (fehler|abweichung|wert)|符号"
-    r"|\bsigns?\b(?! ?off)|\bsigne\b"
-    r"|^(?:e|err|error|fehler|dev\w*|abw\w*|abweichung|偏差|误差|誤差)(?: [xyz])?\W{0,2}[=:].*\w ?(?:-|minus) ?[^\W\d]"
+    r"|\bsigns?\b(?![ -]?off)|\bsigne\b"
+    r"|^(?:e|err|error|fehler|dev\w*|abw\w*|abweichung|偏差|误差|誤差)(?: [xyz])?\W{0,2}"
+    r"(?:=.*\w ?(?:-|minus)|:.* minus) ?[^\W\d]"
     r"|\b(?:corrections?|compensations?) (?:to be|to) \w+|\bare (?:the )?(?:corrections?|compensation)\b"
     r"|\b(?:invers\w*|invert\w*|negated|flipped|umgekehrt\w*) (?:error|dev|value|reading|fehler|abw|wert)"
     r"|\b(?:multiplied by|times|mal) ?\(?-"

@@ -89,7 +89,14 @@ def test_a_pitch_error_in_um_is_that_of_a_screw(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "line", ["+ = approached from below", "Directions: + up, - down", "Temperature +20 = reference"]
+    "line",
+    [
+        "+ = approached from below",
+        "Directions: + up, - down",
+        "Temperature +20 = reference",
+        "Error: X-axis, bi-directional",
+        "Sign-off: Maier",
+    ],
 )
 def test_a_line_with_a_plus_that_is_no_sign_of_readings(tmp_path: Path, line: str) -> None:
     (tmp_path / "f.csv").write_text(signed(above=line), encoding="utf-8")
