@@ -124,3 +124,30 @@ def test_friction_that_falls_more_slowly_than_stribecks_is_still_his():
     case = judged(columns, kinds, "F_X", simulated + 40 * falling + 5 * rng.standard_normal(v.size), simulated, "N")
     assert names(case) == ["stribeck_friction"]
     assert left_by_form(case, "stribeck_friction", falling) < 0.05  # 0.10 by the square alone
+
+
+def test_the_ends_of_a_part_are_found_between_the_places_that_are_tried_first():
+    columns, kinds, noise = positioning(runs=5)
+    del columns["T"], kinds["T"]
+    simulated, t = 20e-3 * columns["x"], columns["t"]
+    low, high = (float(np.quantile(t, q)) for q in (0.395, 0.61))
+    inside = (t >= low) & (t <= high)
+    case = judged(columns, kinds, "EXX", simulated - 3.0 * columns["dir"] * inside + 0.5 * noise, simulated)
+    (found,) = case.explanation.accepted
+    assert found.hypothesis.effect in ("backlash", "friction_hysteresis")
+    kind, column, *ends = found.hypothesis.mask
+    assert (kind, column) == ("range", "t")
+    assert np.mean(((t >= ends[0]) & (t <= ends[1])) != inside) < 0.015  # of the rows; fourteenths miss by 0.03 at best
+
+
+def test_a_guideway_of_any_shape_acts_in_some_runs():
+    rng = np.random.default_rng(0)
+    turn = np.concatenate([way * np.linspace(0, 2 * np.pi, 180, endpoint=False) for way in (1, -1) * 3])
+    run = np.repeat(np.arange(6), 180)
+    x, y = 240 * np.cos(turn), 240 * np.sin(turn)
+    columns = {"run": run.astype(str), "t": np.arange(turn.size) * 0.33, "x": x, "y": y}
+    kinds = {a: {"role": "position", "axis": a.upper(), "unit": "mm"} for a in "xy"}
+    curve, simulated = np.sin(7.5 * x / 240 + 0.4) * np.sin(turn), 4.0 * np.sin(2 * turn)
+    error = simulated + 5 * curve * (run >= 4) + 0.7 * rng.standard_normal(turn.size)
+    (found,) = judged(columns, kinds, "E_R", error, simulated).explanation.accepted
+    assert (found.hypothesis.effect, found.hypothesis.mask) == ("straightness", ("runs", ("4", "5")))
