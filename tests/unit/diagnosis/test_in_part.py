@@ -130,7 +130,7 @@ def test_the_ends_of_a_part_are_found_between_the_places_that_are_tried_first():
     columns, kinds, noise = positioning(runs=5)
     del columns["T"], kinds["T"]
     simulated, t = 20e-3 * columns["x"], columns["t"]
-    low, high = (float(np.quantile(t, q)) for q in (0.395, 0.61))
+    low, high = (float(np.quantile(t, q)) for q in (0.322, 0.535))
     inside = (t >= low) & (t <= high)
     case = judged(columns, kinds, "EXX", simulated - 3.0 * columns["dir"] * inside + 0.5 * noise, simulated)
     (found,) = case.explanation.accepted
