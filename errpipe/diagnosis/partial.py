@@ -28,6 +28,7 @@ ELSEWHERE = 4.0  # log odds against any other on a stretch of an axis: a bed war
 BINS = 14  # equal stretches of an axis or of time, neighbours of which are tried as one part
 FINER = 8  # parts of such a stretch, to which the ends of a part are then found
 MOST = 12  # parts whose ends are found, and that the search takes
+LEAST = 0.12  # share of the rows that a part must hold, unless it is a run: a few rows that stand out are events
 BETTER = 7.0  # log Bayes factor by which a part must beat every whole,
 MENDING = 0.05  # plus this share of the best whole's log Bayes factor: a part may only correct the textbook form
 
@@ -72,11 +73,11 @@ class Groups:
         return ("range", self.kind, self.edges[members[0]], self.edges[members[-1] + 1])
 
     def choices(self) -> list[tuple[int, ...]]:
-        """Unions tried: neighbours, that hold as much as half a stretch; of runs also any two."""
+        """Unions tried: neighbours, enough of them where they are no runs; of runs also any two."""
         out = [tuple(range(a, b)) for a in range(self.count) for b in range(a + 1, self.count + 1)]
-        if self.finest > self.count:
+        if self.kind != "runs":
             upto = np.r_[0, np.cumsum([r.size for r in self.rows])]
-            out = [c for c in out if upto[c[-1] + 1] - upto[c[0]] > self.code.size / (2 * BINS)]
+            out = [c for c in out if upto[c[-1] + 1] - upto[c[0]] >= LEAST * self.code.size]
         if self.kind == "runs":
             out += [(a, b) for a, b in itertools.combinations(range(self.count), 2) if b > a + 1]
         return [c for c in out if len(c) < self.count]
