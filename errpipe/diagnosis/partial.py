@@ -37,8 +37,8 @@ MENDING = 0.05  # plus this share of the best whole's log Bayes factor: a part m
 class Groups:
     """A partition of the judged rows: group of each row, and what a union of groups is called.
 
-    values: of the column that the groups are ranges of, shape (rows,); finest: groups in all at this width of the
-    narrowest, for the price.
+    values: of the column that the groups are ranges of, shape (rows,); evenly: ranges are of equal length, else hold as
+    many rows each; finest: how many ranges as narrow as the narrowest there would be, for the price.
     """
 
     code: np.ndarray
@@ -47,24 +47,25 @@ class Groups:
     labels: tuple[str, ...] = ()
     edges: tuple[float, ...] = ()
     values: np.ndarray | None = None
+    evenly: bool = True
     finest: int = 0
 
     @classmethod
-    def along(cls, name: str, values: np.ndarray, edges: np.ndarray, finest: int = 0) -> Groups:
+    def along(cls, name: str, values: np.ndarray, edges: np.ndarray, evenly: bool, finest: int) -> Groups:
         """Ranges of a column between edges."""
         code = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
-        return cls(code, edges.size - 1, name, (), tuple(edges), values, finest or edges.size - 1)
+        return cls(code, edges.size - 1, name, (), tuple(edges), values, evenly, finest)
 
     def finer(self, members: tuple[int, ...]) -> Groups:
-        """Ranges that are narrow beside both ends of a union: of equal length, or as many rows in each."""
+        """Ranges that are narrow beside both ends of a union."""
         assert self.values is not None
-        edges, cuts = np.array(self.edges), [self.edges[0], self.edges[-1]]
-        equal = np.ptp(np.diff(edges)) < 1e-9 * np.ptp(edges)
+        cuts = [self.edges[0], self.edges[-1]]
         for end in (members[0], members[-1] + 1):
-            low, high = edges[max(end - 1, 0)], edges[min(end + 1, self.count)]
-            near = [low, high] if equal else self.values[(self.values >= low) & (self.values <= high)]
+            low, high = self.edges[max(end - 1, 0)], self.edges[min(end + 1, self.count)]
+            near = [low, high] if self.evenly else self.values[(self.values >= low) & (self.values <= high)]
             cuts.extend(np.quantile(near, np.linspace(0.0, 1.0, 2 * FINER + 1)))
-        return Groups.along(self.kind, self.values, np.unique(cuts), FINER * self.count)
+        finest = min(FINER * self.finest, self.values.size)
+        return Groups.along(self.kind, self.values, np.unique(cuts), self.evenly, finest)
 
     def mask(self, members: tuple[int, ...]) -> tuple:
         """The mask of a hypothesis that acts in these groups."""
@@ -113,7 +114,7 @@ class Groups:
         """Log of the number of unions of this kind that could have been chosen."""
         neighbours = members == tuple(range(members[0], members[-1] + 1))
         if neighbours or len(members) == 2:
-            count = max(self.count, self.finest)
+            count = self.finest or self.count
             return float(np.log(count * (count + 1) - count - 1))
         return float(self.count * np.log(2.0))
 
@@ -147,10 +148,9 @@ def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
         along[clock] = recording.time()[rows]
     for name, x in along.items():
         if np.unique(x).size >= BINS // 2 and x.max() > x.min():
-            edges = np.linspace(x.min(), x.max(), BINS + 1)
-            if name == clock:  # as many rows in each: nothing is known of pauses
-                edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
-            out.append(Groups.along(name, x, edges))
+            parts = np.linspace(0.0, 1.0, BINS + 1)  # of time as many rows in each: nothing is known of pauses
+            edges = np.unique(np.quantile(x if name == clock else [x.min(), x.max()], parts))
+            out.append(Groups.along(name, x, edges, name != clock, edges.size - 1))
     return out
 
 
@@ -168,32 +168,34 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
     for groups in partitions(recording, rows):
         possible = [i for i in candidates(search, alone) if may_act_in_part(library.hypotheses[i], groups.kind, clock)]
         tried = [p for i in possible for p in _best_part(search, scene, basis, i, groups, clock)]
-        parts += tried + _best_there(search, scene, basis, max(tried, key=lambda p: p.gain, default=None), clock)
-    for p in _first(parts, search, EACH):
-        if p.groups.kind != "runs":
-            parts += _best_part(search, scene, basis, p.index, p.groups.finer(p.members), clock)
-    best = _first([p for p in parts if p.gain > max(whole + BETTER + MENDING * whole, 12.0)], search, 2 * EACH)
-    best += _best_there(search, scene, basis, max(best, key=lambda p: p.gain, default=None), clock)
+        parts += tried + _best_of_each_effect(search, scene, basis, tried, clock)
+    for p in _best_parts(parts, search):
+        for _ in range(2 if p.groups.kind != "runs" else 0):
+            for sharper in _best_part(search, scene, basis, p.index, p.groups.finer(p.members), clock):
+                parts.append(p := sharper)
+    best = _best_parts([p for p in parts if p.gain > max(whole + BETTER + MENDING * whole, 12.0)], search)
+    best += _best_of_each_effect(search, scene, basis, best, clock)
     made = [_extend(library, search, recording, rows, p) for p in {(p.index, p.mask): p for p in best}.values()]
     return [i for i in made if i is not None]
 
 
-def _first(parts: list[Part], search: Search, each: int) -> list[Part]:
-    """The best parts, at most so many of each effect."""
-    out: list[Part] = []
+def _best_parts(parts: list[Part], search: Search) -> list[Part]:
+    """The best parts: one of each hypothesis along each input, a few of each effect."""
+    out: dict[tuple[int, str], Part] = {}
     for p in sorted(parts, key=lambda p: -p.gain):
-        effects = [search.library.hypotheses[q.index].effect for q in out]
-        if effects.count(search.library.hypotheses[p.index].effect) < each:
-            out.append(p)
-    return out[:MOST]
+        effects = [search.library.hypotheses[i].effect for i, _ in out]
+        if effects.count(search.library.hypotheses[p.index].effect) < EACH:
+            out.setdefault((p.index, p.groups.kind), p)
+    return list(out.values())[:MOST]
 
 
-def _best_there(search: Search, scene: Scene, basis, part: Part | None, clock: str | None) -> list[Part]:
-    """The best hypotheses of each effect where a part acts: by another sensor or lag than on all rows."""
-    if part is None:
+def _best_of_each_effect(search: Search, scene: Scene, basis, parts: list[Part], clock: str | None) -> list[Part]:
+    """The best hypotheses of each effect where the best part acts: by another sensor or lag than on all rows."""
+    if not parts:
         return []
-    library, kind, inside = search.library, part.groups.kind, np.isin(part.groups.code, part.members)
-    inside, gain = np.flatnonzero(inside), np.full(len(library.hypotheses), -np.inf)
+    part, library = max(parts, key=lambda p: p.gain), search.library
+    inside = np.flatnonzero(np.isin(part.groups.code, part.members))
+    kind, gain = part.groups.kind, np.full(len(library.hypotheses), -np.inf)
     for index, h in enumerate(library.hypotheses):
         possible = h.terms[0].in_part != "never" and not h.mask and search.prior[index] > 0.5 * NEVER
         if possible and may_act_in_part(h, kind, clock):
