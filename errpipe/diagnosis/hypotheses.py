@@ -25,6 +25,7 @@ from errpipe.terms import TERMS as ALL_TERMS
 
 TERMS = tuple(kind for kind in ALL_TERMS if kind.reports_as)
 PROPORTIONAL = 0.999  # correlation of a position with the time from which one cannot be told from the other
+LEVEL = 1.0  # level of a thermal effect in part, over its spread: from where its rise is counted there is not known
 TIME_ALONE = -3.0  # log odds of what goes with the time alone there: the position is what a test sets out to vary
 
 
@@ -301,7 +302,15 @@ def columns_of(h: Hypothesis, recording: Recording) -> tuple[np.ndarray, np.ndar
         inside = mask_of(h.mask, recording)
         core = core * inside[:, None]
         slack = [s * inside for s in slack]
+        if has_level(h):
+            slack.append(inside)
+            rel.append(LEVEL)
     return core, np.column_stack(slack) if slack else np.zeros((len(recording), 0)), np.array(rel)
+
+
+def has_level(h: Hypothesis) -> bool:
+    """Has it in part a level of its own? On all rows the datum holds what a rise is counted from."""
+    return h.terms[0].family == "thermal" and h.terms[0].form != "any reference"
 
 
 def mask_of(mask: tuple, recording: Recording) -> np.ndarray:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from errpipe.diagnosis.evidence import Scene, averaged
-from errpipe.diagnosis.hypotheses import Hypothesis, Library, columns_of, scaled
+from errpipe.diagnosis.hypotheses import LEVEL, Hypothesis, Library, columns_of, has_level, scaled
 from errpipe.diagnosis.search import Search
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, position, position_name
@@ -199,7 +199,7 @@ def _best_of_each_effect(search: Search, scene: Scene, basis, parts: list[Part],
     for index, h in enumerate(library.hypotheses):
         possible = h.terms[0].in_part != "never" and not h.mask and search.prior[index] > 0.5 * NEVER
         if possible and may_act_in_part(h, kind, clock):
-            W = library.table.W[np.ix_(inside, library.places[index])] * library.freedom_of(index)
+            W = _columns(library, index, inside)
             B = basis[:, inside] @ W
             S, s = W.T @ W - B.T @ B, W.T @ search.data.y[inside] - B.T @ scene.half
             gain[index] = averaged(S[None], s[None, :, None], np.array([scene.Q]), scene.n)[0, 0] - part.price
@@ -242,16 +242,24 @@ def on_a_stretch(h: Hypothesis, axis: str) -> bool:
     return axis in h.drivers or term.family in ON_A_STRETCH or "axis" in type(term).model_fields
 
 
+def _columns(library: Library, index: int, rows: np.ndarray) -> np.ndarray:
+    """Whitened columns of a hypothesis on some rows, in part, times their freedoms."""
+    places, freedom = library.places[index], library.freedom_of(index)
+    if has_level(library.hypotheses[index]):
+        places, freedom = np.r_[places, library.datum], np.r_[freedom, LEVEL]
+    return library.table.W[np.ix_(rows, places)] * freedom
+
+
 def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, clock: str | None) -> list[Part]:
     """The union of groups in which a hypothesis explains most; none where there is no choice."""
     library, y = search.library, search.data.y
-    W_all = library.table.W[:, library.places[index]] * library.freedom_of(index)
-    k = W_all.shape[1]
+    whole = _columns(library, index, np.arange(library.table.n))
+    k = whole.shape[1]
     S = np.zeros((groups.count, k, k))
     B = np.zeros((groups.count, basis.shape[0], k))
     s = np.zeros((groups.count, k))
     for g, r in enumerate(groups.rows):
-        W = W_all[r]
+        W = whole[r]
         S[g], B[g], s[g] = W.T @ W, basis[:, r] @ W, W.T @ y[r]
     choices, member, price = groups.priced
     if not choices:
