@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from errpipe.diagnosis import judge, prepare
@@ -151,3 +153,17 @@ def test_a_guideway_of_any_shape_acts_in_some_runs():
     error = simulated + 5 * curve * (run >= 4) + 0.7 * rng.standard_normal(turn.size)
     (found,) = judged(columns, kinds, "E_R", error, simulated).explanation.accepted
     assert (found.hypothesis.effect, found.hypothesis.mask) == ("straightness", ("runs", ("4", "5")))
+
+
+def test_a_body_that_acts_for_a_while_is_counted_from_any_temperature():
+    columns, kinds, noise = positioning(runs=3)
+    case = judged(columns, kinds, "EXX", 0.5 * noise, 20e-3 * columns["x"])
+    low, high = (float(np.quantile(columns["t"], q)) for q in (0.3, 0.7))
+    inside = (columns["t"] >= low) & (columns["t"] <= high)
+    signal = 3.0 * (case.recording.array("T") - 23.7) * inside
+    for effect, fits in (("thermal_drift", True), ("scale_expansion", False)):  # which has its reference along x
+        whole = next(h for h in case.library.hypotheses if h.effect == effect)
+        core, slack, _ = columns_of(replace(whole, mask=("range", "t", low, high)), case.recording)
+        form = np.column_stack([core, slack[:, -1]])
+        left = signal - form @ np.linalg.lstsq(form, signal, rcond=None)[0]
+        assert (np.std(left) < 1e-6 * np.std(signal)) == fits
