@@ -98,5 +98,5 @@ def needs_recalibration(case: Case) -> bool:
     datum, gains = case.nuisance.index[own], case.nuisance.index[~own]
     sets = [datum, gains[:1], np.r_[datum, gains[:1]], np.r_[datum, gains]]
     sets += [np.r_[datum, g] for g in gains[1:]]
-    scored = scene.score(sets, [np.ones(s.size) for s in sets], case.search.rows)
-    return max(s.gain for s in scored) > OFF + np.log(len(sets))  # log of the number of sets: multiple comparisons
+    scored = scene.gains(sets, [np.ones(s.size) for s in sets], case.search.rows)
+    return bool(scored.max() > OFF + np.log(len(sets)))  # log of the number of sets: multiple comparisons

@@ -125,14 +125,6 @@ class Library:
         assert made is not None
         return made[0]
 
-    def indices(self, i: int) -> np.ndarray:
-        """Column numbers of a hypothesis."""
-        return self.places[i]
-
-    def freedom_of(self, i: int) -> np.ndarray:
-        """Freedoms of a hypothesis' columns."""
-        return self.freedoms[i]
-
     def textbook(self, i: int) -> int:
         """How many of its columns are its own form, with the states in which bodies started."""
         starts = {"textbook": 0, "any reference": 1, "any start": self.starts, "any shape": self.places[i].size}

@@ -244,7 +244,7 @@ def on_a_stretch(h: Hypothesis, axis: str) -> bool:
 
 def _columns(library: Library, index: int, rows: np.ndarray) -> np.ndarray:
     """Whitened columns of a hypothesis on some rows, in part, times their freedoms."""
-    places, freedom = library.places[index], library.freedom_of(index)
+    places, freedom = library.places[index], library.freedoms[index]
     if has_level(library.hypotheses[index]):
         places, freedom = np.r_[places, library.datum], np.r_[freedom, LEVEL]
     return library.table.W[np.ix_(rows, places)] * freedom

@@ -175,6 +175,6 @@ def share_held(library: hypotheses.Library, i: int, held: np.ndarray) -> float:
     """Share of a part of the simulation that a hypothesis' textbook form explains: another wave, or a bump elsewhere,
     is another effect of the same name."""
     table = library.table
-    form, signal = table.W[:, library.indices(i)[: library.cores[i]]], whiten(held, table.run, table.colour)
+    form, signal = table.W[:, library.places[i][: library.cores[i]]], whiten(held, table.run, table.colour)
     rest = signal - form @ np.linalg.lstsq(form, signal, rcond=None)[0]
     return float(np.clip(1.0 - rest @ rest / (signal @ signal), 0.0, 1.0))

@@ -183,7 +183,7 @@ def _best_shape(case: Case, chosen: list[tuple[int, float]]) -> float:
     if not inputs:
         return 0.0
     sets, freedoms = [case.places[k] for k in inputs], [case.free_shapes[k].freedom for k in inputs]
-    return max(s.gain for s in case.search.scene(chosen).score(sets, freedoms, case.search.rows))
+    return float(case.search.scene(chosen).gains(sets, freedoms, case.search.rows).max())
 
 
 def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidence.Indicators]) -> Finding:

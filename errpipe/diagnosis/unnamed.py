@@ -177,11 +177,10 @@ def textbook_alone(case: Case) -> float:
     if first.hypothesis.terms[0].gain_sd is not None:
         return 1.0
     library, family = case.library, case.library.family(first.index)
-    columns = [library.indices(i)[: library.textbook(i)] for i in family]
-    freedoms = [library.freedom_of(i)[: library.textbook(i)] for i in family]
-    scored = case.search.scene([(f.index, f.size) for f in others]).score(columns, freedoms, case.search.rows)
-    best = max(s.gain + case.search.prior[i] for i, s in zip(family, scored, strict=True))
-    return float(best / max(first.gain, 1e-9))
+    columns = [library.places[i][: library.textbook(i)] for i in family]
+    freedoms = [library.freedoms[i][: library.textbook(i)] for i in family]
+    scored = case.search.scene([(f.index, f.size) for f in others]).gains(columns, freedoms, case.search.rows)
+    return float(np.max(scored + case.search.prior[family]) / max(first.gain, 1e-9))
 
 
 def finding(case: Case, probability: float) -> Finding:
