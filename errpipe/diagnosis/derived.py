@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from errpipe.diagnosis.prepare import derivative, second_derivative
+from errpipe.diagnosis.prepare import derivative
 from errpipe.domain.diagnosis import Diagnosis, ResponseDiagnosis
 from errpipe.domain.recording import Column, Recording
 from errpipe.drivers.motion import axes
@@ -95,7 +95,7 @@ def _motion(recording: Recording, axis: str, name: str):
         return
     length = "deg" if axis in axes(recording, "rotary") else "mm"
     yield "velocity", f"{length}/s", derivative(t, x, run)
-    yield "acceleration", f"{length}/s2", second_derivative(t, x, run)
+    yield "acceleration", f"{length}/s2", derivative(t, x, run, 2)
 
 
 def named_by_source(diagnosis: Diagnosis, source: dict[str, str]) -> Diagnosis:

@@ -96,7 +96,7 @@ class Library:
         """Append hypotheses, each with its scaled block and the number of its core columns."""
         blocks = [self._listed(*one) for one in made]
         edges = np.cumsum([0, *[block.shape[1] for block in blocks]])
-        index = self.add(np.column_stack(blocks))
+        index = self.table.add(np.column_stack(blocks))
         self.places += [index[a:b] for a, b in itertools.pairwise(edges)]
 
     def forget(self, hypotheses: int, columns: int) -> None:
@@ -107,10 +107,6 @@ class Library:
             del listed[hypotheses:]
         self.table.forget(columns)
         self._together = None
-
-    def add(self, columns: np.ndarray) -> np.ndarray:
-        """Append columns that belong to no hypothesis (rows, k); returns their numbers."""
-        return self.table.add(columns)
 
     def recolour(self, colour: Colour) -> None:
         """Judge everything in noise of another colour; signals (`Data`) must be made again."""

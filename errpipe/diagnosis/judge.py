@@ -244,7 +244,7 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
         sizes = np.r_[sizes, np.ones(len(each[2]))]
         session = of_row if len(each[2]) >= MANY_STARTS else None  # fewer are not held out whole
     free_shapes: list[Shape] = shapes(conditioned, pair.component, rows)
-    places = [library.add(s.columns) for s in free_shapes]
+    places = [library.table.add(s.columns) for s in free_shapes]
     return SetUp(
         conditioned, pair, library, decomposition, simulated, pair.mismatch, run, data, prior, nuisance, kinds, recal,
         sizes, noise_estimate, free_shapes, places, session,

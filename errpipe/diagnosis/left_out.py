@@ -110,7 +110,7 @@ def datums(
     columns -= columns.mean(axis=0)
     labels = recording.run_labels()
     run = recording.run_codes()[rows]
-    index = library.add(columns)
+    index = library.table.add(columns)
     sd = np.full(codes.size, max(float(np.std(level)), 1e-12))
     return Active(index, sd), columns, [Nuisance("session datum", f"datum of run {labels[run[k]]}") for k in first]
 

@@ -97,10 +97,7 @@ class Groups:
 
     def members(self, choices: list[tuple[int, ...]]) -> np.ndarray:
         """1 where a group is in a union, shape (unions, groups)."""
-        out = np.zeros((len(choices), self.count))
-        for c, members in enumerate(choices):
-            out[c, list(members)] = 1.0
-        return out
+        return np.array([np.isin(np.arange(self.count), c) for c in choices], dtype=float).reshape(-1, self.count)
 
     def by_rate(self, rate: np.ndarray) -> list[tuple[int, ...]]:
         """Unions of the runs in which an effect seems strongest, one way or the other."""
