@@ -120,7 +120,7 @@ def inner_values(finding: Finding, term: Term, recording: Recording, response: s
 
 def acting(finding: Finding, recording: Recording) -> np.ndarray:
     """1 on rows where a finding acts, else 0, shape (rows,)."""
-    masks = [("runs", finding.where.runs)] if finding.where.runs else []
+    masks: list[tuple] = [("runs", finding.where.runs)] if finding.where.runs else []
     masks += [("range", name, *limits) for name, limits in finding.where.ranges.items()]
     return np.prod([np.ones(len(recording)), *(mask_of(mask, recording) for mask in masks)], axis=0)
 

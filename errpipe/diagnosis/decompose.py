@@ -122,8 +122,7 @@ def static(
         without = _gains([read[n][known] for n in own if n != name], simulated[known])[1]
         certainty = 0.5 * rows.size * np.log(max(without, 1e-300) / max(residual_rms, 1e-6 * spread))
         core = gain * (reading - reading.mean())
-        sure = np.zeros((core.size, 0))
-        zeros = np.zeros_like(core)
+        zeros, sure = np.zeros_like(core), np.zeros((core.size, 0))
         parts.append(Part(library.hypotheses[index], index, core, zeros, float(certainty), sure, zeros))
     unexplained = simulated - simulated.mean() - np.sum([p.core for p in parts], axis=0)
     return Decomposition(tuple(parts), residual_rms / spread, unexplained, 0.0, plain=True)

@@ -74,14 +74,6 @@ class ByDirection:
         """Dry friction of each direction."""
         return tuple(self._in_units(f"force_{way}", k, "N") for way, k in (("forward", 3), ("backward", 4)))
 
-    def briefly(self) -> str:
-        """The headline."""
-        (ahead, back), (dry, other) = self.damping(), self.force()
-        return (
-            f"Friction differs by direction: {ahead.value:.3g} {ahead.unit} and {dry.value:.3g} {dry.unit} forwards, "
-            f"{back.value:.3g} {back.unit} and {other.value:.3g} {other.unit} backwards."
-        )
-
     def says(self) -> str:
         """One sentence."""
         both = (*self.damping(), *self.force())

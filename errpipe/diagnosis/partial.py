@@ -10,7 +10,6 @@ import dataclasses
 import itertools
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -62,8 +61,9 @@ class Groups:
         cuts = [self.edges[0], self.edges[-1]]
         for end in (members[0], members[-1] + 1):
             low, high = self.edges[max(end - 1, 0)], self.edges[min(end + 1, self.count)]
-            near = [low, high] if self.evenly else self.values[(self.values >= low) & (self.values <= high)]
-            cuts.extend(np.quantile(near, np.linspace(0.0, 1.0, 2 * FINER + 1)))
+            near = self.values[(self.values >= low) & (self.values <= high)]
+            ends = [low, high] if self.evenly or not near.size else near
+            cuts.extend(np.quantile(ends, np.linspace(0.0, 1.0, 2 * FINER + 1)))
         finest = min(FINER * self.finest, self.values.size)
         return Groups.along(self.kind, self.values, np.unique(cuts), self.evenly, finest)
 
@@ -81,7 +81,7 @@ class Groups:
             out = [c for c in out if upto[c[-1] + 1] - upto[c[0]] >= LEAST * self.code.size]
         if self.kind == "runs":
             out += [(a, b) for a, b in itertools.combinations(range(self.count), 2) if b > a + 1]
-        return [c for c in out if len(c) < self.count]
+        return [c for c in out if len(c) < self.count] or [tuple(range(self.count))]
 
     @cached_property
     def rows(self) -> list[np.ndarray]:
@@ -91,13 +91,14 @@ class Groups:
 
     @cached_property
     def priced(self) -> tuple[list[tuple[int, ...]], np.ndarray, np.ndarray]:
-        """Unions tried, which groups are in each (unions, groups), and their prices."""
+        """Unions tried, with what `weighed` says of them."""
         choices = self.choices()
-        return choices, self.members(choices), np.array([self.price(c) for c in choices])
+        return choices, *self.weighed(choices)
 
-    def members(self, choices: list[tuple[int, ...]]) -> np.ndarray:
-        """1 where a group is in a union, shape (unions, groups)."""
-        return np.array([np.isin(np.arange(self.count), c) for c in choices], dtype=float).reshape(-1, self.count)
+    def weighed(self, choices: list[tuple[int, ...]]) -> tuple[np.ndarray, np.ndarray]:
+        """1 where a group is in a union, shape (unions, groups), and the unions' prices."""
+        inside = np.array([np.isin(np.arange(self.count), c) for c in choices], dtype=float)
+        return inside, np.array([self.price(c) for c in choices])
 
     def by_rate(self, rate: np.ndarray) -> list[tuple[int, ...]]:
         """Unions of the runs in which an effect seems strongest, one way or the other."""
@@ -112,11 +113,12 @@ class Groups:
         neighbours = members == tuple(range(members[0], members[-1] + 1))
         if neighbours or len(members) == 2:
             count = self.finest or self.count
-            return float(np.log(count * (count + 1) - count - 1))
+            return float(np.log(max(count**2 - 1, 1)))
         return float(self.count * np.log(2.0))
 
 
-class Part(NamedTuple):
+@dataclass(frozen=True)
+class Part:
     """A hypothesis in a union of groups: log Bayes factor less the price of choosing them, without prior odds."""
 
     gain: float
@@ -163,13 +165,12 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
     basis = np.linalg.solve(scene.chol, library.table.W[:, scene.active.index].T)  # (m, rows): projector's root
     parts: list[Part] = []
     for groups in partitions(recording, rows):
-        possible = [i for i in candidates(search, alone) if may_act_in_part(library.hypotheses[i], groups.kind, clock)]
-        tried = [p for i in possible for p in _best_part(search, scene, basis, i, groups, clock)]
+        gain = np.where(_possible(search, groups.kind, clock), alone, -np.inf)
+        tried = [_best_part(search, scene, basis, i, groups, clock) for i in _best_few(search, gain, LEADERS)]
         parts += tried + _best_of_each_effect(search, scene, basis, tried, clock)
     for p in _best_parts(parts, search):
         for _ in range(2 if p.groups.kind != "runs" else 0):
-            for sharper in _best_part(search, scene, basis, p.index, p.groups.finer(p.members), clock):
-                parts.append(p := sharper)
+            parts.append(p := _best_part(search, scene, basis, p.index, p.groups.finer(p.members), clock))
     best = _best_parts([p for p in parts if p.gain > max(whole + BETTER + MENDING * whole, 12.0)], search)
     best += _best_of_each_effect(search, scene, basis, best, clock)
     made = [_extend(library, search, recording, rows, p) for p in {(p.index, p.mask): p for p in best}.values()]
@@ -192,26 +193,25 @@ def _best_of_each_effect(search: Search, scene: Scene, basis, parts: list[Part],
         return []
     part, library = max(parts, key=lambda p: p.gain), search.library
     inside = np.flatnonzero(np.isin(part.groups.code, part.members))
-    kind, gain = part.groups.kind, np.full(len(library.hypotheses), -np.inf)
-    for index, h in enumerate(library.hypotheses):
-        possible = h.terms[0].in_part != "never" and not h.mask and search.prior[index] > 0.5 * NEVER
-        if possible and may_act_in_part(h, kind, clock):
-            W = _columns(library, index, inside)
-            B = basis[:, inside] @ W
-            S, s = W.T @ W - B.T @ B, W.T @ search.data.y[inside] - B.T @ scene.half
-            gain[index] = averaged(S[None], s[None, :, None], np.array([scene.Q]), scene.n)[0, 0] - part.price
-    return [part._replace(gain=float(gain[i]), index=i) for i in _best_few(search, gain + search.prior, 0)]
+    gain = np.full(len(library.hypotheses), -np.inf)
+    for index in np.flatnonzero(_possible(search, part.groups.kind, clock)):
+        W = _columns(library, int(index), inside)
+        B = basis[:, inside] @ W
+        S, s = W.T @ W - B.T @ B, W.T @ search.data.y[inside] - B.T @ scene.half
+        gain[index] = averaged(S[None], s[None, :, None], np.array([scene.Q]), scene.n)[0, 0] - part.price
+    return [dataclasses.replace(part, gain=float(gain[i]), index=i) for i in _best_few(search, gain + search.prior, 0)]
 
 
-def candidates(search: Search, alone: np.ndarray) -> list[int]:
-    """Hypotheses tried in part: the best as a whole, and the best few of each effect."""
-    barred = [h.terms[0].in_part == "never" or bool(h.mask) for h in search.library.hypotheses]
-    return _best_few(search, np.where(barred | (alone < -1e5), -np.inf, alone), LEADERS)
+def _possible(search: Search, kind: str, clock: str | None) -> np.ndarray:
+    """Which hypotheses may act in some groups of this kind alone, shape (hypotheses,)."""
+    may = [may_act_in_part(h, kind, clock) and not h.mask for h in search.library.hypotheses]
+    return np.array(may) & (search.prior > 0.5 * NEVER)
 
 
 def _best_few(search: Search, gain: np.ndarray, leaders: int) -> list[int]:
     """The first so many by gain, and the best few of each effect."""
-    library, out = search.library, []
+    library = search.library
+    out: list[int] = []
     count = dict.fromkeys({h.effect for h in library.hypotheses}, 0)
     for index in search.best_of_each_key(gain, len(library.hypotheses)):
         effect = library.hypotheses[index].effect
@@ -223,11 +223,9 @@ def _best_few(search: Search, gain: np.ndarray, leaders: int) -> list[int]:
 
 def may_act_in_part(h: Hypothesis, kind: str, clock: str | None) -> bool:
     """Can this effect act in some groups of this kind and not in others?"""
-    if kind == "runs":
-        return True
     term = h.terms[0]
-    if term.in_part == "runs":
-        return False
+    if kind == "runs" or term.in_part != "anywhere":
+        return kind == "runs" and term.in_part != "never"
     if getattr(term, "radial", False) and term.family == "reversal":
         return False  # a step close to a reversal is a spike
     return kind == clock or on_a_stretch(h, kind) or term.family == "thermal"
@@ -247,8 +245,8 @@ def _columns(library: Library, index: int, rows: np.ndarray) -> np.ndarray:
     return library.table.W[np.ix_(rows, places)] * freedom
 
 
-def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, clock: str | None) -> list[Part]:
-    """The union of groups in which a hypothesis explains most; none where there is no choice."""
+def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, clock: str | None) -> Part:
+    """The union of groups in which a hypothesis explains most."""
     library, y = search.library, search.data.y
     whole = _columns(library, index, np.arange(library.table.n))
     k = whole.shape[1]
@@ -259,15 +257,11 @@ def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, 
         W = whole[r]
         S[g], B[g], s[g] = W.T @ W, basis[:, r] @ W, W.T @ y[r]
     choices, member, price = groups.priced
-    if not choices:
-        return []
     seen = s[:, 0] - np.einsum("gm,m->g", B[:, :, 0], scene.half)
     rate = seen / np.maximum(S[:, 0, 0], 1e-300)
-    more = groups.by_rate(rate)
-    if more:
-        choices = choices + more
-        member = np.concatenate([member, groups.members(more)])
-        price = np.r_[price, [groups.price(c) for c in more]]
+    if more := groups.by_rate(rate):
+        choices, (others, prices) = choices + more, groups.weighed(more)
+        member, price = np.concatenate([member, others]), np.r_[price, prices]
     Bc = np.tensordot(member, B, 1)
     Sc = np.tensordot(member, S, 1) - Bc.transpose(0, 2, 1) @ Bc
     sc = member @ s - np.einsum("cmk,m->ck", Bc, scene.half)
@@ -275,7 +269,7 @@ def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, 
     price = price + (ELSEWHERE if elsewhere else 0.0)
     gain = averaged(Sc, sc[:, :, None], np.array([scene.Q]), scene.n)[:, 0] - price
     best = int(np.argmax(gain))
-    return [Part(float(gain[best]), index, groups, choices[best], float(price[best]))]
+    return Part(float(gain[best]), index, groups, choices[best], float(price[best]))
 
 
 def _extend(library: Library, search: Search, recording: Recording, rows, part: Part) -> int | None:
@@ -285,7 +279,6 @@ def _extend(library: Library, search: Search, recording: Recording, rows, part: 
     made = scaled(core[rows], slack[rows], rel)
     if made is None:
         return None
-    prior = search.prior[part.index] - part.price
     library.extend([(h, made, core.shape[1])])
-    search.prior = np.r_[search.prior, prior]
+    search.prior = np.r_[search.prior, search.prior[part.index] - part.price]
     return len(library.hypotheses) - 1

@@ -14,6 +14,7 @@ from errpipe.errors import DataError
 LEAST_ROWS = 30  # fewer rows cannot carry a finding and a hold-out
 MOST_SLOW, MOST_FAST, STRETCHES = 4000, 20000, 40  # rows judged; more cost time and change the result little
 MOST_MISSING = 0.5  # share of gaps above which a sensor is left out
+AT_ONCE = 100_000  # rows whose neighbours are in memory at once
 WINDOWS = (0.7, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0)  # smoothing widths tried, in rows
 BETWEEN = ("position", "command", "cut_length", "velocity", "acceleration")  # roles whose gaps are interpolated,
 STEPWISE = ("direction", "spindle_speed", "feed", "coolant", "load", "overhang", "depth_of_cut")  # or held
@@ -117,16 +118,23 @@ def _repeated(recording: Recording, rows: np.ndarray) -> np.ndarray:
 
 def spikes(values: np.ndarray, times: float = 6.0) -> np.ndarray:
     """Isolated outliers: far from the median of their six neighbours, which agree among themselves."""
-    n = values.size
-    out = np.zeros(n, dtype=bool)
-    if n < 15:
-        return out
-    padded = np.pad(values, 3, mode="reflect")
-    around = np.stack([padded[k : k + n] for k in (0, 1, 2, 4, 5, 6)])
-    gap = values - np.median(around, axis=0)
+    if values.size < 15:
+        return np.zeros(values.size, dtype=bool)
+    gap, spread = beside_neighbours(values)
     scale = 1.4826 * np.median(np.abs(gap)) + 1e-12
-    spread = 1.4826 * np.median(np.abs(around - np.median(around, axis=0)), axis=0)
-    return np.abs(gap) > times * np.maximum(scale, 1.5 * spread)
+    return np.abs(gap) > times * np.maximum(scale, 1.5 * 1.4826 * spread)
+
+
+def beside_neighbours(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances from the median of the six neighbours, (n,), and these neighbours' median absolute deviations."""
+    padded = np.pad(values, 3, mode="reflect")
+    gap, spread = np.empty_like(values), np.empty_like(values)
+    for a in range(0, values.size, AT_ONCE):
+        b = min(a + AT_ONCE, values.size)
+        around = np.stack([padded[a + k : b + k] for k in (0, 1, 2, 4, 5, 6)])
+        middle = np.median(around, axis=0)
+        gap[a:b], spread[a:b] = values[a:b] - middle, np.median(np.abs(around - middle), axis=0)
+    return gap, spread
 
 
 def condition(recording: Recording) -> Recording:

@@ -88,7 +88,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
         whiteness=whiteness.whiteness(case),
         significance=surrogates,
     )
-    says = in_words(out) + (f" {law.briefly()}" if law else "") + _datums(case)
+    says = in_words(out) + (f" {law.says()}" if law else "") + _datums(case)
     says += REVERSED if case.pair.reversed else ""
     return out.model_copy(update={"says": says}), contribution, after
 

@@ -41,12 +41,6 @@ class Chance:
     best: np.ndarray
 
 
-def effective_rows(case: Case) -> float:
-    """Effective number of rows, by the autocorrelation of the residual."""
-    residual = case.search.scene(case.chosen()).residual()
-    return float(case.run.size / correlation_time(residual, case.run))
-
-
 def chance(case: Case, k: int | None = None, surrogates: int = SURROGATES, whole: Chance | None = None) -> Chance:
     """Significance of finding k beside the others; without k, of the best gain that the search saw at all.
 
@@ -58,7 +52,7 @@ def chance(case: Case, k: int | None = None, surrogates: int = SURROGATES, whole
         gain = accepted[k].gain
         return replace(whole, gain=gain, p=_p(whole.best, gain))
     scene = case.search.scene(others)
-    rows = effective_rows(case)
+    rows = float(case.run.size / correlation_time(case.search.scene(case.chosen()).residual(), case.run))
     block = int(np.clip(2 * case.run.size / rows, LEAST_BLOCK, max(case.run.size // FEWEST_BLOCKS, 1)))
     turned, scheme = surrogate_signals(scene.residual(), case.run, block, surrogates)
     best = best_gains(case, scene, turned)
