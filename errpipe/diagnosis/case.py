@@ -72,10 +72,13 @@ def chosen_of(explanation: Explanation) -> list[tuple[int, float]]:
 
 def residual(case: Case, chosen: list[tuple[int, float]] | None = None) -> np.ndarray:
     """Residual of the explanation, on the judged rows."""
-    chosen = case.chosen() if chosen is None else chosen
-    scene = case.search.scene(chosen)
-    blocks = [case.library.block(i, case.recording, case.pair.rows) for i, _ in chosen]
-    return case.y - np.column_stack([case.recal, *blocks]) @ scene.coefficients()
+    return left_by(case, case.search, case.chosen() if chosen is None else chosen)
+
+
+def left_by(made: SetUp, search: Search, chosen: list[tuple[int, float]]) -> np.ndarray:
+    """Residual of chosen hypotheses in a search, on the judged rows."""
+    blocks = [made.library.block(i, made.recording, made.pair.rows) for i, _ in chosen]
+    return made.y - np.column_stack([made.recal, *blocks]) @ search.scene(chosen).coefficients()
 
 
 def own_datums(case: Case, chosen: list[tuple[int, float]]) -> np.ndarray | None:

@@ -202,9 +202,6 @@ class Active:
         return Active(np.r_[self.index, index], np.r_[self.sd, sd])
 
 
-NOTHING = Active(np.zeros(0, dtype=int), np.zeros(0))
-
-
 class Listed:
     """Hypotheses that are scored again and again: columns (indices into the table), their freedoms, and how many of the
     columns are the textbook form."""

@@ -17,6 +17,7 @@ MOST_MISSING = 0.5  # share of gaps above which a sensor is left out
 AT_ONCE = 100_000  # rows whose neighbours are in memory at once
 WINDOWS = (0.7, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0)  # smoothing widths tried, in rows
 BETWEEN = ("position", "command", "cut_length", "velocity", "acceleration")  # roles whose gaps are interpolated,
+SLOW_ROLES = ("temperature", "pressure", "humidity")
 STEPWISE = ("direction", "spindle_speed", "feed", "coolant", "load", "overhang", "depth_of_cut")  # or held
 SAME = 1e-9  # share of the recorded rms below which a difference is the rounding of numbers in a file
 REVERSED = 0.25  # threshold: share of the recorded variance that the simulated value of the opposite sign leaves
@@ -148,7 +149,7 @@ def condition(recording: Recording) -> Recording:
     t = recording.time()
     columns: dict[str, np.ndarray] = {}
     dropped = []
-    for role in ("temperature", "pressure", "humidity", "force"):
+    for role in (*SLOW_ROLES, "force"):
         for name in recording.names(role):
             values = recording.array(name)
             if not usable(values):
@@ -179,7 +180,7 @@ def followed(recording: Recording, conditioned: Recording, pair: Pair) -> Record
     if same.sum() < LEAST_ROWS:
         return conditioned
     y, kept = bend(pair.mismatch), {}
-    for name in (n for role in ("temperature", "pressure", "humidity") for n in conditioned.names(role)):
+    for name in (n for role in SLOW_ROLES for n in conditioned.names(role)):
         if name not in conditioned.frame.columns:
             continue
         read = fill(recording.time(), recording.array(name), sessions(recording))

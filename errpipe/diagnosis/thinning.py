@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from errpipe.diagnosis.prepare import beside_neighbours, motion
+from errpipe.diagnosis.prepare import SLOW_ROLES, beside_neighbours, motion
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, direction, position
 from errpipe.drivers.sessions import sessions
@@ -31,7 +31,6 @@ STRETCH = 250  # neighbouring rows of a fast log: about 30 correlation lengths o
 CONTEXT = 5_000  # blocks between stretches
 MOST_TURNS = 8_000  # rows kept because an axis turns there
 TURN = 1e-3  # of an axis' range: a shorter return is no reversal
-SLOW_ROLES = ("temperature", "pressure", "humidity")
 WIDTHS = (1, 4, 16, 64, 256, 1024)  # rows over which means are looked at for events
 EVENT = 7.0  # robust standard deviations: below one false event in 10^9 means of Gaussian noise
 RARE = 0.005  # largest share of outlying means that count as events instead of noise

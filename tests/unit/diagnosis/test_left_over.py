@@ -67,7 +67,7 @@ def test_planted_structure_is_caught_and_said_where(quiet, what):
     }[what]
     statistic = whiteness.whiteness(with_mismatch(quiet, planted + 0.5 * rng.standard_normal(x.size)))
     assert statistic.p < whiteness.ALARM
-    alarming = whiteness.structured(statistic)
+    alarming = whiteness.structured(statistic.tests)
     expected = {
         "a kink in one temperature": ("T_nut", "level"),
         "one run": ("run", "level"),
