@@ -123,8 +123,8 @@ class Library:
 
     def textbook(self, i: int) -> int:
         """How many of its columns are its own form, with the states in which bodies started."""
-        starts = {"textbook": 0, "any reference": 1, "any start": self.starts, "any shape": self.places[i].size}
-        return min(self.cores[i] * (1 + starts[self.hypotheses[i].terms[0].form]), self.places[i].size)
+        starts = {"any reference": 1, "any start": self.starts, "any shape": self.places[i].size}
+        return min(self.cores[i] * (1 + starts.get(self.hypotheses[i].terms[0].form, 0)), self.places[i].size)
 
     def family(self, i: int) -> list[int]:
         """The hypotheses that differ from it in non-linear parameters only."""
@@ -290,15 +290,18 @@ def columns_of(h: Hypothesis, recording: Recording) -> tuple[np.ndarray, np.ndar
         inside = mask_of(h.mask, recording)
         core = core * inside[:, None]
         slack = [s * inside for s in slack]
-        if has_level(h):
+        if has_level(h, h.mask[0]):
             slack.append(inside)
             rel.append(LEVEL)
     return core, np.column_stack(slack) if slack else np.zeros((len(recording), 0)), np.array(rel)
 
 
-def has_level(h: Hypothesis) -> bool:
-    """Has it in part a level of its own? On all rows the datum holds what a rise is counted from."""
-    return h.terms[0].family == "thermal" and h.terms[0].form != "any reference"
+def has_level(h: Hypothesis, kind: str) -> bool:
+    """Has it in a range a level of its own? On all rows the datum holds what a rise is counted from.
+
+    Levels of a few runs are those of anything that is set anew with each.
+    """
+    return kind != "runs" and h.terms[0].family == "thermal" and h.terms[0].form != "any reference"
 
 
 def mask_of(mask: tuple, recording: Recording) -> np.ndarray:

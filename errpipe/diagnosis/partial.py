@@ -27,7 +27,7 @@ ELSEWHERE = 4.0  # log odds against any other on a stretch of an axis: a bed war
 BINS = 14  # equal stretches of an axis or of time, neighbours of which are tried as one part
 FINER = 8  # parts of such a stretch, to which the ends of a part are then found
 MOST = 12  # parts whose ends are found, and that the search takes
-LEAST = 0.12  # share of the rows that a part must hold, unless it is a run: a few rows that stand out are events
+LEAST = 0.16  # share of the rows that a part must hold, unless it is a run: a few rows that stand out are events
 BETTER = 7.0  # log Bayes factor by which a part must beat every whole,
 MENDING = 0.05  # plus this share of the best whole's log Bayes factor: a part may only correct the textbook form
 
@@ -195,7 +195,7 @@ def _best_of_each_effect(search: Search, scene: Scene, basis, parts: list[Part],
     inside = np.flatnonzero(np.isin(part.groups.code, part.members))
     gain = np.full(len(library.hypotheses), -np.inf)
     for index in np.flatnonzero(_possible(search, part.groups.kind, clock)):
-        W = _columns(library, int(index), inside)
+        W = _columns(library, int(index), inside, part.groups.kind)
         B = basis[:, inside] @ W
         S, s = W.T @ W - B.T @ B, W.T @ search.data.y[inside] - B.T @ scene.half
         gain[index] = averaged(S[None], s[None, :, None], np.array([scene.Q]), scene.n)[0, 0] - part.price
@@ -237,10 +237,10 @@ def on_a_stretch(h: Hypothesis, axis: str) -> bool:
     return axis in h.drivers or term.family in ON_A_STRETCH or "axis" in type(term).model_fields
 
 
-def _columns(library: Library, index: int, rows: np.ndarray) -> np.ndarray:
+def _columns(library: Library, index: int, rows: np.ndarray, kind: str) -> np.ndarray:
     """Whitened columns of a hypothesis on some rows, in part, times their freedoms."""
     places, freedom = library.places[index], library.freedoms[index]
-    if has_level(library.hypotheses[index]):
+    if has_level(library.hypotheses[index], kind):
         places, freedom = np.r_[places, library.datum], np.r_[freedom, LEVEL]
     return library.table.W[np.ix_(rows, places)] * freedom
 
@@ -248,7 +248,7 @@ def _columns(library: Library, index: int, rows: np.ndarray) -> np.ndarray:
 def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, clock: str | None) -> Part:
     """The union of groups in which a hypothesis explains most."""
     library, y = search.library, search.data.y
-    whole = _columns(library, index, np.arange(library.table.n))
+    whole = _columns(library, index, np.arange(library.table.n), groups.kind)
     k = whole.shape[1]
     S = np.zeros((groups.count, k, k))
     B = np.zeros((groups.count, basis.shape[0], k))

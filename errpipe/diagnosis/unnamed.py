@@ -158,10 +158,11 @@ def departs(case: Case, held: holdout.HeldOut) -> bool:
     """Do departures from the textbook forms predict held-out rows as a shape without a name must?
 
     Real parts differ from the textbook by a few per cent of the variance; beyond, the form is another mechanism's. The
-    decay of a state that a body brought along is part of its form, and so is any shape of a guideway. Of an effect in
-    part the ends are known to a fourteenth of the positions or of the time: what they miss is no form.
+    decay of a state that a body brought along is part of its form, and so are any shape of a guideway and a rate of
+    each tool. Of an effect in part the ends are chosen on all rows: what they miss is no form.
     """
-    if not case.explanation.accepted or case.explanation.accepted[0].hypothesis.mask:
+    first = case.explanation.accepted[0].hypothesis if case.explanation.accepted else None
+    if first is None or first.mask or first.terms[0].form == "any rate":
         return False
     if held.departing() < HELD_OUT_SHARE or not UNSTABLE < held.textbook_share() < TEXTBOOK:
         return False
