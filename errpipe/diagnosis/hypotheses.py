@@ -297,10 +297,7 @@ def columns_of(h: Hypothesis, recording: Recording) -> tuple[np.ndarray, np.ndar
 
 
 def has_level(h: Hypothesis, kind: str) -> bool:
-    """Has it in a range a level of its own? On all rows the datum holds what a rise is counted from.
-
-    Levels of a few runs are those of anything that is set anew with each.
-    """
+    """Has a thermal effect in part a level of its own? The datum holds that of all rows; runs are set anew anyway."""
     return kind != "runs" and h.terms[0].family == "thermal" and h.terms[0].form != "any reference"
 
 

@@ -210,11 +210,10 @@ def _possible(search: Search, kind: str, clock: str | None) -> np.ndarray:
 
 def _best_few(search: Search, gain: np.ndarray, leaders: int) -> list[int]:
     """The first so many by gain, and the best few of each effect."""
-    library = search.library
     out: list[int] = []
-    count = dict.fromkeys({h.effect for h in library.hypotheses}, 0)
-    for index in search.best_of_each_key(gain, len(library.hypotheses)):
-        effect = library.hypotheses[index].effect
+    count = dict.fromkeys({h.effect for h in search.library.hypotheses}, 0)
+    for index in search.best_of_each_key(gain, gain.size):
+        effect = search.library.hypotheses[index].effect
         if np.isfinite(gain[index]) and (len(out) < leaders or count[effect] < EACH):
             out.append(index)
             count[effect] += 1

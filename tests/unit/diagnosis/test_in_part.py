@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from errpipe.diagnosis import judge, prepare
+from errpipe.diagnosis import holdout, judge, prepare, unnamed
 from errpipe.diagnosis.hypotheses import columns_of
 from errpipe.diagnosis.partial import may_act_in_part, partitions
 from errpipe.terms import NEVER
@@ -167,3 +167,15 @@ def test_a_body_that_acts_for_a_while_is_counted_from_any_temperature():
         form = np.column_stack([core, slack[:, -1]])
         left = signal - form @ np.linalg.lstsq(form, signal, rcond=None)[0]
         assert (np.std(left) < 1e-6 * np.std(signal)) == fits
+
+
+def test_tools_of_which_few_wear_are_no_other_mechanism():
+    rng = np.random.default_rng(4)
+    run, length = np.repeat(np.arange(6), 50), np.tile(np.linspace(0, 900, 50), 6)
+    columns = {"run": run.astype(str), "t": np.arange(run.size) * 20.0 + run * 600.0, "s": length}
+    columns["F"] = 300 + 60 * rng.standard_normal(run.size)
+    kinds = {"s": {"role": "cut_length", "unit": "m"}, "F": {"role": "force", "unit": "N", "component": "F_Y"}}
+    simulated, worn = 0.02 * columns["F"], 8.0 * np.sqrt(length / 1000) * np.isin(run, (0, 3))
+    case = judged(columns, kinds, "E_D", simulated + worn + 0.7 * rng.standard_normal(run.size), simulated)
+    assert names(case) == ["tool_wear"]
+    assert not unnamed.departs(case, holdout.held_out(case))
