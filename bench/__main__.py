@@ -1,8 +1,8 @@
 """All benches one after the other, each in its own process: `make bench`, or `python -m bench [NAME...]`.
 
-Writes docs/performance.md and docs/performance.json (a run of some benches keeps the figures of the others), and says
-what got slower than in the last JSON by more than the spread of both runs. The exit code is 1 where a bench broke; an
-aim that is missed is marked in the table.
+Writes docs/performance.md, docs/performance.json and docs/pictures/growth.png (a run of some benches keeps the figures
+of the others), and says what got slower than in the last JSON by more than the spread of both runs. The exit code is 1
+where a bench broke; an aim that is missed is marked in the table.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from bench.figure import Figure
 
 HERE = Path(__file__).parent
 DOCS = HERE.parent / "docs"
-PEERS = ("numpy", "scipy", "numba", "scikit-learn", "pandas", "pyarrow", "pydantic")
+PEERS = ("dask", "numpy", "scipy", "numba", "scikit-learn", "pandas", "pyarrow", "pydantic")
 NOISE = 0.05  # relative; on a shared machine the same run differs by as much
 
 
@@ -58,6 +58,7 @@ def page(benches: dict[str, Any], facts: dict[str, str]) -> str:
     lines += [f"* {name}: {text}" for name, text in facts.items()]
     for name, part in benches.items():
         lines += ["", f"## {name}", "", f"Peak memory of the bench: {part['peak_mb']} MB", ""]
+        lines += ["![Cost over size](pictures/growth.png)", ""] if name == "growth" else []
         lines += [
             "| what | value | aim | beside it | times the cost | what that does not do |",
             "|---|---|---|---|---|---|",
@@ -69,6 +70,27 @@ def page(benches: dict[str, Any], facts: dict[str, str]) -> str:
             cells = (figure.what, f"{figure.value:.4g} {figure.unit}", marked, figure.peer, times, figure.lacks)
             lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
+
+
+def draw_growth(figures: list[Figure], file: Path) -> None:
+    """Cost over size on logarithmic axes, one panel for costs in ns and one for those in s."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    curves: dict[str, dict[str, list[tuple[int, float]]]] = {}
+    for figure in figures:
+        what, _, size = figure.what.rpartition(": ")
+        if size.isdigit():
+            curves.setdefault(figure.unit, {}).setdefault(what, []).append((int(size), figure.value))
+    whole, panels = plt.subplots(1, len(curves), figsize=(5 * len(curves), 4), layout="constrained", squeeze=False)
+    for panel, (unit, by_what) in zip(panels[0], curves.items(), strict=True):
+        for what, points in by_what.items():
+            panel.loglog(*zip(*points, strict=True), "o-", label=what)
+        panel.set(xlabel="size", ylabel=f"cost, {unit}")
+        panel.legend(fontsize="small", frameon=False)
+    whole.savefig(file, dpi=80, metadata={"Software": None})
 
 
 def machine() -> dict[str, str]:
@@ -96,6 +118,8 @@ def main(names: list[str]) -> int:
     text = json.dumps({"performance": 1, "machine": facts, "benches": benches}, indent=1, sort_keys=True)
     store.write_text(text + "\n", "utf-8")
     (DOCS / "performance.md").write_text(page(benches, facts), "utf-8")
+    if "growth" in new:
+        draw_growth([Figure(**f) for f in new["growth"]["figures"]], DOCS / "pictures" / "growth.png")
     for line in slower(last, new):
         print(f"slower: {line}")
     for name in broken:

@@ -5,6 +5,7 @@ Each beside a bare `python -c pass`, best of several, in fresh processes.
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -16,12 +17,24 @@ from bench.figure import Figure, main, seconds, spread
 
 PIPELINE = Path(__file__).parents[1] / "pipelines" / "ball-screw-axis.yaml"
 ROUNDS = 7
-WANTED = {"errpipe --help": 0.2, "check of a pipeline": 0.3, "run with nothing to do": 0.3, "demo, warm": 4.0}
+WANTED = {
+    "errpipe --help": 0.2,
+    "check of a pipeline": 0.3,
+    "run with nothing to do": 0.3,
+    "demo, warm": 4.0,
+    "demo, cold": 12.0,
+}
 
 
-def fresh(*arguments: str) -> None:
+def fresh(*arguments: str, **environment: str) -> None:
     """Run a fresh interpreter."""
-    subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
+    subprocess.run([sys.executable, *arguments], check=True, capture_output=True, env={**os.environ, **environment})
+
+
+def cold_demo(folder: Path) -> float:
+    """Wall time of the demo where nothing is compiled yet, s."""
+    demo = ("-m", "errpipe.cli.app", "demo", "--out", str(folder))
+    return seconds(partial(fresh, *demo, NUMBA_CACHE_DIR=f"{folder}-compiled"), 1, perf_counter)[0]
 
 
 def figures() -> list[Figure]:
@@ -38,6 +51,7 @@ def figures() -> list[Figure]:
             "demo, warm": sorted(
                 seconds(partial(fresh, *cli, "demo", "--out", f"{out}/{k}"), 1, perf_counter)[0] for k in range(3)
             ),
+            "demo, cold": sorted(cold_demo(Path(out) / f"cold{k}") for k in range(2)),
         }
     lacks = "anything"
     return [

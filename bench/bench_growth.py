@@ -1,12 +1,14 @@
-"""How cost grows with rows, sensors, curves and nodes: python -m bench.bench_growth.
+"""How cost grows with points, nodes, sensors, components and rows: python -m bench.bench_growth.
 
 Each quantity is varied alone; the exponent is the slope of a straight line through log(cost) over log(size). The
-exponent for rows is 1 at best; that of the cycle over nodes and curves shows the part that does not grow.
+exponent for points is 1 at best; where it is below, a part of the cost does not grow.
 """
 
 from __future__ import annotations
 
 import sys
+import tempfile
+from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +18,9 @@ from errpipe.domain import table as t
 from errpipe.drivers.lowered import Lowered
 from errpipe.tables import ComponentSource, MonomialSource, OutputSource, batch, compile_table, pack
 
-ROWS = (10_000, 100_000, 1_000_000, 10_000_000)
+POINTS = (10_000, 100_000, 1_000_000, 10_000_000, 100_000_000)
+ROWS = (10_000, 100_000, 1_000_000, 10_000_000)  # of 100 million: `python -m bench.bench_history --million 100`
+NODES = (31, 301, 3_001, 30_001)
 SIZES = (2, 4, 8, 16, 32)
 CYCLES = 20_000
 TRAVEL = 600.0
@@ -54,12 +58,31 @@ def cycle_ns(made: t.CompensationTable) -> float:
     return 1e9 * seconds(run)[0] / CYCLES
 
 
-def positions_ns(rows: int) -> float:
+def positions_ns(made: t.CompensationTable, points: int) -> float:
     """All points in one call, ns."""
-    evaluator = batch.Positions(table(0, 8), ("x",))
-    where = np.random.default_rng(0).uniform(0, TRAVEL, (1, rows))
+    evaluator = batch.Positions(made, ("x",))
+    where, out = np.random.default_rng(0).uniform(0, TRAVEL, (1, points)), np.empty((len(made.outputs), points))
     evaluator.rows(where[:, :1000])
-    return 1e9 * seconds(lambda: evaluator.rows(where), 3)[0]
+    return 1e9 * seconds(lambda: evaluator.rows(where, out), 3)[0]
+
+
+def sampled(nodes: int) -> t.CompensationTable:
+    """One axis whose curve has so many nodes."""
+    whole = table(0, 1)
+    values = tuple(int(v) for v in np.arange(nodes) % 1000)
+    curve = whole.profiles[0].model_copy(update={"step": TRAVEL / (nodes - 1), "values": values})
+    return whole.model_copy(update={"profiles": (curve, *whole.profiles[1:])})
+
+
+def command_s(rows: int) -> float:
+    """Processor time of `errpipe run` with ingest, clean, fit and validate of so many rows, s."""
+    from bench import bench_history
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "raw"
+        folder.mkdir()
+        bench_history.write(folder, rows)
+        return bench_history.stage(folder)[0]
 
 
 def exponent(sizes: tuple[int, ...], costs: list[float]) -> float:
@@ -70,15 +93,17 @@ def exponent(sizes: tuple[int, ...], costs: list[float]) -> float:
 def figures() -> list[Figure]:
     """Exponents, and the cost at the largest size."""
     measured = {
-        "points in one call": (ROWS, [positions_ns(n) for n in ROWS]),
-        "lagged sensors of a cycle": (SIZES, [cycle_ns(table(n, 4)) for n in SIZES]),
-        "curves of a cycle": (SIZES, [cycle_ns(table(2, n)) for n in SIZES]),
+        "points in one call": (POINTS, "ns", lambda n: positions_ns(table(0, 8), n)),
+        "nodes of a curve, a million points": (NODES, "ns", lambda n: positions_ns(sampled(n), 1_000_000)),
+        "lagged sensors of a cycle": (SIZES, "ns", lambda n: cycle_ns(table(n, 4))),
+        "components of a cycle": (SIZES, "ns", lambda n: cycle_ns(table(2, n))),
+        "rows of a run, ingest to validate": (ROWS, "s", command_s),
     }
     out = []
-    for what, (sizes, costs) in measured.items():
-        span = f"{sizes[0]} to {sizes[-1]}"
+    for what, (sizes, unit, cost) in measured.items():
+        costs, span = [cost(size) for size in sizes], f"{sizes[0]} to {sizes[-1]}"
         out.append(Figure(f"exponent over {what}, {span}", exponent(sizes, costs), "1", aim=1.05))
-        out += [Figure(f"{what}: {size}", cost, "ns") for size, cost in zip(sizes, costs, strict=True)]
+        out += [Figure(f"{what}: {size}", value, unit) for size, value in zip(sizes, costs, strict=True)]
     return out
 
 

@@ -1,4 +1,4 @@
-"""A fit batch by batch from disk, beside numpy's least squares in memory and bare reading of the same columns.
+"""A fit batch by batch from disk, beside numpy in memory, Dask and bare reading of the same columns.
 
 Times are processor time, over all threads.
 
@@ -40,17 +40,17 @@ TERMS = (
 )
 
 
-def write(folder: Path) -> Path:
+def write(folder: Path, rows: int = ROWS) -> Path:
     """A log of 40 runs, as `ingest` leaves it (seed 1)."""
     import pandas as pd
 
     from errpipe.domain.recording import Recording
     from errpipe.formats import manifest_folder
 
-    rng, k = np.random.default_rng(1), np.arange(ROWS)
-    x, nut, bed = 250 + 250 * np.sin(k / 300), 22 + 4 * np.sin(k / 9e4), 21 + 2 * np.sin(k / 15e4)
-    exx = 3 + 0.01 * x + 0.011 * x * (nut - 20) + 2 * bed + rng.normal(size=ROWS)
-    frame = pd.DataFrame({"run": (k // (ROWS // 40)).astype(str), "t": k * 1.0, "x": x, "T_nut": nut, "T_bed": bed})
+    rng, k = np.random.default_rng(1), np.arange(rows)
+    x, nut, bed = 250 + 250 * np.sin(k / 300), 22 + 4 * np.sin(22 * k / rows), 21 + 2 * np.sin(13 * k / rows)
+    exx = 3 + 0.01 * x + 0.011 * x * (nut - 20) + 2 * bed + rng.normal(size=rows)
+    frame = pd.DataFrame({"run": (k // (rows // 40)).astype(str), "t": k * 1.0, "x": x, "T_nut": nut, "T_bed": bed})
     (folder / "recording.yaml").write_text(MANIFEST, "utf-8")
     manifest = manifest_folder.canonical(manifest_folder.load_manifest(folder))
     manifest_folder.write(Recording(manifest, frame.assign(EXX=exx)), folder)
@@ -70,6 +70,22 @@ def in_memory(folder: Path) -> np.ndarray:
     c = read(folder)
     design = np.column_stack([np.ones(ROWS), c["x"] / 1e3, c["x"] / 1e3 * (c["T_nut"] - 20), c["T_bed"] - 20])
     return np.linalg.lstsq(design, c["EXX"], rcond=None)[0]
+
+
+def by_dask(folder: Path) -> np.ndarray:
+    """The same parameters by Dask on one thread: the triangular factor of each partition, and that of all factors."""
+    import dask
+    import dask.dataframe as dd
+    import pandas as pd
+
+    def factor(part: pd.DataFrame) -> np.ndarray:
+        x, nut = part["x"] / 1e3, part["T_nut"] - 20
+        return np.linalg.qr(np.column_stack([np.ones(len(part)), x, x * nut, part["T_bed"] - 20, part["EXX"]]), "r")
+
+    partitions = dd.read_parquet(folder / "recording.parquet", columns=list(COLUMNS), split_row_groups=1).to_delayed()
+    factors = dask.compute(*(dask.delayed(factor)(part) for part in partitions), scheduler="synchronous")
+    whole = np.linalg.qr(np.vstack(factors), "r")
+    return np.linalg.solve(whole[:4, :4], whole[:4, 4])
 
 
 def linear_part(folder: Path) -> np.ndarray:
@@ -140,17 +156,20 @@ def figures() -> list[Figure]:
         folder.mkdir()
         write(folder)
         np.testing.assert_allclose(linear_part(folder), in_memory(folder), rtol=1e-8)
+        np.testing.assert_allclose(by_dask(folder), in_memory(folder), rtol=1e-8)
         taken = [
-            [seconds(lambda f=f: f(folder), 1, process_time)[0] for f in (read, linear_part, in_memory)]
+            [seconds(lambda f=f: f(folder), 1, process_time)[0] for f in (read, linear_part, in_memory, by_dask)]
             for _ in range(ROUNDS)
         ]
-        bare, ours, numpy = (sorted(times) for times in zip(*taken, strict=True))
+        bare, ours, numpy, dask = (sorted(times) for times in zip(*taken, strict=True))
         whole, peak = stage(folder)
     lacks = {"lacks": "held-out runs, missing values, memory that does not grow"}
     return [
         Figure("linear fit from disk over bare reading of its columns", ours[0] / bare[0], "x", 0.0, AIM),
         Figure(f"linear fit of {ROWS} rows from disk", ours[0], "s", spread(ours), None, False, "numpy, all in memory",
                numpy[0] / ours[0], **lacks),
+        Figure("the same fit", ours[0], "s", spread(ours), None, False, "Dask, one thread", dask[0] / ours[0],
+               "held-out runs, missing values"),
         Figure("ingest, clean, fit and validate by command", whole, "s"),
         Figure("peak memory of that command", peak, "MB", 0.0, MEMORY_AIM),
     ]  # fmt: skip

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -303,6 +304,21 @@ def bench_c_cycle(cycles: int = 200_000) -> dict[str, float]:
     return {"cycle_ns": 1e9 * times[0] / cycles, "spread": spread(times)}
 
 
+def bench_st(cycles: int = 20_000) -> float | None:
+    """One controller cycle of the same table in the exported Structured Text, translated to C, ns; None without gcc."""
+    if shutil.which("gcc") is None:
+        return None
+    from tests.unit.targets.st import test_iec_st, translate
+
+    table = machine(thermal=True)
+    readings = np.tile(np.array([i.default for i in table.inputs]), (cycles, 1))
+    readings[:, :3] = np.random.default_rng(0).uniform(0, TRAVEL, (cycles, 3))
+    fresh, mode = np.ones(readings.shape, dtype=np.uint8), np.ones(cycles, dtype=np.uint8)
+    with tempfile.TemporaryDirectory() as name:
+        block = test_iec_st.Block(Path(name), translate.by_lines(test_iec_st.units()), optimise="-O0")
+        return 1e9 * seconds(lambda: block.stream(table, readings, fresh, mode), 3)[0] / cycles
+
+
 NOT_A_TABLE = "fades, limits, sensors, a stated error; its memory grows with the cube of the grid"
 
 
@@ -326,6 +342,10 @@ def bench_threads(points: int = 1_000_000) -> dict[str, float]:
 def figures() -> list[Figure]:
     """Every figure of this bench."""
     lattice, curve, threads, cycle = bench_lattice(), bench_curve(), bench_threads(), bench_cycle()
+    st: dict[str, Any] = {}
+    if (text := bench_st()) is not None:
+        st = {"peer": "the exported Structured Text as C at -O0, as a PLC runs it", "times": text / cycle["cycle_ns"]}
+        st["lacks"] = "a runtime: it is the same arithmetic, not optimised"
     out = [
         Figure(
             "21 curves at scattered points, one core",
@@ -346,7 +366,7 @@ def figures() -> list[Figure]:
             lacks="fades, limits; searches its grid",
         ),
         Figure("two threads over one", threads["times_faster"], "x", aim=1.8, at_least=True),
-        Figure("cycle of 21 components and 8 drivers, Numba", cycle["cycle_ns"], "ns", cycle["spread"], 400.0),
+        Figure("cycle of 21 components and 8 drivers, Numba", cycle["cycle_ns"], "ns", cycle["spread"], 400.0, **st),
     ]
     if c := bench_c():
         beside = {"peer": "C at -O3, the faster of two layouts", "lacks": "everything but these curves"}

@@ -169,6 +169,8 @@ def _automatic(recording: Recording, scheme: HoldOut) -> HoldOut:
 
 
 def _folds(recording: Recording, scheme: HoldOut) -> Iterator[Fold]:
+    import pandas as pd
+
     if scheme.scheme == "leave-one-group-out" and scheme.of is None and recording.names("group"):
         scheme = scheme.model_copy(update={"of": recording.names("group")[0]})
     if scheme.scheme == HALVES:
@@ -179,13 +181,11 @@ def _folds(recording: Recording, scheme: HoldOut) -> Iterator[Fold]:
         codes = block_numbers(recording, scheme.blocks)
         order = [(f"block {k + 1} of {scheme.blocks}", k) for k in range(scheme.blocks)]
     else:
-        group_labels = labels(recording, scheme.of)
-        unique = list(dict.fromkeys(group_labels))
-        codes = _codes(group_labels, unique)
+        codes, unique = pd.factorize(labels(recording, scheme.of))
         order = [(str(label), k) for k, label in enumerate(unique)]
         if scheme.scheme == "batches":
-            codes = codes * min(scheme.blocks, len(unique)) // len(unique)
-            order = [(_batch(unique, codes, group_labels, k), k) for k in range(int(codes.max()) + 1)]
+            batch = np.arange(len(unique)) * min(scheme.blocks, len(unique)) // len(unique)
+            codes, order = batch[codes], [(_batch(unique[batch == k]), k) for k in range(int(batch[-1]) + 1)]
     if len(order) < 2:
         return
     for label, k in order:
@@ -214,15 +214,9 @@ def _halves(recording: Recording, gap: float) -> Iterator[Fold]:
                 yield Fold(f"block {number * HALF_BLOCKS + k + 1} of {2 * HALF_BLOCKS}", train, test)
 
 
-def _batch(unique: list[str], codes: np.ndarray, labels: np.ndarray, number: int) -> str:
+def _batch(groups: np.ndarray) -> str:
     """Label of a batch: its first and last group."""
-    inside = [label for label in unique if codes[labels == label][0] == number]
-    return inside[0] if len(inside) == 1 else f"{inside[0]} to {inside[-1]}"
-
-
-def _codes(labels: np.ndarray, unique: list[str]) -> np.ndarray:
-    number = {label: k for k, label in enumerate(unique)}
-    return np.array([number[label] for label in labels])
+    return str(groups[0]) if len(groups) == 1 else f"{groups[0]} to {groups[-1]}"
 
 
 def _near(recording: Recording, test: np.ndarray, gap: float) -> np.ndarray:

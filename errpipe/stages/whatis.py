@@ -66,6 +66,7 @@ def _table(file: Path) -> dict[str, Any]:
         "outputs": [f"{o.name} -> {o.axis or '-'}, limit {o.magnitude} {o.unit}" for o in table.outputs],
         "profiles": len(table.profiles),
         "operations": {"position cycle": always.operations, "with thermal cycle": thermal.operations},
+        "cortex_m4_instructions_at_most": bounds.cortex_m4_instructions(table),
         "held_costs_um": {h.output: round(h.largest, 4) for h in held.outputs(table, otherwise=held.USUAL)},
         "bytes": file.stat().st_size,
         "work_bytes": {"double": bounds.work_bytes(table), "single, 32-bit": bounds.work_bytes(table, real=4)},

@@ -6,6 +6,7 @@ delay is computed in `held`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -204,6 +205,52 @@ def cost(table: t.CompensationTable) -> tuple[Cost, Cost]:
         else:
             always += _node_cost(node)
     return always, always + slow
+
+
+# Instructions of the C runtime on a Cortex-M4 (single precision, gcc -O2): the smallest counts that hold the slowest of
+# 300 cycles in QEMU, for 180 random tables (`everything` of the tests, seeds 0 to 79 and 100 to 199) and 8 of the
+# benches. A node counts its own and those of its operands.
+_NODE_INSTRUCTIONS: dict[type[t.Node], tuple[int, int]] = {
+    t.AffineNode: (64, 18),
+    t.ApproachNode: (134, 0),
+    t.ClipNode: (75, 0),
+    t.ConstantNode: (57, 0),
+    t.DirectionNode: (118, 0),
+    t.FirstNode: (82, 0),
+    t.InputNode: (47, 0),
+    t.LagNode: (53, 0),
+    t.LookupNode: (54, 0),
+    t.PowerNode: (172, 0),
+    t.ProductNode: (31, 24),
+    t.SwitchNode: (63, 0),
+}
+_PER_CYCLE = 280  # of a cycle without anything
+_PER_INPUT, _PER_RATE, _PER_VALIDITY, _PER_SUBSTITUTE = 77, 16, 44, 18
+_PER_CONSTANT_PROFILE, _PER_PROFILE, _PER_PERIODIC_PROFILE, _PER_PAIR = 34, 58, 72, 13
+_PER_OUTPUT, _PER_LIMITED_OUTPUT, _PER_FACTOR = 64, 66, 9
+_MARGIN = 1.1  # for paths that 300 cycles did not take
+
+
+def cortex_m4_instructions(table: t.CompensationTable) -> int:
+    """At most so many instructions a cycle on a Cortex-M4 in single precision; caches and wait states are not in it.
+
+    An envelope of counts in an emulator with a margin of 10 %, not a proof: `bench/bench_cortex.py` counts.
+    """
+    count = _PER_CYCLE
+    for channel in table.inputs:
+        count += _PER_INPUT + _PER_SUBSTITUTE * len(channel.substitute)
+        count += (channel.max_rate is not None) * _PER_RATE + (channel.valid is not None) * _PER_VALIDITY
+    for node in table.nodes:
+        own, each = _NODE_INSTRUCTIONS[type(node)]
+        count += own + each * len(node.of)
+    for profile in table.profiles:
+        periodic = _PER_PERIODIC_PROFILE if profile.periodic else _PER_PROFILE
+        count += _PER_CONSTANT_PROFILE if profile.input is None else periodic
+    count += _PER_PAIR * len(table.pairs)
+    for output in table.outputs:
+        count += _PER_OUTPUT + _PER_FACTOR * sum(len(term.factors) for term in output.terms)
+        count += (output.slew is not None or output.acceleration is not None) * _PER_LIMITED_OUTPUT
+    return math.ceil(_MARGIN * count)
 
 
 # Bytes of one record of the C runtime's work area on a 64-bit machine in double, and on a 32-bit one in single.

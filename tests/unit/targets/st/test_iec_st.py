@@ -39,9 +39,9 @@ def units():
 class Block:
     """Exported Structured Text as a shared library."""
 
-    def __init__(self, folder, code: str, rounding: str = "lrint"):
+    def __init__(self, folder, code: str, rounding: str = "lrint", optimise: str = "-O2"):
         (folder / "st.c").write_text(code)
-        flags = ["-O2", "-ffp-contract=off", "-fwrapv", "-w", f"-DROUNDING={rounding}", "-shared", "-fPIC"]
+        flags = [optimise, "-ffp-contract=off", "-fwrapv", "-w", f"-DROUNDING={rounding}", "-shared", "-fPIC"]
         self.dll = ctypes.CDLL(str(compile_once(["gcc", *flags], [folder / "st.c"], folder / "st.so", "-lm")))
 
     def load(self, data: bytes) -> tuple[int, int]:
