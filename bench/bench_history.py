@@ -97,7 +97,7 @@ def linear_part(folder: Path) -> np.ndarray:
     source = source_in(folder)
     family = Terms(components=[{"component": "EXX", "terms": TERMS}])
     (history,) = batches.gather(source, family, batches.survey(source, family), lambda recording: recording)
-    rows = batches.few_rows(history.factor())
+    rows = batches.equivalent_rows(history.factor())
     return solve.least_squares(rows[:, 1:-2], rows[:, -1]).coefficients
 
 

@@ -68,7 +68,7 @@ def fit(recording: Recording, components: Mapping[str, Sequence[Mapping[str, Any
     """Fit terms (`errpipe terms`) to components: {"EXX": [{"term": "backlash", "axis": "X"}]}.
 
     options: as of the stage `fit` (method, holdout, selection, ...). Parameters come with 95 % intervals.
-    Raises DataError for a missing column, NotIdentifiable where the rows cannot tell parameters apart.
+    Raises DataError for a missing column, NotIdentifiable where the rows cannot distinguish parameters.
     """
     from errpipe.fitting import model
     from errpipe.fitting.spec import ModelSpec

@@ -4,7 +4,7 @@ ErrpipeError            1   never raised itself; anything outside this tree is a
 |-- UsageError          2   the command line
 |   `-- ConfigError     2   a configuration file: carries every problem of the file
 |-- DataError           3   measurements that cannot be used
-|   |-- NotIdentifiable 3   the data cannot tell two parameters apart
+|   |-- NotIdentifiable 3   the data cannot distinguish two parameters
 |   `-- MissingColumn   3   a model reads what the recording does not hold
 |-- GateError           4   a quality gate said no
 |-- ChangesPending      5   `plan --exit-code` found stages to run
@@ -62,7 +62,7 @@ class DataError(ErrpipeError):
 
 
 class NotIdentifiable(DataError):
-    """Two parameters cannot be told apart on these data; the message names them."""
+    """Two parameters cannot be distinguished on these data; the message names them."""
 
 
 class MissingColumn(DataError, KeyError):

@@ -27,7 +27,14 @@ RULES: Choice[type[Rule]] = Choice.of_files(
     "rule",
     ("time_order", "repeated_rows", "unit_slips", "stuck_sensors", "outliers", "sensor_jumps", "gaps", "quantisation"),
 )
-DEFAULT: tuple[Rule, ...] = tuple(cast(Any, rule).model_construct() for rule in RULES)  # defaults need no check
+
+
+def by_default() -> tuple[Rule, ...]:
+    """The rules that are applied where none is named, with their usual options."""
+    return tuple(cast(Any, rule).model_construct() for rule in RULES if rule.by_default)  # defaults need no check
+
+
+DEFAULT = by_default()
 
 WHOLE_RUN = "run_before_split"  # the group column that keeps the label of a run that was split
 

@@ -1,6 +1,6 @@
 """What a cleaning rule is: it looks at a recording and names actions; `clean` carries them out and reports.
 
-A rule never changes a recording itself, so nothing can be removed without its rows and its reason being told.
+A rule never changes a recording itself, so nothing can be removed without its rows and its reason being reported.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ class Rule(Options, ABC):
 
     rule: str
     splits_runs: ClassVar[bool] = False  # whether it may give rows another run label
+    by_default: ClassVar[bool] = True  # whether it is applied where no rule is named
 
     @abstractmethod
     def find(self, recording: Recording) -> list[Action]:
@@ -83,6 +84,12 @@ def resolution(values: np.ndarray) -> float:
     ratio = (distinct - distinct[0]) / step
     lattice = np.abs(ratio - np.round(ratio)).max() < 1e-3 * max(1.0, 1e-9 * ratio.max())
     return float(f"{step:.6g}") if lattice and distinct.size * 20 > ratio.max() / 20 else 0.0
+
+
+def rows_between(values: np.ndarray) -> int:
+    """Usual number of rows from one reading to the next: above 1 of a sensor that is logged less often than rows."""
+    known = np.flatnonzero(np.isfinite(values))
+    return max(int(np.median(np.diff(known))), 1) if known.size > 1 else 1
 
 
 def stretches(same: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

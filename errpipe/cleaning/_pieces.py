@@ -107,7 +107,7 @@ class Cleaning:
                 cleaned, report, origin = cleaned_rows(piece.rows, self.rules)
             except DataError as why:
                 raise DataError(f"{why} (rows counted from row {begin})") from None
-            self._note(report, cleaned, piece, begin)
+            self._add_to_report(report, cleaned, piece, begin)
             complete = self._complete(cleaned)
             if WHOLE_RUN in complete.frame and len(complete):
                 self._number_parts(complete.frame, origin, piece, begin)
@@ -127,7 +127,7 @@ class Cleaning:
         )
         return CleaningReport(rows_before=self.at, rows_after=self.kept, rules=rules)
 
-    def _note(self, report: CleaningReport, cleaned: Recording, piece: Piece, begin: int) -> None:
+    def _add_to_report(self, report: CleaningReport, cleaned: Recording, piece: Piece, begin: int) -> None:
         self.used |= {n for n, c in cleaned.manifest.columns.items() if c.role != "ignore"}
         for number, rule in enumerate(report.rules):
             for done in rule.done:
@@ -158,10 +158,10 @@ class Cleaning:
             frame.loc[goes_on, self.run] = [f"{whole[0]} part {k + 1}" if k else whole[0] for k in part[goes_on]]
             unsaid = origin[goes_on & (part > 0) & (label == whole) & (origin >= piece.first) & (origin < piece.end)]
             if unsaid.size:
-                self._say_split((int(unsaid[0]) + begin, int(unsaid[-1]) + begin + 1))
+                self._report_split((int(unsaid[0]) + begin, int(unsaid[-1]) + begin + 1))
         self.part = int(part[last])
 
-    def _say_split(self, rows: tuple[int, int]) -> None:
+    def _report_split(self, rows: tuple[int, int]) -> None:
         """Add rows to what was last said of a run that was split."""
         for said in self.done.values():
             for k in reversed(range(len(said))):

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from errpipe.cleaning._base import Action, Rule, sensors, stretches
+from errpipe.cleaning._base import Action, Rule, rows_between, sensors, stretches
 from errpipe.domain.recording import Recording
 from errpipe.yamlfile import quantity
 
@@ -29,16 +29,18 @@ class Gaps(Rule):
         if recording.name("time") is None:
             return []
         t, run = recording.time(), recording.run_codes()
-        actions = [a for name in sensors(recording) if (a := self._held(recording, name, t, run)) is not None]
+        actions = [a for name in sensors(recording) if (a := self._cells_to_hold(recording, name, t, run)) is not None]
         return [*actions, *self._split(recording, t, run)]
 
-    def _held(self, recording: Recording, name: str, t: np.ndarray, run: np.ndarray) -> Action | None:
+    def _cells_to_hold(self, recording: Recording, name: str, t: np.ndarray, run: np.ndarray) -> Action | None:
         values = recording.array(name)
-        missing = np.isnan(values)
+        missing, usual = np.isnan(values), rows_between(values)
         rows: list[int] = []
         held: list[float] = []
         for start, over in zip(*stretches(missing), strict=True):
             end = start + int(np.argmax(np.r_[run[start:over] != run[start], True]))  # no further than the run
+            if end - start < usual:  # the sensor is logged less often than the rows: no hole
+                continue
             if start > 0 and run[start - 1] == run[start] and t[end - 1] - t[start - 1] <= self.hold:
                 rows += range(start, end)
                 held += [values[start - 1]] * (end - start)

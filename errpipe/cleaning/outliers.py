@@ -2,7 +2,7 @@
 
 A reading is an outlier where it stands off the median of its neighbours by many times the scatter of such
 residuals, off the readings before it *and* off those after it (so the first reading after a step is none), and
-where its own neighbours are not drawn along (so a decaying spike, which is physics, is none). Beside a
+where its own neighbours do not depart with it (so a decaying spike, which is physics, is none). Beside a
 simulated twin the mismatch is judged, which has less shape of its own.
 """
 
@@ -16,17 +16,18 @@ from errpipe.cleaning._base import SENSORS, Action, Rule, resolution, rows_of_ru
 from errpipe.domain.recording import Recording
 from errpipe.yamlfile import quantity
 
-SIDE = 4  # readings on either side: the median of 8 shrugs off 3 other outliers
+SIDE = 4  # readings on either side: the median of 8 is robust to 3 other outliers
 MIN_READINGS = 3 * SIDE  # readings of a run; fewer give no scatter
 BLOCK = 50  # readings over which a local scatter is taken, so that a rough stretch is judged by its own roughness
 MAX_CONSECUTIVE = 2  # readings side by side that can be outliers; three are an event
 PAUSE = 5.0  # times the usual time between rows: a longer pause lets everything change, and ends a part
-DRAW_ON = 1.25  # from the middle of one side's readings to the middle of the other's, in sides
-DRAWN = 0.3  # a neighbour that goes along by this share of the departure makes it an event
-END_STEPS = 2.7  # times the largest step elsewhere: e, as of a body whose time constant is that between two readings
+EXTRAPOLATION = 1.25  # from the middle of one side's readings to the middle of the other's, in sides
+NEIGHBOUR_SHARE = 0.3  # a neighbour that departs the same way by this share of the departure makes it an event
+STEPS_AT_END = 2.7  # times the largest step elsewhere: e, as of a body whose time constant is that between two readings
 NORMAL = 1.4826  # from median absolute deviation to the standard deviation of a normal distribution
 REVERSAL = 3  # readings on either side of a reversal that are not judged
-RARE_REVERSALS = 0.1  # where more rows than this are near a reversal (a to-and-fro test), reversals tell nothing
+MOVING = 0.1  # of the readings: fewer that differ from the one before may all be wrong ones
+RARE_REVERSALS = 0.1  # where more rows than this are near a reversal (a to-and-fro test), reversals are no evidence
 
 
 class Outliers(Rule):
@@ -52,7 +53,8 @@ class Outliers(Rule):
     def _column(self, recording: Recording, name: str, role: str, protected: np.ndarray) -> Action | None:
         values = recording.array(name)
         judged, beside = _mismatch(recording, name, values) if role == "error" else (values, "")
-        rows = outlying(judged, recording.run_codes(), recording.time(), self.threshold, resolution(values))
+        step = max(resolution(values), _usual_step(judged))
+        rows = outlying(judged, recording.run_codes(), recording.time(), self.threshold, step)
         if role == "error":
             rows = rows[~protected[rows]]
         if not rows.size:
@@ -71,8 +73,18 @@ def outlying(values: np.ndarray, run: np.ndarray, t: np.ndarray, threshold: floa
     for run_rows in rows_of_runs(run):
         rows = run_rows[np.isfinite(values[run_rows])]
         if rows.size >= MIN_READINGS:
-            far_off.append(rows[_in_run(values[rows], _parts(t[rows]), threshold, step)])
+            far_off.append(rows[_outliers_of_run(values[rows], _parts(t[rows]), threshold, step)])
     return np.concatenate(far_off) if far_off else np.zeros(0, dtype=np.int64)
+
+
+def _usual_step(values: np.ndarray) -> float:
+    """Median change of a column of which most readings repeat the one before; 0 of any other.
+
+    An instrument of coarse steps whose converter adds small ones has no common display step, nor scatter between steps.
+    """
+    change = np.abs(np.diff(values[np.isfinite(values)]))
+    moving = change[change > 0.0]
+    return float(np.median(moving)) if MOVING * change.size <= moving.size < 0.5 * change.size else 0.0
 
 
 def _parts(t: np.ndarray) -> np.ndarray:
@@ -81,7 +93,7 @@ def _parts(t: np.ndarray) -> np.ndarray:
     return np.r_[0, np.cumsum(pause > PAUSE * np.median(pause))]
 
 
-def _in_run(y: np.ndarray, part: np.ndarray, threshold: float, step: float) -> np.ndarray:
+def _outliers_of_run(y: np.ndarray, part: np.ndarray, threshold: float, step: float) -> np.ndarray:
     residual = np.nan_to_num(y - _median(_windows(y, part, np.arange(y.size), (-SIDE, SIDE))))
     limit = threshold * _scatter(residual, step)
     rows = np.flatnonzero(np.abs(residual) > limit)  # few: only these are looked at closer
@@ -89,20 +101,20 @@ def _in_run(y: np.ndarray, part: np.ndarray, threshold: float, step: float) -> n
     far_before, far_after = (
         _median(_windows(y, part, rows, reach)) for reach in ((-2 * SIDE, -SIDE - 1), (SIDE + 1, 2 * SIDE))
     )
-    left, right = _side(before), _side(after)
+    left, right = _median_of_side(before), _median_of_side(after)
     at_end = np.zeros(y.size, dtype=bool)
     at_end[rows] = np.isnan(left) | np.isnan(right)
     # At either end of a part the missing side is the other side, drawn on as a line.
-    left = np.where(np.isnan(left), right + DRAW_ON * (right - far_after), left)
-    right = np.where(np.isnan(right), left + DRAW_ON * (left - far_before), right)
+    left = np.where(np.isnan(left), right + EXTRAPOLATION * (right - far_after), left)
+    right = np.where(np.isnan(right), left + EXTRAPOLATION * (left - far_before), right)
     # Beyond both sides, on the same side: a reading between them lies on a ramp or at a step.
     here, far = y[rows], limit[rows]
     off, base = np.zeros(y.size, dtype=bool), np.zeros(y.size)
     off[rows] = (here > np.maximum(left, right) + far) | (here < np.minimum(left, right) - far)
     base[rows] = np.where(residual[rows] > 0, np.maximum(left, right), np.minimum(left, right))
     for start, end in zip(*stretches(off), strict=True):
-        at_a_step = at_end[start:end].any() and _steps_as_far_elsewhere(y, base, part, start, end)
-        if end - start > MAX_CONSECUTIVE or at_a_step or _drawn_along(y, base, start, end):
+        at_a_step = at_end[start:end].any() and _larger_steps_elsewhere(y, base, part, start, end)
+        if end - start > MAX_CONSECUTIVE or at_a_step or _neighbour_departs_too(y, base, start, end):
             off[start:end] = False
     return np.flatnonzero(off)
 
@@ -118,7 +130,7 @@ def _windows(y: np.ndarray, part: np.ndarray, rows: np.ndarray, reach: tuple[int
     return np.asarray(windows)
 
 
-def _side(windows: np.ndarray) -> np.ndarray:
+def _median_of_side(windows: np.ndarray) -> np.ndarray:
     """Median of one side; NaN where fewer than 3 readings are there, which one outlier could turn."""
     return np.where(np.isfinite(windows).sum(axis=1) >= 3, _median(windows), np.nan)
 
@@ -147,20 +159,20 @@ def _scatter(residual: np.ndarray, step: float) -> np.ndarray:
     return np.maximum(np.maximum(whole, local), max(step / 2, 1e-12))
 
 
-def _steps_as_far_elsewhere(y: np.ndarray, base: np.ndarray, part: np.ndarray, start: int, end: int) -> bool:
+def _larger_steps_elsewhere(y: np.ndarray, base: np.ndarray, part: np.ndarray, start: int, end: int) -> bool:
     """True where readings at the end of a part may be the start of something, such as a machine that is switched on.
 
-    Nothing beyond the end tells whether they come back, so they must stand off further than what moves elsewhere.
+    No reading beyond the end shows whether they come back, so they must stand off further than what moves elsewhere.
     """
     step = np.where(part[1:] == part[:-1], np.abs(np.diff(y)), 0.0)
     step[max(start - 1, 0) : end] = 0.0  # their own
-    return bool(np.abs(y[start:end] - base[start:end]).min() < END_STEPS * step.max())
+    return bool(np.abs(y[start:end] - base[start:end]).min() < STEPS_AT_END * step.max())
 
 
-def _drawn_along(y: np.ndarray, base: np.ndarray, start: int, end: int) -> bool:
+def _neighbour_departs_too(y: np.ndarray, base: np.ndarray, start: int, end: int) -> bool:
     """True where a reading beside the stretch departs the same way: a spike that builds up or decays."""
     for edge, beside in ((start, start - 1), (end - 1, end)):
-        if 0 <= beside < y.size and (y[beside] - base[edge]) / (y[edge] - base[edge]) > DRAWN:
+        if 0 <= beside < y.size and (y[beside] - base[edge]) / (y[edge] - base[edge]) > NEIGHBOUR_SHARE:
             return True
     return False
 

@@ -3,6 +3,7 @@
 A body cannot take a step from one reading to the next, so a level that shifts at once, and many times further than the
 column ever moves otherwise, is the sensor's. What it shows from there to the end of the run is blanked: which of the
 two levels is right is not known, and heat that is counted from the start of a run would count the step.
+A drift that is read where no axis moves jumps as little: its probe was moved, or its datum was set anew.
 """
 
 from __future__ import annotations
@@ -17,15 +18,15 @@ from errpipe.yamlfile import quantity
 
 SIDE = 4  # readings on either side whose median is a level
 PAUSE = 5.0  # times the usual time between rows: a longer pause lets everything change
-STAYS = 0.8  # of the step, between the levels on either side: less of it is a single wrong reading
-SLOWER = 0.1  # of the step, in the reading after it: more is a fast body that warms, which goes on
-MIN_STEP = 2.0  # K: a smaller step is not worth a run
+MIN_LASTING_SHARE = 0.8  # of the step, between the levels on either side: less of it is a single wrong reading
+MAX_FURTHER_SHARE = 0.1  # of the step, in the reading after it: more is a fast body that warms, which goes on
+MIN_STEP = 2.0  # K or um: a smaller step is not worth a run
 MAX_JUMPS = 2  # of one sensor; one that steps more often does so by nature (coolant that is switched)
 DEAD_SHARE = 0.3  # of a sensor's cells after a jump: the rest is not worth the risk
 
 
 class SensorJumps(Rule):
-    """Blank a temperature from a jump on that no body can make, to the end of the run."""
+    """Blank a temperature, or a drift read where no axis moves, from an impossible jump to the end of its run."""
 
     rule: Literal["sensor_jumps"] = "sensor_jumps"
     threshold: float = quantity(
@@ -35,15 +36,19 @@ class SensorJumps(Rule):
     def find(self, recording: Recording) -> list[Action]:
         """Cells to blank, or the column to set aside where most of it would be blank."""
         actions = []
-        for name in recording.names("temperature"):
+        temperatures = recording.names("temperature")
+        for name in [*temperatures, *_drifts(recording)]:
             values = recording.array(name)
             at = self._jumps(values, recording)
             if not at:
                 continue
             run = recording.run_codes()
-            rows = np.unique(np.concatenate([np.flatnonzero(run == run[row])[_after(run, row) :] for row in at]))
-            reason = f"jumps by {_step(values, at[0]):.3g} K from one reading to the next and stays there"
-            if rows.size > DEAD_SHARE * values.size:
+            rows = np.unique(
+                np.concatenate([np.flatnonzero(run == run[row])[_rows_before_in_run(run, row) :] for row in at])
+            )
+            unit = "K" if name in temperatures else recording.manifest.columns[name].unit or "um"
+            reason = f"jumps by {_step(values, at[0]):.3g} {unit} from one reading to the next and stays there"
+            if name in temperatures and rows.size > DEAD_SHARE * values.size:
                 actions.append(Action("set column aside", f"{reason}, before {rows.size} of {values.size} rows", name))
             else:
                 actions.append(Action("blank cells", reason, column=name, rows=rows))
@@ -60,12 +65,20 @@ class SensorJumps(Rule):
         for count in range(min(MAX_JUMPS, size.size - 1), 0, -1):
             usual = max(size[count], resolution(values), MIN_STEP / self.threshold)
             found = sorted(after[order[:count]])
-            if size[count - 1] > self.threshold * usual and all(_stays(values, recording, row, usual) for row in found):
+            if size[count - 1] > self.threshold * usual and all(
+                _is_lasting_step(values, recording, row, usual) for row in found
+            ):
                 return [int(row) for row in found]
         return []
 
 
-def _after(run: np.ndarray, row: int) -> int:
+def _drifts(recording: Recording) -> list[str]:
+    """Deviations that have no position, nor a simulation to compare with, beside temperatures."""
+    others = [n for role in ("position", "command", "simulated") for n in recording.names(role)]
+    return list(recording.names("error")) if recording.names("temperature") and not others else []
+
+
+def _rows_before_in_run(run: np.ndarray, row: int) -> int:
     """How many rows of its run stand before a row."""
     return int(np.count_nonzero(run[:row] == run[row]))
 
@@ -87,7 +100,7 @@ def _neighbours(values: np.ndarray, recording: Recording) -> tuple[np.ndarray, n
     return np.concatenate(before), np.concatenate(after)
 
 
-def _stays(values: np.ndarray, recording: Recording, row: int, usual: float) -> bool:
+def _is_lasting_step(values: np.ndarray, recording: Recording, row: int, usual: float) -> bool:
     """Whether a step is one of the level: whole at once, and still there after it. usual: largest other change, K."""
     run = recording.run_codes()
     rows = np.flatnonzero((run == run[row]) & np.isfinite(values))
@@ -97,4 +110,7 @@ def _stays(values: np.ndarray, recording: Recording, row: int, usual: float) -> 
         return False
     step = right[0] - left[-1]
     beside = max(abs(right[1] - right[0]), abs(left[-1] - left[-2]))
-    return bool((np.median(right) - np.median(left)) / step >= STAYS and beside <= max(SLOWER * abs(step), usual))
+    return bool(
+        (np.median(right) - np.median(left)) / step >= MIN_LASTING_SHARE
+        and beside <= max(MAX_FURTHER_SHARE * abs(step), usual)
+    )

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from errpipe.cleaning._base import Action, Rule, resolution, sensors, stretches
+from errpipe.cleaning._base import Action, Rule, resolution, rows_between, sensors, stretches
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.yamlfile import quantity
@@ -20,7 +20,7 @@ SENTINELS = (0.0, -999.0, -9999.0, 999.9, 9999.0, 85.0, -127.0, -242.0, 850.0)  
 MIN_SENTINEL_OFFSET = 5.0  # K, hPa or %: a sentinel stands at least this far off the readings around it
 LONGER = 4.0  # a stuck stretch is this many times as long as the longest that is not
 MIN_STUCK_ROWS = 20  # rows: a shorter stretch is not judged
-ALONE_LONGER, ALONE_SHORTEST = 8.0, 60  # where no other sensor can tell, only an extreme stretch counts
+ALONE_LONGER, ALONE_SHORTEST = 8.0, 60  # where no other sensor can be compared, only an extreme stretch counts
 MAX_STRETCHES = 5  # of one sensor; more standing still than that is its nature
 MOVED = 4.0  # display steps, or scatters of the estimate, by which the others say that it should have moved
 RELATED = 0.5  # share of a sensor's variance that the others must explain to be compared with it
@@ -65,11 +65,17 @@ class StuckSensors(Rule):
         finite = values[np.isfinite(values)]
         if finite.size == 0:
             return "holds no value"
-        if finite.size < (1 - self.empty) * values.size:
+        if _spoken_for(values) < (1 - self.empty) * values.size:
             return f"empty in {values.size - finite.size} of {values.size} rows"
         if finite.size >= MIN_STUCK_ROWS and np.ptp(finite) == 0.0:
             return f"shows {finite[0]:g} in every row"
         return ""
+
+
+def _spoken_for(values: np.ndarray) -> int:
+    """Rows for which a reading stands: its own and, of a sensor logged less often, those to its usual next one."""
+    steps = np.diff(np.r_[np.flatnonzero(np.isfinite(values)), values.size])
+    return int(np.minimum(steps, rows_between(values)).sum())
 
 
 def _sentinels(values: np.ndarray) -> tuple[np.ndarray, str]:
@@ -126,7 +132,7 @@ def _constant(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _should_have_moved(
     y: np.ndarray, others: list[np.ndarray], inside: np.ndarray, starts: np.ndarray, ends: np.ndarray
 ) -> tuple[bool, np.ndarray]:
-    """Whether the other sensors can tell at all, and for each stretch whether they say that it should have moved."""
+    """Are there sensors to compare with? And of each stretch: do they say that it should have moved?."""
     usable = [o for o in others if np.isfinite(o).mean() > 0.9]
     if not usable:
         return False, np.zeros(starts.size, dtype=bool)

@@ -1,4 +1,4 @@
-"""Columns whose numbers speak another unit than their manifest: named with the evidence, never converted.
+"""Columns whose numbers are in another unit than the manifest states: named with the evidence, never converted.
 
 A sensor is set aside until its manifest is corrected. A response, a position or a speed that carries such a slip
 makes the whole recording worthless, and is refused.
@@ -30,7 +30,7 @@ MIN_ROWS = 20  # rows
 
 
 class UnitSlips(Rule):
-    """Name columns in degF, K, inch, m or another unit than stated, by comparing them with their fellows."""
+    """Name columns in degF, K, inch, m or another unit than stated, by comparing them with the other columns."""
 
     rule: Literal["unit_slips"] = "unit_slips"
     trust: tuple[str, ...] = Field((), description="Columns not to be judged (an oil that is truly at 68 degC).")
@@ -40,7 +40,7 @@ class UnitSlips(Rule):
         self._refuse_slipped(recording)
         actions = []
         run, names = recording.run_codes(), recording.names("temperature")
-        starts = {n: float(np.median(c)) for n in names if (c := _cold(recording.array(n), run)).size}
+        starts = {n: float(np.median(c)) for n in names if (c := _first_readings(recording.array(n), run)).size}
         for name in names:
             if name not in self.trust and (evidence := _temperature(recording, name, starts)):
                 actions.append(Action("set column aside", evidence, column=name))
@@ -55,13 +55,13 @@ class UnitSlips(Rule):
         problems = []
         for role in ("position", "velocity", "error"):
             for name in recording.names(role):
-                if name not in self.trust and (evidence := _against_fellow(recording, name, role)):
+                if name not in self.trust and (evidence := _against_same_quantity(recording, name, role)):
                     problems.append(f"clean, unit_slips: {name}: {evidence}. Mend its unit in the manifest.")
         if problems:
             raise DataError("\n".join(problems))
 
 
-def _cold(values: np.ndarray, run: np.ndarray) -> np.ndarray:
+def _first_readings(values: np.ndarray, run: np.ndarray) -> np.ndarray:
     """First finite reading of each run, shape (runs with one,)."""
     finite = np.isfinite(values)
     _, first = np.unique(run[finite], return_index=True)
@@ -77,13 +77,13 @@ def _temperature(recording: Recording, name: str, starts: Mapping[str, float]) -
     low, high = np.percentile(finite, [1, 99])
     if ROOM[0] < low - 273.15 and high - 273.15 < 200.0:
         return f"reads {low:.4g} to {high:.4g}: these are kelvin, not degC (write unit: K)"
-    fellows = [n for n in starts if n != name]
-    if not fellows or np.ptp(finite) == 0.0:
+    others = [n for n in starts if n != name]
+    if not others or np.ptp(finite) == 0.0:
         return ""
-    room, cold = float(np.median([starts[n] for n in fellows])), starts[name]
+    room, cold = float(np.median([starts[n] for n in others])), starts[name]
     converted = (cold - 32.0) / 1.8
     if abs(cold - room) > MIN_SLIP and abs(converted - room) < NEAR and ROOM[0] < room < ROOM[1]:
-        gain = _gain(values, [recording.array(n) for n in fellows])
+        gain = _gain(values, [recording.array(n) for n in others])
         return (
             f"starts its runs at {cold:.4g} where the other sensors start at {room:.4g}; taken as degF that is"
             f" {converted:.4g} degC{gain}: degF, not degC (write unit: degF)"
@@ -91,10 +91,10 @@ def _temperature(recording: Recording, name: str, starts: Mapping[str, float]) -
     return ""
 
 
-def _gain(values: np.ndarray, fellows: list[np.ndarray]) -> str:
+def _gain(values: np.ndarray, others: list[np.ndarray]) -> str:
     """How much more it moves than the most related other sensor, in words."""
     best, gain = 0.0, 0.0
-    for other in fellows:
+    for other in others:
         both = np.isfinite(values) & np.isfinite(other)
         if both.sum() >= MIN_ROWS and np.ptp(other[both]) > 0:
             r = abs(float(np.corrcoef(values[both], other[both])[0, 1]))
@@ -121,7 +121,7 @@ def _humidity(values: np.ndarray) -> str:
     return ""
 
 
-def _against_fellow(recording: Recording, name: str, role: str) -> str:
+def _against_same_quantity(recording: Recording, name: str, role: str) -> str:
     """A slip of a column against the one that measures the same quantity, or against the axis' travel."""
     column = recording.manifest.columns[name]
     values = recording.array(name)

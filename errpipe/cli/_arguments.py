@@ -31,7 +31,7 @@ PublicKey = typer.Option(
     ..., "--public-key", envvar="ERRPIPE_PUBLIC_KEY", metavar="FILE", help="Whose signatures count."
 )
 Why = typer.Option(..., "--why", metavar="TEXT", help="The reason, one line; it is signed.")
-Time = typer.Option(None, "--time", metavar="TIME", help="When, ISO 8601; default: now.")
+Time = typer.Option(None, "--time", metavar="TIME", help="When, ISO 8601, UTC where no zone is said; default: now.")
 Json = typer.Option(False, "--json", help="One JSON document on standard output, also on failure.")
 
 
@@ -48,7 +48,10 @@ def input_values(at: list[str]) -> dict[str, float]:
         try:
             if not equals or not name.strip():
                 raise ValueError
-            values[name.strip()] = float(value)
+            number = float(value)
         except ValueError:
             raise UsageError(f"--at {text}: not of the form INPUT=VALUE, such as x=100") from None
+        if name.strip() in values:
+            raise UsageError(f"--at {text}: {name.strip()} was given before ({values[name.strip()]:g})")
+        values[name.strip()] = number
     return values

@@ -39,6 +39,7 @@ def command(
     bad = [r for r in rows if r["state"] != "done"]
     lines = [f"{r['name']}: {r['state']}: {r['message']}" for r in bad]
     lines += [f"{d['name']}: {d['what']} drifts since run {d['since']}" for d in summary["drifting"]]
+    lines += summary["suspicious"]
     lines += [f"{len(rows) - len(bad)} of {len(rows)} machines done", str(out / "fleet.md")]
     print_result("fleet", summary, lines, as_json=json, code=4 if bad else 0)
     if bad:

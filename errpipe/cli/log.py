@@ -14,7 +14,7 @@ def command(
     registry: Path = typer.Argument(metavar="REGISTRY", help="Folder of the registry."),
     machine: str | None = typer.Argument(None, metavar="MACHINE", help="One machine only."),
     at: str | None = typer.Option(
-        None, "--at", metavar="TIME", help="What was on the machine then, such as 2026-03-03."
+        None, "--at", metavar="TIME", help="What was on the machine then, or on that day (UTC), such as 2026-03-03."
     ),
     file: Path | None = typer.Option(None, "--file", metavar="TABLE", help="Which entries this table belongs to."),
     public_key: Path = PublicKey,

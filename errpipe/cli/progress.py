@@ -9,7 +9,7 @@ from collections.abc import Callable
 from threading import Lock
 from typing import TextIO
 
-from errpipe.pipeline.step import Step, Talk
+from errpipe.pipeline.step import Callbacks, Step
 
 _WIDTH = 24  # characters of a bar
 _COLUMNS = 79  # of a line that must not wrap, or it could not be taken back
@@ -36,9 +36,9 @@ class ProgressReporter:
         self.moving = is_interactive(self.stream)
         self._lock = Lock()
 
-    def callbacks(self) -> Talk:
+    def callbacks(self) -> Callbacks:
         """The callbacks for the engine."""
-        return Talk(waiting=self._waiting, started=self._started, progress=self._progress, finished=self._finished)
+        return Callbacks(waiting=self._waiting, started=self._started, progress=self._progress, finished=self._finished)
 
     def _waiting(self) -> None:
         self._line(f"another errpipe is at work in {self.out}; waiting for it")

@@ -21,14 +21,14 @@ def command(
     other_outputs: bool = typer.Option(
         False,
         "--other-outputs",
-        help="It may correct other axes than the table before, or be made for another machine.",
+        help="It may correct other axes or in other units than the table before, or be made for another machine.",
     ),
     json: bool = Json,
 ) -> None:
     """Put a table on record as the one that is on a machine.
 
     It replaces the table before whole: one that corrects other axes is refused (exit 4) without --other-outputs.
-    Of two who promote at once one wins, and the other is told (exit 4).
+    Of two who promote at once one wins, and the other is refused (exit 4).
 
     \b
     Example:

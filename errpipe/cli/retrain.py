@@ -55,13 +55,14 @@ def command(
             max_change_um=max_change_um,
             max_change_um_per_k=max_change_um_per_k,
             allowed_sensors=allow_sensor,
-            talk=reporter.callbacks(),
+            callbacks=reporter.callbacks(),
         )
     finally:
         reporter.clear()
     promoted = document["decision"] == "promote"
     lines = [document["decision"], *(f"{g['name']}: {g['says']}" for g in document["gates"] if not g["passed"])]
-    lines += [f"sensor {d['column']} drifts since run {d['since']}" for d in document["drift"]["inputs"] if d["blamed"]]
+    for d in (d for d in document["drift"]["inputs"] if d["suspected"]):
+        lines.append(f"sensor {d['column']} {'drifts' if d['blamed'] else 'may drift'} since run {d['since']}")
     lines.append(str(out / "retrain.md"))
     if annotations == "github":
         lines = [*stage_module("retrain").github_annotations(document), *lines]

@@ -14,7 +14,7 @@ def command(
     registry: Path = typer.Argument(metavar="REGISTRY", help="Folder of the registry."),
     machine: str = typer.Argument(metavar="MACHINE", help="Name of the machine."),
     to: int | None = typer.Option(
-        None, "--to", metavar="ENTRY", help="Number of an entry; default: the last other table."
+        None, "--to", metavar="ENTRY", help="Number of an entry; default: the table before this one."
     ),
     out: Path | None = typer.Option(None, "--out", metavar="FILE", help="Where to write the table that is back."),
     why: str = Why,
@@ -25,7 +25,8 @@ def command(
 ) -> None:
     """Put a machine's earlier table back on record.
 
-    Nothing is removed from the history: going back is a new entry.
+    Nothing is removed from the history: going back is a new entry. Each further rollback goes one table further
+    back, never to one that was taken off.
 
     \b
     Example:

@@ -88,7 +88,7 @@ def _run(
 
     spec = load_pipeline_file(pipeline, sets)
     try:
-        return spec, runner.run(spec, folder, to=to, force=force, jobs=jobs, talk=reporter.callbacks())
+        return spec, runner.run(spec, folder, to=to, force=force, jobs=jobs, callbacks=reporter.callbacks())
     except GateError as err:
         _refuse_names(spec, err)
         page = stage_module("refusal").write_report(spec, folder, str(err))

@@ -47,6 +47,8 @@ Kind = Literal[
     "diameter",
     "force",
 ]
+STRAIGHTNESS: Kind = "straightness"
+SQUARENESS: Kind = "squareness"
 
 
 class Component(Frozen):
@@ -61,7 +63,7 @@ class Component(Frozen):
     @property
     def is_straightness(self) -> bool:
         """Whether a linear axis deviates across its own direction."""
-        return self.kind == "straightness"
+        return self.kind == STRAIGHTNESS
 
 
 def parse(name: str) -> Component:
@@ -175,7 +177,7 @@ def _motion(direction: str, axis: str) -> Component:
         if direction in ABOUT:
             kind = "roll" if ABOUT[direction] == letter else "tilt"
         else:
-            kind = "positioning" if direction == letter else "straightness"
+            kind = "positioning" if direction == letter else STRAIGHTNESS
     elif direction in ABOUT:
         kind = "angular positioning" if direction == letter else "tilt"
     else:
@@ -208,7 +210,7 @@ def _location_kind(direction: str, axis: str) -> Kind:
         return "drift"
     if not _is_linear(axis) and direction == _own(axis):
         return "zero position"
-    return "squareness" if direction in ABOUT else "axis offset"
+    return SQUARENESS if direction in ABOUT else "axis offset"
 
 
 _COMMON = (*of_machine(rotary=("A", "B", "C")), "E_X", "E_Y", "E_Z", "E_R", "E_D", "F_X", "F_Y", "F_Z")

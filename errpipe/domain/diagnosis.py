@@ -75,7 +75,7 @@ class Finding(Frozen):
     parameters: tuple[FoundParameter, ...] = ()
     indistinguishable_from: tuple[str, ...] = ()
     confidence_of_class: float | None = Field(
-        None, ge=0, le=1, description="Chance that it is this effect or one of those it cannot be told from."
+        None, ge=0, le=1, description="Chance that it is this effect or one of those it cannot be distinguished from."
     )
     would_separate: str = ""
     says: str = ""
@@ -92,7 +92,7 @@ class Finding(Frozen):
     )
 
     def sure(self) -> float:
-        """Confidence in the effect together with those that the data cannot tell it from."""
+        """Confidence in the effect together with those that the data cannot distinguish it from."""
         return max(self.confidence, self.confidence_of_class or 0.0)
 
     def all_terms(self) -> tuple[dict[str, object], ...]:

@@ -1,4 +1,4 @@
-"""A serial machine as a machinist would tell it: the chain from workpiece to tool, its axes, where errors are defined.
+"""A serial machine as a machinist describes it: the chain from workpiece to tool, its axes, where errors are defined.
 
     chain: [workpiece, Z', bed, X, Y, spindle, tool]
 

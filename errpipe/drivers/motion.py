@@ -1,4 +1,4 @@
-"""How an axis moved, as a recording tells it: positions, directions, travel."""
+"""How an axis moved, from the columns of a recording: positions, directions, travel."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def is_rotary(recording: Recording, axis: str) -> bool:
 
 
 def direction_column(recording: Recording, axis: str) -> str:
-    """Name of the column that tells an axis' direction: its direction, else velocity, else position column."""
+    """Name of the column with an axis' direction of travel: its direction, else velocity, else position column."""
     for role in ("direction", "velocity", "position", "command"):
         name = recording.name(role, axis=axis)
         if name is not None:
             return name
-    raise MissingColumn(f"nothing in the recording tells the direction of axis {axis}")
+    raise MissingColumn(f"no column of the recording gives the direction of axis {axis}")
 
 
 def position(recording: Recording, axis: str) -> np.ndarray:

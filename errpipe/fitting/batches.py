@@ -87,18 +87,18 @@ class History:
     places: list[np.ndarray] = field(default_factory=list)  # of the sample: row of the recording
     centre: np.ndarray | None = None  # what the columns of `sums` count from, (k,)
     kept: list[Recording] = field(default_factory=list)  # rows of the sample
-    room: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # of the columns of a batch, (k, rows)
+    buffer: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # of the columns of a batch, (k, rows)
 
     def columns(self, batch: Recording) -> np.ndarray:
         """[1 | design | fixed part | response] of a batch, (rows, k = width + 3); NaN where something is missing.
 
         They stand where those of the batch before stood: new memory for each costs as much as the sums.
         """
-        if self.room.shape[1] < len(batch):
-            self.room = np.zeros((self.width + 3, len(batch)))
-            self._fill(batch, self.room.T, [s for s in self.slots if s not in self.moving])
-            self.room[0] = 1.0
-        out = self.room[:, : len(batch)].T  # columns side by side in memory
+        if self.buffer.shape[1] < len(batch):
+            self.buffer = np.zeros((self.width + 3, len(batch)))
+            self._fill(batch, self.buffer.T, [s for s in self.slots if s not in self.moving])
+            self.buffer[0] = 1.0
+        out = self.buffer[:, : len(batch)].T  # columns side by side in memory
         self._fill(batch, out, self.moving)
         if self.fixes:
             out[:, -2] = fixed_part(batch, 0, self.slots)
@@ -118,7 +118,7 @@ class History:
         return any(p.name in s.term.fixed for s in self.slots for p in s.term.linear())
 
     @cached_property
-    def live(self) -> list[int]:
+    def varying(self) -> list[int]:
         """Columns that are not the same number in every row, and the first one."""
         inside = [1 + k for s in self.moving for k in range(s.columns.start, s.columns.stop)]
         return [0, *inside, *([self.width + 1] if self.fixes else []), self.width + 2]
@@ -130,7 +130,7 @@ class History:
         if self.centre is None:
             self.centre = np.nan_to_num(np.nanmean(rows[:FIRST_ROWS], axis=0))
             self.centre[0] = 0.0
-        for k in self.live[1:]:
+        for k in self.varying[1:]:
             rows[:, k] -= self.centre[k]
         numbers = []
         for key, first, end in part_stretches(part):
@@ -139,7 +139,7 @@ class History:
                 self.sums.append(np.zeros((rows.shape[1], rows.shape[1])))
                 self.counts.append(0)
             numbers.append(k)
-            sums, count = _products(rows[first:end], self.live)
+            sums, count = _products(rows[first:end], self.varying)
             self.sums[k] += sums
             self.counts[k] += count
         self.cells.append(np.array(numbers)[np.searchsorted(part.starts, kept, side="right") - 1])
@@ -166,7 +166,7 @@ class History:
             root: np.ndarray = np.sqrt(values)[:, None] * vectors.T * size
             return np.asarray(np.linalg.qr(root @ self._uncentred(), mode="r"))
 
-    def pull(self, cell: int, weights: np.ndarray) -> np.ndarray:
+    def gradient(self, cell: int, weights: np.ndarray) -> np.ndarray:
         """design' (design weighted) of a cell, (k,)."""
         back = self._uncentred()
         return back.T @ (self.sums[cell] @ (back @ weights))
@@ -182,21 +182,21 @@ class History:
         return np.r_[0.0, -coefficients, -1.0, 1.0]
 
 
-def _products(rows: np.ndarray, live: Sequence[int]) -> tuple[np.ndarray, int]:
+def _products(rows: np.ndarray, varying: Sequence[int]) -> tuple[np.ndarray, int]:
     """Sums of products of the complete rows of (n, k), (k, k), and their number; columns that are not live are 0."""
     with solve.one_thread():
-        sums = _gram(rows.T, live)
+        sums = _gram(rows.T, varying)
         if not np.isfinite(sums).all():
             rows = rows[np.isfinite(rows.sum(axis=1))]
-            sums = _gram(rows.T, live)
+            sums = _gram(rows.T, varying)
     return sums, rows.shape[0]
 
 
-def _gram(columns: np.ndarray, live: Sequence[int]) -> np.ndarray:
+def _gram(columns: np.ndarray, varying: Sequence[int]) -> np.ndarray:
     """columns @ columns.T; of few long columns twice as fast, one after the other, as by one product."""
     sums, wanted = np.zeros((columns.shape[0], columns.shape[0])), np.zeros(columns.shape[0], dtype=bool)
-    wanted[live] = True
-    for k in live:
+    wanted[varying] = True
+    for k in varying:
         np.matmul(columns[: k + 1], columns[k], out=sums[k, : k + 1])
         sums[k, : k + 1][~wanted[: k + 1]] = 0.0
     sums += sums.T
@@ -210,7 +210,7 @@ def part_stretches(part: Part) -> Iterator[tuple[tuple[str, str], int, int]]:
     return zip(part.keys, part.starts.tolist(), ends, strict=True)
 
 
-def few_rows(factor: np.ndarray) -> np.ndarray:
+def equivalent_rows(factor: np.ndarray) -> np.ndarray:
     """k + 1 rows with the sums of squares and products of all rows, and their correlations about the mean.
 
     factor: of [1 | ...], (k, k). Whatever least squares and collinearity ask of all rows, these answer alike.
@@ -289,7 +289,7 @@ def parts(source: Source, layout: Layout, names: Sequence[str], prepare: Prepare
 
 def gather(source: Source, spec: ModelSpec, layout: Layout, prepare: Prepare) -> list[History]:
     """One pass over the recording: a history per component. Raises DataError where a component has no row."""
-    histories = [_begun(source.ends, component, layout, prepare) for component in spec.components]
+    histories = [_new_history(source.ends, component, layout, prepare) for component in spec.components]
     names = sorted({n for h in histories for n in h.names})
     with solve.one_thread():
         for part in parts(source, layout, names, prepare):
@@ -301,7 +301,7 @@ def gather(source: Source, spec: ModelSpec, layout: Layout, prepare: Prepare) ->
     return histories
 
 
-def _begun(ends: Recording, component: ComponentSpec, layout: Layout, prepare: Prepare) -> History:
+def _new_history(ends: Recording, component: ComponentSpec, layout: Layout, prepare: Prepare) -> History:
     watched = _Watched(ends.manifest, prepare(ends).frame)
     slots, width, _ = slots_of(watched, [(component.component, component.terms)])
     moving = tuple(s for s in slots if s.term.drivers(watched) or not s.term.rowwise)
@@ -358,8 +358,8 @@ def _sampled(layout: Layout, run: int, begin: int, count: int) -> np.ndarray:
     every = -(-layout.rows // SAMPLE_ROWS)
     stretch = max(SHORTEST, min(STRETCH, SAMPLE_ROWS // len(layout.runs)))
     period = every * stretch
-    room = max(1, min(int(layout.lengths[run]), period) - stretch + 1)
-    first = (run * 2_654_435_761) % room  # Knuth's multiplicative hash: another place in every run
+    buffer = max(1, min(int(layout.lengths[run]), period) - stretch + 1)
+    first = (run * 2_654_435_761) % buffer  # Knuth's multiplicative hash: another place in every run
     starts = first - begin + period * np.arange((begin - first) // period, (begin + count - first) // period + 1)
     rows = (starts[:, None] + np.arange(stretch)).ravel()
     return rows[(rows >= 0) & (rows < count)]

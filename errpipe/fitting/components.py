@@ -83,8 +83,8 @@ def solved(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> ErrorMode
     return whole_model(recording, spec, mask, models)
 
 
-def solved_plainly(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> ErrorModel:
-    """`solved` without intervals and without asking whether parameters can be told apart: for predictions alone."""
+def solved_without_intervals(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> ErrorModel:
+    """`solved` without intervals and without asking whether parameters can be distinguished: for predictions alone."""
     models: list[ComponentModel] = []
     for group in groups_of(spec):
         problem, solution = solve_group(recording, spec, group, mask, intervals=False)
@@ -100,9 +100,9 @@ def _values(slot: Slot, estimate: Estimate) -> FittedTerm:
     inner = dict(
         zip((p.name for p in term.nonlinear()), inner_values(term, estimate.nonlinear[slot.searched]), strict=True)
     )
-    told = [(p, gains[p.name]) for p in term.linear()] + [(p, inner[p.name]) for p in term.nonlinear()]
+    values = [(p, gains[p.name]) for p in term.linear()] + [(p, inner[p.name]) for p in term.nonlinear()]
     return FittedTerm(
-        term=plain(term), parameters=tuple(FittedParameter(name=p.name, value=float(v), unit=p.unit) for p, v in told)
+        term=plain(term), parameters=tuple(FittedParameter(name=p.name, value=float(v), unit=p.unit) for p, v in values)
     )
 
 
@@ -199,8 +199,8 @@ def fitted_term(slot: Slot, estimate: Estimate, width: int, unit: str) -> Fitted
         value = float(estimate.coefficients[gains[p.name]])
         error = float(np.sqrt(max(estimate.covariance[gains[p.name], gains[p.name]], 0.0)))
         half = half_width(error, estimate.freedom)
-        told = {"unit": unit_in(p.unit, unit), "standard_error": error, "note": _remark(p, value)}
-        out.append(FittedParameter(name=p.name, value=value, ci95=(value - half, value + half), **told))
+        facts = {"unit": unit_in(p.unit, unit), "standard_error": error, "note": _remark(p, value)}
+        out.append(FittedParameter(name=p.name, value=value, ci95=(value - half, value + half), **facts))
     values = inner_values(term, estimate.nonlinear[slot.searched])
     places = iter(range(width + slot.searched.start, width + slot.searched.stop))
     for p, value in zip(term.nonlinear(), values, strict=True):

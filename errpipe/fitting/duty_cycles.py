@@ -5,10 +5,11 @@ The deviation since the start of run r, um, is a regression with random coeffici
     y = X (b + d_r) + e,    b ~ N(0, gain^2 I),  d_r ~ N(0, own^2 I),  e ~ N(0, noise^2 I)
 
 X: principal components of the thermal states (causes of `thermal_causes`, else rises) over every run, of unit rms.
-b holds in every run, d_r is one run's departure from it, which no other run can teach. What a run tells of b depends
-on its temperatures alone, so it is known for a run that was logged without a measured deviation: the posterior
-covariance of b after it, and the expected square of a prediction's error over all logged states, are computed before
-it is measured (Bayesian I-optimal design; Chaloner and Verdinelli 1995, Statistical Science 10:273).
+b holds in every run, d_r is one run's departure from it, which no other run can teach. The information on b
+depends on a run's temperatures alone, so it is known for a run that was logged without a measured deviation: the
+posterior covariance of b after it, and the expected square of a prediction's error over all logged states,
+are computed before it is measured (Bayesian I-optimal design; Chaloner and Verdinelli 1995,
+Statistical Science 10:273).
 """
 
 from __future__ import annotations
@@ -110,7 +111,7 @@ class DutyCycles:
         optimum = minimize(cost, centre, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02, "maxiter": 300})
         return self._posterior(np.exp(optimum.x), runs)
 
-    def taught(self, run: int, known: Known) -> np.ndarray:
+    def information_of(self, run: int, known: Known) -> np.ndarray:
         """Information on b of one run, measured or only logged, (p, p), 1/um2."""
         half = solve_triangular(self._factor(run, known.own, known.noise), self.runs[run].triangle, lower=True)
         return half.T @ half
@@ -121,7 +122,7 @@ class DutyCycles:
         Each run counts once whatever its length; a candidate of several runs is the mean over them.
         """
         weight = np.mean([r.square for r in self.runs.values()], axis=0)
-        after = [known.precision + self.taught(r, known) for r in candidate] or [known.precision]
+        after = [known.precision + self.information_of(r, known) for r in candidate] or [known.precision]
         return float(np.sqrt(np.mean([np.trace(np.linalg.solve(p, weight)) for p in after])))
 
     def irreducible(self, known: Known) -> float:

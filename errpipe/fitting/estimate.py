@@ -36,7 +36,7 @@ def estimate(
 ) -> Estimate:
     """Solve `problem` as `spec` asks. folds: row masks of the recording, for the strength of ridge.
 
-    Raises NotIdentifiable where the rows cannot tell parameters apart (not for ridge, which is the remedy).
+    Raises NotIdentifiable where the rows cannot distinguish parameters (not for ridge, which is the remedy).
     """
     if problem.width == 0:
         return _nothing(problem)

@@ -105,12 +105,6 @@ def usage(options: DesignOptions, days: int = 12, seed: int = 0) -> list[Plan]:
     return plans
 
 
-def customary(options: DesignOptions) -> list[Plan]:
-    """The usual plan: per day one speed, half a day of warming and half a day of cooling, from slow to fast."""
-    half = options.segments // 2
-    return [Plan((level,) * half + (0.0,) * (options.segments - half)) for level in options.levels if level > 0]
-
-
 def propose(
     done: Sequence[Plan],
     options: DesignOptions | None = None,

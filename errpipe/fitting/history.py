@@ -21,7 +21,7 @@ from errpipe.fitting.components import component_model, whole_model
 from errpipe.fitting.design import Problem
 from errpipe.fitting.estimate import Estimate
 from errpipe.fitting.judging import HeldOut, calibrated
-from errpipe.fitting.model import uncalibrated
+from errpipe.fitting.model import without_interval
 from errpipe.fitting.spec import ModelSpec
 from errpipe.fitting.validity import GAP, box, distance
 from errpipe.kernels import whitening
@@ -62,7 +62,7 @@ def hindrances(spec: ModelSpec, recording: Recording) -> list[str]:
             named = f"{term.term} of {component.component}"
             if term.free():
                 reasons.append(f"{named} (non-linear: fix {' and '.join(p.name for p in term.free())})")
-            elif not term.cuttable(recording) or term.settled(recording).penalty() is not None:
+            elif not term.splittable_in_batches(recording) or term.settled(recording).penalty() is not None:
                 reasons.append(named)
     return reasons
 
@@ -77,7 +77,7 @@ def fitted(source: Source, spec: ModelSpec, prepare: Prepare) -> ErrorModel:
     try:
         folds = all_left_out(histories, source.manifest)
     except DataError as why:
-        return uncalibrated(model, str(why))
+        return without_interval(model, str(why))
     return calibrated(model, {h.component: [f.held_out for f in fs] for h, fs in zip(histories, folds, strict=True)})
 
 
@@ -85,7 +85,7 @@ def _component(source: Source, history: History, spec: ModelSpec, prepare: Prepa
     sample, rows = history.sample(source.manifest), np.vstack(history.rows)
     k = np.flatnonzero(np.isfinite(rows.sum(axis=1)))
     rows, sequence = rows[k], _sequence(history, sample)[k]
-    width, total = history.width, batches.few_rows(history.factor())
+    width, total = history.width, batches.equivalent_rows(history.factor())
     number = int(sum(history.counts))
     response, y = total[:, -1] - total[:, -2], rows[:, -1] - rows[:, -2]
     problem = Problem(sample, (history.component,), (k,), y, sequence, history.slots, width, ())
@@ -138,7 +138,7 @@ def _estimate(source, history: History, problem: Problem, rows, solution: solve.
         if history.counts[k]:
             by_run.setdefault(run, []).append(k)
     weights = history.weights(b)
-    pulls = np.array([sum(history.pull(k, weights)[1:-2] for k in ks) for ks in by_run.values()])
+    pulls = np.array([sum(history.gradient(k, weights)[1:-2] for k in ks) for ks in by_run.values()])
     seen = solution.inverse @ (pulls.T @ pulls) @ solution.inverse
     spread = uncertainty.larger(noise.sigma**2 * solution.inverse @ gram @ solution.inverse, seen, len(by_run))
     lengths = np.array([sum(history.counts[k] for k in ks) for ks in by_run.values()])
@@ -182,7 +182,7 @@ def _left_out(history: History, sample: Recording, drivers: list[str]) -> list[F
     known = np.isfinite(rows.sum(axis=1))
     folds = []
     for label, train, test in _folds(history):
-        total, judged = batches.few_rows(history.factor(train)), np.flatnonzero(test[cells] & known)
+        total, judged = batches.equivalent_rows(history.factor(train)), np.flatnonzero(test[cells] & known)
         b = solve.least_squares(total[:, 1:-2], total[:, -1] - total[:, -2]).coefficients
         weights = history.weights(b)
         validity = box(sample, drivers, train[cells])

@@ -95,7 +95,7 @@ def _words(direction, scaled, names, recording, component) -> str:
         )
     why = _why(one, two, recording)
     return (
-        f"fit: {one} and {two} of {component} cannot be told apart: {why} (correlation {abs(r):.3f})."
+        f"fit: {one} and {two} of {component} cannot be distinguished: {why} (correlation {abs(r):.3f})."
         f"\n     {_remedy(one, two, recording)}"
     )
 

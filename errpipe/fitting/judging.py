@@ -14,7 +14,7 @@ import numpy as np
 from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
-from errpipe.fitting.components import evaluate, folds_of, groups_of, solved_plainly, without_nuisance
+from errpipe.fitting.components import evaluate, folds_of, groups_of, solved_without_intervals, without_nuisance
 from errpipe.fitting.design import Problem, assemble, response_name
 from errpipe.fitting.holdout import Fold, check
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
@@ -54,14 +54,14 @@ def judge(recording: Recording, spec: ModelSpec, fold: Fold) -> dict[str, HeldOu
     out = {}
     if spec.selection == "held-out":
         spec = select(recording, spec, fold.train)
-    model = solved_plainly(recording, spec, fold.train)
+    model = solved_without_intervals(recording, spec, fold.train)
     values = evaluate(model, recording)
     for group in groups_of(spec):
-        out.update(_left(recording, spec, group, fold, values, model))
+        out.update(_residual(recording, spec, group, fold, values, model))
     return out
 
 
-def _left(recording, spec: ModelSpec, group: Sequence[ComponentSpec], fold, values, model: ErrorModel):
+def _residual(recording, spec: ModelSpec, group: Sequence[ComponentSpec], fold, values, model: ErrorModel):
     usable = fold.test.copy()
     for component in group:
         usable &= np.isfinite(values[component.component])

@@ -33,7 +33,7 @@ def _scaled(pair: Lowered, gain: float) -> Lowered:
     return replace(pair, driver=d.Affine(weights=(gain,), of=(pair.driver,)))
 
 
-def left_behind(model: ErrorModel) -> dict[str, list[str]]:
+def uncompensated_terms(model: ErrorModel) -> dict[str, list[str]]:
     """Component -> ids of fitted terms that a controller cannot or must not compensate, and that `lower` leaves out."""
     return {c.component: [f.term["term"] for f in c.terms if not _lowered(f)] for c in model.components}
 

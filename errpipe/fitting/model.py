@@ -21,7 +21,7 @@ def fit(recording: Recording, spec: ModelSpec, *, rows: np.ndarray | None = None
 
     calibrate: refit without each hold-out group to size the 90 % prediction interval. Where the specification asks
     for selection, terms that held-out rows do not need are left out. Raises DataError where a response or a needed
-    column is missing, NotIdentifiable where the rows cannot tell parameters apart.
+    column is missing, NotIdentifiable where the rows cannot distinguish parameters.
     """
     mask = np.ones(len(recording), dtype=bool) if rows is None else np.asarray(rows, dtype=bool)
     chosen = select(recording, spec, mask) if spec.selection == "held-out" else spec
@@ -31,11 +31,11 @@ def fit(recording: Recording, spec: ModelSpec, *, rows: np.ndarray | None = None
     try:
         judged = judge_all(recording, spec, mask)
     except DataError as why:
-        return uncalibrated(model, str(why))
+        return without_interval(model, str(why))
     return calibrated(model, judged)
 
 
-def uncalibrated(model: ErrorModel, why: str) -> ErrorModel:
+def without_interval(model: ErrorModel, why: str) -> ErrorModel:
     """Nothing can be held out: the interval is that of the fitted rows, and a note says so."""
     components = tuple(
         c.model_copy(update={"half_width90": NORMAL90 * c.rms_after, "widening90": NORMAL90 * c.rms_after})

@@ -3,7 +3,7 @@
     deviation(t) = model(t) + share x (last reading - model when it was taken)
 
 The term behind `share` is held until the next reading. `share` is the slope of what the model leaves now on what it
-left at the last reading (lag regression through zero), within 0..1: 0 where a reading tells nothing of later rows, 1
+left at the last reading (lag regression through zero), within 0..1: 0 where a reading predicts nothing of later rows, 1
 where what is left does not change. It depends on how often readings come, and is estimated from held-out rows, never
 from rows that fitted the model. A Kalman filter of offset, gain error and late heat, with eight constants, was little
 better on seasons of a turning centre left out; at 1, 2, 4, 8, 16 readings in 8 h: winter 6.8, 3.5, 2.7, 2.2, 1.9 um
@@ -94,7 +94,7 @@ def by_readings(
         probed = schedule(recording, SHIFT / number) if number else np.zeros(len(recording), dtype=bool)
         if number and np.mean(probed) > 0.5:
             break
-        told = {}
+        residuals = {}
         for name, values in (("rms", left), ("rms_readings_alone", before)):
             last = [last_reading(run[r], v, probed[r]) for r, v in zip(rows, values, strict=True)]
             after = []
@@ -102,13 +102,13 @@ def by_readings(
                 others = [j for j in range(len(values)) if j != k]
                 share = share_of([values[j] for j in others], [last[j] for j in others])
                 after.append(own - share * last[k])
-            told[name] = after
+            residuals[name] = after
             if name == "rms":
                 share_of_all = share_of(values, last)
         levels.append(
             {"per_shift": number, "share": share_of_all}
-            | {name: _rms(np.concatenate(after)) for name, after in told.items()}
-            | {"groups": [{"label": g} | {n: _rms(a[k]) for n, a in told.items()} for k, g in enumerate(labels)]}
+            | {name: _rms(np.concatenate(after)) for name, after in residuals.items()}
+            | {"groups": [{"label": g} | {n: _rms(a[k]) for n, a in residuals.items()} for k, g in enumerate(labels)]}
         )
     bound = PLAUSIBLE * max(float(np.abs(v).max()) for v in left)
     return {"shift_h": SHIFT / 3600.0, "bound": bound, "levels": levels}

@@ -38,10 +38,10 @@ class Unknown:
         spread = np.geomspace if self.logarithmic else np.linspace
         return spread(self.low, self.high, STARTS)
 
-    def inward(self, value: float) -> float:
+    def to_search_scale(self, value: float) -> float:
         return float(np.log(value)) if self.logarithmic else float(value)
 
-    def outward(self, value: float) -> float:
+    def from_search_scale(self, value: float) -> float:
         # exp(log(bound)) may end a rounding error outside its bound.
         return float(np.clip(np.exp(value) if self.logarithmic else value, self.low, self.high))
 
@@ -64,7 +64,7 @@ def search(
         unexplained = _without(basis, response[:, None])[:, 0]
 
         def residual(inner: np.ndarray) -> np.ndarray:
-            outer = np.array([u.outward(v) for u, v in zip(unknowns, inner, strict=True)])
+            outer = np.array([u.from_search_scale(v) for u, v in zip(unknowns, inner, strict=True)])
             columns = moving(outer)
             if not np.isfinite(columns).all():  # the term is undefined here on these rows
                 return unexplained
@@ -72,24 +72,24 @@ def search(
             return unexplained - columns @ _coefficients(columns, unexplained)
 
         starts = _sweep(residual, unknowns) if begin is None else [begin]
-        lower = np.array([u.inward(u.low) for u in unknowns])
-        upper = np.array([u.inward(u.high) for u in unknowns])
+        lower = np.array([u.to_search_scale(u.low) for u in unknowns])
+        upper = np.array([u.to_search_scale(u.high) for u in unknowns])
         best, least = np.empty(0), np.inf
         for start in starts:
-            inside = np.clip([u.inward(v) for u, v in zip(unknowns, start, strict=True)], lower, upper)
+            inside = np.clip([u.to_search_scale(v) for u, v in zip(unknowns, start, strict=True)], lower, upper)
             step = 1e-6 * np.maximum(upper - lower, 1e-9)
             inside = np.clip(inside, lower + step, upper - step)
             optimum = least_squares(residual, inside, bounds=(lower, upper), x_scale="jac", xtol=1e-10, ftol=1e-12)
             if optimum.cost < least:
                 best, least = optimum.x, optimum.cost
-    return np.array([u.outward(v) for u, v in zip(unknowns, best, strict=True)])
+    return np.array([u.from_search_scale(v) for u, v in zip(unknowns, best, strict=True)])
 
 
 def _sweep(residual, unknowns: Sequence[Unknown]) -> list[np.ndarray]:
     """Starting points: one parameter at a time over its trial values, the others fixed, from several middles."""
 
     def cost(outer: np.ndarray) -> float:
-        e = residual(np.array([u.inward(v) for u, v in zip(unknowns, outer, strict=True)]))
+        e = residual(np.array([u.to_search_scale(v) for u, v in zip(unknowns, outer, strict=True)]))
         return float(e @ e)
 
     trials = [u.trial() for u in unknowns]

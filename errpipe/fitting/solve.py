@@ -203,6 +203,7 @@ def ridge(
     spread = spread_of(design, shrunk)
     unit = np.diag(np.where(shrunk, spread**2, 0.0)) * response.size
     tried = np.logspace(-7, 2, 28) if strengths is None else np.asarray(strengths)
+    folds = [fold for fold in folds if fold[0].any() and fold[1].any()]  # a run without a sensor has no usable row
     if folds:
         scores = np.array([_fold_errors(design, response, unit * s, folds) for s in tried])
         mean = scores.mean(axis=1)

@@ -64,20 +64,20 @@ def short_holes_held(recording: Recording, names: Iterable[str] | None = None) -
     return recording.with_columns(held, {}) if held else recording
 
 
-def seldom_logged(recording: Recording, names: Iterable[str]) -> list[str]:
+def sampled_less_often(recording: Recording, names: Iterable[str]) -> list[str]:
     """Those sensors that have a reading in every second row or less often."""
     return [n for n in names if _rows_between(np.flatnonzero(np.isfinite(recording.array(n)))) > 1]
 
 
 def longest_silence(recording: Recording, names: Iterable[str]) -> dict[str, float]:
-    """Seldom logged sensor -> s after which it counts as silent; empty for a recording without times.
+    """Sensor sampled less often than the rows -> s after which it counts as silent; empty without times.
 
     LONGEST_HELD times the usual time between two of its readings.
     """
     if recording.name("time") is None:
         return {}
-    time, seldom = recording.time(), seldom_logged(recording, names)
-    steps = {n: np.diff(time[np.isfinite(recording.array(n))]) for n in seldom}
+    time, names = recording.time(), sampled_less_often(recording, names)
+    steps = {n: np.diff(time[np.isfinite(recording.array(n))]) for n in names}
     return {name: LONGEST_HELD * float(np.nanmedian(step)) for name, step in steps.items()}
 
 

@@ -75,7 +75,7 @@ def noise_model(sequence: np.ndarray, jacobian: np.ndarray, residual: np.ndarray
 
 
 def _longest_memory(sequence: np.ndarray) -> float:
-    """A memory beyond a quarter of a run cannot be told from a trend in it: rho is capped there."""
+    """A memory beyond a quarter of a run cannot be distinguished from a trend in it: rho is capped there."""
     lengths = np.unique(sequence, return_counts=True)[1]
     return min(0.9995, max(0.9, 1.0 - 4.0 / float(lengths.max())))
 

@@ -16,7 +16,7 @@ Jones 1976; Gertler 1998). With x the readings and C the covariance of u for hea
 What stands in for a failed reading:
 
     r_i = x_i - sum v_ij x_j, less its value at the start     residual of the best estimate of a shift's changes
-    m_i = lag(r_i, settle) as it was when the largest s^2 was last below SUSPECT and x_i moved
+    m_i = lag(r_i, settle) as it was when the largest s^2 was last below QUIET_SHARE and x_i moved
     guarded reading = x_i - f_i,  f_i = r_i - m_i + sum v_ij f_j over failed j: the last trusted reading, carried on
                by its estimate from the others. Solved exactly for two failed sensors, approximately for more (frozen).
                Where one sensor fails alone, r_i = x_i - sum p_ij x_j - sum q_ij lag(x_j, horizon): bodies of a machine
@@ -28,7 +28,7 @@ driver, causally. Empty, impossible and racing readings are caught before, by ea
 
 Limits. A fault that is there at the start and constant does not show, and does no harm to a model of rises. Drifts so
 slow that `horizon` forgets them do not show either: the smallest fault per sensor is `smallest`, in K per horizon.
-Two sensors that always move together cannot be told apart: the ridge is raised until no fault shows in another
+Two sensors that always move together cannot be distinguished: the ridge is raised until no fault shows in another
 sensor by more than MAX_CORRELATION of its own size (`errpipe.guard.learn`).
 """
 

@@ -14,8 +14,8 @@ from errpipe.guard import composed as c
 from errpipe.guard.description import SensorGuard
 
 WARM_UP = 3.0  # freeze times after the start before stillness means anything: its lag has then settled to 5 %
-ALIVE = 4.0  # times `still`: hysteresis, a frozen sensor must be that alive again to be believed (taste)
-SUSPECT = 0.36  # of the squared threshold: from here up residuals are no longer remembered; 0.25 to 0.5 do alike
+REVIVED = 4.0  # times `still`: hysteresis, a frozen sensor must be that alive again to be believed (taste)
+QUIET_SHARE = 0.36  # of the squared threshold: from here up residuals are no longer remembered; 0.25 to 0.5 do alike
 UNTIL_RESTART = -1.0  # a switch's lower level that no flag or square ever reaches
 AGE_S = 1e6  # time constant of how long a sensor has been blamed: above any shift
 TIE = 1e-6  # relative: below single precision's rounding of a sum, above double's
@@ -70,7 +70,7 @@ def _largest(values: tuple[d.Driver, ...]) -> tuple[tuple[d.Driver, ...], d.Driv
 
 
 @shared
-def blamed(guard: SensorGuard) -> tuple[d.Driver, ...]:
+def isolated(guard: SensorGuard) -> tuple[d.Driver, ...]:
     """1 once a sensor's residual has been the largest and above the threshold, until the next start; else 0."""
     (top, most), (second, left) = _first(guard), _second(guard)
     over = d.Switch(of=most, on=1.0, off=1.0 - TIE)
@@ -84,13 +84,13 @@ def blamed(guard: SensorGuard) -> tuple[d.Driver, ...]:
 
 
 @shared
-def _first_two(guard: SensorGuard) -> tuple[d.Driver, ...]:
+def _first_two_isolated(guard: SensorGuard) -> tuple[d.Driver, ...]:
     """1 for the sensors that were blamed first and second, else 0.
 
     A third one would have to be judged without both, and with their readings in every residual it is mostly healthy:
     replaced by an estimate that is solved for two it is worse than its own reading.
     """
-    flags = blamed(guard)
+    flags = isolated(guard)
     ages = tuple(d.Lag(of=flag, tau_up=AGE_S, tau_down=AGE_S, start="zero") for flag in flags)
     oldest, _ = _largest(ages)
     younger = tuple(d.Product(of=(age, c.none_of(o))) for age, o in zip(ages, oldest, strict=True))
@@ -101,7 +101,7 @@ def _first_two(guard: SensorGuard) -> tuple[d.Driver, ...]:
 
 
 @shared
-def stillness(guard: SensorGuard, name: str) -> d.Driver:
+def activity(guard: SensorGuard, name: str) -> d.Driver:
     """How much alive one reading is: the lagged square of its own quick part, K2."""
     reading = d.Input(name=name)
     moving = d.Affine(weights=(1.0, -1.0), of=(reading, c.lag(reading, guard.freeze_s)))
@@ -118,19 +118,19 @@ def frozen(guard: SensorGuard) -> tuple[d.Driver, ...]:
         if s.still is None:
             out.append(d.Constant(value=0.0))
             continue
-        alive = d.Affine(weights=(-1.0,), of=(stillness(guard, s.name),))
-        out.append(d.Product(of=(d.Switch(of=alive, on=-s.still, off=-ALIVE * s.still), settled)))
+        alive = d.Affine(weights=(-1.0,), of=(activity(guard, s.name),))
+        out.append(d.Product(of=(d.Switch(of=alive, on=-s.still, off=-REVIVED * s.still), settled)))
     return tuple(out)
 
 
 @shared
 def faults(guard: SensorGuard) -> tuple[d.Driver, ...]:
     """1 while a reading is not believed; else 0."""
-    return tuple(c.any_of(*pair) for pair in zip(_first_two(guard), frozen(guard), strict=True))
+    return tuple(c.any_of(*pair) for pair in zip(_first_two_isolated(guard), frozen(guard), strict=True))
 
 
 @shared
-def calm(guard: SensorGuard) -> d.Driver:
+def all_quiet(guard: SensorGuard) -> d.Driver:
     """One driver: 1 while no sensor is at fault and no residual near the threshold; else 0."""
-    suspect = d.Switch(of=_first(guard)[1], on=SUSPECT, off=SUSPECT - TIE)
+    suspect = d.Switch(of=_first(guard)[1], on=QUIET_SHARE, off=QUIET_SHARE - TIE)
     return c.none_of(*faults(guard), suspect)

@@ -33,8 +33,8 @@ MAX_RATE = 3.0  # times the fastest change seen of a healthy reading
 # (`trials.thermal`, seed 102, machine 2).
 RANGE_SHARE, RANGE_K = 0.5, 25.0
 REACH = 2.0  # times the largest residual of healthy readings
-LIVELY = 0.2  # quantile: a healthy reading is stiller only so much of the time
-FAINTEST = 1e-8  # of the median liveliness: below it a frozen sensor would be noticed after days
+ACTIVE = 0.2  # quantile: a healthy reading is stiller only so much of the time
+LEAST_ACTIVITY = 1e-8  # of the median liveliness: below it a frozen sensor would be noticed after days
 LEAST_HOURS = 10.0  # h of recording to learn from
 
 
@@ -79,7 +79,7 @@ def learn(
                 present=tuple(map(float, late[i, : len(names)])),
                 past=tuple(map(float, late[i, len(names) :])),
                 reach=float(max(REACH * max(largest[i], largest_late[i]), 1e-3)),
-                lively=float(np.quantile(alive[:, i], LIVELY)) or None,
+                lively=float(np.quantile(alive[:, i], ACTIVE)) or None,
                 still=_still(alive[:, i], rows, per_hour / len(names), freeze_s),
             )
             for i, name in enumerate(names)
@@ -220,4 +220,4 @@ def _still(alive: np.ndarray, rows: Healthy, per_hour: float, freeze_s: float) -
         return None
     kept = Healthy(rows.x[late], rows.run[late], rows.t[late], rows.group[late])
     level = np.exp(-kept.rare(-np.log(alive[late]), per_hour, max_shape=1e-6))
-    return float(level) if level > FAINTEST * np.median(alive[late]) else None
+    return float(level) if level > LEAST_ACTIVITY * np.median(alive[late]) else None

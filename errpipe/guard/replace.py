@@ -8,7 +8,7 @@ from __future__ import annotations
 from errpipe.domain import driver as d
 from errpipe.guard import composed as c
 from errpipe.guard.description import SensorGuard
-from errpipe.guard.detect import TIE, calm, faults, shared, stillness
+from errpipe.guard.detect import TIE, activity, all_quiet, faults, shared
 
 LONGEST_S = 1e9  # of a session: the clock that rises beside remembered values has this time constant
 
@@ -28,7 +28,7 @@ def guarded(driver: d.Driver, guard: SensorGuard) -> d.Driver:
 @shared
 def readings(guard: SensorGuard) -> tuple[d.Driver, ...]:
     """Per sensor the reading while it is believed, else what stands in for it."""
-    failed, gone = faults(guard), tuple(_gone(guard, i) for i in range(len(guard.sensors)))
+    failed, gone = faults(guard), tuple(_shift_since_trusted(guard, i) for i in range(len(guard.sensors)))
     alone = tuple(d.Product(of=pair) for pair in zip(failed, gone, strict=True))
     weights = [s.estimate for s in guard.sensors]
     out = []
@@ -40,34 +40,38 @@ def readings(guard: SensorGuard) -> tuple[d.Driver, ...]:
         )
         shown = tuple(weights[i][j] / (1.0 - b) for j, b in both.items())
         together = d.Affine(weights=(1.0, *shown), of=(d.Product(of=(gone[i], own)), *(alone[j] for j in others)))
-        single = d.Product(of=(_single(guard), _gone_late(guard, i)))
-        fault = d.Affine(weights=(1.0, 1.0, -1.0), of=(together, single, d.Product(of=(_single(guard), together))))
+        single = d.Product(of=(_at_most_one_fault(guard), _lagged_shift_since_trusted(guard, i)))
+        fault = d.Affine(
+            weights=(1.0, 1.0, -1.0), of=(together, single, d.Product(of=(_at_most_one_fault(guard), together)))
+        )
         out.append(d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), d.Product(of=(failed[i], fault)))))
     return tuple(out)
 
 
 @shared
-def _gone(guard: SensorGuard, i: int) -> d.Driver:
+def _shift_since_trusted(guard: SensorGuard, i: int) -> d.Driver:
     """r - m: how far one reading has moved from its estimate since it was last trusted."""
     weights = tuple(1.0 if j == i else -v for j, v in enumerate(guard.sensors[i].estimate))
-    return _moved(guard, i, d.Affine(weights=weights, of=tuple(d.Input(name=n) for n in guard.names())), guard.settle_s)
+    return _residual_shift(
+        guard, i, d.Affine(weights=weights, of=tuple(d.Input(name=n) for n in guard.names())), guard.settle_s
+    )
 
 
 @shared
-def _single(guard: SensorGuard) -> d.Driver:
+def _at_most_one_fault(guard: SensorGuard) -> d.Driver:
     """1 while at most one sensor is at fault; else 0."""
     failed = faults(guard)
     return d.Switch(of=d.Affine(weights=(-1.0,) * len(failed), of=failed), on=-1.5, off=-1.5 - TIE)
 
 
 @shared
-def _gone_late(guard: SensorGuard, i: int) -> d.Driver:
+def _lagged_shift_since_trusted(guard: SensorGuard, i: int) -> d.Driver:
     """The same for a sensor that fails alone, by the estimate that knows the others' past."""
     sensor, inputs = guard.sensors[i], [d.Input(name=n) for n in guard.names()]
     past = [c.lag(x, guard.horizon_s) for x in inputs]
     weights = [1.0 if j == i else -p for j, p in enumerate(sensor.present)]
     used = [j for j in range(len(inputs)) if j != i]
-    return _moved(
+    return _residual_shift(
         guard,
         i,
         d.Affine(weights=(*weights, *(-sensor.past[j] for j in used)), of=(*inputs, *(past[j] for j in used))),
@@ -75,30 +79,30 @@ def _gone_late(guard: SensorGuard, i: int) -> d.Driver:
     )
 
 
-def _moved(guard: SensorGuard, i: int, residual_of: d.Driver, settle: float) -> d.Driver:
+def _residual_shift(guard: SensorGuard, i: int, residual_of: d.Driver, settle: float) -> d.Driver:
     """How far a residual has moved since sensor i was last trusted."""
     sensor = guard.sensors[i]
     residual = c.since_start(residual_of)
     within = d.Clip(of=residual, low=-sensor.reach, high=sensor.reach)
-    return d.Affine(weights=(1.0, -1.0), of=(residual, _remembered(guard, i, c.lag(within, settle))))
+    return d.Affine(weights=(1.0, -1.0), of=(residual, _value_at_last_quiet(guard, i, c.lag(within, settle))))
 
 
-def _remembered(guard: SensorGuard, i: int, value: d.Driver) -> d.Driver:
+def _value_at_last_quiet(guard: SensorGuard, i: int, value: d.Driver) -> d.Driver:
     """The value as it was when all was last calm and this sensor moved.
 
     No operation holds a value that may fall; so a clock is added that rises faster, and subtracted once both are held.
     """
     sensor = guard.sensors[i]
-    gate = calm(guard)
+    gate = all_quiet(guard)
     if sensor.lively is not None:
-        moving = d.Switch(of=stillness(guard, sensor.name), on=sensor.lively, off=sensor.lively * (1.0 - TIE))
+        moving = d.Switch(of=activity(guard, sensor.name), on=sensor.lively, off=sensor.lively * (1.0 - TIE))
         gate = d.Product(of=(gate, moving))
-    rising = d.Affine(weights=(1.0, 1.0), of=(value, _clock(guard)))
-    return d.Affine(weights=(1.0, -1.0), of=(c.held(rising, gate), c.held(_clock(guard), gate)))
+    rising = d.Affine(weights=(1.0, 1.0), of=(value, _rising_clock(guard)))
+    return d.Affine(weights=(1.0, -1.0), of=(c.held(rising, gate), c.held(_rising_clock(guard), gate)))
 
 
 @shared
-def _clock(guard: SensorGuard) -> d.Driver:
+def _rising_clock(guard: SensorGuard) -> d.Driver:
     """Rises without end, faster than anything that is remembered, K."""
     fastest = max(2.0 * s.reach / guard.settle_s for s in guard.sensors)
     return d.Lag(of=d.Constant(value=2.0 * fastest * LONGEST_S), tau_up=LONGEST_S, tau_down=LONGEST_S, start="zero")

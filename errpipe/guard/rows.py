@@ -52,7 +52,7 @@ class Healthy:
     def rare(self, values: np.ndarray, per_hour: float, max_shape: float = MAX_SHAPE) -> float:
         """The level that values (rows,) exceed `per_hour` times an hour; no less than the largest value seen."""
         _, first = np.unique(self._stretches(BLOCK_S), return_index=True)
-        return rare_level(self._per_stretch(values, BLOCK_S, np.max)[first], per_hour * BLOCK_S / 3600, max_shape)
+        return return_level(self._per_stretch(values, BLOCK_S, np.max)[first], per_hour * BLOCK_S / 3600, max_shape)
 
     def _starts(self) -> np.ndarray:
         first = np.r_[True, self.run[1:] != self.run[:-1]]
@@ -79,7 +79,7 @@ def rows_of(recording: Recording, names: tuple[str, ...], group: str | None) -> 
     return Healthy(x[whole], sessions(recording)[whole], recording.time()[whole], labels[whole])
 
 
-def rare_level(largest: np.ndarray, per_block: float, max_shape: float = MAX_SHAPE) -> float:
+def return_level(largest: np.ndarray, per_block: float, max_shape: float = MAX_SHAPE) -> float:
     """The level that the largest value of a block exceeds with a frequency `per_block`; at least the largest seen.
 
     Generalised extreme-value law by L-moments (Hosking, Wallis and Wood 1985, Technometrics 27:251, equations 14 and

@@ -51,8 +51,9 @@ class Rows(NamedTuple):
 class Mode(NamedTuple):
     """The modes in force that no plain block changes, and what limits a segment.
 
-    scale: mm per unit; first, second, through: axes of the plane; centres: whether I, J, K are increments;
-    longest, chord_error: mm; segments: most of a block; coordinate, radius: largest words; line: longest, characters.
+    scale: mm per unit; first, second, through: axes of the plane; named: whether the program named them; centres:
+    whether I, J, K are increments; longest, chord_error: mm; segments: most of a block; coordinate, radius: largest
+    words; line: longest, characters.
     """
 
     scale: float
@@ -60,6 +61,7 @@ class Mode(NamedTuple):
     first: int
     second: int
     through: int
+    named: bool
     centres: bool
     longest: float
     chord_error: float
@@ -196,6 +198,8 @@ def _centre(value, seen, here, goal, mode, clockwise):
     a, b = mode.first, mode.second
     if seen >> (6 + mode.through) & 1 or not mode.centres:
         return 0.0, 0.0, False
+    if not mode.named and seen >> mode.through & 1 and not seen >> b & 1:
+        return 0.0, 0.0, False
     for n in range(6, 10):
         if seen >> n & 1 and not abs(value[n]) <= mode.radius:
             return 0.0, 0.0, False
@@ -211,7 +215,7 @@ def _centre(value, seen, here, goal, mode, clockwise):
 
 
 @bare_kernel
-def _turning_from_nowhere(seen, here):
+def _from_unknown_angle(seen, here):
     """Whether a rotary axis is named of which nobody knows where it stands."""
     nowhere = False
     for n in range(_ROTARY, here.size):
@@ -232,7 +236,7 @@ def _path(value, seen, motion, here, goal, mode, points):
         shape = arc_shape(here, goal, x, y, mode.first, mode.second, motion == 3, 1, mode.chord_error, mode.longest)
         error = chord_error_of(shape)
     pieces = straight_pieces(here, goal, mode.longest) if motion == 1 else shape[4]
-    if pieces > mode.segments or (pieces > 1 and _turning_from_nowhere(seen, here)):
+    if pieces > mode.segments or (pieces > 1 and _from_unknown_angle(seen, here)):
         return 0, error
     if pieces > points.shape[0]:
         return -1, error

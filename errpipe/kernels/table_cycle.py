@@ -100,7 +100,7 @@ def reset(program, state):
     for n in range(state.nodes.size):
         own = state.nodes[n]
         own.value = own.memory = 0.0
-        own.ready = own.told = 0
+        own.ready = own.stated = 0
     for o in range(state.outputs.size):
         own = state.outputs[o]
         if program.rules == 1:

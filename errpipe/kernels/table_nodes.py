@@ -46,20 +46,20 @@ def moved_side(x, known, side, memory, threshold):
 
 @bare_kernel
 def recall(own, x, way, threshold, started):
-    """Undo what the last reading did where it stands alone between two that agree, or was alone in telling a way."""
+    """Undo what the last reading did where it is alone between two that agree, or alone states a direction."""
     if not started:
         own.last = own.before = x
     moved, away = x - own.last, x - own.before
     far = moved > threshold or -moved > threshold
     agrees = not (away > threshold or -away > threshold)
-    if started and agrees and (own.news != 0 or (own.doubt != 0 and far)):
+    if started and agrees and (own.changed != 0 or (own.departed != 0 and far)):
         own.value, own.memory = own.kept_value, own.kept_memory
         far = False
     own.kept_value, own.kept_memory = own.value, own.memory
-    own.doubt = 1 if own.stands != 0 and far else 0
-    own.stands = 0 if far else 1
-    own.news = 1 if way != 0 and way != own.told else 0
-    own.told = way
+    own.departed = 1 if own.steady != 0 and far else 0
+    own.steady = 0 if far else 1
+    own.changed = 1 if way != 0 and way != own.stated else 0
+    own.stated = way
     own.before, own.last = own.last, x
 
 
@@ -90,6 +90,32 @@ def is_ready(node, operands, state, inputs):
 
 
 @bare_kernel
+def lag(own, node, u, dt, replay, started):
+    """First-order lag of an operand that is held over the cycle; replaying, dt is the time since the row before."""
+    before, y = own.memory, own.value
+    own.memory = u
+    if not started:
+        return 0.0 if node.flags & START_ZERO else u
+    if replay:
+        alpha = exp(-(dt / (node.a if before >= y else node.b)))
+    else:
+        alpha = node.c if before >= y else node.d
+    return before + (y - before) * alpha
+
+
+@bare_kernel
+def approach(own, node, x, side, started):
+    """What comes near the side, +1 or -1, exponentially over the way an axis has moved to x."""
+    way = x - own.memory
+    own.memory = x
+    if way < 0.0:
+        way = -way
+    if not started:
+        return side
+    return side - (side - own.value) * exp(-(way / node.a)) if way > 0.0 else own.value
+
+
+@bare_kernel
 def run_nodes(which, nodes, operands, lookups, state, inputs, common, dt, replay, recalls):
     """Run nodes in order; what is not finite counts as 0. recalls: single readings are undone. Returns status bits."""
     status = 0
@@ -116,16 +142,7 @@ def run_nodes(which, nodes, operands, lookups, state, inputs, common, dt, replay
             for k in range(begin + 1, begin + node.count):
                 u = u * state[operands[k].number].value
         elif op == LAG:
-            before, y = own.memory, own.value
-            own.memory = u
-            if not started:
-                u = 0.0 if node.flags & START_ZERO else u
-            else:
-                if replay:
-                    alpha = exp(-(dt / (node.a if before >= y else node.b)))
-                else:
-                    alpha = node.c if before >= y else node.d
-                u = before + (y - before) * alpha
+            u = lag(own, node, u, dt, replay, started)
         elif op == FIRST:
             u = own.value if started else u
         elif op == CONSTANT:
@@ -148,15 +165,7 @@ def run_nodes(which, nodes, operands, lookups, state, inputs, common, dt, replay
         elif op == APPROACH:
             if recalls:
                 recall(own, u, 0, node.b, started)
-            side = state[operands[begin + 1].number].value
-            way = u - own.memory
-            own.memory = u
-            if way < 0.0:
-                way = -way
-            if not started:
-                u = side
-            else:
-                u = side - (side - own.value) * exp(-(way / node.a)) if way > 0.0 else own.value
+            u = approach(own, node, u, state[operands[begin + 1].number].value, started)
         else:
             u = lookup(lookups, node.other, np.int64(node.others) - 1, (u - node.a) * node.c)
         if not (u >= -LARGEST and u <= LARGEST):

@@ -297,7 +297,7 @@ def fill(program, plan, node_fixed, profile_fixed, buffers):
 
 
 @kernel
-def room(program, plan):
+def workspace(program, plan):
     """Buffers for one table."""
     sums = np.zeros((plan.components + program.profiles.size, BLOCK))
     inputs, nodes = np.zeros((program.inputs.size, BLOCK)), np.zeros((program.nodes.size, BLOCK))
@@ -313,7 +313,7 @@ def evaluate(program, plan, points, moving, node_fixed, node_moves, profile_fixe
     moving: numbers of the inputs in `points`; *_fixed: values where nothing below moves; fade: what the fixed
     inputs leave.
     """
-    buffers = room(program, plan)
+    buffers = workspace(program, plan)
     fill(program, plan, node_fixed, profile_fixed, buffers)
     return run_blocks(program, plan, points, moving, node_fixed, node_moves, fade, buffers, out)
 

@@ -79,7 +79,7 @@ def condition(inputs, substitutes, state, readings, fresh, dt, unwatched, therma
             own.seen = own.usable = 1
         else:
             doubtful += 1
-    return stand_in(inputs, substitutes, state) if doubtful else 0
+    return substitute(inputs, substitutes, state) if doubtful else 0
 
 
 @bare_kernel
@@ -102,7 +102,7 @@ def show(inputs, state, every, clamped):
 
 
 @bare_kernel
-def stand_in(inputs, substitutes, state):
+def substitute(inputs, substitutes, state):
     """What replaces the readings that are not believed; status bits as in `condition`."""
     status = 0
     for i in range(inputs.size):
@@ -120,7 +120,7 @@ def stand_in(inputs, substitutes, state):
             if state[substitutes[s].number].fault != 0:
                 whole = False
         if whole:
-            v = channel.offset
+            v = channel.substitute_offset
             for s in range(begin, begin + channel.count):
                 v = v + substitutes[s].weight * state[substitutes[s].number].good
             if v < channel.low:

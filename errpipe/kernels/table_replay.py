@@ -38,8 +38,8 @@ from errpipe.kernels.table_position import BLOCK, Buffers, fade_block, node_bloc
 from errpipe.kernels.table_readings import follows
 
 
-class Room(NamedTuple):
-    """Room that a replay works in. kept_*: the state before a block, for a block that does not stand."""
+class Workspace(NamedTuple):
+    """Workspace that a replay works in. kept_*: the state before a block, for a block that does not stand."""
 
     buffers: Buffers
     node_fixed: np.ndarray  # (nodes,) values of the constants
@@ -51,7 +51,7 @@ class Room(NamedTuple):
 
 
 @bare_kernel
-def all_sane(values):
+def all_in_range(values):
     """Whether every value is a number that a table may hold."""
     sane = 0
     for k in range(values.size):
@@ -220,43 +220,43 @@ def limit_block(output, own, deviation, correction, status):
 
 
 @bare_kernel
-def block_of_readings(program, room, state, columns, begin, end):
+def block_of_readings(program, workspace, state, columns, begin, end):
     """Inputs of a block; False where a reading is doubtful."""
-    inside, size = room.buffers.spare[1], end - begin
+    inside, size = workspace.buffers.spare[1], end - begin
     inside[:] = 1.0
     for i in range(program.inputs.size):
-        channel, own, v = program.inputs[i], state.inputs[i], room.buffers.inputs[i, :size]
-        if not believe_block(channel, own, columns[i, begin:end], room.dt[:size], program.thermal_s, v):
+        channel, own, v = program.inputs[i], state.inputs[i], workspace.buffers.inputs[i, :size]
+        if not believe_block(channel, own, columns[i, begin:end], workspace.dt[:size], program.thermal_s, v):
             return False
         show_block(channel, own, v, inside[:size], program.rules > 1)
     return True
 
 
 @bare_kernel
-def block_of_nodes(program, room, state, size):
+def block_of_nodes(program, workspace, state, size):
     """Drivers of a block; False where a value is none."""
-    nodes, inputs = room.buffers.nodes, room.buffers.inputs
+    nodes, inputs = workspace.buffers.nodes, workspace.buffers.inputs
     for n in range(program.nodes.size):
-        if room.node_moves[n]:
+        if workspace.node_moves[n]:
             node, own, out = program.nodes[n], state.nodes[n], nodes[n, :size]
             begin = np.int64(node.first)
             u = nodes[program.operands[begin].number, :size] if node.count > 0 else out
             v = nodes[program.operands[begin + 1].number, :size] if node.count > 1 else out
-            if not state_block(node, own, u, v, room.dt[:size], room.decay, out):
+            if not state_block(node, own, u, v, workspace.dt[:size], workspace.decay, out):
                 node_block(node, begin, program.operands, program.lookups, nodes, inputs, nodes[n])
-            if not all_sane(out):
+            if not all_in_range(out):
                 return False
             own.value = out[size - 1]
     return True
 
 
 @bare_kernel
-def block(program, plan, room, state, columns, begin, end, deviation, correction, status):
+def block(program, plan, workspace, state, columns, begin, end, deviation, correction, status):
     """Rows of one run that go on; False, and nothing changed but the results, where they must be taken one by one."""
-    buffers, size = room.buffers, end - begin
+    buffers, size = workspace.buffers, end - begin
     inside, marks = buffers.spare[1], status[begin:end]
-    if not block_of_readings(program, room, state, columns, begin, end) or not block_of_nodes(
-        program, room, state, size
+    if not block_of_readings(program, workspace, state, columns, begin, end) or not block_of_nodes(
+        program, workspace, state, size
     ):
         return False
     for k in range(size):
@@ -266,14 +266,14 @@ def block(program, plan, room, state, columns, begin, end, deviation, correction
         if own.input >= 0 and not program.same_grid[p] and not own.flags & PERIODIC:
             beyond_block(own, buffers.inputs[own.input, :size], marks)
     profile_blocks(program, plan, buffers.inputs, buffers.sums, buffers.intervals, buffers.spare[2])
-    sum_pairs(program.pairs, plan.opens, plan.alone, buffers.profiles, buffers.nodes, room.node_fixed,
-              room.node_moves, inside, buffers.sums)  # fmt: skip
+    sum_pairs(program.pairs, plan.opens, plan.alone, buffers.profiles, buffers.nodes, workspace.node_fixed,
+              workspace.node_moves, inside, buffers.sums)  # fmt: skip
     for o in range(program.outputs.size):
         own = program.outputs[o]
         total = deviation[o, begin:end]
         sum_terms(program.terms, np.int64(own.first), np.int64(own.count), buffers.sums, buffers.nodes,
                   buffers.spare[0], total)  # fmt: skip
-        if not all_sane(total):
+        if not all_in_range(total):
             return False
         limit_block(own, state.outputs[o], total, correction[o, begin:end], marks)
     common = state.common[0]
@@ -290,7 +290,7 @@ def keep(there, here):
 
 
 @bare_kernel
-def replay(program, plan, room, state, columns, t, run, before, begin, deviation, correction, status):
+def replay(program, plan, workspace, state, columns, t, run, before, begin, deviation, correction, status):
     """Replay rows from `begin` on, block after block, as `table_cycle.replay` does; returns the first that is left:
     where the run ends, or a block begins that does not stand.
     """
@@ -299,12 +299,12 @@ def replay(program, plan, room, state, columns, t, run, before, begin, deviation
         end = k + 1
         while end < rows and end < k + BLOCK and run[end] == run[k]:
             end += 1
-        steps(t[k:end], before, room.dt[: end - k])
-        keep(room.kept_inputs, state.inputs)
-        keep(room.kept_nodes, state.nodes)
-        if not block(program, plan, room, state, columns, k, end, deviation, correction, status):
-            keep(state.inputs, room.kept_inputs)
-            keep(state.nodes, room.kept_nodes)
+        steps(t[k:end], before, workspace.dt[: end - k])
+        keep(workspace.kept_inputs, state.inputs)
+        keep(workspace.kept_nodes, state.nodes)
+        if not block(program, plan, workspace, state, columns, k, end, deviation, correction, status):
+            keep(state.inputs, workspace.kept_inputs)
+            keep(state.nodes, workspace.kept_nodes)
             break
         k, before = end, t[end - 1]
     return k

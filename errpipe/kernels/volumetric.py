@@ -6,8 +6,6 @@ The chain is a flat list of factors from workpiece to tool. kind 0: straight mot
 machine coordinates with all axes at zero, so a factor needs no frame of its own.
 
 Deviations come out in the workpiece's frame: three shifts in um, then three angles in urad.
-
-Longer than 400 lines: the whole volumetric cycle, which Numba compiles and caches as one unit.
 """
 
 from __future__ import annotations
@@ -394,12 +392,3 @@ def linear_axes(q, tip, axes, facts, rows, nodes, out):
         out[p] = sx
         out[p + U(1)] = sy
         out[p + U(2)] = sz
-
-
-@kernel
-def touch(q, tip, out):
-    """The memory floor of `linear_axes`: the same bytes read and written, no arithmetic to speak of."""
-    for i in range(q.shape[0]):
-        out[i, 0] = q[i, 0] + tip[i, 0]
-        out[i, 1] = q[i, 1] + tip[i, 1]
-        out[i, 2] = q[i, 2] + tip[i, 2]

@@ -327,13 +327,13 @@ def _conventions(curve: Curve, zero: float) -> Curve:
     if c.kind in ("positioning", "angular positioning"):
         line = np.full(len(p), np.interp(zero, p, mean))
     elif c.is_straightness:
-        line, slope, error = straight_part(p, mean)
+        line, slope, error = line_fit(p, mean)
     else:
         line = np.full(len(p), np.trapezoid(mean, p) / (p[-1] - p[0]))
     return Curve(curve.component, p, curve.up - line, curve.down - line, curve.error, slope, error)
 
 
-def straight_part(position: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarray, float, float]:
+def line_fit(position: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarray, float, float]:
     """Least-squares line of a straightness (um over mm): its values, slope in urad, and standard error of the slope."""
     p = np.asarray(position, dtype=float)
     design = np.column_stack([np.ones(len(p)), p - p.mean()])

@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from errpipe.domain.components import parse
+from errpipe.domain.components import SQUARENESS, STRAIGHTNESS, parse
 from errpipe.errors import DataError
 from errpipe.kinematics import basis, evidence, synthesis
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.errors import MachineErrors
 from errpipe.kinematics.observations import Observations, reading
 
-FAMILIES = ("positioning", "straightness", "angular", "scale", "slope of angle", "offset", "squareness", "radial slope")
+FAMILIES = ("positioning", STRAIGHTNESS, "angular", "scale", "slope of angle", "offset", SQUARENESS, "radial slope")
 # Prior standard deviation, rms over the travel: the bending part of three families, the straight part of two (um,
 # urad), constants in um and in urad, the straight part of a rotary axis' radial and axial motion over part of a
 # turn. Sizes of ordinary machines; they are estimated anew from the readings.
@@ -122,7 +122,7 @@ def family_of(component: str) -> str:
     c = parse(component)
     if c.unit == "urad":
         return "angular"
-    return "positioning" if c.kind == "positioning" else "straightness"
+    return "positioning" if c.kind == "positioning" else STRAIGHTNESS
 
 
 @dataclass(frozen=True)
@@ -169,13 +169,6 @@ class Identified:
         rows = jac[:, :, self.model.prior.component] * self.model.functions(q)[:, None, :]
         value = rows @ self.mean
         return value, np.sqrt(np.einsum("nkp,pq,nkq->nk", rows, self.covariance, rows, optimize=True))
-
-    def covariance_at(self, q: np.ndarray, tip: np.ndarray | None = None) -> np.ndarray:
-        """Covariance of the predicted tool point over all places, shape (3 n, 3 n), um2, X Y Z of a place together."""
-        q = np.atleast_2d(np.asarray(q, dtype=float))
-        jac = synthesis.jacobian(self.model.chain, q, tip)[:, :3]
-        rows = (jac[:, :, self.model.prior.component] * self.model.functions(q)[:, None, :]).reshape(3 * len(q), -1)
-        return rows @ self.covariance @ rows.T
 
     def errors(self, nodes: int = 201) -> MachineErrors:
         """The components as curves and constants, for synthesis and tables."""

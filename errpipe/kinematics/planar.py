@@ -232,7 +232,7 @@ def fit_plate(
         known[3] = 1e-6
     weight, hyper = np.ones(len(readings)), np.empty(0)  # no prior sizes estimated yet
     if robust:
-        weight = np.tile(_plausible(x, y, run, used, np.column_stack([ex, ey])), 2)
+        weight = np.tile(_inliers(x, y, run, used, np.column_stack([ex, ey])), 2)
     plausible = weight > 0
     for _ in range(4 if robust else 1):
         moments = evidence.Moments.of(design * weight[:, None], readings * weight)
@@ -311,7 +311,7 @@ def _columns(recording: Recording, rows: np.ndarray | None):
     return x, y, recording.run_codes()[keep], ex, ey
 
 
-def _plausible(x, y, run, used, deviation: np.ndarray) -> np.ndarray:
+def _inliers(x, y, run, used, deviation: np.ndarray) -> np.ndarray:
     """1.0 for holes within MISTAKE robust standard deviations of their plate's affine map, 0.0 for outliers."""
     out = np.ones(len(x))
     for r in used:

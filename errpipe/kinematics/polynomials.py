@@ -13,7 +13,6 @@ from errpipe.kernels import volumetric as k
 from errpipe.kinematics.chain import Chain
 
 Polynomial = dict[tuple[str, ...], float]
-TOOL = ("tool_length", "tool_offset_X", "tool_offset_Y", "tool_offset_Z")
 _TINY = 1e-12  # smaller coefficients are rounding of the geometry (mm, direction cosines)
 
 
@@ -48,7 +47,8 @@ def jacobian(chain: Chain, frame: str = "axes") -> dict[tuple[str, str], Polynom
 
     frame "workpiece": outputs E_X ... E_C in the workpiece's frame. "axes": outputs are the linear axes, each the
     deviation that moving this axis back would undo, and E_A E_B E_C in the bed's frame.
-    Variables: axis letters (mm), "sin C", "cos C", and `TOOL`. Raises ValueError for "axes" where a rotary axis
+    Variables: axis letters (mm), "sin C", "cos C", "tool_length" and "tool_offset_X" (Y, Z).
+    Raises ValueError for "axes" where a rotary axis
     turns a linear one.
     """
     kind, _, _, point, inverse, entries, comp, angle, evec = chain.factors

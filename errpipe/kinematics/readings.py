@@ -13,7 +13,7 @@ from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.direct import Laser
 
-# Waves of a curve: of tests at the tool; of records, at least and at most. `unfollowed` says what more would show.
+# Waves of a curve: of tests at the tool; of records, at least and at most. `curve_misfit` says what more would show.
 AT_THE_TOOL, FEWEST, MOST = 12, 20, 48
 MIN_MISSED = 0.05  # um, urad: less is no shape
 
@@ -48,7 +48,7 @@ def modes(tests: Mapping[str, Recording]) -> int:
     return min(MOST, max(FEWEST, dense - 2)) if dense else AT_THE_TOOL
 
 
-def unfollowed(chain: Chain, obs: o.Observations, residual: np.ndarray, *, largest: bool = False) -> dict[str, float]:
+def curve_misfit(chain: Chain, obs: o.Observations, residual: np.ndarray, *, largest: bool = False) -> dict[str, float]:
     """What repeated readings of a component's targets agree on and its curve does not follow, rms in um or urad.
 
     Mean residual of each target, less what the scatter of single readings leaves of it. largest: the largest mean

@@ -135,7 +135,7 @@ def expected(identified: Identified, tip: np.ndarray | None = None, count: int =
     With m the identified field, c what of it is compensated and the true one m + e, e ~ N(0, S), compensating leaves
     |m + e - c| instead of |m + e|. It is worse where 2 c.e < |c|^2 - 2 c.m, so with probability
     Phi((|c|^2 / 2 - c.m) / sqrt(c'S c)). A component that no reading observes enters S with its prior variance, so the
-    residual may outweigh the correction; `_carried_over` then leaves components out. Where positioning alone was read
+    residual may outweigh the correction; `_not_harmful` then leaves components out. Where positioning alone was read
     (a screw compensation), it is judged along its own line, so the others count neither before nor after.
     """
     chain, prior = identified.model.chain, identified.model.prior
@@ -151,14 +151,14 @@ def expected(identified: Identified, tip: np.ndarray | None = None, count: int =
     rows = (rows - pose @ (pose.T @ rows)).reshape(count, 3, -1)
     by_axis = np.einsum("nai,nip->anp", np.linalg.pinv(linear_motion(chain, q, tip)), rows)
     whole = by_axis.reshape(-1, rows.shape[2])
-    kept = _carried_over(identified, [whole, *by_axis])
+    kept = _not_harmful(identified, [whole, *by_axis])
     part = np.where(kept[prior.component], identified.mean, 0.0)
     axes = {name: _expected(identified, part, own) for name, own in zip(linear_axes(chain), by_axis, strict=True)}
     others = tuple(n for n, k in zip(chain.components, kept, strict=True) if not k)
     return replace(_expected(identified, part, whole, count), axes=axes, left_alone=others)
 
 
-def _carried_over(identified: Identified, fields: Sequence[np.ndarray]) -> np.ndarray:
+def _not_harmful(identified: Identified, fields: Sequence[np.ndarray]) -> np.ndarray:
     """Mask over the chain's components: those whose compensation makes none of the fields worse (MAX_HARM_PROBABILITY).
 
     Backward elimination: the component without which the field that is doubted most is doubted least goes first, until

@@ -81,31 +81,6 @@ def motion_jacobian(chain: Chain, q: np.ndarray, tip: np.ndarray | None = None) 
     return out
 
 
-def correct(
-    chain: Chain, q: np.ndarray, deviation: np.ndarray, tip: np.ndarray | None = None, orientation: bool = False
-) -> np.ndarray:
-    """Commanded axes that undo a deviation (n, 6) at commanded q: q - d, shape (n, axes).
-
-    Position alone moves the linear axes; with `orientation` all axes keep the point and the tool's direction (its
-    turn about itself is free).
-    The correction is minus the deviation, turned into axis motions.
-    """
-    q, _, tip = _rows(chain, q, None, tip)
-    jac = motion_jacobian(chain, q, tip)
-    if not orientation:
-        linear = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "linear"]
-        step = np.einsum("nai,ni->na", np.linalg.pinv(jac[:, :3][:, :, linear]), deviation[:, :3] * k.UM)
-        out = q.copy()
-        out[:, linear] -= step
-        return out
-    pose = ideal_pose(chain, q, tip)
-    tool = np.einsum("k,nkj->nj", np.asarray(chain.machine.tool.direction), pose[:, 1:])
-    swing = np.cross(np.moveaxis(jac[:, 3:], 1, 2), tool[:, None, :])  # how each axis moves the tool's direction, deg
-    wanted = np.concatenate([deviation[:, :3] * k.UM, np.degrees(np.cross(deviation[:, 3:] * k.URAD, tool))], axis=1)
-    solve = np.linalg.pinv(np.concatenate([jac[:, :3], np.moveaxis(swing, 1, 2)], axis=1), rcond=1e-6)
-    return q - np.einsum("nai,ni->na", solve, wanted)
-
-
 def _rows(chain: Chain, q: np.ndarray, comps: np.ndarray | None, tip: np.ndarray | None):
     q = np.ascontiguousarray(np.atleast_2d(np.asarray(q, dtype=float)))
     if q.shape[1] != len(chain.axes):

@@ -61,7 +61,8 @@ class ThermalFamily(Family):
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
         """Without a scheme: each environment in turn, or each run where the recording names less than two.
 
-        A group in which a temperature is silent throughout judges nothing. Fewer than three runs: each half by the
+        A group in which a temperature is silent throughout judges nothing; where that leaves one environment, its runs
+        are left out. Fewer than three runs: each half by the
         other. A block between two that fit is interpolated, which says little of the next run: of 12 simulated days
         (seeds 5101 and 5102 of `trials.thermal`), later days were left 1.8 times as far off as such blocks (0.8 times
         as far as halves), and their 90 % width held 65 % (89 %) of the rows.
@@ -72,14 +73,19 @@ class ThermalFamily(Family):
         from errpipe.fitting import holdout
         from errpipe.fitting.thermal_arithmetic import FEWEST_RUNS, all_known, living_sensors
 
+        known = holdout.measured(recording) & all_known(living_sensors(recording, self.component))
         try:
             name, folds = super().folds(recording, scheme)
         except DataError:
             if scheme is not None:
                 raise
-            runs = np.unique(recording.run_codes()[holdout.measured(recording)]).size
+            folds = []
+        if usable := [fold for fold in folds if known[fold.test].any() and known[fold.train].any()]:
+            return name, usable
+        if scheme is None:
+            seen = known if folds else holdout.measured(recording)
+            runs = np.unique(recording.run_codes()[seen]).size
             name, folds = super().folds(recording, "auto" if runs >= FEWEST_RUNS else holdout.HALVES)
-        known = holdout.measured(recording) & all_known(living_sensors(recording, self.component))
         return name, [fold for fold in folds if known[fold.test].any() and known[fold.train].any()] or folds
 
     def train(self, recording: Recording, rows: np.ndarray | None = None) -> ThermalModel:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 UNITS = 4  # of the hidden layer; a network of few units extrapolates by few bends
 # Of squared weights, on standardised columns: of a network alone, and of one beside a ridge on all lagged rises. Chosen
 # on seed 9811 of `trials.thermal` (24 machines): the mixture leaves 3 % less with the second one.
-PENALTY, PENALTY_BESIDE = 0.01, 0.1
+PENALTY, PENALTY_WITH_RIDGE = 0.01, 0.1
 RIDGE = 1e-5  # the middle one of the ridges that the competition tries (`lagged`)
 LAGS = (0.4, 0.8)  # which of the recording's time constants, as a share of their number
 
@@ -37,10 +37,10 @@ class Neural(ThermalFamily):
             return []
         name, nodes = self.family_name(), _drivers(problem)
         alone = Layer(nodes, 0.0, UNITS, PENALTY)
-        beside = Layer([*nodes, *rates(problem)], 0.0, UNITS, PENALTY_BESIDE, RIDGE)
+        with_ridge = Layer([*nodes, *rates(problem)], 0.0, UNITS, PENALTY_WITH_RIDGE, RIDGE)
         return [
             entrant(name, f"{called}, {UNITS} units", problem, layer)
-            for called, layer in ((name, alone), (f"{name} beside ridge", beside))
+            for called, layer in ((name, alone), (f"{name} beside ridge", with_ridge))
         ]
 
 

@@ -87,16 +87,16 @@ class Terms(ModelSpec, Family):
 
     def fit_batches(self, source: Source) -> Fitted:
         """`fit` of a recording that is read batch by batch. Raises DataError, NotIdentifiable."""
-        from errpipe.fitting import history, seldom
+        from errpipe.fitting import history, multirate
 
-        fitted = history.fitted(seldom.held(source), self, self._response)
+        fitted = history.fitted(multirate.held(source), self, self._response)
         return Fitted(fitted, summary=fit_summary(fitted))
 
     def judge_batches(self, source: Source, scheme: HoldOut | None) -> Judged:
         """Every fold of a recording that is read batch by batch."""
-        from errpipe.fitting import batches, history, holdout, seldom
+        from errpipe.fitting import batches, history, holdout, multirate
 
-        source = seldom.held(source)
+        source = multirate.held(source)
         layout = batches.survey(source, self, scheme)
         gathered = batches.gather(source, self, layout, self._response)
         folds = history.all_left_out(gathered, source.manifest)
@@ -114,13 +114,13 @@ class Terms(ModelSpec, Family):
 
 
 def _as_read(recording: Recording) -> Recording:
-    """The recording with temperatures that are logged more seldom than rows as a table reads them: the one before.
+    """The recording with temperatures that are sampled less often than the rows as a table reads them: the one before.
 
     Where every tenth row holds one, nine of ten rows of production are of that kind; single empty cells stay empty.
     """
-    from errpipe.fitting.thermal_arithmetic import seldom_logged, short_holes_held
+    from errpipe.fitting.thermal_arithmetic import sampled_less_often, short_holes_held
 
-    return short_holes_held(recording, seldom_logged(recording, recording.names("temperature")))
+    return short_holes_held(recording, sampled_less_often(recording, recording.names("temperature")))
 
 
 def mismatch(recording: Recording, spec: ModelSpec) -> Recording:

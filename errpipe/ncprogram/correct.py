@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -50,13 +49,6 @@ class Summary:
     moves: int
     largest_correction: float
     largest_chord_error: float
-
-
-def correct(text: str, deviation: Deviation, setup: Setup, **how: Any) -> tuple[str, Summary]:
-    """`rewrite` for a program in one text: the corrected program and what was done."""
-    parts: list[bytes] = []
-    done = rewrite([text.encode()], parts.append, deviation, setup, **how)
-    return b"".join(parts).decode(), done
 
 
 def rewrite(
@@ -145,6 +137,7 @@ class _Reader:
             first=first,
             second=second,
             through=through,
+            named=state.plane_said,
             centres=not state.arc_absolute,
             longest=float(longest),
             chord_error=float(chord_error),

@@ -55,17 +55,20 @@ class Setup:
 
 @dataclass(frozen=True)
 class State:
-    """Modal state. position: tool point in part coordinates, mm (deg), None where it is not yet known."""
+    """Modal state. position: tool point in part coordinates, mm (deg), None where it is not yet known.
+
+    plane_said: whether the program named its plane; until then it is the one that LinuxCNC begins with.
+    """
 
     motion: str = ""
     plane: str = "G17"
+    plane_said: bool = False
     inch: bool = False
     absolute: bool = True
     arc_absolute: bool = False
     offset: str = "G54"
     tool_length: float = 0.0
     position: tuple[float | None, ...] = (None,) * 6
-    feed_mode: str = "G94"
     ended: bool = False
 
 
@@ -184,7 +187,7 @@ def _modes(block: Block, state: State, setup: Setup) -> State:
         if code in MOTIONS:
             state = replace(state, motion=code)
         elif code in PLANES:
-            state = replace(state, plane=code)
+            state = replace(state, plane=code, plane_said=True)
         elif code in ("G20", "G21"):
             state = replace(state, inch=code == "G20")
         elif code in ("G90", "G91"):
@@ -197,9 +200,7 @@ def _modes(block: Block, state: State, setup: Setup) -> State:
             state = _change_tool(block, state, setup, code)
         elif code == "G80":
             state = replace(state, motion="")
-        elif code in HARMLESS_G | LEAVING_G:
-            state = replace(state, feed_mode=code) if code in ("G94", "G95") else state
-        else:
+        elif code not in HARMLESS_G | LEAVING_G:
             raise refuse(block.line, block.source, f"{code} is not understood")
     return state
 
@@ -258,7 +259,14 @@ def _end(block: Block, state: State) -> tuple[float | None, ...]:
 
 def _arc(block: Block, state: State, end: tuple[float | None, ...]) -> tuple[float, float]:
     """Centre of an arc in its plane, from I J K or R. Raises DataError where the radii disagree."""
-    first, second, _ = PLANES[state.plane]
+    first, second, through = PLANES[state.plane]
+    if not state.plane_said and block.has(through) and not block.has(second):
+        raise refuse(
+            block.line,
+            block.source,
+            f"an arc in {first} and {through} before any plane was named: a lathe begins with G18, a mill with G17 "
+            "(name it above the arc)",
+        )
     a, b = LINEAR.index(first), LINEAR.index(second)
     ends = (state.position[a], state.position[b], end[a], end[b])
     if any(v is None for v in ends):

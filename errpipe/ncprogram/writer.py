@@ -35,7 +35,7 @@ class Writer:
         self.blocks, self.largest = 0, 0.0
         self.lines: list[tuple[int, bytes]] = []  # (points before it, line that stays as it is)
         self.source_of: Callable[[int], str] = str
-        self.rows = _room(MAX_POINTS, 0)
+        self.rows = _allocated(MAX_POINTS, 0)
         self.used = self.texts = 0
 
     def begin(self, chunk: bytes, source_of: Callable[[int], str]) -> None:
@@ -83,7 +83,7 @@ class Writer:
         if self.used and self.used + len(points) > len(self.rows.points):
             self.flush()
         if len(points) > len(self.rows.points):
-            self.rows = _room(len(points), self.rows.bytes.size)
+            self.rows = _allocated(len(points), self.rows.bytes.size)
         rows, own = self.rows, slice(self.used, self.used + len(points))
         leading, comment = prefix.encode(), " ".join(block.comments).strip().encode()
         middle, end = self.texts + len(leading), self.texts + len(leading) + len(comment)
@@ -173,7 +173,7 @@ def rounded(values: np.ndarray, decimals: int) -> np.ndarray:
     return out + 0.0
 
 
-def _room(points: int, text: int) -> nc_blocks.Rows:
+def _allocated(points: int, text: int) -> nc_blocks.Rows:
     return nc_blocks.Rows(
         np.empty((points, len(_AXES))),
         np.empty(points, dtype=np.int64),

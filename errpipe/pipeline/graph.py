@@ -52,14 +52,14 @@ def _behind(stage: Stage, slot: str, need: Need, before: Sequence[Stage], links:
             if name not in fitting:
                 allowed = ", ".join(fitting) or "none"
                 near = did_you_mean(name, fitting)
-                return (), f"no earlier stage {name!r} gives {_an(wanted)} (there are: {allowed}).{near}"
+                return (), f"no earlier stage {name!r} gives {_with_article(wanted)} (there are: {allowed}).{near}"
         if len(chosen) != 1 and not need.every:
             return (), f"names {len(chosen)} stages (one is read)"
         return chosen, ""
     if need.beside and not _is_provided(stage, need.beside, before):
         return (), ""
     if not fitting and not need.optional and not (need.unless and _is_provided(stage, need.unless, before)):
-        return (), f"{stage.kind} takes {_an(wanted)}, and no stage before it gives one"
+        return (), f"{stage.kind} takes {_with_article(wanted)}, and no stage before it gives one"
     if not need.every:
         return tuple(fitting[-1:]), ""
     replaced = {
@@ -98,7 +98,7 @@ def _unread(stages: Sequence[Stage], links: Links) -> Found:
     return wrong
 
 
-def _an(noun: str) -> str:
+def _with_article(noun: str) -> str:
     return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 

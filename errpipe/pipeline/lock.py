@@ -197,7 +197,7 @@ def scratch(out: Path) -> Path:
 
 
 @contextmanager
-def alone(out: Path, waiting: Any = lambda: None) -> Iterator[None]:
+def exclusive_lock(out: Path, waiting: Any = lambda: None) -> Iterator[None]:
     """Hold OUT for this process; `waiting` is called once where another one holds it. The kernel lets go
     of the lock however the process ends."""
     scratch(out).mkdir(parents=True, exist_ok=True)
@@ -206,7 +206,7 @@ def alone(out: Path, waiting: Any = lambda: None) -> Iterator[None]:
     try:
         import fcntl
     except ImportError:  # Windows
-        with _alone_without_flock(scratch(out) / "busy", waiting):
+        with _exclusive_lock_without_flock(scratch(out) / "busy", waiting):
             yield
         return
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
@@ -220,7 +220,7 @@ def alone(out: Path, waiting: Any = lambda: None) -> Iterator[None]:
 
 
 @contextmanager
-def _alone_without_flock(path: Path, waiting: Any) -> Iterator[None]:
+def _exclusive_lock_without_flock(path: Path, waiting: Any) -> Iterator[None]:
     """The same where the system has no flock, by a lock of the file's own system."""
     from filelock import FileLock, Timeout
 

@@ -22,9 +22,9 @@ from errpipe.files import inside
 from errpipe.pipeline.graph import ancestors, reads_of
 from errpipe.pipeline.lock import (
     Record,
-    alone,
     changes,
     code_of,
+    exclusive_lock,
     hash_file,
     label_inputs,
     read_lock,
@@ -34,7 +34,7 @@ from errpipe.pipeline.lock import (
 )
 from errpipe.pipeline.spec import Pipeline, missing_inputs
 from errpipe.pipeline.stage import Context, Stage
-from errpipe.pipeline.step import SILENT, Step, Talk
+from errpipe.pipeline.step import NO_CALLBACKS, Callbacks, Step
 
 
 def plan(pipeline: Pipeline, out: Path, *, to: str | None = None, force: Sequence[str] = ()) -> list[Step]:
@@ -63,7 +63,7 @@ def run(
     to: str | None = None,
     force: Sequence[str] = (),
     jobs: int = 1,
-    talk: Talk = SILENT,
+    callbacks: Callbacks = NO_CALLBACKS,
 ) -> list[Step]:
     """Bring OUT up to date; one Step per selected stage, in file order.
 
@@ -71,34 +71,34 @@ def run(
     Raises what a stage raises; stages that finished before stay recorded.
     """
     work = _Work(pipeline, out, to, force)
-    with alone(out, talk.waiting):
+    with exclusive_lock(out, callbacks.waiting):
         work.records = read_lock(out)
-        work.sweep()
+        work.remove_leftovers()
         try:
-            steps = _in_order(work, talk) if jobs <= 1 else _side_by_side(work, talk, jobs)
+            steps = _in_order(work, callbacks) if jobs <= 1 else _side_by_side(work, callbacks, jobs)
         finally:
             shutil.rmtree(scratch(out) / "work", ignore_errors=True)
         if to is None:
-            work.forget_strangers()
+            work.drop_removed_stages()
         write_lock(out, work.records)
     return steps
 
 
-def _in_order(work: _Work, talk: Talk) -> list[Step]:
+def _in_order(work: _Work, callbacks: Callbacks) -> list[Step]:
     steps = []
     for stage in work.selected:
         record = work.record(stage)
         reasons = work.reasons(stage, record)
         if reasons:
-            talk.started(work.step(stage, "run", reasons))
-            steps.append(work.finish(stage, reasons, *work.execute(stage, record, talk)))
+            callbacks.started(work.step(stage, "run", reasons))
+            steps.append(work.finish(stage, reasons, *work.execute(stage, record, callbacks)))
         else:
             steps.append(work.step(stage, "fresh", ()))
-        talk.finished(steps[-1])
+        callbacks.finished(steps[-1])
     return steps
 
 
-def _side_by_side(work: _Work, talk: Talk, jobs: int) -> list[Step]:
+def _side_by_side(work: _Work, callbacks: Callbacks, jobs: int) -> list[Step]:
     """Like `_in_order`, with up to `jobs` stages at a time; all bookkeeping stays in this thread."""
     steps: dict[str, Step] = {}
     running: dict[Future[Any], tuple[Stage, list[str]]] = {}
@@ -115,10 +115,10 @@ def _side_by_side(work: _Work, talk: Talk, jobs: int) -> list[Step]:
                 reasons = work.reasons(stage, record)
                 if not reasons:
                     steps[stage.label] = work.step(stage, "fresh", ())
-                    talk.finished(steps[stage.label])
+                    callbacks.finished(steps[stage.label])
                     continue
-                talk.started(work.step(stage, "run", reasons))
-                running[pool.submit(work.execute, stage, record, talk)] = (stage, reasons)
+                callbacks.started(work.step(stage, "run", reasons))
+                running[pool.submit(work.execute, stage, record, callbacks)] = (stage, reasons)
             if failures and not running:
                 break
             done, _ = wait(running, return_when=FIRST_COMPLETED) if running else ((), ())
@@ -129,7 +129,7 @@ def _side_by_side(work: _Work, talk: Talk, jobs: int) -> list[Step]:
                     failures[work.selected.index(stage)] = error
                     continue
                 steps[stage.label] = work.finish(stage, reasons, *future.result())
-                talk.finished(steps[stage.label])
+                callbacks.finished(steps[stage.label])
     if failures:
         raise failures[min(failures)]
     return [steps[stage.label] for stage in work.selected]
@@ -188,7 +188,7 @@ class _Work:
         """Names of outputs that may be in place before the lock file lists them; deleted afterwards."""
         return scratch(self.out) / f"{stage.label}.json"
 
-    def execute(self, stage: Stage, record: Record, talk: Talk) -> tuple[Record, Path]:
+    def execute(self, stage: Stage, record: Record, callbacks: Callbacks) -> tuple[Record, Path]:
         """Run the stage in its scratch folder; the full record and that folder. Raises what the stage raises."""
         folder = scratch(self.out) / "work" / stage.label
         shutil.rmtree(folder, ignore_errors=True)
@@ -199,7 +199,7 @@ class _Work:
             fingerprint=record.fingerprint,
             title=self.pipeline.title,
             stages={slot: {name: self.out / name for name in names} for slot, names in links.items()},
-            progress=lambda fraction, text: talk.progress(stage.label, fraction, text),
+            progress=lambda fraction, text: callbacks.progress(stage.label, fraction, text),
         )
         with files.scratch():
             summary = dict(stage.run(context) or {})
@@ -236,14 +236,14 @@ class _Work:
         outputs, summary = (tuple(sorted(record.outputs)), record.summary) if record else ((), {})
         return Step(stage.label, stage.kind, action, tuple(reasons), outputs, (), summary)
 
-    def sweep(self) -> None:
+    def remove_leftovers(self) -> None:
         """Remove what an interrupted run left half written."""
         shutil.rmtree(scratch(self.out) / "work", ignore_errors=True)
         for folder in (self.out, scratch(self.out)):
             for path in folder.glob(".*.tmp"):
                 path.unlink(missing_ok=True)
 
-    def forget_strangers(self) -> None:
+    def drop_removed_stages(self) -> None:
         """Drop stages that the pipeline no longer has, and their outputs where nobody edited them."""
         names = {stage.label for stage in self.pipeline.stages}
         for name in [name for name in self.records if name not in names]:

@@ -25,7 +25,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Talk:
+class Callbacks:
     """Callbacks for progress messages; the defaults print nothing."""
 
     waiting: Callable[[], None] = lambda: None
@@ -34,4 +34,4 @@ class Talk:
     finished: Callable[[Step], None] = lambda step: None
 
 
-SILENT = Talk()
+NO_CALLBACKS = Callbacks()

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 from errpipe import files, jsonfile
 from errpipe.errors import DataError, ErrpipeError
 from errpipe.pipeline import lock
-from errpipe.pipeline.lock import LOCK, Record, alone, hash_file, label_inputs, read_lock, scratch
-from errpipe.pipeline.step import Step, Talk
+from errpipe.pipeline.lock import LOCK, Record, exclusive_lock, hash_file, label_inputs, read_lock, scratch
+from errpipe.pipeline.step import Callbacks, Step
 
 if TYPE_CHECKING:
     from errpipe.pipeline.spec import Pipeline
@@ -33,12 +33,12 @@ def note(pipeline: Pipeline, out: Path, sets: Sequence[str]) -> None:
     jsonfile.write(scratch(out) / NOTE, noted | {"title": pipeline.title})
 
 
-def steps(file: Path, out: Path, sets: Sequence[str], talk: Talk) -> tuple[str, list[Step]] | None:
+def steps(file: Path, out: Path, sets: Sequence[str], callbacks: Callbacks) -> tuple[str, list[Step]] | None:
     """The title and one fresh step a stage where nothing changed since the note; None where a run must look."""
     if not (scratch(out) / NOTE).is_file():
         return None
     try:
-        with alone(out, talk.waiting):
+        with exclusive_lock(out, callbacks.waiting):
             noted = jsonfile.read(scratch(out) / NOTE)
             if noted["command"] != _command(file, sets) or noted["lock"] != hash_file(out / LOCK):
                 return None
@@ -49,7 +49,7 @@ def steps(file: Path, out: Path, sets: Sequence[str], talk: Talk) -> tuple[str, 
     except (ErrpipeError, OSError, KeyError, TypeError, ValueError):
         return None
     for step in fresh:
-        talk.finished(step)
+        callbacks.finished(step)
     return str(noted["title"]), fresh
 
 

@@ -27,7 +27,6 @@ _MACHINE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 MAX_OBJECT_BYTES = 1 << 30  # a table, model or report
 MAX_ENTRY_BYTES = 1 << 20  # a line of history with its signature
-SIGNATURE = "signature of "  # what the bytes of a signature's object begin with, before the entry's SHA-256
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,8 @@ def against_time(
             own = own[svg.thin(own.size)]
             hours, y = (time[own] - time[own[:1]]) / 3600.0, predicted[own].copy()
             steps = np.diff(hours)
-            y[1:][steps > GAP * np.median(steps)] = np.nan if steps.size else 0.0
+            if steps.size:
+                y[1:][steps > GAP * np.median(steps)] = np.nan
             if band is not None:
                 axes.fill_between(hours, y - band, y + band, color=svg.AFTER, alpha=0.18, lw=0, label="90 % band")
             axes.plot(hours, deviation[own], ".", ms=3, color=svg.BEFORE, label="measured")

@@ -198,7 +198,7 @@ def _model(recording: Recording, model: ErrorModel) -> dict[str, Values]:
     own = [c for c in model.components if c.component in present]
     if not own:
         wanted = ", ".join(c.component for c in model.components)
-        raise DataError(f"twin: the error model speaks of {wanted or 'nothing'}, the recording of {', '.join(present)}")
+        raise DataError(f"twin: the error model has {wanted or 'nothing'}, the recording of {', '.join(present)}")
     values = evaluate(model.model_copy(update={"components": tuple(own)}), recording)
     for c in own:
         unit = recording.manifest.columns[error_column(recording, c.component)].unit or "um"

@@ -114,7 +114,7 @@ class Program:
             slope, start = float(line[0]), float(line[1] - line[0] * at[0])
             return self.add("affine", (place,), offset=start, weights=(slope,))
         count = 256
-        while count < MAX_POINTS and _off(shape, at[0], at[-1], count) > CURVE_ERROR * np.abs(values).max():
+        while count < MAX_POINTS and _midpoint_error(shape, at[0], at[-1], count) > CURVE_ERROR * np.abs(values).max():
             count *= 2
         grid = np.linspace(at[0], at[-1], count + 1)
         table = tuple(np.asarray(shape(grid), dtype=float).tolist())
@@ -169,7 +169,7 @@ def value(piece: Piece, recording: Recording) -> np.ndarray:
     return total
 
 
-def _off(shape: Callable, low: float, high: float, count: int) -> float:
+def _midpoint_error(shape: Callable, low: float, high: float, count: int) -> float:
     """Largest error of linear interpolation in the middle between points."""
     grid = np.linspace(low, high, count + 1)
     values = np.asarray(shape(grid), dtype=float)

@@ -39,13 +39,13 @@ class Accept(Options):
 
     confidence: float = quantity(
         "1",
-        "Lowest confidence of a finding, or of it and those the data cannot tell it from together.",
+        "Lowest confidence of a finding, or of it and those the data cannot distinguish it from together.",
         0.8,
         ge=0,
         le=1,
     )
     despite_artefact: bool = Field(
-        False, description="Also where the data cannot tell the finding from an artefact of measuring."
+        False, description="Also where the data cannot distinguish the finding from an artefact of measuring."
     )
 
 
@@ -129,7 +129,7 @@ def _decide(f: Finding, response: ResponseDiagnosis, accept: Accept) -> Decision
     if similar_artefacts and not accept.despite_artefact:
         detail = f"; {f.would_separate}" if f.would_separate else ""
         return replace(
-            decision, reason=f"the data cannot tell it from {similar_artefacts[0]}, which is not the machine's{detail}"
+            decision, reason=f"cannot be distinguished from {similar_artefacts[0]}, which is not the machine's{detail}"
         )
     values = {p.name: p.value for p in f.parameters}
     if not f.compensable or any(not t.lower(_complete(t, values)) for t in terms):
@@ -169,7 +169,7 @@ def parts(recording: Recording, component: str) -> tuple[Term, ...]:
     chosen: list[Term] = []
     design = np.ones((simulated.size, 1))
     while len(chosen) < MOST_PARTS and columns:
-        unexplained = [(_left(np.hstack([design, c]), simulated), k) for k, (_, c) in enumerate(columns)]
+        unexplained = [(_unexplained_share(np.hstack([design, c]), simulated), k) for k, (_, c) in enumerate(columns)]
         least, k = min(unexplained)
         term, column = columns.pop(k)
         chosen.append(term)
@@ -179,7 +179,7 @@ def parts(recording: Recording, component: str) -> tuple[Term, ...]:
     return ()
 
 
-def _left(design: np.ndarray, values: np.ndarray) -> float:
+def _unexplained_share(design: np.ndarray, values: np.ndarray) -> float:
     """Share of the variance that a least-squares fit of the columns leaves unexplained."""
     rows = np.isfinite(values) & np.isfinite(design).all(axis=1)
     if rows.sum() <= design.shape[1] + 1 or np.var(values[rows]) == 0:
@@ -191,7 +191,7 @@ def _left(design: np.ndarray, values: np.ndarray) -> float:
 # ---------------------------------------------------------------- what to fit
 
 
-def ask(decisions: Sequence[Decision], diagnosis: Diagnosis, existing: ModelSpec | None) -> ModelSpec:
+def specification_with(decisions: Sequence[Decision], diagnosis: Diagnosis, existing: ModelSpec | None) -> ModelSpec:
     """The specification with every accepted term; with an existing one, its terms too."""
     from errpipe.fitting.spec import ComponentSpec, ModelSpec
     from errpipe.terms.offset import Offset
@@ -233,7 +233,7 @@ def fit_accepted(
     from errpipe.models.terms import mismatch
 
     while True:
-        spec = ask(decisions, diagnosis, existing)
+        spec = specification_with(decisions, diagnosis, existing)
         source = recording if existing is not None else mismatch(recording, spec)
         try:
             fitted = model.fit(source, spec)
@@ -251,7 +251,7 @@ def _with_one_refused(decisions: list[Decision], why: Exception) -> list[Decisio
     accepted = [d for d in decisions if d.accepted]
     if accepted:
         least = min(accepted, key=lambda d: (d.finding.effect != "recalibration", d.finding.confidence))
-        reason = f"beside the rest it cannot be told apart: {str(why).splitlines()[0]}"
+        reason = f"beside the rest it cannot be distinguished: {str(why).splitlines()[0]}"
         return [d.refused(reason) if d is least else d for d in decisions]
     if any(d.beside for d in decisions):
         return [replace(d, beside=False) for d in decisions]

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from errpipe.diagnosis.applied import Corrected, Held, Part
     from errpipe.domain.diagnosis import Diagnosis
 
+DOCUMENT = "apply.json"
 MIN_CONFIDENCE = 0.8  # as for a term of the error model (option `accept` of the stage)
 SAME = 0.02  # of a finding's largest value: largest difference allowed between its equation in the patch and its term
 OF_MEASURING = "an artefact of measuring: in the corrected recording, not in the patch of the machine's simulation"
@@ -80,7 +81,7 @@ def apply_findings(
             for r in second.responses
         },
     }
-    jsonfile.write(out / "apply.json", document)
+    jsonfile.write(out / DOCUMENT, document)
     return document
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from errpipe import jsonfile
-from errpipe.errors import DataError, VerifyError
+from errpipe.errors import DataError, MissingColumn, VerifyError
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
@@ -35,6 +35,16 @@ def recording_in(folder: Path) -> Recording:
     from errpipe.formats import manifest_folder
 
     return manifest_folder.read(folder)
+
+
+def set_aside(folder: Path, missing: MissingColumn) -> MissingColumn:
+    """What to raise where a model reads a column that cleaning has set aside: its reason; else what was raised."""
+    name, report = str(missing).partition(":")[0], Path(folder) / "cleaning.json"
+    done = [d for r in jsonfile.read(report)["rules"] for d in r["done"]] if report.is_file() else []
+    reasons = [d["reason"] for d in done if d["what"] == "set column aside" and d["column"] == name]
+    if not reasons:
+        return missing
+    return MissingColumn(f"{name}: cleaning set it aside: {reasons[0]}. Mend the column, or fit without it")
 
 
 def source_in(folder: Path) -> Source | None:
@@ -83,7 +93,7 @@ def model_json(model: ErrorModel) -> dict[str, Any]:
 
 
 def fingerprint_of(model: ErrorModel) -> str:
-    """What tells a model from every other one: the hash of its canonical JSON."""
+    """Identity of a model: the hash of its canonical JSON."""
     return jsonfile.fingerprint(model_json(model))
 
 

@@ -74,13 +74,13 @@ def _table_of(
     from errpipe import __version__, jsonfile, tables
     from errpipe.domain import driver as d
     from errpipe.errors import GateError
-    from errpipe.fitting.lowering import left_behind, lower
+    from errpipe.fitting.lowering import lower, uncompensated_terms
     from errpipe.stages import _inputs
 
     lowered = lower(model)
     empty = [name for name, pairs in lowered.items() if not pairs]
     if len(empty) == len(lowered):
-        behind = ", ".join(sorted({t for terms in left_behind(model).values() for t in terms})) or "no term"
+        behind = ", ".join(sorted({t for terms in uncompensated_terms(model).values() for t in terms})) or "no term"
         raise GateError(f"export: a controller can compensate nothing of this model (it holds {behind})")
     followed = [p for pairs in lowered.values() for p in pairs]
     _inputs.unknown_inputs(_inputs.read_by([p.driver for p in followed]), model)

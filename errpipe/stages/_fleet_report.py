@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from errpipe import jsonfile
+from errpipe.pipeline.lock import read_lock
 from errpipe.stages import _artefacts
 
 if TYPE_CHECKING:
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
     from errpipe.pipeline.spec import Pipeline
 
+MIRRORED = (6.0, 2.0)  # spreads that a machine of the other sign is away from its type, at least, and turned, at most
+FEWEST_ALIKE = 5  # machines of a type below which no spread between them is known
 VERSION = 1  # of the document's layout
 WRITERS = 8  # files that wait for the disk at a time
 DOCUMENT, PAGE, POOLED = "fleet.json", "fleet.md", "pooled"
@@ -28,7 +31,7 @@ def facts(pipeline: Pipeline, out: Path) -> dict[str, Any]:
     OUT may be a folder of the machine that ran it, which nobody else can read.
     """
     folders = {kind: out / stage.label for stage in pipeline.stages for kind in stage.gives}
-    figures: dict[str, Any] = {"responses": {}, "drift": [], "model": ""}
+    figures: dict[str, Any] = {"responses": {}, "drift": [], "model": "", "readings": ""}
     if "validation" in folders:
         document = jsonfile.read(folders["validation"] / _artefacts.VALIDATION)
         for c in document["components"]:
@@ -40,6 +43,9 @@ def facts(pipeline: Pipeline, out: Path) -> dict[str, Any]:
     if "recording" in folders:
         recording = _artefacts.recording_in(folders["recording"])
         figures["drift"] = [*_sensors(recording), *_residuals(recording, folders.get("validation"))]
+        record = read_lock(out).get(folders["recording"].name)
+        outputs = {} if record is None else record.outputs
+        figures["readings"] = next((h for name, h in outputs.items() if name.endswith(".parquet")), "")
     return figures
 
 
@@ -49,9 +55,9 @@ def _sensors(recording: Recording) -> list[dict[str, Any]]:
 
     early = recording.run_codes() < (len(recording.run_labels()) + 1) // 2
     return [
-        {"what": f"sensor {d.column}", "since": d.since, "size": d.size, "unit": "K"}
+        {"what": f"sensor {d.column}{'' if d.blamed else ' or another'}", "since": d.since, "size": d.size, "unit": "K"}
         for d in sensor_drift(recording, early)
-        if d.blamed
+        if d.suspected
     ]
 
 
@@ -96,16 +102,57 @@ def write_report(
     """Write fleet.json and fleet.md, and the pooled models where asked for; the document."""
     keep = ("name", "state", "message", "responses", "drift", "model")
     rows = [{"type": types[r["name"]], **{key: r[key] for key in keep}} for r in results]
+    for path in (out / POOLED).glob(f"*/{_artefacts.MODEL}") if pool else ():
+        if models.get(path.parent.name) is None:  # of an earlier run of the fleet
+            path.unlink()
+    types_of = [_type(name, rows, models, out, pool) for name in sorted(set(types.values()))]
     document = {
         "fleet": VERSION,
         "title": title,
         "machines": sorted(rows, key=_sort_key),
         "drifting": [{"name": r["name"], **d} for r in rows for d in r["drift"]],
-        "types": [_type(name, rows, models, out, pool) for name in sorted(set(types.values()))],
+        "suspicious": _suspicious(results, types_of),
+        "types": types_of,
     }
     jsonfile.write(out / DOCUMENT, document)
     jsonfile.write_text(out / PAGE, "\n".join([*lines(document), ""]))
     return document
+
+
+def _suspicious(results: Sequence[Mapping[str, Any]], types_of: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What each machine alone does not show, in words."""
+    out = [f"{', '.join(names)}: the same readings; one recording under several names?" for names in _copies(results)]
+    for kind in types_of:
+        for component, response in kind["responses"].items():
+            for name in response["mirrored"]:
+                out.append(f"{name}: {component} is that of its type with the other sign; which sign was declared?")
+    return out
+
+
+def _copies(results: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """Machines whose cleaned readings are the same bytes, in groups of two and more."""
+    by_digest: dict[str, list[str]] = {}
+    for r in results:
+        if r.get("readings"):
+            by_digest.setdefault(r["readings"], []).append(r["name"])
+    return [names for names in by_digest.values() if len(names) > 1]
+
+
+def _mirrored(names: Sequence[str], estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray]) -> list[str]:
+    """Machines whose parameters lie far from those of the others, and with the other sign among them."""
+    import numpy as np
+
+    if len(names) < FEWEST_ALIKE:
+        return []
+    values = np.array(estimates)
+    centre = np.median(values, axis=0)
+    errors = np.sqrt(np.median([np.diag(c) for c in covariances], axis=0))
+    spread = np.maximum(1.4826 * np.median(np.abs(values - centre), axis=0), errors)  # 1.4826: of normal deviates
+    away, turned = (
+        np.sqrt(np.mean(((sign * values - centre) / np.where(spread > 0.0, spread, np.inf)) ** 2, axis=1))
+        for sign in (1.0, -1.0)
+    )
+    return [n for n, a, t in zip(names, away, turned, strict=True) if a > MIRRORED[0] and t < MIRRORED[1]]
 
 
 def _sort_key(row: Mapping[str, Any]) -> tuple[int, float, str]:
@@ -129,6 +176,7 @@ def _type(
             "parameters": list(keys),
             "machines": names,
             "alike": [[names[k] for k in group] for group in pooling.alike(estimates, covariances)],
+            "mirrored": _mirrored(names, estimates, covariances),
         }
         if pooled is not None:
             by_response[component] |= {"mean": pooled.mean.tolist(), "spread": pooled.spread.tolist()}
@@ -212,14 +260,15 @@ def lines(document: Mapping[str, Any]) -> list[str]:
             floor = "unknown" if c["noise_floor"] is None else f"{c['noise_floor']:.3g}"
             out.append(f"{head}| {name} | {c['rms_before']:.3g} | {c['rms_after']:.3g} {c['unit']} | {floor} |")
     out += ["", "rms on held-out rows; the worst first.", "", "## What went wrong", ""]
-    out += [f"- {r['name']}: {plain_text(r['message'])}" for r in rows if r["message"]] or ["Nothing."]
+    wrong = [*(f"{r['name']}: {r['message']}" for r in rows if r["message"]), *document["suspicious"]]
+    out += [f"- {plain_text(text)}" for text in wrong] or ["Nothing."]
     out += ["", "## Machines that drift", ""]
     for d in document["drifting"]:
         out.append(
             f"- {d['name']}: {plain_text(d['what'])} since run {plain_text(d['since'])}: {d['size']:+.3g} {d['unit']}"
         )
     out += [] if document["drifting"] else ["None."]
-    out += ["", "## Machines alike", "", "Of these the data do not tell the parameters apart (95 %).", ""]
+    out += ["", "## Machines alike", "", "Of these the data do not distinguish the parameters (95 %).", ""]
     for kind in document["types"]:
         for component, response in kind["responses"].items():
             groups = [", ".join(group) for group in response["alike"]]

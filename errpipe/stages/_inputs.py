@@ -50,22 +50,26 @@ def table_inputs(
 ) -> list[TableInput]:
     """One channel per column of the model, in its order.
 
-    guard: what a healthy sensor can read; recording: how fast its sensors moved, and how seldom they spoke.
+    guard: what a healthy sensor can read; recording: how fast its sensors moved, and how often they were read.
     """
     columns = dict(model.columns)
-    _fitting_names(columns)
+    _check_names(columns)
     healthy = {s.name: s for s in guard.sensors} if guard is not None else {}
     for name in healthy:
         columns.setdefault(name, {"role": "temperature", "unit": "degC"})
     inputs = [_channel(name, facts, model) for name, facts in columns.items() if facts["role"] in CHANNELS]
     inputs += [_datum(c.datum_input, c.unit, c.readings) for c in model.components if c.readings is not None]
-    known, silence = _of_sensors(recording) if recording is not None else ({}, {})
-    inputs = [_no_faster(channel, known.get(channel.name) or _rate_of_a_step(channel, model)) for channel in inputs]
-    inputs = [_longer_silent(channel, silence.get(channel.name, 0.0)) for channel in inputs]
-    return [_believable(channel, healthy[channel.name]) if channel.name in healthy else channel for channel in inputs]
+    known, silence = _sensor_rates_and_silences(recording) if recording is not None else ({}, {})
+    inputs = [
+        _with_rate_limit(channel, known.get(channel.name) or _rate_of_step_input(channel, model)) for channel in inputs
+    ]
+    inputs = [_with_stale_limit(channel, silence.get(channel.name, 0.0)) for channel in inputs]
+    return [
+        _with_guard_limits(channel, healthy[channel.name]) if channel.name in healthy else channel for channel in inputs
+    ]
 
 
-def _of_sensors(recording: Recording) -> tuple[dict[str, ReadingRate], dict[str, float]]:
+def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingRate], dict[str, float]]:
     """Column -> how fast its readings move where the last one is held until the next; and how long it may be silent.
 
     A controller sees a reading that comes every ten minutes as one step from one cycle to the next.
@@ -77,7 +81,7 @@ def _of_sensors(recording: Recording) -> tuple[dict[str, ReadingRate], dict[str,
     return rates.learn(short_holes_held(recording, names)), longest_silence(recording, names)
 
 
-def _longer_silent(channel: TableInput, silence: float) -> TableInput:
+def _with_stale_limit(channel: TableInput, silence: float) -> TableInput:
     if channel.stale_after_s is None or channel.stale_after_s >= silence:
         return channel
     return channel.model_copy(update={"stale_after_s": silence})
@@ -99,7 +103,7 @@ def _datum(name: str, unit: str, readings: DatumReadings) -> TableInput:
     )
 
 
-def _fitting_names(columns: dict[str, dict]) -> None:
+def _check_names(columns: dict[str, dict]) -> None:
     """Raises GateError for a column whose name, axis or unit a table cannot hold."""
     for name, facts in columns.items():
         if facts["role"] not in CHANNELS:
@@ -116,7 +120,7 @@ def _fitting_names(columns: dict[str, dict]) -> None:
                 )
 
 
-def _rate_of_a_step(channel: TableInput, model: ErrorModel) -> ReadingRate | None:
+def _rate_of_step_input(channel: TableInput, model: ErrorModel) -> ReadingRate | None:
     """For what may rightly step, such as a speed: a change of all that was seen is believed once it has stayed."""
     if channel.kind not in STEPPING:
         return None
@@ -124,13 +128,13 @@ def _rate_of_a_step(channel: TableInput, model: ErrorModel) -> ReadingRate | Non
     return ReadingRate((high - low) / STEP_S, STEP_NOISE * (high - low)) if high > low else None
 
 
-def _no_faster(channel: TableInput, rate: ReadingRate | None) -> TableInput:
+def _with_rate_limit(channel: TableInput, rate: ReadingRate | None) -> TableInput:
     if rate is None:
         return channel
     return channel.model_copy(update={"max_rate": rate.max_rate, "noise": rate.noise})
 
 
-def _believable(channel: TableInput, sensor: GuardedSensor) -> TableInput:
+def _with_guard_limits(channel: TableInput, sensor: GuardedSensor) -> TableInput:
     default = min(max(channel.default, sensor.low), sensor.high)
     return channel.model_copy(
         update={"low": sensor.low, "high": sensor.high, "max_rate": sensor.max_rate, "default": default}

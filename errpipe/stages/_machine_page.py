@@ -47,10 +47,10 @@ def solve(stage: Any, context: Context) -> Solved:
     context.progress(0.3, f"{len(chain.components)} components from {len(seen)} readings")
     modes = readings.modes(tests) if stage.modes is None else stage.modes
     identified = identify.identify(identify.Parametrisation.of(chain, modes, stage.without), seen)
-    missed = readings.unfollowed(chain, seen, identified.residual)
+    missed = readings.curve_misfit(chain, seen, identified.residual)
     document = summary.document(identified, seen, missed=missed)
     document |= {"procedure": {"modes": modes, **stage.procedure()}, "unfollowed": missed}
-    document["unfollowed_largest"] = readings.unfollowed(chain, seen, identified.residual, largest=True)
+    document["unfollowed_largest"] = readings.curve_misfit(chain, seen, identified.residual, largest=True)
     if single:
         each = zip(seen.label, seen.noise, strict=True)
         noise = {str(tag).split(" ")[-1]: float(size * identified.noise) for tag, size in each}
@@ -165,7 +165,7 @@ def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]
     return figures
 
 
-def _none_as_nan(values: Any) -> Any:
+def _nan_where_none(values: Any) -> Any:
     import numpy as np
 
     return np.array([np.nan if v is None else v for v in values])
@@ -182,7 +182,7 @@ def _component_figure(solved: Solved, errors: MachineErrors) -> tuple[str, str, 
         at = curve["start"] + curve["step"] * np.arange(len(value))
         bands[name] = (at, value - half, value + half)
     measured = {
-        name: (_none_as_nan(r["target"]), _none_as_nan(r["up"]), _none_as_nan(r["down"]))
+        name: (_nan_where_none(r["target"]), _nan_where_none(r["up"]), _nan_where_none(r["down"]))
         for name, r in solved.document.get("records", {}).items()
     }
     caption = "After ISO 230-1: displacements left, angles right; bands are 95 % intervals."

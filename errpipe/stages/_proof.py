@@ -28,7 +28,7 @@ def compare(table: CompensationTable, model: ErrorModel, recording: Recording) -
     import numpy as np
 
     from errpipe.fitting.components import evaluate
-    from errpipe.fitting.lowering import compensable, left_behind
+    from errpipe.fitting.lowering import compensable, uncompensated_terms
     from errpipe.fitting.thermal_arithmetic import held_readings, rms
     from errpipe.stages.predict import table_values
     from errpipe.tables import bounds
@@ -39,7 +39,7 @@ def compare(table: CompensationTable, model: ErrorModel, recording: Recording) -
     free, inside = _unguarded(table), _within_validity(table, recording)
     held, unguarded = evaluate(compensable(model), inside), table_values(free, model, inside)
     believed = table_values(free, model, recording)
-    behind, units = left_behind(model), {c.component: c.unit for c in model.components}
+    behind, units = uncompensated_terms(model), {c.component: c.unit for c in model.components}
     out = []
     for name, values in by_table.items():
         difference = values - by_model[name]

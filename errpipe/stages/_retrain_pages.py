@@ -51,7 +51,9 @@ def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
     if not any(drift.values()):
         return [*lines, "Neither the sensors nor the champion's residual left what they were when it was fitted."]
     for d in drift["inputs"]:
-        word = "drifts" if d["blamed"] else "disagrees with the others"
+        word = (
+            "drifts" if d["blamed"] else "may be the one that drifts" if d["suspected"] else "disagrees with the others"
+        )
         lines.append(
             f"- Sensor {plain_text(d['column'])} {word} since run {plain_text(d['since'])}: {d['size']:+.2g} K."
         )

@@ -280,7 +280,7 @@ def _responses(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:
             for k, term in enumerate(spec.terms):
                 yield from _term(term, recording, (*place, "terms", k))
                 if term in spec.terms[:k]:
-                    yield (*place, "terms", k), "the same term twice: their parameters cannot be told apart"
+                    yield (*place, "terms", k), "the same term twice: their parameters cannot be distinguished"
         if getattr(stage, "method", "linear") != "ridge":
             for n, spec in enumerate(listed):
                 for k, text in _too_many(spec.terms, recording):
@@ -328,7 +328,7 @@ def _term(term: Any, recording: Recording, place: Place) -> Iterator[tuple[Place
 
 
 def _too_many(terms: Sequence[Any], recording: Recording) -> Iterator[tuple[int, str]]:
-    """Terms of one column with more parameters than that column has different values: no rows can tell them apart."""
+    """Terms of one column with more parameters than that column has different values: no rows can distinguish them."""
     from errpipe.terms import Term
 
     spent: dict[str, int] = {}

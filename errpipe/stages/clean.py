@@ -19,7 +19,7 @@ else:
     AnyRule = RULES
 
 
-ANNOUNCED = ("blank cells", "set column aside")  # what a user is told at once; all else stands in cleaning.json
+ANNOUNCED = ("blank cells", "set column aside")  # what is reported on the screen; all else is in cleaning.json
 
 
 class Clean(Stage):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from errpipe import jsonfile
 from errpipe.domain.diagnosis import Diagnosis
 from errpipe.domain.error_model import ErrorModel
-from errpipe.errors import DataError, VerifyError
+from errpipe.errors import DataError, UsageError, VerifyError
 from errpipe.stages import _artefacts
 from errpipe.tables import by_component, ect
 from errpipe.validation import changes
@@ -45,6 +45,8 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
 
     Raises DataError where the two are not of one kind or nothing is known of one, VerifyError for a damaged one.
     """
+    if figure is not None and Path(figure).suffix.lower() != ".svg":
+        raise UsageError(f"--figure {figure}: is drawn as SVG (a name that ends in .svg)")
     kinds = kind_of(Path(old)), kind_of(Path(new))
     correcting = {"table", "model"}
     if kinds[0] != kinds[1] and not set(kinds) <= correcting:
@@ -54,7 +56,7 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
     within = None
     if max_um is not None:
         within = result.largest is not None and result.largest <= max_um
-        seen = "no figure tells how far they differ" if result.largest is None else f"at most {result.largest:.4g}"
+        seen = "no figure of the difference" if result.largest is None else f"at most {result.largest:.4g}"
         result.says.append(f"limit {max_um:g}: {seen}: {'within' if within else 'NOT within the limit'}")
     if figure is not None:
         from errpipe.stages._compare_page import draw
@@ -163,6 +165,10 @@ def _by_parameter(model: ErrorModel) -> dict[str, Any]:
 
 def _fields(out: Comparison, old: Compensation, new: Compensation) -> None:
     """Ranges of validity that differ; largest and rms difference per response, with the place."""
+    new, same = changes.one_axis_one_name(old, new)
+    out.says += [
+        f"{was} in the old one and {now} in the new one are one axis: asked as one" for now, was in same.items()
+    ]
     _ranges(out, old.ranges, new.ranges)
     differences = changes.compare(old, new)
     out.parts["changes"] = [asdict(c) for c in differences]
@@ -194,7 +200,7 @@ def _recordings(old: Path, new: Path) -> Comparison:
     own, other = before.manifest.columns, after.manifest.columns
     for name in (n for n in own if n in other and own[n] != other[n]):
         out.says.append(f"column {name}: is declared differently")
-    alike = {n for n in own if n in other and _holds(own[n]) == _holds(other[n])}
+    alike = {n for n in own if n in other and _meaning_of_column(own[n]) == _meaning_of_column(other[n])}
     _keys(out, "run", dict.fromkeys(before.run_labels()), dict.fromkeys(after.run_labels()))
     if len(before) != len(after):
         out.says.append(f"rows: {len(before)} -> {len(after)}")
@@ -215,7 +221,7 @@ def _recordings(old: Path, new: Path) -> Comparison:
     return out
 
 
-def _holds(column: Any) -> tuple[Any, ...]:
+def _meaning_of_column(column: Any) -> tuple[Any, ...]:
     """What a column holds, whatever it says of its source: columns of another axis are no change of this one."""
     return column.role, column.axis, column.component, column.unit
 

@@ -27,7 +27,8 @@ MOVED = ("X", "Y", "Z")
 CHUNK = 1_000_000  # bytes of the program read at a time
 MAX_PRINTED_BYTES = 8_000_000  # of a program that goes to standard output
 MAX_OVERRUN = 1.0  # mm; a program may overrun the ends of what was measured by so much without a remark
-_TURNING = re.compile(r"G(?:96(?!\d)|(?:50|92)[ \t]*S[ \t]*\d+)", re.IGNORECASE)  # surface speed, its largest rpm
+# Surface speed, its largest rpm, a tool with its offset as Fanuc's lathes call it
+_TURNING = re.compile(r"G(?:96(?!\d)|(?:50|92)[ \t]*S[ \t]*\d+)|T(?:0\d(?!00)\d\d|1([0-6])1\1)(?!\d)", re.IGNORECASE)
 _WHOLE = re.compile(r"[XYZIJKR][ \t]*[+-]?0*[1-9]\d*(?![\d.])", re.IGNORECASE | re.ASCII)
 _COMMENT = re.compile(r"\([^)]*\)?|;.*")
 MAX_LENGTH = 1e5  # mm; of an offset, a tool, a start
@@ -46,6 +47,8 @@ def correct(
     longest: float = 25.0,
 ) -> dict[str, Any]:
     """Write the corrected program. Raises DataError naming the line of anything that is not understood."""
+    if out is not None and Path(out).exists() and Path(out).samefile(program):
+        raise UsageError(f"--out {out}: is the program itself, which corrected twice is wrong by as much: name another")
     compensation_table = _artefacts.read_table(table)
     readings = readings_of(compensation_table, at)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -75,6 +78,8 @@ def correct(
     }
     if depends_on_direction(compensation_table):
         result["direction"] = "the mean of both directions of travel: lost motion is not corrected in a program"
+    if left := [o.name for o in compensation_table.outputs if o.axis not in MOVED]:
+        result["not_corrected"] = f"{', '.join(left)}: programs are corrected in X, Y and Z only"
     if not any(option.startswith("G54=") for option in offsets):
         result["offsets"] = "no --offset of G54 was given: G54 is taken as 0,0,0, machine coordinates"
     beyond = [outside_validity(compensation_table, readings), outside_travel(compensation_table, low, high)]
@@ -126,8 +131,9 @@ def diameters(text: str) -> str:
     """The first word of a turning program, whose X may be a diameter, in words; '' where there is none."""
     number, word = _first_match(_TURNING, text)
     return word and (
-        f"line {number}: {word} is a lathe's, and X was taken as a radius, as LinuxCNC does: where the control counts "
-        "X in diameters (Fanuc 1006#3 DIA, Siemens DIAMON), do not use the corrected program"
+        f"line {number}: {word} is a lathe's, and X was taken as a radius and no tool offset but that of G43, as "
+        "LinuxCNC does: where the control counts X in diameters (Fanuc 1006#3 DIA, Siemens DIAMON), do not use the "
+        "corrected program; where T sets an offset, the correction is that of a place so far away"
     )
 
 
@@ -237,6 +243,9 @@ def deviation_of(table: CompensationTable, at: Mapping[str, float]) -> Deviation
     rotary = [a for a in axes if a not in "XYZ"]
     if rotary:
         raise GateError(f"correct: the table reads {', '.join(rotary)}; programs are corrected in X, Y and Z only")
+    if not any(o.axis in MOVED for o in table.outputs):
+        names = ", ".join(f"{o.name} ({f'axis {o.axis}' if o.axis else 'no axis'})" for o in table.outputs)
+        raise GateError(f"correct: the table corrects {names}; programs are corrected in X, Y and Z only")
     tool = next((i.name for i in table.inputs if i.kind == "tool"), None)
     outputs = [(n, o.axis, MM[o.correction_unit] * o.factor) for n, o in enumerate(table.outputs) if o.axis in MOVED]
     moving = tuple(axes)

@@ -8,14 +8,14 @@ from typing import Any
 PIPELINE = "ball-screw-axis.yaml"
 
 
-def demo(out: Path, talk: Any) -> dict[str, Any]:
+def demo(out: Path, callbacks: Any) -> dict[str, Any]:
     """Run the demonstration pipeline into `out`; the three numbers that matter and where the report is."""
     from errpipe import jsonfile
     from errpipe.pipeline import runner
     from errpipe.pipeline.spec import load_pipeline
     from errpipe.stages import STAGES
 
-    runner.run(load_pipeline(pipeline_file(), STAGES, sets=[]), Path(out), talk=talk)
+    runner.run(load_pipeline(pipeline_file(), STAGES, sets=[]), Path(out), callbacks=callbacks)
     (figures,) = jsonfile.read(Path(out) / "validate" / "validation.json")["components"]
     report = Path(out) / "report" / "report.html"
     return {

@@ -13,9 +13,11 @@ from errpipe.diagnosis.derived import with_responses
 from errpipe.domain.diagnosis import Diagnosis
 from errpipe.errors import DataError, UsageError, VerifyError
 from errpipe.formats import manifest_folder
+from errpipe.formats.manifest_folder import MANIFEST
 from errpipe.reporting.diagnosis_report import Trace, render
 from errpipe.simulation import external
 from errpipe.stages import _apply_findings, _artefacts
+from errpipe.stages._twin_doubts import doubts
 
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
@@ -36,6 +38,12 @@ def diagnose(
     """
     if apply is not None and Path(apply).resolve() in (Path(recording).resolve(), Path(out).resolve()):
         raise UsageError(f"--apply {apply}: another folder is needed than the recording's and the diagnosis'")
+    if (
+        apply is not None
+        and (Path(apply) / MANIFEST).exists()
+        and not (Path(apply) / _apply_findings.DOCUMENT).exists()
+    ):
+        raise UsageError(f"--apply {apply}: holds a recording that is no corrected simulation: name another folder")
     half = 1.0 if apply is None else 0.5
     try:
         read, notes, parameters = with_simulation(manifest_folder.read(Path(recording)), simulation)
@@ -44,7 +52,7 @@ def diagnose(
         raise UsageError(str(err)) from None
     jsonfile.write(Path(out) / "diagnosis.json", document)
     jsonfile.write_text(Path(out) / "report.html", page)
-    says = [r.says for r in diagnosis.responses]
+    says = [*doubts(read), *(r.says for r in diagnosis.responses)]
     summary = {"says": says, "verdicts": {r.component: r.verdict for r in diagnosis.responses}}
     if apply is not None:
         later = lambda share, text: progress(0.5 + 0.5 * share, f"once more: {text}")  # noqa: E731
@@ -77,7 +85,11 @@ def against(recording: Path, findings: Path, out: Path, simulation: Path | None 
     document = {"against": 1, "findings": [h.plain() for h in held]}
     jsonfile.write(Path(out) / "against.json", document)
     changed = [f"{h.effect} ({h.component})" for h in held if h.changed]
-    return {"says": [*(h.says for h in held), *earlier_findings.more_left(held)], "changed": changed, **document}
+    return {
+        "says": [*doubts(read), *(h.says for h in held), *earlier_findings.more_left(held)],
+        "changed": changed,
+        **document,
+    }
 
 
 def judged(
@@ -88,7 +100,7 @@ def judged(
     notes: what is to be said before all else.
     """
     diagnosis, rows = judge(recording, progress)
-    diagnosis = diagnosis.model_copy(update={"notes": (*notes, *diagnosis.notes)})
+    diagnosis = diagnosis.model_copy(update={"notes": (*doubts(recording), *notes, *diagnosis.notes)})
     clock = recording.name("time") or ""
     units = {name: c.unit for name, c in recording.manifest.columns.items() if c.unit}
     traces = [

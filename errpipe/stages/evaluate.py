@@ -45,13 +45,19 @@ def evaluate(table: Path, at: Mapping[str, float]) -> dict[str, Any]:
         f"correction {cycle.correction[name]:+.7f} {outputs[name].correction_unit}"
         for name, value in cycle.deviation.items()
     ]
-    notes = _outside(compensation_table, at)
+    notes, absent = _outside(compensation_table, at), _not_given(compensation_table, at)
     return {
         "deviation": dict(cycle.deviation),
         "correction": dict(cycle.correction),
         "outside": notes,
-        "says": [*says, *notes],
+        "not_given": absent,
+        "says": [*says, *notes, *([f"not given, so at its default: {', '.join(absent)}"] if absent else [])],
     }
+
+
+def _not_given(table: CompensationTable, at: Mapping[str, float]) -> list[str]:
+    """Inputs that were not given, with what stands for them, in words: a temperature's default is seldom the shop's."""
+    return [f"{i.name} = {i.default:g}" for i in table.inputs if i.name not in at and not i.optional]
 
 
 def _outside(table: CompensationTable, at: Mapping[str, float]) -> list[str]:

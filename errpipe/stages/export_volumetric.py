@@ -64,7 +64,7 @@ class ExportVolumetric(SignOptions, Stage):
         folder = context.needed("identified_machine")
         chain = compile_chain(yamlfile.load(folder / MACHINE, Machine))
         document = jsonfile.read(folder / IDENTIFICATION)
-        axes = self._passed(context, document, chain)
+        axes = self._axes_that_gain(context, document, chain)
         kept = chain.components if self.ungated else compensated(document, chain)
         errors = summary.errors(chain, document, kept=kept)
         reversal_lines = {n: line for n, line in reversals(document).items() if n in kept}
@@ -77,7 +77,7 @@ class ExportVolumetric(SignOptions, Stage):
         prove(worst, allowed)
         ect.write(table, context.folder / _artefacts.TABLE)
         ect.write_json(table, context.folder / _artefacts.TWIN)
-        missed = unfollowed(chain, document)
+        missed = curve_misfit(chain, document)
         stated = {"bound_um": allowed + missed, "interpolation_um": allowed, "unfollowed_um": missed}
         proof = [{"component": "tool point", "largest_difference_um": worst, **stated}]
         files = [{"file": _artefacts.TABLE, "what": "volumetric table", "error": "0", "read_back": "equal"}]
@@ -94,7 +94,7 @@ class ExportVolumetric(SignOptions, Stage):
         context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, **facts})
         return {"table": _artefacts.TABLE, "largest_difference_um": proof[0]["largest_difference_um"]}
 
-    def _passed(self, context: Context, document: Mapping[str, Any], chain: Any) -> tuple[str, ...]:
+    def _axes_that_gain(self, context: Context, document: Mapping[str, Any], chain: Any) -> tuple[str, ...]:
         """Linear axes that the table corrects. Raises GateError where the machine may get worse."""
         from errpipe import jsonfile
         from errpipe.kinematics import remaining
@@ -129,7 +129,7 @@ def bound(chain: Any, table: CompensationTable) -> float:
     return compensation.profile_bound(chain, off, chain.tip(100.0, (0.0, 0.0, 0.0)))
 
 
-def unfollowed(chain: Any, document: Mapping[str, Any]) -> float:
+def curve_misfit(chain: Any, document: Mapping[str, Any]) -> float:
     """How far what was measured can be from the identified curves, at the tool point of a tool of 100 mm, um.
 
     Each component counts with the largest mean residual of its targets and its largest arm in the volume.

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import create_model
 
+from errpipe.errors import MissingColumn
 from errpipe.models import BY_FIT, DEFAULT, FAMILIES, SEVERAL, Family
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
@@ -35,7 +36,10 @@ class FitStage(Stage):
             recording, fitted = source.ends, family.fit_batches(source)
         else:
             recording = _artefacts.recording_in(folder)
-            fitted = family.fit(recording, context.progress)
+            try:
+                fitted = family.fit(recording, context.progress)
+            except MissingColumn as missing:
+                raise _artefacts.set_aside(folder, missing) from missing
         _artefacts.write_model(context, recording, fitted.model, family)
         for name, document in fitted.documents.items():
             context.write_json(name, document)

@@ -124,10 +124,17 @@ def machines_of(spec: Fleet, root: Path) -> list[FleetMachine]:
     absent = [name for name in listed if name not in names]
     if absent or not names:
         raise UsageError(f"{folder}: holds no recording of {', '.join(absent) or 'any machine'}")
+    if odd := [name for name in names if not re.fullmatch(NAME, name)]:
+        raise UsageError(
+            f"{folder}: no name of a machine: {', '.join(odd)} (allowed: letters, digits, '.', '_' and '-')"
+        )
+    lower = [name.lower() for name in names]
+    if twice := [name for name in names if lower.count(name.lower()) > 1]:
+        raise UsageError(
+            f"{folder}: two machines have one name: {', '.join(twice)} (small and capital letters are one)"
+        )
     out = []
     for name in names:
-        if not re.fullmatch(NAME, name):
-            raise UsageError(f"{folder / name}: no name of a machine (allowed: letters, digits, '.', '_' and '-')")
         machine = listed.get(name) or FleetMachine(name=name)
         path = jsonfile.dumps((folder / name).as_posix(), indent=None).strip()
         out.append(machine.model_copy(update={"set": (f"{spec.stage}.recording={path}", *machine.set)}))

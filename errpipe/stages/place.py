@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 # Standard errors over duty cycles by which a set must beat doing nothing (false-alarm rate 2 to 10 %)
 MIN_STANDARD_ERRORS = 2.0
+MOST_NAMED = 12  # columns of a file in a message
+ODD = 5.0  # times the rms of the other duty cycles: beyond, one of them decides alone, and is named
 BAR_FLUXES = 3  # duty cycles of the simulated bar: one warm-up and two random ones
 
 
@@ -40,12 +42,18 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
             hint = did_you_mean(name, list(frame.columns))
             option = {error: "--error names the column of the error", group: "--group names the column of duty cycles"}
             hint = hint or (f" ({option[name]})" if name in option else "")
-            raise DataError(f"{file}: no column {name!r}{hint}")
+            found = ", ".join(map(str, frame.columns[:MOST_NAMED]))
+            raise DataError(f"{file}: no column {name!r}{hint}; between commas stand: {found}")
     remaining = [n for n in frame.columns if n not in (error, group, time)]
     names = [n for n in remaining if pd.api.types.is_numeric_dtype(frame[n])]  # labels such as a date are no places
-    bad = [n for n in (error, *names) if not pd.api.types.is_numeric_dtype(frame[n]) or frame[n].isna().any()]
-    if bad or not names:
-        raise DataError(f"{file}: column {bad[0]!r} holds no numbers" if bad else f"{file}: no candidate place")
+    if not pd.api.types.is_numeric_dtype(frame[error]) or not names:
+        text = next((v for v in frame[error] if isinstance(v, str)), "")
+        wrong = f"column {error!r} holds no numbers (found {text[:20]!r})" if names else "no candidate place"
+        raise DataError(f"{file}: {wrong}")
+    for name in (error, *names):
+        if frame[name].isna().any():
+            row = int(np.flatnonzero(frame[name].isna())[0])
+            raise DataError(f"{file}:{row + 2}  {name}: is empty (allowed: a number; leave out the row or the column)")
     for name in (error, *names):
         beyond = np.flatnonzero(~(np.abs(frame[name].to_numpy(float)) <= LARGEST_NUMBER))
         if beyond.size:
@@ -55,7 +63,21 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
         row = int(np.flatnonzero(frame[group].isna())[0])
         raise DataError(f"{file}:{row + 2}  {group}: is empty (allowed: the label of the row's duty cycle)")
     labels = frame[group].astype(str).to_numpy(dtype=object) if group else np.full(len(frame), "all")
-    return judge(names, frame[names].to_numpy(float), frame[error].to_numpy(float), labels, most)
+    clocks = [n for n in names if _is_clock(frame[n].to_numpy(float), labels)]
+    if not (names := [n for n in names if n not in clocks]):
+        raise DataError(f"{file}: no candidate place beside {', '.join(clocks)}, which rises by equal steps as a clock")
+    document, lines = judge(names, frame[names].to_numpy(float), frame[error].to_numpy(float), labels, most)
+    told = [f"no place, but a clock: {', '.join(clocks)} (rises by equal steps)"] if clocks else []
+    return document | {"candidates": names, "clocks": clocks}, [f"candidates: {', '.join(names)}", *told, *lines]
+
+
+def _is_clock(values: np.ndarray, labels: np.ndarray) -> bool:
+    """Whether a column rises by equal steps in every duty cycle, as a clock or a number of rows does."""
+    for label in np.unique(labels):
+        steps = np.diff(values[labels == label])
+        if steps.size < 2 or not steps[0] > 0.0 or np.ptp(steps) > 1e-6 * steps[0]:
+            return False
+    return True
 
 
 def bar(loss: float, most: int) -> tuple[dict[str, Any], list[str]]:
@@ -115,9 +137,16 @@ def judge(names: list[str], readings: Any, error: Any, labels: Any, most: int) -
 
 
 def _undecided(best: Chosen, nothing: float, cycles: int) -> str:
-    """Why no set is chosen: none is better, or too few duty cycles show it."""
+    """Why no set is chosen: none is better (one duty cycle may be why), or too few duty cycles show it."""
     if best.rms_left_out >= nothing:
-        return "no sensor is better than doing nothing"
+        worst = max(best.groups, key=lambda name: best.groups[name])
+        others = float(np.sqrt(np.mean([v**2 for name, v in best.groups.items() if name != worst])))
+        if not best.groups[worst] > ODD * others:
+            return "no sensor is better than doing nothing"
+        return (
+            f"no sensor is better than doing nothing: duty cycle {worst} alone is missed by {best.groups[worst]:.4g}, "
+            f"the others by {others:.4g}; does a sensor jump there?"
+        )
     return (
         f"choose none: {cycles} duty cycles are too few or too unlike to show that {best.rms_left_out:.4g} "
         f"instead of {nothing:.4g} is more than chance (a gain of {MIN_STANDARD_ERRORS:g} standard errors is asked for)"

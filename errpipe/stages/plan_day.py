@@ -18,6 +18,7 @@ from errpipe.formats import manifest_folder
 
 NOISE = 1.0  # um, of a reading, where nothing was measured that shows it
 MIN_GAIN = 0.05  # of the uncertainty: smaller gains are not worth another day of eight hours (a judgement)
+STANDS = 1.0  # mm or deg; an axis that moves by less in a run stands at one place
 MOST_LINES = 12  # candidates that are printed; the document has all
 
 
@@ -42,6 +43,11 @@ def from_errors(
         recording = _joined(recording, manifest_folder.read(log), log)
     cycles = DutyCycles.of(recording, chosen)
     document, lines = _document(chosen, cycles, _candidates(recording, cycles, by), _least(recording, cycles, least))
+    if axes := _moved(recording, chosen):
+        lines.append(
+            f"{chosen} was measured at several places of {', '.join(axes)}, and temperatures alone plan: what differs"
+            " between places counts as what no run teaches. Plan by the readings of one place."
+        )
     unit = recording.manifest.columns[str(recording.name("error", component=chosen))].unit or "um"
     return document | {"unit": unit}, [line.replace("{unit}", unit) for line in lines]
 
@@ -96,6 +102,17 @@ def _component(folder: Path, recording: Recording, component: str | None) -> str
         hint = "; say which with --component" if component is None else did_you_mean(component, present)
         raise DataError(f"{folder}: the recording has {value} (present: {', '.join(present) or 'none'}){hint}")
     return component
+
+
+def _moved(recording: Recording, component: str) -> list[str]:
+    """Axes that stand at other places in a run where the error was measured."""
+    measured = np.isfinite(recording.array(str(recording.name("error", component=component))))
+    run, axes = recording.run_codes()[measured], []
+    for name in recording.names("position") or recording.names("command"):
+        places = recording.array(name)[measured]
+        if any(np.ptp(places[run == r]) > STANDS for r in np.unique(run)):
+            axes.append(recording.manifest.columns[name].axis or name)
+    return axes
 
 
 def _joined(recording: Recording, log: Recording, folder: Path) -> Recording:
@@ -175,7 +192,7 @@ def _recorded(folder: Path) -> tuple[list[tuple[Any, Any]], float | None]:
     recording = manifest_folder.read(folder)
     name = recording.name("spindle_speed")
     if name is None:
-        raise DataError(f"{folder}: the recording has no column of role spindle_speed")
+        raise DataError(f"{folder}: the recording has neither temperatures beside an error nor a spindle speed")
     run, t, v = recording.run_codes(), recording.time(), np.nan_to_num(recording.array(name))
     return [(t[run == r] - t[run == r][0], v[run == r]) for r in np.unique(run)], float(np.max(v, initial=0.0))
 

@@ -11,11 +11,12 @@ import numpy as np
 from errpipe import jsonfile
 from errpipe.domain.error_model import ErrorModel, Validity
 from errpipe.drivers.sessions import sessions
-from errpipe.errors import DataError, GateError
+from errpipe.errors import DataError, GateError, UsageError
 from errpipe.fitting.components import evaluate, from_run_start
 from errpipe.formats import manifest_folder
 from errpipe.stages import _artefacts, _readings, _rows_out
 from errpipe.stages._compile import CompileOptions, compile_model
+from errpipe.stages._same_inputs import refuse_others
 from errpipe.tables import batch, by_component
 from errpipe.validation import predict as rows
 from errpipe.validation.predict import Predictor, of_evaluator
@@ -37,9 +38,11 @@ def predict(source: Path, recording: Path, out: Path, readings: Path | None = No
     memory does not grow with them, wherever the prediction is a table's, its interval needs no earlier rows, and no
     readings are given.
     readings: a file of the deviation read now and then (`stages/_readings.py`); rows after a reading are corrected by
-    it. Raises DataError where it cannot be used.
+    it. Raises DataError where it cannot be used, or where a column is not what the compensation was made for.
     """
+    _refuse_out(Path(out), Path(recording))
     compensation = _artefacts.model_or_table(source)
+    refuse_others(compensation, manifest_folder.canonical(manifest_folder.load_manifest(Path(recording))))
     source_of = (
         _of_model(compensation) if isinstance(compensation, ErrorModel) else _of_table(compensation, Path(source))
     )
@@ -55,6 +58,14 @@ def predict(source: Path, recording: Path, out: Path, readings: Path | None = No
     answer = {"written": str(out)} | _rows_out.write(Path(out), frames) | said
     without = [c for c in source_of.components if c not in source_of.half_width90]
     return answer | ({"intervals": _why_empty(compensation, without)} if without else {})
+
+
+def _refuse_out(out: Path, recording: Path) -> None:
+    """Raises UsageError where a prediction would replace what was measured, or is no file of rows."""
+    if out.suffix.lower() not in (".csv", ".txt", ".parquet"):
+        raise UsageError(f"--out {out}: a file of rows is needed (.csv or .parquet)")
+    if out.exists() and out.resolve().is_relative_to((recording if recording.is_dir() else recording.parent).resolve()):
+        raise UsageError(f"--out {out}: would replace a file of the recording: name another one")
 
 
 def _with_readings(
@@ -152,7 +163,7 @@ def _begin(table: CompensationTable, model: ErrorModel) -> Begin:
     packed = cache(lambda compiled: batch.Rows(by_component(table), compiled))
 
     def begin(rows: int) -> Evaluate:
-        replay, count, first = packed(batch.worth_compiling(rows)).anew(), 0, dict[str, float]()
+        replay, count, first = packed(batch.worth_compiling(rows)).restarted(), 0, dict[str, float]()
 
         def values(part: Recording) -> Mapping[str, np.ndarray]:
             nonlocal count

@@ -334,7 +334,10 @@ def entry(page_name: str, name: str) -> str:
     parts = re.split(r"(?m)^(?=#{2,3} `)", page(page_name))[1:]
     known = {re.match(r"#+ `([^`]+)`", part).group(1): part for part in parts}  # type: ignore[union-attr]
     if name not in known:
-        raise UsageError(f"no {page_name} entry {name!r} (allowed: {', '.join(known)}).{did_you_mean(name, known)}")
+        hint = did_you_mean(name, known)
+        if (Path(__file__).parents[1] / page_name / f"{name}.py").is_file():
+            hint = f" There is an errpipe/{page_name}/{name}.py: enter it into the registry in its __init__.py."
+        raise UsageError(f"no {page_name} entry {name!r} (allowed: {', '.join(known)}).{hint}")
     return known[name].rstrip() + "\n"
 
 

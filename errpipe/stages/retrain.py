@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from errpipe import jsonfile
 from errpipe.errors import DataError, GateError, UsageError, VerifyError
-from errpipe.pipeline.step import SILENT, Talk
+from errpipe.pipeline.step import NO_CALLBACKS, Callbacks
 from errpipe.stages import _artefacts
 from errpipe.stages._retrain_pages import github_annotations, write_pages
 
@@ -41,7 +41,7 @@ def retrain(
     max_change_um: float | None = None,
     max_change_um_per_k: float | None = None,
     allowed_sensors: Sequence[str] = (),
-    talk: Talk | None = None,
+    callbacks: Callbacks | None = None,
 ) -> dict[str, Any]:
     """Run the pipeline into OUT/run and decide whether its model replaces the champion's.
 
@@ -58,10 +58,10 @@ def retrain(
     earlier = _earlier_scores(out / DOCUMENT, fingerprint)
     refused = ""
     try:
-        runner.run(pipeline, out / RUN, talk=talk or SILENT)
+        runner.run(pipeline, out / RUN, callbacks=callbacks or NO_CALLBACKS)
     except GateError as err:
         refused = str(err)
-    folder = out / RUN / _giving(pipeline, "recording")
+    folder = out / RUN / _last_stage_with(pipeline, "recording")
     recording = _artefacts.recording_in(folder)
     _same_machine(champion, old_model, old_recording, recording)
     document = _judged(
@@ -88,11 +88,11 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     prediction = _predictions(old_model, recording)
     scores = list(earlier)
     drift = _drift(old_model, old_recording, recording, known)
-    gates = _response_gates(drift)
+    gates = [*_response_gates(drift), *_unit_gates(old_recording, recording, known)]
     if refused:
         gates.append(retraining.Gate("pipeline", False, refused))
     else:
-        model_folder = out / RUN / _giving(pipeline, "error_model")
+        model_folder = out / RUN / _last_stage_with(pipeline, "error_model")
         model = _artefacts.read_model(model_folder / _artefacts.MODEL)
         lacking = [c.component for c in model.components if c.component not in prediction]
         if lacking:
@@ -137,7 +137,7 @@ def _name_gate(names: list[str], any_new: bool) -> list[Any]:
     return [Gate("names of runs", any_new, says)]
 
 
-def _giving(pipeline: Pipeline, artefact: str) -> str:
+def _last_stage_with(pipeline: Pipeline, artefact: str) -> str:
     """Name of the last stage that gives an artefact of a type. Raises DataError where none does."""
     names = [stage.label for stage in pipeline.stages if artefact in stage.gives]
     if not names:
@@ -148,8 +148,8 @@ def _giving(pipeline: Pipeline, artefact: str) -> str:
 def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, str]:
     from errpipe.formats.manifest_folder import MANIFEST
 
-    model = Path(folder) / _giving(pipeline, "error_model") / _artefacts.MODEL
-    recording = Path(folder) / _giving(pipeline, "recording")
+    model = Path(folder) / _last_stage_with(pipeline, "error_model") / _artefacts.MODEL
+    recording = Path(folder) / _last_stage_with(pipeline, "recording")
     for path in (model, recording / MANIFEST):
         if not path.is_file():
             raise DataError(
@@ -265,12 +265,14 @@ def _sensor_gate(old: ErrorModel, new: ErrorModel, allowed: Sequence[str]) -> Ga
 
 
 def _drift_gate(drift: Mapping[str, Any], model: ErrorModel) -> Gate:
-    """No promotion of a challenger that reads a drifting sensor: the drift was part of its training data."""
+    """No promotion of a challenger that reads a sensor which may drift: the drift was part of its training data."""
+    from errpipe.validation.input_drift import who_drifts
     from errpipe.validation.retraining import Gate
 
-    read = sorted(d["column"] for d in drift["inputs"] if d["blamed"] and d["column"] in model.columns)
-    says = f"drifting: {', '.join(read)}; repair or replace it first" if read else "no sensor of the challenger drifts"
-    return Gate("sensors", not read, says)
+    faulty = [d["column"] for d in drift["inputs"] if d["suspected"]]
+    if not set(faulty) & set(model.columns):
+        return Gate("sensors", True, "no sensor of the challenger drifts")
+    return Gate("sensors", False, f"{who_drifts(faulty)}; repair or replace it first")
 
 
 def _response_gates(drift: Mapping[str, Any]) -> list[Gate]:
@@ -286,6 +288,18 @@ def _response_gates(drift: Mapping[str, Any]) -> list[Gate]:
         for d in drift["sizes"]
         if d["meaning"]
     ]
+
+
+def _unit_gates(old: Recording, recording: Recording, known: frozenset[str]) -> list[Gate]:
+    """No promotion of a challenger whose new temperatures are in another unit: the controller's are not."""
+    from errpipe.validation.input_drift import other_unit
+    from errpipe.validation.retraining import Gate
+
+    both, reference = _with_new_runs(old, recording, known)
+    found = None if both is None else other_unit(both, reference)
+    if found is None:
+        return []
+    return [Gate("temperatures", False, f"since run {found[1]} all of them read as if in {found[0]}")]
 
 
 def _coverage_gates(pipeline: Pipeline, folder: Path) -> list[Gate]:
@@ -311,20 +325,18 @@ def _drift(model: ErrorModel, old: Recording, recording: Recording, known: froze
 
     The reference is what the champion was fitted on, also where those runs are no longer kept with the new ones.
     """
-    import numpy as np
+    from errpipe.validation import input_drift, response_drift
 
-    from errpipe.validation import input_drift, response_drift, retraining
-
-    keys = retraining.run_keys(recording)
-    new = np.isin(recording.run_codes(), [c for c, key in enumerate(keys) if key not in known])
-    both = _joined(old, recording.take(new))
+    both, reference = _with_new_runs(old, recording, known)
     if both is None:
         return {"inputs": [], "residuals": [], "sizes": []}
-    reference = np.arange(len(both)) < len(old)
     prediction = _predictions(model, both)
     apparent = _apparent_errors(model, both, prediction, reference)
     residuals, sizes = response_drift.drifts(both, reference, prediction)
     sensors = [asdict(d) for d in input_drift.sensor_drift(both, reference, apparent)]
+    read = [d["column"] for d in sensors if d["suspected"] and d["column"] in model.columns]
+    if read:  # what the champion predicts is wrong, not what was measured
+        sizes = [s | {"meaning": f"it predicts by {read[0]}, which drifts"} if s["meaning"] else s for s in sizes]
     return {"inputs": sensors, "residuals": residuals, "sizes": sizes}
 
 
@@ -351,6 +363,18 @@ def _apparent_errors(model: ErrorModel, recording: Recording, prediction, refere
         if np.any(weight > LEAST_SLOPE):
             out[column] = np.where(weight > LEAST_SLOPE, by_run / np.maximum(weight, LEAST_SLOPE), np.nan)
     return out
+
+
+def _with_new_runs(old: Recording, recording: Recording, known: frozenset[str]) -> tuple[Recording | None, np.ndarray]:
+    """The champion's recording followed by the runs that it did not see, and which rows are the champion's."""
+    import numpy as np
+
+    from errpipe.validation import retraining
+
+    keys = retraining.run_keys(recording)
+    new = np.isin(recording.run_codes(), [c for c, key in enumerate(keys) if key not in known])
+    both = _joined(old, recording.take(new))
+    return both, np.arange(0 if both is None else len(both)) < len(old)
 
 
 def _joined(old: Recording, new: Recording) -> Recording | None:

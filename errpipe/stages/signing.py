@@ -77,40 +77,57 @@ def promote(
     """
     from errpipe import files
     from errpipe.registry.store import MAX_OBJECT_BYTES
+    from errpipe.tables import ect
 
     store = _registry(registry, public)
     past = store.history(machine)
     name = identity(table)
-    data = files.read(table, MAX_OBJECT_BYTES, UsageError)
+    data, new = files.read(table, MAX_OBJECT_BYTES, UsageError), _artefacts.read_table(table)
+    if data[:1] == b"{":  # the JSON twin: on record is what a controller loads
+        data = ect.dumps(new)
+    if not other_outputs:
+        _of_no_other(store.machines(), machine, new, table)
     if past and not other_outputs:
-        _same_kind(store.table(past[-1].table), _artefacts.read_table(table), machine, table)
+        _same_kind(store.table(past[-1].table), new, machine, table)
     when = _time_after(past, time)
     entry = store.append(machine, "promote", data, _why(why), when, minisign.read_secret(secret), len(past))
     return _row(entry, store) | {"says": [f"machine {machine}: table {name} is entry {entry.number}"]}
 
 
 def _same_kind(before: bytes, table: CompensationTable, machine: str, path: Path) -> None:
-    """Raises GateError where a table is of another machine, or corrects other axes, than the one that it replaces.
+    """Raises GateError where a table is of another machine, axes or units than the one that it replaces.
 
-    A controller runs one table: a table of Y alone in place of that of X ends the compensation of X.
+    A controller runs one table: a table of Y alone in place of that of X ends the compensation of X, and one whose
+    corrections are in um moves an axis that takes mm 1000 times too far.
     """
     from errpipe.tables import ect
 
     old = ect.loads_any(before)
     if old.machine and table.machine and old.machine != table.machine:
-        told = f"was made for {table.machine!r}, the one on record for {old.machine!r}"
+        reason = f"was made for {table.machine!r}, the one on record for {old.machine!r}"
     elif _outputs(old) != _outputs(table):
-        told = f"corrects {_outputs(table)}, the one on record {_outputs(old)}, and a machine's table is replaced whole"
+        reason = f"corrects {_outputs(table)}, the one on record {_outputs(old)}, and a table is replaced whole"
     else:
         return
     raise GateError(
-        f"machine {machine}: {path} {told}. Give it a name of its own in the registry, or say --other-outputs"
+        f"machine {machine}: {path} {reason}. Give it a name of its own in the registry, or say --other-outputs"
     )
 
 
+def _of_no_other(known: Sequence[str], machine: str, table: CompensationTable, path: Path) -> None:
+    """Raises GateError where a table is of another machine of this registry; 7-X may have tables of 7."""
+    of = table.machine
+    if of in known and of != machine and not machine.startswith((f"{of}-", f"{of}.", f"{of}_")):
+        raise GateError(
+            f"machine {machine}: {path} was made for {of}, which this registry has too. Promote it there, or say"
+            " --other-outputs"
+        )
+
+
 def _outputs(table: CompensationTable) -> str:
-    """What a table corrects, in words, such as `E_X (axis X), E_Y (axis Y)`."""
-    return ", ".join(sorted(f"{o.name} (axis {o.axis})" if o.axis else o.name for o in table.outputs))
+    """What a table corrects, in words, such as `E_X (axis X, in mm), E_C (axis C, in deg)`."""
+    axes = (f"axis {o.axis}, in {o.correction_unit}" if o.axis else f"in {o.correction_unit}" for o in table.outputs)
+    return ", ".join(sorted(f"{o.name} ({words})" for o, words in zip(table.outputs, axes, strict=True)))
 
 
 def rollback(
@@ -123,17 +140,21 @@ def rollback(
     public: Path,
     time: str | None,
 ) -> dict[str, Any]:
-    """Put the table of an earlier entry back on record (default: the last one that differs), and write it to a file."""
+    """Put the table of an earlier entry back on record, and write it to a file.
+
+    Default: what was on the machine before its table was promoted. A second rollback so goes one further back, not to
+    the table that the first one took off the machine.
+    """
     from errpipe import jsonfile
 
     store = _registry(registry, public)
     past = store.history(machine)
     if not past:
         raise UsageError(f"machine {machine} has no history in {registry}")
-    earlier = [e for e in past if e.table != past[-1].table] if to is None else [e for e in past if e.number == to]
+    earlier = _before(past) if to is None else [e for e in past if e.number == to]
     if not earlier:
         store.table(past[-1].table)  # one that was changed is refused as such, whatever was asked
-        raise UsageError(f"machine {machine}: no earlier table to go back to (entries: 1 to {len(past)})")
+        raise UsageError(f"machine {machine}: no earlier table to go back to (--to: entries 1 to {len(past)})")
     data, when = store.table(earlier[-1].table), _time_after(past, time)
     entry = store.append(machine, "rollback", data, _why(why), when, minisign.read_secret(secret), len(past))
     if out is not None:
@@ -141,6 +162,13 @@ def rollback(
     return _row(entry, store) | {
         "says": [f"machine {machine}: entry {entry.number} is again the table of entry {earlier[-1].number}"]
     }
+
+
+def _before(past: Sequence[Entry]) -> list[Entry]:
+    """The entries of other tables before the table that is on record was promoted for the last time."""
+    table = past[-1].table
+    promoted = max((e.number for e in past if e.table == table and e.action == "promote"), default=0)
+    return [e for e in past if e.number < promoted and e.table != table]
 
 
 def log(registry: Path, machine: str | None, at: str | None, file: Path | None, public: Path) -> dict[str, Any]:
@@ -161,8 +189,10 @@ def log(registry: Path, machine: str | None, at: str | None, file: Path | None, 
             raise VerifyError(f"{file}: table {wanted} was never on record in {registry}")
     if at is not None:  # before the file: another table may have taken its place by then
         then = _time(at)
-        last = {row["machine"]: row for row in rows if row["time"] <= then}
-        rows = list(last.values())
+        until = _time(f"{at}T23:59:59") if len(at) == len("2026-03-03") else then  # a date alone is the whole day
+        last = {row["machine"]: row["number"] for row in rows if row["time"] <= then}
+        before = [r["number"] - last.get(r["machine"], 0) for r in rows]  # 0: it was on the machine at that time
+        rows = [r for r, n in zip(rows, before, strict=True) if n == 0 or (n > 0 and r["time"] <= until)]
     rows = [row for row in rows if file is None or row["identity"] == wanted]
     lines = [
         f"{r['machine']} {r['number']:>4}  {r['time']}  {r['action']:<8}  table {r['identity']}  {r['why']}"

@@ -156,7 +156,7 @@ def write_targets(
     note: a sentence for every checklist.
     """
     out = []
-    targets = with_something_to_add(table, chosen(list(dict.fromkeys(names))))
+    targets = with_own_content(table, chosen(list(dict.fromkeys(names))))
     for target in targets:
         others = _sibling_names(target, targets)
         files = target.remarked(target.write_beside(table, others), remarks)
@@ -203,7 +203,7 @@ def sibling(table: CompensationTable, target: Any, lost: list[dict[str, Any]]) -
     return f"{best[1]} can say what {target.name} leaves behind; with both among the targets: {best[2]}."
 
 
-def with_something_to_add(table: CompensationTable, targets: Sequence[Any]) -> list[Any]:
+def with_own_content(table: CompensationTable, targets: Sequence[Any]) -> list[Any]:
     """The targets without those that add nothing to their companions."""
     kept = list(targets)
     for target in targets:

@@ -51,7 +51,7 @@ class Rows:
         self._compiled = _Compiled(table) if compiled else None
         self._begin()
 
-    def anew(self) -> Rows:
+    def restarted(self) -> Rows:
         """The same table before its first row; what does not change is shared."""
         other = copy(self)
         other._begin()
@@ -119,17 +119,17 @@ class _Compiled:
         """What replays rows from the first one on."""
         program, plan, state = self.program, self.plan, pack.state(self.program)
         row, fresh = np.empty(state.inputs.size), np.ones(state.inputs.size, dtype=np.uint8)
-        room = None
+        work = None
 
         def walk(columns, time, run, goes_on, before, *results) -> None:
-            nonlocal room
+            nonlocal work
             self.rows += run.size
-            if room is None and self.rows > LONG:
-                room = self._room(state)
-            done, step = 0, run.size if room is None else FEW
+            if work is None and self.rows > LONG:
+                work = self._workspace(state)
+            done, step = 0, run.size if work is None else FEW
             while done < run.size:
-                if room is not None and goes_on:
-                    done = table_replay.replay(program, plan, room, state, columns, time, run, before, done, *results)
+                if work is not None and goes_on:
+                    done = table_replay.replay(program, plan, work, state, columns, time, run, before, done, *results)
                     before = float(time[done - 1]) if done else before
                 begin, done = done, min(done + step, run.size)
                 if begin < done:
@@ -139,12 +139,14 @@ class _Compiled:
 
         return walk
 
-    def _room(self, state: table_cycle.State) -> table_replay.Room:
+    def _workspace(self, state: table_cycle.State) -> table_replay.Workspace:
         # Not compiled: that takes seconds, and this a millisecond.
-        buffers = table_position.room.py_func(self.program, self.plan)
+        buffers = table_position.workspace.py_func(self.program, self.plan)
         table_position.fill.py_func(self.program, self.plan, self.fixed, self.profile_fixed, buffers)
         decay, dt = np.empty((2, table_position.BLOCK)), np.empty(table_position.BLOCK)
-        return table_replay.Room(buffers, self.fixed, self.moves, decay, dt, state.inputs.copy(), state.nodes.copy())
+        return table_replay.Workspace(
+            buffers, self.fixed, self.moves, decay, dt, state.inputs.copy(), state.nodes.copy()
+        )
 
 
 def evaluate(

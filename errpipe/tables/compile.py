@@ -188,7 +188,7 @@ class _Group:
     closing: float = 0.0  # largest change of the curve by which its turn was closed, in its unit
 
     def keeps(self, build: Nodes) -> bool:
-        """Whether no validity box speaks about its driver."""
+        """Whether no validity box limits its driver."""
         return all(build.inputs[name].valid is None for name in build.reads(self.driver))
 
     def curve(self, x: np.ndarray) -> np.ndarray:

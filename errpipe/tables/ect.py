@@ -67,6 +67,8 @@ def loads_any(data: bytes) -> t.CompensationTable:
 
 
 def _of_json(content: Any, path: Path | str) -> t.CompensationTable:
+    if isinstance(content, dict) and "error_model" in content:
+        raise VerifyError(f"{path}: is an error model (a compensation table is needed: what `export` makes of it)")
     try:
         return t.CompensationTable.model_validate(content)
     except ValidationError as err:

@@ -19,12 +19,11 @@ USUAL = 1.0 / 60.0  # per s: a temperature of a machine in use moves by a kelvin
 
 @dataclass(frozen=True)
 class Held:
-    """One output: the most its deviation can be behind, um or urad, and the inputs that have no `max_rate`."""
+    """One output: the most its deviation can be behind, um or urad."""
 
     output: str
     unit: str
     largest: float
-    unbounded: tuple[str, ...]
 
 
 def outputs(table: t.CompensationTable, otherwise: float = math.inf) -> tuple[Held, ...]:
@@ -40,7 +39,6 @@ def outputs(table: t.CompensationTable, otherwise: float = math.inf) -> tuple[He
     for pair in table.pairs:
         profile = table.profiles[pair.profile]
         lag[pair.component] += behind[pair.driver] * profile.scale * max(abs(v) for v in profile.values)
-    free = tuple(i.name for i in table.inputs if i.max_rate is None and i.name in _slowly_read(table))
     out = []
     for output in table.outputs:
         total = 0.0
@@ -48,13 +46,8 @@ def outputs(table: t.CompensationTable, otherwise: float = math.inf) -> tuple[He
             sizes = [reach[term.component], *(largest(spans[n]) for n in term.factors)]
             lags = [lag[term.component], *(behind[n] for n in term.factors)]
             total += abs(term.weight) * _of_product(lags, sizes)
-        out.append(Held(output.name, output.unit, total, free))
+        out.append(Held(output.name, output.unit, total))
     return tuple(out)
-
-
-def _slowly_read(table: t.CompensationTable) -> set[str]:
-    """Inputs that slow nodes read."""
-    return {n.input for n in table.nodes if isinstance(n, t.InputNode) and n.slow}
 
 
 def _behind(table: t.CompensationTable, spans: Sequence[Span], otherwise: float) -> list[float]:

@@ -22,7 +22,7 @@ INPUT_RECORD = np.dtype(
             "stale",
             "hold",
             "default",
-            "offset",
+            "substitute_offset",
             "valid_low",
             "valid_high",
             "margin",
@@ -81,7 +81,7 @@ INPUT_STATE = np.dtype(
 )
 NODE_STATE = np.dtype(
     [(n, "f8") for n in ("value", "memory", "last", "before", "kept_value", "kept_memory")]
-    + [(n, "i8") for n in ("ready", "stands", "doubt", "told", "news")]
+    + [(n, "i8") for n in ("ready", "steady", "departed", "stated", "changed")]
 )
 OUTPUT_STATE = np.dtype([(n, "f8") for n in ("deviation", "correction", "limited", "rate", "target")])
 COMMON_STATE = np.dtype(

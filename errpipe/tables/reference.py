@@ -19,7 +19,7 @@ This is the cycle, its nodes, profiles and synthesis; readings and limits are `r
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from errpipe.domain import table as t
@@ -54,10 +54,10 @@ class _Recall:
     before: float
     value: float = 0.0
     memory: float = 0.0
-    stands: bool = True
-    doubt: bool = False
-    told: int = 0
-    news: bool = False
+    steady: bool = True
+    departed: bool = False
+    stated: int = 0
+    changed: bool = False
 
 
 class Evaluator:
@@ -213,7 +213,7 @@ class Evaluator:
             case t.ApproachNode():
                 return self._approach(n, node, values[node.of[0]], values[node.of[1]], started, dt is not None)
             case t.LookupNode():
-                return _lookup(node, values[node.of[0]])
+                return _interpolate(node.values, (values[node.of[0]] - node.start) * (1.0 / node.step))
         raise TypeError(f"unknown node {node!r}")
 
     def _lag(self, n: int, node: t.LagNode, u: float, started: bool, dt: float | None) -> float:
@@ -230,7 +230,7 @@ class Evaluator:
         return before + (y - before) * alpha
 
     def _recall(self, n: int, x: float, way: int, threshold: float, started: bool, replay: bool) -> None:
-        """Undo what the last reading did where it stands alone between two that agree, or was alone in telling a way.
+        """Undo what the last reading did where it is alone between two that agree, or alone states a direction.
 
         One reading away from where the axis stood, and back: at a fixed rate no axis does that, a bad sample does.
         """
@@ -242,14 +242,14 @@ class Evaluator:
         moved, away = x - own.last, x - own.before
         far = moved > threshold or -moved > threshold
         agrees = not (away > threshold or -away > threshold)
-        if started and agrees and (own.news or (own.doubt and far)):
+        if started and agrees and (own.changed or (own.departed and far)):
             self._node[n], self._a[n] = own.value, own.memory
             far = False
         own.value, own.memory = self._node[n], self._a[n]
-        own.doubt = own.stands and far
-        own.stands = not far
-        own.news = way not in (0, own.told)
-        own.told = way
+        own.departed = own.steady and far
+        own.steady = not far
+        own.changed = way not in (0, own.stated)
+        own.stated = way
         own.before, own.last = own.last, x
 
     def _direction(self, n: int, node: t.DirectionNode, x: float, known: float, started: bool, replay: bool) -> float:
@@ -329,16 +329,7 @@ class Evaluator:
             s = s - float(whole) * last
         elif s < 0.0 or s > last:
             self._status |= t.STATUS_BIT["beyond_profile"]
-        if s < 0.0:
-            s = 0.0
-        if s > last:
-            s = float(last)
-        j = int(s)
-        if j > last - 1:
-            j = last - 1
-        f = s - j
-        left, right = profile.values[j], profile.values[j + 1]
-        return (left + f * (right - left)) * profile.scale
+        return _interpolate(profile.values, s) * profile.scale
 
     def _synthesis(self, components: list[float]) -> list[float]:
         out = []
@@ -356,9 +347,9 @@ class Evaluator:
         return out
 
 
-def _lookup(node: t.LookupNode, u: float) -> float:
-    last = len(node.values) - 1
-    s = (u - node.start) * (1.0 / node.step)
+def _interpolate(values: Sequence[float], s: float) -> float:
+    """Straight lines between uniform values, held at the ends; s counts steps."""
+    last = len(values) - 1
     if s < 0.0:
         s = 0.0
     if s > last:
@@ -366,6 +357,5 @@ def _lookup(node: t.LookupNode, u: float) -> float:
     j = int(s)
     if j > last - 1:
         j = last - 1
-    f = s - j
-    left = node.values[j]
-    return left + f * (node.values[j + 1] - left)
+    left = values[j]
+    return left + (s - j) * (values[j + 1] - left)

@@ -45,7 +45,7 @@ class Readings:
         lost = False
         for n, i in enumerate(self.table.inputs):
             if faults[n] != 0:
-                sources[n] = self._stand_in(n, i, faults)
+                sources[n] = self._substitute(n, i, faults)
                 if not i.optional:
                     self.status |= t.STATUS_BIT[("", "substituted", "held", "defaulted")[sources[n]]]
                     lost = lost or (sources[n] == 3 and i.fade_on_default)
@@ -64,7 +64,7 @@ class Readings:
             return 2
         if v < channel.low or v > channel.high:
             return 3
-        if channel.max_rate is not None and not self._follows(n, channel, v, channel.name in readings, replay):
+        if channel.max_rate is not None and not self._within_rate(n, channel, v, channel.name in readings, replay):
             return 4
         self._good[n] = v
         self._now[n] = v
@@ -73,7 +73,7 @@ class Readings:
         self.usable[n] = True
         return 0
 
-    def _follows(self, n: int, channel: t.TableInput, v: float, fresh: bool, replay: bool) -> bool:
+    def _within_rate(self, n: int, channel: t.TableInput, v: float, fresh: bool, replay: bool) -> bool:
         """Whether a reading lies where `max_rate` and `noise` let it be; the anchor follows it at that rate.
 
         The first reading of a run is believed once it has stayed there for half a thermal cycle.
@@ -97,7 +97,7 @@ class Readings:
         self._anchor[n] = self._anchor[n] + reach if moved > reach else self._anchor[n] - reach if -moved > reach else v
         return True
 
-    def _stand_in(self, n: int, channel: t.TableInput, faults: list[int]) -> int:
+    def _substitute(self, n: int, channel: t.TableInput, faults: list[int]) -> int:
         if channel.optional:
             self._now[n] = channel.default
             return 3

@@ -256,7 +256,18 @@ def lost_motion(table: CompensationTable) -> dict[str, float]:
     return {axis: value for axis, value in means.items() if abs(value) >= LEAST_REVERSAL}
 
 
-def knows_sides(table: CompensationTable, axis: str) -> bool:
+def backlash(table: CompensationTable, target: str, letters: str = "") -> dict[str, float]:
+    """Lost motion of the axes (of those in `letters`), mm (deg). Raises GateError for none or a negative one."""
+    out = {axis: value for axis, value in lost_motion(table).items() if not letters or axis in letters}
+    if not out:
+        raise GateError(f"{target}: no axis of the table has lost motion")
+    for axis, value in out.items():
+        if value < 0:
+            raise GateError(f"{target}: {axis} would have to be pushed back by {-1e3 * value:.3g} um at reversals")
+    return out
+
+
+def depends_on_direction(table: CompensationTable, axis: str) -> bool:
     """Whether the correction of an axis over its own position depends on the direction of travel."""
     if axis not in positions_of(table):
         return False

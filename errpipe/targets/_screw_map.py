@@ -44,13 +44,13 @@ class ScrewMap(Target):
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
         if "both directions" in cls.holds:
-            knows = {c.axis: _sample.knows_sides(table, c.axis) for c in read.curves}
+            knows = {c.axis: _sample.depends_on_direction(table, c.axis) for c in read.curves}
             says = {True: "= 0 (the file holds both)", False: KEPT_BACKLASH}
             return tuple(ByHand(f"{axis}: the control's backlash value {says[both]}") for axis, both in knows.items())
         lost, out = _sample.lost_motion(table), []
         for _, axis in cls.own_axes(table):
             value = lost.get(axis, 0.0)
-            if not _sample.knows_sides(table, axis):
+            if not _sample.depends_on_direction(table, axis):
                 out.append(ByHand(f"{axis}: the control's backlash value {KEPT_BACKLASH}"))
                 continue
             part = _sample.reversal(axis, value, *_sample.span(table, axis)) if value else None

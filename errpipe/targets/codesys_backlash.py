@@ -15,7 +15,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
-from errpipe.errors import GateError
 from errpipe.targets import _sample
 from errpipe.targets._base import CAUTION, Curve, ReadBack, Target, expect
 
@@ -41,14 +40,7 @@ class CodesysBacklash(Target):
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
-        backlash = _sample.lost_motion(table)
-        if not backlash:
-            raise GateError("codesys_backlash: no axis of the table has lost motion")
-        for axis, value in backlash.items():
-            if value < 0:
-                raise GateError(
-                    f"codesys_backlash: {axis} would have to be pushed back by {-1e3 * value:.3g} um at reversals"
-                )
+        backlash = _sample.backlash(table, cls.name)
         blocks = "".join(f"    fb{axis} : SMC_BacklashCompensation;\n" for axis in backlash)
         calls = "".join(_call(axis, value) for axis, value in backlash.items())
         head = f"(* {CAUTION} *)\nPROGRAM PRG_Backlash\nVAR\n    bExecute : BOOL;\n"

@@ -14,7 +14,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
-from errpipe.errors import GateError
 from errpipe.targets import _sample
 from errpipe.targets._base import Curve, ReadBack, Target, expect
 
@@ -43,14 +42,7 @@ class GrblhalBacklash(Target):
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
-        backlash = {axis: value for axis, value in _sample.lost_motion(table).items() if axis in LETTERS}
-        if not backlash:
-            raise GateError("grblhal_backlash: no axis of the table has lost motion")
-        for axis, value in backlash.items():
-            if value < 0:
-                raise GateError(
-                    f"grblhal_backlash: {axis} would have to be pushed back by {-1e3 * value:.3g} um at reversals"
-                )
+        backlash = _sample.backlash(table, cls.name, LETTERS)
         return {FILE: "".join(f"${FIRST + LETTERS.index(a)}={v:.6f}\n" for a, v in sorted(backlash.items()))}
 
     @classmethod

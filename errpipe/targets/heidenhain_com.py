@@ -67,7 +67,9 @@ class HeidenhainCom(Target):
         own = dict.fromkeys(c.axis for c in read.curves if c.axis == c.over)
         says = {True: "= 0, else lost motion acts twice", False: KEPT_BACKLASH}
         return tuple(
-            ByHand(f"{axis}: the control's own backlash (iTNC: MP710) {says[_sample.knows_sides(table, axis)]}")
+            ByHand(
+                f"{axis}: the control's own backlash (iTNC: MP710) {says[_sample.depends_on_direction(table, axis)]}"
+            )
             for axis in own
         )
 

@@ -3,7 +3,7 @@
 Value     corrections in each output's unit (mm), to be added to the commanded positions: minus the deviation.
 Blocks    FB_EctLoad unpacks the bytes of an `.ect` file (checksum, every index) into a structure, FB_EctCycle runs it
           once per position cycle, FB_EctStore keeps the last good file in RETAIN memory and exchanges two tables while
-          the machine runs (FB_EctSwitch), FB_EctFind numbers the inputs by name, FB_EctWatch tells of missed calls. A
+          the machine runs (FB_EctSwitch), FB_EctFind numbers the inputs by name, FB_EctWatch reports missed calls. A
           new table is new bytes: nothing is compiled again.
           FB_EctLoad refuses what the other readers refuse, every rule of the format page.
 Files     plain Structured Text; TwinCAT .TcPOU/.TcDUT/.TcGVL with errpipe.plcproj, a library project with its version;
@@ -41,7 +41,7 @@ BLOCKS = ("FB_EctLoad", "FB_EctCycle", "FB_EctSwitch", "FB_EctStore", "FB_EctFin
 DATA = "GVL_EctData"
 LIBRARY_VERSION = "2.0.0"  # first number: of the table format; the others count changes of the blocks
 # Room for other tables than the one exported: what the arrays hold at least.
-LEAST_ROOM = {
+LEAST_CAPACITY = {
     "inputs": 32,
     "substitutes": 64,
     "nodes": 128,
@@ -81,7 +81,7 @@ class IecSt(Target):
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
-        capacities = room_for(table)
+        capacities = capacity_for(table)
         units = {name: unit(name, capacities) for name in (*TYPES, *FUNCTIONS, *BLOCKS)}
         data = ect.dumps(table)
         files = {"ect.st": "\n".join([*units.values(), _data_unit(data, table)]), "example_twincat.st": _example(table)}
@@ -102,25 +102,25 @@ class IecSt(Target):
         return WholeTable.of(table)
 
 
-def room_for(table: CompensationTable) -> dict[str, int]:
-    """Highest index of each array: at least LEAST_ROOM, and twice what the table needs."""
+def capacity_for(table: CompensationTable) -> dict[str, int]:
+    """Highest index of each array: at least LEAST_CAPACITY, and twice what the table needs."""
     data = ect.dumps(table)
     most = {}
     for number, (what, record) in lay.RECORDS.items():
         needed = len(ect.section(data, number)) // record.size
-        most[_NAMES.get(what, what.upper())] = max(LEAST_ROOM[what], 2 * needed, 1) - 1
+        most[_NAMES.get(what, what.upper())] = max(LEAST_CAPACITY[what], 2 * needed, 1) - 1
     most["FACTORS"] = 4 * (most["TERMS"] + 1) - 1
     sizes = {_NAMES.get(what, what.upper()): record.size for what, record in lay.RECORDS.values()}
     most["BYTES"] = lay.HEADER_SIZE + sum(-(-(most[name] + 1) * size // 8) * 8 for name, size in sizes.items())
     return most
 
 
-def unit(name: str, room: Mapping[str, int]) -> str:
+def unit(name: str, capacity: Mapping[str, int]) -> str:
     """One type, function or function block as Structured Text, its arrays sized."""
     text = resources.files("errpipe.targets").joinpath("st", f"{name}.st").read_text(encoding="utf-8")
     text = re.sub(r"^( *)@REALS p\+(\d+) (.*?)\{(.*?)\}(\[\w\])@$", _reals, text, flags=re.M)
     text = re.sub(r"@([48]) (?:(\w)\+)?(\d+)@", _bytes_at, text)
-    return re.sub(r"@([A-Z]+)@", lambda m: str(room[m[1]]), text)
+    return re.sub(r"@([A-Z]+)@", lambda m: str(capacity[m[1]]), text)
 
 
 def _reals(match: re.Match[str]) -> str:
@@ -159,11 +159,11 @@ def _rows(data: bytes) -> str:
     return ",\n        ".join(rows)
 
 
-def _data_block(data: bytes, table: CompensationTable, room: Mapping[str, int]) -> str:
+def _data_block(data: bytes, table: CompensationTable, capacity: Mapping[str, int]) -> str:
     """Global variables, where a controller has a file for them."""
     return (
         f"{_shown(table)}VAR_GLOBAL\n    nFileSize : DINT := {len(data)};\n"
-        f"    aFile : ARRAY [0..{room['BYTES']}] OF BYTE := [\n        {_rows(data)}];\nEND_VAR\n"
+        f"    aFile : ARRAY [0..{capacity['BYTES']}] OF BYTE := [\n        {_rows(data)}];\nEND_VAR\n"
     )
 
 

@@ -114,7 +114,7 @@ def _facts(table: t.CompensationTable, data: bytes) -> dict[str, Any]:
         "count_size": COUNT_SIZE,
         "inputs": inputs,
         "outputs": outputs,
-        "room": _room(table),
+        "room": _work_area(table),
         "positions": [
             {"letter": letter.lower(), "joint": joint[letter], "pin": f"errpipe.{hal(pins[name]['name'])}"}
             for letter, name in _sample.positions_of(table).items()
@@ -185,7 +185,7 @@ def _other_lines(table: t.CompensationTable, pins: Mapping[str, dict[str, Any]])
     return lines
 
 
-def _room(table: t.CompensationTable) -> list[tuple[int, str]]:
+def _work_area(table: t.CompensationTable) -> list[tuple[int, str]]:
     """Counts and C types of the runtime's work area, in the order in which it lays them out."""
     operands = sum(len(n.of) for n in table.nodes)
     lookups = sum(len(n.values) for n in table.nodes if isinstance(n, t.LookupNode))

@@ -44,7 +44,9 @@ class LinuxcncScrew(ScrewMap):
             True: "no BACKLASH (the file holds both directions)",
             False: "no BACKLASH acts beside COMP_FILE, and the table knows no lost motion: measure both directions",
         }
-        out = [ByHand(f"[JOINT_n] of {c.axis}: {says[_sample.knows_sides(table, c.axis)]}") for c in read.curves]
+        out = [
+            ByHand(f"[JOINT_n] of {c.axis}: {says[_sample.depends_on_direction(table, c.axis)]}") for c in read.curves
+        ]
         out += [
             ByHand(f"{c.axis}: with WRAPPED_ROTARY the joint counts on: unwind it, or take the HAL component")
             for c in read.curves

@@ -96,7 +96,7 @@ class SinumerikCec(Target):
                 points = _sample.exact(_sample.uniform(table, axis, over, MOST, ERROR_UM)[0])
                 curve = _sample.at_nodes(table, axis, over, points.positions(), relative=rest)
                 if screws and over == axis:
-                    curve = _beside_its_mean(curve)  # what one curve for both directions cannot say
+                    curve = _half_difference(curve)  # what one curve for both directions cannot say
                     if float(np.abs(curve.up).max()) * 1e3 < SAME_UM:
                         continue
                 rest = True
@@ -127,7 +127,7 @@ class SinumerikCec(Target):
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
         most = max([points_in_file(c) for c in read.curves] + [x.size for p in read.products for x in p.positions])
         out = [ByHand(f"MD18342 MM_CEC_MAX_POINTS of each table = {most} or more")]
-        both = {c.axis: _sample.knows_sides(table, c.axis) for c in read.curves if c.axis == c.over}
+        both = {c.axis: _sample.depends_on_direction(table, c.axis) for c in read.curves if c.axis == c.over}
         says = {True: "= 0 (the tables hold both directions)", False: KEPT_BACKLASH}
         out += [ByHand(f"{axis}: MD32450 BACKLASH {says[knows]}") for axis, knows in both.items()]
         for axis in read.axes():
@@ -150,7 +150,7 @@ class SinumerikCec(Target):
         links = {int(n): int(m) - 1 for n, m in re.findall(r"\$AN_CEC_MULT_BY_TABLE\[(\d+)\]=(\d+)", text) if int(m)}
         expect(set(links.values()) <= set(numbers), FILE, "multiplies by a table that is not there")
         for part in (set(links), set(links.values())):
-            _cancel([errors[n] for n in sorted(part)])
+            _check_products_cancel([errors[n] for n in sorted(part)])
         alone = [errors[n] for n in numbers if n not in links and n not in links.values()]
         curves = tuple(Curve(c.axis, c.over, c.positions, -c.up, -c.down) for c in alone)
         return ReadBack(curves=curves, products=tuple(_product(errors[a], errors[b]) for a, b in links.items()))
@@ -167,7 +167,7 @@ class _Factors:
     rms: float
 
 
-def _beside_its_mean(curve: Curve) -> Curve:
+def _half_difference(curve: Curve) -> Curve:
     """What each direction adds to the mean of both."""
     half = (curve.up - curve.down) / 2
     return Curve(curve.axis, curve.over, curve.positions, half, -half)
@@ -215,7 +215,7 @@ def _four(number: int, axes: list[str], factors: _Factors) -> list[str]:
     return out
 
 
-def _cancel(tables: list[Curve]) -> None:
+def _check_products_cancel(tables: list[Curve]) -> None:
     """Raise VerifyError where tables that multiply would change an axis by themselves: readings would differ."""
     total: dict[tuple[str, str, bytes], np.ndarray] = {}
     for c in tables:

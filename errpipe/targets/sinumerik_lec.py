@@ -52,7 +52,7 @@ class SinumerikLec(ScrewMap):
         for number, axis in cls.own_axes(table):
             curve = next(c for c in read.curves if c.axis == axis)
             out.append(ByHand(f"AX{number} ({axis}): MD38000 MM_ENC_COMP_MAX_POINTS = {points_in_file(curve)} or more"))
-            if not _sample.knows_sides(table, axis):
+            if not _sample.depends_on_direction(table, axis):
                 out.append(ByHand(f"AX{number} ({axis}): MD32450 BACKLASH {KEPT_BACKLASH}"))
                 continue
             value = 0.0 if "sinumerik_cec" in others else lost.get(axis, 0.0)  # its tables hold both directions

@@ -130,7 +130,7 @@ class Term(Frozen, ABC):
         """The term with what it reads off the rows once (span, runs) written down; a fit calls it first."""
         return self
 
-    def cuttable(self, recording: Recording) -> bool:
+    def splittable_in_batches(self, recording: Recording) -> bool:
         """Whether a recording may be cut into batches between any two rows.
 
         The basis of the batches is then that of the whole, given the states that `drive` carries over

@@ -14,7 +14,7 @@ from errpipe.terms._lines import FEW_PLACES, combs, lines, waves
 from errpipe.terms._search import Signals
 from errpipe.yamlfile import quantity
 
-TURN, NEARLY = 360.0, 0.95  # deg; share of a turn from which its orders are told apart,
+TURN, NEARLY = 360.0, 0.95  # deg; share of a turn from which its orders are distinguished,
 BENT = 0.5  # and from which the bend of its first order shows
 
 

@@ -48,7 +48,7 @@ class Backlash(Term):
     def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[Backlash]:
         return cls.bind(recording, as_positioning(component))
 
-    def cuttable(self, recording: Recording) -> bool:
+    def splittable_in_batches(self, recording: Recording) -> bool:
         return recording.name("direction", axis=self.axis) is not None
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:

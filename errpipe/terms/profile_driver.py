@@ -128,7 +128,7 @@ class ProfileDriver(Term):
             )
         )
 
-    def cuttable(self, recording: Recording) -> bool:
+    def splittable_in_batches(self, recording: Recording) -> bool:
         return carried(self._driver([1.0] * len(self._lagged())), recording)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:

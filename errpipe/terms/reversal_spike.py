@@ -28,7 +28,7 @@ AT_REST = 0.1  # of the highest speed of a run: slower, it begins where the axis
 
 
 @dataclass(frozen=True)
-class GoneBeforeTheNextTurn(Times):
+class DecayBeforeNextReversal(Times):
     """A time constant, from the sampling step to a third of the longer times between two turns of the axis."""
 
     def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
@@ -69,7 +69,7 @@ class ReversalSpike(Term):
             else ()
         )
         return (
-            Parameter("tau", "s", (0.005, 0.05), (0.001, 1.0), "time in which it dies away", GoneBeforeTheNextTurn()),
+            Parameter("tau", "s", (0.005, 0.05), (0.001, 1.0), "time in which it dies away", DecayBeforeNextReversal()),
             *power,
         )
 
@@ -85,7 +85,7 @@ class ReversalSpike(Term):
                 varies = feed is not None and recording.frame[feed].nunique() > 1
                 term = cls(axis=axis, feed=feed if varies else None, radial=is_radial(component))
                 yield term
-                if term.radial and term._begun(recording):
+                if term.radial and term._runs_starting_at_reversal(recording):
                     yield term.model_copy(update={"from_start": True})
 
     @classmethod
@@ -96,11 +96,11 @@ class ReversalSpike(Term):
         """Time since the last reversal in s, shape (rows,), infinite before the first."""
         t = recording.time()
         since = since_turn(sessions(recording), t, direction(recording, self.axis))
-        for begun in self._begun(recording) if self.from_start else ():
-            since[begun] = np.minimum(since[begun], t[begun] - t[begun[0]])
+        for these in self._runs_starting_at_reversal(recording) if self.from_start else ():
+            since[these] = np.minimum(since[these], t[these] - t[these[0]])
         return since
 
-    def _begun(self, recording: Recording) -> list[np.ndarray]:
+    def _runs_starting_at_reversal(self, recording: Recording) -> list[np.ndarray]:
         """Rows of each run that begins where this axis turns."""
         run = recording.run_codes()
         speed = np.abs(recording.array(str(recording.name("velocity", axis=self.axis))))

@@ -18,7 +18,7 @@ from errpipe.terms._place import linear_axes_acting
 from errpipe.terms._slack import Slack
 from errpipe.terms._warm import sensors
 
-BESIDE = 5  # rows on either side of a jump whose medians tell its step
+BESIDE = 5  # rows on either side of a jump whose medians give its step
 ALIKE = 2.0  # factor between a jump off and the jump back
 STILL = 0.05  # of a jump, within which a reading stands still before it
 

@@ -8,7 +8,7 @@ sides), jumps to the state, and stays there; both are evaluated 1 s, 1 min, 10 m
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -22,6 +22,7 @@ from errpipe.tables import batch
 AFTER = np.array([0.0, 1.0, 60.0, 600.0, 3600.0, 36000.0, 1e9])  # s after the jump; the first row stands before it
 STATES = 4000  # a bump of 1/200 of the travel is missed by all of them in 1 of 10^6 comparisons
 ENDS = 0.15  # share of the second half at each end of a range: corners of a box of five inputs are then among them
+MOVING = ("position", "command", "actual", "direction")  # roles of what moves with an axis
 BINS = 10  # parts of an input's range in which differences are summed up
 
 Range = tuple[float, float]
@@ -32,7 +33,7 @@ class Compensation:
     """A model or table as a function of readings.
 
     roles: input -> role (of a recording or of a table's input); ranges: input -> validity; units: response -> unit;
-    relative: whether it counts from the start of each run.
+    relative: whether it counts from the start of each run; axes: input -> axis, of positions and directions.
     """
 
     roles: Mapping[str, str]
@@ -40,6 +41,7 @@ class Compensation:
     units: Mapping[str, str]
     values: Callable[[States], Mapping[str, np.ndarray]]
     relative: bool = False
+    axes: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,8 @@ def of_model(model: ErrorModel) -> Compensation:
 
     ranges = {name: model.validity.ranges.get(name, (0.0, 1.0)) for name in kinds}
     units = {c.component: c.unit for c in model.components}
-    return Compensation({n: k.role for n, k in kinds.items()}, ranges, units, values, model.datum == "run_start")
+    axes = {n: k.axis for n, k in kinds.items() if k.axis}
+    return Compensation({n: k.role for n, k in kinds.items()}, ranges, units, values, model.datum == "run_start", axes)
 
 
 def of_table(table: CompensationTable) -> Compensation:
@@ -97,12 +100,41 @@ def of_table(table: CompensationTable) -> Compensation:
 
     ranges = {i.name: i.valid or _profile_span(table, i.name) or (i.default, i.default) for i in table.inputs}
     units = {o.name: o.unit for o in table.outputs}
-    return Compensation({i.name: i.kind for i in table.inputs}, ranges, units, values)
+    axes = {i.name: i.axis for i in table.inputs if i.axis}
+    return Compensation({i.name: i.kind for i in table.inputs}, ranges, units, values, axes=axes)
 
 
 def _profile_span(table: CompensationTable, name: str) -> Range | None:
     ends = [(p.start, p.start + p.step * (len(p.values) - 1)) for p in table.profiles if p.input == name]
     return (min(e[0] for e in ends), max(e[1] for e in ends)) if ends else None
+
+
+def one_axis_one_name(old: Compensation, new: Compensation) -> tuple[Compensation, dict[str, str]]:
+    """The new one with the old one's names of positions and directions of the same axis; new name -> old name.
+
+    An axis stands at one place, whatever its column is called: asked at two places, two equal ones would differ.
+    """
+    names = {}
+    for name, place in ((n, _place(new, n)) for n in new.roles if n not in old.roles):
+        same = [[n for n in c.roles if _place(c, n) == place] for c in (old, new)]
+        if place is not None and [len(s) for s in same] == [1, 1] and same[0][0] not in new.roles:
+            names[name] = same[0][0]
+    if not names:
+        return new, {}
+
+    def values(states: States) -> Mapping[str, np.ndarray]:
+        own = {name: states.readings[other] for name, other in names.items()}
+        return new.values(replace(states, readings={**states.readings, **own}))
+
+    roles, axes = ({names.get(n, n): v for n, v in d.items()} for d in (new.roles, new.axes))
+    ranges = {names.get(n, n): v for n, v in new.ranges.items()}
+    return replace(new, roles=roles, ranges=ranges, axes=axes, values=values), names
+
+
+def _place(of: Compensation, name: str) -> tuple[bool, str] | None:
+    """Whether an input is a direction, and its axis; None where it is neither a place nor a direction of one."""
+    role = of.roles[name]
+    return (role == "direction", of.axes[name]) if role in MOVING and name in of.axes else None
 
 
 def draw(old: Compensation, new: Compensation, seed: int = 1) -> States:
@@ -114,8 +146,7 @@ def draw(old: Compensation, new: Compensation, seed: int = 1) -> States:
         spans = [c.ranges[name] for c in (old, new) if name in c.ranges]
         low, high = min(s[0] for s in spans), max(s[1] for s in spans)
         state, before = (_drawn(rng, roles[name], low, high) for _ in range(2))
-        moving = roles[name] in ("position", "command", "actual", "direction")
-        first = before if moving else np.full(STATES, (low + high) / 2)
+        first = before if roles[name] in MOVING else np.full(STATES, (low + high) / 2)
         readings[name] = np.column_stack([first, *[state] * (AFTER.size - 1)]).ravel()
     return States(readings, np.tile(AFTER, STATES), np.repeat(np.arange(STATES), AFTER.size))
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -27,8 +28,11 @@ GAINS = (0.0, 0.25, 0.5, 0.75, 1.0)  # shares of a model that compete, 0 = do no
 # Times the half width from halves of one run: covers 93, 90 and 87 % of later logs after one of 1, 3 and 8 days
 # (chosen on seeds 5101 and 5102 of `trials.thermal --log-days`, 12 machines; 1.0: 89, 78 and 74 %).
 NEXT_RUN = 1.5
+BLOCKS = "blocks:5"  # of one run, each predicted by the others
 TIE = 0.01  # of the held-out rms: the smaller gain wins within it
 VERSION = 1  # of the document's layout
+
+Blocks = Callable[[], Mapping[str, Sequence[HeldOut]]]
 
 
 def held_out(
@@ -60,17 +64,18 @@ def judged(
         label, folds = family.folds(recording, scheme)
     else:
         folds, label = [holdout.Fold(*fold) for fold in folds], "given"
-    by_component: dict[str, list[HeldOut]] = {c: [] for c in family.responses}
-    for number, fold in enumerate(folds):
-        progress(number / len(folds), f"without {fold.label}")
-        for component, left in family.judge(recording, fold).items():
-            by_component[component].append(left)
+    by_component = _left_out(recording, family, folds, progress)
+
+    @cache
+    def blocks() -> dict[str, list[HeldOut]]:
+        return _left_out(recording, family, family.folds(recording, BLOCKS)[1], progress)
+
     document = {
         "validation": VERSION,
         "scheme": label,
         "method": family.method_name,
         "components": [
-            component_figures(recording, name, left, halves=label == holdout.HALVES)
+            component_figures(recording, name, left, halves=blocks if label == holdout.HALVES else None)
             for name, left in by_component.items()
         ],
     }
@@ -81,6 +86,18 @@ def judged(
         _cover(document, tables["seasons"])
         document |= tables
     return document, by_component
+
+
+def _left_out(
+    recording: Recording, family: Family, folds: Sequence[holdout.Fold], progress: Callable[[float, str], None]
+) -> dict[str, list[HeldOut]]:
+    """Per component the held-out rows of every fold."""
+    out: dict[str, list[HeldOut]] = {c: [] for c in family.responses}
+    for number, fold in enumerate(folds):
+        progress(number / len(folds), f"without {fold.label}")
+        for component, left in family.judge(recording, fold).items():
+            out[component].append(left)
+    return out
 
 
 def _of_one_run(document: dict[str, Any]) -> None:
@@ -149,11 +166,12 @@ def component_figures(
     component: str,
     folds: Sequence[HeldOut],
     gains: dict[str, float] | None = None,
-    halves: bool = False,
+    halves: Blocks | None = None,
 ) -> dict[str, Any]:
     """Figures of one component over its held-out groups. gains: rms by gain where it is known from further rows.
 
-    halves: whether the groups are blocks of halves that predicted each other.
+    halves: where the groups are blocks of halves that predicted each other, per component blocks that all others of the
+    run predicted; asked for where halves leave it open.
     """
     if not folds:
         raise DataError(f"validate: no held-out rows of {component}")
@@ -166,12 +184,7 @@ def component_figures(
     readings = recording.array(name)[rows[order]] if name else None
     floor = noise_floor(recording, rows[order], after[order], readings)
     best = _least_that_ties(gains)
-    if halves:
-        chance, runs = significance.p_of_halves(folds, best)
-    else:
-        chance, runs = significance.p_value(recording, folds, best), significance.independent_runs(recording, folds)
-    chance = chance if best > 0.0 else 1.0
-    chosen = best if chance <= (significance.HALVES_LEVEL if halves else significance.LEVEL) else 0.0
+    chance, runs, chosen = _tested(recording, component, folds, best, halves)
     figures = {
         "component": component,
         "unit": (recording.manifest.columns[name].unit if name else None) or "um",
@@ -202,6 +215,26 @@ def component_figures(
             [_at_gain(f, chosen) for f in folds],
         )
     return figures
+
+
+def _tested(
+    recording: Recording, component: str, folds: Sequence[HeldOut], best: float, halves: Blocks | None
+) -> tuple[float, int, float]:
+    """p of a gain, the observations behind it, and the gain that is exported: this one or 0."""
+    if halves is None:
+        chance, runs = significance.p_value(recording, folds, best), significance.independent_runs(recording, folds)
+    else:
+        chance, runs = significance.p_of_halves(folds, best)
+    chance = chance if best > 0.0 else 1.0
+    if halves is None:
+        return chance, runs, best if chance <= significance.LEVEL else 0.0
+    helps = significance.of_halves_helps(chance, lambda: _share_left(halves()[component]))
+    return chance, runs, best if helps else 0.0
+
+
+def _share_left(folds: Sequence[HeldOut]) -> float:
+    """rms with the model over rms without it, all folds together."""
+    return _pooled(folds, 1.0) / max(_pooled(folds, 0.0), 1e-30)
 
 
 def _group(fold: HeldOut, number: int, folds: Sequence[HeldOut]) -> dict[str, Any]:

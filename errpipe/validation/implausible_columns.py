@@ -170,9 +170,18 @@ def temperatures(recording: Recording) -> Iterator[Finding]:
             meant = "tenths of a degree" if low < 250 or high > 340 else "K, or tenths of a degree"
         elif low > 1500 and high < 4000:
             meant = "hundredths of a degree"
+        elif _kelvin_in_part(t):
+            meant = "degC in some rows and K in others (one unit in all of them)"
         else:
             meant = "another column, or a sensor that failed (clean it, or give the column the role ignore)"
         yield Finding("temperature-range", name, evidence, meant)
+
+
+def _kelvin_in_part(t: np.ndarray) -> bool:
+    """Whether finite readings lie in a shop's range, degC, once 273.15 is taken from the hot ones."""
+    hot = t > ROOM[1]
+    rest = np.where(hot, t - 273.15, t)
+    return bool(hot.any() and (t[hot] > 250.0).all() and rest.min() >= ROOM[0] and rest.max() <= ROOM[1])
 
 
 def _steps(recording: Recording, name: str) -> Iterator[Finding]:

@@ -5,7 +5,8 @@ and Evans 1975; self-starting as in Hawkins 1987), so a season that the referenc
 comes. A drifting sensor does not: the regression is no longer updated from an alarm on. The residual, averaged per run
 and divided by the scatter between reference runs left out in turn, goes into a cumulative sum (Page 1954), whose
 threshold allows for a scatter known from few runs. One drifting sensor also moves the predictions of the others, so
-each suspect is left out in turn: the drift is its own where the others then show none.
+each suspect is left out in turn: the drift is its own where the others then show none, and show one without any other
+suspect. Where they are silent without either of two, it is one of these, and nothing yet says which.
 
 Temperatures alone need many nights: even with onset, size and sign known, the most powerful test at that false-alarm
 rate (Neyman and Pearson) sees a drift of 0.25 K a night, in residuals of 0.33 K, in 8 of 100 cases after three nights
@@ -21,7 +22,7 @@ A machine that changed keeps the ratio below RATIO for ever in all but 1 / RATIO
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import MappingProxyType
@@ -37,21 +38,36 @@ SIMULATED = 4000  # simulated years without drift behind a threshold
 MIN_THRESHOLD = 5.0  # standard errors; below it one odd run would be an alarm
 MIN_SD = 0.05  # K; sensors that agree better than their display resolution are not judged finer than it
 QUIETER = 0.2  # largest CUSUM without the faulty sensor over that with it: chosen on simulated sensors, seeds 1 to 3
+ALIKE = 2.0  # times the quietest of these: whatever is quieter may as well be the faulty one (a judgement)
 SIGNS = np.array([1.0, -1.0])  # up and down
 # Likelihood of a sensor that drifts over that of a machine that changed: at most one change in 10 is misnamed
 RATIO = 10.0
+SCALES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {  # what reads so -> what it would be as declared
+    "degF instead of degC": lambda t: (t - 32.0) / 1.8,
+    "K instead of degC": lambda t: t - 273.15,
+    "degC instead of degF": lambda t: 1.8 * t + 32.0,
+    "degC instead of K": lambda t: t + 273.15,
+}
+FAR, SEASON = (
+    25.0,
+    15.0,
+)  # K; every sensor of a machine, air among them, moves by less from one run to another; a season
 FEWEST_RUNS = 4  # reference runs below which no scatter between runs is known
 
 
 @dataclass(frozen=True)
 class Drift:
-    """A column that drifted from the reference. since: label of the run where its excursion began; size: K, mean."""
+    """A column that drifted from the reference. since: label of the run where its excursion began; size: K, mean.
+
+    blamed: the fault is this sensor's; suspected: it is, or it is that of another suspected one.
+    """
 
     column: str
     since: str
     size: float
     statistic: float
-    blamed: bool
+    blamed: bool = False
+    suspected: bool = False
 
 
 def sensor_drift(
@@ -71,23 +87,54 @@ def sensor_drift(
         return []
     readings = np.column_stack([recording.array(n) for n in names])
     z, sd, limit = _standardised_residuals(readings, run, old, new)
-    drift_of = {}
+    seen = {}
     for k, name in enumerate(names):
         alarm, begin = cusum(z[:, k])
-        if alarm >= limit:
-            drift_of[k] = Drift(
-                name, recording.run_labels()[new[begin]], float(np.mean(z[begin:, k]) * sd[k]), alarm, False
-            )
+        seen[k] = Drift(name, recording.run_labels()[new[begin]], float(np.mean(z[begin:, k]) * sd[k]), alarm)
+    drift_of = {k: d for k, d in seen.items() if d.statistic >= limit}
     known = [k for k, name in enumerate(names) if name in apparent]
     tests = {k: _sensor_or_machine(readings, run, old, new, k, sd[k], apparent[names[k]]) for k in known}
     blamed = max(tests, key=lambda k: tests[k][0], default=None)
     if blamed is not None and tests[blamed][0] >= np.log(RATIO):
         ratio, begin, size = tests[blamed]
-        drift_of[blamed] = Drift(names[blamed], recording.run_labels()[new[begin]], size, ratio, True)
+        drift_of[blamed] = Drift(names[blamed], recording.run_labels()[new[begin]], size, ratio)
+        faulty = [blamed]
     else:
-        blamed = _faulty_sensor(readings, run, old, new, {k: d.statistic / limit for k, d in drift_of.items()})
-    drifts = [replace(d, blamed=k == blamed) for k, d in drift_of.items()]
-    return sorted(drifts, key=lambda d: (not d.blamed, -d.statistic))
+        faulty = _faulty_sensors(readings, run, old, new, max(d.statistic for d in seen.values()) / limit)
+        drift_of |= {k: seen[k] for k in faulty}
+    drifts = [replace(d, blamed=faulty == [k], suspected=k in faulty) for k, d in drift_of.items()]
+    order = [names[k] for k in faulty]
+    return sorted(drifts, key=lambda d: (order.index(d.column) if d.suspected else len(order), -d.statistic))
+
+
+def other_unit(recording: Recording, reference: np.ndarray) -> tuple[str, str] | None:
+    """The scale on which all temperatures of a new run read, and the first such run; None where they read as before.
+
+    Sensors that change their scale together agree with each other as before, so no drift shows it. Medians per run.
+    """
+    run, names = recording.run_codes(), recording.names("temperature")
+    columns = [recording.array(n) for n in names]
+    if not names or not all(np.isfinite(c[reference]).any() for c in columns):
+        return None
+    before = np.array([np.nanmedian(c[reference]) for c in columns])
+    for code in dict.fromkeys(run[~reference].tolist()):
+        rows = run == code
+        if not all(np.isfinite(c[rows]).any() for c in columns):
+            continue
+        now = np.array([np.nanmedian(c[rows]) for c in columns])
+        if np.all(np.abs(now - before) > FAR):
+            for scale, back in SCALES.items():
+                if np.all(np.abs(back(now) - before) < SEASON):
+                    return scale, recording.run_labels()[code]
+    return None
+
+
+def who_drifts(suspected: Sequence[str]) -> str:
+    """The sensors that may be the faulty one, in words: `T_nut drifts`, `T_nut or T_bed drifts`."""
+    *others, last = suspected
+    if not others:
+        return f"{last} drifts"
+    return f"{', '.join(others)} or {last} drifts (the likeliest first; which one, more nights say)"
 
 
 def _sensor_or_machine(readings, run, old, new, k: int, sd: float, apparent: np.ndarray) -> tuple[float, int, float]:
@@ -108,16 +155,20 @@ def _sensor_or_machine(readings, run, old, new, k: int, sd: float, apparent: np.
     return float(a @ np.linalg.solve(covariance, r - 0.5 * a)), begin, float(a.mean())
 
 
-def _faulty_sensor(readings, run, old, new, suspects: Mapping[int, float]) -> int | None:
-    """The sensor without which the largest CUSUM of the others is least; None where it is still too large."""
-    if not suspects or readings.shape[1] < 3:
-        return None  # two sensors that disagree do not say which of them is wrong
-    loudest = {}
-    for k in suspects:
+def _faulty_sensors(readings, run, old, new, loudest: float) -> list[int]:
+    """The sensors without any one of which the others show no drift, the likeliest first: one of them is faulty.
+
+    loudest: largest CUSUM of all sensors over the threshold. The faulty one need not be in alarm itself.
+    """
+    if loudest < 1.0 or readings.shape[1] < 3:
+        return []  # two sensors that disagree do not say which of them is wrong
+    left = []
+    for k in range(readings.shape[1]):
         z, _, limit = _standardised_residuals(np.delete(readings, k, axis=1), run, old, new)
-        loudest[k] = max(cusum(z[:, j])[0] / limit for j in range(z.shape[1]))
-    best = min(loudest, key=lambda k: loudest[k])
-    return best if loudest[best] < max(1.0, QUIETER * max(suspects.values())) else None
+        left.append(max(cusum(z[:, j])[0] / limit for j in range(z.shape[1])))
+    if min(left) >= max(1.0, QUIETER * loudest):
+        return []
+    return [int(k) for k in np.argsort(left) if left[k] < max(1.0, ALIKE * min(left))]
 
 
 def _standardised_residuals(

@@ -25,7 +25,7 @@ def is_model(member: Any) -> bool:
 
 
 def tags_of(member: Any, discriminator: str | None = None) -> list[Any]:
-    """Values of the Literal fields of a model (or of the one field that tells the members apart)."""
+    """Values of the Literal fields of a model (or of the one field that distinguishes the members)."""
     if isinstance(member, Choice):
         return list(member.tags)
     if not is_model(member):

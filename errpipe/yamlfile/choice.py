@@ -14,9 +14,11 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from importlib import import_module
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, get_args
 
 from pydantic_core import core_schema
+
+from errpipe.errors import UsageError
 
 M = TypeVar("M")
 
@@ -44,9 +46,13 @@ class Choice(Generic[M]):
     @classmethod
     def of_files(cls, package: str, key: str, files: Iterable[str | tuple[str, str]]) -> Choice[M]:
         """The models of a folder, one a file: `tool_wear` is the class ToolWear of that file; a pair is a tag and the
-        file where that differs."""
+        file where that differs. Raises UsageError where one of them is not what the registry says."""
         pairs = [(entry, entry) if isinstance(entry, str) else entry for entry in files]
-        return cls(key, {tag: partial(_from_file, package, file) for tag, file in pairs})
+        members = {tag: partial(_from_file, package, file, key, tag) for tag, file in pairs}
+        if len(members) < len(pairs):
+            twice = next(tag for k, (tag, _) in enumerate(pairs) if tag in [t for t, _ in pairs[:k]])
+            raise UsageError(f"{_path(package, '__init__')} lists {twice!r} twice")
+        return cls(key, members)
 
     @property
     def tags(self) -> tuple[str, ...]:
@@ -98,6 +104,21 @@ def _built(member: Any) -> core_schema.CoreSchema:
     return built
 
 
-def _from_file(package: str, file: str) -> Any:
-    name = "".join(word.capitalize() for word in file.split("_"))
-    return getattr(import_module(f"{package}.{file}"), name)
+def _from_file(package: str, file: str, key: str, tag: str) -> Any:
+    name, path = "".join(word.capitalize() for word in file.split("_")), _path(package, file)
+    try:
+        member = getattr(import_module(f"{package}.{file}"), name, None)
+    except ModuleNotFoundError as error:
+        if error.name != f"{package}.{file}":
+            raise
+        raise UsageError(f"{_path(package, '__init__')} lists {tag!r}, and there is no {path}") from None
+    if member is None:
+        raise UsageError(f"{path} holds no class {name}: the class of a file is named after it")
+    field = getattr(member, "model_fields", {}).get(key)
+    if field is not None and tag not in (said := get_args(field.annotation)):
+        raise UsageError(f"{path}: {name}.{key} says {' or '.join(map(repr, said))}, its registry {tag!r}")
+    return member
+
+
+def _path(package: str, file: str) -> str:
+    return f"{package.replace('.', '/')}/{file}.py"

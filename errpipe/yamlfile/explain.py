@@ -70,7 +70,7 @@ def explain(
         elif kind in ("literal_error", "enum"):
             words = trail.choices or [str(error["ctx"]["expected"]).replace("'", "")]
             choices.setdefault(trail.place, []).extend(map(str, words))
-        elif not _only_looks_short(kind, error, _at(data, trail.place)):
+        elif not _is_long_enough(kind, error, _at(data, trail.place)):
             place, message, at = _words(kind, error, trail, _at(data, trail.place))
             problems.append((place, problem(place, message, at=at)))
     for place in dict.fromkeys([*needed, *choices]):
@@ -81,7 +81,7 @@ def explain(
     return list(dict.fromkeys(problems))
 
 
-def _only_looks_short(kind: str, error: Mapping[str, Any], value: Any) -> bool:
+def _is_long_enough(kind: str, error: Mapping[str, Any], value: Any) -> bool:
     """Entries that are wrong themselves are not counted by pydantic: the list is long enough all the same."""
     return kind == "too_short" and isinstance(value, list | dict) and len(value) >= error["ctx"]["min_length"]
 

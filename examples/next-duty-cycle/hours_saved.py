@@ -55,6 +55,12 @@ def days(
     return out
 
 
+def one_speed(level: float, options: design.DesignOptions) -> design.Plan:
+    """The usual day: one speed for half of it, then cooling."""
+    half = options.segments // 2
+    return design.Plan((level,) * half + (0.0,) * (options.segments - half))
+
+
 def main() -> None:
     """Print and draw the comparison."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -62,7 +68,7 @@ def main() -> None:
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)
     usual = design.DesignOptions()
-    custom = design.customary(usual)
+    custom = [one_speed(level, usual) for level in usual.levels if level > 0]
     plans = {
         "customary": (usual, lambda done, day: custom[day % len(custom)]),
         "I-optimal": (usual, lambda done, day: design.propose(done, usual)),

@@ -11,13 +11,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import nonlinearity
 import numpy as np
+from column import Column
 
 from errpipe import jsonfile
 from errpipe.fitting import placement
 from errpipe.reporting import svg
 from errpipe.simulation import spindle_bar
-from errpipe.simulation.spindle_bar import Bar, Column
+from errpipe.simulation.spindle_bar import Bar
 
 HORIZONS = (0.25, 0.5, 1.0, 2.0, 5.0)
 CASES = {
@@ -47,7 +49,7 @@ def places() -> dict[str, dict[str, list[float]]]:
     for name, bar in CASES.items():
         runs = [warm_up(bar, until) for until in HORIZONS]
         out[name] = {
-            how: [placement.finest(bar.places, placement.linearity(t, g, how).residual) for t, g in runs]
+            how: [nonlinearity.finest(bar.places, nonlinearity.linearity(t, g, how).residual) for t, g in runs]
             for how in ("rms", "max")
         }
     return out
@@ -64,7 +66,7 @@ def extrapolate(seed: int = 1) -> dict[str, dict[str, float]]:
     for x in TRIED:
         k = int(np.argmin(np.abs(bar.places - x)))
         out[f"{x:g}"] = {
-            name: placement.extrapolation(theta[:, k], grown, duty[:, k], later, degree)
+            name: nonlinearity.extrapolation(theta[:, k], grown, duty[:, k], later, degree)
             for degree, name in ((1, "line"), (2, "parabola"), (3, "cubic"))
         }
     return out
@@ -77,19 +79,19 @@ def column(seed: int = 1) -> dict[str, object]:
     field = body.respond(times, np.ones(times.size))
     lean = body.lean(field)
     pair = field[:, :, 0] - field[:, :, -1]
-    linearity = placement.linearity(pair, lean)
+    linearity = nonlinearity.linearity(pair, lean)
     later = np.arange(1, 301) * 120.0
     duty = body.respond(later, np.repeat(np.random.default_rng(seed).uniform(0.0, 2.5, 20), 15))
     new = duty[:, :, 0] - duty[:, :, -1]
     heights = body.places()[0][:, 0]
-    single = placement.linearity(field.reshape(times.size, -1), lean)
+    single = nonlinearity.linearity(field.reshape(times.size, -1), lean)
     return {
         "heights": heights.tolist(),
         "nonlinearity": linearity.residual.tolist(),
         "best_height": float(heights[linearity.best]),
         "best_single_sensor_nonlinearity": float(single.residual.min()),
         "extrapolation_line": [
-            placement.extrapolation(pair[:, k], lean, new[:, k], body.lean(duty), 1) for k in range(heights.size)
+            nonlinearity.extrapolation(pair[:, k], lean, new[:, k], body.lean(duty), 1) for k in range(heights.size)
         ],
     }
 

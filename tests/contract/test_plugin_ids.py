@@ -29,11 +29,12 @@ class Kind:
     folder: str
     registry: str
     homonyms: dict[str, dict[str, str]]  # id -> file or folder -> what it means there; unused ones fail
+    everyday: tuple[str, ...] = ()  # ids that are everyday words: a search for them proves nothing
 
     def ids(self) -> set[str]:
         """Ids under which the registry's entries are asked for."""
         entries = getattr(import_module(f"errpipe.{self.folder}"), self.registry)
-        return {name for entry in entries for name in ids_of(entry)}
+        return {name for entry in entries for name in ids_of(entry)} - set(self.everyday)
 
 
 def ids_of(entry: Any) -> set[str]:
@@ -49,29 +50,45 @@ KINDS = (
         folder="terms",
         registry="TERMS",
         homonyms={
-            "straightness": {
-                "domain/components.py": "kind of an ISO 230-1 component",
-                "kinematics/identify.py": "a family of error motions that share one prior",
-            },
+            "straightness": {"domain/components.py": "kind of an ISO 230-1 component"},
             "squareness": {
                 "domain/components.py": "kind of an ISO 230-1 component",
-                "kinematics": "kind of a machine parameter",
                 "validation/iso230_4.py": "an error that a circular test shows (ISO 230-4)",
             },
             "scale_error": {"validation/iso230_4.py": "an error that a circular test shows (ISO 230-4)"},
             "backlash": {"validation/iso230_4.py": "an error that a circular test shows (ISO 230-4)"},
             "servo_mismatch": {"validation/iso230_4.py": "an error that a circular test shows (ISO 230-4)"},
             "offset": {
-                "kinematics": "kind of a machine parameter",
-                "tables": "field of the compiled table's affine node",
-                "simulation": "field of the affine driver",
+                "kinematics/identify.py": "kind of machine parameter, published in identification.json",
+                "tables/layout.py": "published field of the table's affine node",
+                "simulation": "the same field of the affine driver, in generated source",
             },
         },
     ),
     Kind("formats", "FORMATS", {}),
     Kind("targets", "TARGETS", {}),
     Kind("cleaning", "RULES", {}),
-    # stages are not listed: their kinds (fit, clean, report) are everyday words; they are linked by artefact types
+    Kind(
+        folder="models",
+        registry="FAMILIES",
+        homonyms={},
+        everyday=("auto", "direct", "force", "network", "nothing", "plate", "season", "terms"),
+    ),
+    Kind(
+        folder="stages",
+        registry="STAGES",
+        homonyms={
+            "identify_force": {
+                "models/_push_tests.py": "where the message of a refusal belongs",
+                "models/force.py": "where the message of a refusal belongs",
+            }
+        },
+        # linked by artefact types; `diagnose` and `diagnosis`, `clean`, `fit` ... are verbs and words of messages
+        everyday=(
+            *("clean", "diagnose", "diagnosis", "export", "fit", "identify", "ingest", "report", "simulate", "twin"),
+            "validate",
+        ),
+    ),
 )
 
 

@@ -214,7 +214,10 @@ def test_a_sure_finding_of_the_machine_is_accepted() -> None:
         (found("backlash", held=(5.0, 6.0), **BACKLASH), r"no better explained with it \(5 -> 6 um\)"),
         (found("backlash", where=Where(runs=("2", "3")), **BACKLASH), r"some runs only \(2, 3\)"),
         (found("backlash", compensable=False, **BACKLASH), "no compiled form"),
-        (found("backlash", indistinguishable_from=("sensor_drift",), **BACKLASH), "cannot tell it from sensor_drift"),
+        (
+            found("backlash", indistinguishable_from=("sensor_drift",), **BACKLASH),
+            "cannot be distinguished from sensor_drift",
+        ),
         (found("unknown", drivers=("T_nut",)), "no effect carries it"),
         (found("recalibration"), "the simulation itself is to be set right"),
         (found("air_refraction", **AIR), "the air in the beam"),
@@ -274,7 +277,7 @@ def test_what_the_model_holds_already_is_not_put_in_twice() -> None:
     )
     diagnosis = found("backlash", **BACKLASH)
     decisions = _acceptance.decide(diagnosis, axis(), _acceptance.Accept(), whole=True)
-    spec = _acceptance.ask(decisions, diagnosis, before)
+    spec = _acceptance.specification_with(decisions, diagnosis, before)
     assert [t.term for t in spec.components[0].terms] == ["offset", "backlash"]
 
 
@@ -295,7 +298,7 @@ def test_findings_that_cannot_be_told_apart_are_refused_the_less_sure_first() ->
     decisions = _acceptance.decide(diagnosis, axis(), _acceptance.Accept())
     assert all(d.accepted for d in decisions)
     model, _, decided_ = _acceptance.fit_accepted(decisions, diagnosis, None, axis())
-    assert [d.accepted for d in decided_] == [True, False] and "cannot be told apart" in decided_[1].reason
+    assert [d.accepted for d in decided_] == [True, False] and "cannot be distinguished" in decided_[1].reason
     assert [t.term["term"] for t in model.components[0].terms] == ["offset", "backlash"]
 
 
@@ -331,7 +334,7 @@ def test_an_effect_on_two_axes_is_compensated_on_both() -> None:
     terms_ = terms_of(two)
     assert [type(t).__name__ for t in terms_] == [type(terms_[0]).__name__] * 2
     whole = found("backlash", **{**BACKLASH, "more_terms": ({"term": "backlash", "axis": "Y"},)})
-    spec = _acceptance.ask(
+    spec = _acceptance.specification_with(
         [_acceptance._decide(whole.responses[0].findings[0], whole.responses[0], _acceptance.Accept())], whole, None
     )
     assert [(t.term, getattr(t, "axis", "")) for t in spec.components[0].terms] == [

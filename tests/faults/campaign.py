@@ -86,7 +86,7 @@ def compiled(name: str, folder: Path, table: CompensationTable | None = None) ->
     """The C runtime or the function blocks as a shared library; blocks with room for a table."""
     folder.mkdir(exist_ok=True)
     if name.startswith("Structured Text"):
-        room = iec_st.room_for(table or sequences.table(0))
+        room = iec_st.capacity_for(table or sequences.table(0))
         units = [iec_st.unit(unit, room) for unit in st.UNITS]
         if name == MATIEC:
             return runners.Shared(matiec.build(folder, units))

@@ -85,7 +85,7 @@ def single(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def block(tmp_path_factory):
-    rooms = [iec_st.room_for(ect.loads(data)) for _, data, *_ in golden()]
+    rooms = [iec_st.capacity_for(ect.loads(data)) for _, data, *_ in golden()]
     room = {what: max(r[what] for r in rooms) for what in rooms[0]}
     units = [iec_st.unit(name, room) for name in st.UNITS]
     return st.Block(tmp_path_factory.mktemp("st"), translate.by_lines(units))

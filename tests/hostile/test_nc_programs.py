@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from errpipe.errors import DataError
-from errpipe.ncprogram.correct import correct
 from errpipe.ncprogram.modal import Setup
 from errpipe.tables import ect
 from tests.hostile.doors import command
+from tests.nc import correct
 from tests.unit.targets import machines
 
 SETUP = Setup(offsets={"G54": (100.0, 50.0, 0.0), "G55": (300.0, 50.0, 0.0)}, tools={1: 80.0}, start=(100.0, 50.0, 0.0))

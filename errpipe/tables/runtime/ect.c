@@ -1039,7 +1039,7 @@ void ect_reset(ect *e)
     for (i = 0; i < e->node_count; i++) {
         e->nodes[i].value = e->nodes[i].memory = R(0);
         e->nodes[i].ready = 0;
-        e->nodes[i].told = 0;
+        e->nodes[i].stated = 0;
     }
     for (i = 0; i < e->output_count; i++) {
         ect_output *o = &e->outputs[i];
@@ -1276,25 +1276,25 @@ static ect_real lookup(const ect_real *values, int32_t last, ect_real s)
 
 static int is_far(ect_real a, ect_real b, ect_real threshold) { return a - b > threshold || b - a > threshold; }
 
-/* Undo what the last reading did where it stands alone between two that agree, or was alone in telling a way. */
-static void recall(ect_node *n, ect_real u, ect_real threshold, int told, int started)
+/* Undo what the last reading did where it is alone between two that agree, or alone states a direction. */
+static void recall(ect_node *n, ect_real u, ect_real threshold, int stated, int started)
 {
     int far;
     if (!started) {
         n->c = n->d = u;
     }
     far = is_far(u, n->c, threshold);
-    if (started && (n->news || (n->doubt && far)) && !is_far(u, n->d, threshold)) {
+    if (started && (n->changed || (n->departed && far)) && !is_far(u, n->d, threshold)) {
         n->value = n->kept_value;
         n->memory = n->kept_memory;
         far = 0;
     }
     n->kept_value = n->value;
     n->kept_memory = n->memory;
-    n->doubt = far && n->stands;
-    n->stands = !far;
-    n->news = told != 0 && told != n->told;
-    n->told = (int8_t)told;
+    n->departed = far && n->steady;
+    n->steady = !far;
+    n->changed = stated != 0 && stated != n->stated;
+    n->stated = (int8_t)stated;
     n->d = n->c;
     n->c = u;
 }

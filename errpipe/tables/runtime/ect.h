@@ -94,8 +94,8 @@ typedef struct {
     uint32_t first, count, other, others;
     uint16_t op;
     uint8_t flags, ready;
-    uint8_t stands, doubt, news;
-    int8_t told;            /* sign of the last direction that was told */
+    uint8_t steady, departed, changed;
+    int8_t stated;          /* sign of the last direction that was stated */
 } ect_node;
 
 typedef struct {

@@ -50,6 +50,26 @@ def site(where: Path, machines: int, days: int = 6) -> Path:
     return where / "fleet.yaml"
 
 
+@pytest.mark.slow
+def test_a_recording_under_two_names_and_a_machine_of_the_other_sign_are_told(tmp_path: Path) -> None:
+    """Each alone is sound: only the fleet shows that one table would go to two machines, or drive the wrong way."""
+    fleet = site(tmp_path, 8)
+    places = {name: tmp_path / f"recordings/{name}/recording.csv" for name in ("m002", "m003", "m004")}
+    places["m003"].write_bytes(places["m002"].read_bytes())
+    head, *rows = places["m004"].read_text(encoding="utf-8").splitlines()
+    turned = (row.rpartition(",") for row in rows)
+    lines = [head, *(f"{left},{-float(value):.3f}" for left, _, value in turned), ""]
+    places["m004"].write_text("\n".join(lines), encoding="utf-8")
+    main(["fleet", str(fleet), "--out", str(tmp_path / "out"), "--jobs", "1"])
+    document = json.loads((tmp_path / "out/fleet.json").read_text(encoding="utf-8"))
+    assert document["suspicious"] == [
+        "m002, m003: the same readings; one recording under several names?",
+        "m004: EXX is that of its type with the other sign; which sign was declared?",
+    ]
+    page = (tmp_path / "out/fleet.md").read_text(encoding="utf-8")
+    assert all(text in page for text in document["suspicious"])
+
+
 def bytes_below(out: Path) -> dict[str, bytes]:
     """Every file of a fleet's run but times and locks of the system."""
     return {
@@ -141,8 +161,9 @@ def test_a_fleet_file_says_what_is_wrong(tmp_path: Path, capsys: Any) -> None:
     spec = fleet_stage.yamlfile.load(file, fleet_stage.Fleet)
     assert [m.name for m in fleet_stage.machines_of(spec, tmp_path)] == ["m9"]
     (tmp_path / "r/machine 7").mkdir()
+    (tmp_path / "r/Fräse 3").mkdir()
     assert main(["fleet", str(file), "--out", str(tmp_path / "o")]) == 2
-    assert "machine 7: no name of a machine (allowed" in capsys.readouterr().err
+    assert "no name of a machine: Fräse 3, machine 7 (allowed" in capsys.readouterr().err
 
 
 def test_names_and_folders_that_would_be_two_machines_are_refused(tmp_path: Path, capsys: Any) -> None:
@@ -152,6 +173,11 @@ def test_names_and_folders_that_would_be_two_machines_are_refused(tmp_path: Path
     file.write_text("fleet: 1\npipeline: axis.yaml\nmachines: [{name: m1}, {name: M1}]\n", encoding="utf-8")
     assert main(["fleet", str(file), "--out", str(tmp_path / "o")]) == 2
     assert "two machines have one name: m1" in capsys.readouterr().err
+    file.write_text("fleet: 1\npipeline: axis.yaml\nrecordings: recordings\n", encoding="utf-8")
+    (tmp_path / "recordings/M001").mkdir(exist_ok=True)
+    if len(list((tmp_path / "recordings").iterdir())) == 3:  # the disk tells them apart
+        assert main(["fleet", str(file), "--out", str(tmp_path / "o")]) == 2
+        assert "two machines have one name: M001, m001" in capsys.readouterr().err
 
 
 def test_a_wrong_key_of_the_first_machine_stops_no_other_one(tmp_path: Path, capsys: Any) -> None:
@@ -242,7 +268,11 @@ def test_six_machines_and_what_they_borrow_from_their_type(
         return (fleet_stage.run_machine(*task) for task in tasks)
 
     monkeypatch.setattr(fleet_stage, "_in_processes", in_this_process)
+    old = tmp_path / "o/pooled/m001/error_model.json"  # of a run in which it was sound
+    old.parent.mkdir(parents=True)
+    old.write_text("{}", encoding="utf-8")
     code, result = run(site(tmp_path / "site", 6, days=4), tmp_path / "o", capsys)
+    assert not old.exists()
     assert code == 4 and [r["name"] for r in result["machines"] if r["state"] != "done"] == ["m001"]
     assert (tmp_path / "o/fleet.md").read_text(encoding="utf-8").count("| m0") == 6
     (kind,) = result["types"]

@@ -135,6 +135,19 @@ def test_readings_that_are_no_deviations_of_the_machine_stop_a_promotion(
     assert means in size["meaning"] and int(size["since"].split()[1]) == 12
 
 
+def test_temperatures_that_change_their_unit_together_stop_a_promotion(site: Path) -> None:
+    """They agree with each other as before, and a challenger that was fitted in degF suits them: it was promoted."""
+    record(site / "recording", 44, first=12)
+    file = site / "recording/recording.csv"
+    frame = pd.read_csv(file)
+    frame[["T_nut", "T_bed", "T_air"]] = frame[["T_nut", "T_bed", "T_air"]] * 1.8 + 32.0
+    frame.to_csv(file, index=False)
+    code, document = retrain(site)
+    assert code == 4 and failed(document) == ["temperatures"]
+    (says,) = (g["says"] for g in document["gates"] if g["name"] == "temperatures")
+    assert says == "since run day 12 all of them read as if in degF instead of degC"
+
+
 def test_a_machine_that_changed_gets_the_challenger_and_the_residual_drift_is_dated(site: Path) -> None:
     record(site / "recording", 44, first=12, changed_from=12)
     code, document = retrain(site)
@@ -167,6 +180,14 @@ def test_a_sensor_that_drifts_is_named_beside_the_decision(site: Path, capsys: p
     blamed = [d["column"] for d in document["drift"]["inputs"] if d["blamed"]]
     assert blamed == ["T_nut"] and code == 4 and "sensors" in failed(document)
     assert "::warning title=sensor drift::T_nut" in capsys.readouterr().out
+
+
+def test_readings_are_not_called_compensated_where_the_sensor_drifts_that_predicts_them(site: Path) -> None:
+    """A nut that reads 25 K too warm predicts five times what is measured: no table ran."""
+    record(site / "recording", 66, first=12, sensor_drift_from=14)
+    code, document = retrain(site)
+    (size,) = document["drift"]["sizes"]
+    assert size["meaning"] == "it predicts by T_nut, which drifts" and code == 4
 
 
 def test_an_earlier_judgement_that_is_none_is_refused_with_its_place(site: Path, capsys) -> None:

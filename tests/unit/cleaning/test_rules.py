@@ -445,3 +445,58 @@ def test_heat_of_a_fluid_and_steps_that_come_again_are_no_jump_of_a_sensor():
     new_run = source.array("T_room").copy()
     new_run[600:] += 10.0  # another day
     assert touched(clean(changed(source, T_room=new_run), (SensorJumps(),))[1], "sensor_jumps") == []
+
+
+def test_a_drift_whose_datum_was_lost_is_blanked_to_the_end_of_its_run():
+    """60 um between two readings of one run; a season later the drift was left 6.4 um, 1.1 without the jump."""
+    source = warm_up()
+    moved = source.array("E_Z").copy()
+    moved[300:600] += 60.0
+    _, report = clean(changed(source, E_Z=moved), (SensorJumps(),))
+    assert touched(report, "sensor_jumps", "E_Z") == list(range(300, 600))
+    assert "um from one reading to the next" in report.rules[0].done[0].reason
+    early = changed(source, E_Z=source.array("E_Z") + 60.0 * (np.arange(1200) % 600 >= 50))
+    assert "E_Z" in clean(early, (SensorJumps(),))[0].frame, "a response is never set aside"
+
+
+@pytest.mark.parametrize("also", ["x", "E_Z_sim"])
+def test_a_response_over_a_position_or_beside_its_simulation_keeps_its_steps(also):
+    source = warm_up(runs=1)
+    columns = {n: source.frame[n] for n in source.frame}
+    columns["E_Z"] = source.array("E_Z") + 60.0 * (np.arange(600) >= 300)
+    stepped = recording(**columns, **{also: np.zeros(600)})
+    assert touched(clean(stepped, (SensorJumps(),))[1], "sensor_jumps") == []
+
+
+@pytest.mark.parametrize("every", [4, 10])
+def test_temperatures_logged_less_often_than_rows_are_neither_empty_nor_full_of_holes(every):
+    """Positions every minute, temperatures every 4 or 10 min: the usual rules refused it (exit 3)."""
+    source = warm_up()
+    names = ("T_bearing", "T_motor", "T_column", "T_room")
+    logged = np.arange(len(source)) % every == 0
+    sparse = changed(source, **{n: np.where(logged, source.array(n), np.nan) for n in names})
+    cleaned, report = clean(sparse)
+    assert not [d for r in report.rules for d in r.done if d.what not in ("note",)]
+    assert set(names) <= set(cleaned.frame)
+
+
+def test_coarse_steps_with_small_ones_between_are_no_outliers():
+    """A probe of 0.255 um whose converter adds 0.009 um: 6 % of a real warm-up's readings were outliers (exit 3)."""
+    rng = np.random.default_rng(6)
+    rows = 1200
+    growth = 17.0 * (1 - np.exp(-np.arange(rows) / 300.0)) + 0.03 * rng.standard_normal(rows)
+    shown = 0.2551 * np.round(growth / 0.2551) - 0.0088 * np.floor(growth / 1.5)
+    assert np.mean(np.diff(shown) == 0.0) > 0.5
+    slipped = shown.copy()
+    slipped[700] += 2.0
+    for values, found in ((shown, []), (slipped, [700])):
+        source = recording(run=np.full(rows, "1"), t=60.0 * np.arange(rows), E_Z=values)
+        assert touched(clean(source, (Outliers(),))[1], "outliers", "E_Z") == found
+
+
+def test_a_rule_that_is_not_by_default_waits_to_be_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    from errpipe import cleaning
+
+    monkeypatch.setattr(cleaning.RULES["gaps"], "by_default", False)
+    waiting = {rule.rule for rule in cleaning.DEFAULT} - {rule.rule for rule in cleaning.by_default()}
+    assert waiting == {"gaps"}

@@ -4,8 +4,8 @@ import re
 from pathlib import Path
 
 from errpipe.cli.app import main
-from errpipe.ncprogram.correct import correct
 from errpipe.ncprogram.modal import Setup
+from tests.nc import correct
 
 MACHINE = Path(__file__).parents[3] / "examples" / "machines" / "vertical-centre.yaml"
 

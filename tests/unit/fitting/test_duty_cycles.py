@@ -64,7 +64,7 @@ def test_what_is_expected_does_not_depend_on_the_deviation_of_the_candidate():
     measured = DutyCycles.of(recording, "E_Z")
     logged = DutyCycles.of(without_errors(recording, "t"), "E_Z")
     known = measured.learn([0, 1])
-    assert logged.taught(2, known) == pytest.approx(measured.taught(2, known))
+    assert logged.information_of(2, known) == pytest.approx(measured.information_of(2, known))
 
 
 def test_the_expected_error_is_the_one_that_comes():

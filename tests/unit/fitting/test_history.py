@@ -17,7 +17,7 @@ import pytest
 from errpipe import jsonfile
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.errors import DataError
-from errpipe.fitting.batches import Source, few_rows, survey
+from errpipe.fitting.batches import Source, equivalent_rows, survey
 from errpipe.formats import manifest_folder
 from errpipe.models.terms import Terms
 from errpipe.terms import TERMS, example_of
@@ -179,7 +179,7 @@ def cut(recording: Recording, rows: int) -> list[Recording]:
 def test_every_term_that_may_be_cut_has_the_same_basis_in_batches(name):
     case = example_of(TERMS[name])
     recording = case.recording
-    if not case.term.cuttable(recording):
+    if not case.term.splittable_in_batches(recording):
         pytest.skip("it needs the whole recording, and says so")
     values = case.term.nonlinear_values(case.parameters)
     numbers = recording.frame.select_dtypes("number")
@@ -195,7 +195,7 @@ def test_every_term_that_may_be_cut_has_the_same_basis_in_batches(name):
 def test_few_rows_answer_for_all():
     rng = np.random.default_rng(3)
     rows = np.column_stack([np.ones(5000), rng.normal(size=(5000, 4)) * [1.0, 1e3, 1e-3, 5.0] + 7.0])
-    few = few_rows(np.linalg.qr(rows, mode="r"))
+    few = equivalent_rows(np.linalg.qr(rows, mode="r"))
     np.testing.assert_allclose(few.T @ few, rows.T @ rows, rtol=1e-12)
     np.testing.assert_allclose(few.sum(0) ** 2 / few.shape[0], rows.sum(0) ** 2 / 5000, rtol=1e-9)
 

@@ -9,7 +9,7 @@ from errpipe.drivers.evaluation import drive
 from errpipe.drivers.motion import position
 from errpipe.errors import DataError, NotIdentifiable
 from errpipe.fitting.judging import judge_all
-from errpipe.fitting.lowering import left_behind, lower
+from errpipe.fitting.lowering import lower, uncompensated_terms
 from errpipe.fitting.model import ModelSpec, evaluate, fit, term_of
 from tests.unit.fitting.axis_recordings import axis_recording, with_response
 
@@ -251,15 +251,15 @@ def test_refusals_name_the_pair_the_reason_and_a_remedy(axis):
     assert refusal(
         y, OFFSET, {"term": "scale_error", "axis": "X"}, {"term": "chebyshev", "axis": "X", "degree": 1}
     ) == (
-        "fit: slope (scale_error) and c1 (chebyshev) of EXX cannot be told apart: they say the same twice"
+        "fit: slope (scale_error) and c1 (chebyshev) of EXX cannot be distinguished: they say the same twice"
         " (correlation 1.000).\n     Leave one of them out, or fix its value."
     )
     assert refusal(cold, OFFSET, {"term": "scale_error", "axis": "X"}, SCALE) == (
-        "fit: slope (scale_error) and coefficient (scale_expansion) of EXX cannot be told apart: T_nut hardly changed"
-        " (correlation 1.000).\n     Fix one of them, or record runs at clearly different temperatures."
+        "fit: slope (scale_error) and coefficient (scale_expansion) of EXX cannot be distinguished: T_nut hardly"
+        " changed (correlation 1.000).\n     Fix one of them, or record runs at clearly different temperatures."
     )
     assert refusal(together, OFFSET, *drift) == (
-        "fit: gain (thermal_drift) and gain (thermal_drift) of EXX cannot be told apart: T_nut rose with T_bed"
+        "fit: gain (thermal_drift) and gain (thermal_drift) of EXX cannot be distinguished: T_nut rose with T_bed"
         " (correlation 1.000).\n     Leave one sensor out, use method: ridge, or record a run in which the two"
         " temperatures part."
     )
@@ -288,7 +288,7 @@ def test_lowered_pairs_add_up_to_the_model(axis):
     # static curve, wave, scale x rise, mixed x late rise, and all levels in one
     assert [p.period for p in pairs] == [None, 10.0, None, None, None]
     assert [p.axis for p in pairs] == ["X", "X", "X", "X", None]
-    assert left_behind(model) == {"EXX": []}
+    assert uncompensated_terms(model) == {"EXX": []}
 
 
 def test_an_option_that_a_term_does_not_have_is_refused():

@@ -115,3 +115,16 @@ def test_smoothing_a_line_needs_about_two_parameters():
         design, penalty, _, y = curve(400, 1.0, seed, lambda x: 0.02 * x)
         degrees.append(solve.penalised(design, y, [penalty]).degrees)
     assert np.median(degrees) < 3.0
+
+
+def test_ridge_leaves_out_folds_that_hold_no_usable_row():
+    """A run whose sensor was blanked throughout: `run` ended with an internal error."""
+    rng = np.random.default_rng(2)
+    design, shrunk = rng.normal(size=(40, 2)), np.ones(2, dtype=bool)
+    response = design @ np.array([1.0, 2.0]) + 0.1 * rng.normal(size=40)
+    half = np.arange(40) < 20
+    folds, empty = [(half, ~half), (~half, half)], (np.ones(40, dtype=bool), np.zeros(40, dtype=bool))
+    assert_allclose(
+        solve.ridge(design, response, shrunk, folds=[*folds, empty]).coefficients,
+        solve.ridge(design, response, shrunk, folds=folds).coefficients,
+    )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from errpipe import formats
-from errpipe.domain.recording import ROLE_UNITS
+from errpipe.domain import units
 from errpipe.formats import FORMATS
 
 SAMPLES = Path(__file__).parents[2] / "data" / "formats"
@@ -30,8 +30,8 @@ def test_a_sample_is_recognised_and_read_in_canonical_units(door) -> None:
     assert len(recording) > 0 and responses
     assert np.isfinite(recording.array(responses[0])).any()
     for name, column in recording.manifest.columns.items():
-        units = ROLE_UNITS.get(column.role, ())
-        assert column.unit is None or not units or column.unit in units, f"{name}: {column.unit}"
+        conversion = units.conversion(column.role, column.unit) if column.unit is not None else None
+        assert conversion is None or conversion.identity, f"{name}: {column.unit} is not canonical ({conversion.unit})"
 
 
 @pytest.mark.parametrize("door", FORMATS, ids=lambda door: door.name)

@@ -92,18 +92,18 @@ def test_a_lone_fault_shows_most_in_the_sensor_that_has_it(guard):
 def test_the_threshold_of_normal_noise_is_the_quantile_of_its_largest_values():
     """Largest of 120 normal values, exceeded once in 1000 blocks: (1 - 1e-3)^(1/120) quantile, 4.30 sigma."""
     largest = np.max(np.random.default_rng(1).standard_normal((4000, 120)), axis=1)
-    assert rows.rare_level(largest[:1000], 1e-3) == pytest.approx(4.30, abs=0.25)
+    assert rows.return_level(largest[:1000], 1e-3) == pytest.approx(4.30, abs=0.25)
 
 
 def test_a_step_is_blamed_from_about_the_smallest_size_on(guard):
     """Twice the stated size is blamed on the right sensor, half of it on nobody."""
     fresh = simulated_sensors.machine(3, seed=21)
     for i, sensor in enumerate(guard.sensors):
-        for times, blamed in ((2.0, True), (0.5, False)):
+        for times, isolated in ((2.0, True), (0.5, False)):
             failed = trials.fail(fresh, sensor.name, "step", step=times * sensor.smallest)
-            flags = drive_all(detect.blamed(guard), failed)
-            assert bool(flags[:, i].any()) == blamed, (sensor.name, times)
-            assert blamed or not flags.any(), (sensor.name, times)
+            flags = drive_all(detect.isolated(guard), failed)
+            assert bool(flags[:, i].any()) == isolated, (sensor.name, times)
+            assert isolated or not flags.any(), (sensor.name, times)
 
 
 @pytest.mark.parametrize("seed", [132, 232])  # not among the seeds that were looked at when the law was chosen
@@ -176,7 +176,7 @@ def test_a_healthy_reading_passes_bit_for_bit(guard):
 def test_shared_evaluation_is_drive(guard):
     """On parts of which plain evaluation, which shares nothing, is not yet too slow."""
     failed = trials.fail(simulated_sensors.machine(1, seed=7), "T_bed", "drift", drift=4.0)
-    parts = [*detect.residuals(guard), detect.stillness(guard, "T_bed")]
+    parts = [*detect.residuals(guard), detect.activity(guard, "T_bed")]
     expected = np.column_stack([drive(one, failed) for one in parts])
     np.testing.assert_array_equal(drive_all(parts, failed), expected)
 

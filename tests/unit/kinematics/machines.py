@@ -8,6 +8,7 @@ import numpy as np
 from ruamel.yaml import YAML
 
 from errpipe.domain.machine import Machine
+from errpipe.kinematics import synthesis
 from errpipe.kinematics.chain import Chain, compile_chain
 
 READY = sorted((Path(__file__).parents[3] / "examples" / "machines").glob("*.yaml"))
@@ -51,3 +52,27 @@ def random_chain(rng: np.random.Generator) -> Chain:
         }
     )
     return compile_chain(machine)
+
+
+def corrected(
+    chain: Chain, q: np.ndarray, deviation: np.ndarray, tip: np.ndarray | None = None, orientation: bool = False
+) -> np.ndarray:
+    """Commanded axes that undo a deviation (n, 6) at commanded q: q - d, shape (n, axes).
+
+    Position alone moves the linear axes; with `orientation` all axes keep the point and the tool's direction (its
+    turn about itself is free).
+    The correction is minus the deviation, turned into axis motions.
+    """
+    jac = synthesis.motion_jacobian(chain, q, tip)
+    if not orientation:
+        linear = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "linear"]
+        step = np.einsum("nai,ni->na", np.linalg.pinv(jac[:, :3][:, :, linear]), deviation[:, :3] * 1e-3)
+        out = q.copy()
+        out[:, linear] -= step
+        return out
+    pose = synthesis.ideal_pose(chain, q, tip)
+    tool = np.einsum("k,nkj->nj", np.asarray(chain.machine.tool.direction), pose[:, 1:])
+    swing = np.cross(np.moveaxis(jac[:, 3:], 1, 2), tool[:, None, :])  # how each axis moves the tool's direction, deg
+    wanted = np.concatenate([deviation[:, :3] * 1e-3, np.degrees(np.cross(deviation[:, 3:] * 1e-6, tool))], axis=1)
+    solve = np.linalg.pinv(np.concatenate([jac[:, :3], np.moveaxis(swing, 1, 2)], axis=1), rcond=1e-6)
+    return q - np.einsum("nai,ni->na", solve, wanted)

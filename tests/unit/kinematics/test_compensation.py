@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from machines import ready
+from machines import corrected, ready
 from numpy.testing import assert_allclose
 
 from errpipe.domain.table import TableInput
@@ -81,7 +81,7 @@ def test_outputs_by_axis_undo_the_deviation_of_a_turning_table():
         readings = dict(zip(chain.axes, q, strict=True)) | {"tool_length": 150.0}
         got = Evaluator(table).cycle(readings | {f"tool_offset_{d}": 0.0 for d in "XYZ"}, dt=1.0).deviation
         deviation = synthesis.first_order(chain, q, errors.at(q), chain.tip(150.0))
-        command = synthesis.correct(chain, q[None], deviation, chain.tip(150.0))[0]
+        command = corrected(chain, q[None], deviation, chain.tip(150.0))[0]
         assert_allclose([got[f"E_{a}"] for a in "XYZ"], (q - command)[:3] * 1e3, atol=0.05)
 
 

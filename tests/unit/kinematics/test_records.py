@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
-from machines import ready
+from machines import corrected, ready
 from numpy.testing import assert_allclose
 from records_played import ABBE, AIR, COSINE, WAVELENGTH, largest_gap, of_axis, played_x, solve
 
@@ -18,7 +18,7 @@ from errpipe.kinematics.chain import compile_chain
 from errpipe.models import direct as direct_family
 from errpipe.simulation import direct_records as played
 from errpipe.simulation import measuring_runs, metrology
-from errpipe.stages.export_volumetric import unfollowed
+from errpipe.stages.export_volumetric import curve_misfit
 
 SEEDS = 200
 
@@ -241,7 +241,7 @@ def test_the_curve_follows_what_the_targets_show_or_says_what_it_misses(most, fo
     modes = readings.modes({"x": recording}) if most is None else most
     rest = tuple(c for c in chain.components if c != "EXX")
     fitted = identify.identify(identify.Parametrisation.of(chain, modes, rest), obs)
-    missed = readings.unfollowed(chain, obs, fitted.residual)
+    missed = readings.curve_misfit(chain, obs, fitted.residual)
     curve = summary.document(fitted, obs, extra=False, missed=missed)["curves"]["EXX"]
     at = curve["start"] + curve["step"] * np.arange(len(curve["value"]))
     off = np.array(curve["value"]) - 2.0 * np.sin(2 * np.pi * at / 50.0)
@@ -249,8 +249,8 @@ def test_the_curve_follows_what_the_targets_show_or_says_what_it_misses(most, fo
     assert (np.sqrt(np.mean(off**2)) < 0.25) == followed
     assert np.mean(np.abs(off) <= curve["half_width95"]) > 0.9
     assert bool(missed.get("EXX", 0.0) > 1.0) != followed
-    largest = readings.unfollowed(chain, obs, fitted.residual, largest=True)
-    stated = unfollowed(chain, {"unfollowed_largest": largest})  # of a table of these curves, at the tool
+    largest = readings.curve_misfit(chain, obs, fitted.residual, largest=True)
+    stated = curve_misfit(chain, {"unfollowed_largest": largest})  # of a table of these curves, at the tool
     assert (stated == 0.0) if followed else (np.quantile(np.abs(off), 0.95) < stated < 2.5)
 
 
@@ -290,7 +290,7 @@ def test_a_machine_too_long_is_told_to_go_less_far_by_every_export(moved, defini
     q = np.zeros((2, 3))
     q[:, chain.axes.index("X")] = 0.0, 500.0
     deviation = synthesis.first_order(chain, q, solution.errors().at(q))
-    moved_to = synthesis.correct(chain, q, deviation)[:, chain.axes.index("X")] - q[:, chain.axes.index("X")]
+    moved_to = corrected(chain, q, deviation)[:, chain.axes.index("X")] - q[:, chain.axes.index("X")]
     assert 1e3 * (moved_to[1] - moved_to[0]) == pytest.approx(-20.0, abs=0.1)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from machines import random_chain, ready
+from machines import corrected, random_chain, ready
 from numpy.testing import assert_allclose
 
 from errpipe.kinematics import polynomials
@@ -149,7 +149,7 @@ def test_closed_loop_reduces_the_error_at_least_twentyfold(name):
     inner = chain.travel + np.ptp(chain.travel, axis=1)[:, None] * np.array([0.01, -0.01])
     q = rng.uniform(inner[:, 0], inner[:, 1], (500, len(chain.axes)))
     before = residual(chain, errors, q, q)
-    command = s.correct(chain, q, s.first_order(chain, q, errors.at(q)))
+    command = corrected(chain, q, s.first_order(chain, q, errors.at(q)))
     after = residual(chain, errors, q, command)
     assert np.sqrt(np.mean(before**2)) > 20 * np.sqrt(np.mean(after**2))
     assert before.max() > 20 * after.max()
@@ -160,7 +160,7 @@ def test_orientation_is_corrected_too_where_axes_allow():
     errors = MachineErrors.of(chain, metrology.smooth_machine(chain, 5))
     q = np.random.default_rng(1).uniform(chain.travel[:, 0] * 0.9, chain.travel[:, 1] * 0.9, (200, 5))
     q[:, 3] = np.sign(q[:, 3]) * (20 + 0.5 * np.abs(q[:, 3]))  # away from the pole of the head
-    command = s.correct(chain, q, s.first_order(chain, q, errors.at(q)), orientation=True)
+    command = corrected(chain, q, s.first_order(chain, q, errors.at(q)), orientation=True)
     tool = np.array(chain.machine.tool.direction)
     ideal = np.einsum("k,nkj->nj", tool, s.ideal_pose(chain, q)[:, 1:])
     before, after = (

@@ -8,9 +8,9 @@ import pytest
 
 from errpipe.errors import DataError
 from errpipe.ncprogram import writer
-from errpipe.ncprogram.correct import correct
 from errpipe.ncprogram.modal import Setup
 from errpipe.ncprogram.writer import rounded
+from tests.nc import correct
 
 SETUP = Setup(
     offsets={"G54": (100.0, 50.0, -200.0), "G55": (300.0, 50.0, -200.5)}, tools={1: 80.0}, start=(0.0, 0.0, 0.0)

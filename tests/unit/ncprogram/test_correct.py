@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from errpipe.errors import DataError
-from errpipe.ncprogram.correct import correct
 from errpipe.ncprogram.modal import Setup
+from tests.nc import correct
 
 SETUP = Setup(
     offsets={"G54": (100.0, 50.0, -200.0), "G55": (300.0, 50.0, -200.0)}, tools={1: 80.0}, start=(0.0, 0.0, 0.0)
@@ -214,6 +214,54 @@ def test_two_outputs_of_an_axis_and_both_directions_are_counted():
     assert deviation_of(wavy, {})(at_500, 0.0)[0, 0] == pytest.approx(1e-3 * mean, abs=1e-5)
 
 
+@pytest.mark.parametrize(("axis", "told"), [("", "EXX (no axis)"), ("C", "EXX (axis C)")])
+def test_a_table_that_moves_no_linear_axis_corrects_no_program(axis, told):
+    """The program came back as it was, without a word."""
+    from errpipe.errors import GateError
+    from errpipe.stages.correct import deviation_of
+    from tests.unit.targets import machines
+
+    table = machines.too_long_at_plus_x()
+    other = table.model_copy(update={"outputs": tuple(o.model_copy(update={"axis": axis}) for o in table.outputs)})
+    with pytest.raises(GateError, match=re.escape(f"the table corrects {told}; programs are corrected in X, Y and Z")):
+        deviation_of(other, {})
+
+
+def test_what_a_program_cannot_correct_is_said(tmp_path):
+    from errpipe.stages.correct import correct as correct_file
+    from errpipe.tables import ect
+    from tests.unit.targets import machines
+
+    table = machines.two_outputs()
+    first, *others = table.outputs
+    turned = first.model_copy(update={"axis": "C"})
+    ect.write(table.model_copy(update={"outputs": (turned, *others)}), tmp_path / "t.ect")
+    (tmp_path / "p.ngc").write_text("G90 G21 G54\nG0 X100 Y0 Z0\n")
+    done = correct_file(tmp_path / "p.ngc", tmp_path / "t.ect", None, {})
+    assert done["not_corrected"] == f"{first.name}: programs are corrected in X, Y and Z only"
+    ect.write(table, tmp_path / "t.ect")
+    assert "not_corrected" not in correct_file(tmp_path / "p.ngc", tmp_path / "t.ect", None, {})
+
+
+@pytest.mark.parametrize("bulk", [True, False])
+@pytest.mark.parametrize("arc", ["G2 X30 Z-5 R9", "g3 z-5 i5 r9", "G2 Z-5 I5"])
+def test_an_arc_in_x_and_z_before_a_plane_was_named_is_refused(arc, bulk):
+    """On a lathe, which begins with G18, it was cut into moves of X and Y: Y moved by half the chord."""
+    with pytest.raises(DataError, match="line 2: an arc in X and Z before any plane was named"):
+        correct(f"G90 G21 G54 G0 X20 Y0 Z0\n{arc}\n", no_deviation, SETUP, bulk=bulk)
+    said, _ = correct("G90 G21 G18 G0 X20 Y0 Z0\nG2 X30 Z-5 R9\n", no_deviation, SETUP, bulk=bulk)
+    assert set(numbers(said, "Y")) == {0.0}
+    for mill in ("G2 X30 Y10 R9", "G2 X30 Y10 Z-5 R9"):  # no lathe's
+        correct(f"G90 G21 G54 G0 X20 Y0 Z0\n{mill}\n", no_deviation, SETUP, bulk=bulk)
+
+
+def test_an_input_that_is_given_twice_is_refused(tmp_path, capsys):
+    from errpipe.cli.app import main
+
+    assert main(["eval", str(tmp_path / "t.ect"), "--at", "T=20", "--at", "T=30"]) == 2
+    assert "--at T=30: T was given before (20)" in capsys.readouterr().err
+
+
 def test_places_beyond_the_table_and_a_zero_that_was_not_stated_are_named(tmp_path):
     """Where the ends of a table hold, a wrong offset, inches or least increments would pass unseen."""
     from errpipe.stages.correct import correct as correct_file
@@ -231,6 +279,22 @@ def test_places_beyond_the_table_and_a_zero_that_was_not_stated_are_named(tmp_pa
     assert "G54 is taken as 0,0,0" in done["offsets"]
     (tmp_path / "p.ngc").write_text("G90 G21 G54\nG0 X100 Y0 Z0\nG1 X400 F500\n")
     assert "outside_what_was_measured" not in correct_file(tmp_path / "p.ngc", tmp_path / "t.ect", None, {})
+
+
+def test_a_program_is_not_replaced_by_its_correction(tmp_path, capsys):
+    """The same command once more would correct what is corrected."""
+    from errpipe.cli.app import main
+    from errpipe.tables import ect
+    from tests.unit.targets import machines
+
+    ect.write(machines.too_long_at_plus_x(), tmp_path / "t.ect")
+    program = tmp_path / "p.ngc"
+    program.write_text("G90 G21 G54\nG0 X100 Y0 Z0\n")
+    (tmp_path / "link.ngc").symlink_to(program)
+    for out in (program, tmp_path / "link.ngc"):
+        assert main(["correct", str(program), "--table", str(tmp_path / "t.ect"), "--out", str(out)]) == 2
+        assert "is the program itself" in capsys.readouterr().err
+    assert program.read_text() == "G90 G21 G54\nG0 X100 Y0 Z0\n"
 
 
 LONG = "N1000 G1 X99.5 Y88.25 Z70.5 A123.4567 B45.6789 C359.1234 F1500.5 S12000 M8 (finish pass of the upper pocket)"
@@ -276,9 +340,9 @@ def test_lengths_without_a_point_are_named(line, found):
     assert says.startswith(f"line 2: {found} has no decimal point") if found else says == ""
 
 
-@pytest.mark.parametrize("line", ["G96 S200 M3", "G50 S2000", "N5 g92 s1800"])
+@pytest.mark.parametrize("line", ["G96 S200 M3", "G50 S2000", "N5 g92 s1800", "T0101", "T1212 M6"])
 def test_a_turning_program_says_that_x_was_taken_as_a_radius(line):
     from errpipe.stages.correct import diameters
 
     assert "do not use the corrected program" in diameters(f"G21 G18 G99 G54\n{line}\nG0 X50.")
-    assert diameters("G21 G90 G54 (G96 is a lathe's)\nG97 S1000 M3\nG0 X50.") == ""
+    assert diameters("G21 G90 G54 (G96 is a lathe's)\nT12 M6\nT1234\nT0100\nG97 S1000 M3\nG0 X50.") == ""

@@ -9,8 +9,8 @@ import subprocess
 import numpy as np
 import pytest
 
-from errpipe.ncprogram.correct import correct
 from errpipe.ncprogram.modal import Setup
+from tests.nc import correct
 
 pytestmark = [
     pytest.mark.toolchain,

@@ -93,7 +93,7 @@ def test_two_runs_on_one_out_take_turns(tmp_path: Path) -> None:
     while not (tmp_path / "out" / ".errpipe" / "work" / "scale").exists():
         time.sleep(0.005)
     heard: list[str] = []
-    talk = step.Talk(waiting=lambda: heard.append("waits"))
-    steps = runner.run(load_pipeline(tmp_path / "p.yaml", STAGES), tmp_path / "out", talk=talk)
+    callbacks = step.Callbacks(waiting=lambda: heard.append("waits"))
+    steps = runner.run(load_pipeline(tmp_path / "p.yaml", STAGES), tmp_path / "out", callbacks=callbacks)
     os.waitpid(child, 0)
     assert heard == ["waits"] and all(step.action == "fresh" for step in steps)

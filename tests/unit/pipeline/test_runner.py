@@ -233,8 +233,10 @@ def test_stages_side_by_side_give_the_same_bytes(where: Path) -> None:
     many = "".join(f"  - {{kind: scale, name: s{n}, factor: {n + 1}, pause: 0.15}}\n" for n in range(4))
     (where / "p.yaml").write_text(f"pipeline: 1\nstages:\n  - {{kind: take, files: data}}\n{many}  - {{kind: sum}}\n")
     heard: list[str] = []
-    talk = runner.Talk(started=lambda s: heard.append(f"+{s.name}"), finished=lambda s: heard.append(f"-{s.name}"))
-    go(where, jobs=4, talk=talk)
+    callbacks = runner.Callbacks(
+        started=lambda s: heard.append(f"+{s.name}"), finished=lambda s: heard.append(f"-{s.name}")
+    )
+    go(where, jobs=4, callbacks=callbacks)
     assert set(heard[2:6]) == {"+s0", "+s1", "+s2", "+s3"}, "four stages of 0.15 s were not side by side"
     side_by_side = tree(where / "out")
     shutil.rmtree(where / "out")
@@ -246,12 +248,12 @@ def test_stages_side_by_side_give_the_same_bytes(where: Path) -> None:
 
 def test_progress_and_talk(where: Path) -> None:
     heard: list[str] = []
-    talk = runner.Talk(
+    callbacks = runner.Callbacks(
         started=lambda step: heard.append(f"+{step.name}"),
         progress=lambda name, fraction, text: heard.append(f"{name} {fraction} {text}"),
         finished=lambda step: heard.append(f"-{step.name} {len(step.written)}"),
     )
-    runner.run(load_pipeline(where / "p.yaml", STAGES), where / "out", to="thirds", talk=talk)
+    runner.run(load_pipeline(where / "p.yaml", STAGES), where / "out", to="thirds", callbacks=callbacks)
     assert heard == ["+take", "-take 1", "+thirds", "thirds 0.5 part 1", "thirds 1.0 part 2", "-thirds 2"]
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from errpipe.pipeline import lock, runner, unchanged
 from errpipe.pipeline.spec import load_pipeline
-from errpipe.pipeline.step import SILENT, Step
+from errpipe.pipeline.step import NO_CALLBACKS, Step
 from tests.unit.pipeline.stages_for_tests import STAGES, TEXT, lay_out
 
 SETS = ["scale.factor=2"]
@@ -26,7 +26,7 @@ def where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def answer(sets: list[str] = SETS) -> tuple[str, list[Step]] | None:
-    return unchanged.steps(Path("p.yaml"), Path("out"), sets, SILENT)
+    return unchanged.steps(Path("p.yaml"), Path("out"), sets, NO_CALLBACKS)
 
 
 def test_the_answer_is_that_of_a_run(where: Path) -> None:

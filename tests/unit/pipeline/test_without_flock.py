@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from errpipe.pipeline.lock import alone
+from errpipe.pipeline.lock import exclusive_lock
 
 
 @pytest.mark.filterwarnings("ignore:only soft file lock")
@@ -17,10 +17,10 @@ def test_two_runs_wait_for_each_other_without_flock(tmp_path: Path, monkeypatch:
     waited, order = threading.Event(), []
 
     def second() -> None:
-        with alone(tmp_path, waited.set):
+        with exclusive_lock(tmp_path, waited.set):
             order.append("second")
 
-    with alone(tmp_path):
+    with exclusive_lock(tmp_path):
         other = threading.Thread(target=second)
         other.start()
         assert waited.wait(10)

@@ -77,13 +77,75 @@ def test_a_table_of_another_axis_or_machine_does_not_replace_one_unasked(where: 
     assert run(where, *first, capsys=capsys)[0] == 0
     code, document = run(where, "promote", where / "reg", "7", where / "y.ect", "--why", "Y measured", capsys=capsys)
     assert code == 4
-    assert "(axis Y), the one on record" in document["error"]["message"]
+    assert "(axis Y, in mm), the one on record" in document["error"]["message"]
     assert run(where, "promote", where / "reg", "7", where / "three.ect", "--why", "moved", capsys=capsys)[0] == 0
     code, document = run(where, "promote", where / "reg", "7", where / "four.json", "--why", "moved", capsys=capsys)
     assert code == 4 and "made for 'mill 4', the one on record for 'mill 3'" in document["error"]["message"]
     words = ("promote", where / "reg", "7", where / "y.ect", "--why", "X has glass scales now", "--other-outputs")
     assert run(where, *words, capsys=capsys)[0] == 0
     assert len(Registry(where / "reg", minisign.read_public(where / "keys/errpipe.pub")).history("7")) == 3
+
+
+def test_a_table_that_corrects_in_other_units_does_not_replace_one_unasked(where: Path, capsys: Any) -> None:
+    """A controller that takes mm would go 1000 times too far by a table whose corrections are in um."""
+    sound = machines.too_long_at_plus_x()
+    microns = [o.model_copy(update={"correction_unit": "um"}) for o in sound.outputs]
+    ect.write(sound.model_copy(update={"outputs": microns}), where / "um.ect")
+    assert run(where, "promote", where / "reg", "7", where / "one.ect", "--why", "first", capsys=capsys)[0] == 0
+    words = ("promote", where / "reg", "7", where / "um.ect", "--why", "another export")
+    code, document = run(where, *words, capsys=capsys)
+    assert code == 4 and "in um), the one on record" in document["error"]["message"]
+    assert run(where, *words, "--other-outputs", capsys=capsys)[0] == 0
+
+
+def test_a_table_of_another_machine_of_the_registry_is_not_promoted_unasked(where: Path, capsys: Any) -> None:
+    """The first table of a machine has none before it to be compared with."""
+    for name in ("mill-3", "mill-4"):
+        ect.write(machines.too_long_at_plus_x().model_copy(update={"machine": name}), where / f"{name}.ect")
+    words = ("--why", "new")
+    assert run(where, "promote", where / "reg", "mill-4", where / "mill-4.ect", *words, capsys=capsys)[0] == 0
+    code, document = run(where, "promote", where / "reg", "mill-3", where / "mill-4.ect", *words, capsys=capsys)
+    assert code == 4 and "was made for mill-4, which this registry has too" in document["error"]["message"]
+    assert run(where, "promote", where / "reg", "mill-4-X", where / "mill-4.ect", *words, capsys=capsys)[0] == 0
+    assert run(where, "promote", where / "reg", "mill-3", where / "mill-3.ect", *words, capsys=capsys)[0] == 0
+    again = ("promote", where / "reg", "mill-5", where / "mill-4.ect", *words)
+    assert run(where, *again, capsys=capsys)[0] == 4 and run(where, *again, "--other-outputs", capsys=capsys)[0] == 0
+
+
+def test_a_second_rollback_does_not_bring_the_bad_table_back(where: Path, capsys: Any) -> None:
+    """One, two, three were promoted; three is bad, and so turns out two: twice back is one, then none."""
+    reg = where / "reg"
+    ect.write(machines.bent(), where / "three.ect")
+    for name in ("one.ect", "two.ect", "three.ect"):
+        words = ("promote", reg, "7", where / name, "--why", name, "--other-outputs")
+        assert run(where, *words, capsys=capsys)[0] == 0
+    back = ("rollback", reg, "7", "--why", "bad", "--out", where / "back.ect")
+    for name in ("two.ect", "one.ect"):
+        assert run(where, *back, capsys=capsys)[0] == 0
+        assert (where / "back.ect").read_bytes() == (where / name).read_bytes()
+    code, document = run(where, *back, capsys=capsys)
+    assert code == 2 and "no earlier table to go back to (--to: entries 1 to 5)" in document["error"]["message"]
+    assert run(where, *back, "--to", "3", capsys=capsys)[0] == 0
+    assert run(where, *back, capsys=capsys)[0] == 0
+    assert (where / "back.ect").read_bytes() == (where / "two.ect").read_bytes()
+
+
+def test_of_a_json_twin_what_a_controller_loads_is_on_record(where: Path, capsys: Any) -> None:
+    """`rollback --out table.ect` gave JSON back, which no controller reads."""
+    ect.write_json(machines.too_long_at_plus_x(), where / "one.json")
+    for name in ("one.json", "two.ect"):
+        words = ("promote", where / "reg", "7", where / name, "--why", "measured")
+        assert run(where, *words, capsys=capsys)[0] == 0
+    words = ("rollback", where / "reg", "7", "--why", "worse", "--out", where / "back.ect")
+    assert run(where, *words, capsys=capsys)[0] == 0
+    assert (where / "back.ect").read_bytes() == (where / "one.ect").read_bytes()
+
+
+def test_an_error_model_in_place_of_a_table_is_called_one(where: Path, capsys: Any) -> None:
+    (where / "error_model.json").write_text('{"error_model": 1, "components": []}', encoding="utf-8")
+    words = ("promote", where / "reg", "7", where / "error_model.json", "--why", "new")
+    code, document = run(where, *words, capsys=capsys)
+    assert code == 6 and "is an error model (a compensation table is needed" in document["error"]["message"]
 
 
 def test_what_a_file_was_on_at_a_time_is_not_what_it_was_on_before(where: Path, capsys: Any) -> None:
@@ -95,6 +157,17 @@ def test_what_a_file_was_on_at_a_time_is_not_what_it_was_on_before(where: Path, 
         words = ("log", where / "reg", "--file", where / "one.ect", "--at", day)
         _, document = run(where, *words, capsys=capsys)
         assert [e["number"] for e in document["result"]["entries"]] == numbers
+
+
+def test_a_day_has_all_tables_that_were_on_the_machine_in_it(where: Path, capsys: Any) -> None:
+    """A part was cut at noon with the table of that morning: `--at 2026-03-03` showed the one before alone."""
+    for time, table in (("2026-02-01", "one.ect"), ("2026-03-03T08:00:00Z", "two.ect"), ("2026-03-09", "one.ect")):
+        words = ("promote", where / "reg", "7", where / table, "--why", "measured", "--time", time)
+        assert run(where, *words, capsys=capsys)[0] == 0
+    days = {"2026-03-03": [1, 2], "2026-03-02": [1], "2026-03-03T12:00:00Z": [2], "2026-03-04": [2], "2026-01-01": []}
+    for day, numbers in days.items():
+        _, document = run(where, "log", where / "reg", "7", "--at", day, capsys=capsys)
+        assert [e["number"] for e in document["result"]["entries"]] == numbers, day
 
 
 def test_a_registry_or_machine_that_is_not_there_is_no_empty_history(where: Path, capsys: Any) -> None:

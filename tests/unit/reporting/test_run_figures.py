@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 
 import numpy as np
 
@@ -44,3 +45,11 @@ def test_a_grid_shows_every_figure_and_marks_what_is_used() -> None:
     assert text == run_figures.grid(
         ["every run", "winter"], rows, values, ["", "tie", "", ""], "mixture", "Competition"
     )
+
+
+def test_a_group_of_one_row_is_drawn_without_a_warning() -> None:
+    """A run of five rows, left out row by row: numpy's warnings stood among what `run` said."""
+    one = np.zeros(1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert "<svg" in run_figures.against_time(one, one, one, ["1"], 0.5, "E_Z", "um")

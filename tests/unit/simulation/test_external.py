@@ -187,7 +187,7 @@ def test_a_model_of_something_else_is_refused() -> None:
     how = external.FromModel(kind="error_model")
     with pytest.raises(DataError, match="reads T_nut, which the recording lacks"):
         external.with_twins(recorded(), how, model=model(sensor="T_nut"))
-    with pytest.raises(DataError, match="the error model speaks of E_Z, the recording of EXX"):
+    with pytest.raises(DataError, match="the error model has E_Z, the recording of EXX"):
         external.with_twins(recorded(), how, model=model(component="E_Z"))
     with pytest.raises(DataError, match="recorded in um, modelled in N"):
         external.with_twins(recorded(), how, model=model(unit="N"))

@@ -9,7 +9,9 @@ from numpy.testing import assert_allclose
 from errpipe.errors import DataError
 from errpipe.fitting import placement
 from errpipe.simulation import spindle_bar
-from errpipe.simulation.spindle_bar import Bar, Column
+from errpipe.simulation.spindle_bar import Bar
+from examples.placement import nonlinearity
+from examples.placement.column import Column
 
 INSULATED = {0.25: (0.294, 0.280), 0.5: (0.369, 0.339), 1.0: (0.402, 0.362), 2.0: (0.414, 0.378), 5.0: (0.420, 0.386)}
 
@@ -50,9 +52,9 @@ def test_steps_do_not_matter():
 def test_the_strategic_place_of_the_paper(until):
     theta, grown = warm_up(Bar(loss=0.0), until)
     by_rms, by_max = INSULATED[until]
-    assert_allclose(placement.finest(Bar().places, placement.linearity(theta, grown).residual), by_rms, atol=2e-3)
-    largest = placement.linearity(theta, grown, "max").residual
-    assert_allclose(placement.finest(Bar().places, largest), by_max, atol=3e-3)
+    assert_allclose(nonlinearity.finest(Bar().places, nonlinearity.linearity(theta, grown).residual), by_rms, atol=2e-3)
+    largest = nonlinearity.linearity(theta, grown, "max").residual
+    assert_allclose(nonlinearity.finest(Bar().places, largest), by_max, atol=3e-3)
 
 
 @pytest.mark.parametrize(("loss", "place"), [(0.0, 1 - 1 / np.sqrt(3)), (1.0, 0.4096), (4.0, 0.369)])
@@ -78,7 +80,7 @@ def test_linear_at_the_strategic_place_extrapolates_where_a_polynomial_elsewhere
 
     def error(x: float, degree: int) -> float:
         k = int(np.argmin(np.abs(bar.places - x)))
-        return placement.extrapolation(theta[:, k], grown, duty[:, k], later, degree)
+        return nonlinearity.extrapolation(theta[:, k], grown, duty[:, k], later, degree)
 
     assert error(0.35, 1) < 0.05 and error(0.40, 1) < 0.02
     assert error(0.02, 1) > 0.15 and error(0.98, 1) > 0.25
@@ -94,7 +96,7 @@ def test_column_leans_away_from_the_heat_and_a_pair_of_sensors_tells_how_far():
     lean = column.lean(field)
     assert (lean > 0).all() and (field >= 0).all() and field[:, 0].max() < 0.1 * field.max()
     pair = field[:, :, 0] - field[:, :, -1]
-    linearity = placement.linearity(pair, lean)
+    linearity = nonlinearity.linearity(pair, lean)
     height = column.places()[0][linearity.best, 0]
     assert 0.8 < height < 0.95 and linearity.residual[linearity.best] < 0.02 < 0.05 < np.median(linearity.residual)
 
@@ -108,7 +110,7 @@ def test_column_conserves_heat_without_losses():
 
 def test_placement_refuses_what_has_no_answer():
     with pytest.raises(DataError):
-        placement.linearity(np.ones((5, 2)), np.zeros(5))
+        nonlinearity.linearity(np.ones((5, 2)), np.zeros(5))
     with pytest.raises(DataError):
         placement.lag_free_place(-1.0)
-    assert placement.finest(np.arange(3.0), np.array([0.1, 0.5, 0.9])) == 0.0
+    assert nonlinearity.finest(np.arange(3.0), np.array([0.1, 0.5, 0.9])) == 0.0

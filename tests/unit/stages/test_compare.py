@@ -89,6 +89,28 @@ def test_models_say_which_parameter_moved_and_how_far(tmp_path: Path, capsys: py
     assert (tmp_path / "f.svg").read_text(encoding="utf-8").startswith("<svg")
 
 
+def test_an_axis_whose_column_has_another_name_is_asked_at_one_place(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """The same model from a recording that calls X `x_pos` differs by nothing, not by what two places differ by."""
+    old, new = model(tmp_path / "a.json", 11.0, (10.5, 11.5)), model(tmp_path / "b.json", 11.0, (10.5, 11.5))
+    new.write_text(new.read_text(encoding="utf-8").replace('"x"', '"x_pos"'), encoding="utf-8")
+    code, answer = asked(old, new, "--max-um", "0", capsys=capsys)
+    assert code == 0 and answer["largest_um"] == 0.0
+    assert main(["compare", str(old), str(new)]) == 0
+    assert "x in the old one and x_pos in the new one are one axis: asked as one" in capsys.readouterr().out
+    other = model(tmp_path / "c.json", 13.0, (12.5, 13.5))
+    other.write_text(other.read_text(encoding="utf-8").replace('"x"', '"x_pos"'), encoding="utf-8")
+    _, answer = asked(old, other, capsys=capsys)
+    assert answer["largest_um"] == pytest.approx(2.0 * 10.0)  # um/m/K times 1 m times 10 K
+
+
+def test_a_figure_of_another_kind_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    old = model(tmp_path / "a.json", 11.0, (10.5, 11.5))
+    assert main(["compare", str(old), str(old), "--figure", str(tmp_path / "f.png")]) == 2
+    assert "is drawn as SVG" in capsys.readouterr().err and not (tmp_path / "f.png").exists()
+
+
 def test_a_changed_reading_a_new_run_and_a_lost_column(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     record(tmp_path / "old", 5)
     record(tmp_path / "new", 6)

@@ -30,6 +30,17 @@ def test_a_reading_outside_is_said(tmp_path: Path, capsys: Any, at: str, deviati
     assert result["outside"] == says and result["deviation"]["EXX"] == pytest.approx(deviation, abs=0.01)
 
 
+def test_what_stands_for_an_input_that_was_not_given_is_said(tmp_path: Path, capsys: Any) -> None:
+    """Without `--at` the deviation of the middle of the axis was printed, and nothing said so."""
+    table = machines.too_long_at_plus_x()
+    (x,) = (i for i in table.inputs if i.name == "x")
+    ect.write(table, tmp_path / "t.ect")
+    assert main(["eval", str(tmp_path / "t.ect")]) == 0
+    assert f"not given, so at its default: x = {x.default:g}" in capsys.readouterr().out
+    assert main(["eval", str(tmp_path / "t.ect"), "--at", "x=1"]) == 0
+    assert "not given" not in capsys.readouterr().out
+
+
 def test_a_table_of_measurements_in_place_of_a_recording_is_told_to_import(tmp_path: Path, capsys: Any) -> None:
     ect.write(machines.too_long_at_plus_x(), tmp_path / "t.ect")
     file = tmp_path / "x.csv"

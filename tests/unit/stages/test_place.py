@@ -59,6 +59,38 @@ def test_too_few_duty_cycles_are_called_that(tmp_path, capsys):
     assert "--group names the column of duty cycles" in capsys.readouterr().err
 
 
+def test_the_duty_cycle_in_which_a_sensor_jumps_is_named(tmp_path, capsys):
+    frame = pd.read_csv(field(tmp_path))
+    frame = frame.drop(columns=["wall"])
+    frame.loc[180:239, "near"] += 90.0  # in duty cycle 2
+    frame.to_csv(tmp_path / "jump.csv", index=False)
+    assert main(["place", str(tmp_path / "jump.csv")]) == 0
+    said = capsys.readouterr().out
+    assert "no sensor is better than doing nothing: duty cycle 2 alone is missed by" in said
+
+
+def test_a_clock_is_no_place_for_a_sensor_and_candidates_are_listed(tmp_path, capsys):
+    """A time that was not named as one could be chosen as a place: the error of a warm-up rises with it."""
+    frame = pd.read_csv(field(tmp_path))
+    frame["t"] = frame.groupby("duty_cycle").cumcount() * 60.0
+    frame["error"] += 0.1 * frame["t"]
+    frame.to_csv(tmp_path / "t.csv", index=False)
+    code, document = asked(capsys, "place", str(tmp_path / "t.csv"))
+    assert code == 0 and document["result"]["candidates"] == ["near", "wall", "far", "room"]
+    assert document["result"]["clocks"] == ["t"] and "t" not in document["result"]["chosen"]
+
+
+def test_an_empty_cell_is_named_with_its_line_and_a_file_of_semicolons_as_one(tmp_path, capsys):
+    frame = pd.read_csv(field(tmp_path))
+    frame.to_csv(tmp_path / "semi.csv", index=False, sep=";")
+    assert main(["place", str(tmp_path / "semi.csv")]) == 3
+    assert "between commas stand: duty_cycle;near" in capsys.readouterr().err
+    frame.loc[3, "far"] = np.nan
+    frame.to_csv(tmp_path / "gap.csv", index=False)
+    assert main(["place", str(tmp_path / "gap.csv")]) == 3
+    assert "gap.csv:5  far: is empty" in capsys.readouterr().err
+
+
 def test_a_missing_column_is_named(tmp_path, capsys):
     code, document = asked(capsys, "place", str(field(tmp_path)), "--error", "eror")
     assert code == 3 and "no column 'eror'" in json.dumps(document)
@@ -146,6 +178,31 @@ def test_after_enough_days_no_duty_cycle_is_worth_it(tmp_path, capsys):
     _, document = asked(capsys, "plan-day", recording_of_days(tmp_path / "days", "ht" * 12))
     assert document["result"]["next"] is None
     assert document["result"]["least"] == pytest.approx(0.3, rel=0.2)  # the noise of a reading
+
+
+def test_deviations_over_an_axis_are_told_that_temperatures_alone_plan(tmp_path, capsys):
+    """What differs between places counted as what no run teaches, and nothing said so."""
+    folder = tmp_path / "days"
+    assert main(["plan-day", recording_of_days(folder, "hth")]) == 0
+    assert "several places" not in capsys.readouterr().out
+    frame = pd.read_csv(folder / "recording.csv")
+    frame["x"] = np.arange(len(frame)) % 6 * 100.0
+    frame["E"] += 0.05 * frame["x"]
+    frame.to_csv(folder / "recording.csv", index=False)
+    manifest = (folder / "recording.yaml").read_text(encoding="utf-8")
+    manifest = manifest.replace("columns:\n", "columns:\n  x: {role: position, axis: X, unit: mm}\n")
+    (folder / "recording.yaml").write_text(manifest, encoding="utf-8")
+    assert main(["plan-day", str(folder)]) == 0
+    assert "E_Z was measured at several places of X" in capsys.readouterr().out
+
+
+def test_a_recording_without_temperatures_is_not_only_asked_for_speeds(tmp_path, capsys):
+    folder = tmp_path / "days"
+    recording_of_days(folder, "ht")
+    text = (folder / "recording.yaml").read_text(encoding="utf-8")
+    (folder / "recording.yaml").write_text(text.replace("role: temperature, unit: degC", "role: ignore"))
+    assert main(["plan-day", str(folder)]) == 3
+    assert "has neither temperatures beside an error nor a spindle speed" in capsys.readouterr().err
 
 
 def test_what_a_plan_of_errors_lacks_is_named(tmp_path, capsys):

@@ -92,7 +92,7 @@ def test_the_kernels_records_are_the_files_records():
     for n, i in enumerate(table.inputs):
         own = program.inputs[n]
         assert (own["low"], own["high"], own["default"]) == (i.low, i.high, i.default)
-        assert own["offset"] == i.substitute_offset
+        assert own["substitute_offset"] == i.substitute_offset
         assert own["margin"] == (i.margin or 0.0) and own["count"] == len(i.substitute)
     for n, p in enumerate(table.profiles):
         own = program.profiles[n]

@@ -155,7 +155,9 @@ def test_a_turn_that_does_not_close_is_refused_where_it_is_read():
 def test_every_format_of_one_axis_is_read():
     alone = {t.name for t in TARGETS if {"screw", "reversal"} & set(t.holds)}
     whole = {t.name for t in TARGETS if {"screw", "temperature"} <= set(t.holds)}  # the evaluators: test_signs
-    assert {t.name for t in READ} == alone - whole
+    read, documented = {t.name for t in READ}, {t.name for t in TARGETS if t.confidence != "experimental"}
+    assert read <= alone - whole
+    assert not (missing := (alone - whole - read) & documented), f"no reader written from the manual: {sorted(missing)}"
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)

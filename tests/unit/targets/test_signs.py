@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from errpipe.domain import driver as d
-from errpipe.ncprogram.correct import correct
 from errpipe.ncprogram.modal import Setup
 from errpipe.stages.correct import deviation_of
 from errpipe.tables import batch, reference
 from errpipe.targets import TARGETS
+from tests.nc import correct
 from tests.unit.targets import machines
 
 WARM = 10.0  # K, at which a machine of the temperature formats is 10 um too long

@@ -1,6 +1,7 @@
 """What holds for every term, from its worked case: a term added to TERMS is tested here without a line of code."""
 
 import inspect
+import re
 from functools import cache
 
 import numpy as np
@@ -42,6 +43,18 @@ def test_finite_and_one_column_per_parameter(case):
     assert columns.shape[1] == len(case.term.linear()) and np.isfinite(columns).all()
     assert len(columns) % len(case.recording) == 0
     assert np.abs(columns).max() > 0
+
+
+# What `domain.units` calls canonical, and what a parameter is usually stated in; 1: no unit.
+DEFORMATIONS, MOTIONS = ("um", "urad", "1"), ("mm", "m", "deg", "s", "ms", "h", "mm/s", "rpm", "Hz")
+UNITS = frozenset((*DEFORMATIONS, *MOTIONS, "N", "kN", "kg", "K", "K2", "hPa", "%", "A"))
+
+
+def test_its_units_are_known(case):
+    for p in (*case.term.linear(), *case.term.nonlinear()):
+        parts = set(re.findall(r"[^ /()]+", p.unit)) if p.unit not in UNITS else set()
+        unknown = parts - UNITS - {f"{u}{n}" for u in UNITS for n in (2, 3)}
+        assert not unknown, f"{p.name} is in {p.unit!r}: {sorted(unknown)} is none of {', '.join(sorted(UNITS))}"
 
 
 def test_no_parameters_no_deviation(case):

@@ -9,6 +9,7 @@ from errpipe.errors import GateError
 from errpipe.fitting import holdout
 from errpipe.formats import manifest_folder
 from errpipe.models.auto import Auto
+from errpipe.validation import significance
 from errpipe.validation.gate import pass_gate
 from errpipe.validation.held_out import held_out
 from errpipe.validation.predict import predict
@@ -95,3 +96,13 @@ def test_a_log_of_one_day_that_helps_is_exported_and_one_that_wanders_is_not() -
     wanders = one.with_columns({"E_Z": walk}, {})
     with pytest.raises(GateError, match=r"independent rows.*measure further days"):
         pass_gate(FAMILY.fit(wanders).model, [held_out(wanders, FAMILY)])
+
+
+def test_a_day_that_warms_one_way_is_exported_by_its_blocks(tmp_path) -> None:
+    """Its halves alone are worth three rows (p = 7e-4), too few to be exported by."""
+    fit, judge = recorded(tmp_path, 6101, 3, 1)
+    (figures,) = held_out(fit, FAMILY)["components"]
+    assert significance.HALVES_LEVEL < figures["p_value"] <= significance.HALVES_LIKELY and figures["gain"] > 0.0
+    told = predict(FAMILY.fit(fit).model, judge)
+    left = since(judge.array("E_Z"), judge) - since(told["E_Z_predicted"].to_numpy(), judge)
+    assert np.std(left) < 0.5 * np.std(since(judge.array("E_Z"), judge))

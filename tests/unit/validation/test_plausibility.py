@@ -224,3 +224,13 @@ def test_a_long_axis_that_is_good_is_not_too_small() -> None:
     good = 1.5 * np.sin(f.x / 900) - 0.4 * f["dir"] + 0.3 * np.random.default_rng(5).normal(size=len(f))
     assert [x.code for x in plausibility.findings(put(plain, EXX=good))] == []
     assert [x.code for x in plausibility.findings(put(plain, EXX=good / 1000))] == ["too-small"]
+
+
+@pytest.mark.parametrize(("added", "means_kelvin"), [(273.15, True), (500.0, False)])
+def test_kelvin_in_some_rows_is_told_from_a_broken_sensor(added: float, means_kelvin: bool) -> None:
+    """Before: "another column, or a sensor that failed", where one season was logged in K."""
+    recording = axis_test()
+    half = np.where(np.arange(len(recording)) < len(recording) // 2, added, 0.0)
+    found = plausibility.findings(put(recording, T_nut=recording.array("T_nut") + half))
+    (said,) = [str(f) for f in found if f.code == "temperature-range"]
+    assert ("degC in some rows and K in others" in said) == means_kelvin

@@ -10,7 +10,7 @@ from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.fitting.holdout import Fold
 from errpipe.fitting.judging import HeldOut
 from errpipe.stages.retrain import _name_gate
-from errpipe.validation.input_drift import cusum, sensor_drift
+from errpipe.validation.input_drift import cusum, other_unit, sensor_drift, who_drifts
 from errpipe.validation.retraining import (
     Gate,
     RunScore,
@@ -140,6 +140,65 @@ def test_the_sensor_that_drifts_is_blamed_and_the_day_is_right(drifting: int) ->
     first = sensor_drift(recording, reference)[0]
     assert first.blamed and first.column == f"T_{drifting}"
     assert 20 <= int(first.since.split()[1]) <= 24 and first.size > 0
+
+
+def three_sensors(seed: int, drift_from: int, nights: int) -> tuple[Recording, np.ndarray]:
+    """Nights of a spindle: front and rear bearing, air; the front's sensor drifts by 1 K a night."""
+    rng = np.random.default_rng(seed)
+    night = np.repeat(np.arange(nights), 12)
+    air = 20 + 5 * np.sin(night / 58.0) + rng.normal(0, 0.7, nights)[night]
+    heat = rng.uniform(4, 12, nights)[night] * np.tile(1 - np.exp(-np.arange(12) / 5.0), nights)
+    rear = air + 0.6 * heat * rng.uniform(0.8, 1.2, nights)[night]
+    shown = {"front": air + heat + np.maximum(night - drift_from, 0), "rear": rear, "air": air}
+    kinds = {"run": Column(role="run")} | {n: Column(role="temperature", unit="degC") for n in shown}
+    frame = pd.DataFrame({n: v + rng.normal(0, 0.05, v.size) for n, v in shown.items()})
+    frame = frame.assign(run=[f"night {k:03}" for k in night])
+    return Recording(Manifest(recording=1, tables=("x.csv",), columns=kinds), frame), night <= drift_from
+
+
+def test_a_healthy_sensor_is_not_called_faulty_because_the_others_know_too_little_of_it() -> None:
+    """Of three sensors the rear one was named on the first nights: without it the two others are silent, too."""
+    suspected, named = [], []
+    for seed in range(4):
+        recording, reference = three_sensors(seed, 40, 56)
+        nights = recording.run_codes()
+        for last in (43, 44, 46, 55):
+            rows = nights <= last
+            drift = sensor_drift(recording.take(rows), reference[rows])
+            suspected.append({d.column for d in drift if d.suspected})
+            named.append([d.column for d in drift if d.blamed])
+    assert all("front" in names for names in suspected if names) and sum(map(bool, suspected)) >= 12
+    assert all(names in ([], ["front"]) for names in named) and named[3::4].count(["front"]) >= 3
+
+
+def test_who_may_drift_is_said_with_the_likeliest_first() -> None:
+    assert who_drifts(["nut"]) == "nut drifts"
+    assert who_drifts(["nut", "bed", "air"]).startswith("nut, bed or air drifts (the likeliest first")
+
+
+@pytest.mark.parametrize(
+    ("scale", "offset", "told"),
+    [
+        (1.8, 32.0, "degF instead of degC"),
+        (1.0, 273.15, "K instead of degC"),
+        (1 / 1.8, -32.0 / 1.8, "degC instead of degF"),
+        (1.0, -273.15, "degC instead of K"),
+        (1.0, 18.0, None),  # from winter to summer
+        (1.0, 110.0, None),  # no scale
+    ],
+)
+def test_another_scale_of_all_temperatures_is_named_with_its_first_run(
+    scale: float, offset: float, told: str | None
+) -> None:
+    recording, reference = sensors(None, 0.0)
+    late, names = recording.run_codes() >= 30, recording.names("temperature")
+    if told in ("degC instead of degF", "degC instead of K"):
+        unturned = {n: (recording.array(n) - offset) / scale for n in names}
+        recording = recording.with_columns(unturned, {})
+    turned = {n: np.where(late, scale * recording.array(n) + offset, recording.array(n)) for n in names}
+    assert other_unit(recording.with_columns(turned, {}), reference) == (None if told is None else (told, "day 30"))
+    one = recording.with_columns({names[0]: turned[names[0]]}, {})
+    assert other_unit(one, reference) is None
 
 
 def test_sensors_that_do_not_drift_raise_no_alarm() -> None:

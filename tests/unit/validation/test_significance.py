@@ -117,3 +117,9 @@ def test_a_sensor_that_shows_the_deviation_passes_as_halves_of_one_run() -> None
     p, worth = significance.p_of_halves(halves(growth, shown), 1.0)
     assert p < 1e-6 and 2 < worth < 40
     assert significance.p_of_halves(halves(growth, rng.normal(0, 1.0, 400)), 1.0)[0] > 0.05
+
+
+@pytest.mark.parametrize(("p", "left", "helps"), [(1e-5, 0.9, True), (1e-3, 0.05, True), (1e-3, 0.3, False)])
+def test_halves_that_leave_it_open_are_joined_by_blocks_inside_the_run(p: float, left: float, helps: bool) -> None:
+    assert significance.of_halves_helps(p, lambda: left) == helps
+    assert not significance.of_halves_helps(0.05, lambda: pytest.fail("blocks are judged where halves leave it open"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Any, Literal
 
 import pytest
@@ -9,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import Field, create_model
 
-from errpipe.errors import ConfigError
+from errpipe.errors import ConfigError, UsageError
 from errpipe.yamlfile import Choice, Options, parse
 from tests.unit.yamlfile.written_models import Model
 
@@ -101,3 +103,33 @@ def test_errors_inside_a_choice_have_their_place_and_what_is_allowed() -> None:
         "parts[3].names[0]: found the number 1 (a text is needed). Did you mean '1', in quotes?",
         "parts[4].kind: is missing (allowed: one, two).",
     ]
+
+
+@pytest.mark.parametrize(
+    ("files", "text", "message"),
+    [
+        (
+            ("pear", "pear"),
+            'class Pear(BaseModel):\n    kind: Literal["pear"] = "pear"\n',
+            r"__init__.py lists 'pear' twice",
+        ),
+        (("plum",), "", r"__init__.py lists 'plum', and there is no fruits/plum.py"),
+        (("pear",), "class Pair: ...\n", r"fruits/pear.py holds no class Pear: the class of a file is named after it"),
+        (
+            ("pear",),
+            'class Pear(BaseModel):\n    kind: Literal["fig"] = "fig"\n',
+            r"fruits/pear.py: Pear.kind says 'fig', its registry 'pear'",
+        ),
+    ],
+)
+def test_a_registry_that_does_not_fit_its_files_says_how(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, files: tuple[str, ...], text: str, message: str
+) -> None:
+    (tmp_path / "fruits").mkdir()
+    head = "from typing import Literal\nfrom pydantic import BaseModel\n\n\n"
+    (tmp_path / "fruits" / "pear.py").write_text(head + text)
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("fruits", "fruits.pear"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    with pytest.raises(UsageError, match=message):
+        list(Choice.of_files("fruits", "kind", files))

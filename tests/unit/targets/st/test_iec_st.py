@@ -28,7 +28,7 @@ ROUNDINGS = {"half away": "lround", "towards zero": ""}  # the others run half t
 
 
 def room():
-    return iec_st.room_for(machine(thermal=True))
+    return iec_st.capacity_for(machine(thermal=True))
 
 
 def units():
@@ -331,7 +331,7 @@ def test_twincat_files_are_xml_with_the_same_text():
         root = ElementTree.fromstring(file.encode())
         assert root[0].get("Name") == name and re.fullmatch(r"\{[0-9a-f-]{36}\}", root[0].get("Id"))
         texts = "".join(e.text for e in root.iter() if e.tag in ("Declaration", "ST"))
-        whole = iec_st.unit(name, iec_st.room_for(ten_um_too_long()))
+        whole = iec_st.unit(name, iec_st.capacity_for(ten_um_too_long()))
         assert whole.startswith(texts) and len(whole) - len(texts) < 25
 
 
@@ -391,7 +391,7 @@ def test_plcopen_xml_holds_all_units_and_their_text():
     assert [e.get("name") for e in root.findall(".//p:dataType", ns)] == list(iec_st.TYPES)
     pous = root.findall(".//p:pou", ns)
     assert [e.get("name") for e in pous] == [*iec_st.FUNCTIONS, *iec_st.BLOCKS]
-    sizes = iec_st.room_for(ten_um_too_long())
+    sizes = iec_st.capacity_for(ten_um_too_long())
     for pou in pous:
         assert pou.find(".//x:p", ns).text == iec_st.split(iec_st.unit(pou.get("name"), sizes))[1]
 

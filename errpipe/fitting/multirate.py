@@ -1,4 +1,4 @@
-"""Temperatures that are logged more seldom than rows, held from reading to reading in a recording read batch by batch.
+"""Multirate recordings read batch by batch: temperatures sampled less often than the rows, held between readings.
 
 One pass finds how far apart the readings of each such sensor usually are, and the first one of every run, which the
 rows before it take. Every later pass holds the last reading of a run over the borders of batches.
@@ -40,7 +40,7 @@ class _Sensor:
 
 
 def held(source: Source) -> Source:
-    """The source with seldom logged temperatures as `thermal_arithmetic.short_holes_held` has them in memory."""
+    """The source with multirate temperatures held as `thermal_arithmetic.short_holes_held` holds them in memory."""
     sensors = _surveyed(source, [n for n in source.ends.names("temperature") if n not in source.complete])
     limits = {n: LONGEST_HELD * s.rows_between() for n, s in sensors.items() if s.rows_between() > 1}
     if not limits:
@@ -97,9 +97,9 @@ def _held(batches: Iterator[Recording], sensors: dict[str, tuple[_Sensor, int]])
                 before = np.searchsorted(rows, row, side="right") - 1
                 near = row - rows[before] <= limit
                 columns[name][first:end] = np.where(near, readings[before], np.nan)
-                start, begun = sensor.first.get(run, (0, np.nan))
+                start, value_of_first = sensor.first.get(run, (0, np.nan))
                 early = (row < start) & (start - row <= limit)
-                columns[name][first:end][early] = begun
+                columns[name][first:end][early] = value_of_first
                 latest[name] = (int(rows[-1]), float(readings[-1]))
             in_run += end - first
         yield _with(batch, columns)

@@ -1,0 +1,24 @@
+"""Thermal families on a shop's recordings: a sensor that came late."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.models.auto import Auto
+from errpipe.validation.held_out import held_out
+from tests.unit.models.test_competition import machine
+
+FAMILY = Auto(component="E_Z", among=("rises", "lagged"))
+
+
+def test_a_season_without_one_sensor_leaves_the_runs_of_the_other_to_be_judged() -> None:
+    """Before: "hold-out winter: no judged row has everything the model needs"."""
+    recording = machine(3, seasons=("winter", "spring"))
+    late = np.where(recording.frame["season"] == "winter", np.nan, recording.array("T_spindle"))
+    recording = recording.with_columns({"T_spindle": late}, {})
+    name, folds = FAMILY.folds(recording, None)
+    assert name == "leave-one-run-out"
+    assert sorted(fold.label for fold in folds) == [f"spring{k}" for k in range(5)]
+    (figures,) = held_out(recording, FAMILY)["components"]
+    assert figures["rms_after"] < 0.3 * figures["rms_before"]
+    assert "emptiest: T_spindle" in FAMILY.fit(recording).summary["E_Z"]
