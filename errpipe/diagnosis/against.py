@@ -203,19 +203,11 @@ def _judged(r: ResponseDiagnosis, f: Finding, k: float, sd: float, degrees: int,
     else:
         state = "reversed" if k < 0 else "larger" if k > 1 else "smaller"
     inner = {p.name for t in terms_of(f) for p in t.nonlinear()}
-    sizes = tuple(
-        {
-            "name": q.name,
-            "unit": q.unit,
-            "then": q.value,
-            "then_ci95": q.ci95,
-            "now": k * q.value,
-            "now_ci95": sorted(((k - reach) * q.value, (k + reach) * q.value)),
-        }
-        for q in f.parameters
-        if q.name not in inner
-    )
-    return Held(r.component, f.effect, state, "", k, (k - reach, k + reach), p, sizes)
+    sizes: list[dict[str, Any]] = []
+    for q in (q for q in f.parameters if q.name not in inner):
+        now = {"now": k * q.value, "now_ci95": sorted(((k - reach) * q.value, (k + reach) * q.value))}
+        sizes.append({"name": q.name, "unit": q.unit, "then": q.value, "then_ci95": q.ci95} | now)
+    return Held(r.component, f.effect, state, "", k, (k - reach, k + reach), p, tuple(sizes))
 
 
 def earlier_spread(f: Finding) -> float:

@@ -15,6 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from errpipe.diagnosis import units
 from errpipe.diagnosis.derived import with_motion
+from errpipe.diagnosis.hypotheses import mask_of
 from errpipe.domain.diagnosis import Diagnosis, Finding, ResponseDiagnosis
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import hold, sessions
@@ -119,14 +120,9 @@ def inner_values(finding: Finding, term: Term, recording: Recording, response: s
 
 def acting(finding: Finding, recording: Recording) -> np.ndarray:
     """1 on rows where a finding acts, else 0, shape (rows,)."""
-    inside = np.ones(len(recording))
-    if finding.where.runs:
-        labels = np.array(recording.run_labels())
-        inside = inside * np.isin(labels[recording.run_codes()], finding.where.runs)
-    for name, (low, high) in finding.where.ranges.items():
-        values = recording.array(name)
-        inside = inside * ((values >= low) & (values <= high))
-    return inside
+    masks: list[tuple] = [("runs", finding.where.runs)] if finding.where.runs else []
+    masks += [("range", name, *limits) for name, limits in finding.where.ranges.items()]
+    return np.prod([np.ones(len(recording)), *(mask_of(mask, recording) for mask in masks)], axis=0)
 
 
 @dataclass(frozen=True)

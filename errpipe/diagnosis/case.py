@@ -72,10 +72,13 @@ def chosen_of(explanation: Explanation) -> list[tuple[int, float]]:
 
 def residual(case: Case, chosen: list[tuple[int, float]] | None = None) -> np.ndarray:
     """Residual of the explanation, on the judged rows."""
-    chosen = case.chosen() if chosen is None else chosen
-    scene = case.search.scene(chosen)
-    blocks = [case.library.block(i, case.recording, case.pair.rows) for i, _ in chosen]
-    return case.y - np.column_stack([case.recal, *blocks]) @ scene.coefficients()
+    return left_by(case, case.search, case.chosen() if chosen is None else chosen)
+
+
+def left_by(made: SetUp, search: Search, chosen: list[tuple[int, float]]) -> np.ndarray:
+    """Residual of chosen hypotheses in a search, on the judged rows."""
+    blocks = [made.library.block(i, made.recording, made.pair.rows) for i, _ in chosen]
+    return made.y - np.column_stack([made.recal, *blocks]) @ search.scene(chosen).coefficients()
 
 
 def own_datums(case: Case, chosen: list[tuple[int, float]]) -> np.ndarray | None:
@@ -98,5 +101,5 @@ def needs_recalibration(case: Case) -> bool:
     datum, gains = case.nuisance.index[own], case.nuisance.index[~own]
     sets = [datum, gains[:1], np.r_[datum, gains[:1]], np.r_[datum, gains]]
     sets += [np.r_[datum, g] for g in gains[1:]]
-    scored = scene.score(sets, [np.ones(s.size) for s in sets], case.search.rows)
-    return max(s.gain for s in scored) > OFF + np.log(len(sets))  # log of the number of sets: multiple comparisons
+    scored = scene.gains(sets, [np.ones(s.size) for s in sets], case.search.rows)
+    return bool(scored.max() > OFF + np.log(len(sets)))  # log of the number of sets: multiple comparisons

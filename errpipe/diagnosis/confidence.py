@@ -19,7 +19,7 @@ class Indicators:
     leftover: rms after over the noise seen between neighbours; share: of the structured variance, what only
     shapes reach; shapes: log Bayes factor of those shapes; others: number of other findings; core: share of the
     textbook form in the contribution; agreement: of the folds, how many chose the same effect first;
-    rank: 0 for the strongest finding; unreached: of the structured variance, what neither names
+    rank: 0 for the strongest finding; unexplained_share: of the structured variance, what neither names
     nor the noise between neighbours account for; fast: 1 for traces of an axis under way, where neighbours tell less;
     beside: log Bayes factor of the best shape over an input beside the findings; instead: gain less that of the best
     one in the finding's place, both where held-out rows prove no shape; wandering: as `shapes`, of those over time or
@@ -35,7 +35,7 @@ class Indicators:
     core: float
     agreement: float
     rank: int
-    unreached: float = 0.0
+    unexplained_share: float = 0.0
     fast: int = 0
     beside: float = 0.0
     instead: float = 10.0
@@ -97,12 +97,12 @@ def features(s: Indicators) -> dict[str, float]:
         "core": s.core,
         "agreement": s.agreement,
         "rank": float(s.rank),
-        "unreached": s.unreached,
+        "unexplained_share": s.unexplained_share,
         "fast": float(s.fast),
         "wandering": float(np.log1p(max(s.wandering, 0.0))),
         "beside": float(np.log1p(np.clip(s.beside, 0.0, MOST_BESIDE))),
         "instead": float(np.clip((EARNED - s.instead) / EARNED, 0.0, 1.5)),
-        "most": max(s.share, s.unreached),
+        "most": max(s.share, s.unexplained_share),
     }
 
 

@@ -122,8 +122,7 @@ def static(
         without = _gains([read[n][known] for n in own if n != name], simulated[known])[1]
         certainty = 0.5 * rows.size * np.log(max(without, 1e-300) / max(residual_rms, 1e-6 * spread))
         core = gain * (reading - reading.mean())
-        sure = np.zeros((core.size, 0))
-        zeros = np.zeros_like(core)
+        zeros, sure = np.zeros_like(core), np.zeros((core.size, 0))
         parts.append(Part(library.hypotheses[index], index, core, zeros, float(certainty), sure, zeros))
     unexplained = simulated - simulated.mean() - np.sum([p.core for p in parts], axis=0)
     return Decomposition(tuple(parts), residual_rms / spread, unexplained, 0.0, plain=True)
@@ -148,7 +147,7 @@ class _Work:
         self.count = ROWS[0] + ROWS[1] * rows.size
         self.prior = np.array([h.terms[0].simulated_log_odds for h in library.hypotheses])
         self._promising: dict[tuple, Chosen] = {}
-        self.freedom = [library.freedom_of(k) for k in range(len(library.hypotheses))]
+        self.freedom = [library.freedoms[k] for k in range(len(library.hypotheses))]
 
     def run(self) -> list[Decomposition]:
         if self.still or not self.library.hypotheses:
@@ -208,7 +207,7 @@ class _Work:
     def _judged(self, moves: list[Chosen], seen: dict[tuple, float]) -> list[tuple[float, Chosen]]:
         """Those states that were not seen before, with what they are worth; their products are formed all at once."""
         out = []
-        together = [np.zeros(0, dtype=int), *(self.library.indices(i) for move in moves for i, _ in move)]
+        together = [np.zeros(0, dtype=int), *(self.library.places[i] for move in moves for i, _ in move)]
         self.data.table.know(np.concatenate(together))
         for move in moves:
             name = tuple(sorted(i for i, _ in move))
@@ -253,7 +252,7 @@ class _Work:
         return out
 
     def _active(self, chosen: Chosen) -> Active:
-        index = [np.array([self.library.datum]), *(self.library.indices(i) for i, _ in chosen)]
+        index = [np.array([self.library.datum]), *(self.library.places[i] for i, _ in chosen)]
         sd = [np.array([np.inf]), *(size * self.sigma * self.freedom[i] for i, size in chosen)]
         return Active(np.concatenate(index), np.concatenate(sd))
 

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from errpipe.diagnosis.prepare import derivative, second_derivative
+from errpipe.diagnosis.prepare import derivative
 from errpipe.domain.diagnosis import Diagnosis, ResponseDiagnosis
 from errpipe.domain.recording import Column, Recording
 from errpipe.drivers.motion import axes
@@ -95,18 +95,15 @@ def _motion(recording: Recording, axis: str, name: str):
         return
     length = "deg" if axis in axes(recording, "rotary") else "mm"
     yield "velocity", f"{length}/s", derivative(t, x, run)
-    yield "acceleration", f"{length}/s2", second_derivative(t, x, run)
+    yield "acceleration", f"{length}/s2", derivative(t, x, run, 2)
 
 
 def named_by_source(diagnosis: Diagnosis, source: dict[str, str]) -> Diagnosis:
     """The diagnosis with columns that are in no table called by the one they come from."""
-    if not source:
-        return diagnosis
-    return diagnosis.model_copy(update={"responses": tuple(_response(r, source) for r in diagnosis.responses)})
 
+    def called(r: ResponseDiagnosis) -> ResponseDiagnosis:
+        drivers = [tuple(dict.fromkeys(source.get(d, d) for d in f.drivers)) for f in r.findings]
+        findings = [f.model_copy(update={"drivers": d}) for f, d in zip(r.findings, drivers, strict=True)]
+        return r.model_copy(update={"findings": tuple(findings)})
 
-def _response(r: ResponseDiagnosis, source: dict[str, str]) -> ResponseDiagnosis:
-    called = [
-        f.model_copy(update={"drivers": tuple(dict.fromkeys(source.get(d, d) for d in f.drivers))}) for f in r.findings
-    ]
-    return r.model_copy(update={"findings": tuple(called)})
+    return diagnosis.model_copy(update={"responses": tuple(map(called, diagnosis.responses))}) if source else diagnosis

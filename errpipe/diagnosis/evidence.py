@@ -202,9 +202,6 @@ class Active:
         return Active(np.r_[self.index, index], np.r_[self.sd, sd])
 
 
-NOTHING = Active(np.zeros(0, dtype=int), np.zeros(0))
-
-
 class Listed:
     """Hypotheses that are scored again and again: columns (indices into the table), their freedoms, and how many of the
     columns are the textbook form."""
@@ -241,14 +238,6 @@ class Listed:
                 made.append(of_one.ravel())
             self._blocks[data.without] = np.concatenate([np.zeros(0), *made])
         return self._blocks[data.without]
-
-
-@dataclass(frozen=True)
-class Scored:
-    """A hypothesis' log Bayes factor against the active columns alone, and the size that fits best."""
-
-    gain: float
-    size: float
 
 
 class Scene:
@@ -305,20 +294,16 @@ class Scene:
         s = evidence.freed(self.chol, cross, self.half, self.Zy_all[index])
         own = [self.table.among(index[k : k + 1], self.data.without)[0, 0] for k in range(index.size)]
         S = np.array(own) - np.sum(cross**2, axis=0)
-        rest = s - value * S  # product with the residual once `value` times the column is subtracted
-        Q = self.Q - 2 * value * s + value**2 * S - rest**2 / (S + self.sigma**2 / sd**2)
-        price = 0.5 * np.log1p(S * sd**2 / self.sigma**2)
-        return -price - 0.5 * (rows or self.n) * np.log(np.maximum(Q, 1e-9 * self.Q) / self.Q)
+        return with_known_size(S, s, value, sd / self.sigma, self.Q, rows or self.n)
 
-    def score(self, index: list[np.ndarray], freedom: list[np.ndarray], rows: float | None = None) -> list[Scored]:
-        """Score hypotheses, textbook forms all of them: columns of each (indices into the table), their freedoms."""
-        listed = Listed(index, freedom, [i.size for i in index])
-        return [Scored(float(gain), float(size)) for gain, size, _ in zip(*self.scores(listed, rows=rows), strict=True)]
+    def gains(self, index: list[np.ndarray], freedom: list[np.ndarray], rows: float | None = None) -> np.ndarray:
+        """Log Bayes factors of textbook forms: columns of each (indices into the table), their freedoms."""
+        return self.scores(Listed(index, freedom, [i.size for i in index]), rows=rows)[0]
 
     def scores(
         self, listed: Listed, which: np.ndarray | None = None, rows: float | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """As `score`, for all listed hypotheses or some: their gains, sizes, and the textbook form's shares."""
+        """Of listed hypotheses: log Bayes factors over the active columns alone, best sizes, textbook forms' shares."""
         which = listed.every if which is None else which
         used, where = listed.used(which)
         cross = self.with_active(used)
@@ -337,6 +322,16 @@ class Scene:
             float(rows or self.n),
             SIZES,
         )
+
+
+def with_known_size(S: Any, s: Any, value: Any, sd: Any, spare: Any, rows: float) -> Any:
+    """Log Bayes factors of columns, each alone, with a coefficient known to be `value` within `sd` noise rms.
+
+    S: sum of squares of each, active columns taken away; s: products with the signals; spare: their sums of squares.
+    """
+    rest = s - value * S  # product with the residual once `value` times the column is subtracted
+    Q = spare - 2 * value * s + value**2 * S - rest**2 / (S + 1 / sd**2)
+    return -0.5 * np.log1p(S * sd**2) - 0.5 * rows * np.log(np.maximum(Q, 1e-9 * spare) / spare)
 
 
 def averaged(S: np.ndarray, s: np.ndarray, spare: np.ndarray, rows: float) -> np.ndarray:

@@ -37,11 +37,6 @@ class Fitted:
     covariance: np.ndarray
     held_out: float
 
-    def parameter(self, name: str, k: int, unit: str) -> FoundParameter:
-        """One coefficient with its 95 % interval."""
-        value, reach = float(self.value[k]), 1.96 * WIDER * float(np.sqrt(self.covariance[k, k]))
-        return FoundParameter(name=name, value=value, unit=unit, ci95=(value - reach, value + reach))
-
     def differ(self, one: int, other: int) -> bool:
         """Do two coefficients differ by more than DOUBT standard errors?"""
         c = self.covariance
@@ -65,10 +60,11 @@ class ByDirection:
     rotary: bool = False
 
     def _in_units(self, name: str, k: int, unit: str) -> FoundParameter:
-        p = self.law.parameter(name, k, unit)
         unit, factor = units.reported(unit, self.response, self.rotary)
-        ci95 = (p.ci95[0] * factor, p.ci95[1] * factor)
-        return p.model_copy(update={"value": p.value * factor, "unit": unit, "ci95": ci95})
+        value, reach = self.law.value[k] * factor, 1.96 * WIDER * np.sqrt(self.law.covariance[k, k]) * factor
+        return FoundParameter(
+            name=name, value=float(value), unit=unit, ci95=(float(value - reach), float(value + reach))
+        )
 
     def damping(self) -> tuple[FoundParameter, ...]:
         """Damping of each direction."""
@@ -77,14 +73,6 @@ class ByDirection:
     def force(self) -> tuple[FoundParameter, ...]:
         """Dry friction of each direction."""
         return tuple(self._in_units(f"force_{way}", k, "N") for way, k in (("forward", 3), ("backward", 4)))
-
-    def briefly(self) -> str:
-        """The headline."""
-        (ahead, back), (dry, other) = self.damping(), self.force()
-        return (
-            f"Friction differs by direction: {ahead.value:.3g} {ahead.unit} and {dry.value:.3g} {dry.unit} forwards, "
-            f"{back.value:.3g} {back.unit} and {other.value:.3g} {other.unit} backwards."
-        )
 
     def says(self) -> str:
         """One sentence."""

@@ -151,5 +151,5 @@ def _textbook(part: Search, chosen: list[tuple[int, float]], judged: LeftOut) ->
         core = slice(part.nuisance.index.size, part.nuisance.index.size + count)
         active = active.plus(whole.index[core], whole.sd[core])
         kept += range(first, first + count)
-        first += part.library.indices(i).size
+        first += part.library.places[i].size
     return active, judged.columns([i for i, _ in chosen])[:, kept]

@@ -25,6 +25,7 @@ from errpipe.terms import TERMS as ALL_TERMS
 
 TERMS = tuple(kind for kind in ALL_TERMS if kind.reports_as)
 PROPORTIONAL = 0.999  # correlation of a position with the time from which one cannot be told from the other
+LEVEL = 1.0  # level of a thermal effect in part, over its spread: from where its rise is counted there is not known
 TIME_ALONE = -3.0  # log odds of what goes with the time alone there: the position is what a test sets out to vary
 
 
@@ -95,7 +96,7 @@ class Library:
         """Append hypotheses, each with its scaled block and the number of its core columns."""
         blocks = [self._listed(*one) for one in made]
         edges = np.cumsum([0, *[block.shape[1] for block in blocks]])
-        index = self.add(np.column_stack(blocks))
+        index = self.table.add(np.column_stack(blocks))
         self.places += [index[a:b] for a, b in itertools.pairwise(edges)]
 
     def forget(self, hypotheses: int, columns: int) -> None:
@@ -106,10 +107,6 @@ class Library:
             del listed[hypotheses:]
         self.table.forget(columns)
         self._together = None
-
-    def add(self, columns: np.ndarray) -> np.ndarray:
-        """Append columns that belong to no hypothesis (rows, k); returns their numbers."""
-        return self.table.add(columns)
 
     def recolour(self, colour: Colour) -> None:
         """Judge everything in noise of another colour; signals (`Data`) must be made again."""
@@ -124,18 +121,10 @@ class Library:
         assert made is not None
         return made[0]
 
-    def indices(self, i: int) -> np.ndarray:
-        """Column numbers of a hypothesis."""
-        return self.places[i]
-
-    def freedom_of(self, i: int) -> np.ndarray:
-        """Freedoms of a hypothesis' columns."""
-        return self.freedoms[i]
-
     def textbook(self, i: int) -> int:
         """How many of its columns are its own form, with the states in which bodies started."""
-        starts = {"textbook": 0, "any reference": 1, "any start": self.starts, "any shape": self.places[i].size}
-        return min(self.cores[i] * (1 + starts[self.hypotheses[i].terms[0].form]), self.places[i].size)
+        starts = {"any reference": 1, "any start": self.starts, "any shape": self.places[i].size}
+        return min(self.cores[i] * (1 + starts.get(self.hypotheses[i].terms[0].form, 0)), self.places[i].size)
 
     def family(self, i: int) -> list[int]:
         """The hypotheses that differ from it in non-linear parameters only."""
@@ -301,7 +290,15 @@ def columns_of(h: Hypothesis, recording: Recording) -> tuple[np.ndarray, np.ndar
         inside = mask_of(h.mask, recording)
         core = core * inside[:, None]
         slack = [s * inside for s in slack]
+        if has_level(h, h.mask[0]):
+            slack.append(inside)
+            rel.append(LEVEL)
     return core, np.column_stack(slack) if slack else np.zeros((len(recording), 0)), np.array(rel)
+
+
+def has_level(h: Hypothesis, kind: str) -> bool:
+    """Has a thermal effect in part a level of its own? The datum holds that of all rows; runs are set anew anyway."""
+    return kind != "runs" and h.terms[0].family == "thermal" and h.terms[0].form != "any reference"
 
 
 def mask_of(mask: tuple, recording: Recording) -> np.ndarray:

@@ -244,7 +244,7 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
         sizes = np.r_[sizes, np.ones(len(each[2]))]
         session = of_row if len(each[2]) >= MANY_STARTS else None  # fewer are not held out whole
     free_shapes: list[Shape] = shapes(conditioned, pair.component, rows)
-    places = [library.add(s.columns) for s in free_shapes]
+    places = [library.table.add(s.columns) for s in free_shapes]
     return SetUp(
         conditioned, pair, library, decomposition, simulated, pair.mismatch, run, data, prior, nuisance, kinds, recal,
         sizes, noise_estimate, free_shapes, places, session,
@@ -305,18 +305,12 @@ def _with_dependent_rows(made: SetUp, search: Search, explanation: Explanation) 
     other, wide_gains = settled(library, made.data, wide, search.prior, noise, worth, weighed=False)
     chosen = [chosen_of(e) for e in (explanation, wide_gains)]
     if search.rows:
-        narrow, proved = (_held_out(made, *way) for way in ((search, chosen[0]), (other, chosen[1])))
+        narrow, proved = (made.judged().of_explanation(*way) for way in ((search, chosen[0]), (other, chosen[1])))
         price = WIDE_PRICE + MORE * gains.far_off(other.scene(chosen[1]), made.nuisances, made.sizes)
         likelier = other.evidence(chosen[1]) > search.evidence(chosen[0]) + price
         if proved < PROVED * narrow or (likelier and proved < narrow):
             return other, wide_gains, wide
     return search, explanation, nuisance
-
-
-def _held_out(made: SetUp, search: Search, chosen: list[tuple[int, float]]) -> float:
-    """Mean square of each fold, predicted by a fit without it."""
-    judged = made.judged()
-    return judged.mean_square(made.data, search.active(chosen), search.noise, judged.columns([i for i, _ in chosen]))
 
 
 def favours_session_datums(

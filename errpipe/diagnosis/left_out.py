@@ -79,6 +79,11 @@ class LeftOut:
         residuals = [self.whitened(data, active, sigma, columns, f) for f in folds]
         return float(np.mean(np.concatenate(residuals) ** 2))
 
+    def of_explanation(self, search: Search, chosen: list[tuple[int, float]]) -> float:
+        """The same of chosen hypotheses in a search."""
+        columns = self.columns([i for i, _ in chosen])
+        return self.mean_square(search.data, search.active(chosen), search.noise, columns)
+
 
 def coefficients(data: Data, active: Active, sigma: float, without: int | None) -> np.ndarray:
     """Posterior mean of the active columns' coefficients, one more fold taking no part."""
@@ -108,11 +113,10 @@ def datums(
     level = np.bincount(inside, y) / count
     columns = (session[:, None] == codes).astype(float)
     columns -= columns.mean(axis=0)
-    labels = recording.run_labels()
-    run = recording.run_codes()[rows]
-    index = library.add(columns)
     sd = np.full(codes.size, max(float(np.std(level)), 1e-12))
-    return Active(index, sd), columns, [Nuisance("session datum", f"datum of run {labels[run[k]]}") for k in first]
+    labels = [recording.run_labels()[r] for r in recording.run_codes()[rows[first]]]
+    each = [Nuisance("session datum", f"datum of run {label}") for label in labels]
+    return Active(library.table.add(columns), sd), columns, each
 
 
 def zeroed_at_starts(error: np.ndarray, session: np.ndarray) -> bool:
@@ -135,15 +139,11 @@ def supported_by_held_out(search: Search, chosen: list[tuple[int, float]], judge
     """
     if judged.session is None or len(chosen) < 2:
         return chosen
-    ways = [chosen[:k] for k in range(1, len(chosen) + 1)]
-    squares = [
-        judged.mean_square(search.data, search.active(w), search.noise, judged.columns([i for i, _ in w])) for w in ways
-    ]
-    return ways[int(np.argmin(squares))]
+    return min((chosen[:k] for k in range(1, len(chosen) + 1)), key=lambda way: judged.of_explanation(search, way))
 
 
 def predicts_held_out(search: Search, chosen: list[tuple[int, float]], rest: Remainder, judged: LeftOut) -> bool:
     """Do shapes without a name predict held-out rows? What differs from session to session is no mechanism's shape."""
-    names = [i for i, _ in chosen]
-    without = judged.mean_square(search.data, search.active(chosen), search.noise, judged.columns(names))
-    return judged.mean_square(search.data, rest.active, search.noise, judged.columns(names, rest.taken)) < without
+    columns = judged.columns([i for i, _ in chosen], rest.taken)
+    with_shapes = judged.mean_square(search.data, rest.active, search.noise, columns)
+    return with_shapes < judged.of_explanation(search, chosen)

@@ -116,8 +116,8 @@ def core_share(case: Case, k: int) -> float:
     accepted = case.explanation.accepted
     scene = case.search.scene(case.chosen())
     b = scene.coefficients()
-    first = case.nuisance.index.size + sum(case.library.indices(f.index).size for f in accepted[:k])
-    at = case.library.indices(accepted[k].index)
+    first = case.nuisance.index.size + sum(case.library.places[f.index].size for f in accepted[:k])
+    at = case.library.places[accepted[k].index]
     return float(textbook_share(b[first : first + at.size], case.library.cores[accepted[k].index]))
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from errpipe.diagnosis import coloured
-from errpipe.diagnosis.case import Case, SetUp, chosen_of, residual
+from errpipe.diagnosis.case import Case, SetUp, chosen_of, left_by, residual
 from errpipe.diagnosis.evidence import Data
 from errpipe.diagnosis.hypotheses import Block, Hypothesis, columns_of, scaled
 from errpipe.diagnosis.search import Explanation, Search, settled
@@ -49,7 +49,7 @@ def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> t
     library, handicap = made.library, 0.0 if dependent else EXPLAINED
     best = (likelihood(search, explanation) + handicap, library.table.colour, search, explanation)
     wandering = -np.inf  # log evidence of noise alone
-    colours = [coloured.fitted(_left(made, search, chosen), made.run) for chosen in ([], chosen_of(explanation))]
+    colours = [coloured.fitted(left_by(made, search, chosen), made.run) for chosen in ([], chosen_of(explanation))]
     for colour in dict.fromkeys(colours):
         library.recolour(colour)
         made.data = Data(library.table, made.y)
@@ -63,12 +63,6 @@ def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> t
         search.data = Data(library.table, made.y)
     made.data, search.prior = search.data, made.prior
     return search, explanation
-
-
-def _left(made: SetUp, search: Search, chosen: list[tuple[int, float]]) -> np.ndarray:
-    """Residual of some hypotheses, on the judged rows."""
-    blocks = [made.library.block(i, made.recording, made.pair.rows) for i, _ in chosen]
-    return made.y - np.column_stack([made.recal, *blocks]) @ search.scene(chosen).coefficients()
 
 
 def likelihood(search: Search, explanation: Explanation) -> float:

@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import averaged
-from errpipe.diagnosis.hypotheses import Hypothesis, Library, columns_of, scaled
+from errpipe.diagnosis.evidence import Scene, averaged
+from errpipe.diagnosis.hypotheses import LEVEL, Hypothesis, Library, columns_of, has_level, scaled
 from errpipe.diagnosis.search import Search
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, position, position_name
@@ -25,20 +25,47 @@ EACH = 2  # and at most so many of each effect
 ON_A_STRETCH = ("geometric", "reversal", "servo", "friction")
 ELSEWHERE = 4.0  # log odds against any other on a stretch of an axis: a bed warms in places
 BINS = 14  # equal stretches of an axis or of time, neighbours of which are tried as one part
-FEW = 4  # columns up to which a part is tried with its slack columns
+FINER = 8  # parts of such a stretch, to which the ends of a part are then found
+MOST = 12  # parts whose ends are found, and that the search takes
+LEAST = 0.16  # share of the rows that a part must hold, unless it is a run: a few rows that stand out are events
 BETTER = 7.0  # log Bayes factor by which a part must beat every whole,
 MENDING = 0.05  # plus this share of the best whole's log Bayes factor: a part may only correct the textbook form
 
 
 @dataclass(frozen=True)
 class Groups:
-    """A partition of the judged rows: group of each row, and what a union of groups is called."""
+    """A partition of the judged rows: group of each row, and what a union of groups is called.
+
+    values: of the column that the groups are ranges of, shape (rows,); evenly: ranges are of equal length, else hold as
+    many rows each; finest: how many ranges as narrow as the narrowest there would be, for the price.
+    """
 
     code: np.ndarray
     count: int
     kind: str  # "runs" or a column's name
     labels: tuple[str, ...] = ()
     edges: tuple[float, ...] = ()
+    values: np.ndarray | None = None
+    evenly: bool = True
+    finest: int = 0
+
+    @classmethod
+    def along(cls, name: str, values: np.ndarray, edges: np.ndarray, evenly: bool, finest: int) -> Groups:
+        """Ranges of a column between edges."""
+        code = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
+        return cls(code, edges.size - 1, name, (), tuple(edges), values, evenly, finest)
+
+    def finer(self, members: tuple[int, ...]) -> Groups:
+        """Ranges that are narrow beside both ends of a union."""
+        assert self.values is not None
+        cuts = [self.edges[0], self.edges[-1]]
+        for end in (members[0], members[-1] + 1):
+            low, high = self.edges[max(end - 1, 0)], self.edges[min(end + 1, self.count)]
+            near = self.values[(self.values >= low) & (self.values <= high)]
+            ends = [low, high] if self.evenly or not near.size else near
+            cuts.extend(np.quantile(ends, np.linspace(0.0, 1.0, 2 * FINER + 1)))
+        finest = min(FINER * self.finest, self.values.size)
+        return Groups.along(self.kind, self.values, np.unique(cuts), self.evenly, finest)
 
     def mask(self, members: tuple[int, ...]) -> tuple:
         """The mask of a hypothesis that acts in these groups."""
@@ -47,24 +74,31 @@ class Groups:
         return ("range", self.kind, self.edges[members[0]], self.edges[members[-1] + 1])
 
     def choices(self) -> list[tuple[int, ...]]:
-        """Unions tried: neighbours; of runs also any two."""
+        """Unions tried: neighbours, enough of them where they are no runs; of runs also any two."""
         out = [tuple(range(a, b)) for a in range(self.count) for b in range(a + 1, self.count + 1)]
+        if self.kind != "runs":
+            upto = np.r_[0, np.cumsum([r.size for r in self.rows])]
+            out = [c for c in out if upto[c[-1] + 1] - upto[c[0]] >= LEAST * self.code.size]
         if self.kind == "runs":
             out += [(a, b) for a, b in itertools.combinations(range(self.count), 2) if b > a + 1]
-        return [c for c in out if len(c) < self.count]
+        return [c for c in out if len(c) < self.count] or [tuple(range(self.count))]
+
+    @cached_property
+    def rows(self) -> list[np.ndarray]:
+        """Rows of each group."""
+        order = np.argsort(self.code, kind="stable")
+        return np.split(order, np.searchsorted(self.code[order], np.arange(1, self.count)))
 
     @cached_property
     def priced(self) -> tuple[list[tuple[int, ...]], np.ndarray, np.ndarray]:
-        """Unions tried, which groups are in each (unions, groups), and their prices."""
+        """Unions tried, with what `weighed` says of them."""
         choices = self.choices()
-        return choices, self.members(choices), np.array([self.price(c) for c in choices])
+        return choices, *self.weighed(choices)
 
-    def members(self, choices: list[tuple[int, ...]]) -> np.ndarray:
-        """1 where a group is in a union, shape (unions, groups)."""
-        out = np.zeros((len(choices), self.count))
-        for c, members in enumerate(choices):
-            out[c, list(members)] = 1.0
-        return out
+    def weighed(self, choices: list[tuple[int, ...]]) -> tuple[np.ndarray, np.ndarray]:
+        """1 where a group is in a union, shape (unions, groups), and the unions' prices."""
+        inside = np.array([np.isin(np.arange(self.count), c) for c in choices], dtype=float)
+        return inside, np.array([self.price(c) for c in choices])
 
     def by_rate(self, rate: np.ndarray) -> list[tuple[int, ...]]:
         """Unions of the runs in which an effect seems strongest, one way or the other."""
@@ -78,8 +112,25 @@ class Groups:
         """Log of the number of unions of this kind that could have been chosen."""
         neighbours = members == tuple(range(members[0], members[-1] + 1))
         if neighbours or len(members) == 2:
-            return float(np.log(self.count * (self.count + 1) - self.count - 1))
+            count = self.finest or self.count
+            return float(np.log(max(count**2 - 1, 1)))
         return float(self.count * np.log(2.0))
+
+
+@dataclass(frozen=True)
+class Part:
+    """A hypothesis in a union of groups: log Bayes factor less the price of choosing them, without prior odds."""
+
+    gain: float
+    index: int
+    groups: Groups
+    members: tuple[int, ...]
+    price: float
+
+    @property
+    def mask(self) -> tuple:
+        """The mask of the hypothesis."""
+        return self.groups.mask(self.members)
 
 
 def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
@@ -96,71 +147,84 @@ def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
         along[clock] = recording.time()[rows]
     for name, x in along.items():
         if np.unique(x).size >= BINS // 2 and x.max() > x.min():
-            edges = np.linspace(x.min(), x.max(), BINS + 1)
-            if name == clock:  # as many rows in each: nothing is known of pauses
-                edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
-            code = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, edges.size - 2)
-            out.append(Groups(code, edges.size - 1, name, (), tuple(edges)))
+            parts = np.linspace(0.0, 1.0, BINS + 1)  # of time as many rows in each: nothing is known of pauses
+            edges = np.unique(np.quantile(x if name == clock else [x.min(), x.max()], parts))
+            out.append(Groups.along(name, x, edges, name != clock, edges.size - 1))
     return out
 
 
 def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.ndarray) -> list[int]:
     """Extend the library with hypotheses in part that beat every whole; returns their indices.
 
-    The other candidates are tried in the best one's place too: within one run or stretch many effects are collinear.
+    Every effect is tried in the best one's place too: within one run or stretch many effects are collinear.
     """
     library, clock = search.library, recording.name("time")
-    shortlist = candidates(search, alone)
     everywhere = np.array([not h.terms[0].misread for h in library.hypotheses]) & (search.prior > 0.5 * NEVER)
     whole = float(np.max(np.where(everywhere, alone - search.prior, 0.0)))
-    parts: list[tuple[float, int, Groups, tuple[int, ...]]] = []
     scene = search.scene([])
     basis = np.linalg.solve(scene.chol, library.table.W[:, scene.active.index].T)  # (m, rows): projector's root
-    y = search.data.y
+    parts: list[Part] = []
     for groups in partitions(recording, rows):
-        order = np.argsort(groups.code, kind="stable")
-        edges = np.searchsorted(groups.code[order], np.arange(groups.count + 1))
-        for index in shortlist:
-            h = library.hypotheses[index]
-            if not may_act_in_part(h, groups.kind, clock):
-                continue
-            W = library.table.W[:, library.places[index]] * library.freedom_of(index)
-            W = W if W.shape[1] <= FEW else W[:, : library.cores[index]]
-            odds = 0.0 if groups.kind in ("runs", clock) or on_a_stretch(h, groups.kind) else -ELSEWHERE
-            gain, members = _best_part(scene, basis, y, W, groups, order, edges) or (-np.inf, ())
-            if gain + odds > max(whole + BETTER + MENDING * whole, 12.0):
-                parts.append((gain + odds, index, groups, members))
-    parts.sort(key=lambda p: -p[0])
-    fresh = dict.fromkeys((index, groups.mask(members)) for _gain, index, groups, members in parts[:8])
-    for _gain, _index, groups, members in parts[:1]:
-        tried = [i for i in shortlist if may_act_in_part(library.hypotheses[i], groups.kind, clock)]
-        fresh |= dict.fromkeys((i, groups.mask(members)) for i in tried)
-    made = [_extend(library, search, recording, rows, index, mask) for index, mask in fresh]
+        gain = np.where(_possible(search, groups.kind, clock), alone, -np.inf)
+        tried = [_best_part(search, scene, basis, i, groups, clock) for i in _best_few(search, gain, LEADERS)]
+        parts += tried + _best_of_each_effect(search, scene, basis, tried, clock)
+    for p in _best_parts(parts, search):
+        for _ in range(2 if p.groups.kind != "runs" else 0):
+            parts.append(p := _best_part(search, scene, basis, p.index, p.groups.finer(p.members), clock))
+    best = _best_parts([p for p in parts if p.gain > max(whole + BETTER + MENDING * whole, 12.0)], search)
+    best += _best_of_each_effect(search, scene, basis, best, clock)
+    made = [_extend(library, search, recording, rows, p) for p in {(p.index, p.mask): p for p in best}.values()]
     return [i for i in made if i is not None]
 
 
-def candidates(search: Search, alone: np.ndarray) -> list[int]:
-    """Hypotheses tried in part: the best as a whole, and the best few of each effect."""
-    library = search.library
+def _best_parts(parts: list[Part], search: Search) -> list[Part]:
+    """The best parts: one of each hypothesis along each input, a few of each effect."""
+    out: dict[tuple[int, str], Part] = {}
+    for p in sorted(parts, key=lambda p: -p.gain):
+        effects = [search.library.hypotheses[i].effect for i, _ in out]
+        if effects.count(search.library.hypotheses[p.index].effect) < EACH:
+            out.setdefault((p.index, p.groups.kind), p)
+    return list(out.values())[:MOST]
+
+
+def _best_of_each_effect(search: Search, scene: Scene, basis, parts: list[Part], clock: str | None) -> list[Part]:
+    """The best hypotheses of each effect where the best part acts: by another sensor or lag than on all rows."""
+    if not parts:
+        return []
+    part, library = max(parts, key=lambda p: p.gain), search.library
+    inside = np.flatnonzero(np.isin(part.groups.code, part.members))
+    gain = np.full(len(library.hypotheses), -np.inf)
+    for index in np.flatnonzero(_possible(search, part.groups.kind, clock)):
+        W = _columns(library, int(index), inside, part.groups.kind)
+        B = basis[:, inside] @ W
+        S, s = W.T @ W - B.T @ B, W.T @ search.data.y[inside] - B.T @ scene.half
+        gain[index] = averaged(S[None], s[None, :, None], np.array([scene.Q]), scene.n)[0, 0] - part.price
+    return [dataclasses.replace(part, gain=float(gain[i]), index=i) for i in _best_few(search, gain + search.prior, 0)]
+
+
+def _possible(search: Search, kind: str, clock: str | None) -> np.ndarray:
+    """Which hypotheses may act in some groups of this kind alone, shape (hypotheses,)."""
+    may = [may_act_in_part(h, kind, clock) and not h.mask for h in search.library.hypotheses]
+    return np.array(may) & (search.prior > 0.5 * NEVER)
+
+
+def _best_few(search: Search, gain: np.ndarray, leaders: int) -> list[int]:
+    """The first so many by gain, and the best few of each effect."""
     out: list[int] = []
-    count = dict.fromkeys({h.effect for h in library.hypotheses}, 0)
-    for index in search.best_of_each_key(alone, len(library.hypotheses)):
-        h = library.hypotheses[index]
-        if h.terms[0].in_part == "never" or h.mask or alone[index] < -1e5:
-            continue
-        if len(out) < LEADERS or count[h.effect] < EACH:
+    count = dict.fromkeys({h.effect for h in search.library.hypotheses}, 0)
+    for index in search.best_of_each_key(gain, gain.size):
+        effect = search.library.hypotheses[index].effect
+        if np.isfinite(gain[index]) and (len(out) < leaders or count[effect] < EACH):
             out.append(index)
-            count[h.effect] += 1
+            count[effect] += 1
     return out
 
 
 def may_act_in_part(h: Hypothesis, kind: str, clock: str | None) -> bool:
     """Can this effect act in some groups of this kind and not in others?"""
-    if kind == "runs":
-        return True
     term = h.terms[0]
-    if term.in_part == "runs":
-        return False
+    if kind == "runs" or term.in_part != "anywhere":
+        return kind == "runs" and term.in_part != "never"
     if getattr(term, "radial", False) and term.family == "reversal":
         return False  # a step close to a reversal is a spike
     return kind == clock or on_a_stretch(h, kind) or term.family == "thermal"
@@ -172,40 +236,48 @@ def on_a_stretch(h: Hypothesis, axis: str) -> bool:
     return axis in h.drivers or term.family in ON_A_STRETCH or "axis" in type(term).model_fields
 
 
-def _best_part(scene, basis, y, W, groups: Groups, order, edges) -> tuple[float, tuple[int, ...]] | None:
-    """The union of groups in which the core explains most, and its log Bayes factor less the price of choosing."""
-    k = W.shape[1]
+def _columns(library: Library, index: int, rows: np.ndarray, kind: str) -> np.ndarray:
+    """Whitened columns of a hypothesis on some rows, in part, times their freedoms."""
+    places, freedom = library.places[index], library.freedoms[index]
+    if has_level(library.hypotheses[index], kind):
+        places, freedom = np.r_[places, library.datum], np.r_[freedom, LEVEL]
+    return library.table.W[np.ix_(rows, places)] * freedom
+
+
+def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, clock: str | None) -> Part:
+    """The union of groups in which a hypothesis explains most."""
+    library, y = search.library, search.data.y
+    whole = _columns(library, index, np.arange(library.table.n), groups.kind)
+    k = whole.shape[1]
     S = np.zeros((groups.count, k, k))
     B = np.zeros((groups.count, basis.shape[0], k))
     s = np.zeros((groups.count, k))
-    for g in range(groups.count):
-        r = order[edges[g] : edges[g + 1]]
-        S[g], B[g], s[g] = W[r].T @ W[r], basis[:, r] @ W[r], W[r].T @ y[r]
+    for g, r in enumerate(groups.rows):
+        W = whole[r]
+        S[g], B[g], s[g] = W.T @ W, basis[:, r] @ W, W.T @ y[r]
     choices, member, price = groups.priced
-    if not choices:
-        return None
     seen = s[:, 0] - np.einsum("gm,m->g", B[:, :, 0], scene.half)
     rate = seen / np.maximum(S[:, 0, 0], 1e-300)
-    more = groups.by_rate(rate)
-    if more:
-        choices = choices + more
-        member = np.concatenate([member, groups.members(more)])
-        price = np.r_[price, [groups.price(c) for c in more]]
+    if more := groups.by_rate(rate):
+        choices, (others, prices) = choices + more, groups.weighed(more)
+        member, price = np.concatenate([member, others]), np.r_[price, prices]
     Bc = np.tensordot(member, B, 1)
     Sc = np.tensordot(member, S, 1) - Bc.transpose(0, 2, 1) @ Bc
     sc = member @ s - np.einsum("cmk,m->ck", Bc, scene.half)
+    elsewhere = groups.kind not in ("runs", clock) and not on_a_stretch(library.hypotheses[index], groups.kind)
+    price = price + (ELSEWHERE if elsewhere else 0.0)
     gain = averaged(Sc, sc[:, :, None], np.array([scene.Q]), scene.n)[:, 0] - price
     best = int(np.argmax(gain))
-    return float(gain[best]), choices[best]
+    return Part(float(gain[best]), index, groups, choices[best], float(price[best]))
 
 
-def _extend(library: Library, search: Search, recording: Recording, rows, index: int, mask: tuple) -> int | None:
-    h = dataclasses.replace(library.hypotheses[index], mask=mask, prior=library.hypotheses[index].prior - 5.0)
+def _extend(library: Library, search: Search, recording: Recording, rows, part: Part) -> int | None:
+    whole = library.hypotheses[part.index]
+    h = dataclasses.replace(whole, mask=part.mask, prior=whole.prior - part.price)
     core, slack, rel = columns_of(h, recording)
     made = scaled(core[rows], slack[rows], rel)
     if made is None:
         return None
-    prior = search.prior[index] - 5.0
     library.extend([(h, made, core.shape[1])])
-    search.prior = np.r_[search.prior, prior]
+    search.prior = np.r_[search.prior, search.prior[part.index] - part.price]
     return len(library.hypotheses) - 1

@@ -14,7 +14,11 @@ from errpipe.errors import DataError
 LEAST_ROWS = 30  # fewer rows cannot carry a finding and a hold-out
 MOST_SLOW, MOST_FAST, STRETCHES = 4000, 20000, 40  # rows judged; more cost time and change the result little
 MOST_MISSING = 0.5  # share of gaps above which a sensor is left out
+AT_ONCE = 100_000  # rows whose neighbours are in memory at once
 WINDOWS = (0.7, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0)  # smoothing widths tried, in rows
+BETWEEN = ("position", "command", "cut_length", "velocity", "acceleration")  # roles whose gaps are interpolated,
+SLOW_ROLES = ("temperature", "pressure", "humidity")
+STEPWISE = ("direction", "spindle_speed", "feed", "coolant", "load", "overhang", "depth_of_cut")  # or held
 SAME = 1e-9  # share of the recorded rms below which a difference is the rounding of numbers in a file
 REVERSED = 0.25  # threshold: share of the recorded variance that the simulated value of the opposite sign leaves
 FOLLOWED = 6.0  # standard errors: threshold for the noise of a reading in the mismatch
@@ -115,16 +119,23 @@ def _repeated(recording: Recording, rows: np.ndarray) -> np.ndarray:
 
 def spikes(values: np.ndarray, times: float = 6.0) -> np.ndarray:
     """Isolated outliers: far from the median of their six neighbours, which agree among themselves."""
-    n = values.size
-    out = np.zeros(n, dtype=bool)
-    if n < 15:
-        return out
-    padded = np.pad(values, 3, mode="reflect")
-    around = np.stack([padded[k : k + n] for k in (0, 1, 2, 4, 5, 6)])
-    gap = values - np.median(around, axis=0)
+    if values.size < 15:
+        return np.zeros(values.size, dtype=bool)
+    gap, spread = beside_neighbours(values)
     scale = 1.4826 * np.median(np.abs(gap)) + 1e-12
-    spread = 1.4826 * np.median(np.abs(around - np.median(around, axis=0)), axis=0)
-    return np.abs(gap) > times * np.maximum(scale, 1.5 * spread)
+    return np.abs(gap) > times * np.maximum(scale, 1.5 * 1.4826 * spread)
+
+
+def beside_neighbours(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances from the median of the six neighbours, (n,), and these neighbours' median absolute deviations."""
+    padded = np.pad(values, 3, mode="reflect")
+    gap, spread = np.empty_like(values), np.empty_like(values)
+    for a in range(0, values.size, AT_ONCE):
+        b = min(a + AT_ONCE, values.size)
+        around = np.stack([padded[a + k : b + k] for k in (0, 1, 2, 4, 5, 6)])
+        middle = np.median(around, axis=0)
+        gap[a:b], spread[a:b] = values[a:b] - middle, np.median(np.abs(around - middle), axis=0)
+    return gap, spread
 
 
 def condition(recording: Recording) -> Recording:
@@ -138,7 +149,7 @@ def condition(recording: Recording) -> Recording:
     t = recording.time()
     columns: dict[str, np.ndarray] = {}
     dropped = []
-    for role in ("temperature", "pressure", "humidity", "force"):
+    for role in (*SLOW_ROLES, "force"):
         for name in recording.names(role):
             values = recording.array(name)
             if not usable(values):
@@ -146,27 +157,13 @@ def condition(recording: Recording) -> Recording:
                 continue
             filled = fill(t, values, session)
             columns[name] = filled if role == "force" else smooth(filled, segments(filled, run))
-    for role in (
-        "position",
-        "command",
-        "direction",
-        "spindle_speed",
-        "feed",
-        "coolant",
-        "load",
-        "overhang",
-        "depth_of_cut",
-        "cut_length",
-        "velocity",
-        "acceleration",
-    ):
+    for role in (*BETWEEN, *STEPWISE):
         for name in recording.names(role):
             values = recording.array(name)
             if not np.isfinite(values).any():
                 dropped.append(name)
                 continue
-            stepwise = role not in ("position", "command", "velocity", "acceleration", "cut_length")
-            columns[name] = hold(values, session) if stepwise else fill(t, values, session)
+            columns[name] = hold(values, session) if role in STEPWISE else fill(t, values, session)
     columns |= motion(recording, columns)
     frame = recording.frame.assign(**columns).drop(columns=dropped)
     return Conditioned(recording.manifest, frame, between="inferred")
@@ -183,7 +180,7 @@ def followed(recording: Recording, conditioned: Recording, pair: Pair) -> Record
     if same.sum() < LEAST_ROWS:
         return conditioned
     y, kept = bend(pair.mismatch), {}
-    for name in (n for role in ("temperature", "pressure", "humidity") for n in conditioned.names(role)):
+    for name in (n for role in SLOW_ROLES for n in conditioned.names(role)):
         if name not in conditioned.frame.columns:
             continue
         read = fill(recording.time(), recording.array(name), sessions(recording))
@@ -306,7 +303,7 @@ def motion(recording: Recording, columns: dict[str, np.ndarray]) -> dict[str, np
         if _is_noisy_derivative(v, columns[name]):
             out[name] = _without_edge_errors(v, columns[name])
         for acc in recording.names("acceleration", axis=axis):
-            a = second_derivative(t, columns[source], run)
+            a = derivative(t, columns[source], run, 2)
             if _is_noisy_derivative(a, columns[acc]):
                 out[acc] = _without_edge_errors(a, columns[acc])
     return out
@@ -323,17 +320,8 @@ def _is_noisy_derivative(derived: np.ndarray, recorded: np.ndarray) -> bool:
     return bool(np.corrcoef(derived, recorded)[0, 1] > 0.98)
 
 
-def derivative(t: np.ndarray, x: np.ndarray, run: np.ndarray) -> np.ndarray:
-    """Central first derivative within runs, shape of t; for uneven steps the parabola through three rows."""
-    return _three_point(t, x, run, 1)
-
-
-def second_derivative(t: np.ndarray, x: np.ndarray, run: np.ndarray) -> np.ndarray:
-    """Second derivative of the parabola through three rows, within runs."""
-    return _three_point(t, x, run, 2)
-
-
-def _three_point(t: np.ndarray, x: np.ndarray, run: np.ndarray, order: int) -> np.ndarray:
+def derivative(t: np.ndarray, x: np.ndarray, run: np.ndarray, order: int = 1) -> np.ndarray:
+    """First or second derivative of the parabola through three rows, within runs, shape of t."""
     out = np.zeros_like(x)
     for r in np.unique(run):
         rows = np.flatnonzero(run == r)

@@ -65,7 +65,7 @@ def _clamped(search: Search, parts_held: set[Nuisance], nuisances: list[Nuisance
     remaining = recal[:, 1] * sizes[1] - recal[:, clamped] @ sizes[clamped]
     size = max(float(np.std(remaining)), 1e-12)
     index, sd = search.nuisance.index.copy(), search.nuisance.sd.copy()
-    index[1], sd[1] = search.library.add((remaining / size)[:, None])[0], GAIN_SD * size
+    index[1], sd[1] = search.library.table.add((remaining / size)[:, None])[0], GAIN_SD * size
     sd[clamped] = np.minimum(sd[clamped], CLAMPED_SD * sizes[clamped])
     return Active(index, sd)
 
@@ -127,7 +127,7 @@ def recalibration(
                 kinds.append(Nuisance("departure" if what else "part", of + what, effect, of))
     size = [max(float(np.std(c)), 1e-12) for c in columns]
     block = np.column_stack([c / s for c, s in zip(columns, size, strict=True)])
-    index = library.add(block)
+    index = library.table.add(block)
     active = Active(np.array([library.datum]), np.array([np.inf]))
     every = np.column_stack([np.ones(simulated.size), block])
     return active.plus(index, np.array(sd) * np.array(size)), kinds, every, np.r_[1.0, size]
@@ -175,6 +175,6 @@ def share_held(library: hypotheses.Library, i: int, held: np.ndarray) -> float:
     """Share of a part of the simulation that a hypothesis' textbook form explains: another wave, or a bump elsewhere,
     is another effect of the same name."""
     table = library.table
-    form, signal = table.W[:, library.indices(i)[: library.cores[i]]], whiten(held, table.run, table.colour)
+    form, signal = table.W[:, library.places[i][: library.cores[i]]], whiten(held, table.run, table.colour)
     rest = signal - form @ np.linalg.lstsq(form, signal, rcond=None)[0]
     return float(np.clip(1.0 - rest @ rest / (signal @ signal), 0.0, 1.0))

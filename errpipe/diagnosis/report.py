@@ -53,7 +53,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     contribution = {m.hypothesis.effect: m.contribution for m in made}
     p_unknown = unnamed.chance(case, indicators, held)
     nameless = unnamed.unexplained(case, held)
-    if findings and unnamed.borne_out(case, held) and max(f.sure() for f in findings) < unnamed.UNLIKELY:
+    if findings and unnamed.confirmed_by_held_out(case, held) and max(f.sure() for f in findings) < unnamed.UNLIKELY:
         p_unknown, nameless = max(p_unknown, unnamed.PROVISIONAL), True
     findings, verdict = _verdict(case, findings, p_unknown, nameless)
     if findings and findings[0].effect == "unknown" and case.remainder.taken:
@@ -64,7 +64,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     datums = own_datums(case, [])
     chance = significance.chance(case)
     findings = [f.model_copy(update=_surrogate_test(case, f, chance)) for f in findings]
-    if not unnamed.borne_out(case, held):
+    if not unnamed.confirmed_by_held_out(case, held):
         findings = [unnamed.capped(f, UNPROVED) if f.p_search else f for f in findings]
     law = friction.by_direction(case) if friction.rubs(findings) else None
     findings = friction.with_directional_law(findings, law) if law else findings
@@ -88,7 +88,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
         whiteness=whiteness.whiteness(case),
         significance=surrogates,
     )
-    says = in_words(out) + (f" {law.briefly()}" if law else "") + _datums(case)
+    says = in_words(out) + (f" {law.says()}" if law else "") + _datums(case)
     says += REVERSED if case.pair.reversed else ""
     return out.model_copy(update={"says": says}), contribution, after
 
@@ -169,7 +169,7 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
         core=model.core_share(case, k),
         agreement=held.agreement[k],
         rank=k,
-        unreached=unnamed.unreached(case) if proved else 0.0,
+        unexplained_share=unnamed.unexplained_share(case) if proved else 0.0,
         fast=int(step.size and np.median(step) < FAST),
         wandering=sum(g for s, g in shaped.shapes if not s.of_inputs) if noise else 0.0,
         beside=0.0 if proved else _best_shape(case, case.chosen()),
@@ -183,7 +183,7 @@ def _best_shape(case: Case, chosen: list[tuple[int, float]]) -> float:
     if not inputs:
         return 0.0
     sets, freedoms = [case.places[k] for k in inputs], [case.free_shapes[k].freedom for k in inputs]
-    return max(s.gain for s in case.search.scene(chosen).score(sets, freedoms, case.search.rows))
+    return float(case.search.scene(chosen).gains(sets, freedoms, case.search.rows).max())
 
 
 def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidence.Indicators]) -> Finding:

@@ -75,7 +75,7 @@ class Search:
             return Explanation((), alone)
         tried: dict[tuple, tuple[float, list[tuple[int, float]]]] = {}
         firsts = [k for k in self.best_of_each_key(alone, starts) if alone[k] >= 0.3 * alone.max() - 5]
-        self.data.table.know(np.concatenate([self.library.indices(k) for k in firsts]))
+        self.data.table.know(np.concatenate([self.library.places[k] for k in firsts]))
         for first in firsts:
             chosen, total = self._forward([(first, float(scored.size[first]))], alone[first])
             keys = tuple(sorted((self.library.hypotheses[i].key for i, _ in chosen), key=str))
@@ -128,7 +128,11 @@ class Search:
 
     def accepted(self, chosen: list[tuple[int, float]]) -> tuple[Accepted, ...]:
         """Findings of a set of hypotheses, strongest first."""
-        return tuple(sorted(self._worth(chosen), key=lambda f: -f.gain))
+        out = []
+        for place, (i, _) in enumerate(chosen):
+            s = self.score(chosen[:place] + chosen[place + 1 :], [i])
+            out.append(Accepted(i, self.library.hypotheses[i], float(s.size[0]), float(s.gain[0] + self.prior[i])))
+        return tuple(sorted(out, key=lambda f: -f.gain))
 
     def rivals(self, accepted: tuple[Accepted, ...], k: int) -> list[tuple[str, float, int]]:
         """Other effects in the place of finding k: (effect, log Bayes factor by which it loses, hypothesis)."""
@@ -181,8 +185,8 @@ class Search:
         """Nuisances and chosen hypotheses with their sizes."""
         active = self.nuisance
         for i, size in chosen:
-            sd = 2.0 * max(size, 3.0) * self.sigma * self.library.freedom_of(i)
-            active = active.plus(self.library.indices(i), sd)
+            sd = 2.0 * max(size, 3.0) * self.sigma * self.library.freedoms[i]
+            active = active.plus(self.library.places[i], sd)
         return active
 
     @property
@@ -248,13 +252,6 @@ class Search:
             if [i for i, _ in chosen] == before:
                 break
         return chosen
-
-    def _worth(self, chosen: list[tuple[int, float]]) -> list[Accepted]:
-        accepted = []
-        for place, (i, _) in enumerate(chosen):
-            s = self.score(chosen[:place] + chosen[place + 1 :], [i])
-            accepted.append(Accepted(i, self.library.hypotheses[i], float(s.size[0]), float(s.gain[0] + self.prior[i])))
-        return accepted
 
 
 def settled(

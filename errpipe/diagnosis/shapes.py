@@ -22,22 +22,8 @@ TIME_WAVES = 40  # cosines over the recording: down to a fortieth of half its le
 PLACE_WAVES = 24  # cosines over an axis
 SMOOTH = 8  # cosines over any other column
 BY_SIDE = 4  # cosines over an input of what turns with the direction
-ROLES = (
-    "temperature",
-    "pressure",
-    "humidity",
-    "spindle_speed",
-    "feed",
-    "coolant",
-    "load",
-    "overhang",
-    "depth_of_cut",
-    "cut_length",
-    "force",
-    "velocity",
-    "acceleration",
-)
 SLOW = ("temperature", "pressure", "humidity", "spindle_speed", "feed", "coolant", "load", "force")
+ROLES = (*SLOW, "overhang", "depth_of_cut", "cut_length", "velocity", "acceleration")
 LAGS = (1 / 60, 1 / 20, 1 / 6)  # of the longest session: time constants of lagged inputs
 MOST_PRODUCTS = 8  # inputs whose products are tried in pairs, and with the place on an axis
 DECAYS = (0.01, 0.03, 0.1, 0.3)  # of the longest session: time constants of what comes anew with each run

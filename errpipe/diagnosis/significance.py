@@ -18,7 +18,7 @@ import numpy as np
 
 from errpipe.diagnosis.case import Case
 from errpipe.diagnosis.coloured import correlation_time
-from errpipe.diagnosis.evidence import Scene, averaged
+from errpipe.diagnosis.evidence import Scene, averaged, with_known_size
 
 SURROGATES = 99  # shuffled copies: the smallest probability that they can show is 0.01
 ENOUGH_RUNS = 10  # fewer runs give too few combinations of signs
@@ -41,12 +41,6 @@ class Chance:
     best: np.ndarray
 
 
-def effective_rows(case: Case) -> float:
-    """Effective number of rows, by the autocorrelation of the residual."""
-    residual = case.search.scene(case.chosen()).residual()
-    return float(case.run.size / correlation_time(residual, case.run))
-
-
 def chance(case: Case, k: int | None = None, surrogates: int = SURROGATES, whole: Chance | None = None) -> Chance:
     """Significance of finding k beside the others; without k, of the best gain that the search saw at all.
 
@@ -58,7 +52,7 @@ def chance(case: Case, k: int | None = None, surrogates: int = SURROGATES, whole
         gain = accepted[k].gain
         return replace(whole, gain=gain, p=_p(whole.best, gain))
     scene = case.search.scene(others)
-    rows = effective_rows(case)
+    rows = float(case.run.size / correlation_time(case.search.scene(case.chosen()).residual(), case.run))
     block = int(np.clip(2 * case.run.size / rows, LEAST_BLOCK, max(case.run.size // FEWEST_BLOCKS, 1)))
     turned, scheme = surrogate_signals(scene.residual(), case.run, block, surrogates)
     best = best_gains(case, scene, turned)
@@ -115,20 +109,12 @@ def best_gains(case: Case, scene: Scene, signals: np.ndarray) -> np.ndarray:
         s = products[columns] - cross @ half
         prior = case.search.prior[members][:, None]
         if width == 0:
-            unit = np.array([library.scales[i][0] for i in members])
-            sd = library.gain_sd[members] * unit
-            gain = _with_known_size(S[:, 0, 0], s[:, 0], unit, sd, spare, scene, case.search.rows)
+            unit = np.array([library.scales[i][0] for i in members])[:, None]
+            sd = library.gain_sd[members][:, None] * unit / scene.sigma
+            gain = with_known_size(S[:, 0], s[:, 0], unit, sd, spare, case.search.rows or scene.n)
         else:
             freedom = np.stack([library.freedoms[i] for i in members])
             S = S * freedom[:, :, None] * freedom[:, None, :]
             gain = averaged(S, s * freedom[:, :, None], spare, case.search.rows or scene.n)
         best = np.maximum(best, (gain + prior).max(axis=0))
     return best
-
-
-def _with_known_size(S, s, unit, sd, spare, scene: Scene, rows: float | None) -> np.ndarray:
-    """As Scene.exactly for many signals: S (m,), s (m, c), unit and sd (m,); gains (m, c)."""
-    S, unit, sd = S[:, None], unit[:, None], sd[:, None]
-    Q = spare - 2 * unit * s + unit**2 * S - (s - unit * S) ** 2 / (S + scene.sigma**2 / sd**2)
-    price = 0.5 * np.log1p(S * sd**2 / scene.sigma**2)
-    return -price - 0.5 * (rows or scene.n) * np.log(np.maximum(Q, 1e-9 * spare) / spare)

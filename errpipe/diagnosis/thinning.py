@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from errpipe.diagnosis.prepare import motion
+from errpipe.diagnosis.prepare import SLOW_ROLES, beside_neighbours, motion
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, direction, position
 from errpipe.drivers.sessions import sessions
@@ -31,10 +31,8 @@ STRETCH = 250  # neighbouring rows of a fast log: about 30 correlation lengths o
 CONTEXT = 5_000  # blocks between stretches
 MOST_TURNS = 8_000  # rows kept because an axis turns there
 TURN = 1e-3  # of an axis' range: a shorter return is no reversal
-SLOW_ROLES = ("temperature", "pressure", "humidity")
 WIDTHS = (1, 4, 16, 64, 256, 1024)  # rows over which means are looked at for events
 EVENT = 7.0  # robust standard deviations: below one false event in 10^9 means of Gaussian noise
-AT_ONCE = 100_000  # rows whose neighbours are in memory at once
 RARE = 0.005  # largest share of outlying means that count as events instead of noise
 LINE = 30.0  # times the level around it; the largest of a million noise powers stays below 14 times their mean
 MIN_LINE = 0.05  # amplitude of a line, in robust standard deviations of the mismatch; smaller ones are not reported
@@ -201,14 +199,7 @@ def events(mismatch: np.ndarray) -> Events | None:
 
 def _outlying_means(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Places far from the median of their six neighbours, the distances from it, (n,), and their robust spread."""
-    padded = np.pad(values, 3, mode="reflect")
-    gap, spread = np.empty_like(values), np.empty_like(values)
-    for a in range(0, values.size, AT_ONCE):
-        b = min(a + AT_ONCE, values.size)
-        around = np.stack([padded[a + k : b + k] for k in (0, 1, 2, 4, 5, 6)])
-        middle = np.median(around, axis=0)
-        gap[a:b] = values[a:b] - middle
-        spread[a:b] = np.median(np.abs(around - middle), axis=0)
+    gap, spread = beside_neighbours(values)
     scale = 1.4826 * float(np.nanmedian(np.abs(gap))) + 1e-300
     gap[:3] = gap[-3:] = 0.0  # too few neighbours
     return np.flatnonzero(np.abs(gap) > EVENT * np.maximum(scale, 2.0 * spread)), gap, scale

@@ -38,7 +38,7 @@ def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.He
     """
     if rounded(case):
         return 0.0
-    if departs(case, held) or shaped_beside(case, held):
+    if departs(case, held) or unnamed_structure(case, held):
         return max(confidence.unknown(indicators[0]), DEPARTED)
     if indicators:
         p = confidence.unknown(indicators[0])
@@ -105,16 +105,16 @@ def unexplained(case: Case, held: holdout.HeldOut) -> bool:
     if not case.explanation.accepted:
         return False
     far = held.after > max(SMALLER * held.before, FAR * case.noise_estimate) and "whole runs" not in held.scheme
-    return far or shaped_beside(case, held) or _rhythm_left(case, held)
+    return far or unnamed_structure(case, held) or _rhythm_remains(case, held)
 
 
-def _rhythm_left(case: Case, held: holdout.HeldOut) -> bool:
+def _rhythm_remains(case: Case, held: holdout.HeldOut) -> bool:
     """Do names leave a large share that comes in events or a rhythm, beside what they hold themselves as well?
 
     Tools that wear at rates of their own leave events, and yet runs that were held out whole bear the name out. Real
     noise comes in events, too, and may be far above that between neighbours.
     """
-    if unreached(case) <= UNREACHED or held.predicts_whole_runs() or is_noise(case):
+    if unexplained_share(case) <= UNREACHED or held.predicts_whole_runs() or is_noise(case):
         return False
     return case.sigma**2 > UNREACHED * (case.sigma**2 + named_rms(case) ** 2)
 
@@ -124,25 +124,25 @@ def proved(case: Case, held: holdout.HeldOut) -> bool:
     return held.shape_share() >= HELD_OUT_SHARE and not (is_noise(case) and shapes_are_noise(case))
 
 
-def shaped_beside(case: Case, held: holdout.HeldOut) -> bool:
+def unnamed_structure(case: Case, held: holdout.HeldOut) -> bool:
     """Are those shapes a mechanism beside names that come again in most folds, or only what a fold's names missed?"""
     accepted, least = case.explanation.accepted, HELD_OUT_SHARE if case.remainder.shapes else UNREACHED
     if not accepted or min(held.agreement) < holdout.AGAIN or held.shape_share() < least:
         return False
     little = sum(g for _, g in case.remainder.shapes) < confidence.MOST_BESIDE
-    if little and (case.remainder.shapes or unreached(case) <= UNREACHED):
+    if little and (case.remainder.shapes or unexplained_share(case) <= UNREACHED):
         return False
     return held.named**2 - held.shaped**2 >= NOTICEABLE * held.bare**2 and proved(case, held)
 
 
-def unreached(case: Case) -> float:
+def unexplained_share(case: Case) -> float:
     """Share of the structured variance that names leave, beyond the noise between neighbours and the rounding."""
     noise = SLOW_SHARE * max(case.noise_estimate, rounding(case.recording.array(case.pair.error)[case.pair.rows]))
     beyond = case.search.scene([]).rms() ** 2 - noise**2
     return float(np.clip((case.sigma**2 - noise**2) / beyond, 0.0, 1.0)) if beyond > 0 else 0.0
 
 
-def borne_out(case: Case, held: holdout.HeldOut) -> bool:
+def confirmed_by_held_out(case: Case, held: holdout.HeldOut) -> bool:
     """Do names reduce what held-out rows show beyond the noise between neighbours, and as much as they promise?
 
     In a long log an effect may be smaller than the noise of a single row. A recalibration alone reduces it, too: beside
@@ -158,10 +158,11 @@ def departs(case: Case, held: holdout.HeldOut) -> bool:
     """Do departures from the textbook forms predict held-out rows as a shape without a name must?
 
     Real parts differ from the textbook by a few per cent of the variance; beyond, the form is another mechanism's. The
-    decay of a state that a body brought along is part of its form, and so is any shape of a guideway. Of an effect in
-    part the ends are known to a fourteenth of the positions or of the time: what they miss is no form.
+    decay of a state that a body brought along is part of its form, and so are any shape of a guideway and a rate of
+    each tool. Of an effect in part the ends are chosen on all rows: what they miss is no form.
     """
-    if not case.explanation.accepted or case.explanation.accepted[0].hypothesis.mask:
+    first = case.explanation.accepted[0].hypothesis if case.explanation.accepted else None
+    if first is None or first.mask or first.terms[0].form == "any rate":
         return False
     if held.departing() < HELD_OUT_SHARE or not UNSTABLE < held.textbook_share() < TEXTBOOK:
         return False
@@ -177,11 +178,10 @@ def textbook_alone(case: Case) -> float:
     if first.hypothesis.terms[0].gain_sd is not None:
         return 1.0
     library, family = case.library, case.library.family(first.index)
-    columns = [library.indices(i)[: library.textbook(i)] for i in family]
-    freedoms = [library.freedom_of(i)[: library.textbook(i)] for i in family]
-    scored = case.search.scene([(f.index, f.size) for f in others]).score(columns, freedoms, case.search.rows)
-    best = max(s.gain + case.search.prior[i] for i, s in zip(family, scored, strict=True))
-    return float(best / max(first.gain, 1e-9))
+    columns = [library.places[i][: library.textbook(i)] for i in family]
+    freedoms = [library.freedoms[i][: library.textbook(i)] for i in family]
+    scored = case.search.scene([(f.index, f.size) for f in others]).gains(columns, freedoms, case.search.rows)
+    return float(np.max(scored + case.search.prior[family]) / max(first.gain, 1e-9))
 
 
 def finding(case: Case, probability: float) -> Finding:
@@ -203,7 +203,7 @@ def finding(case: Case, probability: float) -> Finding:
         f"data-driven shape brings it from {case.sigma:.3g} to {case.remainder.rms:.3g} {case.pair.unit} rms."
         if shapes
         else f"On rows that sat out shapes over inputs predict {case.held.shape_share():.0%} of what the names leave."
-        if shaped_beside(case, case.held)
+        if unnamed_structure(case, case.held)
         else f"What is left, {case.sigma:.3g} {case.pair.unit} rms, wanders and goes with no input."
     )
     alike = " Held-out rows do not confirm it: a measurement that wanders looks alike."

@@ -8,7 +8,7 @@ multiplied by the number of tests (Bonferroni).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc
@@ -155,16 +155,15 @@ def levels(u: np.ndarray) -> np.ndarray:
     return (np.searchsorted(edges, u, side="right")[:, None] == np.arange(edges.size + 1)).astype(float)
 
 
-def structured(whiteness: Whiteness) -> list[WhitenessTest]:
+def structured(tests: Sequence[WhitenessTest]) -> list[WhitenessTest]:
     """Tests that alone would raise the alarm, the strongest first; inputs before the order of the rows."""
-    alarming = [t for t in whiteness.tests if t.p * len(whiteness.tests) < ALARM]
+    alarming = [t for t in tests if t.p * len(tests) < ALARM]
     # collinear inputs have the same p up to rounding: the first one is then named
     return sorted(alarming, key=lambda t: (t.against == ORDER, float(f"{t.p:.9g}")))
 
 
 def _says(tests: list[WhitenessTest], p: float) -> str:
-    verdict = Whiteness(p=p, slow_share=0.0, tests=tuple(tests), says="")
-    alarming = structured(verdict)
+    alarming = structured(tests)
     description = lambda t: t.against if t.how == "level" else f"{t.against}, {t.how}"  # noqa: E731
     if not alarming:
         worst = description(min(tests, key=lambda t: t.p))

@@ -62,7 +62,7 @@ def test_names_are_judged_by_what_they_leave_beyond_the_noise_of_a_row(after, no
     explanation = SimpleNamespace(accepted=[SimpleNamespace(gain=20.0)])
     search = SimpleNamespace(rows=None)
     case = SimpleNamespace(noise_estimate=noise, explanation=explanation, search=search, run=np.zeros(200))
-    assert unnamed.borne_out(case, held) is stands
+    assert unnamed.confirmed_by_held_out(case, held) is stands
 
 
 @pytest.mark.parametrize(

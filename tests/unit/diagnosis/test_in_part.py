@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from errpipe.diagnosis import judge, prepare
+from errpipe.diagnosis import holdout, judge, prepare, unnamed
 from errpipe.diagnosis.hypotheses import columns_of
 from errpipe.diagnosis.partial import may_act_in_part, partitions
 from errpipe.terms import NEVER
@@ -124,3 +126,56 @@ def test_friction_that_falls_more_slowly_than_stribecks_is_still_his():
     case = judged(columns, kinds, "F_X", simulated + 40 * falling + 5 * rng.standard_normal(v.size), simulated, "N")
     assert names(case) == ["stribeck_friction"]
     assert left_by_form(case, "stribeck_friction", falling) < 0.05  # 0.10 by the square alone
+
+
+def test_the_ends_of_a_part_are_found_between_the_places_that_are_tried_first():
+    columns, kinds, noise = positioning(runs=5)
+    del columns["T"], kinds["T"]
+    simulated, t = 20e-3 * columns["x"], columns["t"]
+    low, high = (float(np.quantile(t, q)) for q in (0.322, 0.535))
+    inside = (t >= low) & (t <= high)
+    case = judged(columns, kinds, "EXX", simulated - 3.0 * columns["dir"] * inside + 0.5 * noise, simulated)
+    (found,) = case.explanation.accepted
+    assert found.hypothesis.effect in ("backlash", "friction_hysteresis")
+    kind, column, *ends = found.hypothesis.mask
+    assert (kind, column) == ("range", "t")
+    assert np.mean(((t >= ends[0]) & (t <= ends[1])) != inside) < 0.015  # of the rows; fourteenths miss by 0.03 at best
+
+
+def test_a_guideway_of_any_shape_acts_in_some_runs():
+    rng = np.random.default_rng(0)
+    turn = np.concatenate([way * np.linspace(0, 2 * np.pi, 180, endpoint=False) for way in (1, -1) * 3])
+    run = np.repeat(np.arange(6), 180)
+    x, y = 240 * np.cos(turn), 240 * np.sin(turn)
+    columns = {"run": run.astype(str), "t": np.arange(turn.size) * 0.33, "x": x, "y": y}
+    kinds = {a: {"role": "position", "axis": a.upper(), "unit": "mm"} for a in "xy"}
+    curve, simulated = np.sin(7.5 * x / 240 + 0.4) * np.sin(turn), 4.0 * np.sin(2 * turn)
+    error = simulated + 5 * curve * (run >= 4) + 0.7 * rng.standard_normal(turn.size)
+    (found,) = judged(columns, kinds, "E_R", error, simulated).explanation.accepted
+    assert (found.hypothesis.effect, found.hypothesis.mask) == ("straightness", ("runs", ("4", "5")))
+
+
+def test_a_body_that_acts_for_a_while_is_counted_from_any_temperature():
+    columns, kinds, noise = positioning(runs=3)
+    case = judged(columns, kinds, "EXX", 0.5 * noise, 20e-3 * columns["x"])
+    low, high = (float(np.quantile(columns["t"], q)) for q in (0.3, 0.7))
+    inside = (columns["t"] >= low) & (columns["t"] <= high)
+    signal = 3.0 * (case.recording.array("T") - 23.7) * inside
+    for effect, fits in (("thermal_drift", True), ("scale_expansion", False)):  # which has its reference along x
+        whole = next(h for h in case.library.hypotheses if h.effect == effect)
+        core, slack, _ = columns_of(replace(whole, mask=("range", "t", low, high)), case.recording)
+        form = np.column_stack([core, slack[:, -1]])
+        left = signal - form @ np.linalg.lstsq(form, signal, rcond=None)[0]
+        assert (np.std(left) < 1e-6 * np.std(signal)) == fits
+
+
+def test_tools_of_which_few_wear_are_no_other_mechanism():
+    rng = np.random.default_rng(4)
+    run, length = np.repeat(np.arange(6), 50), np.tile(np.linspace(0, 900, 50), 6)
+    columns = {"run": run.astype(str), "t": np.arange(run.size) * 20.0 + run * 600.0, "s": length}
+    columns["F"] = 300 + 60 * rng.standard_normal(run.size)
+    kinds = {"s": {"role": "cut_length", "unit": "m"}, "F": {"role": "force", "unit": "N", "component": "F_Y"}}
+    simulated, worn = 0.02 * columns["F"], 8.0 * np.sqrt(length / 1000) * np.isin(run, (0, 3))
+    case = judged(columns, kinds, "E_D", simulated + worn + 0.7 * rng.standard_normal(run.size), simulated)
+    assert names(case) == ["tool_wear"]
+    assert not unnamed.departs(case, holdout.held_out(case))

@@ -67,7 +67,7 @@ def test_planted_structure_is_caught_and_said_where(quiet, what):
     }[what]
     statistic = whiteness.whiteness(with_mismatch(quiet, planted + 0.5 * rng.standard_normal(x.size)))
     assert statistic.p < whiteness.ALARM
-    alarming = whiteness.structured(statistic)
+    alarming = whiteness.structured(statistic.tests)
     expected = {
         "a kink in one temperature": ("T_nut", "level"),
         "one run": ("run", "level"),
@@ -105,7 +105,7 @@ def test_rows_that_repeat_their_neighbours_count_for_less():
     case = judged(spindle(2))
     rng = np.random.default_rng(10)
     slow = np.repeat(rng.standard_normal(case.y.size // 12 + 1), 12)[: case.y.size]
-    assert significance.effective_rows(with_mismatch(case, slow)) < case.y.size / 6
+    assert significance.chance(with_mismatch(case, slow), surrogates=1).rows < case.y.size / 6
 
 
 def test_a_step_for_good_is_a_change_point_and_noise_has_none(quiet):

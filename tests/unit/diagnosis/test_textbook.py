@@ -29,9 +29,10 @@ def test_a_form_that_the_textbook_does_not_carry_is_not_its_name(monkeypatch, te
     One that does far worse than no name was not determined by the rows that it was fitted on, and says nothing.
     """
 
+    terms = (SimpleNamespace(form="textbook"),)
     explained, in_part = (
-        SimpleNamespace(explanation=Explanation((SimpleNamespace(hypothesis=SimpleNamespace(mask=m)),), np.zeros(1)))
-        for m in ((), ("range", "t", 0.0, 60.0))  # type: ignore[arg-type]
+        SimpleNamespace(explanation=Explanation((SimpleNamespace(hypothesis=h),), np.zeros(1)))  # type: ignore[arg-type]
+        for h in (SimpleNamespace(mask=m, terms=terms) for m in ((), ("range", "t", 0.0, 60.0)))
     )
     monkeypatch.setattr(unnamed, "textbook_alone", lambda case: alone)
     assert unnamed.departs(explained, held(3.0, textbook, 1.0)) == departs
