@@ -21,7 +21,9 @@ from errpipe.drivers.motion import axes, position, position_name
 from errpipe.terms import NEVER
 
 LEADERS = 24  # hypotheses tried in part,
-EACH = 2  # and at most so many of each effect
+EACH = 2  # and at most so many of each effect,
+IN_FULL = 8  # for which so many of it are scored with all their columns
+TOGETHER = 8  # hypotheses whose products are formed together
 ON_A_STRETCH = ("geometric", "reversal", "servo", "friction")
 ELSEWHERE = 4.0  # log odds against any other on a stretch of an axis: a bed warms in places
 BINS = 14  # equal stretches of an axis or of time, neighbours of which are tried as one part
@@ -162,7 +164,8 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
     everywhere = np.array([not h.terms[0].misread for h in library.hypotheses]) & (search.prior > 0.5 * NEVER)
     whole = float(np.max(np.where(everywhere, alone - search.prior, 0.0)))
     scene = search.scene([])
-    basis = np.linalg.solve(scene.chol, library.table.W[:, scene.active.index].T)  # (m, rows): projector's root
+    N = library.table.W.T[scene.active.index]
+    basis = np.ascontiguousarray(np.linalg.solve(scene.chol, N).T)  # (rows, m): projector's root
     parts: list[Part] = []
     for groups in partitions(recording, rows):
         gain = np.where(_possible(search, groups.kind, clock), alone, -np.inf)
@@ -194,12 +197,38 @@ def _best_of_each_effect(search: Search, scene: Scene, basis, parts: list[Part],
     part, library = max(parts, key=lambda p: p.gain), search.library
     inside = np.flatnonzero(np.isin(part.groups.code, part.members))
     gain = np.full(len(library.hypotheses), -np.inf)
-    for index in np.flatnonzero(_possible(search, part.groups.kind, clock)):
-        W = _columns(library, int(index), inside, part.groups.kind)
-        B = basis[:, inside] @ W
-        S, s = W.T @ W - B.T @ B, W.T @ search.data.y[inside] - B.T @ scene.half
-        gain[index] = averaged(S[None], s[None, :, None], np.array([scene.Q]), scene.n)[0, 0] - part.price
+    tried = np.flatnonzero(_possible(search, part.groups.kind, clock))
+    tried = _likeliest(search, tried, _gains_inside(search, scene, basis, inside, tried, part.groups.kind, True))
+    gain[tried] = _gains_inside(search, scene, basis, inside, tried, part.groups.kind) - part.price
     return [dataclasses.replace(part, gain=float(gain[i]), index=i) for i in _best_few(search, gain + search.prior, 0)]
+
+
+def _likeliest(search: Search, tried: np.ndarray, gain: np.ndarray) -> np.ndarray:
+    """Of hypotheses with these gains, the best of each effect."""
+    count: dict[str, int] = {}
+    out = []
+    for i in tried[np.argsort(-gain - search.prior[tried], kind="stable")]:
+        effect = search.library.hypotheses[i].effect
+        count[effect] = count.get(effect, 0) + 1
+        if count[effect] <= IN_FULL:
+            out.append(i)
+    return np.sort(out)
+
+
+def _gains_inside(search: Search, scene: Scene, basis, inside, tried, kind: str, textbook: bool = False) -> np.ndarray:
+    """Log Bayes factors of hypotheses that act on some rows alone, or of their textbook forms, shape of tried."""
+    y, N, gain = search.data.y[inside], basis[inside], []
+    for few in np.array_split(tried, tried.size // TOGETHER + 1):
+        columns = [_places(search.library, i, kind, textbook) for i in few]
+        used, at = np.unique(np.concatenate([np.zeros(0, dtype=int), *[c for c, _ in columns]]), return_inverse=True)
+        W = search.library.table.W.T[used].take(inside, axis=1)
+        cross = W @ N
+        own, seen, first = W @ W.T - cross @ cross.T, W @ y - cross @ scene.half, 0
+        for _, freedom in columns:
+            here = at[first : (first := first + freedom.size)]
+            S, s = own[np.ix_(here, here)] * freedom * freedom[:, None], seen[here] * freedom
+            gain.append(averaged(S[None], s[None, :, None], np.array([scene.Q]), scene.n)[0, 0])
+    return np.array(gain)
 
 
 def _possible(search: Search, kind: str, clock: str | None) -> np.ndarray:
@@ -236,25 +265,27 @@ def on_a_stretch(h: Hypothesis, axis: str) -> bool:
     return axis in h.drivers or term.family in ON_A_STRETCH or "axis" in type(term).model_fields
 
 
-def _columns(library: Library, index: int, rows: np.ndarray, kind: str) -> np.ndarray:
-    """Whitened columns of a hypothesis on some rows, in part, times their freedoms."""
+def _places(library: Library, index: int, kind: str, textbook: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of a hypothesis, in part, in the table, and their freedoms; of its textbook form alone."""
     places, freedom = library.places[index], library.freedoms[index]
+    if textbook:
+        places, freedom = places[: library.cores[index]], freedom[: library.cores[index]]
     if has_level(library.hypotheses[index], kind):
-        places, freedom = np.r_[places, library.datum], np.r_[freedom, LEVEL]
-    return library.table.W[np.ix_(rows, places)] * freedom
+        return np.r_[places, library.datum], np.r_[freedom, LEVEL]
+    return places, freedom
 
 
 def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, clock: str | None) -> Part:
     """The union of groups in which a hypothesis explains most."""
     library, y = search.library, search.data.y
-    whole = _columns(library, index, np.arange(library.table.n), groups.kind)
-    k = whole.shape[1]
+    places, freedom = _places(library, index, groups.kind)
+    whole, k = library.table.W.T[places] * freedom[:, None], places.size
     S = np.zeros((groups.count, k, k))
-    B = np.zeros((groups.count, basis.shape[0], k))
+    B = np.zeros((groups.count, basis.shape[1], k))
     s = np.zeros((groups.count, k))
     for g, r in enumerate(groups.rows):
-        W = whole[r]
-        S[g], B[g], s[g] = W.T @ W, basis[:, r] @ W, W.T @ y[r]
+        W = whole[:, r]
+        S[g], B[g], s[g] = W @ W.T, (W @ basis[r]).T, W @ y[r]
     choices, member, price = groups.priced
     seen = s[:, 0] - np.einsum("gm,m->g", B[:, :, 0], scene.half)
     rate = seen / np.maximum(S[:, 0, 0], 1e-300)
