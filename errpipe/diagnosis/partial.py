@@ -23,7 +23,7 @@ from errpipe.terms import NEVER
 LEADERS = 24  # hypotheses tried in part,
 EACH = 2  # and at most so many of each effect,
 IN_FULL = 8  # for which so many of it are scored with all their columns
-TOGETHER = 8  # hypotheses whose products are formed together
+TOGETHER = 4  # hypotheses whose products are formed together
 ON_A_STRETCH = ("geometric", "reversal", "servo", "friction")
 ELSEWHERE = 4.0  # log odds against any other on a stretch of an axis: a bed warms in places
 BINS = 14  # equal stretches of an axis or of time, neighbours of which are tried as one part
@@ -79,17 +79,20 @@ class Groups:
         """Unions tried: neighbours, enough of them where they are no runs; of runs also any two."""
         out = [tuple(range(a, b)) for a in range(self.count) for b in range(a + 1, self.count + 1)]
         if self.kind != "runs":
-            upto = np.r_[0, np.cumsum([r.size for r in self.rows])]
-            out = [c for c in out if upto[c[-1] + 1] - upto[c[0]] >= LEAST * self.code.size]
+            out = [c for c in out if self.upto[c[-1] + 1] - self.upto[c[0]] >= LEAST * self.code.size]
         if self.kind == "runs":
             out += [(a, b) for a, b in itertools.combinations(range(self.count), 2) if b > a + 1]
         return [c for c in out if len(c) < self.count] or [tuple(range(self.count))]
 
     @cached_property
-    def rows(self) -> list[np.ndarray]:
-        """Rows of each group."""
-        order = np.argsort(self.code, kind="stable")
-        return np.split(order, np.searchsorted(self.code[order], np.arange(1, self.count)))
+    def order(self) -> np.ndarray:
+        """Rows, group by group."""
+        return np.argsort(self.code, kind="stable")
+
+    @cached_property
+    def upto(self) -> np.ndarray:
+        """Where in that order each group starts, and the last one ends."""
+        return np.searchsorted(self.code[self.order], np.arange(self.count + 1))
 
     @cached_property
     def priced(self) -> tuple[list[tuple[int, ...]], np.ndarray, np.ndarray]:
@@ -99,7 +102,9 @@ class Groups:
 
     def weighed(self, choices: list[tuple[int, ...]]) -> tuple[np.ndarray, np.ndarray]:
         """1 where a group is in a union, shape (unions, groups), and the unions' prices."""
-        inside = np.array([np.isin(np.arange(self.count), c) for c in choices], dtype=float)
+        inside = np.zeros((len(choices), self.count))
+        for union, members in zip(inside, choices, strict=True):
+            union[list(members)] = 1.0
         return inside, np.array([self.price(c) for c in choices])
 
     def by_rate(self, rate: np.ndarray) -> list[tuple[int, ...]]:
@@ -279,13 +284,15 @@ def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, 
     """The union of groups in which a hypothesis explains most."""
     library, y = search.library, search.data.y
     places, freedom = _places(library, index, groups.kind)
-    whole, k = library.table.W.T[places] * freedom[:, None], places.size
+    whole, k = library.table.W.T[places].take(groups.order, axis=1), places.size
     S = np.zeros((groups.count, k, k))
     B = np.zeros((groups.count, basis.shape[1], k))
     s = np.zeros((groups.count, k))
-    for g, r in enumerate(groups.rows):
-        W = whole[:, r]
-        S[g], B[g], s[g] = W @ W.T, (W @ basis[r]).T, W @ y[r]
+    y, basis = y[groups.order], basis[groups.order]
+    for g, (a, b) in enumerate(itertools.pairwise(groups.upto)):
+        W = whole[:, a:b]
+        S[g], B[g], s[g] = W @ W.T, (W @ basis[a:b]).T, W @ y[a:b]
+    S, B, s = S * freedom * freedom[:, None], B * freedom, s * freedom
     choices, member, price = groups.priced
     seen = s[:, 0] - np.einsum("gm,m->g", B[:, :, 0], scene.half)
     rate = seen / np.maximum(S[:, 0, 0], 1e-300)
