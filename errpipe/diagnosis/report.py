@@ -53,7 +53,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     contribution = {m.hypothesis.effect: m.contribution for m in made}
     p_unknown = unnamed.chance(case, indicators, held)
     nameless = unnamed.unexplained(case, held)
-    if findings and unnamed.confirmed_by_held_out(case, held) and max(f.sure() for f in findings) < unnamed.UNLIKELY:
+    if findings and unnamed.confirmed_by_held_out(case, held) and unnamed.unlikely(case, findings):
         p_unknown, nameless = max(p_unknown, unnamed.PROVISIONAL), True
     findings, verdict = _verdict(case, findings, p_unknown, nameless)
     if findings and findings[0].effect == "unknown" and case.remainder.taken:

@@ -23,6 +23,8 @@ DEPARTED = 0.7  # confidence of `unknown` there
 SMALLER = 0.75  # threshold: rms on held-out rows over that without names, from which names are unproved
 UNLIKELY = 0.08  # threshold: confidence of the surest name, below which `unknown` comes first (chosen on first 6103 and
 # 6106, second 6104 and 6105)
+UNLIKELY_IN_PART = 0.5  # and that of names in part, which are chosen among many more (chosen on second 42101, 42102, 42104,
+# 43101, first 42103, 43102: false ones have 0.15 to 0.47, right ones that come first 0.66 or more)
 WANDERING = 1.5  # threshold: rms of the residual over the noise between neighbours, from which it wanders
 FAR = 2.0  # and from which names that hardly reduce it explain nothing
 SLOW_SHARE = 1.2  # rms of noise with its slow share over second differences, which miss that share
@@ -140,6 +142,12 @@ def unexplained_share(case: Case) -> float:
     noise = SLOW_SHARE * max(case.noise_estimate, rounding(case.recording.array(case.pair.error)[case.pair.rows]))
     beyond = case.search.scene([]).rms() ** 2 - noise**2
     return float(np.clip((case.sigma**2 - noise**2) / beyond, 0.0, 1.0)) if beyond > 0 else 0.0
+
+
+def unlikely(case: Case, findings: list[Finding]) -> bool:
+    """Is no name likely enough to stand before `unknown`?"""
+    in_part = all(f.hypothesis.mask for f in case.explanation.accepted)
+    return max(f.sure() for f in findings) < (UNLIKELY_IN_PART if in_part else UNLIKELY)
 
 
 def confirmed_by_held_out(case: Case, held: holdout.HeldOut) -> bool:
