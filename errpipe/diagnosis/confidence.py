@@ -97,7 +97,6 @@ def features(s: Indicators) -> dict[str, float]:
         "core": s.core,
         "agreement": s.agreement,
         "rank": float(s.rank),
-        "unexplained_share": s.unexplained_share,
         "fast": float(s.fast),
         "wandering": float(np.log1p(max(s.wandering, 0.0))),
         "beside": float(np.log1p(np.clip(s.beside, 0.0, MOST_BESIDE))),

@@ -22,8 +22,7 @@ from errpipe.terms import NEVER
 
 LEADERS = 24  # hypotheses tried in part,
 EACH = 2  # and at most so many of each effect,
-IN_FULL = 8  # for which so many of it are scored with all their columns
-TOGETHER = 4  # hypotheses whose products are formed together
+IN_FULL = 8  # of which so many are scored with all their columns
 ON_A_STRETCH = ("geometric", "reversal", "servo", "friction")
 ELSEWHERE = 4.0  # log odds against any other on a stretch of an axis: a bed warms in places
 BINS = 14  # equal stretches of an axis or of time, neighbours of which are tried as one part
@@ -79,32 +78,26 @@ class Groups:
         """Unions tried: neighbours, enough of them where they are no runs; of runs also any two."""
         out = [tuple(range(a, b)) for a in range(self.count) for b in range(a + 1, self.count + 1)]
         if self.kind != "runs":
-            out = [c for c in out if self.upto[c[-1] + 1] - self.upto[c[0]] >= LEAST * self.code.size]
-        if self.kind == "runs":
+            upto = self.rows[1]
+            out = [c for c in out if upto[c[-1] + 1] - upto[c[0]] >= LEAST * self.code.size]
+        else:
             out += [(a, b) for a, b in itertools.combinations(range(self.count), 2) if b > a + 1]
         return [c for c in out if len(c) < self.count] or [tuple(range(self.count))]
 
     @cached_property
-    def order(self) -> np.ndarray:
-        """Rows, group by group."""
-        return np.argsort(self.code, kind="stable")
-
-    @cached_property
-    def upto(self) -> np.ndarray:
-        """Where in that order each group starts, and the last one ends."""
-        return np.searchsorted(self.code[self.order], np.arange(self.count + 1))
+    def rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows, group by group, and where among them each group starts, and the last one ends."""
+        order = np.argsort(self.code, kind="stable")
+        return order, np.searchsorted(self.code[order], np.arange(self.count + 1))
 
     @cached_property
     def priced(self) -> tuple[list[tuple[int, ...]], np.ndarray, np.ndarray]:
         """Unions tried, with what `weighed` says of them."""
-        choices = self.choices()
-        return choices, *self.weighed(choices)
+        return (choices := self.choices()), *self.weighed(choices)
 
     def weighed(self, choices: list[tuple[int, ...]]) -> tuple[np.ndarray, np.ndarray]:
         """1 where a group is in a union, shape (unions, groups), and the unions' prices."""
-        inside = np.zeros((len(choices), self.count))
-        for union, members in zip(inside, choices, strict=True):
-            union[list(members)] = 1.0
+        inside = np.array([np.bincount(c, minlength=self.count) for c in choices], dtype=float)
         return inside, np.array([self.price(c) for c in choices])
 
     def by_rate(self, rate: np.ndarray) -> list[tuple[int, ...]]:
@@ -133,11 +126,6 @@ class Part:
     groups: Groups
     members: tuple[int, ...]
     price: float
-
-    @property
-    def mask(self) -> tuple:
-        """The mask of the hypothesis."""
-        return self.groups.mask(self.members)
 
 
 def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
@@ -169,8 +157,7 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
     everywhere = np.array([not h.terms[0].misread for h in library.hypotheses]) & (search.prior > 0.5 * NEVER)
     whole = float(np.max(np.where(everywhere, alone - search.prior, 0.0)))
     scene = search.scene([])
-    N = library.table.W.T[scene.active.index]
-    basis = np.ascontiguousarray(np.linalg.solve(scene.chol, N).T)  # (rows, m): projector's root
+    basis = np.linalg.solve(scene.chol, library.table.W.T[scene.active.index]).T.copy()  # (rows, m): projector's root
     parts: list[Part] = []
     for groups in partitions(recording, rows):
         gain = np.where(_possible(search, groups.kind, clock), alone, -np.inf)
@@ -181,7 +168,8 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
             parts.append(p := _best_part(search, scene, basis, p.index, p.groups.finer(p.members), clock))
     best = _best_parts([p for p in parts if p.gain > max(whole + BETTER + MENDING * whole, 12.0)], search)
     best += _best_of_each_effect(search, scene, basis, best, clock)
-    made = [_extend(library, search, recording, rows, p) for p in {(p.index, p.mask): p for p in best}.values()]
+    each = {(p.index, p.groups.mask(p.members)): p for p in best}
+    made = [_extend(library, search, recording, rows, p) for p in each.values()]
     return [i for i in made if i is not None]
 
 
@@ -200,40 +188,18 @@ def _best_of_each_effect(search: Search, scene: Scene, basis, parts: list[Part],
     if not parts:
         return []
     part, library = max(parts, key=lambda p: p.gain), search.library
-    inside = np.flatnonzero(np.isin(part.groups.code, part.members))
-    gain = np.full(len(library.hypotheses), -np.inf)
-    tried = np.flatnonzero(_possible(search, part.groups.kind, clock))
-    tried = _likeliest(search, tried, _gains_inside(search, scene, basis, inside, tried, part.groups.kind, True))
-    gain[tried] = _gains_inside(search, scene, basis, inside, tried, part.groups.kind) - part.price
-    return [dataclasses.replace(part, gain=float(gain[i]), index=i) for i in _best_few(search, gain + search.prior, 0)]
-
-
-def _likeliest(search: Search, tried: np.ndarray, gain: np.ndarray) -> np.ndarray:
-    """Of hypotheses with these gains, the best of each effect."""
-    count: dict[str, int] = {}
-    out = []
-    for i in tried[np.argsort(-gain - search.prior[tried], kind="stable")]:
-        effect = search.library.hypotheses[i].effect
-        count[effect] = count.get(effect, 0) + 1
-        if count[effect] <= IN_FULL:
-            out.append(i)
-    return np.sort(out)
-
-
-def _gains_inside(search: Search, scene: Scene, basis, inside, tried, kind: str, textbook: bool = False) -> np.ndarray:
-    """Log Bayes factors of hypotheses that act on some rows alone, or of their textbook forms, shape of tried."""
-    y, N, gain = search.data.y[inside], basis[inside], []
-    for few in np.array_split(tried, tried.size // TOGETHER + 1):
-        columns = [_places(search.library, i, kind, textbook) for i in few]
-        used, at = np.unique(np.concatenate([np.zeros(0, dtype=int), *[c for c, _ in columns]]), return_inverse=True)
-        W = search.library.table.W.T[used].take(inside, axis=1)
-        cross = W @ N
-        own, seen, first = W @ W.T - cross @ cross.T, W @ y - cross @ scene.half, 0
-        for _, freedom in columns:
-            here = at[first : (first := first + freedom.size)]
-            S, s = own[np.ix_(here, here)] * freedom * freedom[:, None], seen[here] * freedom
-            gain.append(averaged(S[None], s[None, :, None], np.array([scene.Q]), scene.n)[0, 0])
-    return np.array(gain)
+    inside, kind = np.flatnonzero(np.isin(part.groups.code, part.members)), part.groups.kind
+    y, N, tried = search.data.y[inside], basis[inside], np.flatnonzero(_possible(search, kind, clock)).tolist()
+    for textbook, each in ((True, IN_FULL), (False, EACH)):
+        gain = np.full(len(library.hypotheses), -np.inf)
+        for i in tried:
+            places, freedom = _places(library, i, kind, textbook)
+            W = library.table.W.T[places].take(inside, axis=1)
+            B = W @ N
+            S, s = (W @ W.T - B @ B.T) * freedom * freedom[:, None], (W @ y - B @ scene.half) * freedom
+            gain[i] = averaged(S[None], s[None, :, None], np.array([scene.Q]), scene.n)[0, 0] - part.price
+        tried = _best_few(search, gain + search.prior, 0, each)
+    return [dataclasses.replace(part, gain=float(gain[i]), index=i) for i in tried]
 
 
 def _possible(search: Search, kind: str, clock: str | None) -> np.ndarray:
@@ -242,13 +208,13 @@ def _possible(search: Search, kind: str, clock: str | None) -> np.ndarray:
     return np.array(may) & (search.prior > 0.5 * NEVER)
 
 
-def _best_few(search: Search, gain: np.ndarray, leaders: int) -> list[int]:
+def _best_few(search: Search, gain: np.ndarray, leaders: int, each: int = EACH) -> list[int]:
     """The first so many by gain, and the best few of each effect."""
     out: list[int] = []
     count = dict.fromkeys({h.effect for h in search.library.hypotheses}, 0)
     for index in search.best_of_each_key(gain, gain.size):
         effect = search.library.hypotheses[index].effect
-        if np.isfinite(gain[index]) and (len(out) < leaders or count[effect] < EACH):
+        if np.isfinite(gain[index]) and (len(out) < leaders or count[effect] < each):
             out.append(index)
             count[effect] += 1
     return out
@@ -282,20 +248,19 @@ def _places(library: Library, index: int, kind: str, textbook: bool = False) -> 
 
 def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, clock: str | None) -> Part:
     """The union of groups in which a hypothesis explains most."""
-    library, y = search.library, search.data.y
+    library, y, (order, upto) = search.library, search.data.y, groups.rows
     places, freedom = _places(library, index, groups.kind)
-    whole, k = library.table.W.T[places].take(groups.order, axis=1), places.size
+    whole, k = library.table.W.T[places].take(order, axis=1), places.size
     S = np.zeros((groups.count, k, k))
     B = np.zeros((groups.count, basis.shape[1], k))
     s = np.zeros((groups.count, k))
-    y, basis = y[groups.order], basis[groups.order]
-    for g, (a, b) in enumerate(itertools.pairwise(groups.upto)):
+    y, basis = y[order], basis[order]
+    for g, (a, b) in enumerate(itertools.pairwise(upto)):
         W = whole[:, a:b]
         S[g], B[g], s[g] = W @ W.T, (W @ basis[a:b]).T, W @ y[a:b]
     S, B, s = S * freedom * freedom[:, None], B * freedom, s * freedom
     choices, member, price = groups.priced
-    seen = s[:, 0] - np.einsum("gm,m->g", B[:, :, 0], scene.half)
-    rate = seen / np.maximum(S[:, 0, 0], 1e-300)
+    rate = (s[:, 0] - B[:, :, 0] @ scene.half) / np.maximum(S[:, 0, 0], 1e-300)
     if more := groups.by_rate(rate):
         choices, (others, prices) = choices + more, groups.weighed(more)
         member, price = np.concatenate([member, others]), np.r_[price, prices]
@@ -311,7 +276,7 @@ def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, 
 
 def _extend(library: Library, search: Search, recording: Recording, rows, part: Part) -> int | None:
     whole = library.hypotheses[part.index]
-    h = dataclasses.replace(whole, mask=part.mask, prior=whole.prior - part.price)
+    h = dataclasses.replace(whole, mask=part.groups.mask(part.members), prior=whole.prior - part.price)
     core, slack, rel = columns_of(h, recording)
     made = scaled(core[rows], slack[rows], rel)
     if made is None:

@@ -23,8 +23,8 @@ DEPARTED = 0.7  # confidence of `unknown` there
 SMALLER = 0.75  # threshold: rms on held-out rows over that without names, from which names are unproved
 UNLIKELY = 0.08  # threshold: confidence of the surest name, below which `unknown` comes first (chosen on first 6103 and
 # 6106, second 6104 and 6105)
-UNLIKELY_IN_PART = 0.5  # and that of names in part, which are chosen among many more (chosen on second 42101, 42102, 42104,
-# 43101, first 42103, 43102: false ones have 0.15 to 0.47, right ones that come first 0.66 or more)
+UNLIKELY_IN_PART = 0.5  # and of names in a part that is one of many (chosen on first 42103, 43102, second 42101, 42102,
+# 42104, 43101, 51101, 51102: false ones have 0.15 to 0.47, right ones 0.66 or more)
 WANDERING = 1.5  # threshold: rms of the residual over the noise between neighbours, from which it wanders
 FAR = 2.0  # and from which names that hardly reduce it explain nothing
 SLOW_SHARE = 1.2  # rms of noise with its slow share over second differences, which miss that share
@@ -145,9 +145,10 @@ def unexplained_share(case: Case) -> float:
 
 
 def unlikely(case: Case, findings: list[Finding]) -> bool:
-    """Is no name likely enough to stand before `unknown`?"""
-    in_part = all(f.hypothesis.mask for f in case.explanation.accepted)
-    return max(f.sure() for f in findings) < (UNLIKELY_IN_PART if in_part else UNLIKELY)
+    """Is no name likely enough to stand before `unknown`? Stretches and unions of three or more runs are many."""
+    masks = [f.hypothesis.mask for f in case.explanation.accepted]
+    among_many = all(mask and (mask[0] == "range" or len(mask[1]) > 2) for mask in masks)
+    return max(f.sure() for f in findings) < (UNLIKELY_IN_PART if among_many else UNLIKELY)
 
 
 def confirmed_by_held_out(case: Case, held: holdout.HeldOut) -> bool:
