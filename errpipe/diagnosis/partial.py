@@ -21,8 +21,7 @@ from errpipe.drivers.motion import axes, position, position_name
 from errpipe.terms import NEVER
 
 LEADERS = 24  # hypotheses tried in part,
-EACH = 2  # and at most so many of each effect,
-IN_FULL = 8  # of which so many are scored with all their columns
+EACH, IN_FULL = 2, 8  # and at most so many of each effect, out of so many of it that are scored with all their columns
 ON_A_STRETCH = ("geometric", "reversal", "servo", "friction")
 ELSEWHERE = 4.0  # log odds against any other on a stretch of an axis: a bed warms in places
 BINS = 14  # equal stretches of an axis or of time, neighbours of which are tried as one part
@@ -78,8 +77,7 @@ class Groups:
         """Unions tried: neighbours, enough of them where they are no runs; of runs also any two."""
         out = [tuple(range(a, b)) for a in range(self.count) for b in range(a + 1, self.count + 1)]
         if self.kind != "runs":
-            upto = self.rows[1]
-            out = [c for c in out if upto[c[-1] + 1] - upto[c[0]] >= LEAST * self.code.size]
+            out = [c for c in out if self.rows[1][c[-1] + 1] - self.rows[1][c[0]] >= LEAST * self.code.size]
         else:
             out += [(a, b) for a, b in itertools.combinations(range(self.count), 2) if b > a + 1]
         return [c for c in out if len(c) < self.count] or [tuple(range(self.count))]
@@ -97,8 +95,8 @@ class Groups:
 
     def weighed(self, choices: list[tuple[int, ...]]) -> tuple[np.ndarray, np.ndarray]:
         """1 where a group is in a union, shape (unions, groups), and the unions' prices."""
-        inside = np.array([np.bincount(c, minlength=self.count) for c in choices], dtype=float)
-        return inside, np.array([self.price(c) for c in choices])
+        inside = [np.bincount(c, minlength=self.count) for c in choices]
+        return np.array(inside, dtype=float), np.array([self.price(c) for c in choices])
 
     def by_rate(self, rate: np.ndarray) -> list[tuple[int, ...]]:
         """Unions of the runs in which an effect seems strongest, one way or the other."""
@@ -148,8 +146,8 @@ def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
     return out
 
 
-def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.ndarray) -> list[int]:
-    """Extend the library with hypotheses in part that beat every whole; returns their indices.
+def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.ndarray) -> bool:
+    """Extend the library with hypotheses in part that beat every whole, if there are any.
 
     Every effect is tried in the best one's place too: within one run or stretch many effects are collinear.
     """
@@ -169,8 +167,7 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
     best = _best_parts([p for p in parts if p.gain > max(whole + BETTER + MENDING * whole, 12.0)], search)
     best += _best_of_each_effect(search, scene, basis, best, clock)
     each = {(p.index, p.groups.mask(p.members)): p for p in best}
-    made = [_extend(library, search, recording, rows, p) for p in each.values()]
-    return [i for i in made if i is not None]
+    return sum(_extend(library, search, recording, rows, p) for p in each.values()) > 0
 
 
 def _best_parts(parts: list[Part], search: Search) -> list[Part]:
@@ -250,14 +247,10 @@ def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, 
     """The union of groups in which a hypothesis explains most."""
     library, y, (order, upto) = search.library, search.data.y, groups.rows
     places, freedom = _places(library, index, groups.kind)
-    whole, k = library.table.W.T[places].take(order, axis=1), places.size
-    S = np.zeros((groups.count, k, k))
-    B = np.zeros((groups.count, basis.shape[1], k))
-    s = np.zeros((groups.count, k))
-    y, basis = y[order], basis[order]
-    for g, (a, b) in enumerate(itertools.pairwise(upto)):
-        W = whole[:, a:b]
-        S[g], B[g], s[g] = W @ W.T, (W @ basis[a:b]).T, W @ y[a:b]
+    whole, cuts = library.table.W.T[places].take(order, axis=1), upto[1:-1]
+    pieces = zip(np.split(whole, cuts, axis=1), np.split(basis[order], cuts), np.split(y[order], cuts), strict=True)
+    products = [(W @ W.T, (W @ N).T, W @ v) for W, N, v in pieces]
+    S, B, s = (np.array(of_each_group) for of_each_group in zip(*products, strict=True))
     S, B, s = S * freedom * freedom[:, None], B * freedom, s * freedom
     choices, member, price = groups.priced
     rate = (s[:, 0] - B[:, :, 0] @ scene.half) / np.maximum(S[:, 0, 0], 1e-300)
@@ -274,13 +267,12 @@ def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, 
     return Part(float(gain[best]), index, groups, choices[best], float(price[best]))
 
 
-def _extend(library: Library, search: Search, recording: Recording, rows, part: Part) -> int | None:
+def _extend(library: Library, search: Search, recording: Recording, rows, part: Part) -> bool:
     whole = library.hypotheses[part.index]
     h = dataclasses.replace(whole, mask=part.groups.mask(part.members), prior=whole.prior - part.price)
     core, slack, rel = columns_of(h, recording)
     made = scaled(core[rows], slack[rows], rel)
-    if made is None:
-        return None
-    library.extend([(h, made, core.shape[1])])
-    search.prior = np.r_[search.prior, search.prior[part.index] - part.price]
-    return len(library.hypotheses) - 1
+    if made is not None:
+        library.extend([(h, made, core.shape[1])])
+        search.prior = np.r_[search.prior, search.prior[part.index] - part.price]
+    return made is not None

@@ -31,11 +31,8 @@ def would_separate(
             gap = _predict(first, trial) - _predict(second, trial)
         except (KeyError, ValueError, IndexError):
             continue
-        if not np.isfinite(gap).all():
-            continue
-        size = float(np.std(gap))
-        if size > best[0]:
-            best = (size, what)
+        if np.isfinite(gap).all() and np.std(gap) > best[0]:
+            best = (float(np.std(gap)), what)
     if not best[1]:
         return ""
     readings = int(np.ceil((SURE * noise / best[0]) ** 2))

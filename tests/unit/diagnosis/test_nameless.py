@@ -214,3 +214,23 @@ def test_noise_of_few_rows_has_a_rhythm_by_chance_only(memory: float) -> None:
             noise[k] += memory * noise[k - 1]
         rhythms += not coloured.is_linear_noise(noise, run)
     assert rhythms <= 4
+
+
+@pytest.mark.parametrize(
+    ("masks", "sure", "unlikely"),
+    [
+        ([("range", "t", 3.0, 9.0)], 0.4, True),
+        ([("range", "t", 3.0, 9.0)], 0.6, False),
+        ([("runs", ("1", "2", "4"))], 0.4, True),
+        ([("runs", ("5", "6"))], 0.4, False),
+        ([()], 0.4, False),
+        ([("range", "t", 3.0, 9.0), ()], 0.4, False),
+        ([()], 0.05, True),
+    ],
+)
+def test_a_name_in_a_part_that_is_one_of_many_must_be_likelier_than_not(masks, sure, unlikely):
+    """Else `unknown` comes first; one or two runs are few, and what acts everywhere is not chosen at all."""
+    accepted = [SimpleNamespace(hypothesis=SimpleNamespace(mask=mask)) for mask in masks]
+    case = SimpleNamespace(explanation=SimpleNamespace(accepted=accepted))
+    found = [SimpleNamespace(sure=lambda: sure)] * len(masks)
+    assert unnamed.unlikely(case, found) is unlikely  # type: ignore[arg-type]
