@@ -14,7 +14,7 @@ from errpipe.domain import components
 from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.importing import columns as guessing
-from errpipe.importing import dates, no_reading, order, rows_of, settle, signs, simulated, wide
+from errpipe.importing import dates, no_reading, order, readings, rows_of, settle, signs, simulated, wide
 from errpipe.importing.layout import Layout, RawColumn, facts, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
@@ -43,6 +43,8 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         raise DataError("no column has a value")
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
     guesses, unsure = with_temperatures(layout.columns, guessing.with_place(layout.columns, guesses))
+    if options.unit is None:
+        unsure += readings.unit_by_positions(layout.columns, guesses)
     _refuse_diameters(layout, guesses, options)
     layout = wide.side_by_side(wide.merged_targets(layout, guesses), guesses)
     proposal = Proposal(notes=[*layout.notes, *unsure], headers=headers)

@@ -48,6 +48,8 @@ def settle_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
 # Of an angle; elsewhere a length (inch: both are written as "), a time, or a slope. A level says um per m.
 _OF_AN_ANGLE = {"inch": "arcsec", "s": "arcsec", "min": "arcmin", "um/m": "urad", "mm/m": "mrad"}
 
+_BESIDE_AN_ANGLE = {"inch": '"', "min": "'"}  # how the unit of a length, or of a time, was written
+
 
 def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: str) -> tuple[np.ndarray, str, str]:
     """Readings in a unit that the manifest has, that unit, and the reason; of lengths without one, by their size.
@@ -56,7 +58,8 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
     """
     standard = components.unit(component)
     if standard == "urad" and unit in _OF_AN_ANGLE:
-        why = f"{why}; {unit} of an angle"
+        why = why.replace("unit (inch)", 'unit (")')  # as it was read before an angle was known
+        why += f"; {_BESIDE_AN_ANGLE.get(unit, unit)} beside an angle is {_OF_AN_ANGLE[unit]}"
         unit = _OF_AN_ANGLE[unit]
     if standard == "um" and unit in PER_LENGTH:
         raise DataError(
@@ -75,7 +78,7 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
         )
     if unit is None:
         unit = unit_by_size(values) if standard == "um" else standard
-        why += f"; no unit is stated, taken as {unit} by the size of the readings"
+        why += f"; no unit is stated, taken as {unit} by the size of the readings (--unit says it)"
     return values, unit, why
 
 
@@ -89,24 +92,31 @@ def stated_unit(options: ImportOptions, written: str | None, header: str) -> str
     )
 
 
-def unit_by_size(values: np.ndarray) -> str:
-    """um or mm: readings that are all below 0.1 are mm (0.1 um are no error of an axis), those that reach 1 are um.
+SMALLEST = 0.1  # um: no error of an axis is smaller
+LARGEST = 5.0  # mm: no axis that is to be compensated is wrong by more
 
-    Raises DataError between the two, and for whole numbers, which may be steps of a gauge.
+
+def unit_by_size(values: np.ndarray) -> str:
+    """um or mm, where only one of them is possible: 0.1 um are no error of an axis, nor are 5 mm.
+
+    Raises DataError where both are possible, and for whole and half numbers, which may be steps of a gauge.
     """
     size = np.abs(values[np.isfinite(values)])
     most = float(size.max()) if size.size else 0.0
-    if 0.1 <= most < 1.0:
-        raise DataError(f"the readings reach {most:.3g} and no unit is stated: um or mm? Say it with --unit")
-    if most >= 1.0 and np.array_equal(size, np.round(size)):
+    if most < SMALLEST:
+        return "mm"
+    decimals = max(len(f"{v:.9f}".rstrip("0").partition(".")[2]) for v in size.tolist())
+    if most >= 1.0 and np.array_equal(2.0 * size, np.round(2.0 * size)):
         raise DataError(
-            f"the readings are whole numbers up to {most:g} and no unit is stated: um, or the steps of a gauge? "
-            "Say it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
+            f"the readings are whole or half numbers up to {most:g} and no unit is stated: um, or the steps of a gauge?"
+            " Say it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
         )
-    return "mm" if most < 0.1 else "um"
-
-
-NARROW = 100.0  # a longer travel is in mm: machines of more than 100 inch are few, and their files name the unit
+    if most < 1.0 or (most <= LARGEST and decimals > 1):
+        likely = "mm, by their decimals" if decimals > 2 else "nothing says which is likely"
+        raise DataError(
+            f"the readings reach {most:.3g} and no unit is stated: um or mm ({likely})? Say it with --unit mm (or um)"
+        )
+    return "um"
 
 
 def settle_units(p: Proposal, layout: Layout) -> None:
@@ -133,7 +143,7 @@ def settle_units(p: Proposal, layout: Layout) -> None:
             raise DataError(
                 f"no unit is stated for {name!r}: metres, or measured? Say it, with --set {name}.unit=m (or mm)"
             )
-        narrow = entry["role"] in PLACES and np.ptp(p.data[name][np.isfinite(p.data[name])]) < NARROW
+        narrow = entry["role"] in PLACES and np.ptp(p.data[name][np.isfinite(p.data[name])]) < readings.NARROW
         if inches or (narrow and not metric):
             raise DataError(
                 f"no unit is stated for {name!r}, and it may be inches: say it, with "

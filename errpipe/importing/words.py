@@ -18,6 +18,12 @@ CORRECTION = (  # minus the deviation
     r"|補正|补偿|修正|коррекци|компенсаци|поправк|보정"
 )
 
+# Of readings that are referred to 20 degC, or to the air of a laser: it says nothing on their sign.
+_TO_20_DEGREES = re.compile(
+    r"\(?\b(temp(erature?|eratur)?|thermal(ly)?|thermisch|wavelength|material|air)[ .-]*"
+    r"(comp(ensated)?|compense\w*|corr(ected)?|kompensiert|korrigiert)\b\.?\)?"
+)
+
 # In controllers: command minus actual position (LinuxCNC: pos-cmd less pos-fb; TwinCAT: SetPos less ActPos;
 # a control deviation is w - x, DIN IEC 60050-351).
 FOLLOWING = (
@@ -205,9 +211,16 @@ def plain(text: object) -> str:
 
 def kind_by_name(header: str) -> str | None:
     """What a header says its column holds, or None."""
-    text = plain(header)
+    text = _measured(header)
     kind = next((kind for pattern, kind in WORDS if re.search(pattern, text)), None)
     return "error" if kind in ("command", "actual", "position") and difference(header) else kind  # `Soll-Ist`
+
+
+def _measured(header: str) -> str:
+    """A header as `plain` writes it, without `temperature compensated` behind or before what was measured."""
+    text = plain(header)
+    rest = _TO_20_DEGREES.sub(" ", text).strip()
+    return rest if re.search(r"[^\W\d_]{2}", rest) else text
 
 
 def unknown_word(header: str) -> str | None:
@@ -230,14 +243,14 @@ def _ways_of(word: str) -> list[float]:
 
 def is_correction(header: str) -> bool:
     """Whether a header names corrections; `error after correction` is an error."""
-    text = plain(header)
+    text = _measured(header)
     named = re.search(CORRECTION, text) is not None and not is_error_of_a_correction(header)
     return named and not re.search(_STATE_OF_A_COMPENSATION, text)
 
 
 def is_error_of_a_correction(header: str) -> bool:
     """Whether a header names an error behind a correction: `comp. error` may be either; `error correction` is not."""
-    of = re.search(rf"(?:{CORRECTION})\W+(?:errors?|err|fehler|erreur|errore)\b", plain(header))
+    of = re.search(rf"(?:{CORRECTION})\W+(?:errors?|err|fehler|erreur|errore)\b", _measured(header))
     return of is not None
 
 
