@@ -31,7 +31,7 @@ INPUTS = (
 _ARTEFACT = re.compile(
     r"\b(step ?gauges?|step ?bar|gau?ge ?blocks?|(stufen|parallel)?endmass\w*|kugel(balken|platte|leiste)"
     r"|ball ?(plate|beam)|calibrated (length|value|position)s?|kalibrierte[rs]? (laenge|wert|position)\w*"
-    r"|cal\.? ?[xyz]|cale etalon|blocco campione)\b|ブロックゲージ|量块|步距规"
+    r"|posn|dprnt|inspection (report|print)|cal\.? ?[xyz]|cale etalon|blocco campione)\b|ブロックゲージ|量块|步距规"
 )
 _SIGNS = re.compile(r"\b(signs?|vorzeichen|vz|signe|segno|signo)\b|符号|^\W*\+ ?/ ?-\W*$|^\W*±\W*$")
 _SHORT_OR_LONG = re.compile(

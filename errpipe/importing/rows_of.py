@@ -31,7 +31,7 @@ def one_axis(layout: Layout, options: ImportOptions) -> Layout:
         if axis not in letters:
             raise DataError(f"column {c.header!r} has no row of axis {axis} (found: {', '.join(sorted(letters))})")
         kept = _rows(layout, c, np.array([str(cell).strip().upper() == axis for cell in c.cells]), axis)
-        kept.above.insert(0, f"Axis: {axis}")
+        kept.above[:0] = [f"Axis: {axis}", c.header]
         return kept
     return layout
 

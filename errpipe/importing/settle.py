@@ -108,8 +108,8 @@ def unit_by_size(values: np.ndarray) -> str:
     decimals = max(len(f"{v:.9f}".rstrip("0").partition(".")[2]) for v in size.tolist())
     if most >= 1.0 and np.array_equal(2.0 * size, np.round(2.0 * size)):
         raise DataError(
-            f"the readings are whole or half numbers up to {most:g} and no unit is stated: um, or the steps of a gauge?"
-            " Say it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
+            f"the readings are whole numbers, or halves, up to {most:g} and no unit is stated: um, or the steps of a "
+            "gauge? Say it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
         )
     if most < 1.0 or (most <= LARGEST and decimals > 1):
         likely = "mm, by their decimals" if decimals > 2 else "nothing says which is likely"

@@ -16,7 +16,7 @@ from errpipe.domain import units
 from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError, ErrpipeError, UsageError, did_you_mean
 from errpipe.formats import _derived, manifest_folder
-from errpipe.importing import order, settle, signs, together
+from errpipe.importing import order, other_tests, settle, signs, together
 from errpipe.importing.across import upright
 from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
@@ -118,7 +118,8 @@ def _of_any_sheet(
             question = "--" in str(err) and not str(err).startswith(settle.NO_DEVIATION)
             asked = asked or (problems[-1] if question and not out else "")
     if not out:
-        raise DataError(f"{file}: {'; '.join(problems)}")
+        hint = other_tests.named(sheets[:MAX_SHEETS])
+        raise DataError(f"{file}: {'; '.join(problems)}{'.' if hint else ''}{hint}")
     if asked:  # the sheet before may be the one that is meant
         raise DataError(f"{file}: {asked}. Or, of the other sheets, --sheet {out[0][1]!r}")
     together.refuse_states([name for _, name in out], "sheets", "--sheet says which is imported")

@@ -8,6 +8,13 @@ import numpy as np
 import pytest
 
 from errpipe.cli.app import main
+from errpipe.errors import DataError
+from errpipe.importing import dates
+from errpipe.importing.layout import RawColumn
+from errpipe.importing.other_tests import TESTS
+from errpipe.importing.settle import unit_by_size
+from errpipe.importing.sheet import Cell
+from tests.unit.importing.known_test import imported, prepared
 
 TARGETS = np.linspace(0, 600, 11)
 
@@ -23,24 +30,142 @@ def laser_export(runs: int, air: str = "20.0") -> str:
     return "\n".join(lines) + "\n"
 
 
-@pytest.mark.parametrize("runs", [1, 4])
+def started(tmp_path: Path, runs: int) -> Path:
+    """The pipeline of `init` for the imported export."""
+    (tmp_path / "laser.csv").write_text(laser_export(runs), encoding="utf-8")
+    recording = tmp_path / "recording"
+    assert main(["import", str(tmp_path / "laser.csv"), "--out", str(recording), "--yes"]) == 0
+    assert main(["init", "--template", "laser-iso230", str(tmp_path / "work"), "--recording", str(recording)]) == 0
+    return tmp_path / "work" / "pipeline.yaml"
+
+
 def test_a_weather_station_that_shows_one_value_stops_no_test(
-    tmp_path: Path, runs: int, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """`clean` refused it (exit code 3): four of four sensors would have been set aside."""
-    (tmp_path / "laser.csv").write_text(laser_export(runs), encoding="utf-8")
-    work, recording = tmp_path / "work", tmp_path / "recording"
-    assert main(["import", str(tmp_path / "laser.csv"), "--out", str(recording), "--yes"]) == 0
-    assert main(["init", "--template", "laser-iso230", str(work), "--recording", str(recording)]) == 0
-    pipeline = work / "pipeline.yaml"
-    capsys.readouterr()
-    if runs == 1:  # nothing can be held out; but it is not the sensors that stop it
-        assert main(["run", str(pipeline), "--out", str(work / "out"), "--to", "fit"]) == 0
-        return
-    assert main(["run", str(pipeline), "--out", str(work / "out")]) == 0
+    assert main(["run", str(started(tmp_path, 3)), "--out", str(tmp_path / "out"), "--to", "export"]) == 0
     assert "Air_temp set column aside: shows 20 in every row" in capsys.readouterr().out
-    text = pipeline.read_text("utf-8")
+    assert (tmp_path / "out" / "export" / "table.ect").exists()
+
+
+def test_a_term_that_reads_a_sensor_which_stood_still_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pipeline = started(tmp_path, 1)
     term = "          - {term: scale_expansion, axis: X, sensor: Air_temp}\n"
-    pipeline.write_text(text.replace("          - {term: backlash", term + "          - {term: backlash"), "utf-8")
-    assert main(["run", str(pipeline), "--out", str(work / "out")]) == 3
+    text = pipeline.read_text("utf-8").replace("          - {term: backlash", term + "          - {term: backlash")
+    pipeline.write_text(text, "utf-8")
+    assert main(["run", str(pipeline), "--out", str(tmp_path / "out"), "--to", "fit"]) == 3
     assert "Air_temp: cleaning set it aside: shows 20 in every row" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "values, match",
+    [
+        ([0.012, 0.215, 0.433, 0.652], r"um or mm \(mm, by their decimals\)\? Say it with --unit mm"),
+        ([0.1, 0.2, 0.4, 0.6], "um or mm .nothing says"),
+        ([0.012, 0.415, 0.833, 1.252], "um or mm"),
+        ([0.11, 0.42, 2.31, 4.25], "um or mm"),
+        ([0.5, 1.5, 3.0, 2.5], "whole numbers, or halves"),
+    ],
+)
+def test_readings_that_may_be_um_or_mm_are_asked_about(values: list[float], match: str) -> None:
+    """From 1 on they were um with a note: somebody's 1.252 mm would have been compensated by a thousandth."""
+    with pytest.raises(DataError, match=match):
+        unit_by_size(np.array(values))
+
+
+def test_readings_that_can_be_only_one_of_them_are_taken() -> None:
+    assert unit_by_size(np.array([0.0123, -0.0871])) == "mm"  # 0.09 um are no error of an axis
+    assert unit_by_size(np.array([0.12, -7.31])) == "um"  # nor are 7 mm
+    assert unit_by_size(np.array([0.2, -2.3])) == "um"  # nobody measures 0.1 mm to compensate them
+
+
+@pytest.mark.parametrize(("factor", "places", "unit"), [(1, "mm", "mm"), (1000, "mm", "um"), (1, "inch", "mm")])
+def test_deviations_beside_both_positions_have_their_unit_from_them(
+    tmp_path: Path, factor: int, places: str, unit: str
+) -> None:
+    """Deviations in mm beside both positions were read as um."""
+    off = TARGETS / 500
+    rows = [f"{x:.4f};{x + e:.4f};{factor * e:.4f}" for x, e in zip(TARGETS, off, strict=True)]
+    (tmp_path / "f.csv").write_text("\n".join([f"NOM X [{places}];ACT X [{places}];DEV", *rows]), encoding="utf-8")
+    proposal, _ = prepared([tmp_path / "f.csv"])
+    assert proposal.entries["DEV"]["unit"] == unit
+    recording = imported(tmp_path, tmp_path / "f.csv")
+    scale = 1000.0 * (25.4 if places == "inch" else 1.0)
+    assert recording.array("DEV") == pytest.approx(scale * off, abs=0.06 * scale / 1000)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Error (temperature compensated) [um]",
+        "Error (temp. comp.) [um]",
+        "temp comp error [um]",
+        "Fehler temperaturkompensiert [µm]",
+        "Error (wavelength compensated) [um]",
+    ],
+)
+def test_what_is_referred_to_20_degrees_is_no_correction(tmp_path: Path, header: str) -> None:
+    """Asked for its sign, or turned (`temp. comp.`)."""
+    rows = [f"{x};{x / 60:.2f}" for x in TARGETS]
+    (tmp_path / "f.csv").write_text("\n".join([f"X [mm];{header}", *rows]), encoding="utf-8")
+    recording = imported(tmp_path, tmp_path / "f.csv")
+    assert recording.array(recording.names("error")[0]) == pytest.approx(TARGETS / 60, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("form", "epoch"),
+    [
+        ("24-03-{d:02d} {h:02d}:00:00", "2024-03-05T00:00:00"),
+        ("24/03/{d:02d} {h:02d}:00:00", "2024-03-05T00:00:00"),
+        ("{d:02d}-03-24 {h:02d}:00:00", "2024-03-05T00:00:00"),
+        ("{d:02d}/03/24 {h:02d}:00:00", "2024-03-05T00:00:00"),
+    ],
+)
+def test_dates_with_a_year_of_two_digits(form: str, epoch: str) -> None:
+    """The order in which the time is shortest; `24-03-05` was no time that is understood."""
+    cells: list[Cell] = [form.format(d=5 + i // 24, h=i % 24) for i in range(30)]
+    since = dates.seconds(RawColumn("Time", None, cells, np.full(30, np.nan)))
+    assert since is not None
+    assert since[0].tolist() == [3600.0 * i for i in range(30)] and since[1] == epoch
+
+
+OTHER = {
+    "ball bar": ("Angle [deg];Radius dev [um]", lambda i: f"{10 * i};{i % 5 + 0.1}", "protocol ballbar_circle"),
+    "Ballbar": ("Ballbar XY 150\nAngle [deg];Dev [um]", lambda i: f"{10 * i};{i % 5 + 0.1}", "protocol ballbar_circle"),
+    "R-test": ("C [deg];X [mm];Y [mm];Z [mm]", lambda i: f"{10 * i};{0.01 * i:.3f};{0.003 * i:.3f};0.1", "r_test"),
+    "dX": ("C [deg];dX [um];dY [um];dZ [um]", lambda i: f"{10 * i};{i * i};{i};{i % 3}", "COLUMN.component=E_X"),
+    "KGM": ("KGM 182\nX [mm];Y [mm]", lambda i: f"{50 * np.cos(i):.4f};{50 * np.sin(i):.4f}", "protocol point_cloud"),
+    "blocks": ("REPORT", lambda i: f"FEATURE {i}\nPOSN NOM ACT DEV\nX{i} 1.0 1.001 0.001", "own probe"),
+    "POSN": ("POSN;NOM;ACT;DEV", lambda i: f"X;{50 * i};{50 * i + 0.01:.3f};0.01", "--sign commanded-minus-actual"),
+}
+
+
+@pytest.mark.parametrize("name", OTHER)
+def test_a_test_of_another_kind_is_named_with_what_reads_it(tmp_path: Path, name: str) -> None:
+    """A print of a machine's own probe was read as if a laser had measured: with the sign of its readings."""
+    header, row, match = OTHER[name]
+    (tmp_path / "f.csv").write_text("\n".join([header, *(row(i) for i in range(24))]), encoding="utf-8")
+    with pytest.raises(DataError, match=match):
+        prepared([tmp_path / "f.csv"])
+
+
+def test_formats_lists_the_tests_that_are_written_by_hand(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["formats"]) == 0
+    says = capsys.readouterr().out
+    assert [name for name, *_ in TESTS if f"  {name} " not in says] == []
+
+
+@pytest.mark.parametrize("content", [b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600), b"\t\0\4\0" + bytes(300)])
+def test_an_old_workbook_says_what_to_do(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "f.xls").write_bytes(content)
+    with pytest.raises(DataError, match=r"save it as \.xlsx or \.csv"):
+        prepared([tmp_path / "f.xls"])
+
+
+def test_a_quote_beside_an_angle_is_an_arc_second(tmp_path: Path) -> None:
+    """`inch of an angle` was a riddle."""
+    (tmp_path / "f.csv").write_text("\n".join(['X [mm];Pitch ["]', *(f"{x};{x / 60}" for x in TARGETS)]), "utf-8")
+    proposal, _ = prepared([tmp_path / "f.csv"])
+    assert '" beside an angle is arcsec' in proposal.guesses["Pitch"] and "inch" not in proposal.guesses["Pitch"]
