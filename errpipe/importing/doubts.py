@@ -129,7 +129,10 @@ def _unnamed_axis(p: Proposal) -> None:
     """Raise DataError where neither the file nor a person names the axis that is at the positions."""
     place = p.first("command") or p.first("position")
     if p.assumed_axis and place is not None and any(e["role"] == "error" for e in p.entries.values()):
-        raise DataError(f"no axis is named in the file: along which axis is {place!r}? Say it with --axis, such as X")
+        raise DataError(
+            f"no axis is named in the file, its sheet or its name: along which axis is {place!r}? Say it: --axis X "
+            "(or Y, Z, ...)"
+        )
 
 
 def refuse_second_probe(p: Proposal, name: str, letter: str | None, options: ImportOptions) -> None:

@@ -18,13 +18,15 @@ DEEPEST_HEADER = 200  # lines above the data: the longest preamble seen, of a la
 DEEPEST_UNITS = 12  # lines above the header in which a line of units is looked for
 MOST_REMARKS = 50  # lines below a table that are kept as remarks
 SAMPLE_ROWS = 200  # rows in which a unit behind the numbers is looked for
+BY_NAME = "of the sheet or file"
 EMPTY = "columns without a value:"  # a note that an error repeats
 NUMERIC_SHARE = 0.6  # of a column's cells: what is a number column with gaps and remarks
 
 _NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
 _WORD = re.compile(r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?)$).*[^\W\d_]", re.IGNORECASE)  # no missing value
 _AXIS_OF_SHEET = re.compile(
-    r"^([XYZ])\d?$|(?-i:(?:^| )([XYZ])$)|\b(?:axis|achse)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse)\b",
+    r"^([XYZ])\d?$|\b(?:axis|achse|axe|asse|eje)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse|axe|asse)\b"
+    r"|(?-i:(?:^|[ -])([XYZ])(?=[ -]|$)(?!.*[ -][XYZ](?:[ -]|$)))",
     re.IGNORECASE,
 )
 _MOMENT = re.compile(r"(?=.*\d:\d|.*\d[./-]\d+[./-]\d)\d[\d.:/\-T ,+Z]*( [AP]M)?")
@@ -83,7 +85,7 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     head_rows = _header_rows(rows, numbers, start)
     names, units, used = _names(rows, head_rows, max(map(len, rows[start:])))
     above = [" ".join(str(c) for c in row if c not in (None, "")) for row in rows[: start - used]]
-    above += [f"Axis: {letter}" for letter in _axis_of_sheet(sheet.name)]
+    above += [f"Axis: {letter} ({BY_NAME} {sheet.name!r})" for letter in _axis_of_sheet(sheet.name)]
     units = [
         u or a or unit_in_cells.get(i)
         for i, (u, a) in enumerate(zip(units, _units_above(rows, start - used, names), strict=True))
@@ -123,7 +125,7 @@ def _merged(names: list[str], numbers: list[list[float | None]]) -> list[str]:
 
 
 def _axis_of_sheet(name: str) -> list[str]:
-    """The axis that the name of a sheet or file is or holds: `Y`, `Achse Y`, `y-axis_2026`, `laser_Y`; `b1` is none."""
+    """The axis by which a sheet or file is named: `Y`, `Achse Y`, `y-axis_2026`, `laser_Y_run1`; not `b1`, `X_Y`."""
     match = _AXIS_OF_SHEET.search(name.replace("_", " "))
     return [next(filter(None, match.groups())).upper()] if match else []
 

@@ -51,6 +51,9 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     proposal.facts.update(facts(layout.above))
     proposal.side = guessing.side_above(layout.above)
     proposal.notes += signs.compensated(layout.above)
+    said = next((line for line in layout.above if axis_above([line])), None)
+    if options.axis is None and said is not None:
+        proposal.notes.append(f"the axis is {axis_above([said])}, as {said[:60]!r} says (--axis says another one)")
     wide_layout = wide.find(layout, guesses)
     axis = options.axis or _axis(layout, guesses, wide_layout)
     if axis is None:

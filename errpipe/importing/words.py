@@ -182,11 +182,16 @@ _NEUTRAL = re.compile(
 # Of an axis, with the number of a second one: X2. X1 is X, as controls name the only one too.
 AXIS_LETTER = r"([XYZABCUVW](?:[2-9](?!\d))?)"
 _CALLED_AXIS = (
-    r"(?:axis|(?:mess|pruef|prüf|maschinen)?achse|axe|asse|eje|ось)\b"
-    r"(?: (?:under test|tested|measured|name|id|letter|of (?:motion|travel|movement)))?"
+    r"(?:axis|(?:mess|pruef|prüf|maschinen|linear|rund|dreh|schwenk|vorschub|haupt)?achse|achs(?:bezeichnung|name)"
+    r"|axe|asse|eje|eixo|ось|oś|osa|eksen|ekseni)\b"
+    r"(?: (?:under test|tested|measured|name|id|letter|of (?:motion|travel|movement)|lin[eé]aire|lineare?"
+    r"|mesuré))?"
 )
+_NUMBERED = r"(?:(?:(?:no|nr)\.? ?)?\d(?: ?[:=]| (?=\()))"  # `Axis: 1 (X)`, `Achse Nr. 2: Y`
 _AXIS_ABOVE = re.compile(
-    rf"(?:\b{_CALLED_AXIS}|[軸轴])\s*[:=;：]?\s*{AXIS_LETTER}1?\b|\b{AXIS_LETTER}1?[- ]?(?:{_CALLED_AXIS}|[軸轴])",
+    rf"(?:\b{_CALLED_AXIS}|[軸轴축])\s*[:=;,：]?\s*{_NUMBERED}?\s*[\"'(\[]?{AXIS_LETTER}1?\b"
+    rf"|\b{AXIS_LETTER}1?[- ]?(?:{_CALLED_AXIS}|[軸轴축])"
+    r"|\b(?:linear(?: positioning)?|positioning|positionierung)[: ]+(?-i:([XYZ]))\b(?! ?-)",
     re.IGNORECASE,
 )
 _AXIS_BEFORE = re.compile(
@@ -285,5 +290,5 @@ def axis_above(lines: list[str]) -> str | None:
     for line in lines:
         match = _AXIS_ABOVE.search(line)
         if match:
-            return (match.group(1) or match.group(2)).upper()
+            return next(filter(None, match.groups())).upper()
     return None
