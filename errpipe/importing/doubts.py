@@ -8,7 +8,7 @@ import numpy as np
 
 from errpipe.domain import components
 from errpipe.errors import DataError
-from errpipe.importing import words
+from errpipe.importing import columns, words
 from errpipe.importing.layout import Layout
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 
@@ -143,4 +143,18 @@ def refuse_second_probe(p: Proposal, name: str, letter: str | None, options: Imp
         raise DataError(
             f"{name!r} names {letter}, and no position of an axis {letter} is recorded: a second probe along "
             f"{letter[0]}? Say --set {name}.role=ignore, or import it by itself with --component E_{letter[0]}"
+        )
+
+
+def refuse_another_title(p: Proposal, layout: Layout, options: ImportOptions) -> None:
+    """Raise DataError where a line above names a straightness or a shape, and the readings would become positioning."""
+    title = next((line for line in layout.above if columns.titles_another(line)), None)
+    place = p.first("position") or p.first("command")
+    if title is None or place is None or options.component is not None:
+        return
+    own = components.positioning(p.entries[place]["axis"])
+    if any(e["role"] == "error" and e["component"] == own and "derived" not in e for e in p.entries.values()):
+        raise DataError(
+            f"a line above says {title[:60]!r}, and no column does: say what was measured with --component, such as "
+            f"EYX (or {own}, the positioning)"
         )

@@ -25,8 +25,7 @@ NUMERIC_SHARE = 0.6  # of a column's cells: what is a number column with gaps an
 _NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
 _WORD = re.compile(r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?)$).*[^\W\d_]", re.IGNORECASE)  # no missing value
 _AXIS_OF_SHEET = re.compile(
-    r"^([XYZ])\d?$|\b(?:axis|achse|axe|asse|eje)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse|axe|asse)\b"
-    r"|(?-i:(?:^|[ -])([XYZ])(?=[ -]|$)(?!.*[ -][XYZ](?:[ -]|$)))",
+    r"^([XYZ])\d?$|\b(?:axis|achse|axe|asse|eje)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse|axe|asse)\b",
     re.IGNORECASE,
 )
 _MOMENT = re.compile(r"(?=.*\d:\d|.*\d[./-]\d+[./-]\d)\d[\d.:/\-T ,+Z]*( [AP]M)?")
@@ -126,8 +125,9 @@ def _merged(names: list[str], numbers: list[list[float | None]]) -> list[str]:
 
 def _axis_of_sheet(name: str) -> list[str]:
     """The axis by which a sheet or file is named: `Y`, `Achse Y`, `y-axis_2026`, `laser_Y_run1`; not `b1`, `X_Y`."""
-    match = _AXIS_OF_SHEET.search(name.replace("_", " "))
-    return [next(filter(None, match.groups())).upper()] if match else []
+    name = name.replace("_", " ")
+    match, alone = _AXIS_OF_SHEET.search(name), re.findall(r"(?:^|(?<=[ -]))[XYZ](?=[ -]|$)", name)
+    return [next(filter(None, match.groups())).upper()] if match else alone if len(alone) == 1 else []
 
 
 def _is_rule(row: list[Cell]) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from errpipe.importing.sheet import Sheet, filled_cells
+from errpipe.importing.sheet import Cell, Sheet, filled_cells
 from errpipe.importing.words import plain
 
 LINES = 40  # of a file in which a test is named
@@ -47,8 +47,8 @@ TESTS: tuple[tuple[str, str, str, str], ...] = (
 def named(sheets: Iterable[Sheet]) -> str:
     """What the first lines of a file say it is and what reads it, as a sentence; '' where they name none of TESTS."""
     for sheet in sheets:
-        head = [sheet.header] if sheet.header is not None else []
-        lines = [plain(" ".join(str(c) for c in filled_cells([*row]))) for row in [*head, *sheet.rows[:LINES]]]
+        rows: list[list[Cell]] = [[*(sheet.header or [])], *sheet.rows[:LINES]]
+        lines = [plain(" ".join(map(str, filled_cells(row)))) for row in rows]
         for _, said, what, reads in TESTS:
             if any(re.search(said, line) for line in lines):
                 return f" It may be {what}: {reads}."

@@ -14,7 +14,7 @@ from errpipe.domain import components
 from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.importing import columns as guessing
-from errpipe.importing import dates, no_reading, order, readings, rows_of, settle, signs, simulated, wide
+from errpipe.importing import dates, doubts, no_reading, order, readings, rows_of, settle, signs, simulated, wide
 from errpipe.importing.layout import Layout, RawColumn, facts, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
@@ -43,8 +43,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         raise DataError("no column has a value")
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
     guesses, unsure = with_temperatures(layout.columns, guessing.with_place(layout.columns, guesses))
-    if options.unit is None:
-        unsure += readings.unit_by_positions(layout.columns, guesses)
+    unsure += readings.unit_by_positions(layout.columns, guesses) if options.unit is None else []
     _refuse_diameters(layout, guesses, options)
     layout = wide.side_by_side(wide.merged_targets(layout, guesses), guesses)
     proposal = Proposal(notes=[*layout.notes, *unsure], headers=headers)
@@ -71,22 +70,8 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         _wide(layout, guesses, wide_layout, axis, options, proposal)
     else:
         _long(layout, guesses, axis, options, proposal, may_be_log)
-    _refuse_another_title(proposal, layout, options)
+    doubts.refuse_another_title(proposal, layout, options)
     return proposal
-
-
-def _refuse_another_title(p: Proposal, layout: Layout, options: ImportOptions) -> None:
-    """Raise DataError where a line above names a straightness or a shape, and the readings would become positioning."""
-    title = next((line for line in layout.above if guessing.titles_another(line)), None)
-    place = p.first("position") or p.first("command")
-    if title is None or place is None or options.component is not None:
-        return
-    own = components.positioning(p.entries[place]["axis"])
-    if any(e["role"] == "error" and e["component"] == own and "derived" not in e for e in p.entries.values()):
-        raise DataError(
-            f"a line above says {title[:60]!r}, and no column does: say what was measured with --component, such as "
-            f"EYX (or {own}, the positioning)"
-        )
 
 
 _DIAMETERS = re.compile(

@@ -44,7 +44,7 @@ def unit_by_positions(columns: Sequence[RawColumn], guesses: Mapping[str, Column
     actual = kinds["actual"] or (kinds["position"] if kinds["command"] else [])
     if len(places) != 1 or len(actual) != 1 or places[0].unit != actual[0].unit:
         return []
-    unit = places[0].unit or ("mm" if np.nanmax(places[0].values) - np.nanmin(places[0].values) >= NARROW else None)
+    unit = places[0].unit or ("mm" if np.nanmax(places[0].values) - np.nanmin(places[0].values) >= NARROW else "")
     off = actual[0].values - places[0].values
     for c in kinds["error"] if unit in ("mm", "inch") else []:
         good = np.isfinite(off) & np.isfinite(c.values)

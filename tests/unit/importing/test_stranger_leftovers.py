@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,10 @@ from errpipe.errors import DataError
 from errpipe.importing import dates
 from errpipe.importing.layout import RawColumn
 from errpipe.importing.other_tests import TESTS
+from errpipe.importing.proposed import ImportOptions
 from errpipe.importing.settle import unit_by_size
-from errpipe.importing.sheet import Cell
+from errpipe.importing.sheet import Cell, DoorOptions
+from errpipe.stages import import_files
 from tests.unit.importing.known_test import imported, prepared
 
 TARGETS = np.linspace(0, 600, 11)
@@ -174,3 +177,53 @@ def test_a_quote_beside_an_angle_is_an_arc_second(tmp_path: Path) -> None:
     (tmp_path / "f.csv").write_text("\n".join(['X [mm];Pitch ["]', *(f"{x};{x / 60}" for x in TARGETS)]), "utf-8")
     proposal, _ = prepared([tmp_path / "f.csv"])
     assert '" beside an angle is arcsec' in proposal.guesses["Pitch"] and "inch" not in proposal.guesses["Pitch"]
+
+
+def positions(header: str = "Target [mm];Error [um]", above: str = "") -> str:
+    return "\n".join([*([above] if above else []), header, *(f"{x:g};{x / 60 + 1.03:.2f}" for x in TARGETS)])
+
+
+IN_WORDS = [
+    ("d.csv", "X-Achse", "X"),
+    ("d.csv", "Linearachse Y", "Y"),
+    ("d.csv", "Axis: 1 (X)", "X"),
+    ("d.csv", "Achse Nr. 2: Y", "Y"),
+    ("d.csv", "Achsbezeichnung: Z", "Z"),
+    ("d.csv", "Axe linéaire Y", "Y"),
+    ("d.csv", "Asse lineare X", "X"),
+    ("d.csv", 'Axis,"Y"', "Y"),
+    ("d.csv", "Axis [X]", "X"),
+    ("d.csv", "X ekseni", "X"),
+    ("d.csv", "X축", "X"),
+    ("d.csv", "Positionierung Y", "Y"),
+    ("X_axis_run1.csv", "", "X"),
+    ("Achse-Y.csv", "", "Y"),
+    ("axe_Z 2.csv", "", "Z"),
+    ("laser_X_2024.csv", "", "X"),
+    ("Linear_Y_bidirectional.csv", "", "Y"),
+]
+
+
+@pytest.mark.parametrize(("name", "above", "axis"), IN_WORDS)
+def test_an_axis_in_words_is_taken_with_a_note(tmp_path: Path, name: str, above: str, axis: str) -> None:
+    (tmp_path / name).write_text(positions(above=above), encoding="utf-8")
+    proposal, _ = import_files.prepare([tmp_path / name], DoorOptions(), ImportOptions())
+    assert proposal.entries["Target"]["axis"] == axis
+    assert any(note.startswith(f"the axis is {axis}, as ") for note in proposal.notes)
+
+
+@pytest.mark.parametrize(
+    ("name", "above"),
+    [("max.csv", ""), ("X_Y.csv", ""), ("report_A.csv", ""), ("d.csv", "Machine VMC X500"), ("d.csv", "Axis 1")],
+)
+def test_where_nothing_names_an_axis_the_answer_is_a_command(
+    tmp_path: Path, name: str, above: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The question named an option, and not what to type."""
+    (tmp_path / name).write_text(positions(above=above), encoding="utf-8")
+    command = ["import", str(tmp_path / name), "--out", str(tmp_path / "my rec"), "--yes"]
+    assert main(command) == 3
+    again = capsys.readouterr().err.strip().split("\n")[-1]
+    assert again.startswith("again, where it is X: errpipe import ")
+    assert main(shlex.split(again.partition(": errpipe ")[2])) == 0
+    assert (tmp_path / "my rec" / "recording.yaml").exists()
