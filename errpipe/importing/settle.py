@@ -94,6 +94,7 @@ def stated_unit(options: ImportOptions, written: str | None, header: str) -> str
 
 SMALLEST = 0.1  # um: no error of an axis is smaller
 LARGEST = 5.0  # mm: no axis that is to be compensated is wrong by more
+OF_MM = (3, 4)  # decimals that dials and lasers show in mm; what was computed has more
 
 
 def unit_by_size(values: np.ndarray) -> str:
@@ -106,13 +107,15 @@ def unit_by_size(values: np.ndarray) -> str:
     if most < SMALLEST:
         return "mm"
     decimals = max(len(f"{v:.9f}".rstrip("0").partition(".")[2]) for v in size.tolist())
-    if most >= 1.0 and np.array_equal(2.0 * size, np.round(2.0 * size)):
+    steps = np.diff(np.unique(size))
+    in_steps = np.array_equal(2.0 * size, np.round(2.0 * size)) and steps.size and steps.min() <= 1.0
+    if most >= 1.0 and (in_steps or np.array_equal(size, np.round(size))):
         raise DataError(
             f"the readings are whole numbers, or halves, up to {most:g} and no unit is stated: um, or the steps of a "
             "gauge? Say it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
         )
     if most < 1.0 or (most <= LARGEST and decimals > 1):
-        likely = "mm, by their decimals" if decimals > 2 else "nothing says which is likely"
+        likely = "mm is likely, by their decimals" if decimals in OF_MM else "nothing says which is likely"
         raise DataError(
             f"the readings reach {most:.3g} and no unit is stated: um or mm ({likely})? Say it with --unit mm (or um)"
         )
