@@ -28,7 +28,7 @@ TESTS: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "grid encoder",
-        r"\bkgm ?\d*\b|\bgrid ?encoder\b|\bkreuzgitter",
+        r"\bkgm ?\d*\b|\bgrid ?encoder\b|\bkreuzgitter|^\W*[xyz]( \W?mm\W?)?\W+[xyz]( \W?mm\W?)?$",
         "the log of a grid encoder, where two axes move together",
         f"{_WRITE} protocol point_cloud, the commanded positions of both axes, and measured less commanded as E_X, "
         "E_Y; where commanded and measured positions stand in the file, --axis X imports X alone",

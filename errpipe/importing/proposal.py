@@ -117,7 +117,8 @@ def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], unfolded: wi
     above = axis_above(layout.above)
     if named and above is not None and above not in named:
         raise DataError(
-            f"a line above the table, its sheet or file names the axis {above}, a column {named[0]}: say it with --axis"
+            f"a line above the table, its sheet or file names the axis {above}, a column {named[0]}: say it "
+            f"with --axis {named[0]} (or {above})"
         )
     return above or (named[0] if named else None)
 

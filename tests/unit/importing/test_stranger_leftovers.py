@@ -144,6 +144,7 @@ OTHER = {
     "R-test": ("C [deg];X [mm];Y [mm];Z [mm]", lambda i: f"{10 * i};{0.01 * i:.3f};{0.003 * i:.3f};0.1", "r_test"),
     "dX": ("C [deg];dX [um];dY [um];dZ [um]", lambda i: f"{10 * i};{i * i};{i};{i % 3}", "COLUMN.component=E_X"),
     "KGM": ("KGM 182\nX [mm];Y [mm]", lambda i: f"{50 * np.cos(i):.4f};{50 * np.sin(i):.4f}", "protocol point_cloud"),
+    "X, Y": ("X [mm];Y [mm]", lambda i: f"{50 * np.cos(i):.4f};{50 * np.sin(i):.4f}", "grid encoder"),
     "blocks": ("REPORT", lambda i: f"FEATURE {i}\nPOSN NOM ACT DEV\nX{i} 1.0 1.001 0.001", "own probe"),
     "POSN": ("POSN;NOM;ACT;DEV", lambda i: f"X;{50 * i};{50 * i + 0.01:.3f};0.01", "--sign commanded-minus-actual"),
 }
