@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from errpipe.importing.sheet import Cell, Sheet, filled_cells
 from errpipe.importing.words import plain
 
-LINES = 40  # of a file in which a test is named
+LINES, WIDTH = 40, 300  # lines of a file, and letters of each, in which a test is named
 _WRITE = "write a recording (docs/recordings.md, Tests of a machine) for the stage identify:"
 # Name; what a line (as `plain` writes it) says of it; what it is; what reads it.
 TESTS: tuple[tuple[str, str, str, str], ...] = (
@@ -48,7 +48,7 @@ def named(sheets: Iterable[Sheet]) -> str:
     """What the first lines of a file say it is and what reads it, as a sentence; '' where they name none of TESTS."""
     for sheet in sheets:
         rows: list[list[Cell]] = [[*(sheet.header or [])], *sheet.rows[:LINES]]
-        lines = [plain(" ".join(map(str, filled_cells(row)))) for row in rows]
+        lines = [plain(" ".join(map(str, filled_cells(row)))[:WIDTH]) for row in rows]
         for _, said, what, reads in TESTS:
             if any(re.search(said, line) for line in lines):
                 return f" It may be {what}: {reads}."

@@ -189,9 +189,9 @@ _CALLED_AXIS = (
 )
 _NUMBERED = r"(?:(?:(?:no|nr)\.? ?)?\d(?: ?[:=]| (?=\()))"  # `Axis: 1 (X)`, `Achse Nr. 2: Y`
 _AXIS_ABOVE = re.compile(
-    rf"(?:\b{_CALLED_AXIS}|[軸轴축])\s*[:=;,：]?\s*{_NUMBERED}?\s*[\"'(\[]?{AXIS_LETTER}1?\b"
+    rf"(?:\b{_CALLED_AXIS}|[軸轴축])\s{{0,9}}[:=;,：]?\s{{0,9}}{_NUMBERED}?\s{{0,9}}[\"'(\[]?{AXIS_LETTER}1?\b"
     rf"|\b{AXIS_LETTER}1?[- ]?(?:{_CALLED_AXIS}|[軸轴축])"
-    r"|\b(?:linear(?: positioning)?|positioning|positionierung)[: ]+(?-i:([XYZ]))\b(?! ?-)",
+    r"|\b(?:linear(?: positioning)?|positioning|positionierung)[: ]{1,9}(?-i:([XYZ]))\b(?! ?-)",
     re.IGNORECASE,
 )
 _AXIS_BEFORE = re.compile(
