@@ -65,15 +65,15 @@ class StuckSensors(Rule):
         finite = values[np.isfinite(values)]
         if finite.size == 0:
             return "holds no value"
-        if _spoken_for(values) < (1 - self.empty) * values.size:
+        if _rows_with_reading(values) < (1 - self.empty) * values.size:
             return f"empty in {values.size - finite.size} of {values.size} rows"
         if finite.size >= MIN_STUCK_ROWS and np.ptp(finite) == 0.0:
             return f"shows {finite[0]:g} in every row"
         return ""
 
 
-def _spoken_for(values: np.ndarray) -> int:
-    """Rows for which a reading stands: its own and, of a sensor logged less often, those to its usual next one."""
+def _rows_with_reading(values: np.ndarray) -> int:
+    """Rows with a reading; of a sensor logged less often also those up to the next one, at its usual rate."""
     steps = np.diff(np.r_[np.flatnonzero(np.isfinite(values)), values.size])
     return int(np.minimum(steps, rows_between(values)).sum())
 

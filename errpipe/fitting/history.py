@@ -50,8 +50,8 @@ class Fold:
         return float(rotated @ rotated), float(rotated[0] / self.factor[0, 0])
 
 
-def hindrances(spec: ModelSpec, recording: Recording) -> list[str]:
-    """What of a specification cannot be fitted batch by batch; recording: any rows of it."""
+def unsupported_in_batches(spec: ModelSpec, recording: Recording) -> list[str]:
+    """Parts of a specification that cannot be fitted batch by batch; recording: any rows of it."""
     reasons = [f"method: {spec.method}"] if spec.method != "linear" else []
     reasons += ["datum: run_start"] if spec.datum == "run_start" else []
     reasons += [f"selection: {spec.selection}"] if spec.selection != "none" else []
@@ -68,7 +68,7 @@ def hindrances(spec: ModelSpec, recording: Recording) -> list[str]:
 
 
 def fitted(source: Source, spec: ModelSpec, prepare: Prepare) -> ErrorModel:
-    """`model.fit` of a specification that `refusals` has nothing against. Raises DataError, NotIdentifiable."""
+    """`model.fit` of a specification for which `unsupported_in_batches` is empty. Raises DataError, NotIdentifiable."""
     layout = batches.survey(source, spec)
     histories = batches.gather(source, spec, layout, prepare)
     models, sample = [_component(source, h, spec, prepare) for h in histories], histories[0].sample(source.manifest)

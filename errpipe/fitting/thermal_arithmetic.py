@@ -90,7 +90,7 @@ def no_usable_row(recording: Recording, component: str) -> DataError:
     """What to raise where no row can be fitted: names the emptiest temperature."""
     return DataError(
         f"thermal model of {component}: no row has a deviation and all temperatures, these without a long hole since "
-        f"the start of its run ({_emptiest(recording)})"
+        f"the start of its run ({_sensor_with_most_gaps(recording)})"
     )
 
 
@@ -128,10 +128,12 @@ def few_rows_fitted(recording: Recording, component: str, fitted: int) -> str:
     measured = int(np.isfinite(recording.array(response_name(recording, component))).sum())
     if fitted > MOST_FITTED * measured:
         return ""
-    return f"; fitted to {fitted} of {measured} rows, the others lack a temperature ({_emptiest(recording)})"
+    return (
+        f"; fitted to {fitted} of {measured} rows, the others lack a temperature ({_sensor_with_most_gaps(recording)})"
+    )
 
 
-def _emptiest(recording: Recording) -> str:
+def _sensor_with_most_gaps(recording: Recording) -> str:
     empty = recording.frame[list(recording.names("temperature"))].isna().sum()
     name = empty.idxmax()
     return f"emptiest: {name}, no reading in {empty.max()} of {len(recording)} rows; with `role: ignore` it is not used"

@@ -62,7 +62,7 @@ def fit(
     options = options or SeasonOptions()
     with one_thread():
         problem = Problem(recording, component, options, rows)
-        problem.orient()
+        problem.choose_signs()
         return problem.model()
 
 
@@ -130,7 +130,7 @@ class Problem:
         measured = np.isfinite(self.response)
         return centred(self.core, self.recording.run_codes(), self.options.datum_rows, measured, 1.0)
 
-    def orient(self) -> None:
+    def choose_signs(self) -> None:
         """Reverse all signs where held-out runs are predicted better so: a response may count the other way."""
         turned = -self.signs
         errors = []
@@ -191,7 +191,7 @@ class Problem:
                 out["correction"][rows] = gate * gains.correction.values(warmth[rows], self.extra_centred[rows])
         return out
 
-    def seen_box(self, rows: np.ndarray) -> Validity:
+    def temperature_ranges(self, rows: np.ndarray) -> Validity:
         """The temperatures of the rows of a mask."""
         return box(self.recording, self.sensors.all(), rows).model_copy(update={"fades": False})
 
@@ -270,7 +270,7 @@ class Problem:
             terms,
             intervals,
             intervals.factor(known, self._ramp(gains, 1.0 / FAR_SHARE)),
-            self.seen_box(self.rows),
+            self.temperature_ranges(self.rows),
             self.options.fade,
             limit,
             self._datum(),

@@ -22,7 +22,7 @@ _TARGETS = re.compile(r"(target|soll|nominal|position|ziel|cible|目標|目标)"
 _READINGS = re.compile(r"(deviation|abweich|error|fehler|ecart|scostamento|偏差|误差)", re.IGNORECASE)
 
 
-def upright(sheet: Sheet) -> Sheet:
+def transposed(sheet: Sheet) -> Sheet:
     """The sheet with a row per target where its targets stand across; any other sheet as it is."""
     comma = decimal_comma(sheet.rows)
     rows = [] if sheet.header is not None else sheet.rows[:DEEPEST_HEADER]
@@ -68,7 +68,7 @@ def _of_readings(
     sides: dict[int, float] | None,
     readings: list[tuple[str, float | None, Figures]],
 ) -> Sheet:
-    """The upright sheet. sides: of every column of the first row where one states them, else None."""
+    """The sheet with a row per target. sides: of every column of the first row where one states them, else None."""
     name, unit = split_header(label(sheet.rows[at][0]))
     reading_unit = split_header(title)[1]
     mark = {1.0: "+", -1.0: "-", None: ""}

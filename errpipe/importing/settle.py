@@ -13,8 +13,8 @@ import numpy as np
 
 from errpipe.domain import components
 from errpipe.errors import DataError
+from errpipe.importing import ambiguities, dates, order, readings, signs, simulated
 from errpipe.importing import columns as guessing
-from errpipe.importing import dates, doubts, order, readings, signs, simulated
 from errpipe.importing.layout import EMPTY, Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.units import PER_LENGTH, plain_unit, split_header
@@ -26,8 +26,8 @@ NO_DEVIATION = "no column holds a deviation"
 
 def settle_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
     """Roles of positions: beside a command the other one is actual; alone a target is the position."""
-    leave_numbers(p)
-    one_of_each(p)
+    ignore_target_numbers(p)
+    one_position_per_axis(p)
     deviations_as_errors(p, options)
     axes = {e["axis"] for e in p.entries.values() if e["role"] in ("command", "position", "actual")}
     errors = [e for e in p.entries.values() if e["role"] == "error"]
@@ -141,10 +141,10 @@ def settle_units(p: Proposal, layout: Layout) -> None:
             )
 
 
-_BESIDE_THE_MACHINE = re.compile(r"laser|interferom|dial|indicator|messuhr", re.IGNORECASE)
+_EXTERNAL_INSTRUMENT = re.compile(r"laser|interferom|dial|indicator|messuhr", re.IGNORECASE)
 
 
-def one_of_each(p: Proposal) -> None:
+def one_position_per_axis(p: Proposal) -> None:
     """One commanded and one actual position of an axis; of two actual ones a laser's or a dial's is the measured one.
 
     Raises DataError where two of a kind differ and nothing says which is meant.
@@ -152,7 +152,7 @@ def one_of_each(p: Proposal) -> None:
     for role in ("command", "actual", "position"):
         for letter in sorted({e["axis"] for e in p.entries.values() if e["role"] == role}):
             names = [n for n, e in p.entries.items() if e["role"] == role and e["axis"] == letter and n in p.data]
-            measured = [n for n in names if _BESIDE_THE_MACHINE.search(n)]
+            measured = [n for n in names if _EXTERNAL_INSTRUMENT.search(n)]
             if len(names) < 2:
                 continue
             beside = role == "actual" and len(measured) == 1
@@ -199,7 +199,7 @@ def deviations_as_errors(p: Proposal, options: ImportOptions) -> None:
         p.guesses[name] = f"{why}; it does not rise with {command}: deviations in {unit}".strip("; ")
 
 
-def leave_numbers(p: Proposal) -> None:
+def ignore_target_numbers(p: Proposal) -> None:
     """Beside another command or position of an axis, one that counts 1, 2, 3 holds the numbers of the targets."""
     places = ("command", "position")
     for name, entry in p.entries.items():
@@ -217,14 +217,14 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     of_errors = [e.get("_headers", ()) for e in p.entries.values() if e["role"] == "error"]
     if p.side is None and len(of_errors) == 1 and len(of_errors[0]) == 1:
         p.side = guessing.side_in(of_errors[0][0])
-    readings.turn_readings(p)
-    signs.leave_corrections(p)
-    signs.turn(p, layout, options)
+    readings.change_sign_of_readings(p)
+    signs.ignore_corrections(p)
+    signs.change(p, layout, options)
     readings.readings_as_errors(p, axis)
     readings.derive_error(p, axis, options)
     simulated.forces_as_responses(p)
     simulated.of_the_only_response(p)
-    simulated.turn_signs(p, simulated.positions_as_deviations(p))
+    simulated.change_signs(p, simulated.positions_as_deviations(p))
     if not any(e["role"] == "error" for e in p.entries.values()):
         have = ", ".join(_found(p, n) for n in p.entries)
         raise DataError(
@@ -232,14 +232,14 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
             "Say it with --set COLUMN.role=error, or --set COLUMN.role=actual"
             + "".join(f"; {note}" for note in layout.notes if "--names" in note or note.startswith(EMPTY))
         )
-    doubts.refuse(p, layout, options)
+    ambiguities.refuse(p, layout, options)
     _refuse_one_of_several_axes(p, layout, options)
     settle_units(p, layout)
     unknown = [c for c in layout.columns if _may_be_a_place(p, c)]
-    doubts.refuse_nothing_beside(p, bool(unknown))
+    ambiguities.refuse_without_position(p, bool(unknown))
     for name, entry in p.entries.items():
         letter, _ = entry.pop("_axis", None), entry.pop("_headers", None)
-        doubts.refuse_second_probe(p, name, letter, options)
+        ambiguities.refuse_second_probe(p, name, letter, options)
         alone = letter is not None and p.first("position", letter) is None and p.first("command", letter) is None
         if alone and entry["component"] == components.positioning(letter) and letter in "XYZUVW":
             if unknown:

@@ -52,7 +52,7 @@ _A_WAY = re.compile(
 )
 
 
-def leave_corrections(p: Proposal) -> None:
+def ignore_corrections(p: Proposal) -> None:
     """A column of corrections beside one of deviations is left out, and a following error beside both positions."""
     errors = [n for n, e in p.entries.items() if e["role"] == "error"]
     for name in [n for n in errors if any(map(words.is_following_error, p.entries[n].get("_headers", (n,))))]:
@@ -83,7 +83,7 @@ def compensated(above: list[str]) -> list[str]:
     ]
 
 
-def turn(p: Proposal, layout: Layout, options: ImportOptions) -> None:
+def change(p: Proposal, layout: Layout, options: ImportOptions) -> None:
     """Every error column as actual minus commanded. Raises DataError where the file says a sign that is not understood.
 
     An option goes before both positions, these before the column's header, and that before the lines around the table.

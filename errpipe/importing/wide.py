@@ -81,7 +81,7 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     """The wide layout of a table, or None where a row is one reading."""
     numeric, repeated = [c for c in layout.columns if c.numeric], []
     headers = {c.header.lower() for c in numeric}
-    said = {c.header: run_and_side(_beside_negative(c.header, headers)) for c in numeric}
+    said = {c.header: run_and_side(_positive_side(c.header, headers)) for c in numeric}
     places = [c for c in numeric if guesses[c.header].kind in ("command", "position")]
     places = [c for c in places if len(places) == 1 or not (_counts(c) or is_figure(c.header))]
     targets = [c for c in places if said[c.header] == (None, None)]
@@ -134,8 +134,8 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     return Wide(targets[0], readings, statistics, labels[0] if labels and not named else None, way)
 
 
-def _beside_negative(header: str, headers: set[str]) -> str:
-    """The header with `pos` as a side, where one with `neg` in its place stands beside it: else it is a position."""
+def _positive_side(header: str, headers: set[str]) -> str:
+    """The header with `pos` read as a side where another header has `neg` in its place; else `pos` is a position."""
     words = re.compile(r"\bpos(?![^\W\d_])", re.IGNORECASE)
     return words.sub("+", header) if words.sub("neg", header).lower() in headers - {header.lower()} else header
 

@@ -38,7 +38,7 @@ class Bilinear(ThermalFamily):
     """Ridge on rises, lagged rises, and products of a sensor's rate with a sensor's rise, at once and late."""
 
     family: Literal["bilinear"] = Field("bilinear", description="Model family.")
-    bends: ClassVar[bool] = True
+    nonlinear: ClassVar[bool] = True
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """Every setting; none of one run, of no sensor or more than `MOST_SENSORS`, or where nothing can be lagged.

@@ -27,7 +27,7 @@ class Neural(ThermalFamily):
     """A multilayer perceptron of one hidden layer with tanh, zero where nothing has warmed up."""
 
     family: Literal["neural"] = Field("neural", description="Model family.")
-    bends: ClassVar[bool] = True
+    nonlinear: ClassVar[bool] = True
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """A network alone, and one beside a ridge that knows the rates too; none without a temperature."""

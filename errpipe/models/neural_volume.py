@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
-from errpipe.models._base import Family, Fitted, Progress, held_out, silent
+from errpipe.models._base import Family, Fitted, Progress, held_out, no_progress
 from errpipe.models._perceptron import Layer, entrant
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class NeuralVolume(Family):
         layers = (Layer(nodes, centre, self.units, penalty) for penalty in PENALTIES)
         return [entrant(name, f"{name}, penalty {one.penalty:g}", problem, one) for one in layers]
 
-    def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
+    def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Fit on every row. Raises DataError without a position, a component, or a row that has everything."""
         import numpy as np
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from errpipe.models._base import Family, Fitted, Progress, Table, held_out, silent
+from errpipe.models._base import Family, Fitted, Progress, Table, held_out, no_progress
 
 if TYPE_CHECKING:
     import numpy as np
@@ -45,7 +45,7 @@ class Plate(Family):
         """Both directions of the plane."""
         return DIRECTIONS
 
-    def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
+    def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Fit the chosen plates. Raises DataError for a label that is not in the recording."""
         from errpipe.kinematics import planar
 
@@ -79,7 +79,9 @@ class Plate(Family):
         from errpipe.fitting.design import response_name
         from errpipe.kinematics import planar
 
-        model = planar.fit_plate(recording, rows=fold.train & self._speaks(recording, fold.train), modes=self.modes)
+        model = planar.fit_plate(
+            recording, rows=fold.train & self._chosen_rows(recording, fold.train), modes=self.modes
+        )
         x, y = (recording.array(str(recording.name("position", axis=a))) for a in "XY")
         deviation = np.column_stack([recording.array(response_name(recording, c)) for c in DIRECTIONS])
         residual = deviation - model.predict(x, y)
@@ -96,7 +98,7 @@ class Plate(Family):
         outside = np.maximum.reduce([box.x[0] - x, x - box.x[1], box.y[0] - y, y - box.y[1], np.zeros_like(x)])
         return {c: held_out(fold, before[:, k], after[:, k], outside, used=used) for k, c in enumerate(DIRECTIONS)}
 
-    def _speaks(self, recording: Recording, rows: np.ndarray) -> np.ndarray:
+    def _chosen_rows(self, recording: Recording, rows: np.ndarray) -> np.ndarray:
         """Rows of the plate that option `plate` chooses; the last one in the mask `rows` where that one is held out."""
         import numpy as np
 

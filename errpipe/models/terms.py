@@ -9,7 +9,7 @@ from pydantic import Field
 
 from errpipe.errors import DataError
 from errpipe.fitting.spec import ModelSpec
-from errpipe.models._base import Family, Fitted, Judged, Progress, fit_summary, silent
+from errpipe.models._base import Family, Fitted, Judged, Progress, fit_summary, no_progress
 from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ class Terms(ModelSpec, Family):
         """How it is solved."""
         return self.method
 
-    def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
+    def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Fit on every row. Raises DataError, NotIdentifiable."""
         from errpipe.fitting import model
 
@@ -77,13 +77,13 @@ class Terms(ModelSpec, Family):
 
         if source.rows <= (self.rows_in_memory or ROWS_IN_MEMORY):
             return False
-        hindrances = history.hindrances(self, source.ends)
-        if hindrances and self.rows_in_memory is not None:
+        unsupported = history.unsupported_in_batches(self, source.ends)
+        if unsupported and self.rows_in_memory is not None:
             raise DataError(
                 f"fit: {source.rows} rows are more than rows_in_memory ({self.rows_in_memory}), and in batches there is"
-                f" no {', no '.join(hindrances)}. Leave it out, or raise rows_in_memory."
+                f" no {', no '.join(unsupported)}. Leave it out, or raise rows_in_memory."
             )
-        return not hindrances
+        return not unsupported
 
     def fit_batches(self, source: Source) -> Fitted:
         """`fit` of a recording that is read batch by batch. Raises DataError, NotIdentifiable."""

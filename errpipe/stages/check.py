@@ -227,7 +227,7 @@ def _of_stage(stage: Any, recording: Recording | None) -> Iterator[tuple[Place, 
             if name not in recording.frame.columns:
                 yield ("rules", k, "trust", j), _no_column(recording, name)
     yield from _responses(stage, recording)
-    if hasattr(stage, "lacks") and (lacking := stage.lacks(recording)):
+    if hasattr(stage, "missing_input") and (lacking := stage.missing_input(recording)):
         yield ("family",), lacking
     yield from _holdout(stage, recording)
     yield from _pairs(stage, recording)

@@ -17,7 +17,7 @@ from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError, ErrpipeError, UsageError, did_you_mean
 from errpipe.formats import _derived, manifest_folder
 from errpipe.importing import order, settle, signs, together
-from errpipe.importing.across import upright
+from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
 from errpipe.importing.layout import lay_out
@@ -111,7 +111,7 @@ def _of_any_sheet(
         if len(out) == MAX_SHEETS:
             break
         try:
-            layout = with_period(lay_out(upright(unstacked(sheet)), door.names), door.period)
+            layout = with_period(lay_out(transposed(unstacked(sheet)), door.names), door.period)
             out.append((propose(layout, options, may_be_log), sheet.name))
         except DataError as err:
             problems.append(f"{sheet.name}: {err}" if len(sheets) > 1 else str(err))

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
     from errpipe.validation.predict import Begin, Evaluate, Predictor
 
-BESIDE = "added to the prediction: the table has no input for readings (readings_per_shift of its export)"
+ADDED_TO_PREDICTION = "added to the prediction: the table has no input for readings (readings_per_shift of its export)"
 
 
 def predict(source: Path, recording: Path, out: Path, readings: Path | None = None) -> dict[str, Any]:
@@ -92,7 +92,7 @@ def _with_readings(
         if not used:
             away = f"; {wild} lie further than {bound:.3g} from the prediction" if wild else ""
             raise DataError(f"{path}: no reading of {component} is believed and within a run of the recording{away}")
-        said[component] = {"used": used, "not_believed": wild, "by": channel.name if channel else BESIDE}
+        said[component] = {"used": used, "not_believed": wild, "by": channel.name if channel else ADDED_TO_PREDICTION}
         if channel is not None:
             inputs[channel.name] = difference
         else:

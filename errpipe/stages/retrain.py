@@ -266,13 +266,13 @@ def _sensor_gate(old: ErrorModel, new: ErrorModel, allowed: Sequence[str]) -> Ga
 
 def _drift_gate(drift: Mapping[str, Any], model: ErrorModel) -> Gate:
     """No promotion of a challenger that reads a sensor which may drift: the drift was part of its training data."""
-    from errpipe.validation.input_drift import who_drifts
+    from errpipe.validation.input_drift import drifting_sensors
     from errpipe.validation.retraining import Gate
 
     faulty = [d["column"] for d in drift["inputs"] if d["suspected"]]
     if not set(faulty) & set(model.columns):
         return Gate("sensors", True, "no sensor of the challenger drifts")
-    return Gate("sensors", False, f"{who_drifts(faulty)}; repair or replace it first")
+    return Gate("sensors", False, f"{drifting_sensors(faulty)}; repair or replace it first")
 
 
 def _response_gates(drift: Mapping[str, Any]) -> list[Gate]:

@@ -129,12 +129,12 @@ def other_unit(recording: Recording, reference: np.ndarray) -> tuple[str, str] |
     return None
 
 
-def who_drifts(suspected: Sequence[str]) -> str:
+def drifting_sensors(suspected: Sequence[str]) -> str:
     """The sensors that may be the faulty one, in words: `T_nut drifts`, `T_nut or T_bed drifts`."""
     *others, last = suspected
     if not others:
         return f"{last} drifts"
-    return f"{', '.join(others)} or {last} drifts (the likeliest first; which one, more nights say)"
+    return f"{', '.join(others)} or {last} drifts (the likeliest first; runs of more nights distinguish them)"
 
 
 def _sensor_or_machine(readings, run, old, new, k: int, sd: float, apparent: np.ndarray) -> tuple[float, int, float]:

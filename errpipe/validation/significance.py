@@ -44,8 +44,8 @@ def p_value(recording: Recording, folds: Sequence[HeldOut], gain: float) -> floa
     return min(1.0, 2.0 * min(_one_sided(ratio), _one_sided(before - after)))
 
 
-def p_of_halves(folds: Sequence[HeldOut], gain: float) -> tuple[float, int]:
-    """p of a correction at a gain on halves of one run that predict each other, and how many rows they are worth.
+def p_between_halves(folds: Sequence[HeldOut], gain: float) -> tuple[float, int]:
+    """p of a correction at a gain on halves of one run that predict each other, and the effective number of rows.
 
     Prediction and deviation are correlated as they stand (drift) and less their mean in each half (shape), with the
     effective number of rows of two autocorrelated series (Quenouille 1952; Bretherton et al. 1999, J. Climate 12:1990),
@@ -64,9 +64,9 @@ def p_of_halves(folds: Sequence[HeldOut], gain: float) -> tuple[float, int]:
     return chi2_tail(-2.0 * float(np.log(drift) + np.log(shape)), 4), int(worth)
 
 
-def of_halves_helps(p: float, left_inside: Callable[[], float]) -> bool:
-    """Whether a correction is exported from halves of one run. p: of `p_of_halves`; left_inside: share of the deviation
-    left on blocks that all others of the run predict, 1; asked for where p leaves it open.
+def helps_between_halves(p: float, left_inside: Callable[[], float]) -> bool:
+    """Whether a correction judged on halves of one run is exported. p: of `p_between_halves`; left_inside: share of the
+    deviation left on blocks that all others of the run predict, 1; called where p decides neither way.
     """
     return p <= HALVES_LEVEL or (p <= HALVES_LIKELY and left_inside() <= INSIDE)
 

@@ -20,7 +20,7 @@ from errpipe.models.terms import Terms
 from errpipe.stages import _artefacts
 from errpipe.tables import ect
 from errpipe.validation.gate import pass_gate
-from errpipe.validation.held_out import held_out
+from tests.validation_document import held_out
 
 KINDS = {
     "run": Column(role="run"),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.importing.doors.hdf5 import MOST_COLUMNS, columns_of, its_own
+from errpipe.importing.doors.hdf5 import MOST_COLUMNS, columns_of, refuse_linked_data
 from errpipe.importing.sheet import DoorOptions, Sheet, affordable
 
 name = "MATLAB"
@@ -72,7 +72,7 @@ def _newer(path: Path) -> list[tuple[str, str, np.ndarray]]:
 
     def visit(key: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and not key.startswith("#refs#"):
-            its_own(path, key, item)
+            refuse_linked_data(path, key, item)
             group, _, leaf = key.rpartition("/")
             arrays.append((group, leaf, np.squeeze(item[()]).T))
 

@@ -17,7 +17,7 @@ from errpipe.models.auto import Auto
 from errpipe.models.neural_volume import NeuralVolume
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages.predict import table_values
-from errpipe.validation.held_out import held_out
+from tests.validation_document import held_out
 
 NOISE = 0.3  # um
 FAMILY = NeuralVolume(components=("E_X", "E_Z"), units=6)

@@ -16,7 +16,7 @@ from errpipe.fitting.thermal_interval import independent_runs
 from errpipe.models.auto import Auto
 from errpipe.models.lagged import Lagged
 from errpipe.models.rises import Rises
-from errpipe.validation.held_out import held_out
+from tests.validation_document import held_out
 
 STEP = 120.0  # s
 

@@ -11,9 +11,9 @@ from errpipe.formats import manifest_folder
 from errpipe.models.auto import Auto
 from errpipe.validation import significance
 from errpipe.validation.gate import pass_gate
-from errpipe.validation.held_out import held_out
 from errpipe.validation.predict import predict
 from tests.unit.models.test_competition import machine
+from tests.validation_document import held_out
 from trials import folder
 from trials.thermal import logs
 
