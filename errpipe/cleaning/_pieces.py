@@ -162,10 +162,10 @@ class Cleaning:
         self.part = int(part[last])
 
     def _report_split(self, rows: tuple[int, int]) -> None:
-        """Add rows to what was last said of a run that was split."""
-        for said in self.done.values():
-            for k in reversed(range(len(said))):
-                if said[k].what == "split run":
-                    more = {"rows": (*said[k].rows, rows), "count": said[k].count + rows[1] - rows[0]}
-                    said[k] = said[k].model_copy(update=more)
+        """Add rows to what was last reported of a run that was split."""
+        for actions in self.done.values():
+            for k in reversed(range(len(actions))):
+                if actions[k].what == "split run":
+                    more = {"rows": (*actions[k].rows, rows), "count": actions[k].count + rows[1] - rows[0]}
+                    actions[k] = actions[k].model_copy(update=more)
                     return

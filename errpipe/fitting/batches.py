@@ -37,7 +37,7 @@ class Source:
 
     ends: two rows, the smallest and the largest value of every column. batches: names of columns -> its rows in order,
     batch by batch, each with what the rows before it leave behind; `runs=` gives the rows of each run where they are
-    known. complete: columns in which no value is missing. runs: rows of each run, where the file says so.
+    known. complete: columns in which no value is missing. runs: rows of each run, where the file states them.
     """
 
     rows: int

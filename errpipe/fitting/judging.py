@@ -68,7 +68,7 @@ def _residual(recording, spec: ModelSpec, group: Sequence[ComponentSpec], fold, 
     if not usable.any():
         empty = ", ".join(_empty(recording, fold.test))
         raise DataError(
-            f"hold-out {fold.label}: no judged row has everything the model needs"
+            f"hold-out {fold.label}: no judged row has a value in every column that the model reads"
             + (f" (empty in all of them: {empty})" if empty else "")
         )
     problem = assemble(recording, [(c.component, ()) for c in group], spec.nuisance, usable)

@@ -82,7 +82,7 @@ def sensors(
     bed: str | None = None,
     use: Sequence[str] = (),
 ) -> Sensors:
-    """Sort the temperature columns by what the manifest says of their location; names given win.
+    """Sort the temperature columns by their location in the manifest; names given win.
 
     Raises DataError where a named sensor is not a temperature of the recording, or there is no sensor on the machine.
     """

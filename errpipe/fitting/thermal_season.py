@@ -13,7 +13,7 @@ fade         1 as far outside as seasons left out have been judged, then down to
 clip         causes stay within twice the span seen, the sum within a quarter span beyond the deviations seen
 
 Every part is an expression of driver operations, so a table gives the same figures. The datum is the start of
-the run: a temperature cannot know where the probe was zeroed, so each run's first rows are a nuisance of the
+the run: no temperature shows where the probe was zeroed, so each run's first rows are a nuisance of the
 fit and the prediction starts at zero.
 """
 

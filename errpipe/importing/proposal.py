@@ -61,7 +61,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         if angles:
             raise DataError(f"column {angles[0].header!r} holds angles, and no axis is named: say it with --axis C")
         axis, proposal.assumed_axis = "X", True
-        proposal.notes.append("no axis is named in the file: taken as X (--axis says it)")
+        proposal.notes.append("no axis is named in the file: taken as X (--axis states another)")
     if wide_layout is not None:
         _wide(layout, guesses, wide_layout, axis, options, proposal)
     else:

@@ -45,7 +45,7 @@ def settle_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
             pass  # all three are recorded
 
 
-# Of an angle; elsewhere a length (inch: both are written as "), a time, or a slope. A level says um per m.
+# Of an angle; elsewhere a length (inch: both are written as "), a time, or a slope. A level reads um per m.
 _OF_AN_ANGLE = {"inch": "arcsec", "s": "arcsec", "min": "arcmin", "um/m": "urad", "mm/m": "mrad"}
 
 
@@ -80,11 +80,11 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
 
 
 def stated_unit(options: ImportOptions, written: str | None, header: str) -> str | None:
-    """The unit of readings that a person says, else the written one. Raises DataError where the two differ."""
+    """The unit of readings that a person states, else the written one. Raises DataError where the two differ."""
     if options.unit is None or written in (None, options.unit) or _OF_AN_ANGLE.get(written) == options.unit:
         return options.unit or written
     raise DataError(
-        f"column {header!r} is in {written}, and --unit says {options.unit}: where the file is wrong, say "
+        f"column {header!r} is in {written}, and --unit states {options.unit}: where the file is wrong, say "
         f"--set '{header}.unit={options.unit}'"
     )
 
@@ -147,7 +147,7 @@ _EXTERNAL_INSTRUMENT = re.compile(r"laser|interferom|dial|indicator|messuhr", re
 def one_position_per_axis(p: Proposal) -> None:
     """One commanded and one actual position of an axis; of two actual ones a laser's or a dial's is the measured one.
 
-    Raises DataError where two of a kind differ and nothing says which is meant.
+    Raises DataError where two of a kind differ and nothing states which is meant.
     """
     for role in ("command", "actual", "position"):
         for letter in sorted({e["axis"] for e in p.entries.values() if e["role"] == role}):
@@ -296,7 +296,7 @@ def _refuse_other_axis(p: Proposal, name: str, letter: str, options: ImportOptio
     other = p.entries[moving[0]]["axis"]
     if options.axis == letter:
         raise DataError(
-            f"--axis says {letter}, and {moving[0]!r} holds positions of {other}: say it with "
+            f"--axis names {letter}, and {moving[0]!r} holds positions of {other}: say it with "
             f"--set {moving[0]}.axis={letter}, or --component E_{letter} for a drift along {letter}"
         )
     raise DataError(

@@ -96,7 +96,7 @@ def change_signs(p: Proposal, known: Sequence[str]) -> None:
         component = p.entries[name]["component"]
         says = plain(" ".join(p.entries[name].get("_headers", (name,))))
         said = difference(says)
-        reason = f"its header says {says!r}" if said is not None and said[0] < 0 else ""
+        reason = f"its header reads {says!r}" if said is not None and said[0] < 0 else ""
         if said is None:
             reason = _sign_of_recorded(p, name, component)
         if reason:

@@ -123,8 +123,8 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
         if len({run for _, run, _ in readings}) > 1 and all(side is None for _, _, side in readings):
             first, other = next((a, b) for a, ra, _ in readings for b, rb, _ in readings if ra == rb and a is not b)
             raise DataError(
-                f"columns {first.header!r} and {other.header!r} are both of one run, and neither says from which side "
-                "its targets were approached: write + and -, up and down, or fwd and rev into the header"
+                f"columns {first.header!r} and {other.header!r} are both of one run, and neither states from which "
+                "side its targets were approached: write + and -, up and down, or fwd and rev into the header"
             )
         return None
     ways = [
@@ -300,9 +300,9 @@ def turned(layout: Layout) -> Layout:
         return layout
     others = [part for c in others for part in split_labels(c)]
     readings = np.stack([c.values for c in layout.columns if c.header in places], axis=1)
-    told = next((c for c in others if guessing.guess(c).kind == "direction"), None)
-    refuse_there_and_back([] if told is None else [label(cell) for cell in told.cells], x)
-    ways = None if told is None else guessing.sides(told)
+    stated = next((c for c in others if guessing.guess(c).kind == "direction"), None)
+    refuse_there_and_back([] if stated is None else [label(cell) for cell in stated.cells], x)
+    ways = None if stated is None else guessing.sides(stated)
     pairs = [
         (r, k)
         for r in range(len(readings))

@@ -204,7 +204,7 @@ def plain(text: object) -> str:
 
 
 def kind_by_name(header: str) -> str | None:
-    """What a header says its column holds, or None."""
+    """What a column holds by its header, or None."""
     text = plain(header)
     kind = next((kind for pattern, kind in WORDS if re.search(pattern, text)), None)
     return "error" if kind in ("command", "actual", "position") and difference(header) else kind  # `Soll-Ist`
@@ -247,7 +247,7 @@ def is_following_error(header: str) -> bool:
 
 
 def difference(text: str) -> tuple[float, str] | None:
-    """+1 and the words where a text says `measured - nominal`, -1 where it says `cmd - act`; else None."""
+    """+1 and the words where a text reads `measured - nominal`, -1 where it reads `cmd - act`; else None."""
     for match in _ACTUAL_AND_COMMANDED.finditer(plain(text)):
         one, other = sorted(name for name, word in match.groupdict().items() if word)
         if one[1] != other[1]:
@@ -263,7 +263,7 @@ def names_both(text: str) -> bool:
 
 
 def titles_corrections(line: str) -> bool:
-    """Whether a line above a table says that its readings are corrections."""
+    """Whether a line above a table states that its readings are corrections."""
     return _TITLE_OF_CORRECTIONS.match(plain(line)) is not None
 
 

@@ -1,8 +1,8 @@
-"""What a model family is: options, a fit, its refit on the rows of a fold, and what a report says of it.
+"""What a model family is: options, a fit, its refit on the rows of a fold, and what a report shows of it.
 
-A family is a pydantic model of its options. The stage `fit` reads them from the pipeline file (`family: NAME` says
-which), writes them beside the error model, and validation reads them back to repeat the fit without a held-out group.
-Every family gives an error model, so one compiler lowers all of them.
+A family is a pydantic model of its options. The stage `fit` reads them from the pipeline file (`family: NAME`
+chooses one), writes them beside the error model, and validation reads them back to repeat the fit without a held-out
+group. Every family gives an error model, so one compiler lowers all of them.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Table(NamedTuple):
 class Grid(NamedTuple):
     """Figures of rows by columns for the report, the first row without compensation.
 
-    values: None is a dash. remarks: what is said behind each row. best: name of the row that is used.
+    values: None is a dash. remarks: a remark behind each row. best: name of the row that is used.
     """
 
     heading: str
@@ -84,7 +84,7 @@ class Family(Frozen, ABC):
     documents: names of the JSON files that its fit adds. seasonal: whether `train` gives a predictor of the deviation
     since the start of each run. competes: whether it has entrants for a competition of thermal families.
     nonlinear: whether it is fitted to curved relations, which one run does not prove for another. default_scheme: of
-    the hold-out. solved_by: how it is solved, where its name does not say so.
+    the hold-out. solved_by: how it is solved, where its name does not show it.
     """
 
     documents: ClassVar[tuple[str, ...]] = ()
@@ -175,7 +175,7 @@ def held_out(fold: Fold, before: np.ndarray, after: np.ndarray, outside: np.ndar
 
     rows = np.flatnonzero(fold.test & np.isfinite(before) & np.isfinite(after))
     if rows.size == 0:
-        raise DataError(f"hold-out {fold.label}: no judged row has everything the model needs")
+        raise DataError(f"hold-out {fold.label}: no judged row has a value in every column that the model reads")
     return HeldOut(fold.label, rows, before[rows], after[rows], outside[rows], used)
 
 

@@ -2,7 +2,7 @@
 
 One error column of the component is the deviation between tool and work. Several are gauges, each with its place as
 `location`: tool_post, spindle, workpiece. Every gauge counts as the component does (positive where the gap opens), and
-reads its own part alone: the workpiece against the spindle, unless `gauge_datum` says that all read against the bed.
+reads its own part alone: the workpiece against the spindle, unless `gauge_datum` states that all read against the bed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from errpipe.errors import DataError
 from errpipe.fitting.design import response_name
 
 GAUGES = ("tool_post", "spindle", "workpiece")
-WHOLE = "structure"  # the part where nothing tells them apart
+WHOLE = "structure"  # the part where no gauge distinguishes them
 # Powers of the lever in structure(z), simplest first: a rigid spindle on springs has the square, and the lever too
 # where the middle of its springs is away from the chuck's face.
 POWERS = ((0,), (0, 2), (0, 1, 2))

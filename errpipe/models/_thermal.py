@@ -28,7 +28,7 @@ MOST_OPERANDS = 48  # of one sum; a table takes 64
 MOST_GROUPS = 4  # columns of one grouping in the figure of the competition
 TIE_LEVEL = 0.05  # p over runs left out
 MACHINE = "machine"  # group of a recording
-UNLIKE_MACHINES = 1.5  # times what is left of runs; with more left of machines the fit says so (from taste)
+UNLIKE_MACHINES = 1.5  # times what is left of runs; with more left of machines the fit reports it (chosen by judgement)
 
 
 class ThermalFamily(Family):
@@ -63,7 +63,7 @@ class ThermalFamily(Family):
 
         A group in which a temperature has no reading judges nothing; where that leaves one environment, its runs
         are left out. Fewer than three runs: each half by the
-        other. A block between two that fit is interpolated, which says little of the next run: of 12 simulated days
+        other. A block between two that fit is interpolated, which shows little of the next run: of 12 simulated days
         (seeds 5101 and 5102 of `trials.thermal`), later days were left 1.8 times as far off as such blocks (0.8 times
         as far as halves), and their 90 % width held 65 % (89 %) of the rows.
         """

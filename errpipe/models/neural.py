@@ -30,7 +30,7 @@ class Neural(ThermalFamily):
     nonlinear: ClassVar[bool] = True
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """A network alone, and one beside a ridge that knows the rates too; none without a temperature."""
+        """A network alone, and one beside a ridge on the rates too; none without a temperature."""
         from errpipe.fitting.thermal_linear import rates
 
         if not problem.plain:

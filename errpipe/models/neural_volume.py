@@ -208,7 +208,7 @@ def _limits(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _nothing(x: np.ndarray, y: np.ndarray) -> Network:
-    """A network that says zero everywhere."""
+    """A network whose output is zero everywhere."""
     import numpy as np
 
     wide, many = x.shape[1], y.shape[1]

@@ -28,7 +28,8 @@ class Plate(Family):
     family: Literal["plate"] = Field("plate", description="Model family.")
     modes: int = Field(8, ge=1, le=24, description="Waves per axis that the smooth map may hold; it is penalised.")
     plate: str = Field(
-        "last", description="Plate that speaks for the machine: the last one, all of them, or the label of a run."
+        "last",
+        description="Plate that gives the errors of the machine: the last one, all of them, or the label of a run.",
     )
     every: int = Field(
         10, ge=2, description="Where there is one plate only: every so many of its holes are held out in turn."

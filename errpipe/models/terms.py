@@ -22,7 +22,7 @@ ROWS_IN_MEMORY = 1_000_000  # with ten columns and ten parameters least squares 
 
 
 class Terms(ModelSpec, Family):
-    """Fit the terms of every component on all rows of the recording; refuse what the rows cannot tell apart."""
+    """Fit the terms of every component on all rows of the recording; refuse what the rows cannot distinguish."""
 
     family: Literal["terms"] = Field("terms", description="Model family.")
     less_simulated: bool = Field(

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 FORCES = "it is a drive force, not a deviation of the tool: for the drive's friction feed-forward, not for a table"
 RECALIBRATION = "the simulation itself is to be set right: no plain sum of terms stands for it in a table"
 REFITTED_NOTE = "the terms of the model before are fitted anew together with what was accepted"
-UNKNOWN = "no effect carries it, so nothing says that it will come back"
+UNKNOWN = "no known effect explains it, so it need not recur"
 
 
 class Accept(Options):
@@ -251,7 +251,7 @@ def _with_one_refused(decisions: list[Decision], why: Exception) -> list[Decisio
     accepted = [d for d in decisions if d.accepted]
     if accepted:
         least = min(accepted, key=lambda d: (d.finding.effect != "recalibration", d.finding.confidence))
-        reason = f"beside the rest it cannot be distinguished: {str(why).splitlines()[0]}"
+        reason = f"it cannot be distinguished from the other accepted terms: {str(why).splitlines()[0]}"
         return [d.refused(reason) if d is least else d for d in decisions]
     if any(d.as_nuisance for d in decisions):
         return [replace(d, as_nuisance=False) for d in decisions]

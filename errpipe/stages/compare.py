@@ -107,7 +107,7 @@ def _tables(old: Path, new: Path) -> Comparison:
 
 
 def _settings(out: Comparison, old: CompensationTable, new: CompensationTable) -> None:
-    """What a table says beside its curves: identity, inputs, outputs and their limits, cycles."""
+    """What a table states beside its curves: identity, inputs, outputs and their limits, cycles."""
     names = ect.fingerprint(old), ect.fingerprint(new)
     out.parts["identity"] = list(names)
     if names[0] != names[1]:
@@ -167,7 +167,7 @@ def _fields(out: Comparison, old: Compensation, new: Compensation) -> None:
     """Ranges of validity that differ; largest and rms difference per response, with the place."""
     new, same = changes.one_axis_one_name(old, new)
     out.says += [
-        f"{was} in the old one and {now} in the new one are one axis: asked as one" for now, was in same.items()
+        f"{was} in the old one and {now} in the new one are one axis: evaluated as one" for now, was in same.items()
     ]
     _ranges(out, old.ranges, new.ranges)
     differences = changes.compare(old, new)
@@ -222,7 +222,7 @@ def _recordings(old: Path, new: Path) -> Comparison:
 
 
 def _meaning_of_column(column: Any) -> tuple[Any, ...]:
-    """What a column holds, whatever it says of its source: columns of another axis are no change of this one."""
+    """What a column holds, whatever it states of its source: columns of another axis are no change of this one."""
     return column.role, column.axis, column.component, column.unit
 
 

@@ -96,7 +96,7 @@ def judged(
 ) -> tuple[dict[str, Any], str, Diagnosis, list[Any]]:
     """diagnosis.json as plain data, the page, the findings, and what each simulated signal is a sum of.
 
-    notes: what is to be said before all else.
+    notes: reported before all else.
     """
     diagnosis, rows = judge(recording, progress)
     diagnosis = diagnosis.model_copy(

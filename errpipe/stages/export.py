@@ -101,7 +101,7 @@ def _guard(context: Context, recording: Recording) -> SensorGuard:
     from errpipe.fitting.thermal_arithmetic import short_holes_held
     from errpipe.guard import learn
 
-    context.progress(0.1, "learning what the sensors say of each other")
+    context.progress(0.1, "regressing each temperature on the others")
     guard = learn.learn(short_holes_held(recording))
     context.write_json("sensor_guard.json", guard.model_dump(mode="json"))
     return guard

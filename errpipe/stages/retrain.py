@@ -28,7 +28,7 @@ VERSION = 1  # of the document's layout
 RUN = "run"  # folder of the challenger's pipeline run, below OUT
 DOCUMENT = "retrain.json"
 LEAST_SLOPE = (
-    1.0  # a run knows a sensor's error to 1 K at least, or does not count: its standard error is 1/sqrt(slope)
+    1.0  # a run determines a sensor's error to 1 K at least, or does not count: its standard error is 1/sqrt(slope)
 )
 
 

@@ -215,12 +215,12 @@ def with_own_content(table: CompensationTable, targets: Sequence[Any]) -> list[A
 
 
 def _companion_text(table: CompensationTable, target: Any, others: Sequence[str]) -> str:
-    """What a checklist says of files that are loaded besides; nothing where there are none."""
+    """What a checklist states of files that are loaded besides; nothing where there are none."""
     if not others:
         return ""
     _, read = write_together(table, [target, *chosen(others)])
     return (
-        f"\nLoad these files only together with those of {', '.join(others)}: what they say is left out here.\n"
+        f"\nLoad these files only together with those of {', '.join(others)}: what they hold is left out here.\n"
         f"Together they leave {in_words(_loss_rows(table, read))}.\n"
     )
 

@@ -28,7 +28,7 @@ def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> Pa
     """
     if not validations:
         raise GateError(
-            "export: nothing has judged this model on held-out rows (add a `validate` stage after the fit, or say "
+            "export: no validation judged this model on held-out rows (add a `validate` stage after the fit, or say "
             "`ungated: true` to export it all the same)"
         )
     kept, left_out, judged = [], [], []

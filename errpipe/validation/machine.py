@@ -134,7 +134,7 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
     """
     if not validations:
         raise GateError(
-            "export: nothing has judged this identification on held-out measurements (add a `validate` stage "
+            "export: no validation judged this identification on held-out measurements (add a `validate` stage "
             "after it, or say `ungated: true` to export it all the same)"
         )
     volumetric = document["volumetric"]

@@ -23,7 +23,7 @@ MIN_FINITE_ROWS = 6  # finite rows; fewer say nothing about a slope
 class Finding:
     """One implausible declaration. code: its name, for `allow`; found: the evidence; meant: what was probably meant.
 
-    of_sign: whether it speaks against the sign of the whole column.
+    of_sign: whether it is evidence against the sign of the whole column.
     """
 
     code: str

@@ -22,7 +22,7 @@ from errpipe.fitting.quantiles import chi2_tail, student_tail
 # the mean offset is exported in 0.1 to 1.3 %; at 0.05 it is up to 3.3 %.
 LEVEL = 0.02
 QUIET = 0.1  # of the rms over all runs, added to both sides of the ratio: runs below it hardly count there
-MIN_RUNS = 2  # runs; one alone says nothing about the next
+MIN_RUNS = 2  # runs; one alone shows nothing of the next
 # Largest p from halves. Chosen on single days (seed 901: 36 of `trials.thermal`, 60 of machines by formulas, 36 whose
 # deviation wanders or has a heat that no sensor sees): 1e-4 exports 84 and makes two later ones worse; 2e-4 seven.
 HALVES_LEVEL = 1e-4

@@ -218,7 +218,7 @@ def test_a_sure_finding_of_the_machine_is_accepted() -> None:
             found("backlash", indistinguishable_from=("sensor_drift",), **BACKLASH),
             "cannot be distinguished from sensor_drift",
         ),
-        (found("unknown", drivers=("T_nut",)), "no effect carries it"),
+        (found("unknown", drivers=("T_nut",)), "no known effect explains it"),
         (found("recalibration"), "the simulation itself is to be set right"),
         (found("air_refraction", **AIR), "the air in the beam"),
         (found("clock_offset", term=None), "the clocks of recording and simulation differ"),
