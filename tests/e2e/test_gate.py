@@ -180,6 +180,8 @@ def test_a_model_predicts_outside_validity_as_its_table_does(tmp_path: Path) -> 
     manifest_folder.write(far, tmp_path / "far")
     export = tmp_path / "out" / "export"
     for source in (_artefacts.MODEL, _artefacts.TABLE):
-        assert main(["predict", str(export / source), str(tmp_path / "far"), "--out", str(tmp_path / source)]) == 0
-    by_model, by_table = (pd.read_csv(tmp_path / s)["EXX_predicted"] for s in (_artefacts.MODEL, _artefacts.TABLE))
+        out = str(tmp_path / f"{source}.csv")
+        assert main(["predict", str(export / source), str(tmp_path / "far"), "--out", out]) == 0
+    files = (tmp_path / f"{source}.csv" for source in (_artefacts.MODEL, _artefacts.TABLE))
+    by_model, by_table = (pd.read_csv(file)["EXX_predicted"] for file in files)
     assert np.allclose(by_model, by_table, atol=1e-9) and np.abs(by_model).max() < 60.0
