@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from errpipe.cleaning import WHOLE_RUN, CleaningReport, Done, Rule, RuleReport, cleaned_rows
+from errpipe.cleaning import WHOLE_RUN, ActionRecord, CleaningReport, Rule, RuleReport, cleaned_rows
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError
 
@@ -78,7 +78,7 @@ class Cleaning:
     source: Manifest
     at: int = 0
     kept: int = 0
-    done: dict[int, list[Done]] = field(default_factory=dict)  # number of the rule -> what it did
+    done: dict[int, list[ActionRecord]] = field(default_factory=dict)  # number of the rule -> what it did
     used: set[str] = field(default_factory=set)  # columns that some piece kept
     part: int = 0  # of the run that goes on in the next piece: how many pauses have split it
 

@@ -42,7 +42,7 @@ class Fold:
     weights: np.ndarray
     cells: np.ndarray  # of the history that was held out, as a mask
 
-    def left(self, gain: float) -> tuple[float, float]:
+    def residual_at_gain(self, gain: float) -> tuple[float, float]:
         """(sum of squares, mean) of what is left of the response at a share of the correction."""
         bare = np.zeros(self.weights.size)
         bare[-1] = 1.0
@@ -209,7 +209,9 @@ def _folds(history: History) -> list[holdout.Fold]:
     return holdout.groups(cells, scheme)
 
 
-def worst(source: Source, histories: list[History], folds: list[list[Fold]], prepare: Prepare) -> list[np.ndarray]:
+def largest_deviations(
+    source: Source, histories: list[History], folds: list[list[Fold]], prepare: Prepare
+) -> list[np.ndarray]:
     """Per history the largest deviation of each fold before and after the model, (folds, 2), from one more pass."""
     of_cell = [{k: i for i, f in enumerate(fs) for k in np.flatnonzero(f.cells).tolist()} for fs in folds]
     sums = [np.zeros((len(fs), 2)) for fs in folds]

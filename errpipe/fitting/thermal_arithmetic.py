@@ -43,10 +43,10 @@ def held_readings(recording: Recording) -> Recording:
     Where runs follow each other within minutes, heat of the run before must not act on a fit: `predict` begins each run
     anew, and a fit that knew more was worse there than it had been judged.
     """
-    return short_holes_held(recording.each_run_alone())
+    return short_gaps_held(recording.each_run_alone())
 
 
-def short_holes_held(recording: Recording, names: Iterable[str] | None = None) -> Recording:
+def short_gaps_held(recording: Recording, names: Iterable[str] | None = None) -> Recording:
     """The recording with sensors (default: temperatures) as a controller has them: between readings, the one before.
 
     Readings missing at the start of a run take its first one. Holes of more than LONGEST_HELD readings, at the rate at
@@ -145,7 +145,7 @@ def since_start_of(recording: Recording, component: str, rows: int = 3) -> np.nd
 
 
 def conformal_half_width(
-    error: np.ndarray, group: np.ndarray, coverage: float, witnesses: int | None = None, raised: bool = True
+    error: np.ndarray, group: np.ndarray, coverage: float, run_count: int | None = None, raised: bool = True
 ) -> float:
     """Half width that covers a row of a new group: group-balanced quantile of |error|, with the groups' own correction.
 
@@ -154,7 +154,7 @@ def conformal_half_width(
     with a handful of groups the full level would be the worst row ever seen. For the small sample
     the width is multiplied by the ratio of Student's quantile to the normal one.
     raised: whether the level is raised; without, the stated coverage is met on average instead of guaranteed.
-    witnesses: independent groups where it is fewer than there are labels (blocks of one run count once).
+    run_count: independent groups where it is fewer than there are labels (blocks of one run count once).
     """
     labels = np.unique(group)
     level = min((1.0 + coverage) / 2, coverage * (labels.size + 1) / labels.size) if raised else coverage
@@ -164,7 +164,7 @@ def conformal_half_width(
         own_rows = group == label
         weight[own_rows] = 1.0 / np.count_nonzero(own_rows)
     reached = np.cumsum(weight[order]) / labels.size
-    freedom = max((labels.size if witnesses is None else witnesses) - 1, 1)
+    freedom = max((labels.size if run_count is None else run_count) - 1, 1)
     few = student_quantile((1.0 + coverage) / 2, freedom) / normal_quantile((1.0 + coverage) / 2)
     return few * float(error[order][min(int(np.searchsorted(reached, level - 1e-12)), error.size - 1)])
 

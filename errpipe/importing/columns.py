@@ -313,7 +313,7 @@ def _names_a_turn(header: str) -> bool:
 _STRAIGHT = r"straight|gerad(?!e)|rectitud|rettilin|直线度|真直度"
 
 
-def titles_another(line: str) -> bool:
+def titles_other_component(line: str) -> bool:
     """Whether a line above a table names a straightness, a turn or a shape as measured: not `Squareness: off`."""
     said = [part for part in re.split("[:=：]", plain(line)) if part.strip()]
     return bool(said) and re.search(rf"{_STRAIGHT}|\b(yaw|roll)\b|{_SHAPES}", said[-1]) is not None

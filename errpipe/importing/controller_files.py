@@ -61,7 +61,7 @@ _BY_NAME: tuple[tuple[str, str, str], ...] = (
 )
 
 
-def what_it_is(path: Path, head: bytes) -> str | None:
+def controller_file_kind(path: Path, head: bytes) -> str | None:
     """The message for a compensation file of a control, with what to do instead; None for any other file."""
     if head.startswith(ECT):
         return (

@@ -37,7 +37,7 @@ def refuse_swapped(p: Proposal, command: str, actual: str) -> None:
         )
 
 
-def settle_order(p: Proposal, axis: str) -> None:
+def resolve_order(p: Proposal, axis: str) -> None:
     """Directions and runs of a test, or velocity, acceleration and an ideal simulation of a log."""
     if _is_log(p, axis):
         _log_of_an_axis(p, axis)
@@ -97,7 +97,7 @@ def _turn_there_and_back(p: Proposal, x: np.ndarray) -> None:
         p.guesses[side] += "; the way there is down, as the positions fall there"
 
 
-def put_side(p: Proposal, axis: str, text: str, why: str) -> None:
+def set_side(p: Proposal, axis: str, text: str, why: str) -> None:
     """Add the side of all rows, as a word states it; the rows of a pass that is listed the other way are reversed."""
     way, listed = guessing.side(text), []
     place = p.first("command", axis) or p.first("position", axis)
@@ -126,7 +126,7 @@ def _directions_and_runs(p: Proposal, axis: str) -> None:
         _runs_by_gaps(p)
         return
     if p.first("direction") is None and p.side is not None:
-        put_side(p, axis, p.side, f"the header, or a line above it, states {p.side!r}")
+        set_side(p, axis, p.side, f"the header, or a line above it, states {p.side!r}")
     x = p.data[place]
     _turn_there_and_back(p, x)
     if p.first("direction") is None:

@@ -173,7 +173,7 @@ def _rises(c: RawColumn) -> bool:
     return x.size > 2 and bool(np.all(np.diff(x) > 0) or np.all(np.diff(x) < 0))
 
 
-def unfold(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]:
+def unpivot(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]:
     """Row of the table, run, side and reading of every reading: runs after one another.
 
     A pass down goes through the targets as they fall. Raises DataError where no row has a target and a reading.
@@ -289,7 +289,7 @@ def refuse_there_and_back(names: Sequence[str], targets: np.ndarray) -> None:
         )
 
 
-def turned(layout: Layout) -> Layout:
+def unpivoted(layout: Layout) -> Layout:
     """A table with a row per run and a column per target (headers that are positions) as one reading a row."""
     places = {c.header: v for c in layout.columns if c.numeric and (v := _place(c.header)) is not None}
     others = [c for c in layout.columns if c.header not in places]

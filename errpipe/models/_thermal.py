@@ -349,7 +349,7 @@ def _half_width(family: ThermalFamily, problem: LinearProblem, outcome: Outcome,
     environment = family.environment if family.environment in outcome.predictions else WARMTH
     half = [
         thermal_interval.LeftOut((y - p)[rows], p[rows]).half_width(
-            problem.group[rows], family.coverage, problem.witnesses, only_one, factor[rows]
+            problem.group[rows], family.coverage, problem.run_count, only_one, factor[rows]
         )
         for name, p in outcome.predictions.items()
         if only_one or name in (RUN, environment)

@@ -100,7 +100,7 @@ class Terms(ModelSpec, Family):
         layout = batches.survey(source, self, scheme)
         gathered = batches.gather(source, self, layout, self._response)
         folds = history.all_left_out(gathered, source.manifest)
-        worst = history.worst(source, gathered, folds, self._response)
+        worst = history.largest_deviations(source, gathered, folds, self._response)
         names = [h.component for h in gathered]
         return Judged(
             holdout.name(layout.scheme),
@@ -118,9 +118,9 @@ def _as_read(recording: Recording) -> Recording:
 
     Where every tenth row holds one, nine of ten rows of production are of that kind; single empty cells stay empty.
     """
-    from errpipe.fitting.thermal_arithmetic import sampled_less_often, short_holes_held
+    from errpipe.fitting.thermal_arithmetic import sampled_less_often, short_gaps_held
 
-    return short_holes_held(recording, sampled_less_often(recording, recording.names("temperature")))
+    return short_gaps_held(recording, sampled_less_often(recording, recording.names("temperature")))
 
 
 def mismatch(recording: Recording, spec: ModelSpec) -> Recording:

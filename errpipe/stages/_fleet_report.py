@@ -175,7 +175,7 @@ def _type(
         by_response[component] = {
             "parameters": list(keys),
             "machines": names,
-            "alike": [[names[k] for k in group] for group in pooling.alike(estimates, covariances)],
+            "alike": [[names[k] for k in group] for group in pooling.homogeneous_groups(estimates, covariances)],
             "mirrored": _mirrored(names, estimates, covariances),
         }
         if pooled is not None:

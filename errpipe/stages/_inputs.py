@@ -74,11 +74,11 @@ def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingR
 
     A controller sees a reading that comes every ten minutes as one step from one cycle to the next.
     """
-    from errpipe.fitting.thermal_arithmetic import longest_silence, short_holes_held
+    from errpipe.fitting.thermal_arithmetic import longest_silence, short_gaps_held
     from errpipe.guard import rates
 
     names = [n for role in rates.ROLES for n in recording.names(role)]
-    return rates.learn(short_holes_held(recording, names)), longest_silence(recording, names)
+    return rates.learn(short_gaps_held(recording, names)), longest_silence(recording, names)
 
 
 def _with_stale_limit(channel: TableInput, silence: float) -> TableInput:

@@ -16,7 +16,7 @@ from errpipe.domain import units
 from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError, ErrpipeError, UsageError, did_you_mean
 from errpipe.formats import _derived, manifest_folder
-from errpipe.importing import order, settle, signs, together
+from errpipe.importing import order, resolve, signs, together
 from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
@@ -115,7 +115,7 @@ def _of_any_sheet(
             out.append((propose(layout, options, may_be_log), sheet.name))
         except DataError as err:
             problems.append(f"{sheet.name}: {err}" if len(sheets) > 1 else str(err))
-            question = "--" in str(err) and not str(err).startswith(settle.NO_DEVIATION)
+            question = "--" in str(err) and not str(err).startswith(resolve.NO_DEVIATION)
             asked = asked or (problems[-1] if question and not out else "")
     if not out:
         raise DataError(f"{file}: {'; '.join(problems)}")

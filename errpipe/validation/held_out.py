@@ -110,7 +110,7 @@ def judged_in_batches(
     for name, folds in done.folds.items():
         sample, places = done.sample[name]
         count = sum(f.rows for f in folds)
-        gains = {f"{g:g}": float(np.sqrt(sum(f.left(g)[0] for f in folds) / count)) for g in GAINS}
+        gains = {f"{g:g}": float(np.sqrt(sum(f.residual_at_gain(g)[0] for f in folds) / count)) for g in GAINS}
         figures = component_figures(sample, name, [f.held_out for f in folds], gains)
         groups = [g | _of_all_rows(f, w) for g, f, w in zip(figures["groups"], folds, done.worst[name], strict=True)]
         figures |= {
@@ -127,7 +127,7 @@ def judged_in_batches(
 
 
 def _of_all_rows(fold: Fold, worst: np.ndarray) -> dict[str, Any]:
-    (before, _), (after, mean) = fold.left(0.0), fold.left(1.0)
+    (before, _), (after, mean) = fold.residual_at_gain(0.0), fold.residual_at_gain(1.0)
     return {
         "rows": fold.rows,
         "rms_before": float(np.sqrt(before / fold.rows)),

@@ -12,7 +12,7 @@ from errpipe.validation.plausibility_finding import (
     Check,
     Finding,
     Response,
-    is_fine,
+    has_fine_resolution,
     is_rearranged,
     level_of_rearranged,
     means_at,
@@ -65,7 +65,7 @@ def repeated_run(r: Response) -> Finding | None:
     """
     labels = np.unique(r.run)
     bytes_of = {int(k): r.deviation[r.run == k].tobytes() for k in labels}
-    if r.position is None or not is_fine(r.deviation) or len(set(bytes_of.values())) == 1 < labels.size - 1:
+    if r.position is None or not has_fine_resolution(r.deviation) or len(set(bytes_of.values())) == 1 < labels.size - 1:
         return None
     seen: dict[bytes, int] = {}
     for k in labels:

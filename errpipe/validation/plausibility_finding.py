@@ -115,7 +115,7 @@ def is_rearranged(r: Response, as_declared: float, rearranged: float, targets: i
     return repeats == 0 or rearranged <= _f_quantile(freedom, repeats, RARE_NOISE) * noise
 
 
-def is_fine(values: np.ndarray) -> bool:
+def has_fine_resolution(values: np.ndarray) -> bool:
     """Whether readings have so many possible levels that chance repeats none: a laser's, not a dial's."""
     steps = np.diff(np.unique(values))
     return steps.size > 0 and float(np.ptp(values)) > FINE * float(steps.min())

@@ -74,7 +74,7 @@ def helps_between_halves(p: float, left_inside: Callable[[], float]) -> bool:
 def _correlated(one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> tuple[float, float]:
     """One-sided p of a positive correlation of two series in stretches, and the rows that they are worth."""
     size = np.sqrt(sum(float(x @ x) for x in one) * sum(float(y @ y) for y in other))
-    worth = sum(_worth(x, y) for x, y in zip(one, other, strict=True))
+    worth = sum(_effective_rows(x, y) for x, y in zip(one, other, strict=True))
     if size == 0.0:
         return 1.0, worth
     correlation = min(sum(float(x @ y) for x, y in zip(one, other, strict=True)) / size, 1.0 - 1e-9)
@@ -83,7 +83,7 @@ def _correlated(one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> tuple
     return max(p, 1e-300), worth
 
 
-def _worth(one: np.ndarray, other: np.ndarray) -> float:
+def _effective_rows(one: np.ndarray, other: np.ndarray) -> float:
     """Independent rows that two series of a stretch are worth for their correlation."""
     alike = _autocorrelation(one) * _autocorrelation(other)
     unlike = np.flatnonzero(alike < UNLIKE)

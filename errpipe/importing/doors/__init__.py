@@ -57,7 +57,7 @@ def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
 
 def _refuse_known(path: Path, head: bytes) -> None:
     """Raise DataError for kinds of files that are not imported, with what to do instead."""
-    if (what := controller_files.what_it_is(path, head)) is not None:
+    if (what := controller_files.controller_file_kind(path, head)) is not None:
         raise DataError(f"{path}: {what}")
     if head.startswith(b"PAR1"):
         raise DataError(f"{path}: a Parquet table: write a recording.yaml beside it that declares its columns")

@@ -24,7 +24,7 @@ PLACES = ("command", "position", "actual")
 NO_DEVIATION = "no column holds a deviation"
 
 
-def settle_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
+def resolve_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
     """Roles of positions: beside a command the other one is actual; alone a target is the position."""
     ignore_target_numbers(p)
     one_position_per_axis(p)
@@ -109,7 +109,7 @@ def unit_by_size(values: np.ndarray) -> str:
 NARROW = 100.0  # a longer travel is in mm: machines of more than 100 inch are few, and their files name the unit
 
 
-def settle_units(p: Proposal, layout: Layout) -> None:
+def resolve_units(p: Proposal, layout: Layout) -> None:
     """Raise DataError where a length without a unit may be inches: beside inches, or with no unit in the file.
 
     A temperature without one is not taken as degC beside another in degF.
@@ -234,7 +234,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
         )
     ambiguities.refuse(p, layout, options)
     _refuse_one_of_several_axes(p, layout, options)
-    settle_units(p, layout)
+    resolve_units(p, layout)
     unknown = [c for c in layout.columns if _may_be_a_place(p, c)]
     ambiguities.refuse_without_position(p, bool(unknown))
     for name, entry in p.entries.items():
@@ -258,7 +258,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
             p.guesses[name] = f"{p.guesses.get(name, '')}; E_{letter}, for no position of {letter} is recorded".strip(
                 "; "
             )
-    order.settle_order(p, axis)
+    order.resolve_order(p, axis)
     p.entries = dict(sorted(p.entries.items(), key=lambda item: item[1]["role"] not in ("run", "time")))
 
 
