@@ -23,10 +23,10 @@ from errpipe.errors import GateError
 
 SHIFT = 28800.0  # s: eight hours
 PER_SHIFT = (1, 2, 4, 8, 16)  # readings a shift that the report compares
-MISSED = 2.0  # intervals: a reading stands in for the next one where that is missed, then counts as none (from taste)
-TIE = 0.01  # readings must take at least this share of the held-out error away (from taste)
+MISSED = 2.0  # intervals: a reading stands in for the next one where that is missed, then counts as none (by judgement)
+TIE = 0.01  # readings must take at least this share of the held-out error away (by judgement)
 PLAUSIBLE = (
-    2.0  # of the largest error on held-out rows: a reading further from the model is not accepted (chosen by judgement)
+    2.0  # of the largest error on held-out rows: a reading further from the model is not accepted (by judgement)
 )
 
 

@@ -23,7 +23,7 @@ FEWEST_RUNS = 3  # that can be left out one by one
 # Of the span of deviations seen, beyond the largest of them: limit of the sum. 0.25 to 1 do alike on seeds 1 to 3 of
 # trials.thermal; a turning centre's winter, fitted on spring, has 7.1 um with 0.25 and 6.9 with 0.5 and more.
 SPAN_BEYOND = 0.5
-MOST_FITTED = 0.8  # of the measured rows: with fewer, the fit reports it (chosen by judgement)
+MOST_FITTED = 0.8  # of the measured rows: with fewer, the fit reports it (by judgement)
 SEEN_BEYOND = 0.25  # of the span; with more a failed sensor cost over 1.3 of healthy on a turning centre
 
 

@@ -28,7 +28,7 @@ MOST_OPERANDS = 48  # of one sum; a table takes 64
 MOST_GROUPS = 4  # columns of one grouping in the figure of the competition
 TIE_LEVEL = 0.05  # p over runs left out
 MACHINE = "machine"  # group of a recording
-UNLIKE_MACHINES = 1.5  # times what is left of runs; with more left of machines the fit reports it (chosen by judgement)
+UNLIKE_MACHINES = 1.5  # times what is left of runs; with more left of machines the fit reports it (by judgement)
 
 
 class ThermalFamily(Family):
