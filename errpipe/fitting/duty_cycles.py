@@ -182,7 +182,9 @@ def _components(columns: np.ndarray) -> np.ndarray:
     """Principal components of unit rms, (rows, components), of columns scaled to unit rms. Raises DataError if none."""
     rows = np.isfinite(columns).all(axis=1)
     if not columns[rows].any():
-        raise DataError("plan-day: no temperature moves in rows that have all of them")
+        raise DataError(
+            "plan-day: no temperature changes over the rows that have all of them (needed: rows of a warm-up)"
+        )
     size = np.sqrt(np.mean(columns[rows] ** 2, axis=0))
     scaled = columns / np.where(size > 0, size, 1.0)
     variance, axes = np.linalg.eigh(scaled[rows].T @ scaled[rows] / np.count_nonzero(rows))

@@ -32,7 +32,9 @@ def transposed(sheet: Sheet) -> Sheet:
     try:
         targets = [number(c, comma) for c in of_one_mark(sheet.rows[at], comma)]
     except ValueError as err:
-        raise DataError(f"targets: {err} may have a mark of thousands or of decimals") from None
+        raise DataError(
+            f"targets: {err} may have a mark of thousands or of decimals (write it without thousands)"
+        ) from None
     places = [i for i, v in enumerate(targets) if v is not None]
     sides = _sides(sheet.rows[at + 1], places) if at + 1 < len(sheet.rows) else None
     out: list[tuple[str | None, str, float | None, Figures]] = []

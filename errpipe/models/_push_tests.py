@@ -153,7 +153,10 @@ def _gauges(options: Options, recording: Recording) -> dict[str, str]:
                 f"no gauge (allowed: {', '.join(GAUGES)}). Give a column that is their sum the role ignore."
             )
     if len(set(places.values())) < len(places):
-        raise DataError(f"push tests: two columns of {options.component} have the same location")
+        raise DataError(
+            f"push tests: two columns of {options.component} have the same location (allowed: one column for each of "
+            f"{', '.join(GAUGES)})"
+        )
     if options.pushed_tool is not None:
         raise DataError("push tests: gauges do not read the tool that was pushed: leave out pushed_tool")
     return {g: n for g in GAUGES for n, place in places.items() if place == g}

@@ -114,7 +114,7 @@ class NeuralVolume(Family):
 
         places = _positions(recording)
         if not places:
-            raise DataError("neural_volume: the recording has no position of an axis")
+            raise DataError("neural_volume: the recording has no column of role position (needed: one for each axis)")
         drivers: list[d.Driver] = [d.Input(name=n) for n in places]
         drivers += [d.rise(n) for n in recording.names("temperature")]
         y = np.column_stack([recording.array(response_name(recording, c)) for c in self.components])
@@ -131,7 +131,10 @@ class NeuralVolume(Family):
 
         good = rows & np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1)
         if not good.any():
-            raise DataError("neural_volume: no row has all positions, temperatures and components")
+            raise DataError(
+                "neural_volume: no row has a value of every position, temperature and component (give a column that is "
+                "mostly empty the role ignore)"
+            )
         number = np.flatnonzero(good)
         x, y = x[number], y[number]
         none = _nothing(x, y)

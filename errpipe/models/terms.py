@@ -129,6 +129,7 @@ def mismatch(recording: Recording, spec: ModelSpec) -> Recording:
     for component in (c.component for c in spec.components):
         error, twin = (recording.name(role, component=component) for role in ("error", "simulated"))
         if error is None or twin is None:
-            raise DataError(f"{component}: recorded and simulated values are needed, and one of them is missing")
+            missing = "error" if error is None else "simulated"
+            raise DataError(f"{component}: no column of role {missing} (needed: one of role error, one simulated)")
         left[error] = recording.array(error) - recording.array(twin)
     return recording.with_columns(left, {})

@@ -42,7 +42,9 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     except (UsageError, DataError, MemoryError):
         raise
     except Exception as err:  # calamine raises many kinds, none of them ours
-        raise DataError(f"{path}: not a workbook that can be read ({type(err).__name__})") from None
+        raise DataError(
+            f"{path}: not a workbook that can be read ({type(err).__name__}): export it anew, or as CSV"
+        ) from None
     return [sheet.limited() for sheet in sheets if len(sheet.rows) > 1]
 
 

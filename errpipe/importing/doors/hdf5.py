@@ -45,7 +45,9 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     except (DataError, MemoryError):
         raise
     except Exception as err:  # h5py raises OSError, RuntimeError, ValueError, KeyError for damaged files
-        raise DataError(f"{path}: not an HDF5 file that can be read ({type(err).__name__})") from None
+        raise DataError(
+            f"{path}: not an HDF5 file that can be read ({type(err).__name__}): export it anew, or as CSV"
+        ) from None
     return [s.limited() for s in sheets_of(datasets, path.stem) if options.sheet in (None, s.name)]
 
 

@@ -41,7 +41,9 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     try:
         root = ElementTree.fromstring(data)
     except ElementTree.ParseError as err:
-        raise DataError(f"{path}:{err.position[0]}  not XML that can be read") from None
+        raise DataError(
+            f"{path}:{err.position[0]}  not XML that can be read: save it anew, or export it as CSV"
+        ) from None
     samples: list[tuple[str, str, float | None]] = []
     labels: dict[str, tuple[str, str]] = {}  # by data item: component and label
     component = ""

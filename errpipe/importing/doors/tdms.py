@@ -38,7 +38,9 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     except (DataError, MemoryError):
         raise
     except Exception as err:  # npTDMS raises ValueError, struct.error, KeyError, ... for damaged files
-        raise DataError(f"{path}: not a TDMS file that can be read ({type(err).__name__})") from None
+        raise DataError(
+            f"{path}: not a TDMS file that can be read ({type(err).__name__}): export it anew, or as CSV"
+        ) from None
     finally:
         log_manager.console_handler.removeFilter(remarks.add)
 

@@ -79,7 +79,7 @@ def test_a_recording_without_a_position_is_refused():
     measured = recording()
     columns = {n: c for n, c in measured.manifest.columns.items() if c.role != "position"}
     manifest = measured.manifest.model_copy(update={"columns": columns})
-    with pytest.raises(DataError, match="no position of an axis"):
+    with pytest.raises(DataError, match="no column of role position"):
         FAMILY.fit(Recording(manifest, measured.frame.drop(columns=["x", "y"])))
 
 
