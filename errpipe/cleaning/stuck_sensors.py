@@ -73,7 +73,7 @@ class StuckSensors(Rule):
         finite = values[np.isfinite(values)]
         if finite.size == 0:
             return "holds no value"
-        if _spoken_for(values) < (1 - self.empty) * values.size:
+        if _rows_with_reading(values) < (1 - self.empty) * values.size:
             return f"empty in {values.size - finite.size} of {values.size} rows"
         if finite.size >= MIN_STUCK_ROWS and np.ptp(finite) == 0.0:
             return f"shows {finite[0]:g} in every row"
@@ -87,12 +87,12 @@ def _may_stand_still(recording: Recording, name: str, alive: Mapping[str, np.nda
     low, high = PLAUSIBLE[role]
     if not finite.size or np.ptp(finite) > 0.0 or not low <= finite[0] <= high:
         return False
-    beside = [v for n, v in alive.items() if recording.manifest.columns[n].role == role]
-    return all(np.nanmax(v) - np.nanmin(v) <= CALM for v in beside)
+    same_role = [v for n, v in alive.items() if recording.manifest.columns[n].role == role]
+    return all(np.nanmax(v) - np.nanmin(v) <= CALM for v in same_role)
 
 
-def _spoken_for(values: np.ndarray) -> int:
-    """Rows for which a reading stands: its own and, of a sensor logged less often, those to its usual next one."""
+def _rows_with_reading(values: np.ndarray) -> int:
+    """Rows with a reading; of a sensor logged less often also those up to the next one, at its usual rate."""
     steps = np.diff(np.r_[np.flatnonzero(np.isfinite(values)), values.size])
     return int(np.minimum(steps, rows_between(values)).sum())
 

@@ -94,7 +94,7 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
         units = [u or split_header(n)[1] for u, n in zip(units, names, strict=True)]
         names = [*_stated_names(stated, len(names), used > 0), *names[len(stated) :]]
     elif not used:
-        notes.append("the file has no header: columns are numbered (--names says what they are)")
+        notes.append("the file has no header: columns are numbered (--names gives them names)")
     remarks = [row for row, of_row in zip(rows[start:], numbers[start:], strict=True) if all(v is None for v in of_row)]
     below = [" ".join(map(str, filled_cells(row))) for row in remarks[:MOST_REMARKS]]
     if used:
@@ -151,9 +151,9 @@ def _units_above(rows: list[list[Cell]], end: int, names: list[str]) -> list[str
 
 
 def _stated_names(stated: tuple[str, ...], width: int, header: bool) -> tuple[str, ...]:
-    """The names that a person said. Raises DataError where they are not as many as the columns of a header."""
+    """The names that a person stated. Raises DataError where they are not as many as the columns of a header."""
     if len(stated) > width or (header and len(stated) != width):
-        raise DataError(f"--names says {len(stated)} names, the table has {width} columns")
+        raise DataError(f"--names gives {len(stated)} names, the table has {width} columns")
     return stated
 
 
@@ -354,7 +354,7 @@ def _layout(
         header, unit = split_header(text)
         stated = units[i] if i < len(units) else None
         if stated and unit and stated != unit:
-            raise DataError(f"column {header!r}: its name says {unit}, its cells or a line above it {stated}")
+            raise DataError(f"column {header!r}: its name states {unit}, its cells or a line above it {stated}")
         count_of[header] += 1
         if count_of[header] > 1:
             header += "'" * (count_of[header] - 1)  # no number, which would be taken for that of a run

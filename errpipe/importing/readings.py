@@ -17,7 +17,7 @@ NARROW = 100.0  # a longer travel is in mm: machines of more than 100 inch are f
 ABSOLUTE = 0.1  # of the position: a steeper "deviation" is a reading (no axis is wrong by 10 %)
 
 
-def turn_readings(p: Proposal) -> None:
+def change_sign_of_readings(p: Proposal) -> None:
     """Readings that fall one for one as the command rises count the other way: the actual position is minus them."""
     for name in [n for n, e in p.entries.items() if e["role"] in ("actual", "position") and n in p.data]:
         entry = p.entries[name]

@@ -166,7 +166,7 @@ _LESS = (
 _ONE, _OTHER = (
     "|".join(rf"(?P<{name}{n}>(?<![^\W_])(?:{pattern})(?![^\W_]))" for n, pattern in _OF_A_DIFFERENCE) for name in "ab"
 )
-_TOLD_AND_DONE = re.compile(rf"(?:{_ONE}){_LESS}(?:{_OTHER})")
+_ACTUAL_AND_COMMANDED = re.compile(rf"(?:{_ONE}){_LESS}(?:{_OTHER})")
 # A line above a table whose readings are corrections: `Korrekturwerte in um`, not `Compensation: off`.
 _TITLE_OF_CORRECTIONS = re.compile(
     r"(korrekturwerte|korrekturtabelle|(correction|compensation|comp\.?) (values?|table|data))\b[^:=;]*$"
@@ -215,7 +215,7 @@ def plain(text: object) -> str:
 
 
 def kind_by_name(header: str) -> str | None:
-    """What a header says its column holds, or None."""
+    """What a column holds by its header, or None."""
     text = _measured(header)
     kind = next((kind for pattern, kind in WORDS if re.search(pattern, text)), None)
     return "error" if kind in ("command", "actual", "position") and difference(header) else kind  # `Soll-Ist`
@@ -265,8 +265,8 @@ def is_following_error(header: str) -> bool:
 
 
 def difference(text: str) -> tuple[float, str] | None:
-    """+1 and the words where a text says `measured - nominal`, -1 where it says `cmd - act`; else None."""
-    for match in _TOLD_AND_DONE.finditer(plain(text)):
+    """+1 and the words where a text reads `measured - nominal`, -1 where it reads `cmd - act`; else None."""
+    for match in _ACTUAL_AND_COMMANDED.finditer(plain(text)):
         one, other = sorted(name for name, word in match.groupdict().items() if word)
         if one[1] != other[1]:
             return (1.0 if one[1] > other[1] else -1.0), match.group(0)
@@ -281,7 +281,7 @@ def names_both(text: str) -> bool:
 
 
 def titles_corrections(line: str) -> bool:
-    """Whether a line above a table says that its readings are corrections."""
+    """Whether a line above a table states that its readings are corrections."""
     return _TITLE_OF_CORRECTIONS.match(plain(line)) is not None
 
 

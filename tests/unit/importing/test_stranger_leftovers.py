@@ -14,7 +14,7 @@ from errpipe.importing import dates
 from errpipe.importing.layout import RawColumn
 from errpipe.importing.other_tests import TESTS
 from errpipe.importing.proposed import ImportOptions
-from errpipe.importing.settle import unit_by_size
+from errpipe.importing.resolve import unit_by_size
 from errpipe.importing.sheet import Cell, DoorOptions
 from errpipe.stages import import_files
 from tests.unit.importing.known_test import imported, prepared

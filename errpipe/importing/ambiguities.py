@@ -1,4 +1,4 @@
-"""What a file leaves open and a table cannot do without: asked for, never assumed."""
+"""Ambiguities of a file that only a person can settle: the import is refused with a question, nothing is assumed."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _SHORT_OR_LONG = re.compile(
 
 
 def refuse(p: Proposal, layout: Layout, options: ImportOptions) -> None:
-    """Raise DataError for the first doubt on a proposal with all its deviations."""
+    """Raise DataError for the first ambiguity of a proposal with all its deviations."""
     _too_few(p)
     _signs_in_a_column(p, layout, options)
     _unnamed_axis(p)
@@ -99,7 +99,7 @@ def _twice(p: Proposal) -> None:
             )
 
 
-def refuse_nothing_beside(p: Proposal, asked: bool) -> None:
+def refuse_without_position(p: Proposal, asked: bool) -> None:
     """Raise DataError for readings without a position, a time or anything else that they could follow.
 
     asked: whether a column that may be the position of a linear axis is asked about anyway.
@@ -148,7 +148,7 @@ def refuse_second_probe(p: Proposal, name: str, letter: str | None, options: Imp
 
 def refuse_another_title(p: Proposal, layout: Layout, options: ImportOptions) -> None:
     """Raise DataError where a line above names a straightness or a shape, and the readings would become positioning."""
-    title = next((line for line in layout.above if columns.titles_another(line)), None)
+    title = next((line for line in layout.above if columns.titles_other_component(line)), None)
     place = p.first("position") or p.first("command")
     if title is None or place is None or options.component is not None:
         return
