@@ -39,7 +39,7 @@ DEFAULT = by_default()
 WHOLE_RUN = "run_before_split"  # the group column that keeps the label of a run that was split
 
 
-class Done(Frozen):
+class ActionRecord(Frozen):
     """One action that was carried out. rows: half-open ranges of rows of the recording that came in."""
 
     what: ActionKind
@@ -54,7 +54,7 @@ class RuleReport(Frozen):
 
     rule: str
     options: dict[str, Any]
-    done: tuple[Done, ...] = ()
+    done: tuple[ActionRecord, ...] = ()
 
 
 class CleaningReport(Frozen):
@@ -96,9 +96,9 @@ def cleaned_rows(recording: Recording, rules: Sequence[Rule]) -> tuple[Recording
     return recording, report, origin
 
 
-def _done(action: Action, origin: np.ndarray) -> Done:
+def _done(action: Action, origin: np.ndarray) -> ActionRecord:
     rows = tuple(_ranges(origin[action.rows]))
-    return Done(what=action.kind, reason=action.reason, column=action.column, count=action.rows.size, rows=rows)
+    return ActionRecord(what=action.kind, reason=action.reason, column=action.column, count=action.rows.size, rows=rows)
 
 
 def _ranges(rows: np.ndarray) -> list[tuple[int, int]]:
@@ -134,4 +134,4 @@ def _split(recording: Recording, action: Action) -> Recording:
     return recording.with_columns({name or "run": new, WHOLE_RUN: labels}, columns)
 
 
-__all__ = ["DEFAULT", "RULES", "CleaningReport", "Done", "Rule", "RuleReport", "clean"]
+__all__ = ["DEFAULT", "RULES", "ActionRecord", "CleaningReport", "Rule", "RuleReport", "clean"]

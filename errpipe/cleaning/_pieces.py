@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from errpipe.cleaning import WHOLE_RUN, CleaningReport, Done, Rule, RuleReport, cleaned_rows
+from errpipe.cleaning import WHOLE_RUN, ActionRecord, CleaningReport, Rule, RuleReport, cleaned_rows
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError
 
@@ -78,7 +78,7 @@ class Cleaning:
     source: Manifest
     at: int = 0
     kept: int = 0
-    done: dict[int, list[Done]] = field(default_factory=dict)  # number of the rule -> what it did
+    done: dict[int, list[ActionRecord]] = field(default_factory=dict)  # number of the rule -> what it did
     used: set[str] = field(default_factory=set)  # columns that some piece kept
     part: int = 0  # of the run that goes on in the next piece: how many pauses have split it
 
@@ -162,10 +162,10 @@ class Cleaning:
         self.part = int(part[last])
 
     def _report_split(self, rows: tuple[int, int]) -> None:
-        """Add rows to what was last said of a run that was split."""
-        for said in self.done.values():
-            for k in reversed(range(len(said))):
-                if said[k].what == "split run":
-                    more = {"rows": (*said[k].rows, rows), "count": said[k].count + rows[1] - rows[0]}
-                    said[k] = said[k].model_copy(update=more)
+        """Add rows to what was last reported of a run that was split."""
+        for actions in self.done.values():
+            for k in reversed(range(len(actions))):
+                if actions[k].what == "split run":
+                    more = {"rows": (*actions[k].rows, rows), "count": actions[k].count + rows[1] - rows[0]}
+                    actions[k] = actions[k].model_copy(update=more)
                     return

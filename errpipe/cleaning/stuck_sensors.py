@@ -6,6 +6,7 @@ longer than the sensor's others, and where the other sensors say that it should 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
@@ -26,14 +27,20 @@ MOVED = 4.0  # display steps, or scatters of the estimate, by which the others s
 RELATED = 0.5  # share of a sensor's variance that the others must explain to be compared with it
 MAX_NAMED = 5  # sensors in a message
 DEAD_SHARE = 0.3  # of a sensor's cells stuck: the rest is not worth the risk
+# What a sensor may show, or a person may write in every row of a short test: in degC, hPa, %.
+PLAUSIBLE = {"temperature": (5.0, 45.0), "pressure": (600.0, 1100.0), "humidity": (1.0, 100.0)}
+CALM = 1.0  # K, hPa or %: where no sensor of its kind leaves this span, one that stands still is no failure
 
 
 class StuckSensors(Rule):
-    """Set aside sensors that are empty, constant or mostly stuck; blank stuck and sentinel stretches of others."""
+    """Set aside sensors that are empty, constant or mostly stuck; blank stuck and sentinel stretches of others.
+
+    One plausible value in every row is no failure where no sensor of its kind moved, as in a short test.
+    """
 
     rule: Literal["stuck_sensors"] = "stuck_sensors"
     empty: float = quantity("1", "A sensor with a larger share of empty cells is set aside.", 0.5, gt=0, le=1)
-    most: float = quantity("1", "Refuse to set aside more than this share of the sensors.", 0.7, gt=0, le=1)
+    most: float = quantity("1", "Refuse to set aside more than this share of the sensors as failed.", 0.7, gt=0, le=1)
 
     def find(self, recording: Recording) -> list[Action]:
         """Columns to set aside and cells to blank. Raises DataError beyond the stated share."""
@@ -52,10 +59,11 @@ class StuckSensors(Rule):
             elif rows.size:
                 actions.append(Action("blank cells", reason, column=name, rows=rows))
         set_aside = [Action("set column aside", dead[n], column=n) for n in names if n in dead]
-        if len(set_aside) > self.most * len(names):
-            which = "; ".join(f"{action.column} {action.reason}" for action in set_aside[:MAX_NAMED])
+        failed = [a for a in set_aside if not _may_stand_still(recording, str(a.column), alive)]
+        if len(failed) > self.most * len(names):
+            which = "; ".join(f"{action.column} {action.reason}" for action in failed[:MAX_NAMED])
             raise DataError(
-                f"clean, {self.rule}: would set aside {len(set_aside)} of {len(names)} sensors, more than its share of"
+                f"clean, {self.rule}: would set aside {len(failed)} of {len(names)} sensors, more than its share of"
                 f" {100 * self.most:g} % ({which}). Give their columns `role: ignore`, or raise `most`."
             )
         return [*set_aside, *actions]
@@ -65,15 +73,26 @@ class StuckSensors(Rule):
         finite = values[np.isfinite(values)]
         if finite.size == 0:
             return "holds no value"
-        if _spoken_for(values) < (1 - self.empty) * values.size:
+        if _rows_with_reading(values) < (1 - self.empty) * values.size:
             return f"empty in {values.size - finite.size} of {values.size} rows"
         if finite.size >= MIN_STUCK_ROWS and np.ptp(finite) == 0.0:
             return f"shows {finite[0]:g} in every row"
         return ""
 
 
-def _spoken_for(values: np.ndarray) -> int:
-    """Rows for which a reading stands: its own and, of a sensor logged less often, those to its usual next one."""
+def _may_stand_still(recording: Recording, name: str, alive: Mapping[str, np.ndarray]) -> bool:
+    """Whether a sensor that shows one plausible value in every row is no failure: none of its kind moved either."""
+    values, role = recording.array(name), recording.manifest.columns[name].role
+    finite = values[np.isfinite(values)]
+    low, high = PLAUSIBLE[role]
+    if not finite.size or np.ptp(finite) > 0.0 or not low <= finite[0] <= high:
+        return False
+    same_role = [v for n, v in alive.items() if recording.manifest.columns[n].role == role]
+    return all(np.nanmax(v) - np.nanmin(v) <= CALM for v in same_role)
+
+
+def _rows_with_reading(values: np.ndarray) -> int:
+    """Rows with a reading; of a sensor logged less often also those up to the next one, at its usual rate."""
     steps = np.diff(np.r_[np.flatnonzero(np.isfinite(values)), values.size])
     return int(np.minimum(steps, rows_between(values)).sum())
 

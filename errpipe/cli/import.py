@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 import sys
 from pathlib import Path
 from typing import Literal
@@ -10,9 +12,11 @@ import typer
 
 from errpipe.cli._arguments import Json
 from errpipe.cli.output import folded, print_result, stage_module
+from errpipe.errors import DataError
 
 
 def command(
+    context: typer.Context,
     files: list[Path] = typer.Argument(
         metavar="FILE...", help="CSV, Excel, TDMS, HDF5, MAT, MTConnect, halsampler, ..."
     ),
@@ -57,13 +61,30 @@ def command(
     said = {"axis": axis, "component": component, "unit": unit, "sign": sign, "title": title, "machine": machine}
     options = work.options_of(**said, resolution=resolution, torque_constant=torque_constant, sets=sets)
     door = DoorOptions(sheet, tuple(n.strip() for n in names.split(",")) if names else (), period)
-    proposal, shown = work.prepare(files, door, options)
+    try:
+        proposal, shown = work.prepare(files, door, options)
+    except DataError as err:
+        raise DataError(f"{err}{_again(str(err), context)}") from None
     lines = folded([*shown["says"], *(f"  implausible: {text}" for text in shown["checks"])])
     if not yes:
         _confirm(lines, asked=not json)
     done = work.write(proposal, out, options, files, overwrite)
     says = [*(lines if yes else ()), *done["says"]]
     print_result("import", {**work.plain(shown), "folder": str(out)}, says, as_json=json)
+
+
+def _again(question: str, context: typer.Context) -> str:
+    """The same command with the answer that a question on the axis or the unit names first; else ''."""
+    answer = re.search(r"[Ss]ay it(?: with|:) (--(?:axis|unit) [A-Za-z]\w*)", question)
+    if answer is None:
+        return ""
+    said = ["errpipe", *context.command_path.split()[1:], *map(str, context.params["files"])]
+    for option in context.command.params:
+        value = context.params.get(str(option.name))
+        if option.opts[0].startswith("--") and value not in (None, "", False, [], ()):
+            for each in value if isinstance(value, list | tuple) else (value,):
+                said += [option.opts[0], *([] if each is True else [str(each)])]
+    return f"\nagain, where it is {answer[1].split()[1]}: {shlex.join(said)} {answer[1]}"
 
 
 def _confirm(lines: list[str], asked: bool) -> None:

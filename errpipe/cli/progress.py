@@ -51,12 +51,12 @@ class ProgressReporter:
             fraction = min(max(fraction, 0.0), 1.0)
             done = round(_WIDTH * fraction)
             with self._lock:
-                left = self._left(name, fraction)
+                left = self._time_left(name, fraction)
                 line = f"{name} [{'#' * done}{'.' * (_WIDTH - done)}] {left}{text}"
                 self.stream.write(f"\r\033[K{line[:_COLUMNS]}")
                 self.stream.flush()
 
-    def _left(self, name: str, fraction: float) -> str:
+    def _time_left(self, name: str, fraction: float) -> str:
         """How long a piece of work will still take by the share that is done; nothing where that is soon."""
         elapsed = self._clock() - self._began.setdefault(name, self._clock())
         if fraction <= 0.0 or elapsed / fraction <= _SOON:

@@ -291,7 +291,7 @@ class Scene:
     def exactly(self, index: np.ndarray, value: np.ndarray, sd: np.ndarray, rows: float | None = None) -> np.ndarray:
         """Log Bayes factors of columns, each alone, with a coefficient known to be `value` within `sd`."""
         cross = self.with_active(index)
-        s = evidence.freed(self.chol, cross, self.half, self.Zy_all[index])
+        s = evidence.project_out(self.chol, cross, self.half, self.Zy_all[index])
         own = [self.table.among(index[k : k + 1], self.data.without)[0, 0] for k in range(index.size)]
         S = np.array(own) - np.sum(cross**2, axis=0)
         return with_known_size(S, s, value, sd / self.sigma, self.Q, rows or self.n)
@@ -307,7 +307,7 @@ class Scene:
         which = listed.every if which is None else which
         used, where = listed.used(which)
         cross = self.with_active(used)
-        seen = evidence.freed(self.chol, cross, self.half, self.Zy_all[used])
+        seen = evidence.project_out(self.chol, cross, self.half, self.Zy_all[used])
         return evidence.scores(
             which,
             where,

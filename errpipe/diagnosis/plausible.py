@@ -70,7 +70,7 @@ def not_in_full(m: model.Modelled) -> bool:
 def no_such_size(m: model.Modelled) -> bool:
     """Does the interval of a constant of nature lie outside of its bounds?"""
     term, spans = m.hypothesis.terms[0], {e.name: e for e in m.estimates}
-    return term.of_nature and any(
+    return term.physical_constant and any(
         spans[p.name].low > p.bounds[1] or spans[p.name].high < p.bounds[0] for p in term.linear()
     )
 

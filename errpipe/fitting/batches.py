@@ -37,7 +37,7 @@ class Source:
 
     ends: two rows, the smallest and the largest value of every column. batches: names of columns -> its rows in order,
     batch by batch, each with what the rows before it leave behind; `runs=` gives the rows of each run where they are
-    known. complete: columns in which no value is missing. runs: rows of each run, where the file says so.
+    known. complete: columns in which no value is missing. runs: rows of each run, where the file states them.
     """
 
     rows: int
@@ -302,7 +302,7 @@ def gather(source: Source, spec: ModelSpec, layout: Layout, prepare: Prepare) ->
 
 
 def _new_history(ends: Recording, component: ComponentSpec, layout: Layout, prepare: Prepare) -> History:
-    watched = _Watched(ends.manifest, prepare(ends).frame)
+    watched = _ReadColumns(ends.manifest, prepare(ends).frame)
     slots, width, _ = slots_of(watched, [(component.component, component.terms)])
     moving = tuple(s for s in slots if s.term.drivers(watched) or not s.term.rowwise)
     history = History(component.component, slots, moving, width, (), layout)
@@ -317,8 +317,8 @@ def _new_history(ends: Recording, component: ComponentSpec, layout: Layout, prep
     return history
 
 
-class _Watched(Recording):
-    """A recording that notes which columns are read."""
+class _ReadColumns(Recording):
+    """A recording that lists the columns read from it."""
 
     @property
     def seen(self) -> set[str]:

@@ -44,7 +44,7 @@ def evaluate(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
 
 
 def term_of(fitted: FittedTerm) -> Term:
-    """The term behind its plain data. Raises DataError on a term or an option that this version does not know."""
+    """The term behind its plain data. Raises DataError on a term or an option unknown to this version."""
     name = fitted.term["term"]
     if name not in TERMS.tags:
         raise DataError(f"error model: the term {name!r} is not known")
@@ -74,7 +74,7 @@ def _first(recording: Recording, values: np.ndarray) -> np.ndarray:
 def solved(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> ErrorModel:
     """The error model of `spec` on the rows of a mask, its prediction interval still open.
 
-    Raises DataError where a response or a needed column is missing, NotIdentifiable where the rows cannot tell
+    Raises DataError where a response or a needed column is missing, NotIdentifiable where the rows cannot distinguish
     parameters apart.
     """
     models: list[ComponentModel] = []

@@ -52,7 +52,7 @@ class _Run:
 
 
 @dataclass(frozen=True)
-class Known:
+class Posterior:
     """Posterior after some runs. gain, own, noise: um; precision (p, p), mean (p,): of b."""
 
     gain: float
@@ -96,7 +96,7 @@ class DutyCycles:
         """Runs with a measured deviation."""
         return [r for r in self.runs if np.isfinite(self.deviation[self.run == r]).any()]
 
-    def learn(self, runs: Sequence[int]) -> Known:
+    def learn(self, runs: Sequence[int]) -> Posterior:
         """Scales by marginal likelihood, then the posterior of b. Without a run: the prior."""
         size = TYPICAL
         if runs:
@@ -111,12 +111,12 @@ class DutyCycles:
         optimum = minimize(cost, centre, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02, "maxiter": 300})
         return self._posterior(np.exp(optimum.x), runs)
 
-    def information_of(self, run: int, known: Known) -> np.ndarray:
+    def information_of(self, run: int, known: Posterior) -> np.ndarray:
         """Information on b of one run, measured or only logged, (p, p), 1/um2."""
         half = solve_triangular(self._factor(run, known.own, known.noise), self.runs[run].triangle, lower=True)
         return half.T @ half
 
-    def expected(self, known: Known, candidate: Iterable[int] = ()) -> float:
+    def expected(self, known: Posterior, candidate: Iterable[int] = ()) -> float:
         """Expected rms of what b is unknown by, over the states of all runs, um, after a run like the candidate's.
 
         Each run counts once whatever its length; a candidate of several runs is the mean over them.
@@ -125,7 +125,7 @@ class DutyCycles:
         after = [known.precision + self.information_of(r, known) for r in candidate] or [known.precision]
         return float(np.sqrt(np.mean([np.trace(np.linalg.solve(p, weight)) for p in after])))
 
-    def irreducible(self, known: Known) -> float:
+    def irreducible(self, known: Posterior) -> float:
         """Expected rms of what no further run can teach, over the states of all runs, um."""
         weight = np.mean([np.trace(r.square) for r in self.runs.values()])
         return float(np.hypot(known.own * np.sqrt(weight), known.noise))
@@ -153,7 +153,7 @@ class DutyCycles:
             total += (one.rows - len(one.rotated)) * 2.0 * np.log(noise)
         return 0.5 * float(total)
 
-    def _posterior(self, scales: np.ndarray, runs: Sequence[int]) -> Known:
+    def _posterior(self, scales: np.ndarray, runs: Sequence[int]) -> Posterior:
         gain, own, noise = map(float, scales)
         precision, right = np.eye(self.states.shape[1]) / gain**2, np.zeros(self.states.shape[1])
         for r in runs:
@@ -161,7 +161,7 @@ class DutyCycles:
             whitened = cho_solve((factor, True), np.column_stack([one.triangle, one.rotated]))
             precision += one.triangle.T @ whitened[:, :-1]
             right += one.triangle.T @ whitened[:, -1]
-        return Known(gain, own, noise, precision, np.linalg.solve(precision, right))
+        return Posterior(gain, own, noise, precision, np.linalg.solve(precision, right))
 
 
 def _thermal_states(recording: Recording) -> np.ndarray:
@@ -182,7 +182,9 @@ def _components(columns: np.ndarray) -> np.ndarray:
     """Principal components of unit rms, (rows, components), of columns scaled to unit rms. Raises DataError if none."""
     rows = np.isfinite(columns).all(axis=1)
     if not columns[rows].any():
-        raise DataError("plan-day: no temperature moves in rows that have all of them")
+        raise DataError(
+            "plan-day: no temperature changes over the rows that have all of them (needed: rows of a warm-up)"
+        )
     size = np.sqrt(np.mean(columns[rows] ** 2, axis=0))
     scaled = columns / np.where(size > 0, size, 1.0)
     variance, axes = np.linalg.eigh(scaled[rows].T @ scaled[rows] / np.count_nonzero(rows))

@@ -42,7 +42,7 @@ class Fold:
     weights: np.ndarray
     cells: np.ndarray  # of the history that was held out, as a mask
 
-    def left(self, gain: float) -> tuple[float, float]:
+    def residual_at_gain(self, gain: float) -> tuple[float, float]:
         """(sum of squares, mean) of what is left of the response at a share of the correction."""
         bare = np.zeros(self.weights.size)
         bare[-1] = 1.0
@@ -50,8 +50,8 @@ class Fold:
         return float(rotated @ rotated), float(rotated[0] / self.factor[0, 0])
 
 
-def hindrances(spec: ModelSpec, recording: Recording) -> list[str]:
-    """What of a specification cannot be fitted batch by batch; recording: any rows of it."""
+def unsupported_in_batches(spec: ModelSpec, recording: Recording) -> list[str]:
+    """Parts of a specification that cannot be fitted batch by batch; recording: any rows of it."""
     reasons = [f"method: {spec.method}"] if spec.method != "linear" else []
     reasons += ["datum: run_start"] if spec.datum == "run_start" else []
     reasons += [f"selection: {spec.selection}"] if spec.selection != "none" else []
@@ -68,7 +68,7 @@ def hindrances(spec: ModelSpec, recording: Recording) -> list[str]:
 
 
 def fitted(source: Source, spec: ModelSpec, prepare: Prepare) -> ErrorModel:
-    """`model.fit` of a specification that `refusals` has nothing against. Raises DataError, NotIdentifiable."""
+    """`model.fit` of a specification for which `unsupported_in_batches` is empty. Raises DataError, NotIdentifiable."""
     layout = batches.survey(source, spec)
     histories = batches.gather(source, spec, layout, prepare)
     models, sample = [_component(source, h, spec, prepare) for h in histories], histories[0].sample(source.manifest)
@@ -209,7 +209,9 @@ def _folds(history: History) -> list[holdout.Fold]:
     return holdout.groups(cells, scheme)
 
 
-def worst(source: Source, histories: list[History], folds: list[list[Fold]], prepare: Prepare) -> list[np.ndarray]:
+def largest_deviations(
+    source: Source, histories: list[History], folds: list[list[Fold]], prepare: Prepare
+) -> list[np.ndarray]:
     """Per history the largest deviation of each fold before and after the model, (folds, 2), from one more pass."""
     of_cell = [{k: i for i, f in enumerate(fs) for k in np.flatnonzero(f.cells).tolist()} for fs in folds]
     sums = [np.zeros((len(fs), 2)) for fs in folds]

@@ -20,7 +20,7 @@ from errpipe.fitting.holdout import Fold, check
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
 from errpipe.fitting.validity import distance
 
-TIE = 0.01  # a term must take at least this share of the held-out error away to stay (from taste)
+TIE = 0.01  # a term must take at least this share of the held-out error away to stay (by judgement)
 
 FIRST_READINGS = 3  # whose mean is a run's zero where the datum is its start: one alone would add its noise to all
 
@@ -68,7 +68,7 @@ def _residual(recording, spec: ModelSpec, group: Sequence[ComponentSpec], fold, 
     if not usable.any():
         empty = ", ".join(_empty(recording, fold.test))
         raise DataError(
-            f"hold-out {fold.label}: no judged row has everything the model needs"
+            f"hold-out {fold.label}: no judged row has a value in every column that the model reads"
             + (f" (empty in all of them: {empty})" if empty else "")
         )
     problem = assemble(recording, [(c.component, ()) for c in group], spec.nuisance, usable)
@@ -140,7 +140,7 @@ def half_width90(folds: Sequence[HeldOut]) -> float:
 
 
 def widening90(folds: Sequence[HeldOut], half: float) -> float:
-    """Half width added per range's width outside the box: from held-out rows outside, else one `half` (from taste)."""
+    """Half width added per range's width outside the box, from held-out rows outside, else `half` (by judgement)."""
     size = np.concatenate([np.abs(f.after) for f in folds])
     outside = np.concatenate([f.outside for f in folds])
     beyond = outside > 0.02

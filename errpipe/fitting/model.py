@@ -36,7 +36,7 @@ def fit(recording: Recording, spec: ModelSpec, *, rows: np.ndarray | None = None
 
 
 def without_interval(model: ErrorModel, why: str) -> ErrorModel:
-    """Nothing can be held out: the interval is that of the fitted rows, and a note says so."""
+    """Nothing can be held out: the interval is that of the fitted rows, and a note states it."""
     components = tuple(
         c.model_copy(update={"half_width90": NORMAL90 * c.rms_after, "widening90": NORMAL90 * c.rms_after})
         for c in model.components

@@ -25,7 +25,7 @@ def lag_free_place(loss: float) -> float:
     coth(mu) - 1/mu = (1 - x) tanh(mu (1 - x)), mu = sqrt(loss), loss = h P L2 / (k A) >= 0; 1 - 1/sqrt(3) at no loss.
     """
     if loss < 0:
-        raise DataError(f"placement: a loss of {loss:g} would be a gain")
+        raise DataError(f"placement: loss {loss:g} (allowed: 0 or more)")
     mu = np.sqrt(loss)
     if mu < 1e-3:
         return float(1.0 - 1.0 / np.sqrt(3.0))

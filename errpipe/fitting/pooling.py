@@ -77,7 +77,9 @@ def distances(estimates: np.ndarray, covariances: np.ndarray) -> np.ndarray:
     return np.concatenate(out)
 
 
-def alike(estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray], level: float = 0.05) -> list[list[int]]:
+def homogeneous_groups(
+    estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray], level: float = 0.05
+) -> list[list[int]]:
     """Groups of machines whose parameters do not differ significantly (complete linkage: every pair of a group)."""
     if len(estimates) < 2:
         return []

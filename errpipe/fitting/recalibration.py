@@ -23,9 +23,11 @@ from errpipe.errors import GateError
 
 SHIFT = 28800.0  # s: eight hours
 PER_SHIFT = (1, 2, 4, 8, 16)  # readings a shift that the report compares
-MISSED = 2.0  # intervals: a reading stands in for the next one where that is missed, then counts as none (from taste)
-TIE = 0.01  # readings must take at least this share of the held-out error away (from taste)
-PLAUSIBLE = 2.0  # of the largest error on held-out rows: a reading further from the model is not believed (from taste)
+MISSED = 2.0  # intervals: a reading stands in for the next one where that is missed, then counts as none (by judgement)
+TIE = 0.01  # readings must take at least this share of the held-out error away (by judgement)
+PLAUSIBLE = (
+    2.0  # of the largest error on held-out rows: a reading further from the model is not accepted (by judgement)
+)
 
 
 def is_thermal(recording: Recording) -> bool:
@@ -52,7 +54,8 @@ def schedule(recording: Recording, every: float) -> np.ndarray:
 def last_reading(run: np.ndarray, values: np.ndarray, probed: np.ndarray) -> np.ndarray:
     """The last probed finite value of the same run before each row; 0 before the first. Shape (rows,).
 
-    run: code per row; values: what would be read, NaN where nothing is; probed: mask. A row never sees its own reading.
+    run: code per row; values: what would be read, NaN where nothing is; probed: mask. A reading is not
+    used for its own row.
     """
     out = np.zeros(values.size)
     for code in np.unique(run):

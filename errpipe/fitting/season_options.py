@@ -16,7 +16,7 @@ class SeasonOptions(Frozen):
     kind: Literal["thermal_season"] = "thermal_season"
     sensors: tuple[str, ...] = Field((), description="Temperatures to use; all of them where empty.")
     room: str | None = Field(None, description="Sensor of the room; found by its location where not given.")
-    spindle: str | None = Field(None, description="Tells whether the spindle runs; all sensors near it if not given.")
+    spindle: str | None = Field(None, description="Shows whether the spindle runs; all sensors near it if not given.")
     bed: str | None = Field(None, description="Sensor of the bed; found by its location where not given.")
     late: tuple[float, ...] = quantity("s", "Lags of heat while the spindle runs.", (900.0,))
     slow: tuple[float, ...] = quantity(

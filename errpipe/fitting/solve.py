@@ -80,7 +80,7 @@ def least_squares(
 
     design: (n, p); response: (n,); weights: (n,), 1 where not given; penalty: (p, p), positive semi-definite;
     noise: standard deviation of the response's noise, which priors are weighed against. A direction that the
-    design does not see at all gets the smallest coefficients (rank < p tells).
+    design does not see at all gets the smallest coefficients (then rank < p).
     """
     root = np.ones(response.size) if weights is None else np.sqrt(weights)
     extra, target = _further_rows(design.shape[1], penalty, priors, noise)

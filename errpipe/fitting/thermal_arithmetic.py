@@ -23,7 +23,7 @@ FEWEST_RUNS = 3  # that can be left out one by one
 # Of the span of deviations seen, beyond the largest of them: limit of the sum. 0.25 to 1 do alike on seeds 1 to 3 of
 # trials.thermal; a turning centre's winter, fitted on spring, has 7.1 um with 0.25 and 6.9 with 0.5 and more.
 SPAN_BEYOND = 0.5
-MOST_FITTED = 0.8  # of the measured rows: with fewer, the fit says so (from taste)
+MOST_FITTED = 0.8  # of the measured rows: with fewer, the fit reports it (by judgement)
 SEEN_BEYOND = 0.25  # of the span; with more a failed sensor cost over 1.3 of healthy on a turning centre
 
 
@@ -43,10 +43,10 @@ def held_readings(recording: Recording) -> Recording:
     Where runs follow each other within minutes, heat of the run before must not act on a fit: `predict` begins each run
     anew, and a fit that knew more was worse there than it had been judged.
     """
-    return short_holes_held(recording.each_run_alone())
+    return short_gaps_held(recording.each_run_alone())
 
 
-def short_holes_held(recording: Recording, names: Iterable[str] | None = None) -> Recording:
+def short_gaps_held(recording: Recording, names: Iterable[str] | None = None) -> Recording:
     """The recording with sensors (default: temperatures) as a controller has them: between readings, the one before.
 
     Readings missing at the start of a run take its first one. Holes of more than LONGEST_HELD readings, at the rate at
@@ -90,7 +90,7 @@ def no_usable_row(recording: Recording, component: str) -> DataError:
     """What to raise where no row can be fitted: names the emptiest temperature."""
     return DataError(
         f"thermal model of {component}: no row has a deviation and all temperatures, these without a long hole since "
-        f"the start of its run ({_emptiest(recording)})"
+        f"the start of its run ({_sensor_with_most_gaps(recording)})"
     )
 
 
@@ -128,10 +128,12 @@ def few_rows_fitted(recording: Recording, component: str, fitted: int) -> str:
     measured = int(np.isfinite(recording.array(response_name(recording, component))).sum())
     if fitted > MOST_FITTED * measured:
         return ""
-    return f"; fitted to {fitted} of {measured} rows, the others lack a temperature ({_emptiest(recording)})"
+    return (
+        f"; fitted to {fitted} of {measured} rows, the others lack a temperature ({_sensor_with_most_gaps(recording)})"
+    )
 
 
-def _emptiest(recording: Recording) -> str:
+def _sensor_with_most_gaps(recording: Recording) -> str:
     empty = recording.frame[list(recording.names("temperature"))].isna().sum()
     name = empty.idxmax()
     return f"emptiest: {name}, no reading in {empty.max()} of {len(recording)} rows; with `role: ignore` it is not used"
@@ -143,7 +145,7 @@ def since_start_of(recording: Recording, component: str, rows: int = 3) -> np.nd
 
 
 def conformal_half_width(
-    error: np.ndarray, group: np.ndarray, coverage: float, witnesses: int | None = None, raised: bool = True
+    error: np.ndarray, group: np.ndarray, coverage: float, run_count: int | None = None, raised: bool = True
 ) -> float:
     """Half width that covers a row of a new group: group-balanced quantile of |error|, with the groups' own correction.
 
@@ -152,7 +154,7 @@ def conformal_half_width(
     with a handful of groups the full level would be the worst row ever seen. For the small sample
     the width is multiplied by the ratio of Student's quantile to the normal one.
     raised: whether the level is raised; without, the stated coverage is met on average instead of guaranteed.
-    witnesses: independent groups where it is fewer than there are labels (blocks of one run count once).
+    run_count: independent groups where it is fewer than there are labels (blocks of one run count once).
     """
     labels = np.unique(group)
     level = min((1.0 + coverage) / 2, coverage * (labels.size + 1) / labels.size) if raised else coverage
@@ -162,7 +164,7 @@ def conformal_half_width(
         own_rows = group == label
         weight[own_rows] = 1.0 / np.count_nonzero(own_rows)
     reached = np.cumsum(weight[order]) / labels.size
-    freedom = max((labels.size if witnesses is None else witnesses) - 1, 1)
+    freedom = max((labels.size if run_count is None else run_count) - 1, 1)
     few = student_quantile((1.0 + coverage) / 2, freedom) / normal_quantile((1.0 + coverage) / 2)
     return few * float(error[order][min(int(np.searchsorted(reached, level - 1e-12)), error.size - 1)])
 

@@ -82,7 +82,7 @@ def sensors(
     bed: str | None = None,
     use: Sequence[str] = (),
 ) -> Sensors:
-    """Sort the temperature columns by what the manifest says of their location; names given win.
+    """Sort the temperature columns by their location in the manifest; names given win.
 
     Raises DataError where a named sensor is not a temperature of the recording, or there is no sensor on the machine.
     """
@@ -97,7 +97,10 @@ def sensors(
     room = room or _first(recording, names, _ROOM)
     bodies = tuple(n for n in names if n != room)
     if not bodies:
-        raise DataError("thermal model: the recording has no temperature of the machine itself")
+        raise DataError(
+            "thermal model: every temperature of the recording is that of the room (needed: one on the machine; "
+            "correct its location in the manifest, or name the room's sensor with `room`)"
+        )
     near = tuple(n for n in bodies if _SPINDLE.search(_place(recording, n)))
     bed = bed or _first(recording, bodies, _BED)
     quiet = tuple(n for n in bodies if n not in near)

@@ -236,8 +236,8 @@ def _admitted(judged: Mapping[str, _Judged], deciding: set[str]) -> np.ndarray:
     """Mask of the entrants that no grouping by surroundings excludes (see `REGRET`).
 
     Where groupings contradict each other, the entrant of the least worst regret stays (minimax regret, Savage 1951).
-    Other groupings are shown and exclude nobody: that half of the duty cycles cannot teach the other half says little
-    of the next season. Seed 9811 of `trials.thermal`, 24 machines: 2 % less is left so.
+    Other groupings are shown and exclude no family: that half of the duty cycles does not predict the other half shows
+    little of the next season. Seed 9811 of `trials.thermal`, 24 machines: 2 % less is left so.
     """
     count = len(next(iter(judged.values())).predicted)
     regret, useful = np.ones(count), np.ones(count, dtype=bool)

@@ -23,7 +23,7 @@ from errpipe.domain.recording import Recording
 from errpipe.fitting.thermal_arithmetic import conformal_half_width
 
 GROWTH = 1.0 / 50.0  # 1/um
-DAY = 86400.0  # s: of one day's warmth the next one knows what it starts with; neighbouring hours know nearly all
+DAY = 86400.0  # s: the next day shares of one day's warmth what it starts with; neighbouring hours share nearly all
 # Times the half width that covers one half of a run, predicted by the other, so that it covers the next run. Chosen on
 # logs of 1, 3 and 8 days of 12 machines (seeds 5101 and 5102 of `trials.thermal --log-days`), four later logs of each:
 # 92, 91 and 91 % of the rows are covered (1.0: 88, 85, 84 %; 1.5: 95, 94, 95 %).

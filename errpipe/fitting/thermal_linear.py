@@ -51,7 +51,7 @@ class LinearProblem:
     on the same lags; values: (rows, drivers), K, counted from the first rows of each run as the response is; response:
     deviation since the start of the run, um; group: run of each row; rows: mask of usable rows; datum_rows: first rows
     of a run whose mean is its zero. own: number of the recording's rows, behind which the same rows may stand again
-    from later starts (`thermal_starts`); witnesses: number of independent runs.
+    from later starts (`thermal_starts`); run_count: number of independent runs.
     """
 
     recording: Recording
@@ -66,7 +66,7 @@ class LinearProblem:
     heat: int
     datum_rows: int
     own: int
-    witnesses: int
+    run_count: int
 
     @property
     def groups(self) -> list[int]:
@@ -86,7 +86,7 @@ class LinearProblem:
     @property
     def one_day(self) -> bool:
         """Whether these blocks do not even hold different days."""
-        return self.one_run and self.witnesses < FEWEST_RUNS
+        return self.one_run and self.run_count < FEWEST_RUNS
 
     def stacked(self, groups: Sequence[int], width: int) -> tuple[np.ndarray, np.ndarray, float]:
         """Triangle of the first `width` drivers, of the response, and the number of rows of some groups."""
@@ -99,7 +99,7 @@ def problem(recording: Recording, component: str, rows: np.ndarray | None, datum
     names = recording.names("temperature")
     own, response = len(recording), response_name(recording, component)
     measured = np.isfinite(sum((recording.array(n) for n in names), recording.array(response)))
-    recording, again, group, witnesses = started(recording, measured if rows is None else measured & rows)
+    recording, again, group, run_count = started(recording, measured if rows is None else measured & rows)
     run = recording.run_codes()
     nodes: list[d.Driver] = [d.rise(n) for n in names]
     taus = time_constants(recording, len(names))
@@ -127,7 +127,7 @@ def problem(recording: Recording, component: str, rows: np.ndarray | None, datum
         heat=len(heat),
         datum_rows=datum_rows,
         own=own,
-        witnesses=witnesses,
+        run_count=run_count,
     )
 
 

@@ -97,7 +97,7 @@ class ThermalModel:
         names = dict.fromkeys([*self.validity.ranges, *sorted(read)])
         columns = {n: manifest.columns[n].model_dump(mode="json", exclude_none=True) for n in names}
         notes = (
-            "counts from the start of each run: temperatures do not tell where the probe was zeroed "
+            "counts from the start of each run: temperatures do not show where the probe was zeroed "
             f"(zeros seen: {self.datum[0]:.1f} um, standard deviation {self.datum[1]:.1f} um)",
         )
         return ErrorModel(

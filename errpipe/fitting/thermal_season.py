@@ -13,7 +13,7 @@ fade         1 as far outside as seasons left out have been judged, then down to
 clip         causes stay within twice the span seen, the sum within a quarter span beyond the deviations seen
 
 Every part is an expression of driver operations, so a table gives the same figures. The datum is the start of
-the run: a temperature cannot know where the probe was zeroed, so each run's first rows are a nuisance of the
+the run: no temperature shows where the probe was zeroed, so each run's first rows are a nuisance of the
 fit and the prediction starts at zero.
 """
 
@@ -41,10 +41,10 @@ from errpipe.fitting.validity import box
 
 Rows = np.ndarray | None  # a mask or label of each row; None: all of them, grouped by run
 CAUSE_BEYOND = 1.0  # of the span seen of each cause
-WORTH_WIDTH = 0.5  # K: width of the kernel over start temperatures in `worth`
-WORTH_PRIOR = 1.0  # um2: regularisation of that ratio; a correction below 1 um on held-out runs counts little
+SLOPE_WIDTH = 0.5  # K: width of the kernel over start temperatures in `correction_slope`
+SLOPE_PRIOR = 1.0  # um2: regularisation of that ratio; a correction below 1 um on held-out runs counts little
 WITNESSES = 2.0  # prior of that ratio, in runs with no improvement: one run is little evidence
-WORTH_STEPS = 16  # intervals of the table over the start temperature
+SLOPE_STEPS = 16  # intervals of the table over the start temperature
 FULL_WITHIN = 3.0  # K, mean over sensors: distance between the starts of two held-out seasons that were predicted well
 FADED_AT = 9.0  # K: from here on only FAR_SHARE of the core is used
 FAR_SHARE = 0.6  # of the core that is kept far from every start seen
@@ -62,7 +62,7 @@ def fit(
     options = options or SeasonOptions()
     with one_thread():
         problem = Problem(recording, component, options, rows)
-        problem.orient()
+        problem.choose_signs()
         return problem.model()
 
 
@@ -130,7 +130,7 @@ class Problem:
         measured = np.isfinite(self.response)
         return centred(self.core, self.recording.run_codes(), self.options.datum_rows, measured, 1.0)
 
-    def orient(self) -> None:
+    def choose_signs(self) -> None:
         """Reverse all signs where held-out runs are predicted better so: a response may count the other way."""
         turned = -self.signs
         errors = []
@@ -191,7 +191,7 @@ class Problem:
                 out["correction"][rows] = gate * gains.correction.values(warmth[rows], self.extra_centred[rows])
         return out
 
-    def seen_box(self, rows: np.ndarray) -> Validity:
+    def temperature_ranges(self, rows: np.ndarray) -> Validity:
         """The temperatures of the rows of a mask."""
         return box(self.recording, self.sensors.all(), rows).model_copy(update={"fades": False})
 
@@ -220,11 +220,11 @@ class Problem:
         """Mean start temperature of each row's run, degC."""
         return self.starts.mean(axis=1)
 
-    def worth(self, runs: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def correction_slope(self, runs: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Start temperature (grid, degC) -> regularised slope of the residual on the correction over held-out runs."""
         warmth = self.warmth()  # of used rows: a log may begin before the sensors do
         starts = np.array([warmth[self.rows & (self.group == g)][0] for g in self.groups])
-        grid = np.linspace(starts.min(), max(starts.max(), starts.min() + 1e-3), WORTH_STEPS + 1)
+        grid = np.linspace(starts.min(), max(starts.max(), starts.min() + 1e-3), SLOPE_STEPS + 1)
         if not self.further:
             return grid, np.zeros(grid.size)
         residual, gain = self.response - runs["core"], runs["correction"]
@@ -232,10 +232,10 @@ class Problem:
         for k, g in enumerate(self.groups):
             own = self.rows & (self.group == g) & np.isfinite(gain)
             if own.any():
-                above[k], below[k] = np.mean(residual[own] * gain[own]), np.mean(gain[own] ** 2) + WORTH_PRIOR
+                above[k], below[k] = np.mean(residual[own] * gain[own]), np.mean(gain[own] ** 2) + SLOPE_PRIOR
         if not below.any():  # a single group: nothing could be held out
             return grid, np.zeros(grid.size)
-        near = np.exp(-0.5 * ((grid[:, None] - starts) / WORTH_WIDTH) ** 2)
+        near = np.exp(-0.5 * ((grid[:, None] - starts) / SLOPE_WIDTH) ** 2)
         return grid, np.clip((near @ above) / (near @ below + WITNESSES * below.mean()), 0.0, 1.0)
 
     def model(self, alone: bool = True) -> ThermalModel:
@@ -248,15 +248,15 @@ class Problem:
         y = self.response
         runs = self.left_out(self._folds(len(self.groups) if alone else INNER_FOLDS))
         seen = self.rows & np.isfinite(runs["core"])
-        worth = self.worth(runs)
-        runs["correction"] *= np.interp(self.warmth(), *worth)
+        correction_slope = self.correction_slope(runs)
+        runs["correction"] *= np.interp(self.warmth(), *correction_slope)
         unseen = self.left_out(self.environments(), corrected=False)
         judged = self.rows & np.isfinite(unseen["core"])
         share = self._share(unseen["core"], judged) if judged.any() else 1.0
         gains = self.solve(self.groups)
         intervals = self._intervals(runs["core"] + runs["correction"], unseen["core"])
         limit = limits(y[self.rows], seen_only=alone)  # wider ones let a failed sensor cost more than 1.3 times
-        core, correction, known = self._parts(gains, worth)
+        core, correction, known = self._parts(gains, correction_slope)
         held = d.Clip(of=_sum(core), low=limit[0], high=limit[1])
         trusted = (self._fading(gains, share), held) if alone else (held,)
         fading = d.Product(of=trusted) if core else None
@@ -270,7 +270,7 @@ class Problem:
             terms,
             intervals,
             intervals.factor(known, self._ramp(gains, 1.0 / FAR_SHARE)),
-            self.seen_box(self.rows),
+            self.temperature_ranges(self.rows),
             self.options.fade,
             limit,
             self._datum(),
@@ -283,7 +283,7 @@ class Problem:
             "groups": len(self.groups),
             "networks": len(self.members),
             "causes": {c.name: float(g) for c, g in zip(self.causes, gains.core, strict=True) if abs(g) > 1e-9},
-            "correction_worth": {f"{t:.2f}": float(w) for t, w in zip(*worth, strict=True)},
+            "correction_worth": {f"{t:.2f}": float(w) for t, w in zip(*correction_slope, strict=True)},
             "core_share_outside": share,
             "rms_before": rms(y[self.rows]),
             "rms_after": rms(after[self.rows]),
@@ -309,7 +309,7 @@ class Problem:
         left, far = (LeftOut((self.response - p)[self.rows], p[self.rows]) for p in (near, afar))
         return thermal_interval.calibrate(left, far, self.group[self.rows], self.options.coverage, runs)
 
-    def _parts(self, gains: _Gains, worth) -> tuple[tuple[Part, ...], d.Driver | None, d.Driver]:
+    def _parts(self, gains: _Gains, correction_slope) -> tuple[tuple[Part, ...], d.Driver | None, d.Driver]:
         """The core cause by cause, the gated correction, and how well the season of a run is known (0..1)."""
         values = self.core[self.rows]
         low, high = values.min(axis=0), values.max(axis=0)
@@ -319,16 +319,16 @@ class Problem:
             for c, g, a, b in zip(self.causes, gains.core, low - span, high + span, strict=True)
             if abs(g) > 1e-9
         )
-        grid, shares = worth
+        grid, shares = correction_slope
         if gains.correction is None or not shares.any():
             return core, None, d.Constant(value=0.0)
         inside = d.Affine(offset=1.0, weights=(-1.0,), of=(self._outside(gains),))
         names = self.sensors.all()
         warmth = d.Affine(weights=(1.0 / len(names),) * len(names), of=tuple(_start(n) for n in names))
-        worth_driver = d.Lookup(
+        slope_driver = d.Lookup(
             of=warmth, start=float(grid[0]), step=float(grid[1] - grid[0]), values=tuple(float(w) for w in shares)
         )
-        known = d.Product(of=(inside, worth_driver))
+        known = d.Product(of=(inside, slope_driver))
         return core, d.Product(of=(known, gains.correction.driver(warmth, self.further))), known
 
     def _fading(self, gains: _Gains, share: float) -> d.Driver:

@@ -22,24 +22,24 @@ MOST_STARTS = 10
 FOLLOWED = 2
 
 
-class Started(NamedTuple):
+class LaterStarts(NamedTuple):
     """recording: its own rows first, then those of each later start; rows: mask of those that may be used; group: of
-    each row, the same for one block of time in all runs; witnesses: number of independent runs.
+    each row, the same for one block of time in all runs; run_count: number of independent runs.
     """
 
     recording: Recording
     rows: np.ndarray
     group: np.ndarray
-    witnesses: int
+    run_count: int
 
 
-def started(recording: Recording, rows: np.ndarray) -> Started:
+def started(recording: Recording, rows: np.ndarray) -> LaterStarts:
     """The rows of a mask as they are, or again from every block on where too few runs hold several days."""
-    run, witnesses, time = recording.run_codes(), independent_runs(recording, rows), recording.time()
+    run, run_count, time = recording.run_codes(), independent_runs(recording, rows), recording.time()
     used_runs = np.unique(run[rows])
     days = sum(round(float(np.ptp(time[rows & (run == code)])) / DAY) for code in used_runs)
     if used_runs.size >= FEWEST_RUNS or days < FEWEST_RUNS:
-        return Started(recording, rows, inner_groups(run, rows), witnesses)
+        return LaterStarts(recording, rows, inner_groups(run, rows), run_count)
     group = inner_groups(run, rows, int(np.clip(days, BLOCKS, MOST_STARTS)))
     labels = recording.run_labels()
     parts, names = [np.arange(run.size)], [np.array(labels, dtype=object)[run]]
@@ -54,4 +54,4 @@ def started(recording: Recording, rows: np.ndarray) -> Started:
     at = np.concatenate(parts)
     name = recording.name("run") or "run"
     again = recording.take(at).with_columns({name: np.concatenate(names)}, {name: Column(role="run")})
-    return Started(again, rows[at], group[at], witnesses)
+    return LaterStarts(again, rows[at], group[at], run_count)

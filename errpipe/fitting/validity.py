@@ -1,7 +1,7 @@
 """The validity box: the ranges of what drove the fit, and how far outside of it a row lies.
 
 The box is where the recording has rows enough, not where its extremes lie: a few rows beyond a gap (three readings of
-60 degC among 1,770 below 25) do not widen it. They stay in the fit, and a note says so.
+60 degC among 1,770 below 25) do not widen it. They stay in the fit, and a note states it.
 """
 
 from __future__ import annotations

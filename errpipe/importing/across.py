@@ -22,7 +22,7 @@ _TARGETS = re.compile(r"(target|soll|nominal|position|ziel|cible|目標|目标)"
 _READINGS = re.compile(r"(deviation|abweich|error|fehler|ecart|scostamento|偏差|误差)", re.IGNORECASE)
 
 
-def upright(sheet: Sheet) -> Sheet:
+def transposed(sheet: Sheet) -> Sheet:
     """The sheet with a row per target where its targets stand across; any other sheet as it is."""
     comma = decimal_comma(sheet.rows)
     rows = [] if sheet.header is not None else sheet.rows[:DEEPEST_HEADER]
@@ -32,7 +32,9 @@ def upright(sheet: Sheet) -> Sheet:
     try:
         targets = [number(c, comma) for c in of_one_mark(sheet.rows[at], comma)]
     except ValueError as err:
-        raise DataError(f"targets: {err} may have a mark of thousands or of decimals") from None
+        raise DataError(
+            f"targets: {err} may have a mark of thousands or of decimals (write it without thousands)"
+        ) from None
     places = [i for i, v in enumerate(targets) if v is not None]
     sides = _sides(sheet.rows[at + 1], places) if at + 1 < len(sheet.rows) else None
     out: list[tuple[str | None, str, float | None, Figures]] = []
@@ -68,7 +70,7 @@ def _of_readings(
     sides: dict[int, float] | None,
     readings: list[tuple[str, float | None, Figures]],
 ) -> Sheet:
-    """The upright sheet. sides: of every column of the first row where one states them, else None."""
+    """The sheet with a row per target. sides: of every column of the first row where one states them, else None."""
     name, unit = split_header(label(sheet.rows[at][0]))
     reading_unit = split_header(title)[1]
     mark = {1.0: "+", -1.0: "-", None: ""}

@@ -56,7 +56,7 @@ _ANY_ANGLE = (
 )  # of a pitch; " and ' are written for inch and for arcsec
 OF_SMALL_LENGTHS = ("um", "urad", "arcsec", "nm", "0.001 inch", "0.0001 inch", "microinch")
 OF_DEVIATIONS = ("um", "urad", "nm", "arcsec", "mrad")
-UNKNOWN = "nothing in its name, unit or values says what it is"
+UNKNOWN = "neither its name, its unit nor its values identify it"
 PLACES = ("error", "counts")  # kinds of units in which a place may be logged, too: um, arcsec, counts
 # Symbols of physics that are letters of axes as well: `v [mm/s]` is no velocity of the axis V.
 SYMBOLS = {"velocity": "V", "feed": "V", "acceleration": "A", "temperature": "C", "pressure": "B"}
@@ -82,7 +82,7 @@ _FILLERS = (
     "toward",
     "towards",
 )
-_FROM = ("from", "von", "de", "da", "desde")  # behind it a sign says where the axis came from: `from -` is below
+_FROM = ("from", "von", "de", "da", "desde")  # behind it a sign states where the axis came from: `from -` is below
 _SIGNS_IN_WORDS = ("plus", "minus", "positive", "negative", "positiv", "negativ")
 _SIGN = re.compile(r"\+|-|plus|minus|p|n|pos(itive?)?|neg(ative?)?")
 NO_SIDES = "called a direction, but its values are no two signs"
@@ -123,12 +123,12 @@ def _guess(column: RawColumn, axis: str | None) -> ColumnGuess:
 
 
 def with_period(layout: Layout, period: float | None) -> Layout:
-    """The layout with a column of times where a person says the time between rows and no column is a time."""
+    """The layout with a column of times where a person states the time between rows and no column is a time."""
     if period is None or not layout.columns or any(guess(c).kind == "time" for c in layout.columns):
         return layout
     times = period * np.arange(len(layout.columns[0].cells))
     layout.columns.insert(0, RawColumn("t", "s", times.tolist(), times))
-    layout.notes.append(f"a row each {period:g} s, as --period says")
+    layout.notes.append(f"a row each {period:g} s, as --period states")
     return layout
 
 
@@ -178,7 +178,7 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
     if kind == "direction" and None in [side(c) for c in column.cells if c not in (None, "")]:
         return "ignore", NO_SIDES
     if kind == "error" and re.search(CORRECTION, plain(column.header)) and np.unique(_known(column)).size <= 2:
-        return "ignore", "called a compensation, but of two values: it says whether one is on"
+        return "ignore", "called a compensation, but of two values: it states whether one is on"
     if kind in ("position", "command", "actual") and KIND_OF_UNIT.get(unit or "", "error") not in PLACES:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     if kind in ("position", "command", "actual") and unit == "counts":
@@ -259,7 +259,7 @@ _RADIUS = r"\b(radi(us|al\w*)|d ?r|ball ?bar)\b|半径"  # of a circular test
 
 
 def is_diameter(text: str) -> bool:
-    """Whether a header says that its values are diameters: `X (dia)`, `X Ø`."""
+    """Whether a header states that its values are diameters: `X (dia)`, `X Ø`."""
     return re.search(_OF_A_LATHE, plain(text)) is not None
 
 
@@ -313,7 +313,7 @@ def _names_a_turn(header: str) -> bool:
 _STRAIGHT = r"straight|gerad(?!e)|rectitud|rettilin|直线度|真直度"
 
 
-def titles_another(line: str) -> bool:
+def titles_other_component(line: str) -> bool:
     """Whether a line above a table names a straightness, a turn or a shape as measured: not `Squareness: off`."""
     said = [part for part in re.split("[:=：]", plain(line)) if part.strip()]
     return bool(said) and re.search(rf"{_STRAIGHT}|\b(yaw|roll)\b|{_SHAPES}", said[-1]) is not None
@@ -344,9 +344,9 @@ _LONE_SIGN = re.compile(r"\(([+-])\)|[:=] ?([+-])$")
 
 
 def side_above(lines: list[str]) -> str | None:
-    """What a line above a table says of the side of all its readings: `backward` of `Direction: backward`; or None.
+    """What a line above a table states of the side of all its readings: `backward` of `Direction: backward`; or None.
 
-    A sign alone may be that of a beam or a drive: it says a side only in a line on the approach.
+    A sign alone may be that of a beam or a drive: it states a side only in a line on the approach.
     """
     found = [m[1].strip() for line in lines if (m := _SIDE_ABOVE.fullmatch(plain(line)))]
     said = [text for text in found if re.search(r"[^\W\d_]{2}", text) and side(text) is not None]
@@ -355,7 +355,7 @@ def side_above(lines: list[str]) -> str | None:
 
 
 def _approach(line: str) -> str | None:
-    """What a line on the approach says of its side: `-` of `Approach from above (-)`, `from above` of `from +`."""
+    """What a line on the approach states of its side: `-` of `Approach from above (-)`, `from above` of `from +`."""
     if not _OF_AN_APPROACH.search(line) or re.search(r"\d", line):
         return None
     if came := _CAME_FROM.search(line):
@@ -367,7 +367,7 @@ def _approach(line: str) -> str | None:
 
 
 def side_in(header: str) -> str | None:
-    """The word of a header that says the side of its readings: `bwd` of `Error bwd [um]`; or None."""
+    """The word of a header that states the side of its readings: `bwd` of `Error bwd [um]`; or None."""
     found = [w for w in re.findall(r"[^\W\d_]{2,}", plain(header)) if not _SIGN.fullmatch(w) and side(w) is not None]
     return found[0] if len(found) == 1 else None
 

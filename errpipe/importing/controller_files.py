@@ -11,7 +11,7 @@ from pathlib import Path
 
 ECT = b"ECT\x00"  # a table of errpipe itself (schemas/ect-2.md)
 
-# What the text of a file holds -> what the file is, and how the control leaves it out ("": its manual says).
+# What the text of a file holds -> what the file is, and how the control leaves it out ("": see its manual).
 _BY_TEXT: tuple[tuple[str, str, str], ...] = (
     (
         r"\$AA_ENC_COMP|_EEC_INI",
@@ -61,7 +61,7 @@ _BY_NAME: tuple[tuple[str, str, str], ...] = (
 )
 
 
-def what_it_is(path: Path, head: bytes) -> str | None:
+def controller_file_kind(path: Path, head: bytes) -> str | None:
     """The message for a compensation file of a control, with what to do instead; None for any other file."""
     if head.startswith(ECT):
         return (
@@ -76,6 +76,6 @@ def what_it_is(path: Path, head: bytes) -> str | None:
     _, what, off = kinds[0]
     return (
         f"{what}: what the control adds or subtracts, no measurement. Import the deviations that were measured with it "
-        f"switched off ({off or 'as the manual of the control says'}); measured with it on, they are only what it "
+        f"switched off ({off or 'as the manual of the control describes'}); measured with it on, they are only what it "
         "leaves, and the new table is added to this one"
     )

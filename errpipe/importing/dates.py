@@ -42,7 +42,8 @@ _USUAL = (
     *_CLOCKS,
 )
 # Slashes and dashes may put the month first or the day: both are tried, and the shorter time that never falls is taken.
-_OTHER_ORDER = _forms("%d/%m/%Y", "%d/%m/%y", "%m-%d-%Y")
+_OTHER_ORDER = _forms("%d/%m/%Y", "%d/%m/%y", "%m-%d-%Y", "%y-%m-%d")
+_YEAR_OF_TWO_DIGITS = _forms("%y/%m/%d", "%d-%m-%y")
 
 # Ticks since an epoch, by the size of their numbers: from, to, s of one tick.
 EPOCHS = ((1e9, 4.2e9, 1.0), (1e12, 4.2e12, 1e-3), (1e15, 4.2e15, 1e-6), (1.1e17, 1.7e17, 1e-7), (1e18, 4.2e18, 1e-9))
@@ -63,7 +64,7 @@ def seconds(column: RawColumn) -> tuple[np.ndarray, str | None, str] | None:
     if first is None:
         return None
     usual = ("%M:%S",) if re.search(r"mm:ss", column.header) else ("ISO 8601", *_USUAL)
-    candidates = [s for forms in (usual, _OTHER_ORDER) if (s := _since_first(texts, forms))]
+    candidates = [s for forms in (usual, _OTHER_ORDER, _YEAR_OF_TWO_DIGITS) if (s := _since_first(texts, forms))]
     if not candidates:
         return _elapsed(texts)
     return min(candidates, key=lambda s: (np.nanmin(np.diff(s[0]), initial=0.0) < 0, np.nanmax(s[0])))
@@ -99,6 +100,8 @@ def order_of(form: str) -> str:
     """What was assumed of a form in which day and month could be exchanged, for a person to judge."""
     if form.startswith(("%m/", "%m-")):
         return "; the month first"
+    if form.startswith(("%y/", "%y-")):
+        return "; the year first"
     return "; the day first" if form.startswith(("%d/", "%d-")) else ""
 
 

@@ -18,13 +18,14 @@ DEEPEST_HEADER = 200  # lines above the data: the longest preamble seen, of a la
 DEEPEST_UNITS = 12  # lines above the header in which a line of units is looked for
 MOST_REMARKS = 50  # lines below a table that are kept as remarks
 SAMPLE_ROWS = 200  # rows in which a unit behind the numbers is looked for
+BY_NAME = "of the sheet or file"
 EMPTY = "columns without a value:"  # a note that an error repeats
 NUMERIC_SHARE = 0.6  # of a column's cells: what is a number column with gaps and remarks
 
 _NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
 _WORD = re.compile(r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?)$).*[^\W\d_]", re.IGNORECASE)  # no missing value
 _AXIS_OF_SHEET = re.compile(
-    r"^([XYZ])\d?$|(?-i:(?:^| )([XYZ])$)|\b(?:axis|achse)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse)\b",
+    r"^([XYZ])\d?$|\b(?:axis|achse|axe|asse|eje)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse|axe|asse)\b",
     re.IGNORECASE,
 )
 _MOMENT = re.compile(r"(?=.*\d:\d|.*\d[./-]\d+[./-]\d)\d[\d.:/\-T ,+Z]*( [AP]M)?")
@@ -83,7 +84,7 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     head_rows = _header_rows(rows, numbers, start)
     names, units, used = _names(rows, head_rows, max(map(len, rows[start:])))
     above = [" ".join(str(c) for c in row if c not in (None, "")) for row in rows[: start - used]]
-    above += [f"Axis: {letter}" for letter in _axis_of_sheet(sheet.name)]
+    above += [f"Axis: {letter} ({BY_NAME} {sheet.name!r})" for letter in _axis_of_sheet(sheet.name)]
     units = [
         u or a or unit_in_cells.get(i)
         for i, (u, a) in enumerate(zip(units, _units_above(rows, start - used, names), strict=True))
@@ -93,7 +94,7 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
         units = [u or split_header(n)[1] for u, n in zip(units, names, strict=True)]
         names = [*_stated_names(stated, len(names), used > 0), *names[len(stated) :]]
     elif not used:
-        notes.append("the file has no header: columns are numbered (--names says what they are)")
+        notes.append("the file has no header: columns are numbered (--names gives them names)")
     remarks = [row for row, of_row in zip(rows[start:], numbers[start:], strict=True) if all(v is None for v in of_row)]
     below = [" ".join(map(str, filled_cells(row))) for row in remarks[:MOST_REMARKS]]
     if used:
@@ -123,9 +124,10 @@ def _merged(names: list[str], numbers: list[list[float | None]]) -> list[str]:
 
 
 def _axis_of_sheet(name: str) -> list[str]:
-    """The axis that the name of a sheet or file is or holds: `Y`, `Achse Y`, `y-axis_2026`, `laser_Y`; `b1` is none."""
-    match = _AXIS_OF_SHEET.search(name.replace("_", " "))
-    return [next(filter(None, match.groups())).upper()] if match else []
+    """The axis by which a sheet or file is named: `Y`, `Achse Y`, `y-axis_2026`, `laser_Y_run1`; not `b1`, `X_Y`."""
+    name = name.replace("_", " ")
+    match, alone = _AXIS_OF_SHEET.search(name), re.findall(r"(?:^|(?<=[ -]))[XYZ](?=[ -]|$)", name)
+    return [next(filter(None, match.groups())).upper()] if match else alone if len(alone) == 1 else []
 
 
 def _is_rule(row: list[Cell]) -> bool:
@@ -149,9 +151,9 @@ def _units_above(rows: list[list[Cell]], end: int, names: list[str]) -> list[str
 
 
 def _stated_names(stated: tuple[str, ...], width: int, header: bool) -> tuple[str, ...]:
-    """The names that a person said. Raises DataError where they are not as many as the columns of a header."""
+    """The names that a person stated. Raises DataError where they are not as many as the columns of a header."""
     if len(stated) > width or (header and len(stated) != width):
-        raise DataError(f"--names says {len(stated)} names, the table has {width} columns")
+        raise DataError(f"--names gives {len(stated)} names, the table has {width} columns")
     return stated
 
 
@@ -352,7 +354,7 @@ def _layout(
         header, unit = split_header(text)
         stated = units[i] if i < len(units) else None
         if stated and unit and stated != unit:
-            raise DataError(f"column {header!r}: its name says {unit}, its cells or a line above it {stated}")
+            raise DataError(f"column {header!r}: its name states {unit}, its cells or a line above it {stated}")
         count_of[header] += 1
         if count_of[header] > 1:
             header += "'" * (count_of[header] - 1)  # no number, which would be taken for that of a run

@@ -24,7 +24,7 @@ _UNIT = re.compile(r"(unit|einheit|units|unite|uom)s?")
 def unstacked(sheet: Sheet) -> Sheet:
     """The sheet with a row per time and a column per signal; any other sheet as it is.
 
-    A sheet is of this form where one column names signals, one holds dates and one numbers, or where its header says
+    A sheet is of this form where one column names signals, one holds dates and one numbers, or where its header states
     so. Values of one time stand in one row; signals of other times leave empty cells in it.
     """
     rows = [row for row in sheet.rows if any(c not in (None, "") for c in row)]

@@ -19,7 +19,7 @@ _IN_BRACKETS = re.compile(r"\(\s*\d[\d.,]*\s*\)")
 _MARKED = re.compile(r"[+-]?\d[\d.,' ]*[.,'][\d.,']*")
 
 
-def empty(layout: Layout) -> None:
+def blank(layout: Layout) -> None:
     """Numbers that no quantity reaches, and -9999 far beyond the others, become empty cells, with a note.
 
     Raises DataError for a number in brackets (less than zero, as in accounts, or doubtful) and for a cell that is no

@@ -1,4 +1,4 @@
-"""What the order of the rows says: directions and runs of a test of targets, velocities of a log."""
+"""From the order of the rows: directions and runs of a test of targets, velocities of a log."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DENSE_PLACES = 100  # different commands: a log, not a test of targets
 def refuse_swapped(p: Proposal, command: str, actual: str) -> None:
     """Raise DataError where the actual position comes back to equal places to the last digit, and the command does not.
 
-    The names are swapped, or a gauge stood at known places and the machine was read: a person knows.
+    The names are swapped, or a gauge stood at known places and the machine was read: only a person can decide.
     """
     x, y = p.data.get(command), p.data.get(actual)
     guessed = p.guesses.get(command) and p.guesses.get(actual)
@@ -37,7 +37,7 @@ def refuse_swapped(p: Proposal, command: str, actual: str) -> None:
         )
 
 
-def settle_order(p: Proposal, axis: str) -> None:
+def resolve_order(p: Proposal, axis: str) -> None:
     """Directions and runs of a test, or velocity, acceleration and an ideal simulation of a log."""
     if _is_log(p, axis):
         _log_of_an_axis(p, axis)
@@ -89,16 +89,16 @@ def _turn_there_and_back(p: Proposal, x: np.ndarray) -> None:
     if against >= FEWEST_OF_A_LABEL and np.unique(moves).size == 1:
         way = "rise" if moves[0] > 0 else "fall"
         raise DataError(
-            f"column {side!r} says one way of there and back, and the positions {way}: write + (approached from below) "
-            f"or - (from above) instead, or say --set {side}.role=ignore"
+            f"column {side!r} names one way of there and back, and the positions {way}: write + (approached from "
+            f"below) or - (from above) instead, or say --set {side}.role=ignore"
         )
     if against >= FEWEST_OF_A_LABEL and np.unique(moves).size == 2:
         p.data[side] = -p.data[side]
         p.guesses[side] += "; the way there is down, as the positions fall there"
 
 
-def put_side(p: Proposal, axis: str, text: str, why: str) -> None:
-    """Add the side of all rows, as a word says it; a pass that is listed the other way has its rows turned."""
+def set_side(p: Proposal, axis: str, text: str, why: str) -> None:
+    """Add the side of all rows, as a word states it; the rows of a pass that is listed the other way are reversed."""
     way, listed = guessing.side(text), []
     place = p.first("command", axis) or p.first("position", axis)
     if way is None or place is None or place not in p.data:
@@ -126,7 +126,7 @@ def _directions_and_runs(p: Proposal, axis: str) -> None:
         _runs_by_gaps(p)
         return
     if p.first("direction") is None and p.side is not None:
-        put_side(p, axis, p.side, f"the header, or a line above it, says {p.side!r}")
+        set_side(p, axis, p.side, f"the header, or a line above it, states {p.side!r}")
     x = p.data[place]
     _turn_there_and_back(p, x)
     if p.first("direction") is None:
@@ -145,12 +145,13 @@ def _directions_and_runs(p: Proposal, axis: str) -> None:
             p.put("run", runs, why, role="run")
     if p.first("direction") is None and _repeated(x, p.data.get(p.first("run") or "")):
         p.notes.append(
-            "targets come several times in a run and nothing says from which side: backlash cannot be told from scatter"
+            "targets come several times in a run and no column states from which side: backlash cannot be "
+            "distinguished from scatter"
         )
 
 
 def sides_of_falling_runs(p: Proposal) -> None:
-    """The side of each run of targets where the positions of some, or of all, fall and no column says a side.
+    """The side of each run of targets where the positions of some, or of all, fall and no column states a side.
 
     Where all rise nothing is added: targets are listed so whichever way they were approached.
     """
@@ -266,8 +267,8 @@ def _sides_of_labels(p: Proposal, moves: np.ndarray | None) -> None:
         rising = [0.0 if moves is None else float(np.mean(moves[labels == n] > 0)) for n in names]
         if max(rising) < FEWEST_OF_A_LABEL or min(rising) > 1.0 - FEWEST_OF_A_LABEL:
             raise DataError(
-                f"column {name!r} holds {names[0]!r} and {names[1]!r}, and the order of the rows does not say which of "
-                f"them comes from below: write + (from below) and -, or say --set {name}.role=ignore"
+                f"column {name!r} holds {names[0]!r} and {names[1]!r}, and the order of the rows does not show which "
+                f"of them comes from below: write + (from below) and -, or say --set {name}.role=ignore"
             )
         p.guesses[name] = f"{names[int(np.argmax(rising))]!r} is the way up, as the positions rise there"
 

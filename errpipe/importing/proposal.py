@@ -13,8 +13,8 @@ import numpy as np
 from errpipe.domain import components
 from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError, UsageError, did_you_mean
+from errpipe.importing import ambiguities, dates, no_reading, order, readings, resolve, rows_of, signs, simulated, wide
 from errpipe.importing import columns as guessing
-from errpipe.importing import dates, no_reading, order, rows_of, settle, signs, simulated, wide
 from errpipe.importing.layout import Layout, RawColumn, facts, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
@@ -36,23 +36,27 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     for c in layout.columns:
         unit = (options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}).get("unit", c.unit)
         c.unit = unit_of(unit or "") or unit
-    no_reading.empty(layout)
-    layout = wide.turned(rows_of.one_machine(rows_of.one_axis(layout, options), options))
+    no_reading.blank(layout)
+    layout = wide.unpivoted(rows_of.one_machine(rows_of.one_axis(layout, options), options))
     layout.columns = [part for c in dates.date_and_clock(layout.columns) for part in wide.split_labels(c)]
     if not layout.columns:
         raise DataError("no column has a value")
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
     guesses, unsure = with_temperatures(layout.columns, guessing.with_place(layout.columns, guesses))
+    unsure += readings.unit_by_positions(layout.columns, guesses) if options.unit is None else []
     _refuse_diameters(layout, guesses, options)
     layout = wide.side_by_side(wide.merged_targets(layout, guesses), guesses)
     proposal = Proposal(notes=[*layout.notes, *unsure], headers=headers)
     proposal.facts.update(facts(layout.above))
     proposal.side = guessing.side_above(layout.above)
     proposal.notes += signs.compensated(layout.above)
+    said = next((line for line in layout.above if axis_above([line])), None)
+    if options.axis is None and said is not None:
+        proposal.notes.append(f"the axis is {axis_above([said])}, as {said[:60]!r} says (--axis says another one)")
     wide_layout = wide.find(layout, guesses)
     axis = options.axis or _axis(layout, guesses, wide_layout)
     if axis is None:
-        angles = [c for c in layout.columns if c.unit in ("deg", "rad") and guesses[c.header].kind in settle.PLACES]
+        angles = [c for c in layout.columns if c.unit in ("deg", "rad") and guesses[c.header].kind in resolve.PLACES]
         if angles and any(guessing.is_radius(c.header) for c in layout.columns):
             raise DataError(
                 f"column {angles[0].header!r} holds angles of a circle: errpipe needs the commanded position of each "
@@ -61,27 +65,13 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         if angles:
             raise DataError(f"column {angles[0].header!r} holds angles, and no axis is named: say it with --axis C")
         axis, proposal.assumed_axis = "X", True
-        proposal.notes.append("no axis is named in the file: taken as X (--axis says it)")
+        proposal.notes.append("no axis is named in the file: taken as X (--axis states another)")
     if wide_layout is not None:
         _wide(layout, guesses, wide_layout, axis, options, proposal)
     else:
         _long(layout, guesses, axis, options, proposal, may_be_log)
-    _refuse_another_title(proposal, layout, options)
+    ambiguities.refuse_another_title(proposal, layout, options)
     return proposal
-
-
-def _refuse_another_title(p: Proposal, layout: Layout, options: ImportOptions) -> None:
-    """Raise DataError where a line above names a straightness or a shape, and the readings would become positioning."""
-    title = next((line for line in layout.above if guessing.titles_another(line)), None)
-    place = p.first("position") or p.first("command")
-    if title is None or place is None or options.component is not None:
-        return
-    own = components.positioning(p.entries[place]["axis"])
-    if any(e["role"] == "error" and e["component"] == own and "derived" not in e for e in p.entries.values()):
-        raise DataError(
-            f"a line above says {title[:60]!r}, and no column does: say what was measured with --component, such as "
-            f"EYX (or {own}, the positioning)"
-        )
 
 
 _DIAMETERS = re.compile(
@@ -91,7 +81,7 @@ _DIAMETERS = re.compile(
 
 def _refuse_diameters(layout: Layout, guesses: dict[str, guessing.ColumnGuess], options: ImportOptions) -> None:
     """Raise DataError where positions of an axis are diameters, as a lathe shows X: readings may be halved or not."""
-    places = [c for c in layout.columns if guesses[c.header].kind in settle.PLACES and c.numeric]
+    places = [c for c in layout.columns if guesses[c.header].kind in resolve.PLACES and c.numeric]
     place = next((c for c in places if guessing.axis_in(c.header) and guessing.is_diameter(c.header)), None)
     line = next((x for x in layout.above if _DIAMETERS.search(plain(x)) and places), None)
     place = place or (places[0] if line is not None else None)
@@ -127,7 +117,8 @@ def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], unfolded: wi
     above = axis_above(layout.above)
     if named and above is not None and above not in named:
         raise DataError(
-            f"a line above the table, its sheet or file names the axis {above}, a column {named[0]}: say it with --axis"
+            f"a line above the table, its sheet or file names the axis {above}, a column {named[0]}: say it "
+            f"with --axis {named[0]} (or {above})"
         )
     return above or (named[0] if named else None)
 
@@ -155,11 +146,11 @@ def _long(
         if odd and column.numeric:
             p.notes.append(f"{len(odd)} cells of {column.header!r} are no numbers (the first: {odd[0]!r}): left empty")
         add_column(column, guesses[column.header], axis, options, p)
-    if may_be_log and not {e["role"] for e in p.entries.values()} & {"error", *settle.PLACES}:
-        settle.settle_units(p, layout)
+    if may_be_log and not {e["role"] for e in p.entries.values()} & {"error", *resolve.PLACES}:
+        resolve.resolve_units(p, layout)
         return
-    settle.settle_positions(p, axis, options)
-    settle.finish(p, layout, axis, options)
+    resolve.resolve_positions(p, axis, options)
+    resolve.finish(p, layout, axis, options)
 
 
 def _wide(
@@ -171,7 +162,7 @@ def _wide(
     p: Proposal,
 ) -> None:
     """A row per target becomes a row per reading."""
-    index, run, sides, values = wide.unfold(table)
+    index, run, sides, values = wide.unpivot(table)
     unit, why = table.target.unit, "the column of targets"
     if unit is None:
         unit = "deg" if axis[0] in "ABC" else "mm"
@@ -196,7 +187,7 @@ def _wide(
             add_column(RawColumn(c.header, c.unit, cells, c.values[index]), g, axis, options, p)
         else:
             p.notes.append(f"column {c.header!r} was left out: {g.why}")
-    settle.finish(p, layout, axis, options)
+    resolve.finish(p, layout, axis, options)
 
 
 def _wide_readings(
@@ -207,9 +198,9 @@ def _wide_readings(
     stated = [c.unit for c, _, _ in table.readings if c.unit is not None]
     if len(set(stated)) > 1:
         raise DataError(f"the columns of the runs have several units ({', '.join(sorted(set(stated)))})")
-    unit = settle.stated_unit(options, stated[0] if stated else wide.unit_above(layout.above), headers[0])
+    unit = resolve.stated_unit(options, stated[0] if stated else wide.unit_above(layout.above), headers[0])
     why = f"the columns of the runs; component {component} from the axis" if options.component is None else ""
-    values, unit, why = settle.unit_of_readings(values, unit, component, why)
+    values, unit, why = resolve.unit_of_readings(values, unit, component, why)
     p.put(
         component, values, why.strip("; "), role="error", component=component, unit=unit, _axis=axis, _headers=headers
     )
@@ -277,7 +268,7 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
     elif g.kind in ("error", "simulated"):
         component = stated.get("component") or options.component or guessing.component_in(c.header)
         component = component or (simulated.component_of_force(c.header, unit, own) if g.kind == "simulated" else None)
-        _response(c, g.kind, own, settle.stated_unit(options, unit, c.header), why, component, axis, p)
+        _response(c, g.kind, own, resolve.stated_unit(options, unit, c.header), why, component, axis, p)
     elif g.kind == "current":
         unit, why = _unit_or(unit, "A", why)
         name = p.put(c.header, c.values, why, role="current", axis=own, unit=unit)
@@ -396,5 +387,5 @@ def _response(
         why = f"{unit}: of a level, an angle: say what it measured with --component, such as EBX"
         p.put(c.header, c.values, why, role="ignore")
         return
-    values, unit, why = settle.unit_of_readings(c.values, _known_unit(c, unit), component, why)
+    values, unit, why = resolve.unit_of_readings(c.values, _known_unit(c, unit), component, why)
     p.put(c.header, values, why, role=role, component=component, unit=unit, _axis=axis, _headers=(c.header,))

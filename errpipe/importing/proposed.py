@@ -39,7 +39,7 @@ class Proposal:
     guesses: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     facts: dict[str, str] = field(default_factory=dict)  # of the set-up, from the lines above the table
-    side: str | None = None  # from which all targets were approached, as a line above the table, or its header, says
+    side: str | None = None  # from which all targets were approached, as a line above the table, or its header, states
     assumed_axis: bool = False  # whether neither the file nor a person named one
     names: dict[str, str] = field(default_factory=dict)  # what a column is called in the file -> here
     headers: set[str] = field(default_factory=set)  # of the file's table

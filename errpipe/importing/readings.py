@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.importing import order
+from errpipe.importing.columns import ColumnGuess
+from errpipe.importing.layout import RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal
 
+NARROW = 100.0  # a longer travel is in mm: machines of more than 100 inch are few, and their files name the unit
 ABSOLUTE = 0.1  # of the position: a steeper "deviation" is a reading (no axis is wrong by 10 %)
 
 
-def turn_readings(p: Proposal) -> None:
+def change_sign_of_readings(p: Proposal) -> None:
     """Readings that fall one for one as the command rises count the other way: the actual position is minus them."""
     for name in [n for n, e in p.entries.items() if e["role"] in ("actual", "position") and n in p.data]:
         entry = p.entries[name]
@@ -24,6 +29,35 @@ def turn_readings(p: Proposal) -> None:
             raw = p.put(f"{name}_as_read", p.data.pop(name), role="ignore")
             p.entries[name] = {**entry, "role": "actual", "derived": {"of": raw, "factor": -1.0}}
             p.guesses[name] = f"{raw} falls one for one as {command} rises: it counts the other way and is turned"
+
+
+def unit_by_positions(columns: Sequence[RawColumn], guesses: Mapping[str, ColumnGuess]) -> list[str]:
+    """Give deviations without a unit that of actual less commanded position, where they are it, or 1000 times it.
+
+    Positions without a unit are mm where they are longer than any travel in inches. Returns a note on each.
+    """
+    kinds = {
+        kind: [c for c in columns if guesses[c.header].kind == kind and c.numeric]
+        for kind in ("command", "actual", "position", "error")
+    }
+    places, notes = kinds["command"] or kinds["position"], []
+    actual = kinds["actual"] or (kinds["position"] if kinds["command"] else [])
+    if len(places) != 1 or len(actual) != 1 or places[0].unit != actual[0].unit:
+        return []
+    unit = places[0].unit or ("mm" if np.nanmax(places[0].values) - np.nanmin(places[0].values) >= NARROW else "")
+    off = actual[0].values - places[0].values
+    for c in kinds["error"] if unit in ("mm", "inch") else []:
+        good = np.isfinite(off) & np.isfinite(c.values)
+        size = float(np.square(off[good]).sum())
+        if c.unit is not None or size == 0.0:
+            continue
+        factor = abs(float((off[good] * c.values[good]).sum())) / size
+        near = next((f for f in (1.0, 1000.0) if abs(factor / f - 1.0) < ABSOLUTE), None)
+        if near is not None:
+            c.unit = unit if near == 1.0 else {"mm": "um", "inch": "0.001 inch"}[unit]
+            times = "" if near == 1.0 else f"{near:g} times "
+            notes.append(f"{c.header} is in {c.unit}: it is {times}{actual[0].header} less {places[0].header}")
+    return notes
 
 
 def slope_of(x: np.ndarray, y: np.ndarray) -> float | None:

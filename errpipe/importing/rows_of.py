@@ -25,19 +25,19 @@ def one_axis(layout: Layout, options: ImportOptions) -> Layout:
         axis = options.axis or min(letters)
         if len(letters) > 1 and options.axis is None:
             raise DataError(
-                f"column {c.header!r} holds rows of several axes ({', '.join(sorted(letters))}): --axis says which one "
-                "is imported; one recording for each"
+                f"column {c.header!r} holds rows of several axes ({', '.join(sorted(letters))}): "
+                "choose one with --axis; one recording for each"
             )
         if axis not in letters:
             raise DataError(f"column {c.header!r} has no row of axis {axis} (found: {', '.join(sorted(letters))})")
         kept = _rows(layout, c, np.array([str(cell).strip().upper() == axis for cell in c.cells]), axis)
-        kept.above.insert(0, f"Axis: {axis}")
+        kept.above[:0] = [f"Axis: {axis}", c.header]
         return kept
     return layout
 
 
 def _rows(layout: Layout, by: RawColumn, keep: np.ndarray, value: str) -> Layout:
-    """Some rows of a layout, without the column that tells them apart."""
+    """Some rows of a layout, without the column that distinguishes them."""
     kept = [
         RawColumn(c.header, c.unit, [c.cells[i] for i in np.flatnonzero(keep)], c.values[keep])
         for c in layout.columns
@@ -58,8 +58,8 @@ def one_machine(layout: Layout, options: ImportOptions) -> Layout:
             continue
         if options.machine not in names:
             raise DataError(
-                f"column {c.header!r} holds rows of several machines ({', '.join(names)}): --machine says which one is "
-                f"imported; one recording for each (--set '{c.header}.role=group' keeps them together)"
+                f"column {c.header!r} holds rows of several machines ({', '.join(names)}): choose one "
+                f"with --machine; one recording for each (--set '{c.header}.role=group' keeps them together)"
             )
         return _rows(layout, c, np.array([text == options.machine for text in texts]), options.machine)
     return layout

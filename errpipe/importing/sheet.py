@@ -81,7 +81,7 @@ def number(cell: Any, comma: bool) -> float | None:
 def of_one_mark(cells: list[Cell], comma: bool) -> list[Cell]:
     """The cells of a column as `number` reads them, whichever mark its decimals and thousands have.
 
-    comma: whether the file writes decimal commas. `75.000` there is 75000 where the column says so: it holds commas,
+    comma: whether the file writes decimal commas. `75.000` there is 75000 where the column shows it: it holds commas,
     `1.234.567`, or `0` beside `75.000`. Raises ValueError with the cell that may be either.
     """
     other = "." if comma else ","
@@ -119,7 +119,7 @@ def filled_cells(row: list[Cell]) -> list[Cell]:
 def decimal_comma(rows: list[list[Cell]]) -> bool:
     """Whether the numbers of a file have decimal commas: more cells are numbers with them than with points.
 
-    A mark before three digits may be one of thousands: it counts where no other says more.
+    A mark before three digits may be one of thousands: it counts where no other cell shows more.
     """
     commas = points = doubtful = 0
     for row in rows[:2000]:

@@ -1,6 +1,6 @@
 """The sign of readings: actual minus commanded, by an option, by both positions, by a header or a line of the file.
 
-A header that says a difference, an offset or a gap whose sign is not understood is asked about: a sign that is taken
+A header that states a difference, an offset or a gap whose sign is not understood is asked about: a sign that is taken
 the wrong way doubles the error of the machine.
 """
 
@@ -18,7 +18,7 @@ from errpipe.importing.layout import Layout
 from errpipe.importing.proposed import ImportOptions, Proposal
 
 SHOWN = 0.9  # correlation with actual - commanded: as `reversed-sign` of the plausibility checks
-ASSUMED = "the file does not say its sign: taken as actual minus commanded (--sign says it)"
+ASSUMED = "the file does not state its sign: taken as actual minus commanded (--sign states another)"
 # Quantities that count either way: what is entered in a control, or the gap between a sensor and what it looks at.
 _EITHER_WAY = re.compile(
     r"\b(offset|trim|gap|spalt|luftspalt|abstand|distance|stellwert|einstellwert|nachstellwert|eingabewert|to enter"
@@ -52,7 +52,7 @@ _A_WAY = re.compile(
 )
 
 
-def leave_corrections(p: Proposal) -> None:
+def ignore_corrections(p: Proposal) -> None:
     """A column of corrections beside one of deviations is left out, and a following error beside both positions."""
     errors = [n for n, e in p.entries.items() if e["role"] == "error"]
     for name in [n for n in errors if any(map(words.is_following_error, p.entries[n].get("_headers", (n,))))]:
@@ -75,7 +75,7 @@ _OF_THE_AIR = re.compile(r"temp|air|luft|environment|umgebung|material|wavelengt
 
 
 def compensated(above: list[str]) -> list[str]:
-    """A note where a line above says that the control's compensation was on; that of a laser's air is another one."""
+    """A note where a line above states that the control's compensation was on; that of a laser's air is another one."""
     lines = [x for x in above if _SWITCHED_ON.search(words.plain(x)) and not _OF_THE_AIR.search(words.plain(x))]
     return [
         f"a line says {x[:60]!r}: these are the deviations that a compensation leaves, and a new table is added to it"
@@ -83,8 +83,8 @@ def compensated(above: list[str]) -> list[str]:
     ]
 
 
-def turn(p: Proposal, layout: Layout, options: ImportOptions) -> None:
-    """Every error column as actual minus commanded. Raises DataError where the file says a sign that is not understood.
+def change(p: Proposal, layout: Layout, options: ImportOptions) -> None:
+    """Every error column as actual minus commanded. Raises DataError where a stated sign is not understood.
 
     An option goes before both positions, these before the column's header, and that before the lines around the table.
     """
@@ -99,7 +99,7 @@ def turn(p: Proposal, layout: Layout, options: ImportOptions) -> None:
 
 
 def _stated(p: Proposal, name: str, options: ImportOptions) -> tuple[bool, str] | None:
-    """Whether a sign is turned by the option or by the recorded positions, with the reason; None: neither says it."""
+    """Whether a sign is turned by the option or by the recorded positions, with the reason; None: neither states it."""
     if options.sign is not None:
         return options.sign == "commanded-minus-actual", ""
     component = p.entries[name]["component"]
@@ -119,7 +119,7 @@ def _stated(p: Proposal, name: str, options: ImportOptions) -> tuple[bool, str] 
 
 
 def _said(p: Proposal, name: str, layout: Layout) -> tuple[bool, str]:
-    """Whether a sign is turned by what the file says of it, with the reason."""
+    """Whether a sign is turned by what the file states of it, with the reason."""
     headers = p.entries[name].get("_headers", (name,))
     if any(map(words.is_correction, headers)) or any(map(words.titles_corrections, layout.above)):
         return True, "a correction is minus the deviation: the sign is turned"
@@ -152,14 +152,14 @@ def _doubtful(header: str, why: str) -> bool:
 
 
 def _is_on_the_sign(text: str) -> bool:
-    """Whether a line around the table says which way readings count; a line on the approach says a side."""
+    """Whether a line around the table states which way readings count; one on the approach states a side."""
     means = _SIGN_MEANS.search(text)
     said = means is not None and bool(re.search(r"[^\W\d]{3}", means[1])) and not _A_WAY.search(means[1])
     return said or _ON_THE_SIGN.search(text) is not None
 
 
 def _ask(headers: tuple[str, ...], layout: Layout, why: str) -> None:
-    """Raise DataError for a header, or a line on the sign, that says which way readings count and is not understood."""
+    """Raise DataError for a header, or a line on the sign, whose statement of the sign is not understood."""
     for header in headers:
         if _doubtful(header, why):
             raise DataError(

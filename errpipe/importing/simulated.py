@@ -86,7 +86,7 @@ def positions_as_deviations(p: Proposal) -> list[str]:
     return turned
 
 
-def turn_signs(p: Proposal, known: Sequence[str]) -> None:
+def change_signs(p: Proposal, known: Sequence[str]) -> None:
     """Simulated deviations as actual minus commanded: by their own header, else as the recorded ones beside them.
 
     known: columns whose sign is known already. A simulation that runs against the recording as both are written keeps
@@ -96,9 +96,9 @@ def turn_signs(p: Proposal, known: Sequence[str]) -> None:
         component = p.entries[name]["component"]
         says = plain(" ".join(p.entries[name].get("_headers", (name,))))
         said = difference(says)
-        reason = f"its header says {says!r}" if said is not None and said[0] < 0 else ""
+        reason = f"its header reads {says!r}" if said is not None and said[0] < 0 else ""
         if said is None:
-            reason = _turned_beside(p, name, component)
+            reason = _sign_of_recorded(p, name, component)
         if reason:
             entry = p.entries[name]
             raw = p.put(f"{name}_as_written", p.data.pop(name), role="ignore")
@@ -106,8 +106,8 @@ def turn_signs(p: Proposal, known: Sequence[str]) -> None:
             p.guesses[name] = f"{p.guesses.get(name, '')}; {reason}: the sign is turned".strip("; ")
 
 
-def _turned_beside(p: Proposal, name: str, component: str) -> str:
-    """Why a simulated column is turned with the recorded one, in words; '' where it is not."""
+def _sign_of_recorded(p: Proposal, name: str, component: str) -> str:
+    """Why a simulated column changes its sign with the recorded one, in words; '' where it does not."""
     for error, entry in p.entries.items():
         raw = entry.get("derived", {}).get("of")
         if entry["role"] != "error" or entry["component"] != component or raw not in p.data:

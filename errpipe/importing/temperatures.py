@@ -1,7 +1,7 @@
 """Temperatures that no unit states: by the sensor's or the place's name, and by values that warm and cool slowly.
 
 A name alone is not enough (`spindle` may be a speed or a load), nor are values alone. Where one of the two is missing,
-the column is not used, and a note says so.
+the column is not used, and a note states it.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def with_temperatures(
     for c in columns:
         guess = guesses[c.header]
         if guess.kind != "ignore" or not guess.why or not c.numeric or c.unit is not None:
-            continue  # without a reason: a person said that it is not used
+            continue  # without a reason: a person stated that it is not used
         text, known = plain(c.header), c.values[np.isfinite(c.values)]
         if known.size < FEWEST or _OTHER_QUANTITY.search(text):
             continue

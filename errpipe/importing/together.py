@@ -13,7 +13,7 @@ import pandas as pd
 from errpipe.domain import units
 from errpipe.errors import DataError
 from errpipe.importing.columns import side
-from errpipe.importing.order import put_side
+from errpipe.importing.order import set_side
 from errpipe.importing.proposed import Proposal, slug
 from errpipe.importing.words import plain
 
@@ -75,7 +75,7 @@ _STATES = re.compile(
 
 
 def refuse_states(names: Sequence[str], what: str, answer: str) -> None:
-    """Raise DataError where names say several states of one machine, such as before and after a compensation."""
+    """Raise DataError where names state several states of one machine, such as before and after a compensation."""
     said = [tuple(m[0] for m in _STATES.finditer(plain(name))) for name in names]
     if len(set(said)) > 1:
         raise DataError(
@@ -93,7 +93,7 @@ def of_one_test(part: Proposal, first: Proposal) -> bool:
 
 
 def sides_of_names(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]:
-    """Names of the runs of files that are told apart by their sides alone, whose rows get these: `X_up`, `X_down`.
+    """Names of the runs of files that differ by their sides alone, whose rows get these: `X_up`, `X_down`.
 
     The names of the files where their columns state the sides, and where not every name does.
     """
@@ -105,7 +105,7 @@ def sides_of_names(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]
     for part, stem, (word,) in zip(parts, stems, said, strict=True):
         axis = next((e["axis"] for e in part.entries.values() if e["role"] in OF_A_MACHINE), None)
         if axis is not None:
-            put_side(part, axis, word, f"the name of the file {stem!r} says {word!r}")
+            set_side(part, axis, word, f"the name of the file {stem!r} states {word!r}")
             part.guesses[part.first("direction") or ""] = "from the names of the files"
     bare = [re.sub(rf"[\W_]*{word}(?![^\W\d_])", "", stem) for stem, (word,) in zip(stems, said, strict=True)]
     return [text.strip(" _-") or "1" for text in bare]

@@ -92,7 +92,7 @@ PER_LENGTH = ("um/m", "mm/m")  # urad and mrad of an angle
 
 
 def per_length(header: str) -> bool:
-    """Whether a header says readings per length of travel: `error ppm`, `um/m`, `ppm of range`."""
+    """Whether a header states readings per length of travel: `error ppm`, `um/m`, `ppm of range`."""
     return _PER_LENGTH.search(header.replace("_", " ")) is not None
 
 

@@ -81,7 +81,7 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     """The wide layout of a table, or None where a row is one reading."""
     numeric, repeated = [c for c in layout.columns if c.numeric], []
     headers = {c.header.lower() for c in numeric}
-    said = {c.header: run_and_side(_beside_negative(c.header, headers)) for c in numeric}
+    said = {c.header: run_and_side(_positive_side(c.header, headers)) for c in numeric}
     places = [c for c in numeric if guesses[c.header].kind in ("command", "position")]
     places = [c for c in places if len(places) == 1 or not (_counts(c) or is_figure(c.header))]
     targets = [c for c in places if said[c.header] == (None, None)]
@@ -123,8 +123,8 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
         if len({run for _, run, _ in readings}) > 1 and all(side is None for _, _, side in readings):
             first, other = next((a, b) for a, ra, _ in readings for b, rb, _ in readings if ra == rb and a is not b)
             raise DataError(
-                f"columns {first.header!r} and {other.header!r} are both of one run, and neither says from which side "
-                "its targets were approached: write + and -, up and down, or fwd and rev into the header"
+                f"columns {first.header!r} and {other.header!r} are both of one run, and neither states from which "
+                "side its targets were approached: write + and -, up and down, or fwd and rev into the header"
             )
         return None
     ways = [
@@ -134,8 +134,8 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     return Wide(targets[0], readings, statistics, labels[0] if labels and not named else None, way)
 
 
-def _beside_negative(header: str, headers: set[str]) -> str:
-    """The header with `pos` as a side, where one with `neg` in its place stands beside it: else it is a position."""
+def _positive_side(header: str, headers: set[str]) -> str:
+    """The header with `pos` read as a side where another header has `neg` in its place; else `pos` is a position."""
     words = re.compile(r"\bpos(?![^\W\d_])", re.IGNORECASE)
     return words.sub("+", header) if words.sub("neg", header).lower() in headers - {header.lower()} else header
 
@@ -173,7 +173,7 @@ def _rises(c: RawColumn) -> bool:
     return x.size > 2 and bool(np.all(np.diff(x) > 0) or np.all(np.diff(x) < 0))
 
 
-def unfold(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]:
+def unpivot(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]:
     """Row of the table, run, side and reading of every reading: runs after one another.
 
     A pass down goes through the targets as they fall. Raises DataError where no row has a target and a reading.
@@ -289,7 +289,7 @@ def refuse_there_and_back(names: Sequence[str], targets: np.ndarray) -> None:
         )
 
 
-def turned(layout: Layout) -> Layout:
+def unpivoted(layout: Layout) -> Layout:
     """A table with a row per run and a column per target (headers that are positions) as one reading a row."""
     places = {c.header: v for c in layout.columns if c.numeric and (v := _place(c.header)) is not None}
     others = [c for c in layout.columns if c.header not in places]
@@ -300,9 +300,9 @@ def turned(layout: Layout) -> Layout:
         return layout
     others = [part for c in others for part in split_labels(c)]
     readings = np.stack([c.values for c in layout.columns if c.header in places], axis=1)
-    told = next((c for c in others if guessing.guess(c).kind == "direction"), None)
-    refuse_there_and_back([] if told is None else [label(cell) for cell in told.cells], x)
-    ways = None if told is None else guessing.sides(told)
+    stated = next((c for c in others if guessing.guess(c).kind == "direction"), None)
+    refuse_there_and_back([] if stated is None else [label(cell) for cell in stated.cells], x)
+    ways = None if stated is None else guessing.sides(stated)
     pairs = [
         (r, k)
         for r in range(len(readings))

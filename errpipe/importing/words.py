@@ -18,6 +18,12 @@ CORRECTION = (  # minus the deviation
     r"|補正|补偿|修正|коррекци|компенсаци|поправк|보정"
 )
 
+# Of readings that are referred to 20 degC, or to the air of a laser: it says nothing on their sign.
+_TO_20_DEGREES = re.compile(
+    r"\(?\b(temp(erature?|eratur)?|thermal(ly)?|thermisch|wavelength|material|air)[ .-]*"
+    r"(comp(ensated)?|compense\w*|corr(ected)?|kompensiert|korrigiert)\b\.?\)?"
+)
+
 # In controllers: command minus actual position (LinuxCNC: pos-cmd less pos-fb; TwinCAT: SetPos less ActPos;
 # a control deviation is w - x, DIN IEC 60050-351).
 FOLLOWING = (
@@ -160,7 +166,7 @@ _LESS = (
 _ONE, _OTHER = (
     "|".join(rf"(?P<{name}{n}>(?<![^\W_])(?:{pattern})(?![^\W_]))" for n, pattern in _OF_A_DIFFERENCE) for name in "ab"
 )
-_TOLD_AND_DONE = re.compile(rf"(?:{_ONE}){_LESS}(?:{_OTHER})")
+_ACTUAL_AND_COMMANDED = re.compile(rf"(?:{_ONE}){_LESS}(?:{_OTHER})")
 # A line above a table whose readings are corrections: `Korrekturwerte in um`, not `Compensation: off`.
 _TITLE_OF_CORRECTIONS = re.compile(
     r"(korrekturwerte|korrekturtabelle|(correction|compensation|comp\.?) (values?|table|data))\b[^:=;]*$"
@@ -176,11 +182,16 @@ _NEUTRAL = re.compile(
 # Of an axis, with the number of a second one: X2. X1 is X, as controls name the only one too.
 AXIS_LETTER = r"([XYZABCUVW](?:[2-9](?!\d))?)"
 _CALLED_AXIS = (
-    r"(?:axis|(?:mess|pruef|prüf|maschinen)?achse|axe|asse|eje|ось)\b"
-    r"(?: (?:under test|tested|measured|name|id|letter|of (?:motion|travel|movement)))?"
+    r"(?:axis|(?:mess|pruef|prüf|maschinen|linear|rund|dreh|schwenk|vorschub|haupt)?achse|achs(?:bezeichnung|name)"
+    r"|axe|asse|eje|eixo|ось|oś|osa|eksen|ekseni)\b"
+    r"(?: (?:under test|tested|measured|name|id|letter|of (?:motion|travel|movement)|lin[eé]aire|lineare?"
+    r"|mesuré))?"
 )
+_NUMBERED = r"(?:(?:(?:no|nr)\.? ?)?\d(?: ?[:=]| (?=\()))"  # `Axis: 1 (X)`, `Achse Nr. 2: Y`
 _AXIS_ABOVE = re.compile(
-    rf"(?:\b{_CALLED_AXIS}|[軸轴])\s*[:=;：]?\s*{AXIS_LETTER}1?\b|\b{AXIS_LETTER}1?[- ]?(?:{_CALLED_AXIS}|[軸轴])",
+    rf"(?:\b{_CALLED_AXIS}|[軸轴축])\s{{0,9}}[:=;,：]?\s{{0,9}}{_NUMBERED}?\s{{0,9}}[\"'(\[]?{AXIS_LETTER}1?\b"
+    rf"|\b{AXIS_LETTER}1?[- ]?(?:{_CALLED_AXIS}|[軸轴축])"
+    r"|\b(?:linear(?: positioning)?|positioning|positionierung)[: ]{1,9}(?-i:([XYZ]))\b(?! ?-)",
     re.IGNORECASE,
 )
 _AXIS_BEFORE = re.compile(
@@ -204,10 +215,17 @@ def plain(text: object) -> str:
 
 
 def kind_by_name(header: str) -> str | None:
-    """What a header says its column holds, or None."""
-    text = plain(header)
+    """What a column holds by its header, or None."""
+    text = _measured(header)
     kind = next((kind for pattern, kind in WORDS if re.search(pattern, text)), None)
     return "error" if kind in ("command", "actual", "position") and difference(header) else kind  # `Soll-Ist`
+
+
+def _measured(header: str) -> str:
+    """A header as `plain` writes it, without `temperature compensated` behind or before what was measured."""
+    text = plain(header)
+    rest = _TO_20_DEGREES.sub(" ", text).strip()
+    return rest if re.search(r"[^\W\d_]{2}", rest) else text
 
 
 def unknown_word(header: str) -> str | None:
@@ -230,14 +248,14 @@ def _ways_of(word: str) -> list[float]:
 
 def is_correction(header: str) -> bool:
     """Whether a header names corrections; `error after correction` is an error."""
-    text = plain(header)
+    text = _measured(header)
     named = re.search(CORRECTION, text) is not None and not is_error_of_a_correction(header)
     return named and not re.search(_STATE_OF_A_COMPENSATION, text)
 
 
 def is_error_of_a_correction(header: str) -> bool:
     """Whether a header names an error behind a correction: `comp. error` may be either; `error correction` is not."""
-    of = re.search(rf"(?:{CORRECTION})\W+(?:errors?|err|fehler|erreur|errore)\b", plain(header))
+    of = re.search(rf"(?:{CORRECTION})\W+(?:errors?|err|fehler|erreur|errore)\b", _measured(header))
     return of is not None
 
 
@@ -247,8 +265,8 @@ def is_following_error(header: str) -> bool:
 
 
 def difference(text: str) -> tuple[float, str] | None:
-    """+1 and the words where a text says `measured - nominal`, -1 where it says `cmd - act`; else None."""
-    for match in _TOLD_AND_DONE.finditer(plain(text)):
+    """+1 and the words where a text reads `measured - nominal`, -1 where it reads `cmd - act`; else None."""
+    for match in _ACTUAL_AND_COMMANDED.finditer(plain(text)):
         one, other = sorted(name for name, word in match.groupdict().items() if word)
         if one[1] != other[1]:
             return (1.0 if one[1] > other[1] else -1.0), match.group(0)
@@ -263,7 +281,7 @@ def names_both(text: str) -> bool:
 
 
 def titles_corrections(line: str) -> bool:
-    """Whether a line above a table says that its readings are corrections."""
+    """Whether a line above a table states that its readings are corrections."""
     return _TITLE_OF_CORRECTIONS.match(plain(line)) is not None
 
 
@@ -272,5 +290,5 @@ def axis_above(lines: list[str]) -> str | None:
     for line in lines:
         match = _AXIS_ABOVE.search(line)
         if match:
-            return (match.group(1) or match.group(2)).upper()
+            return next(filter(None, match.groups())).upper()
     return None

@@ -30,8 +30,8 @@ def rms_and_spread(columns):
 
 
 @kernel
-def freed(chol, cross, half, products):
-    """Columns freed of the active ones: chol^-1 cross into `cross` (m, c), and products - cross.T @ half, shape (c,).
+def project_out(chol, cross, half, products):
+    """Project the active columns out of others: chol^-1 cross into `cross` (m, c); products - cross.T @ half, (c,).
 
     chol: lower Cholesky factor (m, m) of the active columns; cross: their products with the columns.
     """
@@ -75,21 +75,21 @@ def backward(chol, b):
 
 
 @kernel
-def _centred_on_active(first, width, where, freedom, block, half, seen, matrix, freed_half, products):
+def _centred_on_active(first, width, where, freedom, block, half, seen, matrix, projected_half, products):
     """Fill `matrix` (w, w): a hypothesis' products beside the active columns, and `products` (w,): what it sees."""
     m = half.shape[0]
     for i in range(width):
         column, free = where[first + i], freedom[first + i]
         products[i] = free * seen[column]
         for r in range(m):
-            freed_half[r, i] = free * half[r, column]
+            projected_half[r, i] = free * half[r, column]
         for j in range(width):
             matrix[i, j] = block[i * width + j]
     for r in range(m):
         for i in range(width):
-            h = freed_half[r, i]
+            h = projected_half[r, i]
             for j in range(width):
-                matrix[i, j] -= h * freed_half[r, j]
+                matrix[i, j] -= h * projected_half[r, j]
 
 
 @kernel
@@ -202,7 +202,7 @@ def scores(which, where, starts, freedom, cores, places, blocks, half, seen, spa
     tried, widest = sizes.size, 1
     for k in which:
         widest = max(widest, starts[k + 1] - starts[k])
-    matrix, freed_half = np.empty((widest, widest)), np.empty((half.shape[0], widest))
+    matrix, projected_half = np.empty((widest, widest)), np.empty((half.shape[0], widest))
     products, v, p, d, x = np.empty(widest), np.empty(widest), np.empty(widest), np.empty(widest), np.empty(widest)
     off_diagonal, scale = np.zeros(widest), np.zeros(widest)
     logs = np.empty(tried)
@@ -211,7 +211,7 @@ def scores(which, where, starts, freedom, cores, places, blocks, half, seen, spa
         k = which[n]
         first, width = starts[k], starts[k + 1] - starts[k]
         block = blocks[places[k] : places[k] + width * width]
-        _centred_on_active(first, width, where, freedom, block, half, seen, matrix, freed_half, products)
+        _centred_on_active(first, width, where, freedom, block, half, seen, matrix, projected_half, products)
         _tridiagonal(width, matrix, products, off_diagonal, scale, v, p)
         for t in range(tried):
             logs[t] = _log_evidence(width, matrix, off_diagonal, products, sizes[t], spare, rows)

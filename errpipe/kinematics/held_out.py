@@ -25,7 +25,7 @@ MIN_READINGS = 8  # readings of an identification
 
 
 @dataclass(frozen=True)
-class Left:
+class HeldOutGroup:
     """One held-out group: its label, its rows, and the readings without its set-up before and after, um (n,).
 
     Where readings differ in uncertainty, each counts as much as it is certain beside the median.
@@ -73,7 +73,7 @@ def judge(
     names: Sequence[str],
     progress: Callable[[float, str], None] = lambda share, text: None,
     kept: Sequence[str] | None = None,
-) -> list[Left]:
+) -> list[HeldOutGroup]:
     """Identify without each group and judge on it; an empty list where there is only one.
 
     group (n,): number of each row's group, -1 for rows that are never held out. kept: components that are compensated
@@ -93,7 +93,7 @@ def judge(
         before = _without_setup(model, sat_out, np.zeros(len(fitted.mean)), fitted.noise)
         after = _without_setup(model, sat_out, np.where(used, fitted.mean, 0.0), fitted.noise)
         certain = np.median(sat_out.noise) / sat_out.noise
-        out.append(Left(name, rows, before * certain, after * certain))
+        out.append(HeldOutGroup(name, rows, before * certain, after * certain))
     return out
 
 

@@ -1,4 +1,4 @@
-"""Model families: one file each, and one word here. A family states its options and knows how it is fitted and judged.
+"""Model families: one file each, and one word here. A family states its options, and how it is fitted and judged.
 
 The stage `fit` offers every family; validation, export and report name none.
 """
@@ -36,5 +36,5 @@ def family_of(document: Mapping[str, Any]) -> Family:
 
 
 def procedure(family: Family) -> dict[str, Any]:
-    """What `fit.json` says of a fit, so that it can be repeated without a held-out group."""
+    """The fit as `fit.json` records it, so that it can be repeated without a held-out group."""
     return {"fit": 1, **family.model_dump(mode="json")}

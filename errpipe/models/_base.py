@@ -1,8 +1,8 @@
-"""What a model family is: options, a fit, its refit on the rows of a fold, and what a report says of it.
+"""What a model family is: options, a fit, its refit on the rows of a fold, and what a report shows of it.
 
-A family is a pydantic model of its options. The stage `fit` reads them from the pipeline file (`family: NAME` says
-which), writes them beside the error model, and validation reads them back to repeat the fit without a held-out group.
-Every family gives an error model, so one compiler lowers all of them.
+A family is a pydantic model of its options. The stage `fit` reads them from the pipeline file (`family: NAME`
+chooses one), writes them beside the error model, and validation reads them back to repeat the fit without a held-out
+group. Every family gives an error model, so one compiler lowers all of them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 Progress = Callable[[float, str], None]
 
 
-def silent(share: float, text: str) -> None:
+def no_progress(share: float, text: str) -> None:
     """Progress callback that does nothing."""
 
 
@@ -45,7 +45,7 @@ class Table(NamedTuple):
 class Grid(NamedTuple):
     """Figures of rows by columns for the report, the first row without compensation.
 
-    values: None is a dash. remarks: what is said behind each row. best: name of the row that is used.
+    values: None is a dash. remarks: a remark behind each row. best: name of the row that is used.
     """
 
     heading: str
@@ -83,14 +83,14 @@ class Family(Frozen, ABC):
 
     documents: names of the JSON files that its fit adds. seasonal: whether `train` gives a predictor of the deviation
     since the start of each run. competes: whether it has entrants for a competition of thermal families.
-    bends: whether what it learns bends, which rows of one run cannot show of another. default_scheme: of the hold-out.
-    solved_by: how it is solved, where its name does not say so.
+    nonlinear: whether it is fitted to curved relations, which one run does not prove for another. default_scheme: of
+    the hold-out. solved_by: how it is solved, where its name does not show it.
     """
 
     documents: ClassVar[tuple[str, ...]] = ()
     seasonal: ClassVar[bool] = False
     competes: ClassVar[bool] = False
-    bends: ClassVar[bool] = False
+    nonlinear: ClassVar[bool] = False
     default_scheme: ClassVar[str] = "auto"
     solved_by: ClassVar[str] = ""
 
@@ -117,12 +117,12 @@ class Family(Frozen, ABC):
         """How it is solved, for `validation.json`."""
         return self.solved_by or self.family_name().replace("_", " ")
 
-    def lacks(self, recording: Recording) -> str:
+    def missing_input(self, recording: Recording) -> str:
         """What columns the family needs of a recording (its header is enough) and does not find, in words; or ''."""
         return ""
 
     @abstractmethod
-    def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
+    def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Fit on every row of the recording. Raises DataError, NotIdentifiable."""
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
@@ -175,7 +175,7 @@ def held_out(fold: Fold, before: np.ndarray, after: np.ndarray, outside: np.ndar
 
     rows = np.flatnonzero(fold.test & np.isfinite(before) & np.isfinite(after))
     if rows.size == 0:
-        raise DataError(f"hold-out {fold.label}: no judged row has everything the model needs")
+        raise DataError(f"hold-out {fold.label}: no judged row has a value in every column that the model reads")
     return HeldOut(fold.label, rows, before[rows], after[rows], outside[rows], used)
 
 

@@ -2,7 +2,7 @@
 
 One error column of the component is the deviation between tool and work. Several are gauges, each with its place as
 `location`: tool_post, spindle, workpiece. Every gauge counts as the component does (positive where the gap opens), and
-reads its own part alone: the workpiece against the spindle, unless `gauge_datum` says that all read against the bed.
+reads its own part alone: the workpiece against the spindle, unless `gauge_datum` states that all read against the bed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from errpipe.errors import DataError
 from errpipe.fitting.design import response_name
 
 GAUGES = ("tool_post", "spindle", "workpiece")
-WHOLE = "structure"  # the part where nothing tells them apart
+WHOLE = "structure"  # the part where no gauge distinguishes them
 # Powers of the lever in structure(z), simplest first: a rigid spindle on springs has the square, and the lever too
 # where the middle of its springs is away from the chuck's face.
 POWERS = ((0,), (0, 2), (0, 1, 2))
@@ -120,7 +120,7 @@ def read(options: Options, recording: Recording) -> Pushes:
     """
     if options.force not in recording.names("force"):
         there = ", ".join(recording.names("force")) or "none"
-        raise DataError(f"identify_force: no column {options.force!r} of role force (there are: {there})")
+        raise DataError(f"push tests: no column {options.force!r} of role force (there are: {there})")
     force = recording.array(options.force)
     place = np.zeros(len(force)) if options.axis is None else position(recording, options.axis)
     away = options.outwards * (place - options.chuck_face)
@@ -149,13 +149,16 @@ def _gauges(options: Options, recording: Recording) -> dict[str, str]:
     for name, place in places.items():
         if place not in GAUGES:
             raise DataError(
-                f"identify_force: {len(names)} columns are {options.component}; columns.{name}.location: {place!r} is "
+                f"push tests: {len(names)} columns are {options.component}; columns.{name}.location: {place!r} is "
                 f"no gauge (allowed: {', '.join(GAUGES)}). Give a column that is their sum the role ignore."
             )
     if len(set(places.values())) < len(places):
-        raise DataError(f"identify_force: two columns of {options.component} have the same location")
+        raise DataError(
+            f"push tests: two columns of {options.component} have the same location (allowed: one column for each of "
+            f"{', '.join(GAUGES)})"
+        )
     if options.pushed_tool is not None:
-        raise DataError("identify_force: gauges do not read the tool that was pushed: leave out pushed_tool")
+        raise DataError("push tests: gauges do not read the tool that was pushed: leave out pushed_tool")
     return {g: n for g in GAUGES for n, place in places.items() if place == g}
 
 
@@ -170,7 +173,7 @@ def _less_zero(pushes: np.ndarray, value: np.ndarray, run: np.ndarray) -> np.nda
     return value
 
 
-def twice(options: Options) -> float:
+def diameter_factor(options: Options) -> float:
     """2 for a diameter, 1 for a displacement."""
     return 2.0 if components.parse(options.component).kind == "diameter" else 1.0
 
@@ -187,9 +190,9 @@ def _part(options: Options, pushes: Pushes, part: str, rows: np.ndarray) -> Stru
     use = rows & np.isfinite(force) & np.isfinite(lever) & np.isfinite(deviation)
     if use.sum() < 4 or np.ptp(force[use]) <= 0:
         raise DataError(
-            f"identify_force: at least 4 readings of the {part} at different forces are needed (found {int(use.sum())})"
+            f"push tests: at least 4 readings of the {part} at different forces are needed (found {int(use.sum())})"
         )
-    left = (options.sign * deviation / twice(options) - force * pushes.known[part])[use]
+    left = (options.sign * deviation / diameter_factor(options) - force * pushes.known[part])[use]
     best: tuple[float, Structure] | None = None
     places = np.unique(np.round(lever[use], 4)).size
     for powers in (p for p in POWERS if len(p) <= places):

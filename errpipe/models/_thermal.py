@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from pydantic import Field
 
-from errpipe.models._base import Family, Fitted, Grid, Progress, held_out, silent
+from errpipe.models._base import Family, Fitted, Grid, Progress, held_out, no_progress
 from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ MOST_OPERANDS = 48  # of one sum; a table takes 64
 MOST_GROUPS = 4  # columns of one grouping in the figure of the competition
 TIE_LEVEL = 0.05  # p over runs left out
 MACHINE = "machine"  # group of a recording
-UNLIKE_MACHINES = 1.5  # times what is left of runs; with more left of machines the fit says so (from taste)
+UNLIKE_MACHINES = 1.5  # times what is left of runs; with more left of machines the fit reports it (by judgement)
 
 
 class ThermalFamily(Family):
@@ -52,7 +52,7 @@ class ThermalFamily(Family):
 
         return HoldOut(scheme="leave-one-group-out", of=self.environment)
 
-    def lacks(self, recording: Recording) -> str:
+    def missing_input(self, recording: Recording) -> str:
         """A temperature or a spindle speed is needed."""
         if recording.names("temperature") or recording.name("spindle_speed") is not None:
             return ""
@@ -61,9 +61,9 @@ class ThermalFamily(Family):
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
         """Without a scheme: each environment in turn, or each run where the recording names less than two.
 
-        A group in which a temperature is silent throughout judges nothing; where that leaves one environment, its runs
+        A group in which a temperature has no reading judges nothing; where that leaves one environment, its runs
         are left out. Fewer than three runs: each half by the
-        other. A block between two that fit is interpolated, which says little of the next run: of 12 simulated days
+        other. A block between two that fit is interpolated, which shows little of the next run: of 12 simulated days
         (seeds 5101 and 5102 of `trials.thermal`), later days were left 1.8 times as far off as such blocks (0.8 times
         as far as halves), and their 90 % width held 65 % (89 %) of the rows.
         """
@@ -92,7 +92,7 @@ class ThermalFamily(Family):
         """The model of the rows of a mask (all where None); it predicts the deviation since the start of each run."""
         return self._compete(recording, rows)[0]
 
-    def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
+    def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Fit on every row. Raises DataError without a temperature or with one run only."""
         from errpipe.fitting.thermal_arithmetic import few_rows_fitted, held_readings
 
@@ -127,7 +127,7 @@ class ThermalFamily(Family):
         since = since_start_of(recording, self.component, self.datum_rows)
         run = recording.run_codes()
         residual = since - predicted_since_start(model.values(recording), run, self.datum_rows, since == since)
-        known = np.where(all_known(recording), since, np.nan)  # a lag goes on where its sensor has fallen silent
+        known = np.where(all_known(recording), since, np.nan)  # a lag goes on where its sensor has stopped
         return {self.component: held_out(fold, known, residual, distance(model.validity, recording))}
 
     def grids(self, documents: Mapping[str, Any]) -> list[Grid]:
@@ -160,7 +160,7 @@ class ThermalFamily(Family):
         from errpipe.fitting.solve import one_thread
         from errpipe.fitting.thermal_arithmetic import living_sensors
 
-        if lacking := self.lacks(recording):
+        if lacking := self.missing_input(recording):
             raise DataError(lacking)
         recording = living_sensors(recording, self.component)
         with one_thread():
@@ -349,7 +349,7 @@ def _half_width(family: ThermalFamily, problem: LinearProblem, outcome: Outcome,
     environment = family.environment if family.environment in outcome.predictions else WARMTH
     half = [
         thermal_interval.LeftOut((y - p)[rows], p[rows]).half_width(
-            problem.group[rows], family.coverage, problem.witnesses, only_one, factor[rows]
+            problem.group[rows], family.coverage, problem.run_count, only_one, factor[rows]
         )
         for name, p in outcome.predictions.items()
         if only_one or name in (RUN, environment)

@@ -42,7 +42,7 @@ class Auto(ThermalFamily):
         chosen = [
             kind
             for kind in competitors()
-            if (kind.family_name() in self.among if self.among else not (problem.one_run and kind.bends))
+            if (kind.family_name() in self.among if self.among else not (problem.one_run and kind.nonlinear))
         ]
         return [entrant for kind in chosen for entrant in kind.competitor(shared).entrants(problem)]
 

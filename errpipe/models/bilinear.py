@@ -1,6 +1,6 @@
 """Gains times lagged rises, and times products of how fast one sensor warms with how warm another one is.
 
-Films grow with speed, so what a kelvin does depends on whether the machine runs. No sensor says so, but the rate at
+Films grow with speed, so what a kelvin does depends on whether the machine runs. No sensor shows it, but the rate at
 which it warms does. The state equation of such a machine is bilinear,
 
     d theta / dt = (A + s W) theta + B u          theta: rises, s: speed, u: heat
@@ -38,7 +38,7 @@ class Bilinear(ThermalFamily):
     """Ridge on rises, lagged rises, and products of a sensor's rate with a sensor's rise, at once and late."""
 
     family: Literal["bilinear"] = Field("bilinear", description="Model family.")
-    bends: ClassVar[bool] = True
+    nonlinear: ClassVar[bool] = True
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """Every setting; none of one run, of no sensor or more than `MOST_SENSORS`, or where nothing can be lagged.

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from errpipe.domain.components import is_error_motion
 from errpipe.domain.machine import Machine
-from errpipe.models._base import Family, Fitted, Progress, silent
+from errpipe.models._base import Family, Fitted, Progress, no_progress
 
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
@@ -34,7 +34,7 @@ class Direct(Family):
     default_scheme: ClassVar[str] = "leave-one-run-out"
     solved_by: ClassVar[str] = "direct records"
 
-    def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
+    def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Raises UsageError: its error model comes from the stage that identifies the machine."""
         from errpipe.errors import UsageError
 
@@ -62,7 +62,7 @@ class Direct(Family):
 
 
 @dataclass(frozen=True)
-class Left:
+class HeldOutComponent:
     """One component on held-out rows: before (n,), the machine's deviation; after (n,), less the model."""
 
     component: str
@@ -79,7 +79,7 @@ def judge(
     *,
     modes: int = 12,
     lasers: Mapping[str, Laser] | None = None,
-) -> list[Left]:
+) -> list[HeldOutComponent]:
     """Every component with readings on both sides. Zero, straightedge and beam are set-up: out of before and after.
 
     train, test: masks of rows. The zero and lay of a set-up come from the rows that fit.
@@ -127,7 +127,7 @@ def judge(
         )
         if record.component in lasers and lasers[record.component].zero_each_run:
             before, after = (_without_zeros(v, recording.run_codes()[at]) for v in (before, after))
-        out.append(Left(record.component, at, before, after))
+        out.append(HeldOutComponent(record.component, at, before, after))
     return out
 
 

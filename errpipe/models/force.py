@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from errpipe.domain.recording import Frozen
-from errpipe.models._base import Family, Fitted, Progress, Table, held_out, silent
+from errpipe.models._base import Family, Fitted, Progress, Table, held_out, no_progress
 from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ class Body(Frozen):
         try:
             return beam.compliance(parts, where, support, self.young, self.poisson)
         except ValueError as err:
-            raise DataError(f"identify_force: {err}: give `chuck_face` and all sections") from None
+            raise DataError(f"push tests: {err}: give `chuck_face` and all sections") from None
 
     @property
     def length(self) -> float:
@@ -114,7 +114,7 @@ class Force(Family):
             raise ValueError("milling takes the workpiece as rigid: leave it out")
         return self
 
-    def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
+    def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Fit the structure on every row. Raises DataError, VerifyError."""
         import numpy as np
 
@@ -147,7 +147,7 @@ class Force(Family):
         pushes = push.read(self, recording)
         structure = np.vander(pushes.lever, len(push.NAMES), increasing=True) @ whole.values
         gives = pushes.force * (structure + pushes.all_known)
-        after = pushes.whole - gives * self.sign * push.twice(self)
+        after = pushes.whole - gives * self.sign * push.diameter_factor(self)
         return {self.component: held_out(fold, pushes.whole, after, np.zeros(len(recording)))}
 
     def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:
@@ -204,7 +204,7 @@ def _curve(options: Force, recording: Recording, parts: Mapping[str, Structure])
     for name, value in pulled.items():
         if value.min() < -3 * push.whole(parts).errors[0]:
             raise DataError(
-                f"identify_force: the {name} would be {value.min():.3g} um/N: a force pulls what it should push. Check "
+                f"push tests: the {name} would be {value.min():.3g} um/N: a force pulls what it should push. Check "
                 "the sign of force and deviation, `sign`, and what was pushed in the tests."
             )
     bodies = {"structure": structure, "workpiece": work, "tool": tool}
@@ -228,15 +228,15 @@ def _error_model(
     ranges = {options.force: (-largest, largest)}
     if options.axis:
         ranges[columns[1]] = (float(curve["position"][0]), float(curve["position"][-1]))
-    gain = curve["um_per_N"] * options.sign * push.twice(options)
+    gain = curve["um_per_N"] * options.sign * push.diameter_factor(options)
     part = ComponentModel(
         component=options.component,
         terms=_terms(options, curve["position"], gain),
         rows=len(recording),
         rows_effective=float(len(recording)),
         rms_before=float(np.sqrt(np.nanmean(pushes.whole**2))),
-        rms_after=noise * push.twice(options),
-        half_width90=1.645 * noise * push.twice(options),
+        rms_after=noise * push.diameter_factor(options),
+        half_width90=1.645 * noise * push.diameter_factor(options),
     )
     manifest = recording.manifest
     model = ErrorModel(
@@ -269,7 +269,7 @@ def _terms(options: Force, at: np.ndarray, gain: np.ndarray) -> tuple[Any, ...]:
         solution, *_ = np.linalg.lstsq(basis, gain, rcond=None)
         worst = float(np.abs(basis @ solution - gain).max())
         if worst > MISSED * np.abs(gain).max():
-            raise VerifyError(f"identify_force: the table's curve would miss the compliance by {worst:.3g} um/N")
+            raise VerifyError(f"push tests: the table's curve would miss the compliance by {worst:.3g} um/N")
         terms.append(ProfileDriver(axis=options.axis, profile=curve, **push))
         values = [solution[:1], solution[1:]]
     return tuple(

@@ -34,7 +34,7 @@ class Network(ThermalFamily):
             core = Problem(problem.recording, self.component, self.options, problem.rows, problem.group)
         except DataError:
             return ()
-        core.orient()
+        core.choose_signs()
         middle = core.full_core()
 
         @cache

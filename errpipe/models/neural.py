@@ -27,10 +27,10 @@ class Neural(ThermalFamily):
     """A multilayer perceptron of one hidden layer with tanh, zero where nothing has warmed up."""
 
     family: Literal["neural"] = Field("neural", description="Model family.")
-    bends: ClassVar[bool] = True
+    nonlinear: ClassVar[bool] = True
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """A network alone, and one beside a ridge that knows the rates too; none without a temperature."""
+        """A network alone, and one beside a ridge on the rates too; none without a temperature."""
         from errpipe.fitting.thermal_linear import rates
 
         if not problem.plain:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
-from errpipe.models._base import Family, Fitted, Progress, held_out, silent
+from errpipe.models._base import Family, Fitted, Progress, held_out, no_progress
 from errpipe.models._perceptron import Layer, entrant
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class NeuralVolume(Family):
         layers = (Layer(nodes, centre, self.units, penalty) for penalty in PENALTIES)
         return [entrant(name, f"{name}, penalty {one.penalty:g}", problem, one) for one in layers]
 
-    def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
+    def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Fit on every row. Raises DataError without a position, a component, or a row that has everything."""
         import numpy as np
 
@@ -114,7 +114,7 @@ class NeuralVolume(Family):
 
         places = _positions(recording)
         if not places:
-            raise DataError("neural_volume: the recording has no position of an axis")
+            raise DataError("neural_volume: the recording has no column of role position (needed: one for each axis)")
         drivers: list[d.Driver] = [d.Input(name=n) for n in places]
         drivers += [d.rise(n) for n in recording.names("temperature")]
         y = np.column_stack([recording.array(response_name(recording, c)) for c in self.components])
@@ -131,7 +131,10 @@ class NeuralVolume(Family):
 
         good = rows & np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1)
         if not good.any():
-            raise DataError("neural_volume: no row has all positions, temperatures and components")
+            raise DataError(
+                "neural_volume: no row has a value of every position, temperature and component (give a column that is "
+                "mostly empty the role ignore)"
+            )
         number = np.flatnonzero(good)
         x, y = x[number], y[number]
         none = _nothing(x, y)
@@ -208,7 +211,7 @@ def _limits(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _nothing(x: np.ndarray, y: np.ndarray) -> Network:
-    """A network that says zero everywhere."""
+    """A network whose output is zero everywhere."""
     import numpy as np
 
     wide, many = x.shape[1], y.shape[1]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from errpipe.models._base import Family, Fitted, Progress, Table, held_out, silent
+from errpipe.models._base import Family, Fitted, Progress, Table, held_out, no_progress
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,7 +28,8 @@ class Plate(Family):
     family: Literal["plate"] = Field("plate", description="Model family.")
     modes: int = Field(8, ge=1, le=24, description="Waves per axis that the smooth map may hold; it is penalised.")
     plate: str = Field(
-        "last", description="Plate that speaks for the machine: the last one, all of them, or the label of a run."
+        "last",
+        description="Plate that gives the errors of the machine: the last one, all of them, or the label of a run.",
     )
     every: int = Field(
         10, ge=2, description="Where there is one plate only: every so many of its holes are held out in turn."
@@ -45,7 +46,7 @@ class Plate(Family):
         """Both directions of the plane."""
         return DIRECTIONS
 
-    def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
+    def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Fit the chosen plates. Raises DataError for a label that is not in the recording."""
         from errpipe.kinematics import planar
 
@@ -79,7 +80,9 @@ class Plate(Family):
         from errpipe.fitting.design import response_name
         from errpipe.kinematics import planar
 
-        model = planar.fit_plate(recording, rows=fold.train & self._speaks(recording, fold.train), modes=self.modes)
+        model = planar.fit_plate(
+            recording, rows=fold.train & self._chosen_rows(recording, fold.train), modes=self.modes
+        )
         x, y = (recording.array(str(recording.name("position", axis=a))) for a in "XY")
         deviation = np.column_stack([recording.array(response_name(recording, c)) for c in DIRECTIONS])
         residual = deviation - model.predict(x, y)
@@ -96,7 +99,7 @@ class Plate(Family):
         outside = np.maximum.reduce([box.x[0] - x, x - box.x[1], box.y[0] - y, y - box.y[1], np.zeros_like(x)])
         return {c: held_out(fold, before[:, k], after[:, k], outside, used=used) for k, c in enumerate(DIRECTIONS)}
 
-    def _speaks(self, recording: Recording, rows: np.ndarray) -> np.ndarray:
+    def _chosen_rows(self, recording: Recording, rows: np.ndarray) -> np.ndarray:
         """Rows of the plate that option `plate` chooses; the last one in the mask `rows` where that one is held out."""
         import numpy as np
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 STRENGTHS = (0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)  # of the ridge, on columns of unit rms; the competition chooses
 # Sensors for each block of one run from which on their mean goes before gains of their own, which so few blocks cannot
-# tell apart. Stretches of a spindle's run (16 sensors): the rest of it is left 0.74 um, 1.39 um without; for machines
+# distinguish. Stretches of a spindle's run (16 sensors): the rest of it is left 0.74 um, 1.39 um without; for machines
 # of 4 to 6 sensors the mean is worse (165 single days: 0.112 to 0.245 of uncompensated, 0.127 to 0.275 with it).
 MANY = 2.0
 LEAST_RIDGE = 1e-5  # keeps the normal equations of collinear sensors well conditioned

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from pydantic import Field
 
 from errpipe.fitting.season_options import SeasonOptions
-from errpipe.models._base import Family, Fitted, Progress, Table, held_out, silent
+from errpipe.models._base import Family, Fitted, Progress, Table, held_out, no_progress
 
 if TYPE_CHECKING:
     import numpy as np
@@ -41,7 +41,7 @@ class Season(Family):
 
         return HoldOut(scheme="leave-one-group-out", of=self.options.environment)
 
-    def lacks(self, recording: Recording) -> str:
+    def missing_input(self, recording: Recording) -> str:
         """A temperature is needed."""
         text = f"thermal model of {self.component}: the recording has no temperature"
         return "" if recording.names("temperature") else text
@@ -73,7 +73,7 @@ class Season(Family):
             full_problem = Problem(recording, self.component, self.options, problem.rows, problem.group)
         except DataError:
             return ()
-        full_problem.orient()
+        full_problem.choose_signs()
 
         @cache
         def model(groups: tuple[int, ...]) -> ThermalModel:
@@ -97,7 +97,7 @@ class Season(Family):
 
         return [Entrant(self.family_name(), "network + correction (season)", predict, parts, True, linear)]
 
-    def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
+    def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Fit on every row. Raises DataError where no sensor sits on the machine."""
         fitted = self.train(recording)
         model = fitted.error_model(recording)

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from errpipe.errors import DataError
 from errpipe.fitting.spec import ModelSpec
-from errpipe.models._base import Family, Fitted, Judged, Progress, fit_summary, silent
+from errpipe.models._base import Family, Fitted, Judged, Progress, fit_summary, no_progress
 from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ ROWS_IN_MEMORY = 1_000_000  # with ten columns and ten parameters least squares 
 
 
 class Terms(ModelSpec, Family):
-    """Fit the terms of every component on all rows of the recording; refuse what the rows cannot tell apart."""
+    """Fit the terms of every component on all rows of the recording; refuse what the rows cannot distinguish."""
 
     family: Literal["terms"] = Field("terms", description="Model family.")
     less_simulated: bool = Field(
@@ -58,7 +58,7 @@ class Terms(ModelSpec, Family):
         """How it is solved."""
         return self.method
 
-    def fit(self, recording: Recording, progress: Progress = silent) -> Fitted:
+    def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Fit on every row. Raises DataError, NotIdentifiable."""
         from errpipe.fitting import model
 
@@ -77,13 +77,13 @@ class Terms(ModelSpec, Family):
 
         if source.rows <= (self.rows_in_memory or ROWS_IN_MEMORY):
             return False
-        hindrances = history.hindrances(self, source.ends)
-        if hindrances and self.rows_in_memory is not None:
+        unsupported = history.unsupported_in_batches(self, source.ends)
+        if unsupported and self.rows_in_memory is not None:
             raise DataError(
                 f"fit: {source.rows} rows are more than rows_in_memory ({self.rows_in_memory}), and in batches there is"
-                f" no {', no '.join(hindrances)}. Leave it out, or raise rows_in_memory."
+                f" no {', no '.join(unsupported)}. Leave it out, or raise rows_in_memory."
             )
-        return not hindrances
+        return not unsupported
 
     def fit_batches(self, source: Source) -> Fitted:
         """`fit` of a recording that is read batch by batch. Raises DataError, NotIdentifiable."""
@@ -100,7 +100,7 @@ class Terms(ModelSpec, Family):
         layout = batches.survey(source, self, scheme)
         gathered = batches.gather(source, self, layout, self._response)
         folds = history.all_left_out(gathered, source.manifest)
-        worst = history.worst(source, gathered, folds, self._response)
+        worst = history.largest_deviations(source, gathered, folds, self._response)
         names = [h.component for h in gathered]
         return Judged(
             holdout.name(layout.scheme),
@@ -118,9 +118,9 @@ def _as_read(recording: Recording) -> Recording:
 
     Where every tenth row holds one, nine of ten rows of production are of that kind; single empty cells stay empty.
     """
-    from errpipe.fitting.thermal_arithmetic import sampled_less_often, short_holes_held
+    from errpipe.fitting.thermal_arithmetic import sampled_less_often, short_gaps_held
 
-    return short_holes_held(recording, sampled_less_often(recording, recording.names("temperature")))
+    return short_gaps_held(recording, sampled_less_often(recording, recording.names("temperature")))
 
 
 def mismatch(recording: Recording, spec: ModelSpec) -> Recording:
@@ -129,6 +129,7 @@ def mismatch(recording: Recording, spec: ModelSpec) -> Recording:
     for component in (c.component for c in spec.components):
         error, twin = (recording.name(role, component=component) for role in ("error", "simulated"))
         if error is None or twin is None:
-            raise DataError(f"{component}: recorded and simulated values are needed, and one of them is missing")
+            missing = "error" if error is None else "simulated"
+            raise DataError(f"{component}: no column of role {missing} (needed: one of role error, one simulated)")
         left[error] = recording.array(error) - recording.array(twin)
     return recording.with_columns(left, {})

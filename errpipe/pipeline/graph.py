@@ -56,7 +56,7 @@ def _behind(stage: Stage, slot: str, need: Need, before: Sequence[Stage], links:
         if len(chosen) != 1 and not need.every:
             return (), f"names {len(chosen)} stages (one is read)"
         return chosen, ""
-    if need.beside and not _is_provided(stage, need.beside, before):
+    if need.only_with and not _is_provided(stage, need.only_with, before):
         return (), ""
     if not fitting and not need.optional and not (need.unless and _is_provided(stage, need.unless, before)):
         return (), f"{stage.kind} takes {_with_article(wanted)}, and no stage before it gives one"

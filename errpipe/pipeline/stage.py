@@ -60,14 +60,14 @@ class Need:
 
     `every` leaves out what an earlier stage already turned into another artefact of that type (a recording that was
     cleaned). Where `optional`, a pipeline without such a stage is fine and the stage is given nothing. `unless` names
-    another slot of the stage that may be met instead, `beside` one without which this slot is not read.
+    another slot of the stage that may be met instead, `only_with` one without which this slot is not read.
     """
 
     type: str
     optional: bool = False
     every: bool = False
     unless: str = ""
-    beside: str = ""
+    only_with: str = ""
 
 
 @dataclass(frozen=True)

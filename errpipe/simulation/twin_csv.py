@@ -15,7 +15,7 @@ from errpipe.errors import DataError, did_you_mean
 from errpipe.simulation.responses import Values, error_column, names_of
 from errpipe.simulation.twin_options import CsvColumn, FromCsv
 
-GAP_STEPS = 10.0  # a step this many times the median one is a gap, unless `longest_gap` is given (from taste)
+GAP_STEPS = 10.0  # a step this many times the median one is a gap, unless `longest_gap` is given (by judgement)
 MAX_HEADER_BYTES = 1 << 20  # a first line beyond 1 MB is not a header row
 MAX_GAPS_LISTED = 5  # gaps named by place in a message; the others are only counted
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 FORCES = "it is a drive force, not a deviation of the tool: for the drive's friction feed-forward, not for a table"
 RECALIBRATION = "the simulation itself is to be set right: no plain sum of terms stands for it in a table"
 REFITTED_NOTE = "the terms of the model before are fitted anew together with what was accepted"
-UNKNOWN = "no effect carries it, so nothing says that it will come back"
+UNKNOWN = "no known effect explains it, so it need not recur"
 
 
 class Accept(Options):
@@ -53,14 +53,14 @@ class Accept(Options):
 class Decision:
     """What becomes of one finding. terms: its physics bound to columns; reason: why it is refused, '' where accepted.
 
-    beside: refused, but fitted as nuisance so that it does not bias the accepted terms.
+    as_nuisance: refused, and fitted as nuisance so that it does not bias the accepted terms.
     """
 
     component: str
     finding: Finding
     terms: tuple[Term, ...] = ()
     reason: str = ""
-    beside: bool = False
+    as_nuisance: bool = False
 
     @property
     def accepted(self) -> bool:
@@ -115,7 +115,7 @@ def _decide(f: Finding, response: ResponseDiagnosis, accept: Accept) -> Decision
     if f.effect in artefacts or any(not t.compensable for t in terms):
         reason = artefacts.get(f.effect, FORCES if response.unit == "N" else "it is not a deviation of the tool")
         as_nuisance = confident and bool(terms) and all(t.nuisance for t in terms)
-        return replace(decision, terms=terms, reason=reason, beside=as_nuisance)
+        return replace(decision, terms=terms, reason=reason, as_nuisance=as_nuisance)
     if not confident:
         return replace(decision, reason=f"its confidence of {f.sure():.2f} is below {accept.confidence:.2f}")
     if worse:
@@ -209,7 +209,7 @@ def specification_with(decisions: Sequence[Decision], diagnosis: Diagnosis, exis
         components[response.component] = spec.model_copy(update={"terms": tuple(terms)})
     # a nuisance term is fitted to every response, so it must have been named in each of them
     fitted = {name for name, c in components.items() if c.terms}
-    nuisance_terms = [t for d in decisions if d.beside and {d.component} == fitted for t in d.terms]
+    nuisance_terms = [t for d in decisions if d.as_nuisance and {d.component} == fitted for t in d.terms]
     if existing is not None:
         nuisance = (*existing.nuisance, *(t for t in nuisance_terms if t not in existing.nuisance))
         return existing.model_copy(update={"components": tuple(components.values()), "nuisance": nuisance})
@@ -251,8 +251,8 @@ def _with_one_refused(decisions: list[Decision], why: Exception) -> list[Decisio
     accepted = [d for d in decisions if d.accepted]
     if accepted:
         least = min(accepted, key=lambda d: (d.finding.effect != "recalibration", d.finding.confidence))
-        reason = f"beside the rest it cannot be distinguished: {str(why).splitlines()[0]}"
+        reason = f"it cannot be distinguished from the other accepted terms: {str(why).splitlines()[0]}"
         return [d.refused(reason) if d is least else d for d in decisions]
-    if any(d.beside for d in decisions):
-        return [replace(d, beside=False) for d in decisions]
+    if any(d.as_nuisance for d in decisions):
+        return [replace(d, as_nuisance=False) for d in decisions]
     raise why

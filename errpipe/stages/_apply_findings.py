@@ -35,8 +35,8 @@ DOCUMENT = "apply.json"
 MIN_CONFIDENCE = 0.8  # as for a term of the error model (option `accept` of the stage)
 SAME = 0.02  # of a finding's largest value: largest difference allowed between its equation in the patch and its term
 OF_MEASURING = "an artefact of measuring: in the corrected recording, not in the patch of the machine's simulation"
-IN_SOME_RUNS = "it acted in some runs only: no equation says in which runs to come"
-NO_EQUATION = "its term cannot be written as an equation of what a simulation knows"
+IN_SOME_RUNS = "it acted in some runs only: no equation states in which ones it will act"
+NO_EQUATION = "its term cannot be written as an equation of the inputs of a simulation"
 
 Progress = Callable[[float, str], None]
 
@@ -49,7 +49,7 @@ def apply_findings(
     parameters: Sequence[Mapping[str, Any]] = (),
     progress: Progress = lambda share, text: None,
 ) -> dict[str, Any]:
-    """Write the corrected simulation into the folder `out`; what apply.json says. Raises DataError.
+    """Write the corrected simulation into the folder `out`; the document of apply.json. Raises DataError.
 
     recording: with its simulated columns; held: of each response what its simulated signal was found to be a sum of
     (see `diagnosis.applied`); parameters: of a simulating FMU, as they were set right.

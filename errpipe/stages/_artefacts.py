@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 MODEL = "error_model.json"
 PROCEDURE = "fit.json"  # the model family and its options: enough to repeat the fit without a held-out group
 VALIDATION = "validation.json"
-UNGATED = "Ungated, not shown to be better than no compensation"  # what its title says of a table
+UNGATED = "Ungated, not shown to be better than no compensation"  # in the title of such a table
 TABLE = "table.ect"
 TWIN = "table.json"
 

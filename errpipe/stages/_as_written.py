@@ -1,4 +1,4 @@
-"""The mark at the end of a manifest that tells a recording as a command wrote it from one that a person changed."""
+"""The mark at the end of a manifest that shows whether a person changed the recording since a command wrote it."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def checklist(
 
 
 def _numbered(target: Any, table: CompensationTable) -> list[str]:
-    """Which axis the files mean by a number: they count the axes of the table, which knows no others."""
+    """Which axis the files mean by a number: they count the axes of the table, which holds no others."""
     if not target.numbering:
         return []
     named = (f"{axis} is {target.numbering.format(n, n + 1)}" for n, axis in enumerate(_sample.axes_of(table)))
@@ -96,7 +96,7 @@ def _zeros(target: Any, read: Any, table: CompensationTable, others: Sequence[st
             [(np.interp(x, c.positions, c.up) + np.interp(x, c.positions, c.down)) / 2 for c in curves], axis=0
         )
         if target.keeps_level and abs(in_file[-1]) > MIN_ZERO_SHIFT:
-            text = f"at {axis} = {x[-1]:g} {unit} the file says {in_file[-1]:+.4f} {unit}"
+            text = f"at {axis} = {x[-1]:g} {unit} the file states {in_file[-1]:+.4f} {unit}"
             out.append(ByHand(f"reference zero: {text}, so the zero of {axis} moves by it"))
         elif not target.keeps_level and not others:
             in_table = _sample.curve(table, axis, axis, x[:-1])
@@ -147,7 +147,7 @@ def _of_force(table: CompensationTable) -> list[str]:
             moved = 1e3 * float(pushed[1] - pushed[0])  # um
             if abs(moved) > 1e-3:
                 says.append(
-                    f"at {force.name} = {PUSH:g} N and mid travel {axis} is told to go {abs(moved):.3g} um "
+                    f"at {force.name} = {PUSH:g} N and mid travel {axis} is commanded {abs(moved):.3g} um "
                     f"{'less' if moved < 0 else 'more'}; without a reading of {force.name}, or with an old one, no "
                     "force correction is made"
                 )
@@ -167,7 +167,7 @@ def _at_the_axis(table: CompensationTable) -> list[str]:
                 along, less = 10.0 * term.weight, "less" if term.weight > 0 else "more"
                 says.append(
                     f"a {components.describe(parsed.name)} of +10 um stands for {along:+g} um along {output.axis}, so "
-                    f"{output.axis} is told to go {abs(along):g} um {less} (factor {term.weight:g}, from acts_on of "
+                    f"{output.axis} is commanded {abs(along):g} um {less} (factor {term.weight:g}, from acts_on of "
                     "the export or the recording; turn one piece before trusting its sign)"
                 )
     return says

@@ -45,7 +45,7 @@ class CompileOptions(Options):
     acts_on: dict[str, ActsOn] = Field(
         {},
         description="Component -> axis that corrects it: for E_D, E_R and others that name no axis themselves; "
-        "default: what the recording says of the column.",
+        "default: what the recording states of the column.",
     )
 
 
@@ -153,7 +153,7 @@ def _acts_on(
 ) -> dict[str, tuple[str, float]]:
     """Component -> (axis, factor). Raises UsageError for a component that is not exported, and for a factor of 0.
 
-    What the export states wins over what the recording says of the component's column.
+    What the export states wins over what the recording states of the component's column.
     """
     from errpipe.domain import components
     from errpipe.errors import UsageError, did_you_mean

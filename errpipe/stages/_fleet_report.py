@@ -26,9 +26,9 @@ DOCUMENT, PAGE, POOLED = "fleet.json", "fleet.md", "pooled"
 
 
 def facts(pipeline: Pipeline, out: Path) -> dict[str, Any]:
-    """What the fleet needs to know of one finished run: held-out figures per response, what drifts, and the model.
+    """What the fleet needs of one finished run: held-out figures per response, what drifts, and the model.
 
-    OUT may be a folder of the machine that ran it, which nobody else can read.
+    OUT may be a folder of the machine that ran it, which no other machine can read.
     """
     folders = {kind: out / stage.label for stage in pipeline.stages for kind in stage.gives}
     figures: dict[str, Any] = {"responses": {}, "drift": [], "model": "", "readings": ""}
@@ -175,7 +175,7 @@ def _type(
         by_response[component] = {
             "parameters": list(keys),
             "machines": names,
-            "alike": [[names[k] for k in group] for group in pooling.alike(estimates, covariances)],
+            "alike": [[names[k] for k in group] for group in pooling.homogeneous_groups(estimates, covariances)],
             "mirrored": _mirrored(names, estimates, covariances),
         }
         if pooled is not None:

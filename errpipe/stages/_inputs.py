@@ -1,4 +1,4 @@
-"""The inputs of a compensation table, from what an error model says of its columns."""
+"""The inputs of a compensation table, from what an error model states of its columns."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {
 }
 POSITIONS = ("command", "position")  # roles that say where an axis is, the first known one first
 STEPPING = ("speed", "coolant", "load", "tool", "other")  # kinds that may step, read once in a thermal cycle
-STEP_S = 0.5  # s until such a step is believed: one bad sample that meets a thermal cycle is not
+STEP_S = 0.5  # s until such a step is accepted: one bad sample that meets a thermal cycle is not
 STEP_NOISE = 0.02  # of the range that was seen: a spindle's own ripple
 FADE_SHARE = 0.5  # where the model states no margin: half the width of what was seen
 
@@ -74,11 +74,11 @@ def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingR
 
     A controller sees a reading that comes every ten minutes as one step from one cycle to the next.
     """
-    from errpipe.fitting.thermal_arithmetic import longest_silence, short_holes_held
+    from errpipe.fitting.thermal_arithmetic import longest_silence, short_gaps_held
     from errpipe.guard import rates
 
     names = [n for role in rates.ROLES for n in recording.names(role)]
-    return rates.learn(short_holes_held(recording, names)), longest_silence(recording, names)
+    return rates.learn(short_gaps_held(recording, names)), longest_silence(recording, names)
 
 
 def _with_stale_limit(channel: TableInput, silence: float) -> TableInput:
@@ -121,7 +121,7 @@ def _check_names(columns: dict[str, dict]) -> None:
 
 
 def _rate_of_step_input(channel: TableInput, model: ErrorModel) -> ReadingRate | None:
-    """For what may rightly step, such as a speed: a change of all that was seen is believed once it has stayed."""
+    """For what may rightly step, such as a speed: a change of all that was seen is accepted once it has stayed."""
     if channel.kind not in STEPPING:
         return None
     low, high = model.validity.ranges.get(channel.name, (0.0, 1.0 if channel.kind == "coolant" else 0.0))
@@ -182,7 +182,7 @@ def travel(model: ErrorModel) -> dict[str, tuple[float, float]]:
 def with_positions(model: ErrorModel, axes: Iterable[str], recording: Recording | None) -> ErrorModel:
     """The model with the positions of all of `axes`, which its pairs follow though none of its terms reads them.
 
-    Raises GateError for an axis whose position nobody recorded, and for one that stood still and has no stated travel.
+    Raises GateError for an axis whose position was not recorded, and for one that stood still and has no stated travel.
     """
     columns, ranges = dict(model.columns), dict(model.validity.ranges)
     for axis in sorted(axes):
@@ -198,7 +198,7 @@ def with_positions(model: ErrorModel, axes: Iterable[str], recording: Recording 
     for axis in sorted(set(axes) - set(travel(model))):
         kind = "rotary, travel: [0, 360]" if axis[0] in "ABC" else "linear, travel: [0, 500]"
         raise GateError(
-            f"export: {axis} stood at one position in the recording, and its travel is not stated: nobody knows where "
+            f"export: {axis} stood at one position in the recording, and its travel is not stated: it is unknown where "
             f"the correction holds. State it in the recording's manifest, such as constants: "
             f"{{{axis}: {{role: axis, kind: {kind}}}}}"
         )

@@ -1,4 +1,4 @@
-"""How laser and level stood, as a pipeline says it."""
+"""How laser and level stood, as a pipeline states it."""
 
 from __future__ import annotations
 

@@ -108,7 +108,7 @@ def of_table(table: CompensationTable) -> list[str]:
 
 
 def not_measured(table: CompensationTable) -> list[str]:
-    """A sentence for each rotary axis of whose turn a part was not measured: bridged (the title says so) or held."""
+    """A sentence for each rotary axis of whose turn a part was not measured: bridged (the title states it) or held."""
     from errpipe.targets import _sample
 
     bridges = [
@@ -126,7 +126,7 @@ def not_measured(table: CompensationTable) -> list[str]:
 
 
 def bridged(axis: str, low: float, high: float) -> str:
-    """What the title of a table says of a part of a turn that was not measured, deg."""
+    """What the title of a table states of a part of a turn that was not measured, deg."""
     return f"{axis} not measured from {low:g} to {high:g} deg"
 
 

@@ -38,7 +38,7 @@ def compare(table: CompensationTable, model: ErrorModel, recording: Recording) -
     by_model, by_table = evaluate(model, recording), table_values(table, model, recording)
     free, inside = _unguarded(table), _within_validity(table, recording)
     held, unguarded = evaluate(compensable(model), inside), table_values(free, model, inside)
-    believed = table_values(free, model, recording)
+    accepted = table_values(free, model, recording)
     behind, units = uncompensated_terms(model), {c.component: c.unit for c in model.components}
     out = []
     for name, values in by_table.items():
@@ -55,7 +55,7 @@ def compare(table: CompensationTable, model: ErrorModel, recording: Recording) -
                 "rms_model_um": rms(by_model[name][known]),
                 "bound_um": allowed[name],
                 "unguarded_difference_um": float(np.nan_to_num(arithmetic, nan=np.inf).max(initial=0.0)),
-                "rows_held_back": int((np.abs(values - believed[name])[known] > ROUNDING_UM).sum()),
+                "rows_held_back": int((np.abs(values - accepted[name])[known] > ROUNDING_UM).sum()),
                 "not_compensated": behind.get(name, []),
             }
         )
@@ -63,7 +63,7 @@ def compare(table: CompensationTable, model: ErrorModel, recording: Recording) -
 
 
 def _unguarded(table: CompensationTable) -> CompensationTable:
-    """The table that believes every reading and fades nowhere."""
+    """The table that accepts every reading and fades nowhere."""
     free: dict[str, Any] = {"max_rate": None, "noise": 0.0, "stale_after_s": None, "valid": None, "margin": None}
     return table.model_copy(update={"inputs": tuple(i.model_copy(update=free) for i in table.inputs)})
 

@@ -107,10 +107,10 @@ def differences(
 ) -> tuple[np.ndarray, int, int]:
     """Last reading minus what was predicted when it was taken, per row, NaN where there is none.
 
-    Also how many readings are used, and how many are not believed.
+    Also how many readings are used, and how many are not accepted.
 
     predicted: without readings, shape (rows,), in the component's unit. A row uses readings of its own run taken before
-    it, not older than hold_s; one further than `bound` from the prediction is not believed until the next comes.
+    it, not older than hold_s; one further than `bound` from the prediction is not accepted until the next comes.
     """
     out, used, wild, code = np.full(len(recording), np.nan), 0, 0, recording.run_codes()
     for run in np.unique(code):

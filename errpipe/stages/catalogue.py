@@ -11,7 +11,7 @@ EXIT_CODES = {
     "1": "An internal error: a fault of errpipe. Please report it with the output of --debug.",
     "2": "The command line or a configuration file cannot be used; the message names file, line and column.",
     "3": "Measurements are rejected: the message names file and line, what was found and what is allowed.",
-    "4": "A quality gate said no: not better than doing nothing, implausible, beyond a limit. Nothing was exported.",
+    "4": "A quality gate refused: not better than doing nothing, implausible, beyond a limit. Nothing was exported.",
     "5": "`errpipe plan --exit-code`: stages would run.",
     "6": "A file on disk is not what it claims to be: damaged, edited, or not equal to its model.",
 }
@@ -34,16 +34,20 @@ def formats(name: str) -> dict[str, Any]:
     """Every format with a door of its own, and every kind of file that `errpipe import` opens."""
     from errpipe.formats import FORMATS
     from errpipe.importing.doors import DOORS
+    from errpipe.importing.other_tests import TESTS
     from errpipe.stages import reference
 
     if name:
         return {"format": name, "says": [reference.entry("formats", name).rstrip()]}
     rows = [{"format": f.name, "how": "ingest", "about": _first_line(f.__doc__)} for f in FORMATS]
+    rows += [{"format": name, "how": "identify", "about": what} for name, _, what, _ in TESTS]
     rows += [{"format": d.name, "how": "import", "about": _first_line(d.__doc__)} for d in DOORS]
     says = ["Read by a pipeline as they are (ingest: {recording: FILE}):"]
     says += [f"  {r['format']:<20} {r['about']}"[:100] for r in rows if r["how"] == "ingest"]
     says += ["Turned into a recording first (errpipe import FILE --out FOLDER):"]
     says += [f"  {r['format']:<20} {r['about']}"[:100] for r in rows if r["how"] == "import"]
+    says += ["Written by hand as a recording with a protocol (docs/recordings.md, Tests of a machine; stage identify):"]
+    says += [f"  {r['format']:<20} {r['about']}"[:100] for r in rows if r["how"] == "identify"]
     return {"formats": rows, "says": says}
 
 

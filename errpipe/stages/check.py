@@ -142,7 +142,7 @@ def _sample(file: Path) -> _Sample:
         rows = csv.reader(line.decode("utf-8") for line in (lines if whole else lines[:-1]))  # the last may be cut
         return _Sample(next(rows, []), list(rows), whole)
     except (UnicodeDecodeError, csv.Error):
-        return _Sample([], [], False)  # `run` says it with the line of the table
+        return _Sample([], [], False)  # `run` reports it with the line of the table
 
 
 def _table(file: Path, sample: _Sample, manifest: Manifest) -> Iterator[tuple[Place, str]]:
@@ -227,7 +227,7 @@ def _of_stage(stage: Any, recording: Recording | None) -> Iterator[tuple[Place, 
             if name not in recording.frame.columns:
                 yield ("rules", k, "trust", j), _no_column(recording, name)
     yield from _responses(stage, recording)
-    if hasattr(stage, "lacks") and (lacking := stage.lacks(recording)):
+    if hasattr(stage, "missing_input") and (lacking := stage.missing_input(recording)):
         yield ("family",), lacking
     yield from _holdout(stage, recording)
     yield from _pairs(stage, recording)
@@ -335,7 +335,7 @@ def _too_many(terms: Sequence[Any], recording: Recording) -> Iterator[tuple[int,
     for k, term in enumerate(terms):
         try:
             drivers = term.drivers(recording)
-        except Exception:  # said by `_term`, or left to `run`
+        except Exception:  # reported by `_term`, or left to `run`
             continue
         places = (*recording.names("command"), *recording.names("position"))
         by_place = len(drivers) == 1 and drivers[0] in places
@@ -372,7 +372,7 @@ def _holdout(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:
 
 
 def _pairs(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:
-    """Simulated values where the recording is said to hold them, or a file is said to bring them."""
+    """Simulated values where the recording is declared to hold them, or a file to bring them."""
     by = getattr(stage, "by", None)
     if by is None:
         return

@@ -35,7 +35,7 @@ class Comparison:
     rms: float | None = None
     changes: list[tuple[str, Change]] = field(default_factory=list)
 
-    def grow(self, largest: float, rms: float) -> None:
+    def widen(self, largest: float, rms: float) -> None:
         """Widen the figures by those of one part."""
         self.largest, self.rms = max(self.largest or 0.0, largest), max(self.rms or 0.0, rms)
 
@@ -107,7 +107,7 @@ def _tables(old: Path, new: Path) -> Comparison:
 
 
 def _settings(out: Comparison, old: CompensationTable, new: CompensationTable) -> None:
-    """What a table says beside its curves: identity, inputs, outputs and their limits, cycles."""
+    """What a table states beside its curves: identity, inputs, outputs and their limits, cycles."""
     names = ect.fingerprint(old), ect.fingerprint(new)
     out.parts["identity"] = list(names)
     if names[0] != names[1]:
@@ -167,13 +167,13 @@ def _fields(out: Comparison, old: Compensation, new: Compensation) -> None:
     """Ranges of validity that differ; largest and rms difference per response, with the place."""
     new, same = changes.one_axis_one_name(old, new)
     out.says += [
-        f"{was} in the old one and {now} in the new one are one axis: asked as one" for now, was in same.items()
+        f"{was} in the old one and {now} in the new one are one axis: evaluated as one" for now, was in same.items()
     ]
     _ranges(out, old.ranges, new.ranges)
     differences = changes.compare(old, new)
     out.parts["changes"] = [asdict(c) for c in differences]
     for c in differences:
-        out.grow(c.largest, c.rms)
+        out.widen(c.largest, c.rms)
         out.changes.append((c.component, c))
         if c.largest == 0.0:
             out.says.append(f"{c.component}: the same")
@@ -217,12 +217,12 @@ def _recordings(old: Path, new: Path) -> Comparison:
         out.says.append(f"deviations that only one of the two holds: {', '.join(dict.fromkeys(lone))}")
     elif shared:
         errors = [moved[n] for n in before.names("error") if n in moved]
-        out.grow(max((e["largest"] for e in errors), default=0.0), max((e["rms"] for e in errors), default=0.0))
+        out.widen(max((e["largest"] for e in errors), default=0.0), max((e["rms"] for e in errors), default=0.0))
     return out
 
 
 def _meaning_of_column(column: Any) -> tuple[Any, ...]:
-    """What a column holds, whatever it says of its source: columns of another axis are no change of this one."""
+    """What a column holds, whatever it states of its source: columns of another axis are no change of this one."""
     return column.role, column.axis, column.component, column.unit
 
 
@@ -232,7 +232,7 @@ def _diagnoses(old: Path, new: Path) -> Comparison:
     _keys(out, "response", before, after)
     for lone in [*(r for n, r in before.items() if n not in after), *(r for n, r in after.items() if n not in before)]:
         size = max((f.rms_um for f in lone.findings), default=0.0)
-        out.grow(size, size)
+        out.widen(size, size)
     for name in (n for n in before if n in after):
         a, b = before[name], after[name]
         if a.verdict != b.verdict:
@@ -241,12 +241,12 @@ def _diagnoses(old: Path, new: Path) -> Comparison:
         for effect in dict.fromkeys([*effects[0], *effects[1]]):
             was, now = (side.get(effect) for side in effects)
             size = [f.rms_um if f is not None else 0.0 for f in (was, now)]
-            out.grow(abs(size[1] - size[0]), abs(size[1] - size[0]))
+            out.widen(abs(size[1] - size[0]), abs(size[1] - size[0]))
             _finding(out, name, effect, was, now, a.unit)
         figures = [r.holdout.rms_after_um for r in (a, b)]
         if figures[0] != figures[1]:
             out.says.append(f"{name}: {figures[0]:.4g} -> {figures[1]:.4g} {a.unit} rms left on held-out rows")
-        out.grow(0.0, 0.0)
+        out.widen(0.0, 0.0)
         out.parts["responses"][name] = {
             "verdict": [a.verdict, b.verdict],
             "effects": [sorted(side) for side in effects],
@@ -310,11 +310,11 @@ def _part(out: Comparison, stage: str, file: str, old: Path, new: Path, same: bo
         return None
     if same and file != "recording.yaml":
         if file in (_artefacts.TABLE, _artefacts.MODEL):
-            out.grow(0.0, 0.0)
+            out.widen(0.0, 0.0)
         return None
     comparison = HOW[kind_of(old)](old, new)
     if file in (_artefacts.TABLE, _artefacts.MODEL) and comparison.largest is not None:
-        out.grow(comparison.largest, comparison.rms or 0.0)
+        out.widen(comparison.largest, comparison.rms or 0.0)
         out.changes += [(f"{stage}: {name}", c) for name, c in comparison.changes]
     out.says += [f"{stage}: {line}" for line in comparison.says]
     return {"largest_um": comparison.largest, "rms_um": comparison.rms, **comparison.parts}

@@ -232,7 +232,7 @@ def _in_direction(table: CompensationTable, side: int) -> CompensationTable:
 def deviation_of(table: CompensationTable, at: Mapping[str, float]) -> Deviation:
     """The table as deviation of the tool point, mm, in settled states; lengths of tools go to its tool input.
 
-    Where the table knows directions of travel, the mean of both.
+    Where the table distinguishes directions of travel, the mean of both.
     """
     variants = [_in_direction(table, side) for side in (1, -1)] if depends_on_direction(table) else [table]
 

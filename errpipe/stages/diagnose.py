@@ -16,8 +16,7 @@ from errpipe.formats import manifest_folder
 from errpipe.formats.manifest_folder import MANIFEST
 from errpipe.reporting.diagnosis_report import Trace, render
 from errpipe.simulation import external
-from errpipe.stages import _apply_findings, _artefacts
-from errpipe.stages._twin_doubts import doubts
+from errpipe.stages import _apply_findings, _artefacts, _twin_sign_and_unit
 
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
@@ -52,7 +51,7 @@ def diagnose(
         raise UsageError(str(err)) from None
     jsonfile.write(Path(out) / "diagnosis.json", document)
     jsonfile.write_text(Path(out) / "report.html", page)
-    says = [*doubts(read), *(r.says for r in diagnosis.responses)]
+    says = [*_twin_sign_and_unit.warnings(read), *(r.says for r in diagnosis.responses)]
     summary = {"says": says, "verdicts": {r.component: r.verdict for r in diagnosis.responses}}
     if apply is not None:
         later = lambda share, text: progress(0.5 + 0.5 * share, f"once more: {text}")  # noqa: E731
@@ -86,7 +85,7 @@ def against(recording: Path, findings: Path, out: Path, simulation: Path | None 
     jsonfile.write(Path(out) / "against.json", document)
     changed = [f"{h.effect} ({h.component})" for h in held if h.changed]
     return {
-        "says": [*doubts(read), *(h.says for h in held), *earlier_findings.more_left(held)],
+        "says": [*_twin_sign_and_unit.warnings(read), *(h.says for h in held), *earlier_findings.more_left(held)],
         "changed": changed,
         **document,
     }
@@ -97,10 +96,12 @@ def judged(
 ) -> tuple[dict[str, Any], str, Diagnosis, list[Any]]:
     """diagnosis.json as plain data, the page, the findings, and what each simulated signal is a sum of.
 
-    notes: what is to be said before all else.
+    notes: reported before all else.
     """
     diagnosis, rows = judge(recording, progress)
-    diagnosis = diagnosis.model_copy(update={"notes": (*doubts(recording), *notes, *diagnosis.notes)})
+    diagnosis = diagnosis.model_copy(
+        update={"notes": (*_twin_sign_and_unit.warnings(recording), *notes, *diagnosis.notes)}
+    )
     clock = recording.name("time") or ""
     units = {name: c.unit for name, c in recording.manifest.columns.items() if c.unit}
     traces = [

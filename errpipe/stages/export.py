@@ -98,11 +98,11 @@ def _gate(model: ErrorModel, options: Export, context: Context) -> Passed:
 
 def _guard(context: Context, recording: Recording) -> SensorGuard:
     """Sensor guard: each sensor predicted from the others, learnt on the recording; written beside the table."""
-    from errpipe.fitting.thermal_arithmetic import short_holes_held
+    from errpipe.fitting.thermal_arithmetic import short_gaps_held
     from errpipe.guard import learn
 
-    context.progress(0.1, "learning what the sensors say of each other")
-    guard = learn.learn(short_holes_held(recording))
+    context.progress(0.1, "regressing each temperature on the others")
+    guard = learn.learn(short_gaps_held(recording))
     context.write_json("sensor_guard.json", guard.model_dump(mode="json"))
     return guard
 

@@ -100,7 +100,7 @@ def fleet(
 
 
 def _refuse_for_all(load: Callable[[list[str]], object], machines: list[list[str]]) -> None:
-    """Raise the first machine's error where the pipeline can be read with the keys of none: said once."""
+    """Raise the first machine's error where the pipeline can be read with the keys of none: reported once."""
     first: ErrpipeError | None = None
     for sets in machines:
         try:

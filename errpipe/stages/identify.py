@@ -18,7 +18,7 @@ MACHINE = "machine.yaml"
 class Identify(Stage):
     """Solve for all components of a machine from the readings of every ingested test together.
 
-    A recording of error motions (EXX, EBX ...) is a laser or level record; any other says its protocol
+    A recording of error motions (EXX, EBX ...) is a laser or level record; any other states its protocol
     (docs/recordings.md lists them).
     """
 

@@ -16,8 +16,8 @@ from errpipe.domain import units
 from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError, ErrpipeError, UsageError, did_you_mean
 from errpipe.formats import _derived, manifest_folder
-from errpipe.importing import order, settle, signs, together
-from errpipe.importing.across import upright
+from errpipe.importing import order, other_tests, resolve, signs, together
+from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
 from errpipe.importing.layout import lay_out
@@ -111,22 +111,23 @@ def _of_any_sheet(
         if len(out) == MAX_SHEETS:
             break
         try:
-            layout = with_period(lay_out(upright(unstacked(sheet)), door.names), door.period)
+            layout = with_period(lay_out(transposed(unstacked(sheet)), door.names), door.period)
             out.append((propose(layout, options, may_be_log), sheet.name))
         except DataError as err:
             problems.append(f"{sheet.name}: {err}" if len(sheets) > 1 else str(err))
-            question = "--" in str(err) and not str(err).startswith(settle.NO_DEVIATION)
+            question = "--" in str(err) and not str(err).startswith(resolve.NO_DEVIATION)
             asked = asked or (problems[-1] if question and not out else "")
     if not out:
-        raise DataError(f"{file}: {'; '.join(problems)}")
+        hint = other_tests.named(sheets[:MAX_SHEETS])
+        raise DataError(f"{file}: {'; '.join(problems)}{'.' if hint else ''}{hint}")
     if asked:  # the sheet before may be the one that is meant
         raise DataError(f"{file}: {asked}. Or, of the other sheets, --sheet {out[0][1]!r}")
-    together.refuse_states([name for _, name in out], "sheets", "--sheet says which is imported")
+    together.refuse_states([name for _, name in out], "sheets", "choose one with --sheet")
     out = _with_runs_joined(out)
     proposal, name = out[0]
     if len(out) > 1:
         others = ", ".join(other for _, other in out[1 : 1 + MAX_SHEETS_NAMED])
-        proposal.notes.append(f"{name} is imported; other sheets hold measurements too: {others} (--sheet says which)")
+        proposal.notes.append(f"{name} is imported; other sheets hold measurements too: {others} (--sheet chooses one)")
     return proposal, f"{kind}, {name}" if len(sheets) > 1 else kind
 
 
@@ -194,7 +195,7 @@ def _refuse_changed(folder: Path, parts: dict[str, str]) -> None:
 def _of_known_format(file: Path, door: DoorOptions, options: ImportOptions) -> Proposal | None:
     """A file of a vendor's own format (`errpipe formats`), as its door reads it.
 
-    Raises UsageError for an option that says what such a file states itself: it would be ignored.
+    Raises UsageError for an option whose value such a file states itself: it would be ignored.
     """
     if not file.exists():
         raise DataError(f"{file}: no such file")
@@ -242,7 +243,7 @@ def _manifest(proposal: Proposal, options: ImportOptions, files: Sequence[Path])
     columns = {name: dict(entry) for name, entry in proposal.entries.items()}
     for written_name, keys in options.sets.items():
         name = slug(written_name)
-        if name in columns:  # the unit of a column of the file was said before its numbers were read
+        if name in columns:  # the unit of a column of the file was stated before its numbers were read
             keep = ("axis", "component", "location", "of", *(("unit",) if name not in proposal.names.values() else ()))
             columns[name] |= {k: v for k, v in keys.items() if k in keep}
     facts = dict(proposal.facts)
@@ -286,7 +287,7 @@ def _commented(text: str, proposal: Proposal) -> str:
 
 
 def _shown(proposal: Proposal, sources: list[dict[str, Any]]) -> dict[str, Any]:
-    """What a person sees before confirming: the files, every column with its guess, the notes."""
+    """What a person reads before confirming: the files, every column with its guess, the notes."""
     lines = [f"{s['file']}: {s['kind']}, {s['rows']} rows" for s in sources]
     lines += [f"  note: {note}" for note in proposal.notes]
     width = max(len(n) for n in proposal.entries)
@@ -313,7 +314,7 @@ def _derivation(derived: dict[str, Any]) -> str:
 def _plausible(proposal: Proposal, options: ImportOptions) -> list[str]:
     """Everything implausible about the proposed recording, in words.
 
-    Raises DataError where the readings speak against a sign that nobody said: the other one doubles an error.
+    Raises DataError where the readings are evidence against an assumed sign: a wrong one doubles the error.
     """
     import pandas as pd
 
@@ -331,25 +332,25 @@ def _plausible(proposal: Proposal, options: ImportOptions) -> list[str]:
     against = next((f for f in findings if f.of_sign and signs.ASSUMED in proposal.guesses.get(f.column, "")), None)
     if against is not None:
         raise DataError(
-            f"{against}. The file does not say its sign: say it with --sign (commanded-minus-actual, or "
+            f"{against}. The file does not state its sign: say it with --sign (commanded-minus-actual, or "
             "actual-minus-commanded)"
         )
     return [str(f) for f in findings]
 
 
-def options_of(**said: Any) -> ImportOptions:
+def options_of(**stated: Any) -> ImportOptions:
     """Options of the command line. Raises UsageError for a `--set` that is not COLUMN.key=value."""
     sets: dict[str, dict[str, str]] = {}
     keys = ("role", "unit", "axis", "component", "location", "of")
-    for text in said.pop("sets"):
+    for text in stated.pop("sets"):
         target, equals, value = text.partition("=")
         name, dot, key = target.rpartition(".")
         if not equals or not dot or not name or key not in keys:
             raise UsageError(f"--set {text}: not of the form COLUMN.key=value (keys: {', '.join(keys)})")
         sets.setdefault(name, {})[key] = value.strip()
-    if unit := unit_of(said.get("unit") or ""):
-        said["unit"] = unit
-    options = ImportOptions(**said, sets=sets)
+    if unit := unit_of(stated.get("unit") or ""):
+        stated["unit"] = unit
+    options = ImportOptions(**stated, sets=sets)
     if options.component is not None:
         from errpipe.domain import components
 

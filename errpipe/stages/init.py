@@ -138,7 +138,7 @@ def _with_sensor(line: str, sensor: str) -> str:
 
 
 def _facts(folder: Path) -> dict[str, Any]:
-    """What the recording says: axis, component, numbers of targets and runs, whether both directions are, sensors."""
+    """What the recording states: axis, component, numbers of targets and runs, whether both directions are, sensors."""
     import numpy as np
 
     from errpipe.domain import components

@@ -66,7 +66,7 @@ def ballbar_pages(recording: Any) -> list[tuple[str, str, str]]:
 
 
 def _reading(test: Any) -> str:
-    """What a metrologist says of a plane, largest part of the plot first, and the effects whose interval includes 0."""
+    """Reading of a plane, the largest part of the plot first, and the effects whose interval includes 0."""
     significant = [e.says for e in test.effects if e.ci95[0] * e.ci95[1] > 0]
     not_significant = [f"{e.effect.replace('_', ' ')} {e.where}" for e in test.effects if e.ci95[0] * e.ci95[1] <= 0]
     summary = (

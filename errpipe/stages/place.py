@@ -67,8 +67,8 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
     if not (names := [n for n in names if n not in clocks]):
         raise DataError(f"{file}: no candidate place beside {', '.join(clocks)}, which rises by equal steps as a clock")
     document, lines = judge(names, frame[names].to_numpy(float), frame[error].to_numpy(float), labels, most)
-    told = [f"no place, but a clock: {', '.join(clocks)} (rises by equal steps)"] if clocks else []
-    return document | {"candidates": names, "clocks": clocks}, [f"candidates: {', '.join(names)}", *told, *lines]
+    notes = [f"no place, but a clock: {', '.join(clocks)} (rises by equal steps)"] if clocks else []
+    return document | {"candidates": names, "clocks": clocks}, [f"candidates: {', '.join(names)}", *notes, *lines]
 
 
 def _is_clock(values: np.ndarray, labels: np.ndarray) -> bool:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
     from errpipe.validation.predict import Begin, Evaluate, Predictor
 
-BESIDE = "added to the prediction: the table has no input for readings (readings_per_shift of its export)"
+ADDED_TO_PREDICTION = "added to the prediction: the table has no input for readings (readings_per_shift of its export)"
 
 
 def predict(source: Path, recording: Path, out: Path, readings: Path | None = None) -> dict[str, Any]:
@@ -91,8 +91,10 @@ def _with_readings(
         difference, used, wild = _readings.differences(recording, read, component, predicted, hold, bound)
         if not used:
             away = f"; {wild} lie further than {bound:.3g} from the prediction" if wild else ""
-            raise DataError(f"{path}: no reading of {component} is believed and within a run of the recording{away}")
-        said[component] = {"used": used, "not_believed": wild, "by": channel.name if channel else BESIDE}
+            raise DataError(
+                f"{path}: no reading of {component} is both accepted and within a run of the recording{away}"
+            )
+        said[component] = {"used": used, "not_believed": wild, "by": channel.name if channel else ADDED_TO_PREDICTION}
         if channel is not None:
             inputs[channel.name] = difference
         else:
@@ -157,7 +159,7 @@ def _of_table(table: CompensationTable, path: Path):
 
 
 def _begin(table: CompensationTable, model: ErrorModel) -> Begin:
-    """Begins a run that comes in parts; its evaluator says of them what `table_values` says of the whole."""
+    """Begins a run that comes in parts; its evaluator gives for them what `table_values` gives for the whole."""
     from functools import cache
 
     packed = cache(lambda compiled: batch.Rows(by_component(table), compiled))

@@ -26,7 +26,9 @@ class Report(Stage):
     """Write the report, one self-contained HTML file."""
 
     kind: Literal["report"]
-    refusal: str = Field("", description="Why a gate refused the export; `errpipe run` says it, nobody writes it.")
+    refusal: str = Field(
+        "", description="Why a gate refused the export; set by `errpipe run`, not written in a pipeline file."
+    )
     takes: ClassVar[Mapping[str, Need]] = {
         "recording": Need("recording"),
         "ingestions": Need("ingestion", every=True),
@@ -216,7 +218,7 @@ def _columns(recording: Any, model: Any, index: Any) -> dict[str, Any]:
 
 
 def _terms(component: Any) -> list[dict[str, Any]]:
-    """What each term of a component says, for those that have something to say."""
+    """The sentence of each term of a component, for those that have one."""
     from errpipe.fitting.components import term_of
 
     terms = [(term_of(fitted), fitted) for fitted in component.terms]
@@ -344,7 +346,7 @@ def _seasons(validation: Mapping[str, Any]) -> list[Any]:
             continue
         rows = [[g["left_out"], *(g[n] for n in FIGURES)] for g in document["groups"]]
         gap = document.get("optimism")
-        caption = f"{document['component']} in {document['unit']}, rms unless said otherwise."
+        caption = f"{document['component']} in {document['unit']}, rms unless stated otherwise."
         for month in document.get("months", ()):
             change = f"{month['uncompensated']:.2f} -> {month['out_of_season']:.2f}"
             caption += f" {month['month']}, {month['days']} days: {change}."
@@ -364,4 +366,4 @@ def _next_step(exported: Mapping[str, Any], refusal: str = "") -> str:
         return (
             "follow CHECKLIST.md beside each controller file: its sign, the numbers to enter, three points to compare."
         )
-    return "errpipe whatis on the exported table.ect says what a cycle costs; errpipe verify re-reads every file."
+    return "errpipe whatis on the exported table.ect shows what a cycle costs; errpipe verify re-reads every file."

@@ -28,7 +28,7 @@ VERSION = 1  # of the document's layout
 RUN = "run"  # folder of the challenger's pipeline run, below OUT
 DOCUMENT = "retrain.json"
 LEAST_SLOPE = (
-    1.0  # a run knows a sensor's error to 1 K at least, or does not count: its standard error is 1/sqrt(slope)
+    1.0  # a run determines a sensor's error to 1 K at least, or does not count: its standard error is 1/sqrt(slope)
 )
 
 
@@ -266,13 +266,13 @@ def _sensor_gate(old: ErrorModel, new: ErrorModel, allowed: Sequence[str]) -> Ga
 
 def _drift_gate(drift: Mapping[str, Any], model: ErrorModel) -> Gate:
     """No promotion of a challenger that reads a sensor which may drift: the drift was part of its training data."""
-    from errpipe.validation.input_drift import who_drifts
+    from errpipe.validation.input_drift import drifting_sensors
     from errpipe.validation.retraining import Gate
 
     faulty = [d["column"] for d in drift["inputs"] if d["suspected"]]
     if not set(faulty) & set(model.columns):
         return Gate("sensors", True, "no sensor of the challenger drifts")
-    return Gate("sensors", False, f"{who_drifts(faulty)}; repair or replace it first")
+    return Gate("sensors", False, f"{drifting_sensors(faulty)}; repair or replace it first")
 
 
 def _response_gates(drift: Mapping[str, Any]) -> list[Gate]:

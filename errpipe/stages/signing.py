@@ -224,14 +224,14 @@ def _time_after(past: Sequence[Entry], text: str | None) -> str:
     time = _time(text)
     if text is None and past and time < past[-1].time:
         raise UsageError(
-            f"this host's clock says {time}, which is before entry {past[-1].number} ({past[-1].time}): one of them"
+            f"this host's clock reads {time}, which is before entry {past[-1].number} ({past[-1].time}): one of them"
             " is wrong, and `log --at` would go by it. Set the clock, or say --time."
         )
     return time
 
 
 def _time(text: str | None) -> str:
-    """A time as UTC, ISO 8601; now, where none is said. A record of when is the one place where a clock belongs."""
+    """A time as UTC, ISO 8601; now, where none is stated. A record of when is the one place where a clock belongs."""
     if text is None:
         return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     try:

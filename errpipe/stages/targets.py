@@ -79,7 +79,7 @@ def together(targets: Sequence[Any]) -> list[tuple[Any, ...]]:
 
 def write_together(table: CompensationTable, parts: Sequence[Any]) -> tuple[list[dict[str, str]], Any]:
     """Files of each part, each without what another holds, and what the controller makes of all. Raises GateError."""
-    files = [part.write_beside(table, [o.name for o in parts if o is not part]) for part in parts]
+    files = [part.write_with(table, [o.name for o in parts if o is not part]) for part in parts]
     first, *rest = (part.read_back(own) for part, own in zip(parts, files, strict=True))
     return files, sum(rest, start=first)
 
@@ -159,7 +159,7 @@ def write_targets(
     targets = with_own_content(table, chosen(list(dict.fromkeys(names))))
     for target in targets:
         others = _sibling_names(target, targets)
-        files = target.remarked(target.write_beside(table, others), remarks)
+        files = target.remarked(target.write_with(table, others), remarks)
         lost = losses(table, target, files)
         for name, text in files.items():
             jsonfile.write_text(inside(folder, f"{target.name}/{name}", GateError), text)
@@ -208,19 +208,19 @@ def with_own_content(table: CompensationTable, targets: Sequence[Any]) -> list[A
     kept = list(targets)
     for target in targets:
         try:
-            target.write_beside(table, _sibling_names(target, kept))
+            target.write_with(table, _sibling_names(target, kept))
         except NothingToAddError:
             kept.remove(target)
     return kept
 
 
 def _companion_text(table: CompensationTable, target: Any, others: Sequence[str]) -> str:
-    """What a checklist says of files that are loaded besides; nothing where there are none."""
+    """What a checklist states of files that are loaded besides; nothing where there are none."""
     if not others:
         return ""
     _, read = write_together(table, [target, *chosen(others)])
     return (
-        f"\nLoad these files only together with those of {', '.join(others)}: what they say is left out here.\n"
+        f"\nLoad these files only together with those of {', '.join(others)}: what they hold is left out here.\n"
         f"Together they leave {in_words(_loss_rows(table, read))}.\n"
     )
 

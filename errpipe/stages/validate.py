@@ -30,7 +30,7 @@ class Validate(Stage):
         "recording": Need("recording"),
         "error_model": Need("error_model", unless="identified_machine"),
         "identified_machine": Need("identified_machine", optional=True),
-        "recordings": Need("recording", every=True, beside="identified_machine"),
+        "recordings": Need("recording", every=True, only_with="identified_machine"),
     }
     gives: ClassVar[tuple[str, ...]] = ("validation",)
     writes: ClassVar[tuple[str, ...]] = ("validation.json",)

@@ -39,7 +39,7 @@ def verify(folder: Path) -> dict[str, Any]:
     checks = [f"{_artefacts.TABLE}: checksum, layout and limits hold"]
     if ect.read_json(folder / _artefacts.TWIN) != table:
         raise VerifyError(f"{folder / _artefacts.TWIN}: is not the twin of {_artefacts.TABLE}")
-    checks.append(f"{_artefacts.TWIN}: says the same")
+    checks.append(f"{_artefacts.TWIN}: holds the same table")
     if (folder / _artefacts.MODEL).is_file():
         checks.append(_model(folder, table))
     checks += _targets(folder, table, document)
@@ -171,7 +171,7 @@ def _check_digest(path: Path, expected: str | None) -> None:
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     if expected is not None and digest != expected:
         raise VerifyError(
-            f"{path}: was changed after it was exported (SHA-256 {digest[:12]}..., export.json says {expected[:12]}...)"
+            f"{path}: was changed after it was exported (SHA-256 {digest[:12]}..., export.json: {expected[:12]}...)"
         )
 
 

@@ -203,7 +203,7 @@ class Target:
         raise TypeError(f"{cls.__name__} does not write")
 
     @classmethod
-    def write_beside(cls, table: CompensationTable, others: Sequence[str]) -> dict[str, str]:
+    def write_with(cls, table: CompensationTable, others: Sequence[str]) -> dict[str, str]:
         """As `write`, without what the files of `others` (targets of the same controller) hold already."""
         return cls.write(table)
 

@@ -48,10 +48,10 @@ class BeckhoffCrosscomp(Target):
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
-        return cls.write_beside(table, ())
+        return cls.write_with(table, ())
 
     @classmethod
-    def write_beside(cls, table: CompensationTable, others: Sequence[str]) -> dict[str, str]:
+    def write_with(cls, table: CompensationTable, others: Sequence[str]) -> dict[str, str]:
         axes, files = _sample.axes_of(table), {}
         for axis in _sample.outputs_by_axis(table):
             # Whether another curve holds what stands still: only one of an axis' curves may.

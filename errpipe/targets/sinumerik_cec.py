@@ -80,10 +80,10 @@ class SinumerikCec(Target):
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
-        return cls.write_beside(table, ())
+        return cls.write_with(table, ())
 
     @classmethod
-    def write_beside(cls, table: CompensationTable, others: Sequence[str]) -> dict[str, str]:
+    def write_with(cls, table: CompensationTable, others: Sequence[str]) -> dict[str, str]:
         blocks: list[str] = []
         axes = _sample.axes_of(table)
         screws = "sinumerik_lec" in others  # they hold each axis over itself: here it would act twice

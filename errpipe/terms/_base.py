@@ -89,7 +89,7 @@ class Term(Frozen, ABC):
     simulated_log_odds: ClassVar[float] = 0.0  # log prior odds that a simulation holds it, beside the others
     misread: ClassVar[bool] = False  # does the simulation read a sensor that lies? Then it holds what a sensor drives
     gain_sd: ClassVar[float | None] = None  # where the linear parameter is known to be 1: within this
-    of_nature: ClassVar[bool] = False  # are the linear parameters constants of nature, which keep to their bounds?
+    physical_constant: ClassVar[bool] = False  # are the linear parameters constants of physics, within their bounds?
     is_level: ClassVar[bool] = False  # the deviation where everything else is zero: never shrunk
     one_sensor: ClassVar[bool] = False  # a plain gain on the reading of one sensor
     in_part: ClassVar[Literal["anywhere", "runs", "never"]] = "anywhere"  # may it act on a part: of an axis, or in runs

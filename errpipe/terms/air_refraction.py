@@ -36,7 +36,7 @@ class AirRefraction(Term):
     form = "any reference"
     rowwise = True
     compensable = False
-    of_nature = True
+    physical_constant = True
     artefact = "it is the air in the beam of the measuring laser, not the machine: correct the reading"
     simulated_log_odds = -12.0
     prior_log_odds = -4.0  # two sensors and a datum can fit most slopes

@@ -73,9 +73,9 @@ class DeadTime(Term):
             if not signals.values or not np.isfinite(term._late(0.0).signal(recording)).all():
                 continue
             trial = np.r_[-10.0:MOST:0.5] * step
-            rough = min(trial[trial != 0], key=lambda d: term._left(recording, signals, float(d)))
+            rough = min(trial[trial != 0], key=lambda d: term._residual_squares(recording, signals, float(d)))
             near = minimize_scalar(
-                lambda d: term._left(recording, signals, float(d)),  # noqa: B023
+                lambda d: term._residual_squares(recording, signals, float(d)),  # noqa: B023
                 bounds=(rough - 0.5 * step, rough + 0.5 * step),
                 method="bounded",
                 options={"xatol": 1e-5 * step},
@@ -83,7 +83,7 @@ class DeadTime(Term):
             if abs(near.x) > LEAST * step:
                 yield term, (float(near.x),)
 
-    def _left(self, recording: Recording, signals: Signals, delay: float) -> float:
+    def _residual_squares(self, recording: Recording, signals: Signals, delay: float) -> float:
         """Sum of squares that this delay leaves beside a datum and a gain of the signal."""
         rest = signals.whole() - self.basis(recording, delay)[signals.rows, 0]
         known = self._late(delay).signal(recording)[signals.rows]

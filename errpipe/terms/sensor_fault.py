@@ -18,7 +18,7 @@ from errpipe.terms._place import linear_axes_acting
 from errpipe.terms._slack import Slack
 from errpipe.terms._warm import sensors
 
-BESIDE = 5  # rows on either side of a jump whose medians give its step
+ROWS_EACH_SIDE = 5  # rows on either side of a jump whose medians give its step
 ALIKE = 2.0  # factor between a jump off and the jump back
 STILL = 0.05  # of a jump, within which a reading stands still before it
 
@@ -101,7 +101,7 @@ class SensorFault(Term):
 def step_of(values: np.ndarray, first: int, last: int) -> float:
     """Step by which readings of a stretch are off: they jump by it and back, or to the end; else 0."""
     a, b = first, last + 1
-    ends = (max(a - BESIDE, 0), a), (a, a + BESIDE), (b - BESIDE, b), (b, b + BESIDE)
+    ends = (max(a - ROWS_EACH_SIDE, 0), a), (a, a + ROWS_EACH_SIDE), (b - ROWS_EACH_SIDE, b), (b, b + ROWS_EACH_SIDE)
     level = [np.median(read) if (read := values[low:high]).size else np.nan for low, high in ends]
     on, off = level[1] - level[0], level[2] - level[3]
     off = on if b == values.size else off
@@ -169,7 +169,7 @@ def suspicious(values: np.ndarray, t: np.ndarray, least: int = 8) -> list[tuple[
     for i, a in enumerate(edges):
         out += [(int(a), int(b) - 1) for b in edges[i + 1 :] if b - a >= least]
         out += [(int(a), n - 1)] if n - a >= least else []
-        off = np.abs(calm[:a] - np.median(filled[max(a - BESIDE, 0) : a]))
+        off = np.abs(calm[:a] - np.median(filled[max(a - ROWS_EACH_SIDE, 0) : a]))
         away = np.flatnonzero(off > usual + STILL * step[a - 1])
         start = int(away[-1]) + 1 if away.size else 0  # stood still until it jumped
         out += [(start, int(a) - 1)] if a - start >= max(4 * least, n // 30) else []

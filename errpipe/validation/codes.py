@@ -1,4 +1,4 @@
-"""Names of implausible declarations, and what `errpipe explain NAME` says of each."""
+"""Names of implausible declarations, and the text of `errpipe explain NAME` for each."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> Pa
     """
     if not validations:
         raise GateError(
-            "export: nothing has judged this model on held-out rows (add a `validate` stage after the fit, or say "
+            "export: no validation judged this model on held-out rows (add a `validate` stage after the fit, or say "
             "`ungated: true` to export it all the same)"
         )
     kept, left_out, judged = [], [], []
@@ -64,5 +64,5 @@ def _brief(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 def _reason(judged: Mapping[str, Any], halves: bool) -> str:
     figures = f"{judged['component']} {judged['rms_before']:.3g} -> {judged['rms_after']:.3g} {judged['unit']}"
-    witnesses = f"halves worth {judged['runs']} independent rows" if halves else f"{judged['runs']} runs"
-    return f"{figures}, p = {judged['p_value']:.2g} over {witnesses}"
+    evidence = f"halves worth {judged['runs']} independent rows" if halves else f"{judged['runs']} runs"
+    return f"{figures}, p = {judged['p_value']:.2g} over {evidence}"

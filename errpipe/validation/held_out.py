@@ -35,22 +35,6 @@ VERSION = 1  # of the document's layout
 Blocks = Callable[[], Mapping[str, Sequence[HeldOut]]]
 
 
-def held_out(
-    recording: Recording,
-    family: Family,
-    scheme: holdout.HoldOut | str | None = None,
-    *,
-    folds: Sequence | None = None,
-    progress: Callable[[float, str], None] = lambda share, text: None,
-) -> dict[str, Any]:
-    """Refit a family without each group and judge on it: the document of `validation.json` for one scheme.
-
-    folds: splits made elsewhere, as (label, train mask, test mask), instead of those of `scheme`; they are refused
-    where a row both fits and judges. rms in the response's unit. Raises DataError where nothing can be held out.
-    """
-    return judged(recording, family, scheme, folds=folds, progress=progress)[0]
-
-
 def judged(
     recording: Recording,
     family: Family,
@@ -59,7 +43,12 @@ def judged(
     folds: Sequence | None = None,
     progress: Callable[[float, str], None] = lambda share, text: None,
 ) -> tuple[dict[str, Any], dict[str, list[HeldOut]]]:
-    """`held_out`, and per component the held-out rows with what was left on them."""
+    """Refit a family without each group and judge on it: the document of `validation.json` for one scheme, and per
+    component the held-out rows with their residuals.
+
+    folds: splits made elsewhere, as (label, train mask, test mask), instead of those of `scheme`; they are refused
+    where a row both fits and judges. rms in the response's unit. Raises DataError where nothing can be held out.
+    """
     if folds is None:
         label, folds = family.folds(recording, scheme)
     else:
@@ -121,7 +110,7 @@ def judged_in_batches(
     for name, folds in done.folds.items():
         sample, places = done.sample[name]
         count = sum(f.rows for f in folds)
-        gains = {f"{g:g}": float(np.sqrt(sum(f.left(g)[0] for f in folds) / count)) for g in GAINS}
+        gains = {f"{g:g}": float(np.sqrt(sum(f.residual_at_gain(g)[0] for f in folds) / count)) for g in GAINS}
         figures = component_figures(sample, name, [f.held_out for f in folds], gains)
         groups = [g | _of_all_rows(f, w) for g, f, w in zip(figures["groups"], folds, done.worst[name], strict=True)]
         figures |= {
@@ -138,7 +127,7 @@ def judged_in_batches(
 
 
 def _of_all_rows(fold: Fold, worst: np.ndarray) -> dict[str, Any]:
-    (before, _), (after, mean) = fold.left(0.0), fold.left(1.0)
+    (before, _), (after, mean) = fold.residual_at_gain(0.0), fold.residual_at_gain(1.0)
     return {
         "rows": fold.rows,
         "rms_before": float(np.sqrt(before / fold.rows)),
@@ -183,7 +172,7 @@ def component_figures(
     order = np.argsort(rows)
     readings = recording.array(name)[rows[order]] if name else None
     floor = noise_floor(recording, rows[order], after[order], readings)
-    best = _least_that_ties(gains)
+    best = _smallest_tied_gain(gains)
     chance, runs, chosen = _tested(recording, component, folds, best, halves)
     figures = {
         "component": component,
@@ -224,11 +213,11 @@ def _tested(
     if halves is None:
         chance, runs = significance.p_value(recording, folds, best), significance.independent_runs(recording, folds)
     else:
-        chance, runs = significance.p_of_halves(folds, best)
+        chance, runs = significance.p_between_halves(folds, best)
     chance = chance if best > 0.0 else 1.0
     if halves is None:
         return chance, runs, best if chance <= significance.LEVEL else 0.0
-    helps = significance.of_halves_helps(chance, lambda: _share_left(halves()[component]))
+    helps = significance.helps_between_halves(chance, lambda: _share_left(halves()[component]))
     return chance, runs, best if helps else 0.0
 
 
@@ -262,7 +251,7 @@ def _at_gain(fold: HeldOut, gain: float) -> np.ndarray:
     return (1.0 - gain) * fold.before + gain * fold.after
 
 
-def _least_that_ties(gains: dict[str, float]) -> float:
+def _smallest_tied_gain(gains: dict[str, float]) -> float:
     best = min(gains.values())
     return min(float(g) for g, rms in gains.items() if rms <= best * (1.0 + TIE))
 

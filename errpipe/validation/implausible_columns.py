@@ -57,7 +57,7 @@ def _renamed(component: components.Component, axis: str) -> str:
 
 
 def direction_against_motion(recording: Recording) -> Iterator[Finding]:
-    """A direction that says the opposite of how the position changes from row to row."""
+    """A direction that is the opposite of how the position changes from row to row."""
     for side in recording.names("direction"):
         axis = recording.manifest.columns[side].axis
         place = recording.name("command", axis=axis) or recording.name("position", axis=axis)
@@ -74,7 +74,7 @@ def direction_against_motion(recording: Recording) -> Iterator[Finding]:
             continue
         if np.unique(d).size < 2:
             if BOTH_WAYS < (falling := float(np.mean(step[moved] < 0))) < 1 - BOTH_WAYS:
-                evidence = f"it says one side throughout, and {place} falls in {100 * falling:.0f} % of the steps"
+                evidence = f"it states one side throughout, and {place} falls in {100 * falling:.0f} % of the steps"
                 yield Finding("direction-not-of-motion", side, evidence, "a column that was not logged", "ask")
             continue
         if run[0] != run[-1] and x.size < DENSE_ROWS and np.all(np.diff(x) > 0):
@@ -86,7 +86,7 @@ def direction_against_motion(recording: Recording) -> Iterator[Finding]:
         sweeps = np.count_nonzero(np.diff(np.sign(step[moved]))) < SWEEPS * moved.sum()
         sweeps &= BOTH_WAYS < rising < 1 - BOTH_WAYS  # a table sorted by targets rises from first to last on both sides
         if agree <= 0.1:
-            evidence = f"it says the opposite of the motion of {place} in {100 * (1 - agree):.0f} % of the steps"
+            evidence = f"it is the opposite of the motion of {place} in {100 * (1 - agree):.0f} % of the steps"
             yield Finding("reversed-direction", side, evidence, "+1 when approached from below (the position rises)")
         elif agree < 0.75 and sweeps:
             evidence = (

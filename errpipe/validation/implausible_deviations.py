@@ -8,7 +8,7 @@ from errpipe.validation.plausibility_finding import (
     Check,
     Finding,
     Response,
-    is_fine,
+    has_fine_resolution,
     is_rearranged,
     level_of_rearranged,
     means_at,
@@ -114,9 +114,10 @@ def constant(r: Response) -> Finding | None:
     """A deviation that never changes, or one fine reading that stands in many rows: it was filled in."""
     if np.ptp(r.deviation) > 0:
         values, counts = np.unique(r.deviation, return_counts=True)
-        if counts.max() < FILLED_SHARE * r.deviation.size or counts.max() < FEWEST_FILLED or not is_fine(r.deviation):
+        most = counts.max()
+        if most < FILLED_SHARE * r.deviation.size or most < FEWEST_FILLED or not has_fine_resolution(r.deviation):
             return None
-        evidence = f"{int(counts.max())} of {r.deviation.size} readings are {values[np.argmax(counts)]:.6g}"
+        evidence = f"{int(most)} of {r.deviation.size} readings are {values[np.argmax(counts)]:.6g}"
         return Finding(
             "constant-deviation", r.column, evidence, "a value that was filled in, or an instrument that stuck"
         )

@@ -12,7 +12,7 @@ from errpipe.validation.plausibility_finding import (
     Check,
     Finding,
     Response,
-    is_fine,
+    has_fine_resolution,
     is_rearranged,
     level_of_rearranged,
     means_at,
@@ -22,7 +22,7 @@ from errpipe.validation.plausibility_finding import (
 FEWEST_TARGETS = 10  # shared targets; chance reaches a correlation of -0.8 on ten once in 200 tries
 OPPOSITE = -0.8  # correlation of a curve with the mean of the others
 MIN_CORRELATION = 0.6  # correlation of the others among themselves
-MIN_SCATTER_UM = 1.0  # um (urad): scatter of a curve about its line below which its sign says nothing
+MIN_SCATTER_UM = 1.0  # um (urad): scatter of a curve about its line below which its sign is undetermined
 
 
 def mixed_sign(r: Response) -> Finding | None:
@@ -61,11 +61,11 @@ def _of_the_other_sign(match: np.ndarray) -> list[np.ndarray]:
 def repeated_run(r: Response) -> Finding | None:
     """A run that is another one to the last digit, where the readings are finer than chance repeats.
 
-    Several runs that are all alike were computed, not measured: nothing is said of them.
+    Several runs that are all alike were computed, not measured: nothing is reported.
     """
     labels = np.unique(r.run)
     bytes_of = {int(k): r.deviation[r.run == k].tobytes() for k in labels}
-    if r.position is None or not is_fine(r.deviation) or len(set(bytes_of.values())) == 1 < labels.size - 1:
+    if r.position is None or not has_fine_resolution(r.deviation) or len(set(bytes_of.values())) == 1 < labels.size - 1:
         return None
     seen: dict[bytes, int] = {}
     for k in labels:
@@ -131,7 +131,7 @@ UNLIKE, SMOOTH, JAGGED = 0.5, 0.7, 1.3  # correlation; ratio of von Neumann: 2 f
 def shuffled_rows(r: Response) -> Finding | None:
     """One run without the shape of the others, which are smooth and alike, and as jagged as rows in a random order.
 
-    Where all runs are shuffled, nobody can know: what holds on a held-out run is little more than their mean.
+    Where all runs are shuffled, no check can show it: what holds on a held-out run is little more than their mean.
     """
     labels = np.unique(r.run)
     if r.position is None or r.component.kind == "force" or labels.size < 4:
@@ -160,7 +160,7 @@ def shuffled_rows(r: Response) -> Finding | None:
 
 
 def _curves(r: Response, groups: Sequence[np.ndarray]) -> np.ndarray | None:
-    """Mean deviation of each group at the targets that all share, less its own line; None where it says nothing."""
+    """Mean deviation of each group at the targets that all share, less its own line; None where it is undetermined."""
     levels = np.round(np.asarray(r.position), 3)
     shared = levels[groups[0]] if groups else levels
     for rows in groups:

@@ -9,8 +9,8 @@ from errpipe.validation.plausibility_finding import Finding, Response
 FEWEST_TARGETS = 5  # approached from both sides: of an axis up to 2 m (ISO 230-2, 5.3.2)
 FEWEST_READINGS = 8  # of a direction, where targets are not shared; fewer have no usual size
 
-SHOWN = 1.0  # um: from here on it is said; a smaller one is within what an axis with a scale shows either way
-LARGE = 5.0  # um: from here on a sign that nobody stated is asked for
+SHOWN = 1.0  # um: from here on it is reported; a smaller one is within what an axis with a scale shows either way
+LARGE = 5.0  # um: from here on a sign that was not stated is asked for
 
 
 def reversal_of_the_other_sign(r: Response) -> Finding | None:
@@ -32,7 +32,7 @@ def reversal_of_the_other_sign(r: Response) -> Finding | None:
         "reversal-sign",
         r.column,
         f"approached from below the axis stands {step:.3g} um further than from above",
-        "the same with the sign or the direction turned, unless the control already corrects backlash too much",
+        "the same with the sign or the direction reversed, unless the control already corrects backlash too much",
         level="ask",
         of_sign=step >= LARGE,
     )

@@ -6,7 +6,7 @@ comes. A drifting sensor does not: the regression is no longer updated from an a
 and divided by the scatter between reference runs left out in turn, goes into a cumulative sum (Page 1954), whose
 threshold allows for a scatter known from few runs. One drifting sensor also moves the predictions of the others, so
 each suspect is left out in turn: the drift is its own where the others then show none, and show one without any other
-suspect. Where they are silent without either of two, it is one of these, and nothing yet says which.
+suspect. Where they are silent without either of two, it is one of these, and nothing yet shows which.
 
 Temperatures alone need many nights: even with onset, size and sign known, the most powerful test at that false-alarm
 rate (Neyman and Pearson) sees a drift of 0.25 K a night, in residuals of 0.33 K, in 8 of 100 cases after three nights
@@ -129,12 +129,12 @@ def other_unit(recording: Recording, reference: np.ndarray) -> tuple[str, str] |
     return None
 
 
-def who_drifts(suspected: Sequence[str]) -> str:
+def drifting_sensors(suspected: Sequence[str]) -> str:
     """The sensors that may be the faulty one, in words: `T_nut drifts`, `T_nut or T_bed drifts`."""
     *others, last = suspected
     if not others:
         return f"{last} drifts"
-    return f"{', '.join(others)} or {last} drifts (the likeliest first; which one, more nights say)"
+    return f"{', '.join(others)} or {last} drifts (the likeliest first; runs of more nights distinguish them)"
 
 
 def _sensor_or_machine(readings, run, old, new, k: int, sd: float, apparent: np.ndarray) -> tuple[float, int, float]:

@@ -65,7 +65,7 @@ class Report(Frozen):
 def figures(recording: Recording, axis: str | None = None, component: str | None = None) -> Report:
     """ISO 230-2 figures of a recording's positioning deviation (or of one that is named).
 
-    Rows without a deviation are passed over; a row counts in the direction its direction column says.
+    Rows without a deviation are passed over; a row counts in the direction its direction column states.
     Raises DataError where targets or cycles do not suffice.
     """
     component = component or _positioning(recording)

@@ -20,6 +20,10 @@ from scipy.optimize import linprog
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
+from errpipe.terms.backlash import Backlash
+from errpipe.terms.scale_error import ScaleError
+from errpipe.terms.servo_mismatch import ServoMismatch
+from errpipe.terms.squareness import Squareness
 
 FULL_CIRCLE = 300.0  # deg of arc from which circle figures are given
 NORMAL = {"XY": "C0Y", "XZ": "B0Z", "YZ": "A0Z"}
@@ -235,7 +239,7 @@ def read(runs: list[Circle]) -> tuple[tuple[Effect, ...], float]:
         _effect(
             kind, plane, float(coefficients[i]), float(error[i]), float(np.ptp(columns[i] * coefficients[i])), known
         )
-        for i, kind in enumerate(("squareness", "scale", "first", "second", "servo")[: len(columns)])
+        for i, kind in enumerate(("square", "scale", "first", "second", "servo")[: len(columns)])
     ]
     return tuple(sorted(effects, key=lambda e: -e.peak_to_peak)), noise
 
@@ -255,24 +259,24 @@ def _variance_inflation(runs: list[Circle], left: np.ndarray) -> float:
 def _effect(kind: str, plane: tuple[str, str], value: float, error: float, size: float, speed_known: bool) -> Effect:
     a, b = plane
     name = a + b
-    if kind == "squareness":
+    if kind == "square":
         value *= SQUARENESS_SIGN.get(name, 1.0)
         lean = "minus" if value * SQUARENESS_SIGN.get(name, 1.0) > 0 else "plus"
-        sentence = f"{NORMAL.get(name, 'squareness')} = {value:.1f} urad: +{b} leans towards {lean} {a}"
-        effect, where, unit = "squareness", NORMAL.get(name, name), "urad"
+        sentence = f"{NORMAL.get(name, Squareness.reports_as)} = {value:.1f} urad: +{b} leans towards {lean} {a}"
+        effect, where, unit = Squareness.reports_as, NORMAL.get(name, name), "urad"
     elif kind == "scale":
         longer, shorter = (a, b) if value > 0 else (b, a)
         sentence = f"scale of {longer} is {abs(value):.1f} um/m longer than that of {shorter}"
-        effect, where, unit = "scale_error", f"{a}-{b}", "um/m"
+        effect, where, unit = ScaleError.reports_as, f"{a}-{b}", "um/m"
     elif kind in ("first", "second"):
         axis = a if kind == "first" else b
         sentence = f"backlash of {axis} is {value:.1f} um" + ("" if value >= 0 else " (over-compensated)")
-        effect, where, unit = "backlash", axis, "um"
+        effect, where, unit = Backlash.reports_as, axis, "um"
     else:
         unit = "ms" if speed_known else "um"
         behind = a if value > 0 else b
         sentence = f"{behind} lags the other axis by {abs(value):.2f} {unit}"
-        effect, where = "servo_mismatch", name
+        effect, where = ServoMismatch.reports_as, name
     half = 1.96 * error
     return Effect(
         effect, where, value, (value - half, value + half), unit, size, f"{sentence} ({size:.1f} um of the plot)"

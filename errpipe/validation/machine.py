@@ -62,7 +62,7 @@ def compensated(document: Mapping[str, Any], chain: Chain) -> tuple[str, ...]:
     return tuple(c for c in chain.components if c not in document["volumetric"].get("left_alone", ()))
 
 
-def _at_the_tool(chain: Chain, every: Any, left: list[held_out.Left]) -> dict[str, Any]:
+def _at_the_tool(chain: Chain, every: Any, left: list[held_out.HeldOutGroup]) -> dict[str, Any]:
     """Figures of readings at the tool, um."""
     rows = np.concatenate([one.rows for one in left])
     share = held_out.shares(chain, every.take(rows))
@@ -134,7 +134,7 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
     """
     if not validations:
         raise GateError(
-            "export: nothing has judged this identification on held-out measurements (add a `validate` stage "
+            "export: no validation judged this identification on held-out measurements (add a `validate` stage "
             "after it, or say `ungated: true` to export it all the same)"
         )
     volumetric = document["volumetric"]
@@ -147,7 +147,7 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
         parts = {test: figures} | {f"{n} in {test}": f for n, f in figures["axes"].items() if n in kept}
         wrong += [_not_better(name, part) for name, part in parts.items() if _not_improved(part)]
     if wrong:
-        raise GateError(f"export: {'; '.join(wrong)}. Nothing was exported.{_help(document)}")
+        raise GateError(f"export: {'; '.join(wrong)}. Nothing was exported.{_measures_to_add(document)}")
     return tuple(n for n, a in axes.items() if n in kept or a["probability_worse"] <= MAX_HARM_PROBABILITY)
 
 
@@ -167,6 +167,6 @@ def _not_better(name: str, figures: Mapping[str, float]) -> str:
     return f"{name}: {figures['rms_before']:.3g} -> {figures['rms_after']:.3g} um on held-out measurements"
 
 
-def _help(document: Mapping[str, Any]) -> str:
+def _measures_to_add(document: Mapping[str, Any]) -> str:
     measures = [m["measure"] for m in document.get("would_show", ())][:3]
     return f" It would help to add: {'; '.join(measures)}." if measures else ""

@@ -44,8 +44,8 @@ def refuse(findings: Iterable[Finding], allow: Sequence[str] = ()) -> list[str]:
         raise GateError(
             "export: refused, because the correction would follow a declaration that cannot be right:\n"
             + "\n".join(f"  {f}" for f in refused)
-            + f"\nMend the declaration, or allow it by name where it is true: export: {{allow: [{names}]}}"
-            " (errpipe explain NAME says more). Nothing was exported."
+            + f"\nCorrect the declaration, or allow it by name where it is true: export: {{allow: [{names}]}}"
+            " (errpipe explain NAME explains it). Nothing was exported."
         )
     return [f"Allowed by name: {f}" if f.level == "refuse" else f"Check: {f}" for f in findings]
 
@@ -105,5 +105,5 @@ def consequence(
     if f"{abs(deviation):.1f}" == "0.0":
         return f"{place} {who} stands where it should and is left alone"
     if deviation > 0:
-        return f"{place} {who} stands {size} too far and will be told to go {size} less"
-    return f"{place} {who} stands {size} short and will be told to go {size} further"
+        return f"{place} {who} stands {size} too far and will be commanded {size} less"
+    return f"{place} {who} stands {size} short and will be commanded {size} further"

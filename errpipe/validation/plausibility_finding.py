@@ -23,7 +23,7 @@ MIN_FINITE_ROWS = 6  # finite rows; fewer say nothing about a slope
 class Finding:
     """One implausible declaration. code: its name, for `allow`; found: the evidence; meant: what was probably meant.
 
-    of_sign: whether it speaks against the sign of the whole column.
+    of_sign: whether it is evidence against the sign of the whole column.
     """
 
     code: str
@@ -115,7 +115,7 @@ def is_rearranged(r: Response, as_declared: float, rearranged: float, targets: i
     return repeats == 0 or rearranged <= _f_quantile(freedom, repeats, RARE_NOISE) * noise
 
 
-def is_fine(values: np.ndarray) -> bool:
+def has_fine_resolution(values: np.ndarray) -> bool:
     """Whether readings have so many possible levels that chance repeats none: a laser's, not a dial's."""
     steps = np.diff(np.unique(values))
     return steps.size > 0 and float(np.ptp(values)) > FINE * float(steps.min())

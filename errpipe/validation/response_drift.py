@@ -14,7 +14,7 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.validation.input_drift import level_drift
 
-WEAKEST_RUN = 0.25  # of the median rms of the prediction: a run that hardly moved says nothing of the size
+WEAKEST_RUN = 0.25  # of the median rms of the prediction: a run that hardly moved shows nothing of the size
 NO_RESPONSE = 0.3  # of what is predicted: compensated machines leave less than a third, worn ones show more than that
 HALF = 0.5  # of a change of the mean: what the median of the same runs must show of it
 UNITS = {1000.0: "1000", 25.4: "25.4", 1.0 / 25.4: "1/25.4", 0.001: "1/1000"}  # um for mm, inch for mm and back

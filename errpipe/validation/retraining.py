@@ -26,7 +26,7 @@ STAKE_SHARES = (0.1, 0.25, 0.5, 0.75, 0.9)
 BATCHES = 10  # fits at most for the new runs of one look
 TOLERANCE = 1.02  # a group may be this much worse than no compensation: rounding of small groups, not a real loss
 LEAST_COVERAGE = 0.8  # of the 90 % interval; ISO/IEC Guide 98-3 asks for the stated one, ten groups scatter by 0.1
-LEAST_RUNS = 3  # of a group, from which a paired test says something
+LEAST_RUNS = 3  # of a group, from which a paired test has any power
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class RunScore:
 
 @dataclass(frozen=True)
 class Gate:
-    """One condition of a promotion: whether it holds, and the sentence that says why."""
+    """One condition of a promotion: whether it holds, and why, in a sentence."""
 
     name: str
     passed: bool

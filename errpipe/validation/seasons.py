@@ -27,7 +27,7 @@ from errpipe.fitting.holdout import Fold
 from errpipe.fitting.thermal_arithmetic import rms, since_start_of
 from errpipe.models import Family
 
-# Recording, component, mask of the rows to fit -> a model with `values`, and `predict` where it knows its interval.
+# Recording, component, mask of the rows to fit -> a model with `values`, and `predict` where it has an interval.
 Fitter = Callable[[Recording, str, np.ndarray], Any]
 
 VERSION = 1  # of the document's layout

@@ -22,7 +22,7 @@ from errpipe.fitting.quantiles import chi2_tail, student_tail
 # the mean offset is exported in 0.1 to 1.3 %; at 0.05 it is up to 3.3 %.
 LEVEL = 0.02
 QUIET = 0.1  # of the rms over all runs, added to both sides of the ratio: runs below it hardly count there
-MIN_RUNS = 2  # runs; one alone says nothing about the next
+MIN_RUNS = 2  # runs; one alone shows nothing of the next
 # Largest p from halves. Chosen on single days (seed 901: 36 of `trials.thermal`, 60 of machines by formulas, 36 whose
 # deviation wanders or has a heat that no sensor sees): 1e-4 exports 84 and makes two later ones worse; 2e-4 seven.
 HALVES_LEVEL = 1e-4
@@ -44,8 +44,8 @@ def p_value(recording: Recording, folds: Sequence[HeldOut], gain: float) -> floa
     return min(1.0, 2.0 * min(_one_sided(ratio), _one_sided(before - after)))
 
 
-def p_of_halves(folds: Sequence[HeldOut], gain: float) -> tuple[float, int]:
-    """p of a correction at a gain on halves of one run that predict each other, and how many rows they are worth.
+def p_between_halves(folds: Sequence[HeldOut], gain: float) -> tuple[float, int]:
+    """p of a correction at a gain on halves of one run that predict each other, and the effective number of rows.
 
     Prediction and deviation are correlated as they stand (drift) and less their mean in each half (shape), with the
     effective number of rows of two autocorrelated series (Quenouille 1952; Bretherton et al. 1999, J. Climate 12:1990),
@@ -64,9 +64,9 @@ def p_of_halves(folds: Sequence[HeldOut], gain: float) -> tuple[float, int]:
     return chi2_tail(-2.0 * float(np.log(drift) + np.log(shape)), 4), int(worth)
 
 
-def of_halves_helps(p: float, left_inside: Callable[[], float]) -> bool:
-    """Whether a correction is exported from halves of one run. p: of `p_of_halves`; left_inside: share of the deviation
-    left on blocks that all others of the run predict, 1; asked for where p leaves it open.
+def helps_between_halves(p: float, left_inside: Callable[[], float]) -> bool:
+    """Whether a correction judged on halves of one run is exported. p: of `p_between_halves`; left_inside: share of the
+    deviation left on blocks that all others of the run predict, 1; called where p decides neither way.
     """
     return p <= HALVES_LEVEL or (p <= HALVES_LIKELY and left_inside() <= INSIDE)
 
@@ -74,7 +74,7 @@ def of_halves_helps(p: float, left_inside: Callable[[], float]) -> bool:
 def _correlated(one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> tuple[float, float]:
     """One-sided p of a positive correlation of two series in stretches, and the rows that they are worth."""
     size = np.sqrt(sum(float(x @ x) for x in one) * sum(float(y @ y) for y in other))
-    worth = sum(_worth(x, y) for x, y in zip(one, other, strict=True))
+    worth = sum(_effective_rows(x, y) for x, y in zip(one, other, strict=True))
     if size == 0.0:
         return 1.0, worth
     correlation = min(sum(float(x @ y) for x, y in zip(one, other, strict=True)) / size, 1.0 - 1e-9)
@@ -83,7 +83,7 @@ def _correlated(one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> tuple
     return max(p, 1e-300), worth
 
 
-def _worth(one: np.ndarray, other: np.ndarray) -> float:
+def _effective_rows(one: np.ndarray, other: np.ndarray) -> float:
     """Independent rows that two series of a stretch are worth for their correlation."""
     alike = _autocorrelation(one) * _autocorrelation(other)
     unlike = np.flatnonzero(alike < UNLIKE)

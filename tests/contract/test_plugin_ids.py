@@ -51,13 +51,7 @@ KINDS = (
         registry="TERMS",
         homonyms={
             "straightness": {"domain/components.py": "kind of an ISO 230-1 component"},
-            "squareness": {
-                "domain/components.py": "kind of an ISO 230-1 component",
-                "validation/iso230_4.py": "an error that a circular test shows (ISO 230-4)",
-            },
-            "scale_error": {"validation/iso230_4.py": "an error that a circular test shows (ISO 230-4)"},
-            "backlash": {"validation/iso230_4.py": "an error that a circular test shows (ISO 230-4)"},
-            "servo_mismatch": {"validation/iso230_4.py": "an error that a circular test shows (ISO 230-4)"},
+            "squareness": {"domain/components.py": "kind of an ISO 230-1 component"},
             "offset": {
                 "kinematics/identify.py": "kind of machine parameter, published in identification.json",
                 "tables/layout.py": "published field of the table's affine node",
@@ -77,12 +71,7 @@ KINDS = (
     Kind(
         folder="stages",
         registry="STAGES",
-        homonyms={
-            "identify_force": {
-                "models/_push_tests.py": "where the message of a refusal belongs",
-                "models/force.py": "where the message of a refusal belongs",
-            }
-        },
+        homonyms={},
         # linked by artefact types; `diagnose` and `diagnosis`, `clean`, `fit` ... are verbs and words of messages
         everyday=(
             *("clean", "diagnose", "diagnosis", "export", "fit", "identify", "ingest", "report", "simulate", "twin"),

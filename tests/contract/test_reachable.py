@@ -26,7 +26,6 @@ KNOWN = {
     "kernels.table_cycle.stream": "a controller's cycles in a loop: every other evaluator is compared with it",
     "cli._verbs.list_commands": "click calls it",
     "cli._verbs.format_commands": "click calls it",
-    "validation.held_out.held_out": "`judged` without its rows, for tests",
 }
 LOADED_BY_NAME = (
     *("api", "cleaning", "cli", "formats", "importing.doors"),

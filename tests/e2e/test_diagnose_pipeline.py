@@ -218,7 +218,7 @@ def test_a_sure_finding_of_the_machine_is_accepted() -> None:
             found("backlash", indistinguishable_from=("sensor_drift",), **BACKLASH),
             "cannot be distinguished from sensor_drift",
         ),
-        (found("unknown", drivers=("T_nut",)), "no effect carries it"),
+        (found("unknown", drivers=("T_nut",)), "no known effect explains it"),
         (found("recalibration"), "the simulation itself is to be set right"),
         (found("air_refraction", **AIR), "the air in the beam"),
         (found("clock_offset", term=None), "the clocks of recording and simulation differ"),
@@ -251,7 +251,7 @@ def test_an_artefact_is_fitted_beside_but_never_compensated() -> None:
     findings = (*two.responses[0].findings, *one.responses[0].findings)
     both = Diagnosis(responses=(two.responses[0].model_copy(update={"findings": findings}),))
     decisions = _acceptance.decide(both, recording, _acceptance.Accept())
-    assert [(d.accepted, d.beside) for d in decisions] == [(True, False), (False, True)]
+    assert [(d.accepted, d.as_nuisance) for d in decisions] == [(True, False), (False, True)]
     model, spec, _ = _acceptance.fit_accepted(decisions, both, None, recording)
     (component,) = model.components
     assert [t.term["term"] for t in component.terms] == ["offset", "backlash"]

@@ -90,8 +90,8 @@ def test_rows_that_sat_out_are_left_with_the_noise(out):
 def test_the_error_model_and_the_table_predict_the_same(out, tmp_path):
     recording = str(out / "ingest")
     for name in ("table.ect", "error_model.json"):
-        assert main(["predict", str(out / "export" / name), recording, "--out", str(tmp_path / name)]) == 0
-    one, two = ((tmp_path / n).read_text().splitlines() for n in ("table.ect", "error_model.json"))
+        assert main(["predict", str(out / "export" / name), recording, "--out", str(tmp_path / f"{name}.csv")]) == 0
+    one, two = ((tmp_path / n).read_text().splitlines() for n in ("table.ect.csv", "error_model.json.csv"))
     assert len(one) == len(two) == 67
     a, b = (np.array([float(line.split(",")[1]) for line in lines[1:]]) for lines in (one, two))
     np.testing.assert_allclose(a, b, atol=0.02)

@@ -58,7 +58,7 @@ def test_a_wide_export_to_three_controllers_in_four_commands(tmp_path: Path, mon
     assert folders == {"sinumerik_lec", "linuxcnc_screw", "heidenhain_com"}
     for name in folders:
         says = re.findall(r"^- (at X = .*)\.$", (tmp_path / "out/export" / name / "CHECKLIST.md").read_text(), re.M)
-        assert len(says) == 1 and "too far and will be told to go" in says[0]
+        assert len(says) == 1 and "too far and will be commanded" in says[0]
     steps = np.loadtxt(tmp_path / "out/export/linuxcnc_screw/x.comp")
     end = steps[np.argmin(np.abs(steps[:, 0] - 600))]
     assert end[1:].mean() == pytest.approx(-0.010, abs=1.5e-3) or end[1:].mean() == pytest.approx(600.010, abs=1.5e-3)

@@ -20,7 +20,7 @@ from errpipe.models.terms import Terms
 from errpipe.stages import _artefacts
 from errpipe.tables import ect
 from errpipe.validation.gate import pass_gate
-from errpipe.validation.held_out import held_out
+from tests.validation_document import held_out
 
 KINDS = {
     "run": Column(role="run"),
@@ -119,7 +119,7 @@ def run(tmp_path: Path, recording: Recording, more: str) -> int:
 
 def test_no_export_without_a_judgement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(tmp_path, axis(1), "  - {kind: export}") == 4
-    assert "nothing has judged this model" in capsys.readouterr().err
+    assert "no validation judged this model" in capsys.readouterr().err
     assert not (tmp_path / "out" / "export" / "table.ect").exists()
 
 
@@ -130,7 +130,7 @@ def test_the_judgement_of_another_model_does_not_count(tmp_path: Path, capsys: p
     components: [{component: EXX, terms: [{term: offset}]}]
   - {kind: export}"""
     assert run(tmp_path, axis(1), other) == 4
-    assert "nothing has judged this model" in capsys.readouterr().err
+    assert "no validation judged this model" in capsys.readouterr().err
 
 
 def test_an_ungated_export_says_so_in_table_report_and_checklist(tmp_path: Path) -> None:
@@ -180,6 +180,8 @@ def test_a_model_predicts_outside_validity_as_its_table_does(tmp_path: Path) -> 
     manifest_folder.write(far, tmp_path / "far")
     export = tmp_path / "out" / "export"
     for source in (_artefacts.MODEL, _artefacts.TABLE):
-        assert main(["predict", str(export / source), str(tmp_path / "far"), "--out", str(tmp_path / source)]) == 0
-    by_model, by_table = (pd.read_csv(tmp_path / s)["EXX_predicted"] for s in (_artefacts.MODEL, _artefacts.TABLE))
+        out = str(tmp_path / f"{source}.csv")
+        assert main(["predict", str(export / source), str(tmp_path / "far"), "--out", out]) == 0
+    files = (tmp_path / f"{source}.csv" for source in (_artefacts.MODEL, _artefacts.TABLE))
+    by_model, by_table = (pd.read_csv(file)["EXX_predicted"] for file in files)
     assert np.allclose(by_model, by_table, atol=1e-9) and np.abs(by_model).max() < 60.0

@@ -38,7 +38,7 @@ def test_a_refused_export_writes_the_report_with_its_reason(tmp_path: Path, monk
     assert not (tmp_path / "out/export").exists()
     assert main(["run", "work/pipeline.yaml", "--out", "out"]) == 0
     page = (tmp_path / "out/report/report.html").read_text(encoding="utf-8")
-    assert "Refused:" not in page and "will be told to go" in page and "ISO 230-2 chart" in page
+    assert "Refused:" not in page and "will be commanded" in page and "ISO 230-2 chart" in page
 
 
 @pytest.mark.slow

@@ -53,10 +53,11 @@ def test_a_sensor_that_says_nothing_is_named(tmp_path: Path, columns: str, capsy
     (folder / "recording.yaml").write_text(MANIFEST + "  T_bed: {role: temperature, unit: degC}\n")
     (tmp_path / "p.yaml").write_text(FIT)
     code, text = command("run", tmp_path / "p.yaml", "--out", tmp_path / "out", capsys=capsys)
-    assert code == 3 and "T_nut: the recording has no such column" in text and "cleaning.json" in text
+    assert code == 3 and "T_nut: cleaning set it aside" in text and "fit without it" in text
     recording_folder(tmp_path / "rec", rows=200, T_nut=dead)
     code, text = command("run", tmp_path / "p.yaml", "--out", tmp_path / "out", capsys=capsys)
-    assert code == 3 and "T_nut" in text and "role: ignore" in text
+    said = {"constant": "T_nut: cleaning set it aside: shows 21 in every row", "empty": "role: ignore"}[columns]
+    assert code == 3 and "T_nut" in text and said in text
 
 
 def test_a_title_with_a_zero_byte_is_refused_where_it_stands(tmp_path: Path) -> None:

@@ -57,10 +57,10 @@ def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
 
 def _refuse_known(path: Path, head: bytes) -> None:
     """Raise DataError for kinds of files that are not imported, with what to do instead."""
-    if (what := controller_files.what_it_is(path, head)) is not None:
+    if (what := controller_files.controller_file_kind(path, head)) is not None:
         raise DataError(f"{path}: {what}")
     if head.startswith(b"PAR1"):
-        raise DataError(f"{path}: a Parquet table: write a recording.yaml beside it, which says what its columns are")
+        raise DataError(f"{path}: a Parquet table: write a recording.yaml beside it that declares its columns")
     if head.startswith((b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"7z\xbc\xaf")):
         raise DataError(f"{path}: a packed file: unpack it first")
     if head.lstrip().lower().startswith((b"<html", b"<table", b"<!doctype", b"<?xml")) and not mtconnect.sniff(

@@ -74,7 +74,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
 
 
 def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
-    """Cells between blanks. Raises DataError where a row of numbers lacks one: nobody can say in which column.
+    """Cells between blanks. Raises DataError where a row of numbers lacks one: it is unknown in which column.
 
     Names may hold blanks themselves (`Soll [mm]`): then two blanks or a bracket part them, or they are a line of text.
     """

@@ -13,11 +13,12 @@ name = "Excel workbook"
 suffixes = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 binary = True
 _OLE = b"\xd0\xcf\x11\xe0"
+_BEFORE_OLE = (b"\t\0", b"\t\x02", b"\t\x04")  # .xls of Excel 2 to 4, as some instruments write to this day
 
 
 def sniff(path: Path, head: bytes) -> bool:
-    """A zip or OLE file with a spreadsheet's ending."""
-    return path.suffix.lower() in suffixes and head.startswith((b"PK", _OLE))
+    """A zip or OLE file, or an older one, with a spreadsheet's ending."""
+    return path.suffix.lower() in suffixes and head.startswith((b"PK", _OLE, *_BEFORE_OLE))
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
@@ -42,7 +43,10 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     except (UsageError, DataError, MemoryError):
         raise
     except Exception as err:  # calamine raises many kinds, none of them ours
-        raise DataError(f"{path}: not a workbook that can be read ({type(err).__name__})") from None
+        raise DataError(
+            f"{path}: not a workbook that can be read ({type(err).__name__}): damaged, locked by a password, or older "
+            "than Excel 5. Open it in a spreadsheet, and save it as .xlsx or .csv"
+        ) from None
     return [sheet.limited() for sheet in sheets if len(sheet.rows) > 1]
 
 

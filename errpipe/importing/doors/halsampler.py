@@ -57,15 +57,15 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         note = (
             []
             if len(names) == width
-            else [f"the file names no columns: --names says them, {width}, such as target,error"]
+            else [f"the file names no columns: give them with --names, {width}, such as target,error"]
         )
         return [Sheet(path.stem, [[*row] for row in rows], header, note).limited()]
     else:
         rows = [[period * i, *r] for i, r in enumerate(rows)]
         names, width = ["t [s]", *names], width + 1
-        notes.append(f"rows are {period:g} s apart" + ("" if options.period else " (a guess: --period says it)"))
+        notes.append(f"rows are {period:g} s apart" + ("" if options.period else " (a guess: --period states it)"))
     if len(names) != width:
         names = ["t [s]", *(f"pin.{i}" for i in range(width - 1))]
-        notes.append(f"the file names no columns: --names says them, {width - 1} of them, such as x_cmd,x_fb")
+        notes.append(f"the file names no columns: give them with --names, {width - 1} of them, such as x_cmd,x_fb")
     cells: list[list[Cell]] = [[*row] for row in rows]
     return [Sheet(path.stem, cells, names, notes).limited()]

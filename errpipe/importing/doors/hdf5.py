@@ -36,7 +36,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
 
     def visit(key: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and item.size and len(datasets) < MOST_SETS:
-            its_own(path, key, item)
+            refuse_linked_data(path, key, item)
             datasets.append((key, item[()], _unit(item)))
 
     try:
@@ -45,11 +45,13 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     except (DataError, MemoryError):
         raise
     except Exception as err:  # h5py raises OSError, RuntimeError, ValueError, KeyError for damaged files
-        raise DataError(f"{path}: not an HDF5 file that can be read ({type(err).__name__})") from None
+        raise DataError(
+            f"{path}: not an HDF5 file that can be read ({type(err).__name__}): export it anew, or as CSV"
+        ) from None
     return [s.limited() for s in sheets_of(datasets, path.stem) if options.sheet in (None, s.name)]
 
 
-def its_own(path: Path, key: str, item: Any) -> None:
+def refuse_linked_data(path: Path, key: str, item: Any) -> None:
     """Raise DataError where a data set keeps its values in other files, or states more of them than are imported."""
     if item.external or item.is_virtual:
         raise DataError(f"{path}: {key} keeps its values in another file (copy them into this one)")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.importing.doors.hdf5 import MOST_COLUMNS, columns_of, its_own
+from errpipe.importing.doors.hdf5 import MOST_COLUMNS, columns_of, refuse_linked_data
 from errpipe.importing.sheet import DoorOptions, Sheet, affordable
 
 name = "MATLAB"
@@ -33,7 +33,9 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         except MemoryError:
             raise
         except Exception as err:  # scipy raises ValueError, TypeError, zlib.error, ... for damaged files
-            raise DataError(f"{path}: not a MATLAB file that can be read ({type(err).__name__})") from None
+            raise DataError(
+                f"{path}: not a MATLAB file that can be read ({type(err).__name__}): export it anew, or as CSV"
+            ) from None
         arrays = [part for key, value in file.items() if not key.startswith("__") for part in _parts(key, value)]
     affordable(sum(array.size for _, _, array in arrays), path)
     groups: dict[tuple[str, int], list[tuple[str, np.ndarray]]] = {}
@@ -72,7 +74,7 @@ def _newer(path: Path) -> list[tuple[str, str, np.ndarray]]:
 
     def visit(key: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and not key.startswith("#refs#"):
-            its_own(path, key, item)
+            refuse_linked_data(path, key, item)
             group, _, leaf = key.rpartition("/")
             arrays.append((group, leaf, np.squeeze(item[()]).T))
 
@@ -82,5 +84,7 @@ def _newer(path: Path) -> list[tuple[str, str, np.ndarray]]:
     except (DataError, MemoryError):
         raise
     except Exception as err:  # h5py raises OSError, RuntimeError, ValueError for damaged files
-        raise DataError(f"{path}: not a MATLAB file that can be read ({type(err).__name__})") from None
+        raise DataError(
+            f"{path}: not a MATLAB file that can be read ({type(err).__name__}): export it anew, or as CSV"
+        ) from None
     return arrays

@@ -1,7 +1,7 @@
 """Saved answers of an MTConnect agent (`/sample`, `/current`): one column per data item, one row per time stamp.
 
 UNAVAILABLE is an empty cell; a value holds until the next one of its item. Units are not in a stream: columns are named
-by the item's name and type, and a person says the unit where the name does not.
+by the item's name and type, and a person states the unit where the name does not.
 """
 
 from __future__ import annotations
@@ -41,7 +41,9 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     try:
         root = ElementTree.fromstring(data)
     except ElementTree.ParseError as err:
-        raise DataError(f"{path}:{err.position[0]}  not XML that can be read") from None
+        raise DataError(
+            f"{path}:{err.position[0]}  not XML that can be read: save it anew, or export it as CSV"
+        ) from None
     samples: list[tuple[str, str, float | None]] = []
     labels: dict[str, tuple[str, str]] = {}  # by data item: component and label
     component = ""

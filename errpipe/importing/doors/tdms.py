@@ -34,23 +34,25 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         file = TdmsFile.read(str(path))
         groups = [g for g in file.groups() if options.sheet in (None, g.name) and g.channels()]
         sheets = [_sheet(group).limited() for group in groups]
-        return [replace(sheet, notes=[*sheet.notes, *remarks.said]) for sheet in sheets]
+        return [replace(sheet, notes=[*sheet.notes, *remarks.messages]) for sheet in sheets]
     except (DataError, MemoryError):
         raise
     except Exception as err:  # npTDMS raises ValueError, struct.error, KeyError, ... for damaged files
-        raise DataError(f"{path}: not a TDMS file that can be read ({type(err).__name__})") from None
+        raise DataError(
+            f"{path}: not a TDMS file that can be read ({type(err).__name__}): export it anew, or as CSV"
+        ) from None
     finally:
         log_manager.console_handler.removeFilter(remarks.add)
 
 
 class _Remarks:
-    """What npTDMS says of a file, such as that its last segment is cut, once each."""
+    """Warnings of npTDMS on a file, such as that its last segment is cut, once each."""
 
     def __init__(self) -> None:
-        self.said: dict[str, None] = {}
+        self.messages: dict[str, None] = {}
 
     def add(self, record: logging.LogRecord) -> bool:
-        self.said[record.getMessage()] = None
+        self.messages[record.getMessage()] = None
         return False
 
 

@@ -88,5 +88,5 @@ def test_scales_come_from_the_readings():
 def test_still_temperatures_are_refused():
     recording = days("h")
     still = recording.with_columns({n: np.full(ROWS, 20.0) for n in ("T_head", "T_table")}, {})
-    with pytest.raises(DataError, match="no temperature moves"):
+    with pytest.raises(DataError, match="no temperature changes"):
         DutyCycles.of(still, "E_Z")

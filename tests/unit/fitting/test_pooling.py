@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from errpipe.fitting.pooling import alike, pooled
+from errpipe.fitting.pooling import homogeneous_groups, pooled
 
 
 def machines(rng: np.random.Generator, count: int, spread: np.ndarray, noise: float) -> tuple:
@@ -53,4 +53,4 @@ def test_the_type_is_found_and_its_units_do_not_matter() -> None:
 
 def test_machines_alike_are_those_that_the_data_do_not_tell_apart() -> None:
     estimates = [np.array([v, 0.0]) for v in (0.0, 0.1, 5.0, 5.1, 20.0)]
-    assert alike(estimates, [0.01 * np.eye(2)] * 5) == [[0, 1], [2, 3]]
+    assert homogeneous_groups(estimates, [0.01 * np.eye(2)] * 5) == [[0, 1], [2, 3]]

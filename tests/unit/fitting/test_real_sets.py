@@ -8,7 +8,7 @@ import pytest
 
 from errpipe.fitting.model import fit
 from errpipe.models.terms import Terms
-from errpipe.validation.held_out import held_out
+from tests.validation_document import held_out
 
 DATA = Path(os.environ.get("ERRPIPE_REAL_DATA", "../shared/real-data"))
 pytestmark = pytest.mark.realdata

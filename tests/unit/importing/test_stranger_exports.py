@@ -203,7 +203,7 @@ def test_names_of_a_person_replace_those_of_the_file(tmp_path: Path) -> None:
     (tmp_path / "scope.csv").write_text(facts + "\n" + rows)
     door = DoorOptions(names=("t [ms]", "x_cmd [mm]", "t2 [ms]", "x_act [mm]"))
     holds_the_truth(imported(tmp_path, tmp_path / "scope.csv", door))
-    with pytest.raises(DataError, match="--names says 3 names, the table has 4 columns"):
+    with pytest.raises(DataError, match="--names gives 3 names, the table has 4 columns"):
         imported(tmp_path, tmp_path / "scope.csv", DoorOptions(names=("a", "b", "c")))
 
 

@@ -110,12 +110,12 @@ def test_a_file_of_a_stranger(tmp_path: Path, name: str) -> None:
 
 
 REFUSED = {
-    "rows of several axes": (FILES["rows of two axes"], r"several axes \(X, Y\): --axis"),
+    "rows of several axes": (FILES["rows of two axes"], r"several axes \(X, Y\): choose one with --axis"),
     "sides that no header says": (
         FILES["1u 1d"].replace("u;", "a;").replace("d\n", "b\n").replace("d;", "b;"),
-        "both of one run, and neither says from which side",
+        "both of one run, and neither states from which side",
     ),
-    "no header": (FILES["no header, and names"], "--names says them"),
+    "no header": (FILES["no header, and names"], "give them with --names"),
     "a straightness across nothing": (
         long_table("x [mm];straightness [um]", lambda r, x, s, d: f"{x};{d}"),
         "straightness across which axis",
@@ -172,7 +172,7 @@ def test_lost_directions_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[
     rows = sorted(long_rows(), key=lambda row: row[1])
     (tmp_path / "f.csv").write_text("\n".join(["run;target;error_um", *(f"{r};{x};{d}" for r, x, _, d in rows)]))
     assert main(["import", str(tmp_path / "f.csv"), "--out", str(tmp_path / "rec"), "--yes", "--axis", "X"]) == 0
-    assert "backlash cannot be told from scatter" in " ".join(capsys.readouterr().out.split())
+    assert "backlash cannot be distinguished from scatter" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize(

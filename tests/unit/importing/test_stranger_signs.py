@@ -132,7 +132,7 @@ def test_labels_of_sides_are_told_by_the_motion_or_asked_for(tmp_path: Path, up:
     (tmp_path / "f.csv").write_text(measured, encoding="utf-8")
     holds_the_truth(imported(tmp_path, tmp_path / "f.csv"))
     (tmp_path / "g.csv").write_text(by_target(up, down), encoding="utf-8")
-    with pytest.raises(DataError, match="does not say which of them comes from below"):
+    with pytest.raises(DataError, match="does not show which of them comes from below"):
         imported(tmp_path, tmp_path / "g.csv")
 
 

@@ -60,7 +60,7 @@ def test_a_block_for_each_axis_is_asked_about(tmp_path: Path, header: str) -> No
     """Two axes below one another would be two runs of one."""
     runs = RUNS[: header.count(";")]
     file = written(tmp_path, block("Achse X", 1.0, runs, header) + block("Achse Y", -1.0, runs, header))
-    with pytest.raises(DataError, match=r"rows of several axes \(X, Y\): --axis"):
+    with pytest.raises(DataError, match=r"rows of several axes \(X, Y\): choose one with --axis"):
         imported(tmp_path, file)
     for axis, side in (("X", 1.0), ("Y", -1.0)):
         found = imported(tmp_path, file, axis=axis)
@@ -215,7 +215,7 @@ LONG = long("Run;Dir;X [mm];Dev [um]", lambda r, x, s, d: f"{r};{mark(s)};{x};{d
 IN_VAIN = {
     "a column that is not there": ({"sets": ["Deviaton.unit=mm"]}, "no such column"),
     "a sheet of a text": ({"door": DoorOptions("X")}, "--sheet would be ignored"),
-    "another unit than the file's": ({"unit": "mm"}, "is in um, and --unit says mm"),
+    "another unit than the file's": ({"unit": "mm"}, "is in um, and --unit states mm"),
     "another axis than the file's": ({"axis": "Y"}, "'X' holds positions of X: say it with --set X.axis=Y"),
 }
 

@@ -68,7 +68,7 @@ def test_inches_in_quotation_marks(tmp_path: Path) -> None:
         ("position,dial", "{x},{e:.0f}", "whole numbers"),
         ("Target [inch],Reading", "{x},0.000{r}", "may be inches"),
         ("Target [mm];|Error| [µm]", "{x};{r}.5", "without their sign"),
-        ("Target [mm];Error [mm]", "{x};{e} µm", "its name says mm"),
+        ("Target [mm];Error [mm]", "{x};{e} µm", "its name states mm"),
         ("Target [mm];Error [0.05 µm]", "{x};{e}", "no known unit"),
         ("Target [mm];Laser 1 [mm];Laser 2 [mm]", "{x};{x}1;{x}2", "both hold actual"),
         ("tavoite [mm],error [um]", "{x},{e}", "no position is recorded"),

@@ -26,7 +26,7 @@ from errpipe.models.season import Season
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages.predict import table_values
 from errpipe.validation.gate import pass_gate
-from errpipe.validation.held_out import held_out
+from tests.validation_document import held_out
 
 STEP, ROWS = 300.0, 72  # s, six hours a day
 LINEAR = ("lagged", "network", "rises")  # the quick ones

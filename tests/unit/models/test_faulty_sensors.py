@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from errpipe.models.auto import Auto
-from errpipe.validation.held_out import held_out
 from tests.unit.models.test_competition import machine
+from tests.validation_document import held_out
 
 FAMILY = Auto(component="E_Z", among=("rises", "lagged"))
 

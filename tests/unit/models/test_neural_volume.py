@@ -17,7 +17,7 @@ from errpipe.models.auto import Auto
 from errpipe.models.neural_volume import NeuralVolume
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages.predict import table_values
-from errpipe.validation.held_out import held_out
+from tests.validation_document import held_out
 
 NOISE = 0.3  # um
 FAMILY = NeuralVolume(components=("E_X", "E_Z"), units=6)
@@ -79,7 +79,7 @@ def test_a_recording_without_a_position_is_refused():
     measured = recording()
     columns = {n: c for n, c in measured.manifest.columns.items() if c.role != "position"}
     manifest = measured.manifest.model_copy(update={"columns": columns})
-    with pytest.raises(DataError, match="no position of an axis"):
+    with pytest.raises(DataError, match="no column of role position"):
         FAMILY.fit(Recording(manifest, measured.frame.drop(columns=["x", "y"])))
 
 

@@ -16,7 +16,7 @@ from errpipe.fitting.thermal_interval import independent_runs
 from errpipe.models.auto import Auto
 from errpipe.models.lagged import Lagged
 from errpipe.models.rises import Rises
-from errpipe.validation.held_out import held_out
+from tests.validation_document import held_out
 
 STEP = 120.0  # s
 
@@ -205,7 +205,7 @@ def test_a_log_of_days_in_one_run_counts_as_its_days() -> None:
     assert independent_runs(log, everything) == 5 + 2  # whole days between the first and the last reading
     problem = thermal_linear.problem(log, "E_Z", None, 3)
     assert not problem.one_day and problem.own == len(log) < len(problem.recording)
-    assert problem.witnesses == 5 + 2
+    assert problem.run_count == 5 + 2
     told = Auto(component="E_Z", among=("rises",)).train(log).predict(log)
     left = since_start(log.array("E_Z"), log.run_codes(), 3)[0] - told.predicted
     assert np.mean(0.5 * (told.upper - told.lower)) < 1.7 * np.quantile(np.abs(left), 0.9)

@@ -9,7 +9,7 @@ from errpipe.domain.recording import Recording
 from errpipe.fitting.model import fit
 from errpipe.models.terms import Terms
 from errpipe.simulation import ball_screw_axis, folder, heat
-from errpipe.validation.held_out import held_out
+from tests.validation_document import held_out
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@ import numpy as np
 
 from errpipe.models.terms import Terms
 from errpipe.simulation import spindle_drift
-from errpipe.validation.held_out import held_out
+from tests.validation_document import held_out
 
 
 def test_a_spindle_at_rest_in_its_room_only_follows_the_room():

@@ -98,7 +98,7 @@ def test_an_axis_whose_column_has_another_name_is_asked_at_one_place(
     code, answer = asked(old, new, "--max-um", "0", capsys=capsys)
     assert code == 0 and answer["largest_um"] == 0.0
     assert main(["compare", str(old), str(new)]) == 0
-    assert "x in the old one and x_pos in the new one are one axis: asked as one" in capsys.readouterr().out
+    assert "x in the old one and x_pos in the new one are one axis: evaluated as one" in capsys.readouterr().out
     other = model(tmp_path / "c.json", 13.0, (12.5, 13.5))
     other.write_text(other.read_text(encoding="utf-8").replace('"x"', '"x_pos"'), encoding="utf-8")
     _, answer = asked(old, other, capsys=capsys)

@@ -28,7 +28,7 @@ def test_a_checklist_says_what_will_happen(tmp_path: Path, name: str) -> None:
     done = targets.export(tmp_path / "table.ect", [name], tmp_path / "out")
     text = (tmp_path / "out" / name / targets.CHECKLIST).read_text()
     (says,) = re.findall(r"- (at X = .*)[.]", text)
-    wanted = "at X = 500 mm the axis stands 10.0 um too far and will be told to go 10.0 um less"
+    wanted = "at X = 500 mm the axis stands 10.0 um too far and will be commanded 10.0 um less"
     assert says == wanted and done["says"][-1] == wanted
 
 
@@ -47,7 +47,7 @@ def test_a_checklist_names_a_side_only_where_sides_differ(tmp_path: Path, table:
 def test_a_machine_too_short_is_told_to_go_further(tmp_path: Path) -> None:
     ect.write(compile_(("EXX", [straight("X", -10.0)])), tmp_path / "table.ect")
     says = targets.export(tmp_path / "table.ect", ["linuxcnc_screw"], tmp_path / "out")["says"][-1]
-    assert says.endswith("the axis stands 10.0 um short and will be told to go 10.0 um further")
+    assert says.endswith("the axis stands 10.0 um short and will be commanded 10.0 um further")
 
 
 def test_a_table_beyond_the_limit_is_refused_and_allowed_by_name(tmp_path: Path) -> None:

@@ -121,7 +121,7 @@ def test_later_readings_change_no_earlier_row(run, recording):
         ("time,x\n600,1\nnoon,2\n", r":3  time: found 'noon' \(allowed: a number\)"),
         ("time,x\n600,1 um\n", r":2  E_X: found '1 um'"),
         ("time,x,run\n600,1,c\n", r":2  run: found 'c'"),
-        ("time,x\n50000,1\n", "no reading of E_X is believed and within a run"),
+        ("time,x\n50000,1\n", "no reading of E_X is both accepted and within a run"),
         ("", "cannot be read as a table"),
     ],
 )

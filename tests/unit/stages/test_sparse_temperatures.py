@@ -10,7 +10,7 @@ import pytest
 from errpipe.cli.app import main
 from errpipe.domain.recording import Recording
 from errpipe.errors import GateError, VerifyError
-from errpipe.fitting.thermal_arithmetic import short_holes_held, since_start
+from errpipe.fitting.thermal_arithmetic import short_gaps_held, since_start
 from errpipe.formats import manifest_folder
 from errpipe.models.rises import Rises
 from errpipe.models.season import Season
@@ -43,7 +43,7 @@ def by_table(table, recording: Recording) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", [Rises, Season])
 @pytest.mark.parametrize("sensors", [SENSORS, SENSORS[:1]])
-@pytest.mark.parametrize("read", [Recording.each_run_alone, short_holes_held], ids=["no_reading", "held"])
+@pytest.mark.parametrize("read", [Recording.each_run_alone, short_gaps_held], ids=["no_reading", "held"])
 def test_a_run_left_out_is_as_good_by_the_table_as_was_judged(kind, sensors, read):
     recording = sparse(3, sensors)
     family = kind.model_validate({"family": kind.family_name(), "component": "E_Z"})
@@ -84,7 +84,7 @@ def test_the_exported_table_is_the_model_on_its_own_recording(guard, tmp_path, c
     assert proof["largest_difference_um"] < 1e-6 and proof["rows_held_back"] == 0
     table = ect.read(tmp_path / "out/export/table.ect")
     assert {i.stale_after_s for i in table.inputs if i.kind == "sensor"} == {1800.0}
-    empty, held = by_table(table, recording), by_table(table, short_holes_held(recording))
+    empty, held = by_table(table, recording), by_table(table, short_gaps_held(recording))
     assert np.abs(empty - held).max() < 1e-9
 
 

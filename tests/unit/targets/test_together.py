@@ -58,7 +58,7 @@ def test_the_screw_is_not_compensated_twice():
     """Leadscrew table and cross table each hold X over X when written alone; beside each other only one does."""
     table, cec = bent_and_warm(), BY_NAME["sinumerik_cec"]
     alone = {(c.axis, c.over) for c in cec.read_back(cec.write(table)).curves}
-    beside = {(c.axis, c.over) for c in cec.read_back(cec.write_beside(table, ["sinumerik_lec"])).curves}
+    beside = {(c.axis, c.over) for c in cec.read_back(cec.write_with(table, ["sinumerik_lec"])).curves}
     assert alone - beside == {("X", "X")}
 
 

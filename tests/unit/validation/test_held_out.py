@@ -5,7 +5,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.models.terms import Terms
 from errpipe.simulation import spindle_drift
-from errpipe.validation.held_out import held_out
+from tests.validation_document import held_out
 
 
 @pytest.fixture(scope="module")

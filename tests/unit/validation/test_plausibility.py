@@ -182,12 +182,12 @@ def test_the_limit_names_the_unit_that_would_fit() -> None:
 def test_the_consequence_in_one_sentence() -> None:
     says = plausibility.consequence("X", "X", 600.0, 1.0, 16.6)
     assert says == (
-        "at X = 600 mm approached from below the axis stands 16.6 um too far and will be told to go 16.6 um less"
+        "at X = 600 mm approached from below the axis stands 16.6 um too far and will be commanded 16.6 um less"
     )
     assert plausibility.consequence("X", "X", 5.7e-14, 1.0, 16.6).startswith("at X = 0 mm")
     says = plausibility.consequence("Z", "X", 600.0, -1.0, -10.0)
     assert says == (
-        "at X = 600 mm approached from above the axis Z stands 10.0 um short and will be told to go 10.0 um further"
+        "at X = 600 mm approached from above the axis Z stands 10.0 um short and will be commanded 10.0 um further"
     )
 
 

@@ -10,7 +10,7 @@ from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.fitting.holdout import Fold
 from errpipe.fitting.judging import HeldOut
 from errpipe.stages.retrain import _name_gate
-from errpipe.validation.input_drift import cusum, other_unit, sensor_drift, who_drifts
+from errpipe.validation.input_drift import cusum, drifting_sensors, other_unit, sensor_drift
 from errpipe.validation.retraining import (
     Gate,
     RunScore,
@@ -172,8 +172,8 @@ def test_a_healthy_sensor_is_not_called_faulty_because_the_others_know_too_littl
 
 
 def test_who_may_drift_is_said_with_the_likeliest_first() -> None:
-    assert who_drifts(["nut"]) == "nut drifts"
-    assert who_drifts(["nut", "bed", "air"]).startswith("nut, bed or air drifts (the likeliest first")
+    assert drifting_sensors(["nut"]) == "nut drifts"
+    assert drifting_sensors(["nut", "bed", "air"]).startswith("nut, bed or air drifts (the likeliest first")
 
 
 @pytest.mark.parametrize(

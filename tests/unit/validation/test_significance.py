@@ -16,7 +16,7 @@ from errpipe.fitting.judging import HeldOut
 from errpipe.formats import manifest_folder
 from errpipe.models.terms import Terms
 from errpipe.validation import significance
-from errpipe.validation.held_out import held_out
+from tests.validation_document import held_out
 
 ROWS = 200  # of a run
 # Offsets of six runs, um: left out in turn, the mean of the others leaves less of all rows and more of every other run.
@@ -104,7 +104,7 @@ def test_two_series_that_wander_on_their_own_seldom_pass_as_halves_of_one_run() 
     rng, passed = np.random.default_rng(4), 0
     for _ in range(300):
         folds = halves(*np.cumsum(rng.normal(size=(2, 600)), axis=1))
-        passed += significance.p_of_halves(folds, 1.0)[0] <= significance.HALVES_LEVEL
+        passed += significance.p_between_halves(folds, 1.0)[0] <= significance.HALVES_LEVEL
     assert passed <= 9
 
 
@@ -114,12 +114,14 @@ def test_a_sensor_that_shows_the_deviation_passes_as_halves_of_one_run() -> None
     duty = np.repeat(rng.uniform(0.0, 1.0, 8), 50)
     warm = np.array([np.exp(-(t[k] - t[: k + 1]) / 0.08) @ duty[: k + 1] for k in range(400)])
     growth, shown = 2.0 * warm + rng.normal(0, 1.0, 400), warm + rng.normal(0, 0.3, 400)
-    p, worth = significance.p_of_halves(halves(growth, shown), 1.0)
+    p, worth = significance.p_between_halves(halves(growth, shown), 1.0)
     assert p < 1e-6 and 2 < worth < 40
-    assert significance.p_of_halves(halves(growth, rng.normal(0, 1.0, 400)), 1.0)[0] > 0.05
+    assert significance.p_between_halves(halves(growth, rng.normal(0, 1.0, 400)), 1.0)[0] > 0.05
 
 
 @pytest.mark.parametrize(("p", "left", "helps"), [(1e-5, 0.9, True), (1e-3, 0.05, True), (1e-3, 0.3, False)])
 def test_halves_that_leave_it_open_are_joined_by_blocks_inside_the_run(p: float, left: float, helps: bool) -> None:
-    assert significance.of_halves_helps(p, lambda: left) == helps
-    assert not significance.of_halves_helps(0.05, lambda: pytest.fail("blocks are judged where halves leave it open"))
+    assert significance.helps_between_halves(p, lambda: left) == helps
+    assert not significance.helps_between_halves(
+        0.05, lambda: pytest.fail("blocks are judged where halves leave it open")
+    )

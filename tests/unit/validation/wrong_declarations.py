@@ -404,7 +404,7 @@ def page() -> str:
         "# Wrong declarations, and the refusal each one meets",
         "",
         "Deviation is actual minus commanded. Each line was declared on a bidirectional test of an axis (five",
-        "runs, 21 targets, 800 mm) and refused at the export stage with exit code 4. `errpipe explain NAME` says more;",
+        "runs, 21 targets, 800 mm) and refused at the export stage with exit code 4 (`errpipe explain NAME`);",
         "where a declaration is true although it looks wrong, `export: {allow: [NAME]}` lets it through by that name.",
         "Made by `python -m tests.unit.validation.wrong_declarations`; every line is a test",
         "(`tests/unit/validation/test_plausibility.py`).",

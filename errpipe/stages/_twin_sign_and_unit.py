@@ -9,14 +9,14 @@ import numpy as np
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
 
-ROWS = 20  # fewer say nothing
+ROWS = 20  # with fewer rows no warning is given
 ALIKE = 0.8  # correlation from which on the two are one curve
 MIRRORED = (0.8, 1.25)  # minus the slope of measured on simulated of a sign alone; missing physics gives any slope
 UNIT = 300.0  # factor between the two from which on a unit is likelier than a simulation so far off (um and mm: 1000)
 
 
-def doubts(recording: Recording) -> tuple[str, ...]:
-    """One sentence for each response whose twin looks so. Slope and correlation are over all rows with both."""
+def warnings(recording: Recording) -> tuple[str, ...]:
+    """One sentence for each response whose twin looks like that. Slope and correlation are over all rows with both."""
     out = []
     for component in recording.components():
         names = [recording.name(role, component=component) for role in ("error", "simulated")]

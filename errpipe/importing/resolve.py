@@ -13,8 +13,8 @@ import numpy as np
 
 from errpipe.domain import components
 from errpipe.errors import DataError
+from errpipe.importing import ambiguities, dates, order, readings, signs, simulated
 from errpipe.importing import columns as guessing
-from errpipe.importing import dates, doubts, order, readings, signs, simulated
 from errpipe.importing.layout import EMPTY, Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.units import PER_LENGTH, plain_unit, split_header
@@ -24,10 +24,10 @@ PLACES = ("command", "position", "actual")
 NO_DEVIATION = "no column holds a deviation"
 
 
-def settle_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
+def resolve_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
     """Roles of positions: beside a command the other one is actual; alone a target is the position."""
-    leave_numbers(p)
-    one_of_each(p)
+    ignore_target_numbers(p)
+    one_position_per_axis(p)
     deviations_as_errors(p, options)
     axes = {e["axis"] for e in p.entries.values() if e["role"] in ("command", "position", "actual")}
     errors = [e for e in p.entries.values() if e["role"] == "error"]
@@ -45,8 +45,10 @@ def settle_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
             pass  # all three are recorded
 
 
-# Of an angle; elsewhere a length (inch: both are written as "), a time, or a slope. A level says um per m.
+# Of an angle; elsewhere a length (inch: both are written as "), a time, or a slope. A level reads um per m.
 _OF_AN_ANGLE = {"inch": "arcsec", "s": "arcsec", "min": "arcmin", "um/m": "urad", "mm/m": "mrad"}
+
+_BESIDE_AN_ANGLE = {"inch": '"', "min": "'"}  # how the unit of a length, or of a time, was written
 
 
 def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: str) -> tuple[np.ndarray, str, str]:
@@ -56,7 +58,8 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
     """
     standard = components.unit(component)
     if standard == "urad" and unit in _OF_AN_ANGLE:
-        why = f"{why}; {unit} of an angle"
+        why = why.replace("unit (inch)", 'unit (")')  # as it was read before an angle was known
+        why += f"; {_BESIDE_AN_ANGLE.get(unit, unit)} beside an angle is {_OF_AN_ANGLE[unit]}"
         unit = _OF_AN_ANGLE[unit]
     if standard == "um" and unit in PER_LENGTH:
         raise DataError(
@@ -75,41 +78,51 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
         )
     if unit is None:
         unit = unit_by_size(values) if standard == "um" else standard
-        why += f"; no unit is stated, taken as {unit} by the size of the readings"
+        why += f"; no unit is stated, taken as {unit} by the size of the readings (--unit says it)"
     return values, unit, why
 
 
 def stated_unit(options: ImportOptions, written: str | None, header: str) -> str | None:
-    """The unit of readings that a person says, else the written one. Raises DataError where the two differ."""
+    """The unit of readings that a person states, else the written one. Raises DataError where the two differ."""
     if options.unit is None or written in (None, options.unit) or _OF_AN_ANGLE.get(written) == options.unit:
         return options.unit or written
     raise DataError(
-        f"column {header!r} is in {written}, and --unit says {options.unit}: where the file is wrong, say "
+        f"column {header!r} is in {written}, and --unit states {options.unit}: where the file is wrong, say "
         f"--set '{header}.unit={options.unit}'"
     )
 
 
-def unit_by_size(values: np.ndarray) -> str:
-    """um or mm: readings that are all below 0.1 are mm (0.1 um are no error of an axis), those that reach 1 are um.
+SMALLEST = 0.1  # um: no error of an axis is smaller
+LARGEST = 5.0  # mm: no axis that is to be compensated is wrong by more
+OF_MM = (3, 4)  # decimals that dials and lasers show in mm; what was computed has more
 
-    Raises DataError between the two, and for whole numbers, which may be steps of a gauge.
+
+def unit_by_size(values: np.ndarray) -> str:
+    """um or mm, where only one of them is possible: 0.1 um are no error of an axis, nor are 5 mm.
+
+    Raises DataError where both are possible, and for whole and half numbers, which may be steps of a gauge.
     """
     size = np.abs(values[np.isfinite(values)])
     most = float(size.max()) if size.size else 0.0
-    if 0.1 <= most < 1.0:
-        raise DataError(f"the readings reach {most:.3g} and no unit is stated: um or mm? Say it with --unit")
-    if most >= 1.0 and np.array_equal(size, np.round(size)):
+    if most < SMALLEST:
+        return "mm"
+    decimals = max(len(f"{v:.9f}".rstrip("0").partition(".")[2]) for v in size.tolist())
+    steps = np.diff(np.unique(size))
+    in_steps = np.array_equal(2.0 * size, np.round(2.0 * size)) and steps.size and steps.min() <= 1.0
+    if most >= 1.0 and (in_steps or np.array_equal(size, np.round(size))):
         raise DataError(
-            f"the readings are whole numbers up to {most:g} and no unit is stated: um, or the steps of a gauge? "
-            "Say it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
+            f"the readings are whole numbers, or halves, up to {most:g} and no unit is stated: um, or the steps of a "
+            "gauge? Say it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
         )
-    return "mm" if most < 0.1 else "um"
+    if most < 1.0 or (most <= LARGEST and decimals > 1):
+        likely = "mm is likely, by their decimals" if decimals in OF_MM else "nothing says which is likely"
+        raise DataError(
+            f"the readings reach {most:.3g} and no unit is stated: um or mm ({likely})? Say it with --unit mm (or um)"
+        )
+    return "um"
 
 
-NARROW = 100.0  # a longer travel is in mm: machines of more than 100 inch are few, and their files name the unit
-
-
-def settle_units(p: Proposal, layout: Layout) -> None:
+def resolve_units(p: Proposal, layout: Layout) -> None:
     """Raise DataError where a length without a unit may be inches: beside inches, or with no unit in the file.
 
     A temperature without one is not taken as degC beside another in degF.
@@ -133,7 +146,7 @@ def settle_units(p: Proposal, layout: Layout) -> None:
             raise DataError(
                 f"no unit is stated for {name!r}: metres, or measured? Say it, with --set {name}.unit=m (or mm)"
             )
-        narrow = entry["role"] in PLACES and np.ptp(p.data[name][np.isfinite(p.data[name])]) < NARROW
+        narrow = entry["role"] in PLACES and np.ptp(p.data[name][np.isfinite(p.data[name])]) < readings.NARROW
         if inches or (narrow and not metric):
             raise DataError(
                 f"no unit is stated for {name!r}, and it may be inches: say it, with "
@@ -141,18 +154,18 @@ def settle_units(p: Proposal, layout: Layout) -> None:
             )
 
 
-_BESIDE_THE_MACHINE = re.compile(r"laser|interferom|dial|indicator|messuhr", re.IGNORECASE)
+_EXTERNAL_INSTRUMENT = re.compile(r"laser|interferom|dial|indicator|messuhr", re.IGNORECASE)
 
 
-def one_of_each(p: Proposal) -> None:
+def one_position_per_axis(p: Proposal) -> None:
     """One commanded and one actual position of an axis; of two actual ones a laser's or a dial's is the measured one.
 
-    Raises DataError where two of a kind differ and nothing says which is meant.
+    Raises DataError where two of a kind differ and nothing states which is meant.
     """
     for role in ("command", "actual", "position"):
         for letter in sorted({e["axis"] for e in p.entries.values() if e["role"] == role}):
             names = [n for n, e in p.entries.items() if e["role"] == role and e["axis"] == letter and n in p.data]
-            measured = [n for n in names if _BESIDE_THE_MACHINE.search(n)]
+            measured = [n for n in names if _EXTERNAL_INSTRUMENT.search(n)]
             if len(names) < 2:
                 continue
             beside = role == "actual" and len(measured) == 1
@@ -199,7 +212,7 @@ def deviations_as_errors(p: Proposal, options: ImportOptions) -> None:
         p.guesses[name] = f"{why}; it does not rise with {command}: deviations in {unit}".strip("; ")
 
 
-def leave_numbers(p: Proposal) -> None:
+def ignore_target_numbers(p: Proposal) -> None:
     """Beside another command or position of an axis, one that counts 1, 2, 3 holds the numbers of the targets."""
     places = ("command", "position")
     for name, entry in p.entries.items():
@@ -217,14 +230,14 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     of_errors = [e.get("_headers", ()) for e in p.entries.values() if e["role"] == "error"]
     if p.side is None and len(of_errors) == 1 and len(of_errors[0]) == 1:
         p.side = guessing.side_in(of_errors[0][0])
-    readings.turn_readings(p)
-    signs.leave_corrections(p)
-    signs.turn(p, layout, options)
+    readings.change_sign_of_readings(p)
+    signs.ignore_corrections(p)
+    signs.change(p, layout, options)
     readings.readings_as_errors(p, axis)
     readings.derive_error(p, axis, options)
     simulated.forces_as_responses(p)
     simulated.of_the_only_response(p)
-    simulated.turn_signs(p, simulated.positions_as_deviations(p))
+    simulated.change_signs(p, simulated.positions_as_deviations(p))
     if not any(e["role"] == "error" for e in p.entries.values()):
         have = ", ".join(_found(p, n) for n in p.entries)
         raise DataError(
@@ -232,14 +245,14 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
             "Say it with --set COLUMN.role=error, or --set COLUMN.role=actual"
             + "".join(f"; {note}" for note in layout.notes if "--names" in note or note.startswith(EMPTY))
         )
-    doubts.refuse(p, layout, options)
+    ambiguities.refuse(p, layout, options)
     _refuse_one_of_several_axes(p, layout, options)
-    settle_units(p, layout)
+    resolve_units(p, layout)
     unknown = [c for c in layout.columns if _may_be_a_place(p, c)]
-    doubts.refuse_nothing_beside(p, bool(unknown))
+    ambiguities.refuse_without_position(p, bool(unknown))
     for name, entry in p.entries.items():
         letter, _ = entry.pop("_axis", None), entry.pop("_headers", None)
-        doubts.refuse_second_probe(p, name, letter, options)
+        ambiguities.refuse_second_probe(p, name, letter, options)
         alone = letter is not None and p.first("position", letter) is None and p.first("command", letter) is None
         if alone and entry["component"] == components.positioning(letter) and letter in "XYZUVW":
             if unknown:
@@ -258,7 +271,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
             p.guesses[name] = f"{p.guesses.get(name, '')}; E_{letter}, for no position of {letter} is recorded".strip(
                 "; "
             )
-    order.settle_order(p, axis)
+    order.resolve_order(p, axis)
     p.entries = dict(sorted(p.entries.items(), key=lambda item: item[1]["role"] not in ("run", "time")))
 
 
@@ -296,7 +309,7 @@ def _refuse_other_axis(p: Proposal, name: str, letter: str, options: ImportOptio
     other = p.entries[moving[0]]["axis"]
     if options.axis == letter:
         raise DataError(
-            f"--axis says {letter}, and {moving[0]!r} holds positions of {other}: say it with "
+            f"--axis names {letter}, and {moving[0]!r} holds positions of {other}: say it with "
             f"--set {moving[0]}.axis={letter}, or --component E_{letter} for a drift along {letter}"
         )
     raise DataError(

@@ -1,4 +1,4 @@
-"""What a file leaves open and a table cannot do without: asked for, never assumed."""
+"""Ambiguities of a file that only a person can settle: the import is refused with a question, nothing is assumed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from errpipe.domain import components
 from errpipe.errors import DataError
-from errpipe.importing import words
+from errpipe.importing import columns, words
 from errpipe.importing.layout import Layout
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 
@@ -31,7 +31,7 @@ INPUTS = (
 _ARTEFACT = re.compile(
     r"\b(step ?gauges?|step ?bar|gau?ge ?blocks?|(stufen|parallel)?endmass\w*|kugel(balken|platte|leiste)"
     r"|ball ?(plate|beam)|calibrated (length|value|position)s?|kalibrierte[rs]? (laenge|wert|position)\w*"
-    r"|cal\.? ?[xyz]|cale etalon|blocco campione)\b|ブロックゲージ|量块|步距规"
+    r"|posn|dprnt|inspection (report|print)|cal\.? ?[xyz]|cale etalon|blocco campione)\b|ブロックゲージ|量块|步距规"
 )
 _SIGNS = re.compile(r"\b(signs?|vorzeichen|vz|signe|segno|signo)\b|符号|^\W*\+ ?/ ?-\W*$|^\W*±\W*$")
 _SHORT_OR_LONG = re.compile(
@@ -40,7 +40,7 @@ _SHORT_OR_LONG = re.compile(
 
 
 def refuse(p: Proposal, layout: Layout, options: ImportOptions) -> None:
-    """Raise DataError for the first doubt on a proposal with all its deviations."""
+    """Raise DataError for the first ambiguity of a proposal with all its deviations."""
     _too_few(p)
     _signs_in_a_column(p, layout, options)
     _unnamed_axis(p)
@@ -99,7 +99,7 @@ def _twice(p: Proposal) -> None:
             )
 
 
-def refuse_nothing_beside(p: Proposal, asked: bool) -> None:
+def refuse_without_position(p: Proposal, asked: bool) -> None:
     """Raise DataError for readings without a position, a time or anything else that they could follow.
 
     asked: whether a column that may be the position of a linear axis is asked about anyway.
@@ -129,7 +129,10 @@ def _unnamed_axis(p: Proposal) -> None:
     """Raise DataError where neither the file nor a person names the axis that is at the positions."""
     place = p.first("command") or p.first("position")
     if p.assumed_axis and place is not None and any(e["role"] == "error" for e in p.entries.values()):
-        raise DataError(f"no axis is named in the file: along which axis is {place!r}? Say it with --axis, such as X")
+        raise DataError(
+            f"no axis is named in the file, its sheet or its name: along which axis is {place!r}? Say it: --axis X "
+            "(or Y, Z, ...)"
+        )
 
 
 def refuse_second_probe(p: Proposal, name: str, letter: str | None, options: ImportOptions) -> None:
@@ -140,4 +143,18 @@ def refuse_second_probe(p: Proposal, name: str, letter: str | None, options: Imp
         raise DataError(
             f"{name!r} names {letter}, and no position of an axis {letter} is recorded: a second probe along "
             f"{letter[0]}? Say --set {name}.role=ignore, or import it by itself with --component E_{letter[0]}"
+        )
+
+
+def refuse_another_title(p: Proposal, layout: Layout, options: ImportOptions) -> None:
+    """Raise DataError where a line above names a straightness or a shape, and the readings would become positioning."""
+    title = next((line for line in layout.above if columns.titles_other_component(line)), None)
+    place = p.first("position") or p.first("command")
+    if title is None or place is None or options.component is not None:
+        return
+    own = components.positioning(p.entries[place]["axis"])
+    if any(e["role"] == "error" and e["component"] == own and "derived" not in e for e in p.entries.values()):
+        raise DataError(
+            f"a line above says {title[:60]!r}, and no column does: say what was measured with --component, such as "
+            f"EYX (or {own}, the positioning)"
         )

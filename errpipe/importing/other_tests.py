@@ -1,0 +1,55 @@
+"""Tests of more than one axis at once, which are no table of one axis: named, with what reads them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+from errpipe.importing.sheet import Cell, Sheet, filled_cells
+from errpipe.importing.words import plain
+
+LINES, WIDTH = 40, 300  # lines of a file, and letters of each, in which a test is named
+_WRITE = "write a recording (docs/recordings.md, Tests of a machine) for the stage identify:"
+# Name; what a line (as `plain` writes it) says of it; what it is; what reads it.
+TESTS: tuple[tuple[str, str, str, str], ...] = (
+    (
+        "ball bar",
+        r"\bball ?bar\b|\bkreisformtest\b|\bqc ?[12]0\b|\b(angle|(dreh)?winkel)\b.*\b(radius|radial\w*|d ?r)\b",
+        "readings of a ball bar over the angle of a circle",
+        f"{_WRITE} protocol ballbar_circle, the commanded position of each reading "
+        "(X = centre_X + radius * cos(angle), ...), and the deviation along the bar as E_R",
+    ),
+    (
+        "R-test",
+        r"\br-?test\b|^\W*[abc]( ?(pos\w*|axis|achse))?\b[^a-z]*((deg|grad)\b\W*)?\bd? ?x\b.*\bd? ?y\b.*\bd? ?z\b",
+        "an R-test: where a ball stands at each position of a rotary axis",
+        f"{_WRITE} protocol r_test, the positions of all axes, and the ball less its nominal place as E_X, E_Y, E_Z; "
+        "deviations are imported with --set COLUMN.component=E_X and so on",
+    ),
+    (
+        "grid encoder",
+        r"\bkgm ?\d*\b|\bgrid ?encoder\b|\bkreuzgitter|^\W*[xyz]( \W?mm\W?)?\W+[xyz]( \W?mm\W?)?$",
+        "the log of a grid encoder, where two axes move together",
+        f"{_WRITE} protocol point_cloud, the commanded positions of both axes, and measured less commanded as E_X, "
+        "E_Y; where commanded and measured positions stand in the file, --axis X imports X alone",
+    ),
+    (
+        "inspection print",
+        r"^\W*posn\b|\bdprnt\b|\bfeature no\b.*\d|\binspection (report|print)\b",
+        "a print of the machine's own probe (POSN, NOM, ACT, DEV)",
+        "it counts minus the deviations of the machine where the part is known better than it; "
+        f"{_WRITE} of a calibrated plate protocol ball_plate, of bores that the machine drilled and a CMM measured "
+        "hole_pattern; of a gauge along one axis, a table of target and deviation with --sign commanded-minus-actual",
+    ),
+)
+
+
+def named(sheets: Iterable[Sheet]) -> str:
+    """What the first lines of a file say it is and what reads it, as a sentence; '' where they name none of TESTS."""
+    for sheet in sheets:
+        rows: list[list[Cell]] = [[*(sheet.header or [])], *sheet.rows[:LINES]]
+        lines = [plain(" ".join(map(str, filled_cells(row)))[:WIDTH]) for row in rows]
+        for _, said, what, reads in TESTS:
+            if any(re.search(said, line) for line in lines):
+                return f" It may be {what}: {reads}."
+    return ""
