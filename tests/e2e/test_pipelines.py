@@ -190,8 +190,8 @@ class TestReal:
         recording = REAL / "turning-centre-thermal"
         for source in ("table.ect", "error_model.json"):
             table = str(seasons / "export" / source)
-            assert main(["predict", table, str(recording), "--out", str(tmp_path / source)]) == 0
-        by_table, by_model = (pd.read_csv(tmp_path / s) for s in ("table.ect", "error_model.json"))
+            assert main(["predict", table, str(recording), "--out", str(tmp_path / f"{source}.csv")]) == 0
+        by_table, by_model = (pd.read_csv(tmp_path / f"{s}.csv") for s in ("table.ect", "error_model.json"))
         gap = by_table["dia_disp_predicted"] - by_model["dia_disp_predicted"]
         assert len(by_table) == 4686
         assert np.abs(gap).max() < 1e-3
