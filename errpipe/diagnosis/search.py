@@ -17,7 +17,7 @@ SHARE_OF_FIRST = 0.03  # a further finding must bring this share of the first on
 MOST_PRICE = 25.0  # but never more than this
 SHORTLIST = 10  # first findings tried
 BETTER = 6.0  # log Bayes factor beside the others from which an effect replaces another
-AS_LIKELY = 4.0  # log Bayes factor by which a simpler effect may lose (chosen on seeds 12201 to 14112 of the generators)
+AS_LIKELY = 4.0  # log Bayes factor by which a simpler effect may lose (generators, seeds 12201 to 14112)
 MAX_EXCHANGES = 4  # effects tried in the place of each finding
 FINALISTS, MAX_LOSS = 4, 25.0  # explanations judged jointly at the end, and their largest log evidence below the best
 
