@@ -24,7 +24,7 @@ from errpipe.validation.predict import Predictor, of_evaluator
 if TYPE_CHECKING:
     import pandas as pd
 
-    from errpipe.domain.recording import Recording
+    from errpipe.domain.recording import Manifest, Recording
     from errpipe.domain.table import CompensationTable
     from errpipe.validation.predict import Begin, Evaluate, Predictor
 
@@ -40,9 +40,10 @@ def predict(source: Path, recording: Path, out: Path, readings: Path | None = No
     readings: a file of the deviation read now and then (`stages/_readings.py`); rows after a reading are corrected by
     it. Raises DataError where it cannot be used, or where a column is not what the compensation was made for.
     """
-    _refuse_out(Path(out), Path(recording))
+    manifest = manifest_folder.load_manifest(Path(recording))
+    _refuse_out(Path(out), Path(recording), manifest)
     compensation = _artefacts.model_or_table(source)
-    refuse_others(compensation, manifest_folder.canonical(manifest_folder.load_manifest(Path(recording))))
+    refuse_others(compensation, manifest_folder.canonical(manifest))
     source_of = (
         _of_model(compensation) if isinstance(compensation, ErrorModel) else _of_table(compensation, Path(source))
     )
@@ -60,11 +61,12 @@ def predict(source: Path, recording: Path, out: Path, readings: Path | None = No
     return answer | ({"intervals": _why_empty(compensation, without)} if without else {})
 
 
-def _refuse_out(out: Path, recording: Path) -> None:
+def _refuse_out(out: Path, recording: Path, manifest: Manifest) -> None:
     """Raises UsageError where a prediction would replace what was measured, or is no file of rows."""
     if out.suffix.lower() not in (".csv", ".txt", ".parquet"):
         raise UsageError(f"--out {out}: a file of rows is needed (.csv or .parquet)")
-    if out.exists() and out.resolve().is_relative_to((recording if recording.is_dir() else recording.parent).resolve()):
+    folder = recording if recording.is_dir() else recording.parent
+    if out.resolve() in {(folder / name).resolve() for name in manifest.tables}:
         raise UsageError(f"--out {out}: would replace a file of the recording: name another one")
 
 

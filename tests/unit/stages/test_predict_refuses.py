@@ -62,3 +62,9 @@ def test_a_prediction_replaces_nothing_measured(tmp_path: Path, table: Path, cap
     before = (folder / "x.csv").read_bytes()
     assert main(["predict", str(table), str(folder), "--out", str(tmp_path / name)]) == 2
     assert told in capsys.readouterr().err and (folder / "x.csv").read_bytes() == before
+
+
+def test_a_prediction_of_before_is_replaced(tmp_path: Path, table: Path) -> None:
+    folder = record(tmp_path / "mm")
+    for _ in range(2):
+        assert main(["predict", str(table), str(folder), "--out", str(folder / "p.csv")]) == 0
