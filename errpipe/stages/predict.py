@@ -40,9 +40,9 @@ def predict(source: Path, recording: Path, out: Path, readings: Path | None = No
     readings: a file of the deviation read now and then (`stages/_readings.py`); rows after a reading are corrected by
     it. Raises DataError where it cannot be used, or where a column is not what the compensation was made for.
     """
+    compensation = _artefacts.model_or_table(source)
     manifest = manifest_folder.load_manifest(Path(recording))
     _refuse_out(Path(out), Path(recording), manifest)
-    compensation = _artefacts.model_or_table(source)
     refuse_others(compensation, manifest_folder.canonical(manifest))
     source_of = (
         _of_model(compensation) if isinstance(compensation, ErrorModel) else _of_table(compensation, Path(source))
