@@ -56,3 +56,13 @@ def warm_up(seed=0, rows=600, runs=2, noise=0.05, step=0.0):
 def changed(source, **columns):
     """The recording with some columns replaced."""
     return Recording(source.manifest, source.frame.assign(**columns))
+
+
+def touched(report, rule, column=None):
+    """Row numbers that a rule touched."""
+    done = [d for r in report.rules if r.rule == rule for d in r.done if column in (None, d.column)]
+    return sorted(row for d in done for start, end in d.rows for row in range(start, end))
+
+
+def noise(rows, seed=0):
+    return 0.1 * np.random.default_rng(seed).standard_normal(rows)
