@@ -141,6 +141,9 @@ def _long(
     parts = [
         RawColumn(c.header, c.unit, [c.cells[i] for i in np.flatnonzero(keep)], c.values[keep]) for c in layout.columns
     ]
+    of_errors = [c for c in parts if guesses[c.header].kind == "error"]
+    if len(of_errors) == 1 and of_errors[0].unit is None:
+        of_errors[0].unit = wide.unit_above(layout.above)
     for column in [c for c in parts if any(cell not in (None, "") for cell in c.cells)]:
         odd = [c for c, v in zip(column.cells, column.values, strict=True) if c not in (None, "") and np.isnan(v)]
         if odd and column.numeric:

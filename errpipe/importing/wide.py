@@ -11,7 +11,7 @@ from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.sheet import label, number
-from errpipe.importing.units import unit_of
+from errpipe.importing.units import units_in
 from errpipe.importing.words import THERE_AND_BACK
 
 _TOKEN = re.compile(r"\d+|[^\W\d_]+|[+\-−↑↓→←<>]+")
@@ -343,11 +343,12 @@ def _place(header: str) -> float | None:
 def unit_above(lines: list[str]) -> str | None:
     """The unit of the readings that the lines above the table name: of a line on readings, else of one on units."""
     readings = r"(abweich|deviation|error|fehler|reading|ecart)"
+    clauses = [*lines, *(c for line in lines for c in re.split(r"[,;] |\b(?:and|und|et)\b", line) if c != line)]
     for words in (readings, r"(unit|einheit)"):
-        for line in map(guessing.plain, lines):
+        for line in map(guessing.plain, clauses):
             of_targets = re.search(rf"(target|position|soll|ziel|nominal|temp)(?!\w* ?{readings})", line)
             if re.search(words, line) and not of_targets:
-                for word in re.split(r"[\s\[\]():;,=]+", line)[::-1]:
-                    if unit_of(word) in UNITS_OF_READINGS:
-                        return unit_of(word)
+                for unit in units_in(line)[::-1]:
+                    if unit in UNITS_OF_READINGS or unit.startswith("0."):
+                        return unit
     return None
