@@ -19,6 +19,7 @@ DEEPEST_UNITS = 12  # lines above the header in which a line of units is looked 
 MOST_REMARKS = 50  # lines below a table that are kept as remarks
 SAMPLE_ROWS = 200  # rows in which a unit behind the numbers is looked for
 BY_NAME = "of the sheet or file"
+COMPONENT = r"\bE[XYZABC][XYZABCUVW]\b"  # by ISO 230-1, of an axis that moves
 EMPTY = "columns without a value:"  # a note that an error repeats
 NUMERIC_SHARE = 0.6  # of a column's cells: what is a number column with gaps and remarks
 
@@ -85,6 +86,7 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     names, units, used = _names(rows, head_rows, max(map(len, rows[start:])))
     above = [" ".join(str(c) for c in row if c not in (None, "")) for row in rows[: start - used]]
     above += [f"Axis: {letter} ({BY_NAME} {sheet.name!r})" for letter in _axis_of_sheet(sheet.name)]
+    above += [f"Component: {name} ({BY_NAME})" for name in re.findall(COMPONENT, sheet.name.replace("_", " "))]
     units = [
         u or a or unit_in_cells.get(i)
         for i, (u, a) in enumerate(zip(units, _units_above(rows, start - used, names), strict=True))

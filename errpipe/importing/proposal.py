@@ -15,7 +15,7 @@ from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.importing import ambiguities, dates, no_reading, order, readings, resolve, rows_of, signs, simulated, wide
 from errpipe.importing import columns as guessing
-from errpipe.importing.layout import Layout, RawColumn, facts, is_word
+from errpipe.importing.layout import COMPONENT, Layout, RawColumn, facts, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
 from errpipe.importing.temperatures import with_temperatures
@@ -47,6 +47,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     _refuse_diameters(layout, guesses, options)
     layout = wide.side_by_side(wide.merged_targets(layout, guesses), guesses)
     proposal = Proposal(notes=[*layout.notes, *unsure], headers=headers)
+    options = _component_above(layout, guesses, options, proposal)
     proposal.facts.update(facts(layout.above))
     proposal.side = guessing.side_above(layout.above)
     proposal.notes += signs.compensated(layout.above)
@@ -77,6 +78,26 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
 _DIAMETERS = re.compile(
     r"\b(diam\w*|durchmesser)[ -]?(program\w*|mode|on\b|values?|werte?|display|anzeige)|\bdurchmesser\w+|\bdiamon\b"
 )
+
+
+def _component_above(
+    layout: Layout, guesses: dict[str, guessing.ColumnGuess], options: ImportOptions, p: Proposal
+) -> ImportOptions:
+    """The options with the component, and its axis, that lines above or the name name, where no column does.
+
+    Raises DataError where they name several.
+    """
+    named = sorted({name for line in layout.above for name in re.findall(COMPONENT, line)})
+    stated = options.component or any(guessing.component_in(c.header) for c in layout.columns) or options.sets
+    if not named or stated or sum(g.kind in ("error", "actual") for g in guesses.values()) == 0:
+        return options
+    if len(named) > 1:
+        raise DataError(
+            f"lines above the table, its sheet or file name {', '.join(named)}: what was measured? Say it with "
+            f"--component {named[0]} (or {', '.join(named[1:])})"
+        )
+    p.notes.append(f"the component is {named[0]}, as a line above the table, its sheet or file says (--component)")
+    return replace(options, component=named[0], axis=options.axis or named[0][2])
 
 
 def _refuse_diameters(layout: Layout, guesses: dict[str, guessing.ColumnGuess], options: ImportOptions) -> None:

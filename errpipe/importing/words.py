@@ -12,7 +12,7 @@ import unicodedata
 
 CORRECTION = (  # minus the deviation
     r"\b(corrections?|\w*korrektur(en|wert|werte)?|corr|comp(ensation)?s?|\w*kompensation(swerte?)?|correzion[ei]"
-    r"|correccion(es)?|correctif|compensazion[ei]|compensacion(es)?|compensacao|correcao|correctie|compensatie|korekc\w*"
+    r"|correccion(es)?|correctif|compensazion[ei]|compensacion(es)?|compensacao|correcao|correctie|compensatie|korekc\w*|korekt\w*|popraw\w*"
     r"|kompensac\w*|kompenzac\w*|korrigering\w*|kompensering\w*|duezeltme\w*|telafi\w*"
     r"|to apply|adjustments?|nachstell\w*|ausgleich(swerte?)?|verrechnung(swerte?)?)\b"
     r"|補正|补偿|修正|коррекци|компенсаци|поправк|보정"
@@ -77,7 +77,7 @@ WORDS: tuple[tuple[str, str], ...] = (
         "direction",
     ),
     (
-        r"\b(run|lauf|durchlauf|cycle|zyklus|messreihe|pass(?:age)?|serie|trial|essai|passe|prova|ensayo|pasada)\b|回数|次数|^цикл|^проход",
+        r"\b(run|lauf|durchlauf|cycle|zyklus|messreihe|pass(?:age)?|serie|trial|essai|passe|prova|ensayo|pasada)\b|回数|次数|회차|^цикл|^проход",
         "run",
     ),
     (r"(count|inkrement|\binc\b|pulse|impuls|raw ?enc|\bdigits?\b|\bdiv(isions?)?\b|teilstrich|\blsb\b)", "counts"),
@@ -110,17 +110,19 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(accel|beschl)", "acceleration"),
     (
         r"(target|soll|ziel|nominal|\bnom\b|nennwert|command|\bcmd|\bnoml\b|setpoint|demand|ref(erence)?\b|consigne|theorique|cible|teoric"
-        r"|objetivo|\balvo\b|doelpos|malpos|zadan|cilov|hedef|目標|目标|指令|задан|목표)",
+        r"|objetivo|\balvo\b|doelpos|malpos|zadan|cilov|hedef|gewenst|boervaerd|borvard|celpoz|目標|目标|指令|задан|целев|목표)",
         "command",
     ),
     (
         r"(actual|\b[xyzabcuvw]?\d?ist\b|istwert|\bfbk\b|measured|\bmeas\b|gemessen|messwert|reading|anzeige|feedback|\bfb\b|\bactl?\b|encoder"
-        r"|laser|dial|indicator|uhr|\bmesure|releve|misurat|\bmedid|実測|实测|測定値|实际)",
+        r"|laser|dial|indicator|uhr|\bmesure|releve|misurat|\bmedid|display|read ?out|\bdro\b|\bgemeten|\bwerkelijk"
+        r"|aervaerd|arvard|uppmaett|zmierzon|rzeczywist|skutecn|namer|oelcuelen|olculen|\bgercek|\bmert\b|tenyleg|実測|实测|測定値|实际"
+        r"|измерен|фактич|действит|측정|실제)",
         "actual",
     ),
     (
         r"(position|\bpos|^[xyzabcuvw]\d?$|weg|^[xyz] ?(axis|achse|-achse)|\b(angle|(dreh|schwenk)?winkel)\b|posizione"
-        r"|posicion|\bquota\b|\bcota\b|位置|позици|положени|координат)",
+        r"|posicion|\bquota\b|\bcotas?\b|\bcotes?\b|\bpozyc|\bpozic|\bposicao|位置|позици|положени|координат)",
         "position",
     ),
 )
@@ -183,7 +185,7 @@ _NEUTRAL = re.compile(
 AXIS_LETTER = r"([XYZABCUVW](?:[2-9](?!\d))?)"
 _CALLED_AXIS = (
     r"(?:axis|(?:mess|pruef|prüf|maschinen|linear|rund|dreh|schwenk|vorschub|haupt)?achse|achs(?:bezeichnung|name)"
-    r"|axe|asse|eje|eixo|ось|oś|osa|eksen|ekseni)\b"
+    r"|axe|asse|eje|eixo|ось|oś|osa|eksen|ekseni|axel|tengely|as(?= ?:))\b"
     r"(?: (?:under test|tested|measured|name|id|letter|of (?:motion|travel|movement)|lin[eé]aire|lineare?"
     r"|mesuré))?"
 )
@@ -193,6 +195,14 @@ _AXIS_ABOVE = re.compile(
     rf"|\b{AXIS_LETTER}1?[- ]?(?:{_CALLED_AXIS}|[軸轴축])"
     r"|\b(?:linear(?: positioning)?|positioning|positionierung)[: ]{1,9}(?-i:([XYZ]))\b(?! ?-)",
     re.IGNORECASE,
+)
+_ALONG = re.compile(  # `X direction`, `Richtung: X`, `positioning error along X`
+    r"\b([XYZABCUVW])[ -](?i:direction|richtung)\b"
+    r"|\b(?i:(?:direction|richtung)(?: of (?:travel|motion|movement))?|along|entlang|laengs|längs)"
+    r"\s{0,3}[:=]?\s{0,3}([XYZABCUVW])\b"
+)
+_ACROSS = re.compile(  # readings of one direction over the way of another
+    r"straight|gerad(?!e)|rectitud|rettilin|square|perpendic|recht|orthogon|flat|eben|parallel|probe|taster|sensor"
 )
 _AXIS_BEFORE = re.compile(
     r"\b([xyzabcuvw]\d?)(?=(?:cmd|act|fb|soll|ist|pos|ref|nom|meas|set|err|dev|enc)(?:[^a-z]|$))", re.IGNORECASE
@@ -291,4 +301,9 @@ def axis_above(lines: list[str]) -> str | None:
         match = _AXIS_ABOVE.search(line)
         if match:
             return next(filter(None, match.groups())).upper()
+    for line in lines:
+        named = {*re.findall(r"\b[XYZABCUVW]\b", line)}
+        along = _ALONG.search(line) if len(named) == 1 and not _ACROSS.search(plain(line)) else None
+        if along:
+            return next(filter(None, along.groups()))
     return None
