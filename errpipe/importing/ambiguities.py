@@ -118,9 +118,11 @@ def refuse_without_position(p: Proposal, asked: bool) -> None:
 
 def _too_few(p: Proposal) -> None:
     """Raise DataError for a table of one or two rows: a remark, or the result of a test, not the test."""
-    if p.rows < FEWEST_ROWS:
+    read = [int(np.isfinite(p.data[n]).sum()) for n, e in p.entries.items() if e["role"] == "error" and n in p.data]
+    rows = min(p.rows, max(read, default=p.rows))
+    if rows < FEWEST_ROWS:
         raise DataError(
-            f"{p.rows} row{'s' if p.rows > 1 else ''} with a reading (at least {FEWEST_ROWS}; ISO 230-2 asks for five "
+            f"{rows} row{'s' if rows > 1 else ''} with a reading (at least {FEWEST_ROWS}; ISO 230-2 asks for five "
             "targets a metre, each five times from both sides)"
         )
 

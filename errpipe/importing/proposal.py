@@ -122,7 +122,8 @@ def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess |
         return replace(guessing.guess(column), axis=axis) if axis else None
     known = (*ROLE_UNITS, "counts")
     if role not in known:
-        raise UsageError(f"--set {column.header}.role: no role {role!r}.{did_you_mean(role, known)}")
+        allowed = f"(allowed: {', '.join(known)})"
+        raise UsageError(f"--set {column.header}.role: no role {role!r} {allowed}.{did_you_mean(role, known)}")
     return guessing.ColumnGuess(role, axis or guessing.axis_in(column.header), "")
 
 
