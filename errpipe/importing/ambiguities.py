@@ -160,3 +160,22 @@ def refuse_another_title(p: Proposal, layout: Layout, options: ImportOptions) ->
             f"a line above says {title[:60]!r}, and no column does: say what was measured with --component, such as "
             f"EYX (or {own}, the positioning)"
         )
+
+
+_DIAMETERS = re.compile(
+    r"\b(diam\w*|durchmesser)[ -]?(program\w*|mode|on\b|values?|werte?|display|anzeige)|\bdurchmesser\w+|\bdiamon\b"
+)
+
+
+def refuse_diameters(layout: Layout, guesses: dict[str, columns.ColumnGuess], options: ImportOptions) -> None:
+    """Raise DataError where positions of an axis are diameters, as a lathe shows X: readings may be halved or not."""
+    places = [c for c in layout.columns if guesses[c.header].kind in PLACES and c.numeric]
+    place = next((c for c in places if columns.axis_in(c.header) and columns.is_diameter(c.header)), None)
+    line = next((x for x in layout.above if _DIAMETERS.search(words.plain(x)) and places), None)
+    place = place or (places[0] if line is not None else None)
+    if place is None or {place.header, slug(place.header)} & {*options.sets}:
+        return
+    raise DataError(
+        f"{'a line above' if line else 'a header'} says diameters ({line or place.header!r}): write positions and "
+        f"readings as radii (half of a diameter), or, where they are, say --set '{place.header}.role=position'"
+    )

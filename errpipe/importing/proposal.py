@@ -20,6 +20,7 @@ from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
 from errpipe.importing.temperatures import with_temperatures
 from errpipe.importing.units import PER_LENGTH, in_brackets, in_role, per_length, plain_unit, unit_of
+from errpipe.importing.units_above import unit_above
 from errpipe.importing.words import THERE_AND_BACK, axis_above, plain
 
 # What may be a unit that is not known: `um/m`, `pm`, `x 0.05um`, `0.0001`.
@@ -44,7 +45,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
     guesses, unsure = with_temperatures(layout.columns, guessing.with_place(layout.columns, guesses))
     unsure += readings.unit_by_positions(layout.columns, guesses) if options.unit is None else []
-    _refuse_diameters(layout, guesses, options)
+    ambiguities.refuse_diameters(layout, guesses, options)
     layout = wide.side_by_side(wide.merged_targets(layout, guesses), guesses)
     proposal = Proposal(notes=[*layout.notes, *unsure], headers=headers)
     options = _component_above(layout, guesses, options, proposal)
@@ -75,11 +76,6 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     return proposal
 
 
-_DIAMETERS = re.compile(
-    r"\b(diam\w*|durchmesser)[ -]?(program\w*|mode|on\b|values?|werte?|display|anzeige)|\bdurchmesser\w+|\bdiamon\b"
-)
-
-
 def _component_above(
     layout: Layout, guesses: dict[str, guessing.ColumnGuess], options: ImportOptions, p: Proposal
 ) -> ImportOptions:
@@ -98,20 +94,6 @@ def _component_above(
         )
     p.notes.append(f"the component is {named[0]}, as a line above the table, its sheet or file says (--component)")
     return replace(options, component=named[0], axis=options.axis or named[0][2])
-
-
-def _refuse_diameters(layout: Layout, guesses: dict[str, guessing.ColumnGuess], options: ImportOptions) -> None:
-    """Raise DataError where positions of an axis are diameters, as a lathe shows X: readings may be halved or not."""
-    places = [c for c in layout.columns if guesses[c.header].kind in resolve.PLACES and c.numeric]
-    place = next((c for c in places if guessing.axis_in(c.header) and guessing.is_diameter(c.header)), None)
-    line = next((x for x in layout.above if _DIAMETERS.search(plain(x)) and places), None)
-    place = place or (places[0] if line is not None else None)
-    if place is None or {place.header, slug(place.header)} & {*options.sets}:
-        return
-    raise DataError(
-        f"{'a line above' if line else 'a header'} says diameters ({line or place.header!r}): write positions and "
-        f"readings as radii (half of a diameter), or, where they are, say --set '{place.header}.role=position'"
-    )
 
 
 def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess | None:
@@ -165,7 +147,7 @@ def _long(
     ]
     of_errors = [c for c in parts if guesses[c.header].kind == "error"]
     if len(of_errors) == 1 and of_errors[0].unit is None:
-        of_errors[0].unit = wide.unit_above(layout.above)
+        of_errors[0].unit = unit_above(layout.above, of_errors[0].values)
     for column in [c for c in parts if any(cell not in (None, "") for cell in c.cells)]:
         odd = [c for c, v in zip(column.cells, column.values, strict=True) if c not in (None, "") and np.isnan(v)]
         if odd and column.numeric:
@@ -223,7 +205,7 @@ def _wide_readings(
     stated = [c.unit for c, _, _ in table.readings if c.unit is not None]
     if len(set(stated)) > 1:
         raise DataError(f"the columns of the runs have several units ({', '.join(sorted(set(stated)))})")
-    unit = resolve.stated_unit(options, stated[0] if stated else wide.unit_above(layout.above), headers[0])
+    unit = resolve.stated_unit(options, stated[0] if stated else unit_above(layout.above, values), headers[0])
     why = f"the columns of the runs; component {component} from the axis" if options.component is None else ""
     values, unit, why = resolve.unit_of_readings(values, unit, component, why)
     p.put(

@@ -11,7 +11,7 @@ from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.sheet import label, number
-from errpipe.importing.units import units_in
+from errpipe.importing.units_above import UNITS_OF_READINGS, unit_above
 from errpipe.importing.words import THERE_AND_BACK
 
 _TOKEN = re.compile(r"\d+|[^\W\d_]+|[+\-−↑↓→←<>]+")
@@ -28,7 +28,6 @@ _STATISTIC = re.compile(
 )
 _FIGURE = re.compile("[UBMRS]")  # beside targets: the reversal of VDI/DGQ 3441, figures of ISO 230-2; no axis U or B
 _MEAN = re.compile(r"\b(mean|average|avg|mittel\w*|mw|moyenne|media|promedio)\b|[Øø∅\u0304\u0305]|平均")
-UNITS_OF_READINGS = ("um", "mm", "inch", "0.001 inch", "nm", "urad", "arcsec")
 MEASURED = ("command", "position", "actual", "error", "time")
 KINDS = ("ignore", "error", "run", "direction", "actual", "position", "command")
 
@@ -314,7 +313,7 @@ def unpivoted(layout: Layout) -> Layout:
     unit = units.pop() if len(units) == 1 else None
     columns.append(RawColumn("target", unit, [float(v) for v in x[at]], x[at]))
     values = readings[rows, at]
-    columns.append(RawColumn("error", unit_above(layout.above), [float(v) for v in values], values))
+    columns.append(RawColumn("error", unit_above(layout.above, values), [float(v) for v in values], values))
     note = f"a row per run, a column per target: {x.size} targets from {x.min():g} to {x.max():g}"
     return Layout(columns, layout.above, [*layout.notes, note])
 
@@ -338,17 +337,3 @@ def _place(header: str) -> float | None:
     """A header that is nothing but a position: '50', '50,0', '-12.5'."""
     value = number(header, comma=False)
     return value if value is not None else number(header, comma=True)
-
-
-def unit_above(lines: list[str]) -> str | None:
-    """The unit of the readings that the lines above the table name: of a line on readings, else of one on units."""
-    readings = r"(abweich|deviation|error|fehler|reading|ecart)"
-    clauses = [*lines, *(c for line in lines for c in re.split(r"[,;] |\b(?:and|und|et)\b", line) if c != line)]
-    for words in (readings, r"(unit|einheit)"):
-        for line in map(guessing.plain, clauses):
-            of_targets = re.search(rf"(target|position|soll|ziel|nominal|temp)(?!\w* ?{readings})", line)
-            if re.search(words, line) and not of_targets:
-                for unit in units_in(line)[::-1]:
-                    if unit in UNITS_OF_READINGS or unit.startswith("0."):
-                        return unit
-    return None

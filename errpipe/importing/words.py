@@ -246,6 +246,12 @@ def unknown_word(header: str) -> str | None:
     return None
 
 
+def way_in(header: str) -> str | None:
+    """The word of a text that is a direction, where all such words of it are one way: `reverse` of `Run 2 reverse`."""
+    found = [word for word in re.findall(r"[^\W\d_]+|[+\-↑↓→←]+", plain(header)) if _ways_of(word)]
+    return found[-1] if way_of(header) is not None else None
+
+
 def way_of(header: str) -> float | None:
     """+1 or -1 where one word of a header, and no other, is a direction: `Forward 1 (um)`; else None."""
     ways = {way for word in re.findall(r"[^\W\d_]+|[+\-↑↓→←]+", plain(header)) for way in _ways_of(word)}

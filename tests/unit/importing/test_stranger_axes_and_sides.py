@@ -103,3 +103,28 @@ def test_names_behind_a_mark_of_comments(tmp_path: Path) -> None:
     head = ["; Laser log", "; Axis=X", "; target_mm laser_mm approach run"]
     (tmp_path / "f.log").write_text("\n".join([*head, *rows]), "utf-8")
     holds_the_truth(imported(tmp_path, tmp_path / "f.log"))
+
+
+@pytest.mark.parametrize("runs", [True, False])
+def test_lines_among_the_rows_state_the_side(tmp_path: Path, runs: bool) -> None:
+    """Targets that rise in both sections: the side was lost, and lost motion was scatter between runs."""
+    lines, last = ["Axis X", "Target [mm];Error [um]"], ""
+    for run, x, side, d in sorted(long_rows(), key=lambda r: (r[0] if runs else "", -r[2], r[0], r[1])):
+        title = (f"Run {run} " if runs else "") + ("forward" if side > 0 else "reverse")
+        lines += [*([title] if title != last else []), f"{x:g};{d}"]
+        last = title
+    (tmp_path / "f.csv").write_text("\n".join(lines), "utf-8")
+    recording = imported(tmp_path, tmp_path / "f.csv")
+    side_of = {(x, d) for x, d in zip(recording.array("Target"), recording.array("direction"), strict=True)}
+    assert len(side_of) == 26
+    got = sorted(zip(recording.array("Target"), recording.array("direction"), recording.array("Error"), strict=True))
+    assert got == pytest.approx(sorted((x, s, d) for _, x, s, d in long_rows()))
+    if runs:
+        holds_the_truth(recording)
+
+
+def test_a_side_that_is_stated_for_the_last_rows_alone_is_asked_about(tmp_path: Path) -> None:
+    lines = ["Axis X", "Target [mm];Error [um]", "0;1", "50;2", "100;3", "reverse", "0;5", "50;6", "100;7"]
+    (tmp_path / "f.csv").write_text("\n".join(lines), "utf-8")
+    with pytest.raises(DataError, match="'reverse', and none says from which side the rows above"):
+        imported(tmp_path, tmp_path / "f.csv")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from errpipe.importing.units import split_header
@@ -51,7 +52,7 @@ def test_a_unit_in_words(header: str, unit: str) -> None:
     ],
 )
 def test_a_unit_in_a_line_above(line: str, unit: str | None) -> None:
-    assert unit_above([line]) == unit
+    assert unit_above([line], np.array([0.1])) == unit
 
 
 def test_a_table_in_micrometres_is_not_in_inches(tmp_path: Path) -> None:
@@ -73,3 +74,24 @@ def test_a_long_table_has_the_unit_of_the_line_above(tmp_path: Path) -> None:
     (tmp_path / "f.csv").write_text(head + "\n".join(rows), encoding="utf-8")
     recording = imported(tmp_path, tmp_path / "f.csv")
     assert recording.array("Error") == pytest.approx([d for *_, d in long_rows()], abs=0.02)
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_units_of_a_line_are_those_of_the_positions(tmp_path: Path, measured: bool) -> None:
+    """`Units: inch` was asked about all the same."""
+    rows = [
+        f"{run};{'+' if side > 0 else '-'};{x / 25.4:.4f};{(x if measured else 0) / 25.4 + d / 25400:.6f}"
+        for run, x, side, d in long_rows()
+    ]
+    head = f"Axis X\nUnits: inch\nRun;Dir;Target;{'Measured' if measured else 'Error'}\n"
+    (tmp_path / "f.csv").write_text(head + "\n".join(rows), encoding="utf-8")
+    recording = imported(tmp_path, tmp_path / "f.csv")
+    (error,) = recording.names("error", component="EXX")
+    assert recording.array(error) == pytest.approx([d for *_, d in long_rows()], abs=3.0 if measured else 0.05)
+
+
+def test_units_of_positions_are_not_those_of_large_readings() -> None:
+    """12 mm are no error of an axis."""
+    assert unit_above(["Units: mm"], np.array([0.012])) == "mm"
+    assert unit_above(["Units: mm"], np.array([12.0])) is None
+    assert unit_above(["Errors in mm"], np.array([12.0])) == "mm"
