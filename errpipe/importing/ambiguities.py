@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 
 from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.importing import columns, words
-from errpipe.importing.layout import Layout
+from errpipe.importing.layout import COMPONENT, Layout
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 
 FEWEST_ROWS = 3  # with readings: two make a straight line through whatever was read
@@ -179,3 +180,23 @@ def refuse_diameters(layout: Layout, guesses: dict[str, columns.ColumnGuess], op
         f"{'a line above' if line else 'a header'} says diameters ({line or place.header!r}): write positions and "
         f"readings as radii (half of a diameter), or, where they are, say --set '{place.header}.role=position'"
     )
+
+
+def component_above(
+    layout: Layout, guesses: dict[str, columns.ColumnGuess], options: ImportOptions, p: Proposal
+) -> ImportOptions:
+    """The options with the component, and its axis, that lines above or the name name, where no column does.
+
+    Raises DataError where they name several.
+    """
+    named = sorted({name for line in layout.above for name in re.findall(COMPONENT, line)})
+    stated = options.component or any(columns.component_in(c.header) for c in layout.columns) or options.sets
+    if not named or stated or sum(g.kind in ("error", "actual") for g in guesses.values()) == 0:
+        return options
+    if len(named) > 1:
+        raise DataError(
+            f"lines above the table, its sheet or file name {', '.join(named)}: what was measured? Say it with "
+            f"--component {named[0]} (or {', '.join(named[1:])})"
+        )
+    p.notes.append(f"the component is {named[0]}, as a line above the table, its sheet or file says (--component)")
+    return replace(options, component=named[0], axis=options.axis or named[0][2])

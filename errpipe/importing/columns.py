@@ -379,9 +379,8 @@ _CAME_FROM_HEADER = re.compile(r"\b(from|von|aus|desde|depuis|da)$|\b(approach|a
 
 def _came_or_went(header: str, cell: object) -> float | None:
     """The side of a cell; below `Approach from` a sign states where the axis came from: + is from above."""
-    way = side(cell)
-    came = way is not None and _SIGN.fullmatch(plain(cell)) and _CAME_FROM_HEADER.search(plain(header).strip(" :.()"))
-    return -way if came and way is not None else way
+    way, came = side(cell), _CAME_FROM_HEADER.search(plain(header).strip(" :.()"))
+    return -way if came and way is not None and _SIGN.fullmatch(plain(cell)) else way
 
 
 def _side(column: RawColumn) -> np.ndarray | None:

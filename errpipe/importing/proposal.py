@@ -13,9 +13,21 @@ import numpy as np
 from errpipe.domain import components
 from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError, UsageError, did_you_mean
-from errpipe.importing import ambiguities, dates, no_reading, order, readings, resolve, rows_of, signs, simulated, wide
+from errpipe.importing import (
+    ambiguities,
+    circle,
+    dates,
+    no_reading,
+    order,
+    readings,
+    resolve,
+    rows_of,
+    signs,
+    simulated,
+    wide,
+)
 from errpipe.importing import columns as guessing
-from errpipe.importing.layout import COMPONENT, Layout, RawColumn, facts, is_word
+from errpipe.importing.layout import Layout, RawColumn, facts, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
 from errpipe.importing.temperatures import with_temperatures
@@ -38,6 +50,8 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         unit = (options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}).get("unit", c.unit)
         c.unit = unit_of(unit or "") or unit
     no_reading.blank(layout)
+    if (of_a_ball_bar := circle.proposal(layout, options)) is not None:
+        return of_a_ball_bar
     layout = wide.unpivoted(rows_of.one_machine(rows_of.one_axis(layout, options), options))
     layout.columns = [part for c in dates.date_and_clock(layout.columns) for part in wide.split_labels(c)]
     if not layout.columns:
@@ -48,7 +62,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     ambiguities.refuse_diameters(layout, guesses, options)
     layout = wide.side_by_side(wide.merged_targets(layout, guesses), guesses)
     proposal = Proposal(notes=[*layout.notes, *unsure], headers=headers)
-    options = _component_above(layout, guesses, options, proposal)
+    options = ambiguities.component_above(layout, guesses, options, proposal)
     proposal.facts.update(facts(layout.above))
     proposal.side = guessing.side_above(layout.above)
     proposal.notes += signs.compensated(layout.above)
@@ -74,26 +88,6 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         _long(layout, guesses, axis, options, proposal, may_be_log)
     ambiguities.refuse_another_title(proposal, layout, options)
     return proposal
-
-
-def _component_above(
-    layout: Layout, guesses: dict[str, guessing.ColumnGuess], options: ImportOptions, p: Proposal
-) -> ImportOptions:
-    """The options with the component, and its axis, that lines above or the name name, where no column does.
-
-    Raises DataError where they name several.
-    """
-    named = sorted({name for line in layout.above for name in re.findall(COMPONENT, line)})
-    stated = options.component or any(guessing.component_in(c.header) for c in layout.columns) or options.sets
-    if not named or stated or sum(g.kind in ("error", "actual") for g in guesses.values()) == 0:
-        return options
-    if len(named) > 1:
-        raise DataError(
-            f"lines above the table, its sheet or file name {', '.join(named)}: what was measured? Say it with "
-            f"--component {named[0]} (or {', '.join(named[1:])})"
-        )
-    p.notes.append(f"the component is {named[0]}, as a line above the table, its sheet or file says (--component)")
-    return replace(options, component=named[0], axis=options.axis or named[0][2])
 
 
 def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess | None:
