@@ -191,8 +191,9 @@ def split_header(text: str) -> tuple[str, str | None]:
         and (len(after.group(2)) > 1 or after.group(2) in _SIGNS)
     ):
         return after.group(1).rstrip(" _/,"), unit
-    if text.endswith("/m") and kind_by_name(text[:-2]) in ("command", "position", "actual"):
-        return text[:-2].rstrip(), "m"  # a quantity over its unit; `Error/m` may be an error per metre
+    metres = re.fullmatch(r"(.*\S)(?:\s*/\s*|,\s+|\s+in\s+)m", text)
+    if metres and kind_by_name(metres[1]) in ("command", "position", "actual"):
+        return metres[1], "m"  # a quantity over its unit; `Error/m` may be an error per metre
     letter = _LAST_LETTER.match(text)
     kinds = {kind_by_name(text), kind_by_name(letter.group(1))} if letter else set()
     if letter and (unit := next((u for k, u in LETTERS.get(letter.group(2), ()) if k in kinds), None)):

@@ -15,7 +15,7 @@ CORRECTION = (  # minus the deviation
     r"|correccion(es)?|correctif|compensazion[ei]|compensacion(es)?|compensacao|correcao|correctie|compensatie|korekc\w*|korekt\w*|popraw\w*"
     r"|kompensac\w*|kompenzac\w*|korrigering\w*|kompensering\w*|duezeltme\w*|telafi\w*"
     r"|to apply|adjustments?|nachstell\w*|ausgleich(swerte?)?|verrechnung(swerte?)?)\b"
-    r"|補正|补偿|修正|коррекци|компенсаци|поправк|보정"
+    r"|補正|补偿|修正|коррекц|компенсац|поправ|보정"
 )
 
 # Of readings that are referred to 20 degC, or to the air of a laser: it says nothing on their sign.
@@ -73,7 +73,8 @@ WORDS: tuple[tuple[str, str], ...] = (
         "temperature",
     ),
     (
-        r"(dir(ection)?|richtung|approach|anfahr|sense?|sens|sinn|sentido|direzione|verso|方向|направлени\w*)\b",
+        r"(dir(ection)?|richtung|approach|anfahr|sense?|sens|sinn|sentido|direzione|verso|direccion|direcao|kierunek|irany|smer"
+        r"|riktning|richting|方向|방향|направлени\w*)\b",
         "direction",
     ),
     (
@@ -98,7 +99,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(humid|feucht)", "humidity"),
     (
         r"(deviation|abweich|\babw|error|err\b|fehler|\bdev\b|residual|lage ?abw|\becart|erreur|scostamento|desviacion"
-        r"|errore|\berros?\b|desvio|afwijking|\bfout|odchyl|odchyłk|\bbład|\bchyb|avvik|afvigelse|\bfejl|\bsapma"
+        r"|errore|\berros?\b|deviazion|desvio|afwijking|\bfout|odchyl|odchyłk|\bbład|\bchyb|avvik|afvigelse|\bfejl|\bsapma"
         r"|\bhata|偏差|誤差|误差|отклонени|погрешност|ошибк|오차|편차)",
         "error",
     ),
@@ -109,14 +110,14 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(velocity|geschw|\bvel\b|speed)", "velocity"),
     (r"(accel|beschl)", "acceleration"),
     (
-        r"(target|soll|ziel|nominal|\bnom\b|nennwert|command|\bcmd|\bnoml\b|setpoint|demand|ref(erence)?\b|consigne|theorique|cible|teoric"
+        r"(target|soll|ziel|nominal|\bnom\b|nennwert|command|\bcmd|\bnoml\b|setpoint|demand|ref(erence)?\b|consign[ea]|theorique|cible|teoric"
         r"|objetivo|\balvo\b|doelpos|malpos|zadan|cilov|hedef|gewenst|boervaerd|borvard|celpoz|目標|目标|指令|задан|целев|목표)",
         "command",
     ),
     (
         r"(actual|\b[xyzabcuvw]?\d?ist\b|istwert|\bfbk\b|measured|\bmeas\b|gemessen|messwert|reading|anzeige|feedback|\bfb\b|\bactl?\b|encoder"
         r"|laser|dial|indicator|uhr|\bmesure|releve|misurat|\bmedid|display|read ?out|\bdro\b|\bgemeten|\bwerkelijk"
-        r"|aervaerd|arvard|uppmaett|zmierzon|rzeczywist|skutecn|namer|oelcuelen|olculen|\bgercek|\bmert\b|tenyleg|実測|实测|測定値|实际"
+        r"|aervaerd|arvard|uppmaett|zmierzon|rzeczywist|skutecn|namer|oelcuelen|olculen|\bgercek|\bmert\b|tenyleg|\breale?\b|\breelle\b|\bmisura\b|lectura|leitura|lettura|実測|实测|測定値|测量|测定|实际"
         r"|измерен|фактич|действит|측정|실제)",
         "actual",
     ),
@@ -131,13 +132,13 @@ WORDS: tuple[tuple[str, str], ...] = (
 UP = re.compile(
     r"\+1?|1|↑|→|>+|up?|auf(waerts)?|f|fw|fwd|forwards?|v|vor(waerts)?|h|hin(weg|fahrt)?|p|pos|positive?|plus|rising|asc(ending)?"
     r"|increasing|steigend|below|unten|aller|avance|montee|andata|avanti|ida|往|往路|行き?|正|正向"
-    r"|прям\w*|вперед|вверх|heen|fram|tam|oda"
+    r"|прям\w*|вперед|вверх|heen|fram|tam|oda|avanco|subida|salita|dodatni\w*|(w )?przod"
 )
 DOWN = re.compile(
     r"-1?|↓|←|<+|d|dn|down|ab(waerts)?|b|bw|bwd|back|backwards?|r|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?"
     r"|her(weg|fahrt)?|n|neg|negative?|minus|falling|desc(ending)?|decreasing|fallend|above|oben|recul|descente|ritorno|indietro|vuelta|復|復路"
     r"|帰り?|反向?|[负負]向?"
-    r"|обратн\w*|назад|вниз|terug|tillbaka|zpet|vissza"
+    r"|обратн\w*|назад|вниз|terug|tillbaka|zpet|vissza|volta|retorno|retroceso|bajada|discesa|ujemn\w*|(w )?tył"
 )
 
 # Of those, words that mean the way there and the way back: where targets fall, the way there comes from above.
@@ -145,6 +146,7 @@ THERE_AND_BACK = re.compile(
     r"fw|fwd|forwards?|vor(waerts)?|hin(weg|fahrt)?|aller|andata|ida|往|往路|行き?"
     r"|b|bw|bwd|back|backwards?|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?|her(weg|fahrt)?"
     r"|ritorno|vuelta|復|復路|帰り?|v|h|прям\w*|вперед|обратн\w*|назад|heen|terug|fram|tillbaka|tam|zpet|oda|vissza"
+    r"|avance|avanco|volta|retorno|retroceso|(w )?przod|(w )?tył"
 )
 
 # What a difference is of, by how far out it is read: the command, the machine's own scale, what the axis did.
@@ -152,13 +154,13 @@ _OF_A_DIFFERENCE = (
     (
         0,
         r"soll\w*|nominal\w*|nom|nennwert|targets?|command\w*|cmd|set(?: ?point)?|sp|demand\w*|dem|programmed"
-        r"|prog|reference|ref|consigne|theo\w*|cible|teoric\w*|objetivo|指令\w*|目標\w*|目标\w*",
+        r"|prog|reference|ref|consign[ea]|theo\w*|cible|teoric\w*|objetivo|alvo|zadan\w*|задан\w*|指令\w*|目標\w*|目标\w*|理论\w*",
     ),
     (1, r"encoder|enc|(?:glass ?)?scale|display|anzeige|dro|machine|maschine|control(?:ler)?|steuerung"),
     (
         2,
         r"ist\w*|actual|act|real|feedback|fbk?|pv|measured|meas|mess\w*|readings?|mesure\w*|releve\w*|misurat\w*|medid\w*"
-        r"|laser|interferometer|gauge|dial|indicator|実測\w*|实测\w*|实际\w*",
+        r"|laser|interferometer|gauge|dial|indicator|zmierzon\w*|rzeczywist\w*|измерен\w*|фактич\w*|実測\w*|实测\w*|实际\w*",
     ),
 )
 _LESS = (
@@ -191,7 +193,7 @@ _CALLED_AXIS = (
 )
 _NUMBERED = r"(?:(?:(?:no|nr)\.? ?)?\d(?: ?[:=]| (?=\()))"  # `Axis: 1 (X)`, `Achse Nr. 2: Y`
 _AXIS_ABOVE = re.compile(
-    rf"(?:\b{_CALLED_AXIS}|[軸轴축])\s{{0,9}}[:=;,：]?\s{{0,9}}{_NUMBERED}?\s{{0,9}}[\"'(\[]?{AXIS_LETTER}1?\b"
+    rf"(?:\b{_CALLED_AXIS}|[軸轴축][名号]?)\s{{0,9}}[:=;,：]?\s{{0,9}}{_NUMBERED}?\s{{0,9}}[\"'(\[]?{AXIS_LETTER}1?\b"
     rf"|\b{AXIS_LETTER}1?[- ]?(?:{_CALLED_AXIS}|[軸轴축])"
     r"|\b(?:linear(?: positioning)?|positioning|positionierung)[: ]{1,9}(?-i:([XYZ]))\b(?! ?-)",
     re.IGNORECASE,

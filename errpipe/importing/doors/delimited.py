@@ -178,7 +178,8 @@ def _decode(path: Path, data: bytes) -> tuple[str, str]:
 
 def _central(head: bytes) -> list[str]:
     """Windows-1250 where Western letters would be signs within words: `Odchy³ka`, `w ty³`."""
-    within = re.findall(r"(?<=[a-z])[³¹¿¼¾](?=[a-z]|\b)", head.decode("cp1252", errors="replace"))
+    text = head.decode("cp1252", errors="replace")
+    within = re.search(r"(?<=[A-Za-z])[³¹¿¼¾](?=[a-z³¹¿¼¾])|(?<=[a-z]{3})³|\bOœ\b", text)
     return ["cp1250"] if within else []
 
 
@@ -205,6 +206,8 @@ def _east_asian(head: bytes) -> list[str]:
     letters = [c for c in head.decode("euc_kr", errors="replace") if c > "\x7f"]
     if len(letters) > 3 and sum("가" <= c <= "힣" for c in letters) >= FEWEST_HANGUL * len(letters):
         return ["cp949"]
+    if 2 * len(re.findall(rb"[a-z][\xc0-\xfe]{2}[a-z\s]", head)) > len(re.findall(rb"[\x81-\xfe]{2,}", head)):
+        return []  # letters with accents within words: `Dire\xe7\xe3o`
     pairs = b"".join(re.findall(rb"[\x81-\xfe][\x80-\xfe](?:[\x81-\xfe][\x40-\xfe])*", head))
     if sum(byte > 127 for byte in pairs) < 0.7 * sum(byte > 127 for byte in head):
         return []

@@ -128,3 +128,42 @@ def test_a_side_that_is_stated_for_the_last_rows_alone_is_asked_about(tmp_path: 
     (tmp_path / "f.csv").write_text("\n".join(lines), "utf-8")
     with pytest.raises(DataError, match="'reverse', and none says from which side the rows above"):
         imported(tmp_path, tmp_path / "f.csv")
+
+
+def by_target(path: Path, head: str, ways: tuple[str, str], encoding: str = "utf-8", above: str = "Axis X") -> Path:
+    """The known test, each target's readings together: the order of the rows states no side."""
+    rows = sorted(long_rows(), key=lambda r: (r[1], r[0], -r[2]))
+    lines = [f"{run};{ways[0] if s > 0 else ways[1]};{x:g};{d}" for run, x, s, d in rows]
+    path.write_text("\n".join([above, head, *lines]), encoding)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("head", "ways", "above", "encoding"),
+    [
+        ("Passada;Direção;Posição alvo [mm];Desvio [um]", ("ida", "volta"), "Eixo X", "cp1252"),
+        ("Ensayo;Dirección;Posición nominal [mm];Error [um]", ("subida", "bajada"), "Eje X", "cp1252"),
+        ("Prova;Verso;Quota [mm];Deviazione [um]", ("salita", "discesa"), "Asse X", "utf-8"),
+        ("Seria;Kierunek;Zadana [mm];Błąd [um]", ("dodatni", "ujemny"), "Oś X", "cp1250"),
+        ("回数;方向;指令値 [mm];偏差 [um]", ("正", "負"), "軸名 X", "cp932"),
+    ],
+)
+def test_sides_in_more_languages(tmp_path: Path, head: str, ways: tuple[str, str], above: str, encoding: str) -> None:
+    """`Direção` in Windows-1252 was read as Chinese; its two words, and the Polish ones, were left out in silence."""
+    holds_the_truth(imported(tmp_path, by_target(tmp_path / "f.csv", head, ways, encoding, above)))
+
+
+def test_two_unknown_words_at_every_target_are_asked_about(tmp_path: Path) -> None:
+    """They were left out, and lost motion was scatter between runs."""
+    file = by_target(tmp_path / "f.csv", "Run;Kulku;Pos [mm];Deviation [um]", ("meno", "paluu"))
+    with pytest.raises(DataError, match="'Kulku' holds 'meno' and 'paluu'"):
+        imported(tmp_path, file)
+    assert imported(tmp_path, file, sets=["Kulku.role=ignore"]).name("direction") is None
+
+
+@pytest.mark.parametrize(
+    "head", ["Проход;Направление;Заданная [mm];Измеренное - Заданное [um]", "x;Dir;Zadana [mm];Zmierzona - Zadana [um]"]
+)
+def test_differences_in_more_languages(tmp_path: Path, head: str) -> None:
+    """They were asked for their sign, or a second command."""
+    holds_the_truth(imported(tmp_path, by_target(tmp_path / "f.csv", head.replace("x;", "Run;"), ("+", "-"))))
