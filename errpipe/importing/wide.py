@@ -53,6 +53,9 @@ def run_and_side(header: str) -> tuple[str | None, float | None]:
     """'Lauf 2 auf' -> ('2', +1); '3-' -> ('3', -1); 'F1' -> ('1', +1); '3.5.2024' -> ('3.5.2024', None)."""
     if signed := re.fullmatch(r"([+\-−])\s?(\d{1,3})", header.strip()):
         return signed.group(2), guessing.side(signed.group(1))
+    if grouped := re.fullmatch(r"([+\-−])\s+([^\W\d_].*)", header.strip()):  # `+` above a group of columns
+        run, way = run_and_side(grouped.group(2))
+        return run, guessing.side(grouped.group(1)) if way is None else way
     if dated := _DATE_WITHIN.search(header):
         return dated.group(), run_and_side(header.replace(dated.group(), " "))[1]
     if _NO_NAME.fullmatch(header) or _INSTRUMENT.search(guessing.plain(header)):

@@ -15,7 +15,7 @@ CORRECTION = (  # minus the deviation
     r"|correccion(es)?|correctif|compensazion[ei]|compensacion(es)?|compensacao|correcao|correctie|compensatie|korekc\w*|korekt\w*|popraw\w*"
     r"|kompensac\w*|kompenzac\w*|korrigering\w*|kompensering\w*|duezeltme\w*|telafi\w*"
     r"|to apply|adjustments?|nachstell\w*|ausgleich(swerte?)?|verrechnung(swerte?)?)\b"
-    r"|補正|补偿|修正|коррекц|компенсац|поправ|보정"
+    r"|補正|补偿|修正|коррекц\w*|компенсац\w*|поправ\w*|보정"
 )
 
 # Of readings that are referred to 20 degC, or to the air of a laser: it says nothing on their sign.
@@ -132,13 +132,13 @@ WORDS: tuple[tuple[str, str], ...] = (
 UP = re.compile(
     r"\+1?|1|↑|→|>+|up?|auf(waerts)?|f|fw|fwd|forwards?|v|vor(waerts)?|h|hin(weg|fahrt)?|p|pos|positive?|plus|rising|asc(ending)?"
     r"|increasing|steigend|below|unten|aller|avance|montee|andata|avanti|ida|往|往路|行き?|正|正向"
-    r"|прям\w*|вперед|вверх|heen|fram|tam|oda|avanco|subida|salita|dodatni\w*|(w )?przod"
+    r"|прям\w*|вперед|вверх|heen|fram|tam|oda|avant|avanco|subida|salita|dodatni\w*|(w )?przod"
 )
 DOWN = re.compile(
     r"-1?|↓|←|<+|d|dn|down|ab(waerts)?|b|bw|bwd|back|backwards?|r|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?"
     r"|her(weg|fahrt)?|n|neg|negative?|minus|falling|desc(ending)?|decreasing|fallend|above|oben|recul|descente|ritorno|indietro|vuelta|復|復路"
     r"|帰り?|反向?|[负負]向?"
-    r"|обратн\w*|назад|вниз|terug|tillbaka|zpet|vissza|volta|retorno|retroceso|bajada|discesa|ujemn\w*|(w )?tył"
+    r"|обратн\w*|назад|вниз|terug|tillbaka|zpet|vissza|arriere|volta|retorno|retroceso|bajada|discesa|ujemn\w*|(w )?tył"
 )
 
 # Of those, words that mean the way there and the way back: where targets fall, the way there comes from above.
@@ -146,7 +146,7 @@ THERE_AND_BACK = re.compile(
     r"fw|fwd|forwards?|vor(waerts)?|hin(weg|fahrt)?|aller|andata|ida|往|往路|行き?"
     r"|b|bw|bwd|back|backwards?|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?|her(weg|fahrt)?"
     r"|ritorno|vuelta|復|復路|帰り?|v|h|прям\w*|вперед|обратн\w*|назад|heen|terug|fram|tillbaka|tam|zpet|oda|vissza"
-    r"|avance|avanco|volta|retorno|retroceso|(w )?przod|(w )?tył"
+    r"|avance|avanco|avant|arriere|volta|retorno|retroceso|(w )?przod|(w )?tył"
 )
 
 # What a difference is of, by how far out it is read: the command, the machine's own scale, what the axis did.
@@ -171,10 +171,6 @@ _ONE, _OTHER = (
     "|".join(rf"(?P<{name}{n}>(?<![^\W_])(?:{pattern})(?![^\W_]))" for n, pattern in _OF_A_DIFFERENCE) for name in "ab"
 )
 _ACTUAL_AND_COMMANDED = re.compile(rf"(?:{_ONE}){_LESS}(?:{_OTHER})")
-# A line above a table whose readings are corrections: `Korrekturwerte in um`, not `Compensation: off`.
-_TITLE_OF_CORRECTIONS = re.compile(
-    r"(korrekturwerte|korrekturtabelle|(correction|compensation|comp\.?) (values?|table|data))\b[^:=;]*$"
-)
 
 # Words of a header that say nothing about the sign of its readings.
 _NEUTRAL = re.compile(
@@ -296,11 +292,6 @@ def names_both(text: str) -> bool:
     (_, command), _, (_, actual) = _OF_A_DIFFERENCE
     found = [re.search(rf"(?<![^\W_])(?:{p})(?![^\W_])", plain(text)) for p in (command, actual)]
     return all(found) and difference(text) is None
-
-
-def titles_corrections(line: str) -> bool:
-    """Whether a line above a table states that its readings are corrections."""
-    return _TITLE_OF_CORRECTIONS.match(plain(line)) is not None
 
 
 def axis_above(lines: list[str]) -> str | None:
