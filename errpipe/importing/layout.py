@@ -306,7 +306,7 @@ def _are_units(texts: list[str]) -> bool:
 
 def _metres(names: list[str]) -> list[str]:
     """`x_m` as `x [m]` where another header ends so too: alone it may be a measured x."""
-    ending = [n for n in names if re.fullmatch(r"\w+_m", n)]
+    ending = [n for n in names if re.fullmatch(r".*\w[_ ]m", n)]
     return [f"{n[:-2]} [m]" if n in ending and len(ending) > 1 else n for n in names]
 
 

@@ -179,7 +179,7 @@ def _decode(path: Path, data: bytes) -> tuple[str, str]:
 def _central(head: bytes) -> list[str]:
     """Windows-1250 where Western letters would be signs within words: `Odchy³ka`, `w ty³`."""
     text = head.decode("cp1252", errors="replace")
-    within = re.search(r"(?<=[A-Za-z])[³¹¿¼¾](?=[a-z³¹¿¼¾])|(?<=[a-z]{3})³|\bOœ\b", text)
+    within = re.search(r"(?<=[A-Za-z])[³¹¿¼¾](?=[a-z³¹¿¼¾])|(?<=[a-z]{3})³|\bOœ\b|œæ", text)
     return ["cp1250"] if within else []
 
 

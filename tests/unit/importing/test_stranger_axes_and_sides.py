@@ -77,6 +77,7 @@ def test_the_own_reading_of_a_machine_stands_for_the_command(tmp_path: Path, own
     ("headers", "encoding"),
     [
         ("Pomiar;Kierunek;Zadana [mm];Zmierzona [mm]", "utf-8"),
+        ("Pomiar;Kierunek;Wartość zadana [mm];Wartość zmierzona [mm]", "cp1250"),
         ("Mätning;Riktning;Börvärde [mm];Ärvärde [mm]", "utf-8"),
         ("Meting;Richting;Gewenst [mm];Gemeten [mm]", "utf-8"),
         ("Měření;Směr;Žádaná [mm];Skutečná [mm]", "utf-8"),

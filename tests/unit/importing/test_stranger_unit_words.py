@@ -95,3 +95,13 @@ def test_units_of_positions_are_not_those_of_large_readings() -> None:
     assert unit_above(["Units: mm"], np.array([0.012])) == "mm"
     assert unit_above(["Units: mm"], np.array([12.0])) is None
     assert unit_above(["Errors in mm"], np.array([12.0])) == "mm"
+
+
+@pytest.mark.parametrize("ending", ["_m", " m"])
+def test_two_columns_that_end_so_are_in_metres(tmp_path: Path, ending: str) -> None:
+    """Asked whether `m` is metres or measured where their names have blanks."""
+    rows = [f"{run};{x / 1000:g};{(x + d / 1000) / 1000:.7f}" for run, x, _, d in long_rows()]
+    head = f"Axis X\nRun;Target position{ending};Actual position{ending}\n"
+    (tmp_path / "f.csv").write_text(head + "\n".join(rows), encoding="utf-8")
+    recording = imported(tmp_path, tmp_path / "f.csv")
+    assert recording.array("EXX") == pytest.approx([d for *_, d in long_rows()], abs=0.06)
