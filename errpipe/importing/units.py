@@ -91,6 +91,10 @@ _METRES = re.compile(
     r"|\b(micras|micra)\b",
     re.IGNORECASE,
 )
+_SECONDS = re.compile(
+    r"\b(?:seconds? of arc|sec\.? of arc|arc seconds?|secondes? d'arc|secondi d'arco|segundos? de arco)\b",
+    re.IGNORECASE,
+)
 _METRE = {"mi": "mm", "на": "nm", "na": "nm", "ми": "mm"}
 _PARTS = (
     (r"ten[ -]?thousandths?|zehntausendstel", 4),
@@ -125,6 +129,7 @@ def in_words(text: str) -> str:
         zeros, base = (zeros + 3, "inch") if base in ("thou", "mil") else (zeros, base)
         return f"[1e-{zeros} {base}]"
 
+    text = _SECONDS.sub("arcsec", text)
     plain = _METRES.sub(symbol, text.replace("μ", "µ"))
     marked = _PART_OF.sub(r"[\1]", _PART_IN_WORDS.sub(part, plain))
     return re.sub(r"[\[(]\s*(\[[^\[\]]+\])\s*[\])]", r"\1", re.sub(r"\b(in|en|w|em) (?=\[)", "", marked))

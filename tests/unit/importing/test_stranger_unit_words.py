@@ -29,6 +29,7 @@ from tests.unit.importing.known_test import TARGETS, deviation, imported, long_r
         ("Error (tenths of a thou)", "0.0001 inch"),
         ("Error [10^-6 m]", "0.000001 m"),
         ('Error "', "inch"),
+        ("Error, seconds of arc", "arcsec"),
         ("Fehler (µ)", "um"),
     ],
 )
