@@ -189,7 +189,9 @@ def component_above(
 
     Raises DataError where they name several.
     """
-    named = sorted({name for line in layout.above for name in re.findall(COMPONENT, line)})
+    axis = options.axis or words.axis_above(layout.above)  # `EAC` beside axis X is a mark of conformity
+    found = {name for line in layout.above for name in re.findall(COMPONENT, line)}
+    named = sorted(name for name in found if axis in (None, name[2]))
     stated = options.component or any(columns.component_in(c.header) for c in layout.columns) or options.sets
     if not named or stated or sum(g.kind in ("error", "actual") for g in guesses.values()) == 0:
         return options

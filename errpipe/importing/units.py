@@ -81,7 +81,7 @@ LETTERS = {
 }
 _LAST_LETTER = re.compile(r"^(.*[^\s_/,.])[\s_/,]+([shKCFN])$")
 _INLET = re.compile(r"(coolant|oil|water|air|chiller)[\s_]+in$", re.IGNORECASE)  # of a medium, not inches
-_SIGNS = '"°µ″'
+_SIGNS = '"°″'
 _AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,9})$")
 
 
@@ -188,14 +188,16 @@ def split_header(text: str) -> tuple[str, str | None]:
     text = in_words(" ".join(str(text).split()))
     for bracket in reversed(list(_BRACKET.finditer(text))):
         if (unit := unit_of(bracket.group(1) or bracket.group(2))) is not None:
-            return " ".join((text[: bracket.start()] + " " + text[bracket.end() :]).split()) or text, unit
+            rest = " ".join((text[: bracket.start()] + " " + text[bracket.end() :]).split()) or text
+            return rest, _of_a_temperature(unit, rest)
     after = None if _INLET.search(text) else _AFTER.match(text)
     if (
         after
         and (unit := unit_of(after.group(2))) is not None
         and (len(after.group(2)) > 1 or after.group(2) in _SIGNS)
     ):
-        return after.group(1).rstrip(" _/,"), unit
+        rest = after.group(1).rstrip(" _/,")
+        return rest, _of_a_temperature(unit, rest)
     metres = re.fullmatch(r"(.*\S)(?:\s*/\s*|,\s+|\s+in\s+)m", text)
     if metres and kind_by_name(metres[1]) in ("command", "position", "actual"):
         return metres[1], "m"  # a quantity over its unit; `Error/m` may be an error per metre
@@ -204,6 +206,11 @@ def split_header(text: str) -> tuple[str, str | None]:
     if letter and (unit := next((u for k, u in LETTERS.get(letter.group(2), ()) if k in kinds), None)):
         return letter.group(1), unit
     return text, None
+
+
+def _of_a_temperature(unit: str, header: str) -> str:
+    """degC for degrees of a temperature: `Temp °`; any other unit as it is."""
+    return "degC" if unit == "deg" and kind_by_name(header) == "temperature" else unit
 
 
 # Units of readings which the manifest does not have -> the unit it has, and the factor.

@@ -49,6 +49,11 @@ def test_the_name_of_a_file_is_a_component(tmp_path: Path, name: str, component:
     assert np.ptp(recording.array(recording.name("position", axis="X") or "")) == 600.0
 
 
+def test_a_word_that_looks_like_a_component_of_another_axis_is_none(tmp_path: Path) -> None:
+    file = table(tmp_path / "a.csv", "Run;Dir;Pos [mm];Deviation [um]", above="Device EAC 12\nAxis X")
+    holds_the_truth(imported(tmp_path, file))
+
+
 def test_several_components_above_are_asked_about(tmp_path: Path) -> None:
     """They were taken as positioning."""
     file = table(tmp_path / "a.csv", "Run;Dir;Pos [mm];Deviation [um]", above="X axis: EXX / EYX / EZX")

@@ -106,3 +106,9 @@ def test_two_columns_that_end_so_are_in_metres(tmp_path: Path, ending: str) -> N
     (tmp_path / "f.csv").write_text(head + "\n".join(rows), encoding="utf-8")
     recording = imported(tmp_path, tmp_path / "f.csv")
     assert recording.array("EXX") == pytest.approx([d for *_, d in long_rows()], abs=0.06)
+
+
+@pytest.mark.parametrize("header", ["Temp °", "T1 °", "Temperature (°)"])
+def test_degrees_of_a_temperature_are_degrees_celsius(header: str) -> None:
+    assert split_header(header)[1] == "degC"
+    assert split_header("Target °")[1] == "deg"
