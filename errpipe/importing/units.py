@@ -92,7 +92,8 @@ _METRES = re.compile(
     re.IGNORECASE,
 )
 _SECONDS = re.compile(
-    r"\b(?:seconds? of arc|sec\.? of arc|arc seconds?|secondes? d'arc|secondi d'arco|segundos? de arco)\b",
+    r"\b(?:seconds? of arc|sec\.? of arc|arc seconds?|secondes? d'arc|secondi d'arco|segundos? de arco"
+    r"|(?:winkel|bogen)sekunden)\b",
     re.IGNORECASE,
 )
 _METRE = {"mi": "mm", "на": "nm", "na": "nm", "ми": "mm"}

@@ -30,12 +30,13 @@ from tests.unit.importing.known_test import TARGETS, deviation, imported, long_r
         ("Error [10^-6 m]", "0.000001 m"),
         ('Error "', "inch"),
         ("Error, seconds of arc", "arcsec"),
+        ("Abweichung Winkelsekunden", "arcsec"),
         ("Fehler (µ)", "um"),
     ],
 )
 def test_a_unit_in_words(header: str, unit: str) -> None:
     assert split_header(header)[1] == unit
-    assert split_header(header)[0] in ("Error", "Erreur en", "Errores", "Błąd", "Target", "Fehler")
+    assert split_header(header)[0] in ("Error", "Abweichung", "Erreur en", "Errores", "Błąd", "Target", "Fehler")
 
 
 @pytest.mark.parametrize(
