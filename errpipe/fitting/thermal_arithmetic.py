@@ -131,9 +131,7 @@ def few_rows_fitted(recording: Recording, component: str, fitted: int) -> str:
         run, known = recording.run_codes(), all_known(recording)
         empty = [recording.run_labels()[k] for k in np.unique(run[measured]) if not known[measured & (run == k)].any()]
         return f"; without {', '.join(empty)} ({_sensor_with_most_gaps(recording)})" if empty else ""
-    return (
-        f"; fitted to {fitted} of {rows} rows, the others lack a temperature ({_sensor_with_most_gaps(recording)})"
-    )
+    return f"; fitted to {fitted} of {rows} rows, the others lack a temperature ({_sensor_with_most_gaps(recording)})"
 
 
 def _sensor_with_most_gaps(recording: Recording) -> str:

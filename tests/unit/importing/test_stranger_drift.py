@@ -85,3 +85,10 @@ def test_a_file_that_lacks_a_temperature_has_empty_cells(tmp_path: Path, capsys:
         assert np.array_equal(np.isnan(recording.array("T2")), own)
     other.write_text("\n".join(whole).replace("T2", "T9"))
     assert main(["import", *files, "--out", str(tmp_path / "rec"), "--yes", "--component", "E_Z"]) == 3
+
+
+@pytest.mark.parametrize("name", ["Tamb", "TRoom", "Troom", "Tbed", "room"])
+def test_a_sensor_by_t_and_its_place_is_a_temperature(tmp_path: Path, name: str) -> None:
+    """Before: `Tamb` was ignored."""
+    recording = imported(tmp_path, drift(f"run;t;{name};T1;T2;drift [um];month"), component="E_Z")
+    assert len(recording.names("temperature")) == 3
