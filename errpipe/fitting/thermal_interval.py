@@ -8,7 +8,8 @@ unknown      half width for held-out environments (seasons)
 known share  0..1, per run and from its first readings: how much the fitted correction improved runs with a similar
              start temperature. It is one only where several such runs were seen and were predicted well
 1 / 50 um    errors grow with the prediction and also drift: on held-out seasons a constant and a
-             proportional width missed by the same factor on either side; their mean covers both
+             proportional width missed by the same factor on either side; their mean covers both. More where one
+             day alone was fitted (`GAIN_SPREAD`)
 distance     outside the temperatures seen, in ranges summed over the sensors
 """
 
@@ -32,10 +33,10 @@ NEXT_RUN = 1.25
 # The same of a log that is shorter than three days. Chosen on single days of 165 machines (seed 901 of `trials.thermal`
 # and formulas): 88 to 92 % of the rows of later days of three kinds are covered, 75 % where a heat is not measured.
 NEXT_DAY = 1.6
-# Standard deviation of the gain from day to day that one day is presumed to have, for it cannot show any: an assumption,
-# not a measurement. Chosen on 16 spindles by formulas (own ones, seeds 200 to 215), six later days each: where the gain
-# changes by a tenth, 74 % of the rows are covered (57 without, 88 with 0.08), and where it does not the width is 1.9
-# times that without (0.08: 3.1 times).
+# Standard deviation of the gain from day to day that is presumed where one day was fitted, for it cannot show any: an
+# assumption, not a measurement. Chosen on 16 spindles by formulas (seeds 200 to 215), six later days of each: where the
+# gain changes by a tenth, 74 % of the rows are covered (57 without, 88 with 0.08), and where it does not the width is
+# 1.9 times that without (0.08: 3.1 times).
 GAIN_SPREAD = 0.04
 DOUBLED = 1.2  # ranges summed over the sensors (2 K on each of six): this far outside the interval is twice as wide
 
