@@ -113,6 +113,4 @@ class CoolantEffect(Term):
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         drivers = self._drivers(*self.nonlinear_values(parameters))
-        return tuple(
-            Lowered(scaled(d, parameters[p.name])) for p, d in zip(self.linear(), drivers, strict=True)
-        )
+        return tuple(Lowered(scaled(d, parameters[p.name])) for p, d in zip(self.linear(), drivers, strict=True))

@@ -63,7 +63,8 @@ def test_a_search_keeps_its_prior_when_another_is_made_without_its_finding(monke
 
 
 @pytest.mark.parametrize(
-    ("lost", "drivers", "simpler"), [(2.0, ("a",), True), (5.0, ("a",), False), (2.0, ("b", "c", "d"), False)]
+    ("lost", "drivers", "simpler"),
+    [(3.0, ("a",), True), (5.0, ("a",), False), (3.0, ("b", "c", "d"), False), (1.0, ("b", "c", "d"), True)],
 )
 def test_of_two_that_are_as_likely_the_simpler_stands(lost, drivers, simpler):
     """A flexible mode far above what is excited is a compliance; inputs and non-linear parameters were chosen."""
@@ -77,3 +78,18 @@ def test_of_two_that_are_as_likely_the_simpler_stands(lost, drivers, simpler):
     search.accepted = lambda chosen: tuple(known[i].effect for i, _ in chosen)
     expected = ("inertial_deflection",) if simpler else (found,)
     assert Search.simplest(search, (found,)) == expected
+
+
+@pytest.mark.parametrize(
+    ("lost", "drivers", "simpler"), [(1.0, ("x",), True), (3.0, ("x",), False), (1.0, ("z",), False)]
+)
+def test_a_slope_that_no_temperature_moves_is_no_expansion(lost, drivers, simpler):
+    known = [
+        SimpleNamespace(effect=e, drivers=d, nonlinear=((),), mask=())
+        for e, d in (("scale_expansion", ("x", "T")), ("scale_error", drivers))
+    ]
+    found = Accepted(0, known[0], 2.0, 90.0)
+    search = SimpleNamespace(library=SimpleNamespace(hypotheses=known), tune=lambda chosen: chosen)
+    search.rivals = lambda accepted, k: [("scale_error", lost, 1)]
+    search.accepted = lambda chosen: tuple(known[i].effect for i, _ in chosen)
+    assert Search.simplest(search, (found,)) == (("scale_error",) if simpler else (found,))
