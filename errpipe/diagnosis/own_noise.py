@@ -77,8 +77,8 @@ def likelihood(search: Search, explanation: Explanation) -> float:
 def zoomed(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation]:
     """The explanation with non-linear parameters between the points of the grid, which join the library.
 
-    What a grid value leaves of a true one would be taken for a second effect, or for slow noise. Close rivals are refined
-    as well: one may lose to another effect only because the grid misses its value.
+    What a grid value leaves of a true one would be taken for a second effect, or for slow noise. Close rivals are
+    refined as well: one may lose to another effect only because the grid misses its value.
     """
     accepted, search.prior = explanation.accepted, made.prior
     rivals = [i for k, f in enumerate(accepted) for _, lost, i in search.rivals(accepted, k) if lost < _close(f.gain)]
