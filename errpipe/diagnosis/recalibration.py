@@ -120,7 +120,9 @@ def recalibration(
         effect = part.hypothesis.effect
         of = effect if effects.count(effect) == 1 else f"{effect} on {' and '.join(part.hypothesis.drivers)}"
         doubts = [(", in doubt", values, GAIN_SD) for values in part.doubt.T]
-        for what, values, off in (("", part.contribution, GAIN_SD), (", not textbook", part.slack, OWN_SD), *doubts):
+        own = [("", part.contribution, GAIN_SD), (", not textbook", part.slack, OWN_SD)]
+        own.append((", its reference", part.reference, GAIN_SD))  # a lead error in the simulation has a gain of its own
+        for what, values, off in (*own, *doubts):
             if np.std(values) > (0.0 if d.plain else 0.02) * np.std(simulated):
                 columns.append(values)
                 sd.append(off * max(least / float(np.std(values)), 1.0))
