@@ -93,3 +93,32 @@ def test_a_slope_that_no_temperature_moves_is_no_expansion(lost, drivers, simple
     search.rivals = lambda accepted, k: [("scale_error", lost, 1)]
     search.accepted = lambda chosen: tuple(known[i].effect for i, _ in chosen)
     assert Search.simplest(search, (found,)) == (("scale_error",) if simpler else (found,))
+
+
+@pytest.mark.parametrize(
+    ("joint", "agreement", "taken"), [(490.0, 0.2, True), (470.0, 0.2, False), (490.0, 0.6, False)]
+)
+def test_what_most_folds_find_stands_in_the_place_of_two_look_alikes(monkeypatch, joint, agreement, taken):
+    """Feed heating beside an expansion and a drift that few folds find again, nearly as likely together."""
+    effects = ("feed_heating", "scale_expansion", "thermal_drift")
+    library = SimpleNamespace(hypotheses=[SimpleNamespace(effect=e) for e in effects])
+    made = SimpleNamespace(plain=False, library=library, prior=np.zeros(3))
+
+    def case(chosen, worth):
+        search = SimpleNamespace(prior=np.zeros(3), joint=lambda chosen: worth)
+        return SimpleNamespace(chosen=lambda: chosen, search=search, held=None)
+
+    two, one, seen = case([1, 2], 500.0), case([0], joint), []
+    two.held = SimpleNamespace(agreement=(agreement, 0.0), often=("feed_heating",))
+    monkeypatch.setattr(judge, "_held", lambda case: case.held)
+    monkeypatch.setattr(judge, "_settled", lambda made: seen.append(made.prior) or ())
+
+    def explained(made):
+        made.prior = np.r_[made.prior, 0.0]  # a point of the grid joins the library
+        return one
+
+    monkeypatch.setattr(judge, "_explained", explained)
+    assert judge._found_by_folds(made, two) is (one if taken else two)
+    if seen:
+        assert seen[0].tolist() == [0.0, NEVER, NEVER]
+        assert made.prior.tolist() == two.search.prior.tolist() == [0.0, 0.0, 0.0, 0.0]
