@@ -19,7 +19,6 @@ DEPENDENT = 1.8  # rows per independent row of the residual, above which rows ar
 CERTAIN = 150.0  # log Bayes factor above which no wandering noise would explain as much
 COLOUR_PRICE = 6.0  # log of the number of colours that are tried
 ROUNDED = 1.15  # threshold: rms over that of rounding (a sixth of a step of noise beside it)
-CLOSE_RIVAL, CLOSE_SHARE = 6.0, 0.01  # a grid value a third of a step off loses up to a hundredth of a gain
 EXPLAINED = 20.0  # log Bayes factor by which another noise must be likelier where names leave white noise
 
 
@@ -77,26 +76,17 @@ def likelihood(search: Search, explanation: Explanation) -> float:
 def zoomed(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation]:
     """The explanation with non-linear parameters between the points of the grid, which join the library.
 
-    What a grid value leaves of a true one would be taken for a second effect, or for slow noise. Close rivals are
-    refined as well: one may lose to another effect only because the grid misses its value.
+    What a grid value leaves of a true one would be taken for a second effect, or for slow noise.
     """
-    accepted, search.prior = explanation.accepted, made.prior
-    rivals = [i for k, f in enumerate(accepted) for _, lost, i in search.rivals(accepted, k) if lost < _close(f.gain)]
-    fresh = [(i, *near) for i in dict.fromkeys([f.index for f in accepted] + rivals) for near in _neighbours(made, i)]
+    fresh = [(f.index, *near) for f in explanation.accepted for near in _neighbours(made, f.index)]
     if not fresh:
         return search, explanation
     made.library.extend([near[1:] for near in fresh])
     search.prior = made.prior = np.r_[made.prior, made.prior[[near[0] for near in fresh]]]
     chosen = search.tune(chosen_of(explanation))
     search.sigma = max(search.scene(chosen).rms(), 1e-9)
-    chosen = search.exchanged(chosen) if rivals else chosen
     alone = search.score([]).gain + search.prior
     return search, replace(explanation, accepted=search.accepted(chosen), alone=alone)
-
-
-def _close(gain: float) -> float:
-    """Log Bayes factor by which a rival may lose to an effect of this gain to be refined."""
-    return CLOSE_RIVAL + CLOSE_SHARE * max(gain, 0.0)
 
 
 def _neighbours(made: SetUp, index: int) -> Iterator[tuple[Hypothesis, Block, int]]:
@@ -105,7 +95,7 @@ def _neighbours(made: SetUp, index: int) -> Iterator[tuple[Hypothesis, Block, in
     term, known = h.terms[0], {made.library.hypotheses[i].nonlinear for i in made.library.family(index)}
     for j, p in enumerate(term.nonlinear()):
         value, search = h.nonlinear[0][j], search_of(p)
-        if p.name in term.fixed or value == 0:
+        if p.name in term.fixed or value == 0 or h.mask:
             continue
         for step in search.neighbours(value, term, made.recording):
             if search.bounded and not p.bounds[0] <= step <= p.bounds[1]:
