@@ -84,7 +84,8 @@ def held_out(case: Case) -> HeldOut:
         search = copy.copy(search)
         search.prior = np.where(_acts_in_part(library), NEVER, search.prior)
     before, after, named, alone, with_inputs, same, shaped = [], [], [], [], [], [], 0
-    bare, textbook, found = [], [], []
+    bare, textbook = [], []
+    found: list[str] = []  # effects that folds chose
     for f, test in enumerate(library.table.rows):
         if test.size == 0:
             continue
