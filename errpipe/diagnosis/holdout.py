@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,8 +85,7 @@ def held_out(case: Case) -> HeldOut:
         search = copy.copy(search)
         search.prior = np.where(_acts_in_part(library), NEVER, search.prior)
     before, after, named, alone, with_inputs, same, shaped = [], [], [], [], [], [], 0
-    bare, textbook = [], []
-    found: list[str] = []  # effects that folds chose
+    bare, textbook, found = [], [], Counter[str]()
     for f, test in enumerate(library.table.rows):
         if test.size == 0:
             continue
@@ -117,16 +117,16 @@ def held_out(case: Case) -> HeldOut:
         with_inputs.append(judged.whitened(part.data, of_inputs.active, part.noise, columns, f))
         again = {library.hypotheses[i].effect for i in names}
         same.append([effect in again for effect in effects])
-        found += again
+        found.update(again)
         del part  # frees its products before those of the next fold are formed
     rms = lambda parts: float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))  # noqa: E731
     if case.remainder.shapes and shaped:
         drivers = dict.fromkeys(d for shape, _ in case.remainder.shapes for d in shape.drivers)
         scheme += f"; with a data-driven remainder in {', '.join(drivers)}"
-    often = tuple(e for e in dict.fromkeys(found) if found.count(e) >= AGAIN * len(same))
     return HeldOut(
         scheme, rms(before), rms(after), tuple(np.mean(same, axis=0).tolist()), rms(named), rms(with_inputs),
-        rms(alone), rms(bare), rms(textbook), often,
+        rms(alone), rms(bare), rms(textbook),
+        tuple(sorted(e for e, count in found.items() if count >= AGAIN * len(same))),
     )  # fmt: skip
 
 
