@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from errpipe.drivers.evaluation import drive
 from errpipe.terms.angular_abbe import AngularAbbe
 from errpipe.terms.coolant_effect import CoolantEffect
 from tests.unit.diagnosis.machines import recording
@@ -30,6 +31,14 @@ def test_the_temperature_that_coolant_is_compared_with_need_not_be_known(referen
     assert dict(zip((p.name for p in term.linear()), b, strict=True)) == pytest.approx(
         {"gain": 3.0, "shift": 3.0 * (20.0 - reference)}, abs=1e-9
     )
+
+
+def test_the_compiled_form_holds_both_parameters_of_coolant():
+    made, _ = wet(23.5)
+    term = CoolantEffect(flow="flow", sensor="T_c")
+    known = {"gain": 3.0, "shift": -10.5, "tau": 300.0}
+    compiled = sum(drive(pair.driver, made) for pair in term.lower(known))
+    np.testing.assert_allclose(compiled, term.value(made, known), rtol=1e-12, atol=1e-12)
 
 
 def test_an_angle_may_be_zero_at_one_end():
