@@ -19,13 +19,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
-from scipy.optimize import minimize
 
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import thermal_causes
 from errpipe.fitting.season_options import SeasonOptions
+from errpipe.fitting.simplex import minimise
 from errpipe.fitting.solve import one_thread
 from errpipe.fitting.thermal_arithmetic import centred, held_readings, rms, since_start_of
 
@@ -108,8 +108,8 @@ class DutyCycles:
         def cost(logarithms: np.ndarray) -> float:
             return self._cost(np.exp(logarithms), runs) + 0.5 * float(np.sum(((logarithms - centre) / CERTAINTY) ** 2))
 
-        optimum = minimize(cost, centre, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02, "maxiter": 300})
-        return self._posterior(np.exp(optimum.x), runs)
+        optimum, _ = minimise(cost, centre, x_step=0.02, cost_step=0.02, steps=300)
+        return self._posterior(np.exp(optimum), runs)
 
     def information_of(self, run: int, known: Posterior) -> np.ndarray:
         """Information on b of one run, measured or only logged, (p, p), 1/um2."""

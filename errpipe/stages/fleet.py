@@ -85,6 +85,7 @@ def fleet(
     run = _on_cluster(tasks, scheduler) if scheduler else _in_processes(tasks, jobs)
     results: dict[str, dict[str, Any]] = {}
     with ThreadPoolExecutor(1) as reader:  # models are checked while other machines run
+        reader.submit(importlib.import_module, "errpipe.fitting.pooling")  # for the report, while workers import
         models = {}
         for result in run:
             name = result["name"]
