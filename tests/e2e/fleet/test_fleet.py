@@ -198,12 +198,10 @@ def test_a_machine_that_fails_says_what_an_earlier_run_left_in_its_folder(tmp_pa
     task = [str(tmp_path / "axis.yaml"), "m", ["ingest.recording=recordings/m000"], str(tmp_path / "out")]
     done = fleet_stage.run_machine(*task)
     assert (done["state"], done["message"]) == ("done", "")
-    assert (
-        "earlier"
-        not in fleet_stage.run_machine(task[0], "new", ["ingest.recording=recordings/m001"], task[3])["message"]
-    )
+    damaged = ["ingest.recording=recordings/m001"]
+    assert "earlier" not in fleet_stage.run_machine(task[0], "new", damaged, task[3])["message"]
     left = {}
-    for name, keys in {"ingest": ["ingest.recording=recordings/m001"], "fit": [*task[2], "fit.components=[]"]}.items():
+    for name, keys in {"ingest": damaged, "fit": [*task[2], "fit.components=[]"]}.items():
         left[name] = fleet_stage.run_machine(task[0], "m", keys, task[3])["message"].partition("; machines/m ")[2]
     read = tmp_path / "recordings/m000/recording.csv"  # a reading apart: ingest goes through, the fit has too few rows
     read.write_text("\n".join(read.read_text(encoding="utf-8").splitlines()[:4]) + "\n", encoding="utf-8")
