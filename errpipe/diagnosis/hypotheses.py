@@ -12,6 +12,7 @@ import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -157,9 +158,12 @@ def _with_columns(
     every: Iterable[Hypothesis], recording: Recording, rows: np.ndarray
 ) -> Iterator[tuple[Hypothesis, Block, int]]:
     """Hypotheses whose core columns vary on these rows, one at a time."""
+    all_rows = rows.size == len(recording)
     for hypothesis in every:
         core, slack, rel = columns_of(hypothesis, recording)
-        block = scaled(core[rows], slack[rows], rel)
+        if not all_rows:
+            core, slack = core[rows], slack[rows]
+        block = scaled(core, slack, rel, "F")  # column by column, as the table holds them
         if block is not None:
             yield hypothesis, block, core.shape[1]
 
@@ -188,7 +192,7 @@ def folds(run: np.ndarray, session: np.ndarray | None = None) -> tuple[np.ndarra
 Block = tuple[np.ndarray, np.ndarray, np.ndarray]  # columns (rows, k), their freedoms (k,) and scales (k,)
 
 
-def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> Block | None:
+def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray, order: Literal["C", "F"] = "C") -> Block | None:
     """Columns of unit size, their freedoms and scales; None where a core column does not vary."""
     if not np.isfinite(core).all() or not np.isfinite(slack).all():
         return None
@@ -198,15 +202,20 @@ def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> Block | None
     size = np.where(spread > 1e-6 * rms, spread, rms)
     slack_rms = rms_and_spread(slack)[0]
     keep = slack_rms > 1e-12
-    block = np.column_stack([core / size, slack[:, keep] / slack_rms[keep]])
-    return block, np.r_[np.ones(core.shape[1]), rel[keep]], np.r_[size, slack_rms[keep]]
+    scales, cores = np.concatenate([size, slack_rms[keep]]), core.shape[1]
+    block = np.empty((len(core), scales.size), order=order)
+    np.divide(core, size, out=block[:, :cores])
+    np.divide(slack if keep.all() else slack[:, keep], scales[cores:], out=block[:, cores:])
+    return block, np.concatenate([np.ones(cores), rel[keep]]), scales
 
 
 def rms_and_spread(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rms and standard deviation of columns (rows, k), shapes (k,)."""
-    if columns.shape[1] > 1:
+    if columns.shape[1] != 1:
         return evidence.rms_and_spread(np.ascontiguousarray(columns))
-    return np.sqrt(np.mean(columns**2, axis=0)), columns.std(axis=0)
+    one, rows = columns[:, 0], len(columns)  # the same bits as numpy's mean and std of the column, in half the time
+    off = one - np.add.reduce(one) / rows
+    return np.sqrt([np.add.reduce(one * one) / rows]), np.sqrt([np.add.reduce(np.multiply(off, off, out=off)) / rows])
 
 
 def enumerate_all(recording: Recording, component: str, raw: Recording, signals: Signals) -> Iterator[Hypothesis]:
