@@ -12,7 +12,6 @@ import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
@@ -163,7 +162,7 @@ def _with_columns(
         core, slack, rel = columns_of(hypothesis, recording)
         if not all_rows:
             core, slack = core[rows], slack[rows]
-        block = scaled(core, slack, rel, "F")  # column by column, as the table holds them
+        block = scaled(core, slack, rel, for_table=True)
         if block is not None:
             yield hypothesis, block, core.shape[1]
 
@@ -192,8 +191,11 @@ def folds(run: np.ndarray, session: np.ndarray | None = None) -> tuple[np.ndarra
 Block = tuple[np.ndarray, np.ndarray, np.ndarray]  # columns (rows, k), their freedoms (k,) and scales (k,)
 
 
-def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray, order: Literal["C", "F"] = "C") -> Block | None:
-    """Columns of unit size, their freedoms and scales; None where a core column does not vary."""
+def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray, for_table: bool = False) -> Block | None:
+    """Columns of unit size, their freedoms and scales; None where a core column does not vary.
+
+    for_table: each column in one piece, as a table stores it, without a copy in between.
+    """
     if not np.isfinite(core).all() or not np.isfinite(slack).all():
         return None
     rms, spread = rms_and_spread(core)
@@ -203,9 +205,12 @@ def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray, order: Literal[
     slack_rms = rms_and_spread(slack)[0]
     keep = slack_rms > 1e-12
     scales, cores = np.concatenate([size, slack_rms[keep]]), core.shape[1]
-    block = np.empty((len(core), scales.size), order=order)
-    np.divide(core, size, out=block[:, :cores])
-    np.divide(slack if keep.all() else slack[:, keep], scales[cores:], out=block[:, cores:])
+    if for_table:
+        block = np.empty((len(core), scales.size), order="F")
+        np.divide(core, size, out=block[:, :cores])
+        np.divide(slack if keep.all() else slack[:, keep], scales[cores:], out=block[:, cores:])
+    else:
+        block = np.column_stack([core / size, slack[:, keep] / scales[cores:]])
     return block, np.concatenate([np.ones(cores), rel[keep]]), scales
 
 

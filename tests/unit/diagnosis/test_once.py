@@ -49,14 +49,14 @@ def test_a_state_at_the_start_decays_in_its_own_session(runs: int) -> None:
     assert [f for _, f in states] == ([1.0] if len(every) >= MANY_STARTS else [0.3, *[0.7] * (len(every) - 1)])
 
 
-@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("for_table", [False, True])
 @pytest.mark.parametrize("cores", [1, 2])
-def test_scaled_columns_are_numpys_to_the_last_bit(order, cores: int) -> None:
+def test_scaled_columns_are_numpys_to_the_last_bit(for_table: bool, cores: int) -> None:
     rng = np.random.default_rng(cores)
     for rows in rng.integers(30, 20_000, 10):
         core, slack = rng.normal(3.0, 2.0, (rows, cores)), rng.normal(size=(rows, 3)) * [1.0, 0.0, 1e-3]
         if cores == 1:
             assert rms_and_spread(core)[0] == np.sqrt(np.mean(core**2)) and rms_and_spread(core)[1] == core.std()
-        block, freedom, scale = scaled(core, slack, np.array([0.1, 0.2, 0.3]), order)
+        block, freedom, scale = scaled(core, slack, np.array([0.1, 0.2, 0.3]), for_table)
         assert freedom.tolist() == [*[1.0] * cores, 0.1, 0.3] and block.shape == (rows, cores + 2)
         assert (block == np.column_stack([core, slack[:, [0, 2]]]) / scale).all()
