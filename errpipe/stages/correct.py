@@ -85,23 +85,29 @@ def correct(
         "largest_correction_um": 1e3 * summary.largest_correction,
         "largest_chord_error_um": 1e3 * summary.largest_chord_error,
     }
-    if depends_on_direction(compensation_table):
-        result["direction"] = "the mean of both directions of travel: lost motion is not corrected in a program"
-    if left := [o.name for o in compensation_table.outputs if o.axis not in MOVED]:
-        result["not_corrected"] = f"{', '.join(left)}: programs are corrected in X, Y and Z only"
-    if not any(option.startswith("G54=") for option in offsets):
-        result["offsets"] = "no --offset of G54 was given: G54 is taken as 0,0,0, machine coordinates"
+    result |= _remarks(compensation_table, offsets, next(chunks_of(program), b"").decode())
     beyond = [outside_validity(compensation_table, readings), outside_travel(compensation_table, low, high)]
     if any(beyond):
         result["outside_what_was_measured"] = "; ".join(filter(None, beyond))
-    beginning = next(chunks_of(program), b"").decode()
+    if out is None:
+        return {**result, "program": b"".join(parts).decode()}
+    return {**result, "written": str(out)}
+
+
+def _remarks(table: CompensationTable, offsets: Sequence[str], beginning: str) -> dict[str, str]:
+    """What a table, the work offsets that were given and the beginning of a program leave open, in words."""
+    result = {}
+    if depends_on_direction(table):
+        result["direction"] = "the mean of both directions of travel: lost motion is not corrected in a program"
+    if left := [o.name for o in table.outputs if o.axis not in MOVED]:
+        result["not_corrected"] = f"{', '.join(left)}: programs are corrected in X, Y and Z only"
+    if not any(option.startswith("G54=") for option in offsets):
+        result["offsets"] = "no --offset of G54 was given: G54 is taken as 0,0,0, machine coordinates"
     if whole := whole_numbers(beginning):
         result["whole_numbers"] = whole
     if turned := diameters(beginning):
         result["diameters"] = turned
-    if out is None:
-        return {**result, "program": b"".join(parts).decode()}
-    return {**result, "written": str(out)}
+    return result
 
 
 def chunks_of(program: Path) -> Iterator[bytes]:
