@@ -54,9 +54,7 @@ class Library:
     table: whitened products; its column `datum` is the constant.
     """
 
-    def __init__(
-        self, made: Iterable[tuple[Hypothesis, Block, int]], run: np.ndarray, fold: np.ndarray, starts: int = 1
-    ):
+    def __init__(self, made: Iterable[Made], run: np.ndarray, fold: np.ndarray, starts: int = 1):
         """made: each hypothesis with its scaled block and the number of its core columns, as they come.
 
         starts: columns in which a body's state at the start of each session stands.
@@ -92,7 +90,7 @@ class Library:
         self.scales.append(scale)
         return columns
 
-    def extend(self, made: list[tuple[Hypothesis, Block, int]]) -> None:
+    def extend(self, made: list[Made]) -> None:
         """Append hypotheses, each with its scaled block and the number of its core columns."""
         blocks = [self._listed(*one) for one in made]
         edges = np.cumsum([0, *[block.shape[1] for block in blocks]])
@@ -153,13 +151,12 @@ def build(
     return Library(_with_columns(every, recording, rows), run, folds(run, session[rows])[0], starts)
 
 
-def _with_columns(
-    every: Iterable[Hypothesis], recording: Recording, rows: np.ndarray
-) -> Iterator[tuple[Hypothesis, Block, int]]:
+def _with_columns(every: Iterable[Hypothesis], recording: Recording, rows: np.ndarray) -> Iterator[Made]:
     """Hypotheses whose core columns vary on these rows, one at a time."""
+    taken = slice(None) if rows.size == len(recording) else rows  # a slice copies nothing
     for hypothesis in every:
         core, slack, rel = columns_of(hypothesis, recording)
-        block = scaled(core[rows], slack[rows], rel)
+        block = scaled(core[taken], slack[taken], rel, for_table=True)
         if block is not None:
             yield hypothesis, block, core.shape[1]
 
@@ -189,10 +186,11 @@ def folds(run: np.ndarray, session: np.ndarray | None = None) -> tuple[np.ndarra
 
 
 Block = tuple[np.ndarray, np.ndarray, np.ndarray]  # columns (rows, k), their freedoms (k,) and scales (k,)
+Made = tuple[Hypothesis, Block, int]  # its scaled block, and the number of its core columns
 
 
-def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> Block | None:
-    """Columns of unit size, their freedoms and scales; None where a core column does not vary."""
+def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray, for_table: bool = False) -> Block | None:
+    """Columns of unit size (for a table: each in one piece), freedoms, scales; None where a core column is constant."""
     if not np.isfinite(core).all() or not np.isfinite(slack).all():
         return None
     rms, spread = rms_and_spread(core)
@@ -201,8 +199,9 @@ def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> Block | None
     size = np.where(spread > 1e-6 * rms, spread, rms)
     slack_rms = rms_and_spread(slack)[0]
     keep = slack_rms > 1e-12
-    block = np.column_stack([core / size, slack[:, keep] / slack_rms[keep]])
-    return block, np.r_[np.ones(core.shape[1]), rel[keep]], np.r_[size, slack_rms[keep]]
+    pieces = np.empty((len(core), size.size + np.count_nonzero(keep)), order="F") if for_table else None
+    block = np.concatenate([core / size, slack[:, keep] / slack_rms[keep]], axis=1, out=pieces)
+    return block, np.concatenate([np.ones(size.size), rel[keep]]), np.concatenate([size, slack_rms[keep]])
 
 
 def rms_and_spread(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -225,13 +224,11 @@ def enumerate_all(recording: Recording, component: str, raw: Recording, signals:
             points = grid(group[0], recording, signals)
             # every effect has the same odds: its bindings share them, and (half, for neighbours agree) its grid
             shared = -np.log(max(len(groups), 1)) - 0.5 * np.log(max(len(points), 1))
-            odds = (
-                group[0].log_prior_odds() + float(shared) + (TIME_ALONE if by_time and set(drivers) == by_time else 0.0)
-            )
+            alone = TIME_ALONE if by_time and set(drivers) == by_time else 0.0
+            odds = group[0].log_prior_odds() + float(shared) + alone
             for values in points:
-                yield Hypothesis(
-                    group[0].reports_as, group, (values,) * len(group), drivers, odds + sizes(group[0], values)
-                )
+                own = odds + sizes(group[0], values)
+                yield Hypothesis(group[0].reports_as, group, (values,) * len(group), drivers, own)
         located = list(kind.located(recording, component, signals))
         for term, values in located:
             odds = term.log_prior_odds() - float(np.log(len(located))) + sizes(term, values)
