@@ -22,6 +22,8 @@ SAME = -12.0  # and again where it would be driven by the same columns
 KNOWN = 0.05  # rms that a decomposition leaves, over the signal's, up to which it tells what a simulation reads
 SURE = 15.0  # log Bayes factor from which a part is certain to be in the simulation
 MAX_GAIN_PENALTY = 60.0  # largest penalty, in log evidence, of gains beyond the limits: the decomposition may be wrong
+EXACT = 6.0  # log odds that the gains of all parts but one are 1 rather than off as usual,
+HAIR = 0.1  # and how far off they may be then, relative to the usual
 CLAMPED_SD = 0.03  # standard deviation of a gain beyond the limits during the search for another explanation
 
 
@@ -78,6 +80,34 @@ def _weaker_prior(search: Search, d: parts.Decomposition, effects: set[str]) -> 
         if h.effect in effects and (h.effect, h.drivers) in held:
             prior[i] -= SAME
     return prior
+
+
+def exact_but_for_one(
+    search: Search, explanation: Explanation, d: parts.Decomposition, nuisances: list[Nuisance], sizes, noise: float
+) -> tuple[Search, Explanation] | None:
+    """A simulation that holds every effect but one to a hair lacks, or has too much, of that one: it is named.
+
+    The gains of the others are known to be 1 by log odds of `EXACT` (Savage-Dickey ratio), and that all of them are
+    and something is missing is likelier than that one is off. None elsewhere.
+    """
+    held, rows = gains.totals(nuisances, sizes)
+    scene = search.scene([(f.index, f.size) for f in explanation.accepted])
+    known = rows.shape[1]
+    at = rows @ scene.coefficients()[:known]
+    variance = np.diag(rows @ scene.covariance()[:known, :known] @ rows.T)
+    odds = 0.5 * (np.log1p(GAIN_SD**2 / variance) - at**2 / variance + at**2 / (GAIN_SD**2 + variance))
+    off = int(np.argmin(odds))
+    if len(held) < 2 or odds[off] > -OFF or odds.sum() - odds[off] < EXACT:
+        return None
+    prior, datums = search.prior.copy(), np.array([n.is_datum for n in nuisances])
+    own = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.hypothesis.effect == held[off].effect}
+    for i, h in enumerate(search.library.hypotheses):
+        if (h.effect, h.drivers) in own and prior[i] > 0.5 * NEVER:
+            prior[i] = h.prior
+    exact = Active(search.nuisance.index, search.nuisance.sd * np.where(datums, 1.0, HAIR))
+    other, named = settled(search.library, search.data, exact, prior, noise, search.rows)
+    either = (s.evidence([(f.index, f.size) for f in e.accepted]) for s, e in ((other, named), (search, explanation)))
+    return (other, named) if named.accepted and float(np.subtract(*either)) > OFF else None
 
 
 TRUST = 0.3  # weight of the decomposition's evidence: its residual is misfit, not noise
