@@ -22,7 +22,7 @@ from errpipe.terms import MANY_STARTS
 
 FIRST_READINGS, ROWS_ZEROED = 3, 30  # readings that show a session's zero; rows that it must have
 AT_ZERO = 0.3  # their rms, over that of all readings; noise that wanders takes part of it
-BY_CHANCE = 0.01  # probability that readings which swing about zero begin as near to it
+BY_CHANCE = 0.02  # probability that readings which swing about zero begin as near to it
 ZEROED = 5  # first rows of a held-out session, from which its datum is estimated
 
 

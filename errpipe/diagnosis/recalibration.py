@@ -23,7 +23,7 @@ KNOWN = 0.05  # rms that a decomposition leaves, over the signal's, up to which 
 SURE = 15.0  # log Bayes factor from which a part is certain to be in the simulation
 MAX_GAIN_PENALTY = 60.0  # largest penalty, in log evidence, of gains beyond the limits: the decomposition may be wrong
 EXACT = 6.0  # log odds that the gains of all parts but one are 1 rather than off as usual,
-HAIR = 0.1  # and how far off they may be then, relative to the usual
+HAIR = 0.03  # and how far off they may be then, relative to the usual
 CLAMPED_SD = 0.03  # standard deviation of a gain beyond the limits during the search for another explanation
 
 
@@ -107,7 +107,7 @@ def exact_but_for_one(
     exact = Active(search.nuisance.index, search.nuisance.sd * np.where(datums, 1.0, HAIR))
     other, named = settled(search.library, search.data, exact, prior, noise, search.rows)
     either = (s.evidence([(f.index, f.size) for f in e.accepted]) for s, e in ((other, named), (search, explanation)))
-    return (other, named) if named.accepted and float(np.subtract(*either)) > OFF else None
+    return (other, named) if named.accepted and float(np.subtract(*either)) > 0.0 else None
 
 
 TRUST = 0.3  # weight of the decomposition's evidence: its residual is misfit, not noise
