@@ -23,8 +23,8 @@ ROWS = (60.0, 0.025)  # effective number of rows (offset, per row): the residual
 DOUBTS = 2  # directions of largest posterior variance kept of each part
 LEAST_PART = 0.01  # rms over the signal's below which a signal does not hold an effect
 PRICE = 6.0  # log prior odds against each part
-NO_SUM = 0.3  # rms that a decomposition leaves over the signal's, from which the signal is no sum of effects: their gains
-# would play whatever is missing (of 59 generated simulations one leaves more than 0.15)
+NO_SUM = 0.3  # rms that a decomposition leaves over the signal's, from which the signal is no sum of effects: gains of
+# such parts would play whatever is missing (of 59 generated simulations one leaves more than 0.15)
 EARNED = 5.0  # log Bayes factor of a part: with less its gain and its doubts would play whatever is missing
 Chosen = list[tuple[int, float]]  # hypotheses with their sizes, in units of the coarseness
 

@@ -263,10 +263,6 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     if not made.in_own_noise and not made.plain:
         search, explanation = in_its_own_noise(made, search, explanation)
     search, explanation, nuisance = _with_dependent_rows(made, search, explanation)
-    if search.rows is None:  # else the residual is correlated and the gains are poorly known
-        search, explanation = recalibration.within_limits(
-            search, explanation, made.decomposition, made.nuisances, made.recal, made.sizes, made.noise_estimate
-        )
     held = made.decomposition
     exact = recalibration.exact_but_for_one(search, explanation, held, made.nuisances, made.sizes, made.noise_estimate)
     if exact:

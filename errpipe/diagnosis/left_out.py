@@ -133,8 +133,8 @@ def zeroed_at_starts(error: np.ndarray, session: np.ndarray) -> bool:
     if np.sqrt(np.mean(np.square(levels))) >= AT_ZERO * np.sqrt(np.mean(error**2)):
         return False
     mean = np.full(FIRST_READINGS, 1.0 / FIRST_READINGS)
-    near = zip(levels, (np.convolve(error[k : k + n], mean, "valid") for k, n in zip(first, count, strict=True)))
-    as_near = [np.mean(np.abs(means) <= abs(level) + 1e-12) for level, means in near]
+    means = [np.abs(np.convolve(error[k : k + n], mean, "valid")) for k, n in zip(first, count, strict=True)]
+    as_near = [np.mean(m <= m[0] + 1e-12) for m in means]
     return bool(chdtrc(2 * first.size, -2.0 * np.sum(np.log(as_near))) < BY_CHANCE)  # Fisher's combined probability
 
 

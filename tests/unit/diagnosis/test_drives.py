@@ -66,8 +66,8 @@ def test_mass_off_by_a_tenth_is_a_recalibration() -> None:
     assert response.responses[0].verdict == "recalibrate"
 
 
-@pytest.mark.parametrize(("off", "verdict"), [((0.0, 0.0, 0.12), "missing_physics"), ((0.05, -0.1, 0.12), "recalibrate")])
-def test_one_coefficient_off_in_a_simulation_that_is_right_elsewhere_is_named(off, verdict) -> None:
+@pytest.mark.parametrize("off", [(0.0, 0.0, 0.12), (0.05, -0.1, 0.12)])
+def test_one_coefficient_off_in_a_simulation_that_is_right_elsewhere_is_named(off) -> None:
     known = trace(1)
     frame, side = known.frame, np.sign(known.frame.v)
     held = frame.F_X_sim, 20.0 * side, 0.2 * frame.v
@@ -75,8 +75,8 @@ def test_one_coefficient_off_in_a_simulation_that_is_right_elsewhere_is_named(of
     recorded = frame.F_X - frame.F_X_sim + sum((1.0 + by) * part for by, part in zip(off, held, strict=True))
     changed = frame.assign(F_X=recorded, F_X_sim=simulated)
     (response,) = diagnose(type(known)(known.manifest, changed))[0].responses
-    assert response.verdict == verdict
-    if verdict == "missing_physics":
+    assert response.verdict == ("recalibrate" if off[0] else "missing_physics")
+    if not off[0]:
         first = response.findings[0]
         assert first.effect == "viscous_friction" and first.confidence <= 0.45  # it may be the gain
         assert first.parameters[0].ci95[0] <= 24.0 <= first.parameters[0].ci95[1]

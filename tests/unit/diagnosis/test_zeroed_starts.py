@@ -52,5 +52,5 @@ def test_readings_that_begin_at_zero_in_each_of_two_sessions_or_more():
 
 
 def test_readings_that_swing_about_zero_begin_near_it_by_chance():
-    swing = np.tile(10.0 * np.sin(np.linspace(-0.15, 30, 50)), 2)
+    swing = np.tile(10.0 * np.sin(np.linspace(-0.5, 30, 50)), 2)
     assert not zeroed_at_starts(swing, np.repeat([0, 1], 50))
