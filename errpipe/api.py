@@ -114,7 +114,7 @@ class Cycle:
     of the outputs. identity: the name by which a controller shows the table.
 
     A step is a cycle of a controller: another place for one step alone counts as a bad sample where the axis stands.
-    True in place of False, with dt the time since the row before: rows of a recording, each of which is believed.
+    True in place of False, with dt the time since the row before: rows of a recording, each of which is accepted.
     """
 
     step: Any

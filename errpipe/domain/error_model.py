@@ -70,7 +70,7 @@ class DatumReadings(Frozen):
     hold_s: float = Field(gt=0, description="An older reading counts as none.", json_schema_extra={"unit": "s"})
     bound: float = Field(
         gt=0,
-        description="A reading further from the prediction is not believed.",
+        description="A reading further from the prediction is rejected.",
         json_schema_extra={"unit": "of the deviation"},
     )
 

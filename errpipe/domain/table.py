@@ -70,7 +70,7 @@ STATUS = (
     "holding",
 )
 STATUS_BIT = {name: 1 << n for n, name in enumerate(STATUS)}
-# Why a reading is not believed, and what stands in for it: the codes a controller shows per input.
+# Why a reading is rejected, and what stands in for it: the codes a controller shows per input.
 FAULTS = ("none", "missing", "stale", "range", "rate")
 SOURCES = ("reading", "substitute", "held", "default")
 
@@ -98,11 +98,11 @@ class Substitute(Part):
 
 
 class TableInput(Part):
-    """A channel the controller feeds each cycle, and what happens when its reading cannot be believed.
+    """A channel the controller feeds each cycle, and what happens when its reading is rejected.
 
-    A reading is believed if it is finite, fresh, within [low, high], and lies within `noise` of where `max_rate` lets
+    A reading is accepted if it is finite, fresh, within [low, high], and lies within `noise` of where `max_rate` lets
     it be; the first one of a run once it has stayed there for half a thermal cycle. Else: the substitute (if its
-    sources are believed), else the last believed reading for less than `hold_s`, else `default`. The result is always
+    sources are accepted), else the last accepted reading for less than `hold_s`, else `default`. The result is always
     within [low, high], and what the table sees of it within `valid`.
     """
 
@@ -110,10 +110,10 @@ class TableInput(Part):
     kind: Kind = Field(description="What the channel carries; motion and force are read every position cycle.")
     axis: Annotated[str, text(7, AXIS)] = Field("", description="Letter of the axis it belongs to.")
     unit: Annotated[str, text(15)] = Field("", description="Unit of the reading.")
-    low: Number = Field(description="Lowest believable reading.", json_schema_extra={"unit": "of the input"})
-    high: Number = Field(description="Highest believable reading.", json_schema_extra={"unit": "of the input"})
+    low: Number = Field(description="Lowest plausible reading.", json_schema_extra={"unit": "of the input"})
+    high: Number = Field(description="Highest plausible reading.", json_schema_extra={"unit": "of the input"})
     max_rate: Positive | None = Field(
-        None, description="Largest believable change.", json_schema_extra={"unit": "of the input per s"}
+        None, description="Largest plausible change.", json_schema_extra={"unit": "of the input per s"}
     )
     noise: NotNegative = Field(
         0.0,
@@ -121,7 +121,7 @@ class TableInput(Part):
         json_schema_extra={"unit": "of the input"},
     )
     stale_after_s: Positive | None = Field(
-        None, description="A reading older than this is not believed.", json_schema_extra={"unit": "s"}
+        None, description="A reading older than this is rejected.", json_schema_extra={"unit": "s"}
     )
     substitute: tuple[Substitute, ...] = Field((), description="Summands of the reading's stand-in; none: no stand-in.")
     substitute_offset: Number = Field(
@@ -129,7 +129,7 @@ class TableInput(Part):
     )
     hold_s: Annotated[float, Field(ge=0, le=LARGEST_NUMBER)] | None = Field(
         None,
-        description="How long the last believed reading stands in; none: without end.",
+        description="How long the last accepted reading stands in; none: without end.",
         json_schema_extra={"unit": "s"},
     )
     default: Number = Field(
@@ -313,10 +313,10 @@ class CompensationTable(Part):
             raise ValueError("a table of version 1 knows no threshold of an approach")
         components = _unique("component", (c.name for c in self.components))
         _unique("output", (o.name for o in self.outputs))
-        believed = {i.name for i in self.inputs if not i.optional}
+        accepted = {i.name for i in self.inputs if not i.optional}
         for i in self.inputs:
             for s in i.substitute:
-                if s.input not in believed or s.input == i.name:
+                if s.input not in accepted or s.input == i.name:
                     raise ValueError(f"input {i.name}: {s.input!r} cannot be a source of its substitute")
         for number, node in enumerate(self.nodes):
             check_node(number, node, known)

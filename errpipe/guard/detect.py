@@ -1,4 +1,4 @@
-"""Which sensors a guard believes, as drivers. The letters are those of `errpipe.guard.description`.
+"""Which sensors a guard accepts, as drivers. The letters are those of `errpipe.guard.description`.
 
 Every function returns one driver per sensor, in the guard's order, unless it says otherwise. The same part asked for
 again is the same object, so that a table holds it once.
@@ -14,7 +14,7 @@ from errpipe.guard import composed as c
 from errpipe.guard.description import SensorGuard
 
 WARM_UP = 3.0  # freeze times after the start before stillness means anything: its lag has then settled to 5 %
-REVIVED = 4.0  # times `still`: hysteresis, a frozen sensor must be that alive again to be believed (taste)
+REVIVED = 4.0  # times `still`: hysteresis, a frozen sensor must be that alive again to be accepted (taste)
 QUIET_SHARE = 0.36  # of the squared threshold: from here up residuals are no longer remembered; 0.25 to 0.5 do alike
 UNTIL_RESTART = -1.0  # a switch's lower level that no flag or square ever reaches
 AGE_S = 1e6  # time constant of how long a sensor has been blamed: above any shift
@@ -125,7 +125,7 @@ def frozen(guard: SensorGuard) -> tuple[d.Driver, ...]:
 
 @shared
 def faults(guard: SensorGuard) -> tuple[d.Driver, ...]:
-    """1 while a reading is not believed; else 0."""
+    """1 while a reading is rejected; else 0."""
     return tuple(c.any_of(*pair) for pair in zip(_first_two_isolated(guard), frozen(guard), strict=True))
 
 

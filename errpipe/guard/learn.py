@@ -139,7 +139,7 @@ def _estimate(rows: Healthy) -> tuple[np.ndarray, np.ndarray]:
     """Weights (sensors, sensors) of the best estimates, and the largest residual since the start per sensor, K.
 
     Learnt from what changes within a shift, for an estimate only has to carry a reading on from where it was last
-    believed; with the ridge that leaves the least of groups left out.
+    accepted; with the ridge that leaves the least of groups left out.
     """
     rise = rows.rises()
     shift = rows.centred(rise)

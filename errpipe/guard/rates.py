@@ -1,4 +1,4 @@
-"""How fast each sensor moved in a recording, and how much of it was noise: what a controller believes of a reading."""
+"""How fast each sensor moved in a recording, and how much of it was noise: what a controller accepts of a reading."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ROLES = {
 
 @dataclass(frozen=True)
 class ReadingRate:
-    """Largest believable change of a reading: `max_rate` per s, and `noise` on top of it, in the column's unit."""
+    """Largest plausible change of a reading: `max_rate` per s, and `noise` on top of it, in the column's unit."""
 
     max_rate: float
     noise: float

@@ -1,4 +1,4 @@
-"""The guarded reading: a sensor's own while it is believed, else its estimate from the others, as drivers.
+"""The guarded reading: a sensor's own while it is accepted, else its estimate from the others, as drivers.
 
 The letters are those of `errpipe.guard.description`.
 """
@@ -27,7 +27,7 @@ def guarded(driver: d.Driver, guard: SensorGuard) -> d.Driver:
 
 @shared
 def readings(guard: SensorGuard) -> tuple[d.Driver, ...]:
-    """Per sensor the reading while it is believed, else what stands in for it."""
+    """Per sensor the reading while it is accepted, else what stands in for it."""
     failed, gone = faults(guard), tuple(_shift_since_trusted(guard, i) for i in range(len(guard.sensors)))
     alone = tuple(d.Product(of=pair) for pair in zip(failed, gone, strict=True))
     weights = [s.estimate for s in guard.sensors]

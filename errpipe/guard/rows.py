@@ -12,7 +12,7 @@ from errpipe.drivers.sessions import sessions
 
 SHIFT_S = 36000.0  # estimates are learnt from what changes within one shift of ten hours
 BLOCK_S = 7200.0  # largest values are taken per two hours, beyond which residuals hardly correlate (turning centre)
-MAX_SHAPE = 0.25  # of the extreme-value law: a tail that ends sooner is not believed of few hours
+MAX_SHAPE = 0.25  # of the extreme-value law: a tail that ends sooner is not used where hours are few
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ def lookup(lookups, first, last, s):
 
 @bare_kernel
 def is_ready(node, operands, state, inputs):
-    """Whether everything below a node has had a believed reading."""
+    """Whether everything below a node has had an accepted reading."""
     if node.op == INPUT:
         return inputs[node.other].usable != 0
     below = True

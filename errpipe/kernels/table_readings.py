@@ -1,4 +1,4 @@
-"""Readings of a table's inputs: which are believed, what stands in for the others, what the table sees of them.
+"""Readings of a table's inputs: which are accepted, what stands in for the others, what the table sees of them.
 
 `program` and `state` are as in `table_cycle`; the rules are those of the reference evaluator, to the bit.
 """
@@ -47,9 +47,9 @@ def follows(channel, own, v, fresh, unwatched, thermal_s):
 
 @bare_kernel
 def condition(inputs, substitutes, state, readings, fresh, dt, unwatched, thermal_s):
-    """Judge all readings, then let something stand in for those not believed.
+    """Judge all readings, then let something stand in for those rejected.
 
-    unwatched: the first reading of a run is believed at once. Returns the status bits, bit 31 set where an input that
+    unwatched: the first reading of a run is accepted at once. Returns the status bits, bit 31 set where an input that
     matters is down to its default.
     """
     doubtful = 0
@@ -103,7 +103,7 @@ def show(inputs, state, every, clamped):
 
 @bare_kernel
 def substitute(inputs, substitutes, state):
-    """What replaces the readings that are not believed; status bits as in `condition`."""
+    """What replaces the readings that are rejected; status bits as in `condition`."""
     status = 0
     for i in range(inputs.size):
         channel = inputs[i]

@@ -1,6 +1,6 @@
 """Replay of a recording, in blocks of rows: one operation at a time over a block, to the bit as cycle after cycle.
 
-A block stands where every reading that matters is believed, every driver has started and every result is a number.
+A block stands where every reading that matters is accepted, every driver has started and every result is a number.
 Other rows are left to the cycle: what happens to bad readings stands there alone.
 Shapes: block buffers are (rows, BLOCK) as in `table_position`; `program` and `state` are those of `table_cycle`.
 """
@@ -90,7 +90,7 @@ def decay_block(way, whole, out):
 
 
 @bare_kernel
-def believe_block(channel, own, v, dt, thermal_s, out):
+def accept_block(channel, own, v, dt, thermal_s, out):
     """Readings as `condition` judges them, what stands in for missing optional ones; False where one is doubtful."""
     inside = 0
     for k in range(v.size):
@@ -125,7 +125,7 @@ def believe_block(channel, own, v, dt, thermal_s, out):
 
 @bare_kernel
 def show_block(channel, own, v, inside, clamped):
-    """What the table sees of believed readings `v`, and what validity leaves of it."""
+    """What the table sees of accepted readings `v`, and what validity leaves of it."""
     last = v.size - 1
     own.left = 1.0
     if channel.flags & HAS_VALID:
@@ -226,7 +226,7 @@ def block_of_readings(program, workspace, state, columns, begin, end):
     inside[:] = 1.0
     for i in range(program.inputs.size):
         channel, own, v = program.inputs[i], state.inputs[i], workspace.buffers.inputs[i, :size]
-        if not believe_block(channel, own, columns[i, begin:end], workspace.dt[:size], program.thermal_s, v):
+        if not accept_block(channel, own, columns[i, begin:end], workspace.dt[:size], program.thermal_s, v):
             return False
         show_block(channel, own, v, inside[:size], program.rules > 1)
     return True

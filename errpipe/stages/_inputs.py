@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
 
 FORCE_STALE = 0.1  # s: an older force is of another cut
-# Role of a column -> kind of the controller's channel, lowest and highest believable reading, stale after (s).
+# Role of a column -> kind of the controller's channel, lowest and highest plausible reading, stale after (s).
 CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {
     "position": ("position", -1e5, 1e5, None),
     "command": ("position", -1e5, 1e5, None),

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 PLACES = 41  # positions along an axis at which corrections are evaluated for the largest
 NOT_MEASURED = re.compile(r"(\w+) not measured from (\S+) to (\S+) deg")  # `bridged`
-UNBOUNDED = (-1e5, 1e5)  # mm: the believable range of a position (`_inputs.CHANNELS`) where no profile has an end
+UNBOUNDED = (-1e5, 1e5)  # mm: the plausible range of a position (`_inputs.CHANNELS`) where no profile has an end
 
 
 def refuse(recording: Recording, model: ErrorModel, allow: Sequence[str], limit: float | None) -> list[str]:

@@ -20,7 +20,7 @@ def compare(table: CompensationTable, model: ErrorModel, recording: Recording) -
     """Table beside model on the recording's own rows: largest and rms difference per component, um or urad.
 
     Both read temperatures with short holes filled: what a table holds in place of a missing reading is no difference.
-    bound_um: what gridding and rounding may add. The table's guards may add more, where they do not believe a reading
+    bound_um: what gridding and rounding may add. The table's guards may add more, where they reject a reading
     or fade outside what was seen: rows_held_back counts those rows. unguarded_difference_um: largest difference of the
     same table without its guards from the terms that it holds, with readings moved into its validity box, where its
     bound holds; beyond that, it is another model.

@@ -169,7 +169,7 @@ def readings_of(table: CompensationTable, at: Mapping[str, float]) -> dict[str, 
             )
         channel = allowed[name]
         if not (math.isfinite(value) and channel.low <= value <= channel.high):
-            raise UsageError(f"--at {name}={value:g}: not believable (allowed: {channel.low:g} to {channel.high:g})")
+            raise UsageError(f"--at {name}={value:g}: not plausible (allowed: {channel.low:g} to {channel.high:g})")
     missing = [i for i in needed if i.name not in at]
     if missing:
         words = " ".join(f"--at {i.name}={i.unit or 'VALUE'}" for i in missing)

@@ -61,7 +61,7 @@ def _not_given(table: CompensationTable, at: Mapping[str, float]) -> list[str]:
 
 
 def _outside(table: CompensationTable, at: Mapping[str, float]) -> list[str]:
-    """Readings that the table does not believe, or that lie beyond what was measured, in words."""
+    """Readings that the table rejects, or that lie beyond what was measured, in words."""
     from errpipe.validation.changes import of_table
 
     measured, out = of_table(table).ranges, []

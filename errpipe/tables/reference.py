@@ -6,7 +6,7 @@ kernel, the C runtime and the function block repeat it and give the same bits.
 One cycle: readings are conditioned (every result lies within its input's validity); nodes run in
 order, slow ones only in thermal cycles (the first cycle and every `slow_every`-th after it); profiles, pairs,
 synthesis; then limits. A state (first, lag, direction, approach) follows its operand until every required
-input below it has had a believed reading, and starts there. Tables of format version 1 run by the rules of their
+input below it has had an accepted reading, and starts there. Tables of format version 1 run by the rules of their
 version (`schemas/ect-1.md`).
 
 Two ways to call it: at the controller's fixed rate (dt None), or over a recording (dt given: time since the

@@ -1,4 +1,4 @@
-"""Readings of the plain-Python evaluator: which are believed, what stands in for others, what the table sees."""
+"""Readings of the plain-Python evaluator: which are accepted, what stands in for others, what the table sees."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Readings:
     """The inputs of one table, and what is kept of them from cycle to cycle.
 
     Of each input, by its number: value: what the table sees; left: what its validity leaves of the table, 0..1;
-    usable: whether it has had a believed reading; rejected: readings that its rate refused. status: bits of the cycle.
+    usable: whether it has had a accepted reading; rejected: readings that its rate refused. status: bits of the cycle.
     """
 
     def __init__(self, table: t.CompensationTable):
@@ -76,7 +76,7 @@ class Readings:
     def _within_rate(self, n: int, channel: t.TableInput, v: float, fresh: bool, replay: bool) -> bool:
         """Whether a reading lies where `max_rate` and `noise` let it be; the anchor follows it at that rate.
 
-        The first reading of a run is believed once it has stayed there for half a thermal cycle.
+        The first reading of a run is accepted once it has stayed there for half a thermal cycle.
         """
         settled = self._seen[n]
         if not settled and (replay or not self._rules_of_2):

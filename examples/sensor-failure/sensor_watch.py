@@ -31,7 +31,7 @@ def watch(guard: g.SensorGuard, recording: Recording) -> Watch:
 
 
 def faults(guard: g.SensorGuard, recording: Recording) -> np.ndarray:
-    """Which readings are not believed, shape (rows, sensors): `watch` without the readings that stand in."""
+    """Which readings are rejected, shape (rows, sensors): `watch` without the readings that stand in."""
     conditioned, impossible = _conditioned(guard, recording)
     return (drive_all(detect.faults(guard), conditioned) > 0.5) | impossible
 

@@ -254,7 +254,7 @@ SPINDLE = (
 
 
 def test_one_bad_sample_of_the_spindle_speed_and_a_step_of_it(tmp_path):
-    """A speed steps rightly: it is believed once it has stayed, and one sample is not, nor does it fade the table."""
+    """A speed steps rightly: it is accepted once it has stayed, and one sample is not, nor does it fade the table."""
     r, x = np.random.default_rng(3), np.tile(np.linspace(0, 1000, 15), 16)
     n = np.repeat(np.tile([0.0, 6000.0, 12000.0, 0.0], 4), 15)
     frame = pd.DataFrame(

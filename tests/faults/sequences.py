@@ -25,7 +25,7 @@ VELOCITY = 3  # its column of the readings
 PARTS, LONGEST, CALM = 6, 80, 2500  # parts with faults, most cycles of each; cycles of the calm end
 BAD_AT = CALM - 200  # cycle of the calm end in which X reads wrong once
 BAD_SAMPLE = 5.0  # um that a single bad sample may add
-SETTLED = 0.02  # um off what is right at the end: what a lag of 0.1 s leaves of a sensor that was believed late
+SETTLED = 0.02  # um off what is right at the end: what a lag of 0.1 s leaves of a sensor that was accepted late
 
 
 @cache

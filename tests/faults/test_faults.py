@@ -79,7 +79,7 @@ def test_without_limits_the_same_sequences_are_unsafe(monkeypatch):
 
 
 def test_without_the_undo_one_bad_sample_turns_the_lost_motion(monkeypatch):
-    """What the judge says of a direction that believes every single sample, as in version 1 of the format."""
+    """What the judge says of a direction that accepts every single sample, as in version 1 of the format."""
     monkeypatch.setattr(Evaluator, "_recall", lambda *_: None)
     judged = [sequences.judge(p, runners.by_reference(p)) for p in map(sequences.sequence, range(24))]
     assert sum(j.once > sequences.BAD_SAMPLE and j.off > sequences.BAD_SAMPLE for j in judged) > 5

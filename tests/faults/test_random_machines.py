@@ -118,7 +118,7 @@ def sequence(seed: int, made: Machine) -> list[Part]:
                 low, high = made.travel[channel.axis]
                 start = r.uniform(low, high) if r.random() < 0.3 else readings[0, k]
                 readings[:, k] = start + np.cumsum(r.choice([-0.3, 0.0, 0.2], cycles // 20 + 1).repeat(20)[:cycles])
-            if channel.kind == "position" or not begins:  # sensors are right at a reset: what they say then is believed
+            if channel.kind == "position" or not begins:  # sensors are right at a reset: what they say then is accepted
                 _spoil(r, readings[:, k])
         mode = np.full(cycles, ON, np.uint8)
         at = int(r.integers(cycles))

@@ -190,7 +190,7 @@ def readings() -> tuple[t.CompensationTable, list[dict]]:
 
 
 def doubts() -> tuple[t.CompensationTable, list[dict]]:
-    """Rates with a noise, exactly at their bounds and beside them, before and after the first reading is believed."""
+    """Rates with a noise, exactly at their bounds and beside them, before and after the first reading is accepted."""
     inputs = (
         channel("a", max_rate=4 / TICK, noise=8.0, hold_s=6 * TICK, fade_on_default=False),
         channel("b", max_rate=2 / TICK, noise=1.0, stale_after_s=2 * TICK, fade_on_default=False),

@@ -149,8 +149,8 @@ def table(tmp_path: Path) -> Path:
         ([], "the table reads T"),
         (["T=25", "Tnut=5"], "no such input"),
         (["x=5", "T=25"], "no such input"),
-        (["T=nan"], "not believable"),
-        (["T=1e9"], "not believable"),
+        (["T=nan"], "not plausible"),
+        (["T=1e9"], "not plausible"),
     ],
 )
 def test_a_reading_that_is_not_given_or_not_known_is_refused(

@@ -26,22 +26,22 @@ def sensor_fault(
     if inside.sum() < 8:
         return {}
     kind = str(rng.choice(["stuck", "dead", "stepped", "empty"]))
-    believed = true.copy()
+    accepted = true.copy()
     first = int(np.argmax(inside))
     if kind in ("stuck", "empty"):
-        believed[inside] = true[first]
+        accepted[inside] = true[first]
     elif kind == "dead":
-        believed[inside] = 0.0
+        accepted[inside] = 0.0
     else:
-        believed[inside] = true[inside] + rng.choice([-1, 1]) * rng.uniform(2, 6)
-    shown = np.where(inside, np.nan, true) if kind == "empty" else believed
+        accepted[inside] = true[inside] + rng.choice([-1, 1]) * rng.uniform(2, 6)
+    shown = np.where(inside, np.nan, true) if kind == "empty" else accepted
     k = rng.uniform(0.5, 3.0) * rng.choice([-1, 1])
     place = [float(np.round(t[inside][0], 1)), float(np.round(t[inside][-1], 1))]
-    carrier = Contribution("thermal_drift", k * (believed - believed[0]), (name,))
+    carrier = Contribution("thermal_drift", k * (accepted - accepted[0]), (name,))
     return {
         "sensor_fault": Contribution(
             "sensor_fault",
-            k * (true - believed),
+            k * (true - accepted),
             (name,),
             active=inside,
             where={"ranges": {"t": place}},

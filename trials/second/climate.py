@@ -134,11 +134,11 @@ def faulty_sensor(
         wrong = np.where(inside, true + sign(rng) * rng.uniform(2.0, 6.0) if kind == "stepped" else held, true)
         shown = np.where(inside, np.nan, true) if kind == "dead" else wrong
         k = sign(rng) * rng.uniform(1, 8)
-        believes = Part(effect, k * reach * (climate.at(climate.rise(name))), [*more, name])
+        accepts = Part(effect, k * reach * (climate.at(climate.rise(name))), [*more, name])
         smooth = np.where(inside, wrong - climate.at(climate.temps[name]), 0.0)
         span = {"ranges": {"t": [round(float(t[inside][0]), 1), round(float(t[inside][-1]), 1)]}}
         return Part(
-            "sensor_fault", -k * reach * smooth, [name], {}, (), inside, span, {name: shown}, "", True, [believes]
+            "sensor_fault", -k * reach * smooth, [name], {}, (), inside, span, {name: shown}, "", True, [accepts]
         )
 
     return make

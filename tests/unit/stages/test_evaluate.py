@@ -1,4 +1,4 @@
-"""`errpipe eval`: a reading beyond what was measured, or that the table does not believe, is said."""
+"""`errpipe eval`: a reading beyond what was measured, or that the table rejects, is said."""
 
 from __future__ import annotations
 

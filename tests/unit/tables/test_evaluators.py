@@ -89,7 +89,7 @@ def test_replay_is_the_reference_to_the_bit(seed, compiled, long, monkeypatch):
 
 
 def calm_rows(table, seed, rows):
-    """Columns, time and runs of a recording in which nearly every reading is believed: its blocks stand."""
+    """Columns, time and runs of a recording in which nearly every reading is accepted: its blocks stand."""
     rng, columns = np.random.default_rng(seed), {}
     steady = rng.random() < 0.5
     time = np.cumsum(np.full(rows, 0.5) if steady else rng.choice([0.0, 0.01, 0.5, 20.0], rows))

@@ -61,7 +61,7 @@ def lateness(nodes) -> float:
         status = np.empty(time.size, dtype=np.int64)
         table_cycle.stream(program, pack.state(program), readings, fresh, enable, deviation, correction, status)
         runs.append(deviation[:, 0])
-    there = slice(200, None)  # a sensor is believed half a thermal cycle after the start
+    there = slice(200, None)  # a sensor is accepted half a thermal cycle after the start
     return float(np.abs(runs[0] - runs[1])[there].max())
 
 

@@ -151,7 +151,7 @@ def test_single_precision_stays_within_a_few_nanometres(tmp_path):
     readings = readings.astype(np.float32).astype(float)
     deviation, correction, status = single.stream(table, readings, fresh, enable)
     exact = numba_stream(table, readings, fresh, enable)
-    there = slice(3000, None)  # sensors are believed a cycle earlier or later, and the thermal part fades in with them
+    there = slice(3000, None)  # sensors are accepted a cycle earlier or later, and the thermal part fades in with them
     assert np.max(np.abs(deviation - exact[0])[there]) < 0.005
     assert np.max(np.abs(correction - exact[1])[there]) < 5e-6
     assert np.max(np.abs(deviation - exact[0])) < 0.05
