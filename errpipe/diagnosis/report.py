@@ -244,8 +244,8 @@ def _verdict(case: Case, findings: list[Finding], p_unknown: float, nameless: bo
     """Verdict; where a mechanism without a name is likelier than the names, `unknown` comes first."""
     recalibrated = needs_recalibration(case)
     surest = max((f.confidence for f in findings), default=0.0)
-    doubtful = unnamed.wanders(case) and p_unknown >= unnamed.PROVISIONAL > 2.0 * surest
-    if findings and (p_unknown > confidence.UNKNOWN_FIRST or doubtful or nameless):
+    doubtful = nameless or (unnamed.wanders(case) and 2.0 * surest < unnamed.PROVISIONAL)
+    if findings and (p_unknown > confidence.UNKNOWN_FIRST or (doubtful and p_unknown >= unnamed.PROVISIONAL)):
         named = [unnamed.capped(f, min(p_unknown, 1.0 - p_unknown)) for f in findings]  # what stands first is likelier
         return [unnamed.finding(case, p_unknown), *named, *_recalibration(case, recalibrated)], "unexplained"
     if findings:

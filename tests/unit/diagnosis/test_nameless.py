@@ -245,3 +245,5 @@ def test_a_name_behind_unknown_is_no_likelier_than_it(monkeypatch, unknown, limi
     found, verdict = report._verdict(None, names, unknown, nameless=True)  # type: ignore[arg-type]
     assert verdict == "unexplained"
     assert [(f.effect, f.confidence) for f in found] == [("unknown", unknown), ("stribeck_friction", limit)]
+    # noise that is a linear process is left: no reason to put it before a name
+    assert report._verdict(None, names, unnamed.NOISE, nameless=True) == (names, "missing_physics")  # type: ignore[arg-type]
