@@ -98,6 +98,8 @@ def sides_of_names(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]
     The names of the files where their columns state the sides, and where not every name does.
     """
     said = [[w for w in re.findall(r"[^\W\d_]{2,}", stem) if side(w) is not None] for stem in stems]
+    shared = set(said[0]).intersection(*said) if said else set()  # `pos` of `pos_X_up` and `pos_X_down`
+    said = [[w for w in of_stem if w not in shared] for of_stem in said]
     ways = {side(words[0]) for words in said if len(words) == 1}
     stated = any(part.first("direction") is not None for part in parts)
     if stated or ways != {1.0, -1.0} or any(len(words) != 1 for words in said):
