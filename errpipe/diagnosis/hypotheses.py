@@ -173,8 +173,9 @@ def folds(run: np.ndarray, session: np.ndarray | None = None) -> tuple[np.ndarra
 
     Where the machine was started anew often enough (session of each row: see `drivers.sessions`), whole sessions are
     held out.
-    Else the recording is cut into FOLDS * BLOCKS stretches of neighbouring rows, assigned in turn, so that each fold
-    sees every run and thermal state, and no row is judged beside its own neighbours alone.
+    Else the recording is cut into FOLDS * BLOCKS stretches of neighbouring rows, so that each fold sees every run and
+    thermal state, and no row is judged beside its own neighbours alone. FOLDS in a row go to one fold each, in an order
+    drawn anew (of equal seed): dealt in turn, a circle of ten stretches would lose the same angles in every turn.
     """
     if session is not None:
         codes, inside = np.unique(session, return_inverse=True)
@@ -182,7 +183,9 @@ def folds(run: np.ndarray, session: np.ndarray | None = None) -> tuple[np.ndarra
             return inside % FOLDS, f"{codes.size} whole runs in {FOLDS} groups"
     count = min(FOLDS * BLOCKS, max(run.size // 4, FOLDS))
     block = np.arange(run.size) * count // max(run.size, 1)
-    return block % FOLDS, f"{count} blocks of neighbouring rows in {FOLDS} groups"
+    draw = np.random.default_rng(FOLDS)
+    dealt = np.concatenate([draw.permutation(FOLDS) for _ in range(-(-count // FOLDS))])
+    return dealt[block], f"{count} blocks of neighbouring rows in {FOLDS} groups"
 
 
 Block = tuple[np.ndarray, np.ndarray, np.ndarray]  # columns (rows, k), their freedoms (k,) and scales (k,)

@@ -17,6 +17,10 @@ from errpipe.terms import NEVER
 GAIN_SD = 0.10  # prior standard deviation of a simulation's gain less 1 (usual: 0..15 %)
 OFF = 3.0  # threshold: log Bayes factor for a recalibration
 OWN_SD = 0.04  # prior standard deviation of the gain of a part's departures, relative to the part's gain
+REFERENCE_SD = (
+    0.03  # of what an expansion owes to its reference, which a lead error in the simulation may be; with more a
+)
+# missing lead error of a third of it is swallowed (trials/second 81261, tests of slopes)
 PRESENT = -4.0  # log prior odds against an effect that the simulation already holds,
 SAME = -12.0  # and again where it would be driven by the same columns
 KNOWN = 0.05  # rms that a decomposition leaves, over the signal's, up to which it tells what a simulation reads
@@ -102,7 +106,9 @@ def recalibration(
         effect = part.hypothesis.effect
         of = effect if effects.count(effect) == 1 else f"{effect} on {' and '.join(part.hypothesis.drivers)}"
         doubts = [(", in doubt", values, GAIN_SD) for values in part.doubt.T]
-        for what, values, off in (("", part.contribution, GAIN_SD), (", not textbook", part.slack, OWN_SD), *doubts):
+        own = [("", part.contribution, GAIN_SD), (", not textbook", part.slack, OWN_SD)]
+        own.append((", its reference", part.reference, REFERENCE_SD))
+        for what, values, off in (*own, *doubts):
             if np.std(values) > (0.0 if d.plain else 0.02) * np.std(simulated):
                 columns.append(values)
                 sd.append(off * max(least / float(np.std(values)), 1.0))

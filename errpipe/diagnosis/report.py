@@ -23,6 +23,7 @@ from errpipe.diagnosis import (
 from errpipe.diagnosis.case import Case, needs_recalibration, own_datums, residual
 from errpipe.diagnosis.derived import FAST
 from errpipe.diagnosis.gains import WHOLE, Nuisance
+from errpipe.diagnosis.hypotheses import Hypothesis
 from errpipe.domain.diagnosis import Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis, Rival, Significance
 
 CLOSE = 4.0  # log Bayes factor below which a rival is listed as indistinguishable
@@ -173,14 +174,18 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
         unexplained_share=unnamed.unexplained_share(case) if proved else 0.0,
         fast=int(step.size and np.median(step) < FAST),
         wandering=sum(g for s, g in shaped.shapes if not s.of_inputs) if noise else 0.0,
-        beside=0.0 if proved else _best_shape(case, case.chosen()),
-        instead=confidence.EARNED if proved else accepted[k].gain - _best_shape(case, others),
+        beside=0.0 if proved else _best_shape(case, case.chosen(), accepted[k].hypothesis),
+        instead=confidence.EARNED if proved else accepted[k].gain - _best_shape(case, others, accepted[k].hypothesis),
     )
 
 
-def _best_shape(case: Case, chosen: list[tuple[int, float]]) -> float:
-    """Log Bayes factor of the best shape over an input beside these findings; 0 where there is none."""
-    inputs = [k for k, shape in enumerate(case.free_shapes) if shape.of_inputs]
+def _best_shape(case: Case, chosen: list[tuple[int, float]], name: Hypothesis) -> float:
+    """Log Bayes factor of the best shape over an input beside these findings; 0 where there is none.
+
+    A curve over the length cut is no rival of wear but its curve, which differs from tool to tool.
+    """
+    own = set(name.drivers) if name.terms[0].form == "any rate" else set()
+    inputs = [k for k, s in enumerate(case.free_shapes) if s.of_inputs and not set(s.drivers) <= own]
     if not inputs:
         return 0.0
     sets, freedoms = [case.places[k] for k in inputs], [case.free_shapes[k].freedom for k in inputs]

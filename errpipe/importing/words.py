@@ -69,7 +69,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"^(t|ts|sec|sek|x value)$", "time"),
     (
         r"(temp|^t[ .]|[ ]t$|tmp|thermo|^pt100|°c|degc|温度)|^tc? ?\d{1,2}$"
-        r"|^(ambient|room|raum|umgebung|hall|halle|shop)( ?air| ?luft)?$",
+        r"|^t?(ambient|room|raum|umgebung|hall|halle|shop)( ?air| ?luft)?$|^t(amb|air|luft|spindle|spindel|bed|bett)$",
         "temperature",
     ),
     (

@@ -7,6 +7,7 @@ other groups alone.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -19,7 +20,7 @@ from errpipe.errors import DataError
 from errpipe.fitting import holdout, recalibration
 from errpipe.fitting.batches import Source
 from errpipe.fitting.history import Fold
-from errpipe.fitting.judging import HeldOut, half_width90, widening90
+from errpipe.fitting.judging import HeldOut, every_judged, half_width90, widening90
 from errpipe.fitting.noise_floor import noise_floor
 from errpipe.models import Family
 from errpipe.validation import seasons, significance
@@ -53,11 +54,11 @@ def judged(
         label, folds = family.folds(recording, scheme)
     else:
         folds, label = [holdout.Fold(*fold) for fold in folds], "given"
-    by_component = _left_out(recording, family, folds, progress)
+    by_component, empty = _left_out(recording, family, folds, progress)
 
     @cache
     def blocks() -> dict[str, list[HeldOut]]:
-        return _left_out(recording, family, family.folds(recording, BLOCKS)[1], progress)
+        return _left_out(recording, family, family.folds(recording, BLOCKS)[1], progress)[0]
 
     document = {
         "validation": VERSION,
@@ -68,6 +69,8 @@ def judged(
             for name, left in by_component.items()
         ],
     }
+    if empty:
+        document["not_judged"] = empty
     if label == holdout.HALVES:
         _of_one_run(document)
     if family.seasonal:
@@ -79,14 +82,15 @@ def judged(
 
 def _left_out(
     recording: Recording, family: Family, folds: Sequence[holdout.Fold], progress: Callable[[float, str], None]
-) -> dict[str, list[HeldOut]]:
-    """Per component the held-out rows of every fold."""
-    out: dict[str, list[HeldOut]] = {c: [] for c in family.responses}
-    for number, fold in enumerate(folds):
-        progress(number / len(folds), f"without {fold.label}")
-        for component, left in family.judge(recording, fold).items():
-            out[component].append(left)
-    return out
+) -> tuple[dict[str, list[HeldOut]], list[str]]:
+    """Per component the held-out rows of every fold, and why some folds judge nothing."""
+    number = itertools.count()
+
+    def judge(fold: holdout.Fold) -> Mapping[str, HeldOut]:
+        progress(next(number) / len(folds), f"without {fold.label}")
+        return family.judge(recording, fold)
+
+    return every_judged(family.responses, folds, judge)
 
 
 def _of_one_run(document: dict[str, Any]) -> None:

@@ -103,7 +103,27 @@ def test_one_column_that_an_effect_follows_is_no_unknown_mechanism(column, known
     term = EmpiricalTerm(column=name, coefficient=1.0, unit="um/K", ci95=(0.9, 1.1), rms_um=1.0)
     law = Empirical(terms=(term,), constant=0.0, unit="um", share=0.9, p=0.01, scheme="", says="")
     case = SimpleNamespace(recording=made, library=hypotheses.build(made, "E_Z", rows), pair=SimpleNamespace(rows=rows))
+    case.explanation = SimpleNamespace(accepted=())
     assert empirical.has_a_name(case, law) == known  # type: ignore[arg-type]
+
+
+def test_an_equation_that_is_the_named_effect_is_no_unknown_mechanism():
+    """A lagged temperature beside a name that follows it late."""
+    from errpipe.diagnosis import hypotheses
+
+    made = spindle()
+    rows = np.arange(len(made))
+    library = hypotheses.build(made, "E_Z", rows)
+    column = [
+        c.name for c in empirical.candidates(made, rows) if c.name.startswith("lag(T_bed") and ") " not in c.name
+    ][-1]
+    term = EmpiricalTerm(column=column, coefficient=1.0, unit="um/K", ci95=(0.9, 1.1), rms_um=1.0)
+    law = Empirical(terms=(term,), constant=0.0, unit="um", share=0.9, p=0.01, scheme="", says="")
+    case = SimpleNamespace(recording=made, library=library, pair=SimpleNamespace(rows=rows))
+    lag = next(h for h in library.hypotheses if h.effect == "thermal_lag")
+    for accepted, known in (((), False), ((SimpleNamespace(hypothesis=lag),), True)):
+        case.explanation = SimpleNamespace(accepted=accepted)
+        assert empirical.has_a_name(case, law) == known  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("low", "high", "no_such_size"), [(7.0, 9.0, True), (4.0, 9.0, False), (-9.0, -7.0, True)])
