@@ -105,7 +105,7 @@ def _unknown_first(case: Case, response: ResponseDiagnosis, p: float, empirical:
     """The response with the equation in the first place; names have what probability is left."""
     f = unnamed.finding(case, p)
     first = f.model_copy(update={"empirical": empirical, "says": f"{f.says} {empirical.says}"})
-    others = [g if g.effect == "recalibration" else unnamed.capped(g, 1.0 - p) for g in response.findings]
+    others = [g if g.effect == "recalibration" else unnamed.capped(g, min(p, 1.0 - p)) for g in response.findings]
     findings = (first, *(g for g in others if g.effect != "unknown"))
     return response.model_copy(update={"findings": findings, "verdict": "unexplained"})
 

@@ -120,8 +120,8 @@ class Library:
         return made[0]
 
     def textbook(self, i: int) -> int:
-        """How many of its columns are its own form, with the states in which bodies started."""
-        starts = {"any reference": 1, "any start": self.starts, "any shape": self.places[i].size}
+        """How many of its columns are its own form, with references, rises and states in which bodies started."""
+        starts = {"any reference": 1, "any rise": 1, "any start": self.starts, "any shape": self.places[i].size}
         return min(self.cores[i] * (1 + starts.get(self.hypotheses[i].terms[0].form, 0)), self.places[i].size)
 
     def family(self, i: int) -> list[int]:

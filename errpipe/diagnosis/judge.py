@@ -283,11 +283,11 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     if not made.in_own_noise and not made.plain:
         search, explanation = in_its_own_noise(made, search, explanation)
     search, explanation, nuisance = _with_dependent_rows(made, search, explanation)
-    if search.rows is None:  # else the residual is correlated and the gains are poorly known
-        search, explanation = recalibration.within_limits(
-            search, explanation, made.decomposition, made.nuisances, made.recal, made.sizes, made.noise_estimate
-        )
-    named = worth_naming(search, explanation, made.recording, rows, made.decomposition)
+    held = made.decomposition
+    exact = recalibration.exact_but_for_one(search, explanation, held, made.nuisances, made.sizes, made.noise_estimate)
+    if exact:
+        (search, explanation), nuisance, held = exact, exact[0].nuisance, replace(held, parts=())
+    named = worth_naming(search, explanation, made.recording, rows, held)
     if 0 < len(named.accepted) < len(explanation.accepted):  # alone another name may be likelier
         named = replace(named, accepted=search.accepted(search.exchanged(chosen_of(named))))
     explanation = named

@@ -68,7 +68,8 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     if not unnamed.confirmed_by_held_out(case, held):
         findings = [unnamed.capped(f, UNPROVED) if f.p_search else f for f in findings]
     law = friction.by_direction(case) if friction.rubs(findings) else None
-    findings = friction.with_directional_law(findings, law) if law else findings
+    effects_held = {p.hypothesis.effect for p in case.decomposition.parts}
+    findings = friction.with_directional_law(findings, law, effects_held) if law else findings
     contribution = {name: values for name, values in contribution.items() if name in {f.effect for f in findings}}
     at_first = _rms(before) if case.pair.reversed else held.before
     known_as = {"p": chance.p, "gain": chance.gain, "limit95": chance.limit, "scheme": chance.scheme}
@@ -248,9 +249,9 @@ def _verdict(case: Case, findings: list[Finding], p_unknown: float, nameless: bo
     """Verdict; where a mechanism without a name is likelier than the names, `unknown` comes first."""
     recalibrated = needs_recalibration(case)
     surest = max((f.confidence for f in findings), default=0.0)
-    doubtful = unnamed.wanders(case) and p_unknown >= unnamed.PROVISIONAL > 2.0 * surest
-    if findings and (p_unknown > confidence.UNKNOWN_FIRST or doubtful or nameless):
-        named = [unnamed.capped(f, 1.0 - p_unknown) for f in findings]
+    doubtful = nameless or (unnamed.wanders(case) and 2.0 * surest < unnamed.PROVISIONAL)
+    if findings and (p_unknown > confidence.UNKNOWN_FIRST or (doubtful and p_unknown >= unnamed.PROVISIONAL)):
+        named = [unnamed.capped(f, min(p_unknown, 1.0 - p_unknown)) for f in findings]  # what stands first is likelier
         return [unnamed.finding(case, p_unknown), *named, *_recalibration(case, recalibrated)], "unexplained"
     if findings:
         return [*findings, *_recalibration(case, recalibrated)], "missing_physics"

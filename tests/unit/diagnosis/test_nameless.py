@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from errpipe.diagnosis import coloured, diagnose, empirical, own_noise, plausible, unnamed
+from errpipe.diagnosis import coloured, diagnose, empirical, own_noise, plausible, report, unnamed
 from errpipe.diagnosis.holdout import HeldOut
 from errpipe.diagnosis.shapes import shapes
-from errpipe.domain.diagnosis import Empirical, EmpiricalTerm
+from errpipe.domain.diagnosis import Empirical, EmpiricalTerm, Finding
 from errpipe.terms.air_refraction import AirRefraction
 from errpipe.terms.scale_expansion import ScaleExpansion
 
@@ -254,3 +254,16 @@ def test_a_name_in_a_part_that_is_one_of_many_must_be_likelier_than_not(masks, s
     case = SimpleNamespace(explanation=SimpleNamespace(accepted=accepted))
     found = [SimpleNamespace(sure=lambda: sure)] * len(masks)
     assert unnamed.unlikely(case, found) is unlikely  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("unknown", "limit"), [(0.4, 0.4), (0.7, 0.3)])
+def test_a_name_behind_unknown_is_no_likelier_than_it(monkeypatch, unknown, limit):
+    monkeypatch.setattr(report, "needs_recalibration", lambda case: False)
+    monkeypatch.setattr(unnamed, "wanders", lambda case: False)
+    monkeypatch.setattr(unnamed, "finding", lambda case, p: Finding(effect="unknown", confidence=p))
+    names = [Finding(effect="stribeck_friction", confidence=0.8)]
+    found, verdict = report._verdict(None, names, unknown, nameless=True)  # type: ignore[arg-type]
+    assert verdict == "unexplained"
+    assert [(f.effect, f.confidence) for f in found] == [("unknown", unknown), ("stribeck_friction", limit)]
+    # noise that is a linear process is left: no reason to put it before a name
+    assert report._verdict(None, names, unnamed.NOISE, nameless=True) == (names, "missing_physics")  # type: ignore[arg-type]
