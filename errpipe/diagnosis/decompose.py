@@ -82,7 +82,7 @@ def decompose(
     if _one_level_per_run(simulated, run):
         return [Decomposition((), 1.0, simulated - simulated.mean(), 0.0)], None
     work = _Work(simulated, library, recording, rows, noise)
-    return work.run(), work.holding if not work.still else None
+    return work.run(), work.holding if not work.constant else None
 
 
 def _one_level_per_run(simulated: np.ndarray, run: np.ndarray) -> bool:
@@ -145,14 +145,14 @@ class _Work:
         self.spread = float(self.y.std())
         coarse = MATTERS * noise / np.sqrt(rows.size)
         self.sigma = float(np.clip(coarse, COARSE[0] * self.spread, COARSE[1] * self.spread))
-        self.still = self.spread <= 1e-9 * (1 + np.abs(simulated).max())
+        self.constant = self.spread <= 1e-9 * (1 + np.abs(simulated).max())
         self.count = ROWS[0] + ROWS[1] * rows.size
         self.prior = np.array([h.terms[0].simulated_log_odds for h in library.hypotheses])
         self._promising: dict[tuple, Chosen] = {}
         self.freedom = [library.freedoms[k] for k in range(len(library.hypotheses))]
 
     def run(self) -> list[Decomposition]:
-        if self.still or not self.library.hypotheses:
+        if self.constant or not self.library.hypotheses:
             return [Decomposition((), 0.0, np.zeros_like(self.y), 0.0)]
         self.data = Data(self.library.table, self.y)
         beam: list[tuple[float, Chosen]] = [(self._worth([]), [])]

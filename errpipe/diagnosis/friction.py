@@ -24,7 +24,7 @@ SHARPNESS = (0.0, 0.0025, 0.008, 0.016, 0.024, 0.032, 0.048, 0.064)  # of the hi
 BLOCKS = 40  # stretches of rows, resampled for standard errors
 BETTER = 0.97  # ratio of held-out rms, two laws to one: threshold below which two laws are accepted
 MAX_LOSS = 1.02  # ratio of held-out rms to the best sharpness's, up to which another one widens the interval
-DOUBT = 4.0  # standard errors by which a parameter must differ between the ways
+SIGNIFICANT = 4.0  # standard errors by which a parameter must differ between the ways
 WIDER = 1.25  # factor on the standard errors, as in model.py
 PARTS = {kind.reports_as: kind.friction_part for kind in TERMS if kind.friction_part}
 
@@ -38,10 +38,10 @@ class Fitted:
     held_out: float
 
     def differ(self, one: int, other: int) -> bool:
-        """Do two coefficients differ by more than DOUBT standard errors?"""
+        """Do two coefficients differ by more than SIGNIFICANT standard errors?"""
         c = self.covariance
         sd = np.sqrt(max(c[one, one] + c[other, other] - 2 * c[one, other], 1e-300))
-        return bool(abs(self.value[one] - self.value[other]) > DOUBT * sd)
+        return bool(abs(self.value[one] - self.value[other]) > SIGNIFICANT * sd)
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class ByDirection:
         )
 
 
-def rubs(findings: list[Finding]) -> bool:
+def has_friction(findings: list[Finding]) -> bool:
     """Is friction among the findings?"""
     return bool({PARTS.get(f.effect) for f in findings} & {"dry", "viscous"})
 
@@ -149,7 +149,7 @@ def with_directional_law(findings: list[Finding], law: ByDirection, held: set[st
     out: list[Finding] = []
     kinds = [PARTS.get(f.effect) for f in findings]
     carried = "viscous" in kinds or any(
-        k == "falling" and mends(f, findings) for k, f in zip(kinds, findings, strict=True)
+        k == "falling" and opposes_dry_friction(f, findings) for k, f in zip(kinds, findings, strict=True)
     )
     for f in findings:
         if PARTS.get(f.effect) == "dry":
@@ -159,7 +159,7 @@ def with_directional_law(findings: list[Finding], law: ByDirection, held: set[st
             # a common damping is redundant where each direction has its own, but for what a known one is off by
             known = (f.parameters, f"{f.says} ") if f.effect in held else ((), "")
             f = f.model_copy(update={"parameters": (*known[0], *law.damping()), "says": known[1] + law.says()})
-        elif PARTS.get(f.effect) == "falling" and mends(f, findings):
+        elif PARTS.get(f.effect) == "falling" and opposes_dry_friction(f, findings):
             term = ViscousFriction(axis=law.axis, column=law.column)
             f = Finding(
                 effect=term.reports_as,
@@ -177,7 +177,7 @@ def with_directional_law(findings: list[Finding], law: ByDirection, held: set[st
     return out
 
 
-def mends(stribeck: Finding, findings: list[Finding]) -> bool:
+def opposes_dry_friction(stribeck: Finding, findings: list[Finding]) -> bool:
     """Does a Stribeck part have the opposite sign to the dry friction beside it? By the law it adds to it."""
     dry = [f.parameters[0].value for f in findings if PARTS.get(f.effect) == "dry" and f.parameters]
     return bool(dry) and bool(stribeck.parameters) and stribeck.parameters[0].value * dry[0] < 0

@@ -159,8 +159,8 @@ def _dependence(case: Case, scene: Scene, block, b) -> float:
     """Ratio of the variance to that of independent rows, from block sums of the scores."""
     inside = scene.table.W[:, scene.active.index]
     both = whiten(np.column_stack([block[:, 0], block @ b]), case.run, scene.table.colour)
-    freed = both - inside @ np.linalg.solve(scene.M, inside.T @ both)
-    score = freed[:, 0] * (scene.residual() - freed[:, 1])
+    projected = both - inside @ np.linalg.solve(scene.M, inside.T @ both)
+    score = projected[:, 0] * (scene.residual() - projected[:, 1])
     length = max(score.size // 40, 1)
     sums = np.add.reduceat(score, np.arange(0, score.size, length))
     return float(np.clip(np.sum(sums**2) / max(np.sum(score**2), 1e-300), 1.0, 200.0))

@@ -17,17 +17,17 @@ from errpipe.terms import NEVER
 GAIN_SD = 0.10  # prior standard deviation of a simulation's gain less 1 (usual: 0..15 %)
 OFF = 3.0  # threshold: log Bayes factor for a recalibration
 OWN_SD = 0.04  # prior standard deviation of the gain of a part's departures, relative to the part's gain
-REFERENCE_SD = (
-    0.03  # of what an expansion owes to its reference, which a lead error in the simulation may be; with more a
-)
-# missing lead error of a third of it is swallowed (trials/second 81261, tests of slopes)
+# Of an expansion's part that is due to its reference temperature, and that may be the simulation's lead error. With
+# more, a missing lead error of a third of it is taken for that gain (trials/second 81261, tests of slopes).
+REFERENCE_SD = 0.03
 PRESENT = -4.0  # log prior odds against an effect that the simulation already holds,
 SAME = -12.0  # and again where it would be driven by the same columns
 KNOWN = 0.05  # rms that a decomposition leaves, over the signal's, up to which it tells what a simulation reads
 SURE = 15.0  # log Bayes factor from which a part is certain to be in the simulation
 MAX_GAIN_PENALTY = 60.0  # largest penalty, in log evidence, of gains beyond the limits: the decomposition may be wrong
-EXACT = 6.0  # log odds that the gains of all parts but one are 1 rather than off as usual,
-HAIR = 0.03  # and how far off they may be then, relative to the usual
+ALL_ONE = 6.0  # threshold: log odds that the gains of all parts but one are 1 rather than off as usual
+TRUST = 0.3  # weight of the decomposition's evidence: its residual is misfit, not noise
+EXACT_SD = 0.03  # prior standard deviation of such gains, relative to the usual
 
 
 def _worth(search: Search, explanation: Explanation, rows: np.ndarray) -> float:
@@ -40,9 +40,9 @@ def _worth(search: Search, explanation: Explanation, rows: np.ndarray) -> float:
 def exact_but_for_one(
     search: Search, explanation: Explanation, d: parts.Decomposition, nuisances: list[Nuisance], sizes, noise: float
 ) -> tuple[Search, Explanation] | None:
-    """A simulation that holds every effect but one to a hair lacks, or has too much, of that one: it is named.
+    """A simulation that holds every effect but one exactly lacks, or has too much, of that one: it is named.
 
-    The gains of the others are known to be 1 by log odds of `EXACT` (Savage-Dickey ratio), and that all of them are
+    The gains of the others are known to be 1 by log odds of `ALL_ONE` (Savage-Dickey ratio), and that all of them are
     and something is missing is likelier than that one is off. None elsewhere.
     """
     held, rows = gains.totals(nuisances, sizes)
@@ -53,20 +53,17 @@ def exact_but_for_one(
     variance = np.diag(rows @ scene.covariance()[:known, :known] @ rows.T)
     odds = 0.5 * (np.log1p(GAIN_SD**2 / variance) - at**2 / variance + at**2 / (GAIN_SD**2 + variance))
     off = int(np.argmin(odds))
-    if len(held) < 2 or odds[off] > -OFF or odds.sum() - odds[off] < EXACT:
+    if len(held) < 2 or odds[off] > -OFF or odds.sum() - odds[off] < ALL_ONE:
         return None
     prior, datums = search.prior.copy(), np.array([n.is_datum for n in nuisances])
     own = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.hypothesis.effect == held[off].effect}
     for i, h in enumerate(search.library.hypotheses):
         if (h.effect, h.drivers) in own and prior[i] > 0.5 * NEVER:
             prior[i] = h.prior
-    exact = Active(search.nuisance.index, search.nuisance.sd * np.where(datums, 1.0, HAIR))
+    exact = Active(search.nuisance.index, search.nuisance.sd * np.where(datums, 1.0, EXACT_SD))
     other, named = settled(search.library, search.data, exact, prior, noise, search.rows)
     likelier = other.evidence(chosen(named)) > search.evidence(chosen(explanation))
     return (other, named) if named.accepted and likelier else None
-
-
-TRUST = 0.3  # weight of the decomposition's evidence: its residual is misfit, not noise
 
 
 def likeliest(

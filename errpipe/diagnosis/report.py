@@ -67,7 +67,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     findings = [f.model_copy(update=_surrogate_test(case, f, chance)) for f in findings]
     if not unnamed.confirmed_by_held_out(case, held):
         findings = [unnamed.capped(f, UNPROVED) if f.p_search else f for f in findings]
-    law = friction.by_direction(case) if friction.rubs(findings) else None
+    law = friction.by_direction(case) if friction.has_friction(findings) else None
     effects_held = {p.hypothesis.effect for p in case.decomposition.parts}
     findings = friction.with_directional_law(findings, law, effects_held) if law else findings
     contribution = {name: values for name, values in contribution.items() if name in {f.effect for f in findings}}
@@ -305,8 +305,9 @@ def _gains(case: Case, b: np.ndarray, covariance: np.ndarray) -> Iterator[tuple[
 
 def _says(case: Case, effect: str, drivers, made: model.Modelled) -> str:
     wave = any(e.name == "amplitude" for e in made.estimates)
-    told = [e for e in made.estimates if not (wave and e.name.startswith(("sine", "cosine")))]
-    shown = told[: MOST_NUMBERS - 1] + told[-1:] if wave and len(told) > MOST_NUMBERS else told[:MOST_NUMBERS]
+    shown = [e for e in made.estimates if not (wave and e.name.startswith(("sine", "cosine")))]
+    last = shown[-1:] if wave and len(shown) > MOST_NUMBERS else []
+    shown = shown[: MOST_NUMBERS - len(last)] + last
     numbers = ", ".join(f"{e.name} = {e.value:.3g} {e.unit} ({e.low:.3g} to {e.high:.3g})" for e in shown)
     numbers += _unusual(made)
     size = float(np.std(made.contribution))
