@@ -67,7 +67,18 @@ def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
             f"- {plain_text(d['component'])} is {d['factor']:.2g} of what the champion predicts since run "
             f"{plain_text(d['since'])}: {plain_text(d['meaning'] or 'the machine changed')}."
         )
+    lines += [f"- {plain_text(sentence)}" for sentence in sentences(drift)]
     return lines
+
+
+def sentences(drift: Mapping[str, Any]) -> list[str]:
+    """What changed, in the terms of the model, and runs that are odd by themselves: one sentence each."""
+    out = []
+    for change in drift["changes"]:
+        terms = "; ".join(t["says"] for t in change["terms"])
+        out.append(f"What changed of {change['component']} since run {change['since']}: {terms}.")
+    out += [f"Run {odd['run']}, {odd['what']}: {odd['says']}" for odd in drift["runs"]]
+    return out
 
 
 def junit(document: Mapping[str, Any]) -> str:

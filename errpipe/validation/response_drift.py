@@ -19,6 +19,7 @@ NO_RESPONSE = 0.3  # of what is predicted: compensated machines leave less than 
 HALF = 0.5  # of a change of the mean: what the median of the same runs must show of it
 UNITS = {1000.0: "1000", 25.4: "25.4", 1.0 / 25.4: "1/25.4", 0.001: "1/1000"}  # um for mm, inch for mm and back
 UNIT_TOLERANCE = 0.2  # of such a factor
+SIGN_TOLERANCE = 0.3  # about -1: the same machine, turned round, is no larger or smaller than that (by judgement)
 
 
 def drifts(
@@ -46,8 +47,10 @@ def drifts(
 
 def meaning(factor: float) -> str:
     """What readings of another size probably are, where a fit would be wrong; empty where the machine changed."""
-    if factor < -NO_RESPONSE:
+    if abs(factor + 1.0) < SIGN_TOLERANCE:
         return "their sign is the other one"
+    if factor < -NO_RESPONSE:
+        return "they fall where it rises: of another machine, or measured elsewhere?"
     unit = next((text for size, text in UNITS.items() if abs(factor / size - 1.0) < UNIT_TOLERANCE), None)
     if unit is not None:
         return f"they are in another unit, {unit} of the one before"

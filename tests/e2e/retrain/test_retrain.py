@@ -112,7 +112,7 @@ def test_a_machine_that_did_not_change_keeps_its_champion(site: Path) -> None:
     code, document = retrain(site)
     assert code == 4 and document["decision"] == "keep the champion"
     assert failed(document) == ["evidence"]
-    assert document["drift"] == {"inputs": [], "residuals": [], "sizes": []}
+    assert document["drift"] == dict.fromkeys(("inputs", "residuals", "sizes", "changes", "runs"), [])
 
 
 @pytest.mark.parametrize(
@@ -133,6 +133,29 @@ def test_readings_that_are_no_deviations_of_the_machine_stop_a_promotion(
     assert code == 4 and "readings of EXX" in failed(document)
     (size,) = document["drift"]["sizes"]
     assert means in size["meaning"] and int(size["since"].split()[1]) == 12
+
+
+def test_one_night_of_another_sign_stops_promotions_until_it_is_left_out_by_name(site: Path, capsys: Any) -> None:
+    """Sound nights follow it: what holds since then forgets it, and every later challenger was fitted on it."""
+    record(site / "recording", 24)
+    file = site / "recording/recording.csv"
+    frame = pd.read_csv(file)
+    frame.loc[frame["run"] == "day 14", "EXX"] *= -1.0
+    frame.to_csv(file, index=False)
+    code, document = retrain(site)
+    assert code == 4 and "readings of EXX" in failed(document)
+    assert "in run day 14 their sign is the other one" in capsys.readouterr().out
+    assert "day 14" not in [s["run"] for s in document["runs"]]
+    code, document = retrain(site, "--set", 'ingest.without_runs=["day 14"]')
+    assert failed(document) == ["evidence"] and document["drift"]["runs"] == []
+
+
+def test_what_changed_is_said_in_the_terms_of_the_model(site: Path) -> None:
+    record(site / "recording", 22, changed_from=12)
+    _, document = retrain(site)
+    (change,) = document["drift"]["changes"]
+    assert [t["term"] for t in change["terms"]] == ["scale_expansion"]
+    assert "What changed of EXX since run day 1" in (site / "out/retrain.md").read_text(encoding="utf-8")
 
 
 def test_temperatures_that_change_their_unit_together_stop_a_promotion(site: Path) -> None:
