@@ -34,6 +34,7 @@ def markdown(document: Mapping[str, Any]) -> str:
         "",
         f"Evidence for the challenger: e-value {document['e_value']:.3g}, {document['e_value_needed']:.3g} needed. "
         + ("Every gate holds." if promoted else "What failed is listed first."),
+        *([_fitted_since(document["fitted_since"])] if document["fitted_since"] else []),
         "",
         "| gate | holds | why |",
         "| --- | --- | --- |",
@@ -44,6 +45,10 @@ def markdown(document: Mapping[str, Any]) -> str:
     ]
     lines += ["", *_drift_lines(document["drift"])]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _fitted_since(run: str) -> str:
+    return f"Fitted on the runs since {plain_text(run)} alone: the machine changed there."
 
 
 def _drift_lines(drift: Mapping[str, Any]) -> list[str]:

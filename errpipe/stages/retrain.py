@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["github_annotations", "retrain", "sentences"]
 
 VERSION = 1  # of the document's layout
+LEAST_SINCE = 5  # runs since a change of the machine, from which a challenger is fitted on these alone
 RUN = "run"  # folder of the challenger's pipeline run, below OUT
 DOCUMENT = "retrain.json"
 
@@ -45,35 +46,67 @@ def retrain(
     `retrain.json`: decision, evidence, gates, runs, drift. Raises DataError where the champion's folder lacks its
     model or recording, VerifyError where they are damaged, UsageError where the challenger would be written over it.
     """
-    from errpipe.pipeline import runner
-
     if champion.resolve().is_relative_to((out / RUN).resolve()):
         raise UsageError(f"{champion}: the challenger is written there, and would replace it before it is judged")
 
     old_model, old_recording, fingerprint = _champion(pipeline, champion)
-    earlier = _earlier_scores(out / DOCUMENT, fingerprint)
-    refused = ""
-    try:
-        runner.run(pipeline, out / RUN, callbacks=callbacks or NO_CALLBACKS)
-    except GateError as err:
-        refused = str(err)
-    folder = out / RUN / _last_stage_with(pipeline, "recording")
-    recording = _artefacts.recording_in(folder)
+    earlier = _earlier_document(out / DOCUMENT)
+    kept_from, since = _since(earlier, fingerprint)
+    refused, since = _run(pipeline, out, since, callbacks or NO_CALLBACKS)
+    recording = _artefacts.recording_in(out / RUN / _last_stage_with(pipeline, "recording"))
     _same_machine(champion, old_model, old_recording, recording)
     document = _judged(
         pipeline,
         out,
         recording,
         (old_model, old_recording, fingerprint),
-        earlier,
+        _scores_of(earlier, out / DOCUMENT, fingerprint),
         refused,
         alpha=alpha,
         limits=(max_change_um, max_change_um_per_k),
         allowed=allowed_sensors,
     )
+    document |= {"kept_from": kept_from, "fitted_since": since}
     jsonfile.write(out / DOCUMENT, document)
     write_pages(document, out)
     return document
+
+
+def _since(earlier: Mapping[str, Any], champion: str) -> tuple[str | None, str | None]:
+    """The run that the champion's own fit began with, and the one that the challenger's should; None: the first.
+
+    Where an earlier look at this champion dated a change of the machine, the runs before it are another machine's. It
+    has to be an earlier look: runs that had a say in the date are then not those by which the challenger is judged.
+    """
+    if earlier.get("challenger") == champion:  # it was promoted
+        return earlier.get("fitted_since"), earlier.get("fitted_since")
+    if earlier.get("champion") != champion:
+        return None, None
+    changes = earlier.get("drift", {}).get("changes", [])
+    return earlier.get("kept_from"), changes[-1]["since"] if changes else earlier.get("kept_from")
+
+
+def _run(pipeline: Pipeline, out: Path, since: str | None, callbacks: Callbacks) -> tuple[str, str | None]:
+    """Run the pipeline on the runs since one, on all where these are too few. Returns what refused it; since when."""
+    from errpipe.pipeline import runner
+
+    if since is not None:
+        stages = tuple(
+            s.model_copy(update={"since_run": since}) if getattr(s, "since_run", since) is None else s
+            for s in pipeline.stages
+        )
+        try:
+            runner.run(replace(pipeline, stages=stages), out / RUN, callbacks=callbacks)
+            recording = _artefacts.recording_in(out / RUN / _last_stage_with(pipeline, "recording"))
+            if len(recording.run_labels()) >= LEAST_SINCE:
+                return "", since
+        except (DataError, GateError):
+            pass  # too few to fit, to judge, or to be better than nothing; or no longer kept
+    try:
+        runner.run(pipeline, out / RUN, callbacks=callbacks)
+    except GateError as err:
+        return str(err), None
+    return "", None
 
 
 def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limits, allowed) -> dict[str, Any]:
@@ -94,7 +127,8 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         gates.append(retraining.Gate("pipeline", False, refused))
     else:
         model_folder = out / RUN / _last_stage_with(pipeline, "error_model")
-        model = _artefacts.read_model(model_folder / _artefacts.MODEL)
+        path = model_folder / _artefacts.MODEL
+        model, challenger = _artefacts.read_model(path), jsonfile.fingerprint_bytes(path.read_bytes())
         lacking = [c.component for c in model.components if c.component not in prediction]
         if lacking:
             raise DataError(
@@ -116,6 +150,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         "retrain": VERSION,
         "title": pipeline.title,
         "champion": fingerprint,
+        "challenger": "" if refused else challenger,
         "decision": "promote" if decision.promote else "keep the champion",
         "e_value": decision.e_value,
         "e_value_needed": decision.needed,
@@ -186,17 +221,22 @@ def _same_machine(folder: Path, model: ErrorModel, old: Recording, new: Recordin
         )
 
 
-def _earlier_scores(path: Path, champion: str) -> list[RunScore]:
+def _earlier_document(path: Path) -> Mapping[str, Any]:
+    """The document of the look before; empty where there was none. Raises VerifyError where it is of another layout."""
+    if not path.is_file():
+        return {}
+    document = jsonfile.read(path)
+    if not isinstance(document, dict) or document.get("retrain") != VERSION:
+        raise VerifyError(f"{path}: not a document of retrain version {VERSION}")
+    return document
+
+
+def _scores_of(document: Mapping[str, Any], path: Path, champion: str) -> list[RunScore]:
     """Scores of earlier evaluations against the same champion; a new champion begins with none."""
     from pydantic import TypeAdapter, ValidationError
 
     from errpipe.validation.retraining import RunScore
 
-    if not path.is_file():
-        return []
-    document = jsonfile.read(path)
-    if not isinstance(document, dict) or document.get("retrain") != VERSION:
-        raise VerifyError(f"{path}: not a document of retrain version {VERSION}")
     if document.get("champion") != champion:
         return []
     try:

@@ -69,7 +69,14 @@ def test_a_sensor_that_drifts_is_not_odd() -> None:
 
 
 @pytest.mark.parametrize(
-    "factor, means", [(-1.0, "sign is the other"), (0.0, "switched on"), (1e-3, "unit, 1/1000"), (1e3, "unit, 1000"), (25.4, "unit, 25.4")]
+    "factor, means",
+    [
+        (-1.0, "sign is the other"),
+        (0.0, "switched on"),
+        (1e-3, "unit, 1/1000"),
+        (1e3, "unit, 1000"),
+        (25.4, "unit, 25.4"),
+    ],
 )
 def test_one_file_of_another_sign_or_unit_is_named_though_sound_ones_follow(factor: float, means: str) -> None:
     columns, error = machine(10)
