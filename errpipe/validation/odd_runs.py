@@ -95,8 +95,9 @@ def odd_responses(
 ) -> list[OddRun]:
     """New runs whose deviations are the champion's with another sign, in another unit or compensated, or unlike any.
 
-    wrong: labels of runs whose temperatures are wrong, and so what is predicted by them. Unlike any, and no proof that
-    it is wrong, is the only run, or the only few in a row, that the champion leaves far more of than of all others.
+    Only where most new runs are what they were. wrong: labels of runs whose temperatures are wrong, and so what is
+    predicted by them. Unlike any, and no proof that it is wrong, is the only run, or the only few in a row, that the
+    champion leaves far more of than of all others.
     """
     run, labels, out = recording.run_codes(), recording.run_labels(), []
     for component, prediction in predictions.items():
@@ -110,10 +111,12 @@ def odd_responses(
         usual = max((left[c] for c in old), default=0.0)
         largest = LIKELY * max((_rms(prediction[of[c]]) for c in old), default=0.0)
         unlike = [c for c in new if left[c] > UNLIKE * usual > 0.0 and _rms(prediction[of[c]]) < largest]
+        sound = [left[c] for c in new if c not in unlike]
+        if not sound or np.median(sound) > AS_BEFORE * usual:
+            continue  # the machine itself changed, or all new runs are odd: what holds since then says more of them
         factors = {c: _factor(measured[of[c]], prediction[of[c]], usual) for c in unlike}
         out += [OddRun(labels[c], component, meaning(f)) for c, f in factors.items() if f is not None]
         alone = [c for c in unlike if factors[c] is None]
-        sound = [left[c] for c in new if c not in unlike]
         if alone and _few_in_a_row([new.index(c) for c in alone], len(new)) and max(sound) <= AS_BEFORE * usual:
             says = (
                 f"um rms are left of it, at most {max(sound):.3g} um of other new runs: of another machine, or a fault"

@@ -97,6 +97,14 @@ def test_a_run_of_another_machine_is_named_once_the_next_run_is_as_before_and_pr
     assert odd_responses(recorded(columns, crashed), REFERENCE, {"EXX": error}) == []
 
 
+def test_a_run_of_a_changed_machine_that_happens_to_be_small_is_not_called_compensated() -> None:
+    columns, error = machine(12)
+    noise = np.random.default_rng(2).normal(0.0, 0.8, RUN.size)
+    changed = np.where(RUN >= OLD, -20.0, error) + noise
+    changed[RUN == WRONG] = noise[RUN == WRONG]
+    assert odd_responses(recorded(columns, changed), REFERENCE, {"EXX": error}) == []
+
+
 MODEL = {
     "error_model": 1,
     "components": [
