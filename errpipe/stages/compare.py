@@ -86,7 +86,7 @@ def kind_of(path: Path) -> str:
         raise DataError(f"{path}: there is no such file or folder")
     if path.name == "recording.yaml":
         return "recording"
-    if path.suffix == ".ect":
+    if path.suffix == ".ect" or ect.sniff(path):
         return "table"
     value = jsonfile.read(path) if path.suffix == ".json" else None
     if isinstance(value, dict):
