@@ -86,7 +86,7 @@ def sensor_drift(
     if len(names) < 2 or len(old) < FEWEST_RUNS or not new:
         return []
     readings = np.column_stack([recording.array(n) for n in names])
-    z, sd, limit = standardised_residuals(readings, run, old, new)
+    z, sd, limit = _standardised_residuals(readings, run, old, new)
     seen = {}
     for k, name in enumerate(names):
         alarm, begin = cusum(z[:, k])
@@ -164,14 +164,14 @@ def _faulty_sensors(readings, run, old, new, loudest: float) -> list[int]:
         return []  # two sensors that disagree do not say which of them is wrong
     left = []
     for k in range(readings.shape[1]):
-        z, _, limit = standardised_residuals(np.delete(readings, k, axis=1), run, old, new)
+        z, _, limit = _standardised_residuals(np.delete(readings, k, axis=1), run, old, new)
         left.append(max(cusum(z[:, j])[0] / limit for j in range(z.shape[1])))
     if min(left) >= max(1.0, QUIETER * loudest):
         return []
     return [int(k) for k in np.argsort(left) if left[k] < max(1.0, ALIKE * min(left))]
 
 
-def standardised_residuals(
+def _standardised_residuals(
     readings: np.ndarray, run: np.ndarray, old: Sequence[int], new: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Mean residual of each new run over its standard error, (new, sensors), scatter between runs, K, threshold."""

@@ -7,23 +7,22 @@ is named only where its opposite, done to the readings, leaves what the runs of 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.validation.input_drift import FEWEST_RUNS, SCALES, standardised_residuals
+from errpipe.validation.input_drift import FEWEST_RUNS, MIN_SD, SCALES
 from errpipe.validation.response_drift import UNITS, meaning
 
-ODD = 4.0  # standard errors of a run on the other sensors: by chance once in years of nights, and then without a cause
-SOUND = 3.0  # of its odd standard errors is what a cause, undone, leaves of a run: a third at most
+ODD = 4.0  # root of an F ratio: by chance once in years of nights, and then without a cause
+SOUND = 3.0  # root of an F ratio of a sound run; and how much less of an odd one its cause, undone, leaves
 AS_BEFORE = 2.0  # times the rms that the champion leaves in its own runs, their largest: a run that fits it
 UNLIKE = 5.0  # times that: a run that does not
 LIKELY = 2.0  # times the largest prediction of the champion's runs: beyond it the prediction is in doubt
 LEAST_NOISE = 0.1  # of the usual rms: a compensated machine is measured with no less noise than before
-MOST_TRIED = 8  # odd runs whose cause is searched for; what holds longer than that is no odd run
 
 
 @dataclass(frozen=True)
@@ -47,20 +46,38 @@ def odd_sensors(recording: Recording, reference: np.ndarray) -> list[OddRun]:
     if len(names) < 2 or len(old) < FEWEST_RUNS or not new:
         return []
     readings = np.column_stack([recording.array(n) for n in names])
-
-    def worst(values: np.ndarray, codes: Sequence[int]) -> np.ndarray:
-        return np.array([np.abs(standardised_residuals(values, run, old, [c])[0]).max() for c in codes])
-
-    as_read = dict(zip(new, worst(readings, new), strict=True))
+    good = np.isfinite(readings).all(axis=1)
+    means = {c: readings[good & (run == c)].mean(axis=0) for c in (*old, *new) if (good & (run == c)).any()}
+    old, new = [c for c in old if c in means], [c for c in new if c in means]
+    if len(old) < len(names) + FEWEST_RUNS:
+        return []
+    distance = _distance(np.array([means[c] for c in old]))
+    as_read = {c: distance(means[c]) for c in new}
     causes: dict[int, tuple[str, str] | None] = {}
-    for code in [c for c in new if as_read[c] > ODD][:MOST_TRIED]:
-        tried = [
-            (worst(values, [code])[0], what, says) for what, says, values in _put_right(readings, run == code, names)
-        ]
+    for code in [c for c in new if as_read[c] > ODD]:
+        tried = [(distance(mean), what, says) for what, says, mean in _put_right(means[code], names)]
         left, *cause = min(tried)
         causes[code] = (cause[0], cause[1]) if left < min(SOUND, as_read[code] / SOUND) else None
     found = [(c, cause) for c, cause in causes.items() if cause is not None and _stands_alone(new, c, as_read, causes)]
     return [OddRun(labels[c], *cause) for c, cause in found]
+
+
+def _distance(reference: np.ndarray) -> Callable[[np.ndarray], float]:
+    """Hotelling's distance of a run's mean temperatures, (sensors,), from those of reference runs, (runs, sensors).
+
+    As the root of an F ratio: about 1 for a run of their kind. Unlike a residual over its standard error it does not
+    shrink where readings lie far outside of the reference, as those of sensors that are wrongly taken for exchanged.
+    """
+    count, sensors = reference.shape
+    middle = reference.mean(axis=0)
+    spread = np.cov(reference, rowvar=False) + MIN_SD**2 * np.eye(sensors)
+    share = count * (count - sensors) / ((count**2 - 1) * sensors)
+
+    def distance(mean: np.ndarray) -> float:
+        gap = mean - middle
+        return float(np.sqrt(share * gap @ np.linalg.solve(spread, gap)))
+
+    return distance
 
 
 def _stands_alone(
@@ -70,23 +87,23 @@ def _stands_alone(
     at = new.index(code)
     for side in (new[at + 1 :], new[:at][::-1]):
         for other in side:
-            if as_read[other] <= ODD or other not in causes:
+            if as_read[other] <= ODD:
                 break
             if causes[other] != causes[code]:
                 return False
     return True
 
 
-def _put_right(readings: np.ndarray, rows: np.ndarray, names: Sequence[str]) -> Iterator[tuple[str, str, np.ndarray]]:
-    """(columns, what is wrong with them, all readings with that undone in some rows)."""
+def _put_right(mean: np.ndarray, names: Sequence[str]) -> Iterator[tuple[str, str, np.ndarray]]:
+    """(columns, what is wrong with them, the means with that undone)."""
     for a, b in combinations(range(len(names)), 2):
-        values = readings.copy()
-        values[np.ix_(rows, [a, b])] = readings[np.ix_(rows, [b, a])]
+        values = mean.copy()
+        values[[a, b]] = mean[[b, a]]
         yield f"{names[a]} and {names[b]}", "read exchanged", values
     for k, name in enumerate(names):
         for scale, back in SCALES.items():
-            values = readings.copy()
-            values[rows, k] = back(readings[rows, k])
+            values = mean.copy()
+            values[k] = back(mean[k])
             yield name, f"reads as if in {scale}", values
 
 
