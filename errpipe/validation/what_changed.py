@@ -43,7 +43,8 @@ def what_changed(
     if not known.any():
         return []
     r, bases = residual[known], [basis[known] for basis in bases]
-    begin, chosen = float(np.mean(r**2)), []
+    begin = float(np.mean(r**2))
+    chosen: list[int] = []
     beyond = left = begin - noise**2
     if beyond < SIGNIFICANT * noise**2 * np.sqrt(2.0 / r.size):
         return []

@@ -158,6 +158,20 @@ def test_what_changed_is_said_in_the_terms_of_the_model(site: Path) -> None:
     assert "What changed of EXX since run day 1" in (site / "out/retrain.md").read_text(encoding="utf-8")
 
 
+def test_after_a_change_that_an_earlier_look_dated_the_challenger_is_fitted_on_the_runs_since(site: Path) -> None:
+    """Fitted on all 22 days it leaves half of the change, and the evidence was 2.4 of the 20 that are needed."""
+    for days in (13, 17, 20, 23, 26):
+        record(site / "recording", days, changed_from=12)
+        code, document = retrain(site)
+        if code == 0:
+            break
+    assert code == 0 and document["fitted_since"] in ("day 12", "day 13"), document["e_value"]
+    shutil.rmtree(site / "champion")
+    shutil.copytree(site / "out/run", site / "champion")
+    code, document = retrain(site)  # days before the change are no new ones of the champion that was promoted
+    assert code == 4 and document["runs"] == [] and document["fitted_since"] == document["kept_from"]
+
+
 def test_temperatures_that_change_their_unit_together_stop_a_promotion(site: Path) -> None:
     """They agree with each other as before, and a challenger that was fitted in degF suits them: it was promoted."""
     record(site / "recording", 44, first=12)
