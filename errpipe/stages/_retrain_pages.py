@@ -72,11 +72,19 @@ def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
             f"- {plain_text(d['component'])} is {d['factor']:.2g} of what the champion predicts since run "
             f"{plain_text(d['since'])}: {plain_text(d['meaning'] or 'the machine changed')}."
         )
-    lines += [f"- {plain_text(sentence)}" for sentence in sentences(drift)]
+    lines += [f"- {plain_text(sentence)}" for sentence in _sentences(drift)]
     return lines
 
 
-def sentences(drift: Mapping[str, Any]) -> list[str]:
+def in_words(document: Mapping[str, Any]) -> list[str]:
+    """What a terminal shows: the decision, the gates that failed, sensors that may drift, what changed."""
+    lines = [document["decision"], *(f"{g['name']}: {g['says']}" for g in document["gates"] if not g["passed"])]
+    for d in (d for d in document["drift"]["inputs"] if d["suspected"]):
+        lines.append(f"sensor {d['column']} {'drifts' if d['blamed'] else 'may drift'} since run {d['since']}")
+    return [*lines, *_sentences(document["drift"])]
+
+
+def _sentences(drift: Mapping[str, Any]) -> list[str]:
     """What changed, in the terms of the model, and runs that are odd by themselves: one sentence each."""
     out = []
     for change in drift["changes"]:

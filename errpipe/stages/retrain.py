@@ -13,7 +13,7 @@ from errpipe.errors import DataError, GateError, UsageError, VerifyError
 from errpipe.pipeline.step import NO_CALLBACKS, Callbacks
 from errpipe.stages import _artefacts, _retrain_drift
 from errpipe.stages._retrain_drift import predictions
-from errpipe.stages._retrain_pages import github_annotations, sentences, write_pages
+from errpipe.stages._retrain_pages import github_annotations, in_words, write_pages
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from errpipe.pipeline.spec import Pipeline
     from errpipe.validation.retraining import Gate, RunScore
 
-__all__ = ["github_annotations", "retrain", "sentences"]
+__all__ = ["github_annotations", "in_words", "retrain"]
 
 VERSION = 1  # of the document's layout
 LEAST_SINCE = 5  # runs since a change of the machine, from which a challenger is fitted on these alone
