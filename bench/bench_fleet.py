@@ -1,4 +1,8 @@
-"""A fleet on one worker process and on two: wall time, time and peak memory of each machine. Needs two idle cores."""
+"""A fleet on one worker process and on two: wall time, time and peak memory of each machine. Needs two idle cores.
+
+Beside it what two cores give at all here: two fleets of one worker each, which share nothing but the cores' caches and
+memory, at once.
+"""
 
 from __future__ import annotations
 
@@ -26,20 +30,27 @@ def figures() -> list[Figure]:
     with tempfile.TemporaryDirectory() as name:
         file = site(Path(name) / "site", MACHINES)
         for jobs in (1, 2):
-            out = Path(name) / f"out{jobs}"
-            command = [sys.executable, "-m", "errpipe", "fleet", str(file), "--out", str(out), "--jobs", str(jobs)]
-            start = perf_counter()
-            subprocess.run(command, capture_output=True)  # exit 4: one machine of the site has a broken recording
-            took[jobs] = perf_counter() - start
-            times = list(csv.DictReader((out / TIMES).open()))
+            took[jobs] = run(file, [Path(name) / f"out{jobs}"], jobs)
+            times = list(csv.DictReader((Path(name) / f"out{jobs}" / TIMES).open()))
+        apart = run(file, [Path(name) / "one", Path(name) / "other"], 1)
     seconds, memory = (np.array([float(t[key]) for t in times]) for key in ("seconds", "peak_mb"))
     return [
         Figure(f"{MACHINES} machines, one worker over two", took[1] / took[2], "x", aim=AIM, at_least=True),
+        Figure("two fleets of one worker at once, over one after the other", 2.0 * took[1] / apart, "x"),
         Figure(f"{MACHINES} machines, one worker", took[1], "s"),
         Figure("a machine, median", float(np.median(seconds)), "s"),
         Figure("a machine, largest", float(seconds.max()), "s"),
         Figure("peak memory of a worker", float(memory.max()), "MB"),
     ]
+
+
+def run(file: Path, outs: list[Path], jobs: int) -> float:
+    """Wall time of one command for each folder, all at once, s; exit 4: one machine has a broken recording."""
+    command, start = [sys.executable, "-m", "errpipe", "fleet", str(file), "--jobs", str(jobs), "--out"], perf_counter()
+    null = subprocess.DEVNULL
+    for child in [subprocess.Popen([*command, str(out)], stdout=null, stderr=null) for out in outs]:
+        child.wait()
+    return perf_counter() - start
 
 
 if __name__ == "__main__":

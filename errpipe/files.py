@@ -7,6 +7,7 @@ would be deleted. Every reader and every writer of errpipe passes here.
 from __future__ import annotations
 
 import contextlib
+import difflib
 import filecmp
 import os
 import re
@@ -14,6 +15,7 @@ import stat
 import tempfile
 from collections.abc import Iterator
 from contextvars import ContextVar
+from itertools import islice
 from pathlib import Path, PurePosixPath
 from typing import IO
 
@@ -68,6 +70,19 @@ def read(path: Path, most: int, error: type[ErrpipeError], follow: bool = True) 
         raise error(f"{path}: there is no such file") from None
     except OSError as err:
         raise error(f"{path}: {why(err)}") from None
+
+
+MOST_NEIGHBOURS = 1000  # names of a folder that are compared with one that is missing
+
+
+def missing(path: Path) -> str:
+    """`no such file`, with the name in its folder that is nearest to it."""
+    try:
+        near = [entry.name for entry in islice(path.parent.iterdir(), MOST_NEIGHBOURS)]
+    except OSError:
+        near = []
+    meant = difflib.get_close_matches(path.name, near, n=1, cutoff=0.75)
+    return "no such file" + (f". Did you mean {path.parent / meant[0]}?" if meant else "")
 
 
 def why(err: OSError) -> str:

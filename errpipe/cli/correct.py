@@ -27,12 +27,14 @@ def command(
         0.001, "--chord-error", min=1e-6, metavar="MM", help="Farthest a segment may lie from its arc."
     ),
     longest: float = typer.Option(25.0, "--longest", min=0.01, metavar="MM", help="Longest straight segment."),
+    again: bool = typer.Option(False, "--again", help="Correct a program that was corrected before, too."),
     json: bool = Json,
 ) -> None:
     """Rewrite an NC program so that the uncorrected machine cuts the part.
 
     Anything that is not understood is refused with its line, and nothing is written. Directions of travel
-    and references taken at the start of a run stand as at a run's first cycle.
+    and references taken at the start of a run stand as at a run's first cycle. A comment at the program's head
+    names the table.
 
     \b
     Example:
@@ -48,6 +50,7 @@ def command(
         start=start,
         chord_error=chord_error,
         longest=longest,
+        again=again,
     )
     if json or "program" not in done:
         print_answer("correct", done, as_json=json)

@@ -23,6 +23,8 @@ ROWS = (60.0, 0.025)  # effective number of rows (offset, per row): the residual
 DOUBTS = 2  # directions of largest posterior variance kept of each part
 LEAST_PART = 0.01  # rms over the signal's below which a signal does not hold an effect
 PRICE = 6.0  # log prior odds against each part
+NO_SUM = 0.3  # rms that a decomposition leaves over the signal's, from which the signal is no sum of effects: gains of
+# such parts would play whatever is missing (of 59 generated simulations one leaves more than 0.15)
 EARNED = 5.0  # log Bayes factor of a part: with less its gain and its doubts would play whatever is missing
 Chosen = list[tuple[int, float]]  # hypotheses with their sizes, in units of the coarseness
 
@@ -165,6 +167,7 @@ class _Work:
                 break
             beam = best
         made = [self._result(state, worth) for worth, state in self._different(beam)]
+        made = [d for d in made if d.leftover < NO_SUM] or [Decomposition((), 1.0, self.y, 0.0)]
         return [d for d in made if all(p.certainty > EARNED for p in d.parts)] or made
 
     def holding(self, d: Decomposition, i: int) -> list[Decomposition]:
@@ -183,7 +186,7 @@ class _Work:
         matches = [self._result(state, worth) for worth, state in self._different(sorted(ways, key=lambda w: -w[0]))]
         least = LEAST_PART * self.spread
         holds = lambda p: p.index in own and np.std(p.core) > least and p.certainty > EARNED  # noqa: E731
-        return [f for f in matches if any(map(holds, f.parts))]
+        return [f for f in matches if f.leftover < NO_SUM and any(map(holds, f.parts))]
 
     def _different(self, beam: list[tuple[float, Chosen]]) -> list[tuple[float, Chosen]]:
         """The best state of each set of effects, those not far behind the best."""

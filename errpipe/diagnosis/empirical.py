@@ -86,16 +86,18 @@ def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
 
 
 def has_a_name(case: Case, empirical: Empirical) -> bool:
-    """Is the equation one column that is the form of an effect without non-linear parameters?
+    """Is the equation one column that is the form of an effect without non-linear parameters, or of one that is named?
 
-    It is no mechanism outside of the vocabulary, then, but an effect that noise which wanders may play.
+    It is no mechanism outside of the vocabulary, then, but that name, or an effect that noise which wanders may play.
     """
     library, rows = case.library, case.pair.rows
     if len(empirical.terms) > 1:
         return False
     (values,) = (c.values for c in candidates(case.recording, rows) if c.name == empirical.terms[0].column)
-    single = [i for i, h in enumerate(library.hypotheses) if not any(h.nonlinear) and library.cores[i] == 1]
-    cores = (library.block(i, case.recording, rows)[:, 0] for i in single if not library.hypotheses[i].mask)
+    named = {f.hypothesis.effect for f in case.explanation.accepted}
+    single = [i for i, h in enumerate(library.hypotheses) if not any(h.nonlinear) or h.effect in named]
+    single = [i for i in single if library.cores[i] == 1 and not library.hypotheses[i].mask]
+    cores = (library.block(i, case.recording, rows)[:, 0] for i in single)
     return any(abs(np.corrcoef(core, values)[0, 1]) > ALIKE for core in cores if np.std(core) > 0)
 
 
@@ -103,7 +105,7 @@ def _unknown_first(case: Case, response: ResponseDiagnosis, p: float, empirical:
     """The response with the equation in the first place; names have what probability is left."""
     f = unnamed.finding(case, p)
     first = f.model_copy(update={"empirical": empirical, "says": f"{f.says} {empirical.says}"})
-    others = [g if g.effect == "recalibration" else unnamed.capped(g, 1.0 - p) for g in response.findings]
+    others = [g if g.effect == "recalibration" else unnamed.capped(g, min(p, 1.0 - p)) for g in response.findings]
     findings = (first, *(g for g in others if g.effect != "unknown"))
     return response.model_copy(update={"findings": findings, "verdict": "unexplained"})
 

@@ -130,7 +130,7 @@ class Table:
             if at == self.width + len(fresh):
                 fresh.append(j)
             where.append(at)
-        self.add(each[fresh].T)
+        self.add((each if len(fresh) == len(each) else each[fresh]).T)
         return np.array(where, dtype=int)
 
     def add(self, columns: np.ndarray) -> np.ndarray:
@@ -199,7 +199,7 @@ class Active:
 
     def plus(self, index: np.ndarray, sd: np.ndarray) -> Active:
         """These and further ones."""
-        return Active(np.r_[self.index, index], np.r_[self.sd, sd])
+        return Active(np.concatenate([self.index, index]), np.concatenate([self.sd, sd]))
 
 
 class Listed:

@@ -139,8 +139,8 @@ def fitted(columns: np.ndarray, y: np.ndarray) -> Fitted:
     return Fitted(value, (BLOCKS - 1) / BLOCKS * deviations.T @ deviations, float(np.sqrt(np.mean(residual**2))))
 
 
-def with_directional_law(findings: list[Finding], law: ByDirection) -> list[Finding]:
-    """The findings once friction is known to differ by direction.
+def with_directional_law(findings: list[Finding], law: ByDirection, held: set[str]) -> list[Finding]:
+    """The findings once friction is known to differ by direction; held: effects that the simulation knows.
 
     Dry friction gets its two levels, and the damping of each way where no viscous finding carries it. A Stribeck part
     that would have friction rise from standstill is no such thing: it only mended one law for both ways, and the
@@ -156,8 +156,9 @@ def with_directional_law(findings: list[Finding], law: ByDirection) -> list[Find
             parameters = (*f.parameters, *law.force(), *(() if carried else law.damping()))
             f = f.model_copy(update={"parameters": parameters, "says": f"{f.says} {law.says()}"})
         elif PARTS.get(f.effect) == "viscous":
-            # a common damping is redundant where each direction has its own
-            f = f.model_copy(update={"parameters": law.damping(), "says": law.says()})
+            # a common damping is redundant where each direction has its own, but for what a known one is off by
+            known = (f.parameters, f"{f.says} ") if f.effect in held else ((), "")
+            f = f.model_copy(update={"parameters": (*known[0], *law.damping()), "says": known[1] + law.says()})
         elif PARTS.get(f.effect) == "falling" and mends(f, findings):
             term = ViscousFriction(axis=law.axis, column=law.column)
             f = Finding(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +28,8 @@ class HeldOut:
     """rms on held-out rows; of each finding, in which share of the folds its effect was chosen without them.
 
     named: whitened residual rms of the findings; shaped: of findings and shapes over inputs together; names: as
-    `after`, of the findings alone; bare, textbook: as `named`, without findings, and of their textbook forms alone.
+    `after`, of the findings alone; bare, textbook: as `named`, without findings, and of their textbook forms alone;
+    often: effects that at least half of the folds chose.
     """
 
     scheme: str
@@ -39,6 +41,7 @@ class HeldOut:
     names: float
     bare: float
     textbook: float
+    often: tuple[str, ...] = ()
 
     def shape_share(self) -> float:
         """Share of the held-out variance beyond the names that shapes over inputs predict, negative where they harm."""
@@ -82,7 +85,7 @@ def held_out(case: Case) -> HeldOut:
         search = copy.copy(search)
         search.prior = np.where(_acts_in_part(library), NEVER, search.prior)
     before, after, named, alone, with_inputs, same, shaped = [], [], [], [], [], [], 0
-    bare, textbook = [], []
+    bare, textbook, found = [], [], Counter[str]()
     for f, test in enumerate(library.table.rows):
         if test.size == 0:
             continue
@@ -114,6 +117,7 @@ def held_out(case: Case) -> HeldOut:
         with_inputs.append(judged.whitened(part.data, of_inputs.active, part.noise, columns, f))
         again = {library.hypotheses[i].effect for i in names}
         same.append([effect in again for effect in effects])
+        found.update(again)
         del part  # frees its products before those of the next fold are formed
     rms = lambda parts: float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))  # noqa: E731
     if case.remainder.shapes and shaped:
@@ -122,6 +126,7 @@ def held_out(case: Case) -> HeldOut:
     return HeldOut(
         scheme, rms(before), rms(after), tuple(np.mean(same, axis=0).tolist()), rms(named), rms(with_inputs),
         rms(alone), rms(bare), rms(textbook),
+        tuple(sorted(e for e, count in found.items() if count >= AGAIN * len(same))),
     )  # fmt: skip
 
 

@@ -54,9 +54,7 @@ class Library:
     table: whitened products; its column `datum` is the constant.
     """
 
-    def __init__(
-        self, made: Iterable[tuple[Hypothesis, Block, int]], run: np.ndarray, fold: np.ndarray, starts: int = 1
-    ):
+    def __init__(self, made: Iterable[Made], run: np.ndarray, fold: np.ndarray, starts: int = 1):
         """made: each hypothesis with its scaled block and the number of its core columns, as they come.
 
         starts: columns in which a body's state at the start of each session stands.
@@ -92,7 +90,7 @@ class Library:
         self.scales.append(scale)
         return columns
 
-    def extend(self, made: list[tuple[Hypothesis, Block, int]]) -> None:
+    def extend(self, made: list[Made]) -> None:
         """Append hypotheses, each with its scaled block and the number of its core columns."""
         blocks = [self._listed(*one) for one in made]
         edges = np.cumsum([0, *[block.shape[1] for block in blocks]])
@@ -122,8 +120,8 @@ class Library:
         return made[0]
 
     def textbook(self, i: int) -> int:
-        """How many of its columns are its own form, with the states in which bodies started."""
-        starts = {"any reference": 1, "any start": self.starts, "any shape": self.places[i].size}
+        """How many of its columns are its own form, with references, rises and states in which bodies started."""
+        starts = {"any reference": 1, "any rise": 1, "any start": self.starts, "any shape": self.places[i].size}
         return min(self.cores[i] * (1 + starts.get(self.hypotheses[i].terms[0].form, 0)), self.places[i].size)
 
     def family(self, i: int) -> list[int]:
@@ -153,13 +151,12 @@ def build(
     return Library(_with_columns(every, recording, rows), run, folds(run, session[rows])[0], starts)
 
 
-def _with_columns(
-    every: Iterable[Hypothesis], recording: Recording, rows: np.ndarray
-) -> Iterator[tuple[Hypothesis, Block, int]]:
+def _with_columns(every: Iterable[Hypothesis], recording: Recording, rows: np.ndarray) -> Iterator[Made]:
     """Hypotheses whose core columns vary on these rows, one at a time."""
+    taken = slice(None) if rows.size == len(recording) else rows  # a slice copies nothing
     for hypothesis in every:
         core, slack, rel = columns_of(hypothesis, recording)
-        block = scaled(core[rows], slack[rows], rel)
+        block = scaled(core[taken], slack[taken], rel, for_table=True)
         if block is not None:
             yield hypothesis, block, core.shape[1]
 
@@ -173,8 +170,9 @@ def folds(run: np.ndarray, session: np.ndarray | None = None) -> tuple[np.ndarra
 
     Where the machine was started anew often enough (session of each row: see `drivers.sessions`), whole sessions are
     held out.
-    Else the recording is cut into FOLDS * BLOCKS stretches of neighbouring rows, assigned in turn, so that each fold
-    sees every run and thermal state, and no row is judged beside its own neighbours alone.
+    Else the recording is cut into FOLDS * BLOCKS stretches of neighbouring rows, so that each fold sees every run and
+    thermal state, and no row is judged beside its own neighbours alone. FOLDS in a row go to one fold each, in an order
+    drawn anew (of equal seed): dealt in turn, a circle of ten stretches would lose the same angles in every turn.
     """
     if session is not None:
         codes, inside = np.unique(session, return_inverse=True)
@@ -182,14 +180,17 @@ def folds(run: np.ndarray, session: np.ndarray | None = None) -> tuple[np.ndarra
             return inside % FOLDS, f"{codes.size} whole runs in {FOLDS} groups"
     count = min(FOLDS * BLOCKS, max(run.size // 4, FOLDS))
     block = np.arange(run.size) * count // max(run.size, 1)
-    return block % FOLDS, f"{count} blocks of neighbouring rows in {FOLDS} groups"
+    draw = np.random.default_rng(FOLDS)
+    dealt = np.concatenate([draw.permutation(FOLDS) for _ in range(-(-count // FOLDS))])
+    return dealt[block], f"{count} blocks of neighbouring rows in {FOLDS} groups"
 
 
 Block = tuple[np.ndarray, np.ndarray, np.ndarray]  # columns (rows, k), their freedoms (k,) and scales (k,)
+Made = tuple[Hypothesis, Block, int]  # its scaled block, and the number of its core columns
 
 
-def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> Block | None:
-    """Columns of unit size, their freedoms and scales; None where a core column does not vary."""
+def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray, for_table: bool = False) -> Block | None:
+    """Columns of unit size (for a table: each in one piece), freedoms, scales; None where a core column is constant."""
     if not np.isfinite(core).all() or not np.isfinite(slack).all():
         return None
     rms, spread = rms_and_spread(core)
@@ -198,8 +199,9 @@ def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray) -> Block | None
     size = np.where(spread > 1e-6 * rms, spread, rms)
     slack_rms = rms_and_spread(slack)[0]
     keep = slack_rms > 1e-12
-    block = np.column_stack([core / size, slack[:, keep] / slack_rms[keep]])
-    return block, np.r_[np.ones(core.shape[1]), rel[keep]], np.r_[size, slack_rms[keep]]
+    pieces = np.empty((len(core), size.size + np.count_nonzero(keep)), order="F") if for_table else None
+    block = np.concatenate([core / size, slack[:, keep] / slack_rms[keep]], axis=1, out=pieces)
+    return block, np.concatenate([np.ones(size.size), rel[keep]]), np.concatenate([size, slack_rms[keep]])
 
 
 def rms_and_spread(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -222,13 +224,11 @@ def enumerate_all(recording: Recording, component: str, raw: Recording, signals:
             points = grid(group[0], recording, signals)
             # every effect has the same odds: its bindings share them, and (half, for neighbours agree) its grid
             shared = -np.log(max(len(groups), 1)) - 0.5 * np.log(max(len(points), 1))
-            odds = (
-                group[0].log_prior_odds() + float(shared) + (TIME_ALONE if by_time and set(drivers) == by_time else 0.0)
-            )
+            alone = TIME_ALONE if by_time and set(drivers) == by_time else 0.0
+            odds = group[0].log_prior_odds() + float(shared) + alone
             for values in points:
-                yield Hypothesis(
-                    group[0].reports_as, group, (values,) * len(group), drivers, odds + sizes(group[0], values)
-                )
+                own = odds + sizes(group[0], values)
+                yield Hypothesis(group[0].reports_as, group, (values,) * len(group), drivers, own)
         located = list(kind.located(recording, component, signals))
         for term, values in located:
             odds = term.log_prior_odds() - float(np.log(len(located))) + sizes(term, values)

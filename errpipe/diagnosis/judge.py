@@ -34,6 +34,7 @@ OUTLIER_ROWS = 1000  # of more rows the limit is where normal noise has as few b
 HARMFUL = 1.02  # threshold: rms on held-out rows, over that without findings
 PROVES = 0.3  # threshold: the same, below which the findings are no slow noise (nine tenths of the variance)
 NEARLY = 5.0  # log Bayes factor that an explanation with significant sizes may lose against one without
+UNSTABLE = 20.0  # and what most folds find may lose against two names that few of them find
 RETRIES = 4  # further searches, each without the findings ruled out before
 WEAK = 50.0  # threshold: log Bayes factor of the strongest name, below which folds must bear out one of the names
 SESSION_DATUM_PRICE = 10.0  # threshold: log Bayes factor for a datum of each session
@@ -153,11 +154,30 @@ def _isolated_outliers(left: np.ndarray) -> np.ndarray:
 
 def _possible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     """The best explanation of a response without findings that cannot be true; of those of the search."""
-    case = _without_impossible(made, search, *explanations)
+    case = _found_by_folds(made, _without_impossible(made, search, *explanations))
     made.taken_back = (
         rounded(case) or (only_noise(case) and not _held(case).predicts_whole_runs()) or not _found_again(case)
     )
     return _nothing_named(made) if made.taken_back else case
+
+
+def _found_by_folds(made: SetUp, case: Case) -> Case:
+    """The case, or what most folds find in the place of two names that few of them find, if it is nearly as likely.
+
+    Two look-alikes may fit all rows better than the one effect that they stand for.
+    """
+    if made.plain or len(case.chosen()) < 2 or max(_held(case).agreement) >= holdout.AGAIN or not case.held.often:
+        return case
+    prior = made.prior
+    made.prior = np.where([h.effect in case.held.often for h in made.library.hypotheses], prior, NEVER)
+    one = _explained(made, *_settled(made))
+    made.prior = np.r_[prior, made.prior[prior.size :]]  # points of the grid may have joined
+    case.search.prior = np.r_[case.search.prior, made.prior[case.search.prior.size :]]
+    lost = case.search.joint(case.chosen()) - one.search.joint(one.chosen()) if one.chosen() else np.inf
+    if lost > UNSTABLE:
+        return case
+    one.search.prior = made.prior
+    return one
 
 
 def _held(case: Case) -> holdout.HeldOut:
@@ -263,11 +283,11 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     if not made.in_own_noise and not made.plain:
         search, explanation = in_its_own_noise(made, search, explanation)
     search, explanation, nuisance = _with_dependent_rows(made, search, explanation)
-    if search.rows is None:  # else the residual is correlated and the gains are poorly known
-        search, explanation = recalibration.within_limits(
-            search, explanation, made.decomposition, made.nuisances, made.recal, made.sizes, made.noise_estimate
-        )
-    named = worth_naming(search, explanation, made.recording, rows, made.decomposition)
+    held = made.decomposition
+    exact = recalibration.exact_but_for_one(search, explanation, held, made.nuisances, made.sizes, made.noise_estimate)
+    if exact:
+        (search, explanation), nuisance, held = exact, exact[0].nuisance, replace(held, parts=())
+    named = worth_naming(search, explanation, made.recording, rows, held)
     if 0 < len(named.accepted) < len(explanation.accepted):  # alone another name may be likelier
         named = replace(named, accepted=search.accepted(search.exchanged(chosen_of(named))))
     explanation = named

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import chdtrc
 
 from errpipe.diagnosis.admit import Remainder
 from errpipe.diagnosis.coloured import whiten
@@ -21,6 +22,7 @@ from errpipe.terms import MANY_STARTS
 
 FIRST_READINGS, ROWS_ZEROED = 3, 30  # readings that show a session's zero; rows that it must have
 AT_ZERO = 0.3  # their rms, over that of all readings; noise that wanders takes part of it
+BY_CHANCE = 0.02  # probability that readings which swing about zero begin as near to it
 ZEROED = 5  # first rows of a held-out session, from which its datum is estimated
 
 
@@ -128,7 +130,12 @@ def zeroed_at_starts(error: np.ndarray, session: np.ndarray) -> bool:
     if first.size < 2 or count.min() < ROWS_ZEROED:
         return False
     levels = [float(np.mean(error[k : k + FIRST_READINGS])) for k in first]
-    return bool(np.sqrt(np.mean(np.square(levels))) < AT_ZERO * np.sqrt(np.mean(error**2)))
+    if np.sqrt(np.mean(np.square(levels))) >= AT_ZERO * np.sqrt(np.mean(error**2)):
+        return False
+    mean = np.full(FIRST_READINGS, 1.0 / FIRST_READINGS)
+    means = [np.abs(np.convolve(error[k : k + n], mean, "valid")) for k, n in zip(first, count, strict=True)]
+    as_near = [np.mean(m <= m[0] + 1e-12) for m in means]
+    return bool(chdtrc(2 * first.size, -2.0 * np.sum(np.log(as_near))) < BY_CHANCE)  # Fisher's combined probability
 
 
 def supported_by_held_out(search: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> list[tuple[int, float]]:

@@ -11,18 +11,23 @@ from errpipe.diagnosis import gains, hypotheses
 from errpipe.diagnosis.coloured import whiten
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.gains import DATUM, WHOLE, Nuisance
-from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
+from errpipe.diagnosis.search import MISSING, Explanation, Search, settled
 from errpipe.terms import NEVER
 
 GAIN_SD = 0.10  # prior standard deviation of a simulation's gain less 1 (usual: 0..15 %)
 OFF = 3.0  # threshold: log Bayes factor for a recalibration
 OWN_SD = 0.04  # prior standard deviation of the gain of a part's departures, relative to the part's gain
+REFERENCE_SD = (
+    0.03  # of what an expansion owes to its reference, which a lead error in the simulation may be; with more a
+)
+# missing lead error of a third of it is swallowed (trials/second 81261, tests of slopes)
 PRESENT = -4.0  # log prior odds against an effect that the simulation already holds,
 SAME = -12.0  # and again where it would be driven by the same columns
 KNOWN = 0.05  # rms that a decomposition leaves, over the signal's, up to which it tells what a simulation reads
 SURE = 15.0  # log Bayes factor from which a part is certain to be in the simulation
 MAX_GAIN_PENALTY = 60.0  # largest penalty, in log evidence, of gains beyond the limits: the decomposition may be wrong
-CLAMPED_SD = 0.03  # standard deviation of a gain beyond the limits during the search for another explanation
+EXACT = 6.0  # log odds that the gains of all parts but one are 1 rather than off as usual,
+HAIR = 0.03  # and how far off they may be then, relative to the usual
 
 
 def _worth(search: Search, explanation: Explanation, rows: np.ndarray) -> float:
@@ -32,52 +37,33 @@ def _worth(search: Search, explanation: Explanation, rows: np.ndarray) -> float:
     return search.evidence(chosen) - MISSING * len(chosen) - min(gain_penalty, MAX_GAIN_PENALTY)
 
 
-def within_limits(search, explanation, d: parts.Decomposition, nuisances, recal, sizes, noise_estimate):
-    """The explanation, or a likelier one without the gains beyond the limits that it needs."""
+def exact_but_for_one(
+    search: Search, explanation: Explanation, d: parts.Decomposition, nuisances: list[Nuisance], sizes, noise: float
+) -> tuple[Search, Explanation] | None:
+    """A simulation that holds every effect but one to a hair lacks, or has too much, of that one: it is named.
+
+    The gains of the others are known to be 1 by log odds of `EXACT` (Savage-Dickey ratio), and that all of them are
+    and something is missing is likelier than that one is off. None elsewhere.
+    """
     held, rows = gains.totals(nuisances, sizes)
-    gain_penalty, outside = gains.excess(
-        search.scene([(f.index, f.size) for f in explanation.accepted]), rows, search.rows
-    )
-    if gain_penalty < OFF or outside is None or d.plain:  # a static model of sensors may hold any gains
-        return search, explanation
-    beyond_limits = {part for part, out in zip(held, outside, strict=False) if out}
-    prior = _weaker_prior(search, d, {part.effect for part in beyond_limits})
-    kept = _clamped(search, beyond_limits, nuisances, recal, sizes)
-    other, clamped = settled(search.library, search.data, kept, prior, noise_estimate, search.rows)
-    free, penalised = (
-        Search(search.library, search.data, search.nuisance, sigma, prior, MISSING, MORE, search.rows)
-        for sigma in (other.sigma, search.sigma)
-    )
-    accepted = free.accepted(free.tune([(f.index, f.size) for f in clamped.accepted]))
-    second, nothing = replace(clamped, accepted=accepted), replace(clamped, accepted=())
-    if not accepted or _worth(penalised, second, rows) <= _worth(penalised, explanation, rows) + OFF:
-        return search, explanation
-    if len(accepted) == 1:  # its gain includes the avoided penalty
-        avoided = _worth(penalised, second, rows) + MISSING - _worth(penalised, nothing, rows)
-        second = replace(second, accepted=(replace(accepted[0], gain=max(accepted[0].gain, avoided)),))
-    return free, second
-
-
-def _clamped(search: Search, parts_held: set[Nuisance], nuisances: list[Nuisance], recal, sizes) -> Active:
-    """The nuisances with a narrow prior on these parts; the gain of the whole excludes them too."""
-    labels = {part.label for part in parts_held}
-    clamped = [j for j, n in enumerate(nuisances) if n.part in labels]
-    remaining = recal[:, 1] * sizes[1] - recal[:, clamped] @ sizes[clamped]
-    size = max(float(np.std(remaining)), 1e-12)
-    index, sd = search.nuisance.index.copy(), search.nuisance.sd.copy()
-    index[1], sd[1] = search.library.table.add((remaining / size)[:, None])[0], GAIN_SD * size
-    sd[clamped] = np.minimum(sd[clamped], CLAMPED_SD * sizes[clamped])
-    return Active(index, sd)
-
-
-def _weaker_prior(search: Search, d: parts.Decomposition, effects: set[str]) -> np.ndarray:
-    """Log prior odds with parts whose gains are beyond the limits counted as less certain."""
-    prior = search.prior.copy()
-    held = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.certainty > SURE}
+    chosen = lambda e: [(f.index, f.size) for f in e.accepted]  # noqa: E731
+    scene = search.scene(chosen(explanation))
+    known = rows.shape[1]
+    at = rows @ scene.coefficients()[:known]
+    variance = np.diag(rows @ scene.covariance()[:known, :known] @ rows.T)
+    odds = 0.5 * (np.log1p(GAIN_SD**2 / variance) - at**2 / variance + at**2 / (GAIN_SD**2 + variance))
+    off = int(np.argmin(odds))
+    if len(held) < 2 or odds[off] > -OFF or odds.sum() - odds[off] < EXACT:
+        return None
+    prior, datums = search.prior.copy(), np.array([n.is_datum for n in nuisances])
+    own = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.hypothesis.effect == held[off].effect}
     for i, h in enumerate(search.library.hypotheses):
-        if h.effect in effects and (h.effect, h.drivers) in held:
-            prior[i] -= SAME
-    return prior
+        if (h.effect, h.drivers) in own and prior[i] > 0.5 * NEVER:
+            prior[i] = h.prior
+    exact = Active(search.nuisance.index, search.nuisance.sd * np.where(datums, 1.0, HAIR))
+    other, named = settled(search.library, search.data, exact, prior, noise, search.rows)
+    likelier = other.evidence(chosen(named)) > search.evidence(chosen(explanation))
+    return (other, named) if named.accepted and likelier else None
 
 
 TRUST = 0.3  # weight of the decomposition's evidence: its residual is misfit, not noise
@@ -120,7 +106,9 @@ def recalibration(
         effect = part.hypothesis.effect
         of = effect if effects.count(effect) == 1 else f"{effect} on {' and '.join(part.hypothesis.drivers)}"
         doubts = [(", in doubt", values, GAIN_SD) for values in part.doubt.T]
-        for what, values, off in (("", part.contribution, GAIN_SD), (", not textbook", part.slack, OWN_SD), *doubts):
+        own = [("", part.contribution, GAIN_SD), (", not textbook", part.slack, OWN_SD)]
+        own.append((", its reference", part.reference, REFERENCE_SD))
+        for what, values, off in (*own, *doubts):
             if np.std(values) > (0.0 if d.plain else 0.02) * np.std(simulated):
                 columns.append(values)
                 sd.append(off * max(least / float(np.std(values)), 1.0))

@@ -23,6 +23,7 @@ from errpipe.diagnosis import (
 from errpipe.diagnosis.case import Case, needs_recalibration, own_datums, residual
 from errpipe.diagnosis.derived import FAST
 from errpipe.diagnosis.gains import WHOLE, Nuisance
+from errpipe.diagnosis.hypotheses import Hypothesis
 from errpipe.domain.diagnosis import Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis, Rival, Significance
 
 CLOSE = 4.0  # log Bayes factor below which a rival is listed as indistinguishable
@@ -67,7 +68,8 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     if not unnamed.confirmed_by_held_out(case, held):
         findings = [unnamed.capped(f, UNPROVED) if f.p_search else f for f in findings]
     law = friction.by_direction(case) if friction.rubs(findings) else None
-    findings = friction.with_directional_law(findings, law) if law else findings
+    effects_held = {p.hypothesis.effect for p in case.decomposition.parts}
+    findings = friction.with_directional_law(findings, law, effects_held) if law else findings
     contribution = {name: values for name, values in contribution.items() if name in {f.effect for f in findings}}
     at_first = _rms(before) if case.pair.reversed else held.before
     known_as = {"p": chance.p, "gain": chance.gain, "limit95": chance.limit, "scheme": chance.scheme}
@@ -172,14 +174,18 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
         unexplained_share=unnamed.unexplained_share(case) if proved else 0.0,
         fast=int(step.size and np.median(step) < FAST),
         wandering=sum(g for s, g in shaped.shapes if not s.of_inputs) if noise else 0.0,
-        beside=0.0 if proved else _best_shape(case, case.chosen()),
-        instead=confidence.EARNED if proved else accepted[k].gain - _best_shape(case, others),
+        beside=0.0 if proved else _best_shape(case, case.chosen(), accepted[k].hypothesis),
+        instead=confidence.EARNED if proved else accepted[k].gain - _best_shape(case, others, accepted[k].hypothesis),
     )
 
 
-def _best_shape(case: Case, chosen: list[tuple[int, float]]) -> float:
-    """Log Bayes factor of the best shape over an input beside these findings; 0 where there is none."""
-    inputs = [k for k, shape in enumerate(case.free_shapes) if shape.of_inputs]
+def _best_shape(case: Case, chosen: list[tuple[int, float]], name: Hypothesis) -> float:
+    """Log Bayes factor of the best shape over an input beside these findings; 0 where there is none.
+
+    A curve over the length cut is no rival of wear but its curve, which differs from tool to tool.
+    """
+    own = set(name.drivers) if name.terms[0].form == "any rate" else set()
+    inputs = [k for k, s in enumerate(case.free_shapes) if s.of_inputs and not set(s.drivers) <= own]
     if not inputs:
         return 0.0
     sets, freedoms = [case.places[k] for k in inputs], [case.free_shapes[k].freedom for k in inputs]
@@ -243,9 +249,9 @@ def _verdict(case: Case, findings: list[Finding], p_unknown: float, nameless: bo
     """Verdict; where a mechanism without a name is likelier than the names, `unknown` comes first."""
     recalibrated = needs_recalibration(case)
     surest = max((f.confidence for f in findings), default=0.0)
-    doubtful = unnamed.wanders(case) and p_unknown >= unnamed.PROVISIONAL > 2.0 * surest
-    if findings and (p_unknown > confidence.UNKNOWN_FIRST or doubtful or nameless):
-        named = [unnamed.capped(f, 1.0 - p_unknown) for f in findings]
+    doubtful = nameless or (unnamed.wanders(case) and 2.0 * surest < unnamed.PROVISIONAL)
+    if findings and (p_unknown > confidence.UNKNOWN_FIRST or (doubtful and p_unknown >= unnamed.PROVISIONAL)):
+        named = [unnamed.capped(f, min(p_unknown, 1.0 - p_unknown)) for f in findings]  # what stands first is likelier
         return [unnamed.finding(case, p_unknown), *named, *_recalibration(case, recalibrated)], "unexplained"
     if findings:
         return [*findings, *_recalibration(case, recalibrated)], "missing_physics"

@@ -17,7 +17,9 @@ SHARE_OF_FIRST = 0.03  # a further finding must bring this share of the first on
 MOST_PRICE = 25.0  # but never more than this
 SHORTLIST = 10  # first findings tried
 BETTER = 6.0  # log Bayes factor beside the others from which an effect replaces another
-AS_LIKELY = 4.0  # log Bayes factor by which a simpler effect may lose (generators, seeds 12201 to 14112)
+AS_LIKELY = 4.0  # log Bayes factor by which a simpler effect of the same inputs may lose (generators, seeds 12201 to
+# 14112), and
+TIED = 2.0  # one of other inputs, or of fewer inputs and as many parameters
 MAX_EXCHANGES = 4  # effects tried in the place of each finding
 FINALISTS, MAX_LOSS = 4, 25.0  # explanations judged jointly at the end, and their largest log evidence below the best
 
@@ -147,16 +149,19 @@ class Search:
         return [(e, own - g, i) for e, (g, i) in best.items()]
 
     def simplest(self, accepted: tuple[Accepted, ...]) -> tuple[Accepted, ...]:
-        """Findings with each exchanged for an effect of the same inputs, with fewer non-linear parameters, as likely.
+        """Findings with each exchanged for a simpler effect, one with fewer non-linear parameters, that is as likely.
 
-        Linear coefficients are integrated over; non-linear parameters are the best of many and pay nothing.
+        Linear coefficients are integrated over; non-linear parameters are the best of many and pay too little. Of as
+        many parameters an effect of fewer inputs is simpler: a slope that no temperature moves is no expansion.
         """
         for k, f in enumerate(accepted):
             taken, h = {g.hypothesis.effect for g in accepted}, f.hypothesis
             for effect, lost, i in self.rivals(accepted, k):
                 other = self.library.hypotheses[i]
-                simpler = set(other.drivers) <= set(h.drivers) and len(other.nonlinear[0]) < len(h.nonlinear[0])
-                if effect not in taken and lost < AS_LIKELY and other.mask == h.mask and simpler:
+                inside, fewer = set(other.drivers) <= set(h.drivers), len(h.nonlinear[0]) - len(other.nonlinear[0])
+                simpler = fewer > 0 or (inside and fewer == 0 and len(other.drivers) < len(h.drivers))
+                within = AS_LIKELY if inside and fewer > 0 else TIED
+                if effect not in taken and lost < within and other.mask == h.mask and simpler:
                     chosen = [(g.index, g.size) for g in accepted]
                     return self.accepted(self.tune([*chosen[:k], (i, f.size), *chosen[k + 1 :]]))
         return accepted

@@ -46,13 +46,16 @@ class Shape:
 
 
 def shapes(recording: Recording, component: str, rows: np.ndarray) -> list[Shape]:
-    """All shapes for a response on its rows, columns of unit rms."""
-    out = []
-    for kind, drivers, columns, freedom in _all_columns(recording, component, rows):
+    """All shapes for a response on its rows, columns of unit rms; those of responses on the same rows are the same."""
+    name = component == "E_R", rows.tobytes()
+    kept, made = recording.derived.get("shapes", (None, []))
+    out: list[Shape] = made if kept == name else []
+    for kind, drivers, columns, freedom in _all_columns(recording, component, rows) if kept != name else ():
         rms = np.sqrt(np.mean(columns**2, axis=0))
         keep = rms > 1e-9
         if keep.sum() >= 1:
             out.append(Shape(kind, drivers, columns[:, keep] / rms[keep], freedom[keep]))
+    recording.derived["shapes"] = name, out  # of the last rows alone: they are 60 MB
     return out
 
 

@@ -327,8 +327,8 @@ class Recording:
         return {}
 
     @cached_property
-    def derived(self) -> dict[Any, np.ndarray]:
-        """Arrays of a value per row that follow from the rows, kept with them; nobody writes into them."""
+    def derived(self) -> dict[Any, Any]:
+        """What follows from the rows (most: an array of a value per row), kept with them; nobody writes into it."""
         return {}
 
     def _array(self, name: str) -> np.ndarray:

@@ -82,10 +82,13 @@ def least_squares(
     noise: standard deviation of the response's noise, which priors are weighed against. A direction that the
     design does not see at all gets the smallest coefficients (then rank < p).
     """
-    root = np.ones(response.size) if weights is None else np.sqrt(weights)
+    stacked, right = design, response
+    if weights is not None:
+        stacked, right = design * np.sqrt(weights)[:, None], response * np.sqrt(weights)
     extra, target = _further_rows(design.shape[1], penalty, priors, noise)
-    stacked = np.vstack([design * root[:, None], extra])
-    right = np.r_[response * root, target]
+    if target.size:
+        stacked, right = np.vstack([stacked, extra]), np.r_[right, target]
+    stacked = np.ascontiguousarray(stacked)  # sums of squares are then the same bits whatever the caller's layout
     coefficients, inverse, rank, leverage = _solve(stacked, right, response.size)
     used = np.ones(response.size) if weights is None else weights
     return Solution(coefficients, response - design @ coefficients, inverse, used, leverage, rank)

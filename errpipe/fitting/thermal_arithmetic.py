@@ -119,18 +119,19 @@ def all_known(recording: Recording) -> np.ndarray:
 
 
 def few_rows_fitted(recording: Recording, component: str, fitted: int) -> str:
-    """A few words where a sensor has died, or many measured rows lack a temperature and take no part; else ''.
+    """A few words where a sensor has died, many measured rows lack a temperature, or all rows of a run; else ''.
 
     recording: with short holes held (`held_readings`).
     """
     if dead := dead_sensors(recording, component):
         return f"; without {', '.join(dead)}, silent at the end of the recording"
-    measured = int(np.isfinite(recording.array(response_name(recording, component))).sum())
-    if fitted > MOST_FITTED * measured:
-        return ""
-    return (
-        f"; fitted to {fitted} of {measured} rows, the others lack a temperature ({_sensor_with_most_gaps(recording)})"
-    )
+    measured = np.isfinite(recording.array(response_name(recording, component)))
+    rows = int(measured.sum())
+    if fitted > MOST_FITTED * rows:
+        run, known = recording.run_codes(), all_known(recording)
+        empty = [recording.run_labels()[k] for k in np.unique(run[measured]) if not known[measured & (run == k)].any()]
+        return f"; without {', '.join(empty)} ({_sensor_with_most_gaps(recording)})" if empty else ""
+    return f"; fitted to {fitted} of {rows} rows, the others lack a temperature ({_sensor_with_most_gaps(recording)})"
 
 
 def _sensor_with_most_gaps(recording: Recording) -> str:

@@ -8,7 +8,8 @@ unknown      half width for held-out environments (seasons)
 known share  0..1, per run and from its first readings: how much the fitted correction improved runs with a similar
              start temperature. It is one only where several such runs were seen and were predicted well
 1 / 50 um    errors grow with the prediction and also drift: on held-out seasons a constant and a
-             proportional width missed by the same factor on either side; their mean covers both
+             proportional width missed by the same factor on either side; their mean covers both. More where one
+             day alone was fitted (`GAIN_SPREAD`)
 distance     outside the temperatures seen, in ranges summed over the sensors
 """
 
@@ -20,6 +21,7 @@ import numpy as np
 
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
+from errpipe.fitting.quantiles import normal_quantile
 from errpipe.fitting.thermal_arithmetic import conformal_half_width
 
 GROWTH = 1.0 / 50.0  # 1/um
@@ -31,20 +33,29 @@ NEXT_RUN = 1.25
 # The same of a log that is shorter than three days. Chosen on single days of 165 machines (seed 901 of `trials.thermal`
 # and formulas): 88 to 92 % of the rows of later days of three kinds are covered, 75 % where a heat is not measured.
 NEXT_DAY = 1.6
+# Standard deviation of the gain from day to day that is presumed where one day was fitted, for it cannot show any: an
+# assumption, not a measurement. Chosen on 16 spindles by formulas (seeds 200 to 215), six later days of each: where the
+# gain changes by a tenth, 74 % of the rows are covered (57 without, 88 with 0.08), and where it does not the width is
+# 1.9 times that without (0.08: 3.1 times).
+GAIN_SPREAD = 0.04
 DOUBLED = 1.2  # ranges summed over the sensors (2 K on each of six): this far outside the interval is twice as wide
 
 
 @dataclass(frozen=True)
 class Intervals:
-    """Half widths in um of a prediction of zero; `widening` is added per range outside of what was seen."""
+    """Half widths in um of a prediction of zero; `widening` is added per range outside of what was seen.
+
+    growth: share by which a prediction of 1 um is wider than one of zero, 1/um.
+    """
 
     known: float
     unknown: float
     widening: float
+    growth: float = GROWTH
 
     def half_width(self, predicted: np.ndarray, factor: np.ndarray, away: np.ndarray) -> np.ndarray:
         """um, shape (rows,). predicted: um; factor: values of `factor()`; away: ranges outside."""
-        return (1.0 + GROWTH * np.abs(predicted)) * self.unknown * factor + self.widening * away
+        return (1.0 + self.growth * np.abs(predicted)) * self.unknown * factor + self.widening * away
 
     def factor(self, known_share: d.Driver, fading: d.Driver) -> d.Driver:
         """What the half width at a prediction of zero is multiplied by.
@@ -83,6 +94,11 @@ def of_next_run(left: LeftOut, group: np.ndarray, level: float, factor: np.ndarr
     one_day: whether the run holds fewer days than could be left out.
     """
     return (NEXT_DAY if one_day else NEXT_RUN) * left.half_width(group, level, np.iinfo(np.int64).max, False, factor)
+
+
+def growth_of_one_day(half: float, level: float) -> float:
+    """`growth` of a model of one day, 1/um: also what `GAIN_SPREAD` adds to the half width of a prediction of zero."""
+    return max(GROWTH, normal_quantile((1.0 + level) / 2) * GAIN_SPREAD / half) if half > 0.0 else GROWTH
 
 
 def independent_runs(recording: Recording, rows: np.ndarray) -> int:

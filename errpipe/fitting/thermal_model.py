@@ -14,7 +14,6 @@ from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParamet
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.shared import drive_all
-from errpipe.fitting import thermal_interval
 from errpipe.fitting.season_options import SeasonOptions
 from errpipe.fitting.thermal_interval import Intervals
 from errpipe.fitting.validity import distance
@@ -84,7 +83,7 @@ class ThermalModel:
             rms_before=self.report["rms_before"],
             rms_after=self.report["rms_after"],
             half_width90=self.intervals.unknown,
-            growth90=thermal_interval.GROWTH,
+            growth90=self.intervals.growth,
             factor90=self.factor.model_dump(mode="json"),
             widening90=self.intervals.widening,
             limit=max(abs(self.limit[0]), abs(self.limit[1])),

@@ -41,16 +41,16 @@ def covered(values: np.ndarray) -> tuple[float, float]:
     """Ends of the range that finite values cover, without few rows beyond a gap; shape (n,), any order."""
     ordered = np.sort(values)
     few = int(FEW * ordered.size)
-    return float(ordered[_without_tail(ordered, few)]), -float((-ordered[::-1])[_without_tail(-ordered[::-1], few)])
+    lowest, highest = ordered[: few + 1], -ordered[::-1][: few + 1]
+    low, high = float(lowest[_beyond_gap(lowest, -highest[-1])]), -float(highest[_beyond_gap(highest, -lowest[-1])])
+    return low, high
 
 
-def _without_tail(ordered: np.ndarray, few: int) -> int:
-    """How many of the lowest values lie beyond a gap; at most `few`."""
-    for count in range(few, 0, -1):
-        main = ordered[count : ordered.size - few]
-        if main.size and main[0] - ordered[count - 1] > GAP * max(float(main[-1] - main[0]), 1e-300):
-            return count
-    return 0
+def _beyond_gap(lowest: np.ndarray, top: float) -> int:
+    """How many of the lowest values lie beyond a gap; all but the last may. top: highest of the other rows."""
+    above = lowest[1:]
+    gaps = above - lowest[:-1] > GAP * np.maximum(top - above, 1e-300)
+    return int(np.flatnonzero(gaps)[-1]) + 1 if gaps.any() else 0
 
 
 def few_rows_outside(recording: Recording, validity: Validity, rows: np.ndarray) -> list[str]:

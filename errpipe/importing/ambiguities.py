@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 
 from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.importing import columns, words
-from errpipe.importing.layout import Layout
+from errpipe.importing.layout import COMPONENT, Layout
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 
 FEWEST_ROWS = 3  # with readings: two make a straight line through whatever was read
@@ -118,9 +119,11 @@ def refuse_without_position(p: Proposal, asked: bool) -> None:
 
 def _too_few(p: Proposal) -> None:
     """Raise DataError for a table of one or two rows: a remark, or the result of a test, not the test."""
-    if p.rows < FEWEST_ROWS:
+    read = [int(np.isfinite(p.data[n]).sum()) for n, e in p.entries.items() if e["role"] == "error" and n in p.data]
+    rows = min(p.rows, max(read, default=p.rows))
+    if rows < FEWEST_ROWS:
         raise DataError(
-            f"{p.rows} row{'s' if p.rows > 1 else ''} with a reading (at least {FEWEST_ROWS}; ISO 230-2 asks for five "
+            f"{rows} row{'s' if rows > 1 else ''} with a reading (at least {FEWEST_ROWS}; ISO 230-2 asks for five "
             "targets a metre, each five times from both sides)"
         )
 
@@ -158,3 +161,44 @@ def refuse_another_title(p: Proposal, layout: Layout, options: ImportOptions) ->
             f"a line above says {title[:60]!r}, and no column does: say what was measured with --component, such as "
             f"EYX (or {own}, the positioning)"
         )
+
+
+_DIAMETERS = re.compile(
+    r"\b(diam\w*|durchmesser)[ -]?(program\w*|mode|on\b|values?|werte?|display|anzeige)|\bdurchmesser\w+|\bdiamon\b"
+)
+
+
+def refuse_diameters(layout: Layout, guesses: dict[str, columns.ColumnGuess], options: ImportOptions) -> None:
+    """Raise DataError where positions of an axis are diameters, as a lathe shows X: readings may be halved or not."""
+    places = [c for c in layout.columns if guesses[c.header].kind in PLACES and c.numeric]
+    place = next((c for c in places if columns.axis_in(c.header) and columns.is_diameter(c.header)), None)
+    line = next((x for x in layout.above if _DIAMETERS.search(words.plain(x)) and places), None)
+    place = place or (places[0] if line is not None else None)
+    if place is None or {place.header, slug(place.header)} & {*options.sets}:
+        return
+    raise DataError(
+        f"{'a line above' if line else 'a header'} says diameters ({line or place.header!r}): write positions and "
+        f"readings as radii (half of a diameter), or, where they are, say --set '{place.header}.role=position'"
+    )
+
+
+def component_above(
+    layout: Layout, guesses: dict[str, columns.ColumnGuess], options: ImportOptions, p: Proposal
+) -> ImportOptions:
+    """The options with the component, and its axis, that lines above or the name name, where no column does.
+
+    Raises DataError where they name several.
+    """
+    axis = options.axis or words.axis_above(layout.above)  # `EAC` beside axis X is a mark of conformity
+    found = {name for line in layout.above for name in re.findall(COMPONENT, line)}
+    named = sorted(name for name in found if axis in (None, name[2]))
+    stated = options.component or any(columns.component_in(c.header) for c in layout.columns) or options.sets
+    if not named or stated or sum(g.kind in ("error", "actual") for g in guesses.values()) == 0:
+        return options
+    if len(named) > 1:
+        raise DataError(
+            f"lines above the table, its sheet or file name {', '.join(named)}: what was measured? Say it with "
+            f"--component {named[0]} (or {', '.join(named[1:])})"
+        )
+    p.notes.append(f"the component is {named[0]}, as a line above the table, its sheet or file says (--component)")
+    return replace(options, component=named[0], axis=options.axis or named[0][2])

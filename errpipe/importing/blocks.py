@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import re
 
+from errpipe.errors import DataError
 from errpipe.importing.sheet import Cell, filled_cells, label
 from errpipe.importing.units import split_header
-from errpipe.importing.words import axis_above, way_of
+from errpipe.importing.words import axis_above, kind_by_name, way_in, way_of
+
+LONGEST_TITLE = 40  # letters of a line that states a side, and nothing else
 
 
 def blocks(
@@ -49,6 +52,37 @@ def blocks(
     if not again:
         return names, rows[start:]
     return _repeated(names, rows, start, again, titled, notes)
+
+
+def sections(
+    names: list[str], rows: list[list[Cell]], first: str, notes: list[str]
+) -> tuple[list[str], list[list[Cell]]]:
+    """Names and rows with the side, and the run, that lines among the rows state of those below: `Run 2 reverse`.
+
+    first: the line right above the first row. Raises DataError where rows stand above the first line that states a
+    side.
+    """
+    lone = {r: str(cells[0]) for r, row in enumerate(rows) if len(cells := filled_cells(row)) == 1}
+    titles = {r: text for r, text in lone.items() if len(text) <= LONGEST_TITLE and len(way_in(text) or "") > 1}
+    if not titles or any(kind_by_name(name) == "direction" or way_of(name) is not None for name in names):
+        return names, rows
+    if way_in(first) is None and min(titles) > 0:
+        raise DataError(
+            f"a line among the rows says {titles[min(titles)]!r}, and none says from which side the rows above it were "
+            "approached: write the direction of every row in a column"
+        )
+    said, out, numbered = first, [], all(re.search(r"\d", t) for t in titles.values())
+    numbered = numbered and not any(kind_by_name(name) == "run" for name in names)
+    for r, row in enumerate(rows):
+        said = titles.get(r, said)
+        run = re.search(r"\d+", said)
+        own: list[Cell] = [way_in(said), *([run.group() if run else "1"] if numbered else [])]
+        if r not in titles:
+            out.append([*row, *[None] * (len(names) - len(row)), *own])
+    notes.append(
+        f"lines among the rows state the side of those below ({', '.join(dict.fromkeys(titles.values()))})"[:160]
+    )
+    return [*names, "direction", *(["run"] if numbered else [])], out
 
 
 def _repeated(

@@ -167,6 +167,8 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return KIND_OF_UNIT[unit], f"its unit ({unit})"
     if kind == "temperature" and unit is None and column.numeric and not _like_degrees(column):
         return "ignore", "called like a temperature, but its values are none in degC"
+    if kind == "group" and unit in ("mm", "m", "inch", "deg"):
+        return ("position" if group_of(column.header) == "machine" else "ignore"), f"its unit ({unit})"
     if kind == "group" and not 1 < len({*_texts(column)}) <= 0.5 * len(column.cells):
         return "ignore", "called like a label of groups, but its values group no rows"
     if kind == "error" and re.search(DISPLACEMENT, plain(column.header)) and _as_long_as_a_travel(column):
@@ -372,16 +374,25 @@ def side_in(header: str) -> str | None:
     return found[0] if len(found) == 1 else None
 
 
+_CAME_FROM_HEADER = re.compile(r"\b(from|von|aus|desde|depuis|da)$|\b(approach|anfahr)[ -]?(side|seite)$")
+
+
+def _came_or_went(header: str, cell: object) -> float | None:
+    """The side of a cell; below `Approach from` a sign states where the axis came from: + is from above."""
+    way, came = side(cell), _CAME_FROM_HEADER.search(plain(header).strip(" :.()"))
+    return -way if came and way is not None and _SIGN.fullmatch(plain(cell)) else way
+
+
 def _side(column: RawColumn) -> np.ndarray | None:
     """The column as +1 and -1, where every filled cell is a direction and both occur."""
     filled = [c for c in column.cells if c not in (None, "")]
-    signs = [side(c) for c in filled]
+    signs = [_came_or_went(column.header, c) for c in filled]
     return np.array(signs, dtype=float) if filled and None not in signs and len(set(signs)) == 2 else None
 
 
 def sides(column: RawColumn) -> np.ndarray:
     """The column as +1 and -1; empty cells are NaN."""
-    signs = [side(c) if c not in (None, "") else None for c in column.cells]
+    signs = [_came_or_went(column.header, c) if c not in (None, "") else None for c in column.cells]
     return np.array([np.nan if s is None else s for s in signs])
 
 

@@ -10,15 +10,16 @@ from itertools import pairwise
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.importing.blocks import blocks
+from errpipe.importing.blocks import blocks, sections
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, filled_cells, label, number, of_one_mark
 from errpipe.importing.units import split_header, unit_of
+from errpipe.importing.units_above import units_of_columns
 
 DEEPEST_HEADER = 200  # lines above the data: the longest preamble seen, of a laser's own file, has 60
-DEEPEST_UNITS = 12  # lines above the header in which a line of units is looked for
 MOST_REMARKS = 50  # lines below a table that are kept as remarks
 SAMPLE_ROWS = 200  # rows in which a unit behind the numbers is looked for
 BY_NAME = "of the sheet or file"
+COMPONENT = r"\bE[XYZABC][XYZABCUVW]\b"  # by ISO 230-1, of an axis that moves
 EMPTY = "columns without a value:"  # a note that an error repeats
 NUMERIC_SHARE = 0.6  # of a column's cells: what is a number column with gaps and remarks
 
@@ -85,9 +86,10 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     names, units, used = _names(rows, head_rows, max(map(len, rows[start:])))
     above = [" ".join(str(c) for c in row if c not in (None, "")) for row in rows[: start - used]]
     above += [f"Axis: {letter} ({BY_NAME} {sheet.name!r})" for letter in _axis_of_sheet(sheet.name)]
+    above += [f"Component: {name} ({BY_NAME})" for name in re.findall(COMPONENT, sheet.name.replace("_", " "))]
     units = [
         u or a or unit_in_cells.get(i)
-        for i, (u, a) in enumerate(zip(units, _units_above(rows, start - used, names), strict=True))
+        for i, (u, a) in enumerate(zip(units, units_of_columns(rows, start - used, names), strict=True))
     ]
     names = _merged(names, numbers[start:]) if used else names
     if stated:
@@ -98,7 +100,10 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     remarks = [row for row, of_row in zip(rows[start:], numbers[start:], strict=True) if all(v is None for v in of_row)]
     below = [" ".join(map(str, filled_cells(row))) for row in remarks[:MOST_REMARKS]]
     if used:
+        title = filled_cells(rows[start - 1 - used]) if start > used else []
         names, rows = blocks(names, rows, numbers, start, notes, used)
+        names, rows = sections(names, rows, str(title[0]) if len(title) == 1 else "", notes)
+        units += [None] * (len(names) - len(units))
     else:
         rows = rows[start:]
     laid = _layout(sheet, names, units, rows, comma, [a for a in above if a], notes)
@@ -133,21 +138,6 @@ def _axis_of_sheet(name: str) -> list[str]:
 def _is_rule(row: list[Cell]) -> bool:
     """Whether a row is a line drawn with signs, as below the header of a table in Markdown."""
     return all(isinstance(c, str) and _RULE.fullmatch(c) for c in filled_cells(row)) and len(filled_cells(row)) != 1
-
-
-def _units_above(rows: list[list[Cell]], end: int, names: list[str]) -> list[str | None]:
-    """The units of a line above the header that holds nothing else: `Units,mm,um`, or LabVIEW's `Y_Unit_Label`."""
-    width = len(names)
-    for row in rows[max(end - DEEPEST_UNITS, 0) : end]:
-        cells = [label(c) for c in row[1:]]
-        if not re.match(r"(y_)?unit|einheit", label(row[0]), re.IGNORECASE) or not all(unit_of(c) for c in cells if c):
-            continue
-        units = [unit_of(c) if c else None for c in cells]
-        if label(row[0]).lower().startswith("y_"):
-            return ([None, *units] + [None] * width)[:width]
-        if len([u for u in units if u]) == width:
-            return [u for u in units if u]
-    return [None] * width
 
 
 def _stated_names(stated: tuple[str, ...], width: int, header: bool) -> tuple[str, ...]:
@@ -316,7 +306,7 @@ def _are_units(texts: list[str]) -> bool:
 
 def _metres(names: list[str]) -> list[str]:
     """`x_m` as `x [m]` where another header ends so too: alone it may be a measured x."""
-    ending = [n for n in names if re.fullmatch(r"\w+_m", n)]
+    ending = [n for n in names if re.fullmatch(r".*\w[_ ]m", n)]
     return [f"{n[:-2]} [m]" if n in ending and len(ending) > 1 else n for n in names]
 
 

@@ -259,6 +259,9 @@ FEWEST_OF_A_LABEL = 0.9  # share of the rows with a label that lie on one side o
 def _sides_of_labels(p: Proposal, moves: np.ndarray | None) -> None:
     """Raise DataError where a column called a direction has two labels that neither words nor the motion explain."""
     unread = [n for n, why in p.guesses.items() if why == NO_SIDES and n in p.data]
+    place = p.first("command") or p.first("position")
+    lost = place in p.data and (moves is None or np.unique(moves).size < 2)
+    unread += [n for n in p.entries if lost and place is not None and _may_be_sides(p, n, p.data[place])]
     for name in unread:
         labels = np.array([str(v).removesuffix(".0") for v in p.data[name]])
         names = [str(n) for n in np.unique(labels) if n not in ("", "nan")]
@@ -271,6 +274,16 @@ def _sides_of_labels(p: Proposal, moves: np.ndarray | None) -> None:
                 f"of them comes from below: write + (from below) and -, or say --set {name}.role=ignore"
             )
         p.guesses[name] = f"{names[int(np.argmax(rising))]!r} is the way up, as the positions rise there"
+
+
+def _may_be_sides(p: Proposal, name: str, x: np.ndarray) -> bool:
+    """Whether a column of words that are not understood has two of them, both at nearly every target."""
+    if p.guesses.get(name) != guessing.UNKNOWN or not isinstance(p.data.get(name), list):
+        return False
+    words_of = np.array(p.data[name], dtype=str)
+    names, targets = np.unique(words_of[words_of != ""]), np.unique(x).size
+    at = [np.unique(x[words_of == n]).size for n in names]
+    return len(at) == 2 and targets > 2 and min(at) >= FEWEST_OF_A_LABEL * targets
 
 
 def _visits(x: np.ndarray, way: np.ndarray) -> list[str]:

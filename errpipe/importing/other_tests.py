@@ -16,8 +16,9 @@ TESTS: tuple[tuple[str, str, str, str], ...] = (
         "ball bar",
         r"\bball ?bar\b|\bkreisformtest\b|\bqc ?[12]0\b|\b(angle|(dreh)?winkel)\b.*\b(radius|radial\w*|d ?r)\b",
         "readings of a ball bar over the angle of a circle",
-        f"{_WRITE} protocol ballbar_circle, the commanded position of each reading "
-        "(X = centre_X + radius * cos(angle), ...), and the deviation along the bar as E_R",
+        "with lines such as `Ballbar`, `Radius: 100 mm`, `Plane: XY` above it the table is imported as it is; else "
+        f"{_WRITE} protocol ballbar_circle, the commanded position of each reading from the centre "
+        "(X = radius * cos(angle), ...), and the deviation along the bar as E_R",
     ),
     (
         "R-test",

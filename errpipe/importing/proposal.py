@@ -13,13 +13,26 @@ import numpy as np
 from errpipe.domain import components
 from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError, UsageError, did_you_mean
-from errpipe.importing import ambiguities, dates, no_reading, order, readings, resolve, rows_of, signs, simulated, wide
+from errpipe.importing import (
+    ambiguities,
+    circle,
+    dates,
+    no_reading,
+    order,
+    readings,
+    resolve,
+    rows_of,
+    signs,
+    simulated,
+    wide,
+)
 from errpipe.importing import columns as guessing
 from errpipe.importing.layout import Layout, RawColumn, facts, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
 from errpipe.importing.temperatures import with_temperatures
 from errpipe.importing.units import PER_LENGTH, in_brackets, in_role, per_length, plain_unit, unit_of
+from errpipe.importing.units_above import unit_above
 from errpipe.importing.words import THERE_AND_BACK, axis_above, plain
 
 # What may be a unit that is not known: `um/m`, `pm`, `x 0.05um`, `0.0001`.
@@ -37,6 +50,8 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         unit = (options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}).get("unit", c.unit)
         c.unit = unit_of(unit or "") or unit
     no_reading.blank(layout)
+    if (of_a_ball_bar := circle.proposal(layout, options)) is not None:
+        return of_a_ball_bar
     layout = wide.unpivoted(rows_of.one_machine(rows_of.one_axis(layout, options), options))
     layout.columns = [part for c in dates.date_and_clock(layout.columns) for part in wide.split_labels(c)]
     if not layout.columns:
@@ -44,9 +59,10 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
     guesses, unsure = with_temperatures(layout.columns, guessing.with_place(layout.columns, guesses))
     unsure += readings.unit_by_positions(layout.columns, guesses) if options.unit is None else []
-    _refuse_diameters(layout, guesses, options)
+    ambiguities.refuse_diameters(layout, guesses, options)
     layout = wide.side_by_side(wide.merged_targets(layout, guesses), guesses)
     proposal = Proposal(notes=[*layout.notes, *unsure], headers=headers)
+    options = ambiguities.component_above(layout, guesses, options, proposal)
     proposal.facts.update(facts(layout.above))
     proposal.side = guessing.side_above(layout.above)
     proposal.notes += signs.compensated(layout.above)
@@ -74,25 +90,6 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     return proposal
 
 
-_DIAMETERS = re.compile(
-    r"\b(diam\w*|durchmesser)[ -]?(program\w*|mode|on\b|values?|werte?|display|anzeige)|\bdurchmesser\w+|\bdiamon\b"
-)
-
-
-def _refuse_diameters(layout: Layout, guesses: dict[str, guessing.ColumnGuess], options: ImportOptions) -> None:
-    """Raise DataError where positions of an axis are diameters, as a lathe shows X: readings may be halved or not."""
-    places = [c for c in layout.columns if guesses[c.header].kind in resolve.PLACES and c.numeric]
-    place = next((c for c in places if guessing.axis_in(c.header) and guessing.is_diameter(c.header)), None)
-    line = next((x for x in layout.above if _DIAMETERS.search(plain(x)) and places), None)
-    place = place or (places[0] if line is not None else None)
-    if place is None or {place.header, slug(place.header)} & {*options.sets}:
-        return
-    raise DataError(
-        f"{'a line above' if line else 'a header'} says diameters ({line or place.header!r}): write positions and "
-        f"readings as radii (half of a diameter), or, where they are, say --set '{place.header}.role=position'"
-    )
-
-
 def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess | None:
     """A column's guess with what `--set COLUMN.role=...` and `--set COLUMN.axis=...` say, or None."""
     stated = options.sets.get(column.header) or options.sets.get(slug(column.header)) or {}
@@ -101,7 +98,8 @@ def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess |
         return replace(guessing.guess(column), axis=axis) if axis else None
     known = (*ROLE_UNITS, "counts")
     if role not in known:
-        raise UsageError(f"--set {column.header}.role: no role {role!r}.{did_you_mean(role, known)}")
+        allowed = f"(allowed: {', '.join(known)})"
+        raise UsageError(f"--set {column.header}.role: no role {role!r} {allowed}.{did_you_mean(role, known)}")
     return guessing.ColumnGuess(role, axis or guessing.axis_in(column.header), "")
 
 
@@ -141,6 +139,9 @@ def _long(
     parts = [
         RawColumn(c.header, c.unit, [c.cells[i] for i in np.flatnonzero(keep)], c.values[keep]) for c in layout.columns
     ]
+    of_errors = [c for c in parts if guesses[c.header].kind == "error"]
+    if len(of_errors) == 1 and of_errors[0].unit is None:
+        of_errors[0].unit = unit_above(layout.above, of_errors[0].values)
     for column in [c for c in parts if any(cell not in (None, "") for cell in c.cells)]:
         odd = [c for c, v in zip(column.cells, column.values, strict=True) if c not in (None, "") and np.isnan(v)]
         if odd and column.numeric:
@@ -198,7 +199,7 @@ def _wide_readings(
     stated = [c.unit for c, _, _ in table.readings if c.unit is not None]
     if len(set(stated)) > 1:
         raise DataError(f"the columns of the runs have several units ({', '.join(sorted(set(stated)))})")
-    unit = resolve.stated_unit(options, stated[0] if stated else wide.unit_above(layout.above), headers[0])
+    unit = resolve.stated_unit(options, stated[0] if stated else unit_above(layout.above, values), headers[0])
     why = f"the columns of the runs; component {component} from the axis" if options.component is None else ""
     values, unit, why = resolve.unit_of_readings(values, unit, component, why)
     p.put(

@@ -155,6 +155,7 @@ def resolve_units(p: Proposal, layout: Layout) -> None:
 
 
 _EXTERNAL_INSTRUMENT = re.compile(r"laser|interferom|dial|indicator|messuhr", re.IGNORECASE)
+_OWN_SCALE = re.compile(r"encoder|(?<![a-z])enc(?![a-z])|display|read_?out|(?<![a-z])dro(?![a-z])|scale", re.IGNORECASE)
 
 
 def one_position_per_axis(p: Proposal) -> None:
@@ -168,6 +169,11 @@ def one_position_per_axis(p: Proposal) -> None:
             measured = [n for n in names if _EXTERNAL_INSTRUMENT.search(n)]
             if len(names) < 2:
                 continue
+            own = [n for n in names if _OWN_SCALE.search(n) and n not in measured]
+            if role == "actual" and len(own) == 1 and len(names) == 2 and not _commanded(p, letter):
+                p.entries[own[0]]["role"] = "command"
+                p.guesses[own[0]] = "the machine's own reading beside a measured one: it stands for the command"
+                continue
             beside = role == "actual" and len(measured) == 1
             kept = measured[0] if beside else names[0]
             for name in [n for n in names if n != kept]:
@@ -178,6 +184,10 @@ def one_position_per_axis(p: Proposal) -> None:
                     )
                 p.entries[name] = {"role": "ignore"}
                 p.guesses[name] = f"beside {kept}, which is the {role} position"
+
+
+def _commanded(p: Proposal, letter: str) -> bool:
+    return p.first("command", letter) is not None or p.first("position", letter) is not None
 
 
 def deviations_as_errors(p: Proposal, options: ImportOptions) -> None:

@@ -54,7 +54,7 @@ def one_machine(layout: Layout, options: ImportOptions) -> Layout:
         names = sorted({*texts} - {""})
         stated = options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}
         of_machine = kind_by_name(c.header) == "group" and guessing.group_of(c.header) == "machine"
-        if not of_machine or "role" in stated or not 1 < len(names) <= 0.5 * len(texts):
+        if not of_machine or c.unit is not None or "role" in stated or not 1 < len(names) <= 0.5 * len(texts):
             continue
         if options.machine not in names:
             raise DataError(

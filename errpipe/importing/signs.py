@@ -16,9 +16,17 @@ from errpipe.importing import columns as guessing
 from errpipe.importing import words
 from errpipe.importing.layout import Layout
 from errpipe.importing.proposed import ImportOptions, Proposal
+from errpipe.importing.units import split_header
 
 SHOWN = 0.9  # correlation with actual - commanded: as `reversed-sign` of the plausibility checks
 ASSUMED = "the file does not state its sign: taken as actual minus commanded (--sign states another)"
+# A line above a table whose readings are corrections: `Korrekturwerte in um`, not `Compensation: off`.
+_TITLE_OF_CORRECTIONS = re.compile(
+    r"(korrekturwerte|korrekturtabelle|(correction|compensation|comp\.?) (values?|table|data))\b[^:=;]*$"
+)
+_OF_CORRECTIONS = re.compile(
+    r"(?:values?|werte?|table|data|to (?:apply|enter|be \w+)|valore|valeur|valor|d[aei]|del?|of|in|[値值量表数]|\W|\d)+"
+)
 # Quantities that count either way: what is entered in a control, or the gap between a sensor and what it looks at.
 _EITHER_WAY = re.compile(
     r"\b(offset|trim|gap|spalt|luftspalt|abstand|distance|stellwert|einstellwert|nachstellwert|eingabewert|to enter"
@@ -98,6 +106,18 @@ def change(p: Proposal, layout: Layout, options: ImportOptions) -> None:
             p.entries[name] = {**entry, "derived": {"of": raw, "factor": -1.0}}
 
 
+def _titles_corrections(line: str) -> bool:
+    """Whether a line above a table states that its readings are corrections: `Korrekturwerte`, `Correction [mm]`.
+
+    One without a unit may be about a compensation: `Compensation`.
+    """
+    if _TITLE_OF_CORRECTIONS.match(words.plain(line)) is not None:
+        return True
+    text, unit = split_header(line)
+    rest = re.sub(words.CORRECTION, " ", words.plain(text))
+    return unit is not None and words.is_correction(text) and _OF_CORRECTIONS.fullmatch(f" {rest} ") is not None
+
+
 def _stated(p: Proposal, name: str, options: ImportOptions) -> tuple[bool, str] | None:
     """Whether a sign is turned by the option or by the recorded positions, with the reason; None: neither states it."""
     if options.sign is not None:
@@ -121,12 +141,12 @@ def _stated(p: Proposal, name: str, options: ImportOptions) -> tuple[bool, str] 
 def _said(p: Proposal, name: str, layout: Layout) -> tuple[bool, str]:
     """Whether a sign is turned by what the file states of it, with the reason."""
     headers = p.entries[name].get("_headers", (name,))
-    if any(map(words.is_correction, headers)) or any(map(words.titles_corrections, layout.above)):
+    if any(map(words.is_correction, headers)) or any(map(_titles_corrections, layout.above)):
         return True, "a correction is minus the deviation: the sign is turned"
     if any(map(words.is_following_error, headers)):
         return True, "a following error is commanded minus actual: the sign is turned"
-    around = " ".join([name, *(c.header for c in layout.columns), *layout.above, *layout.below])
-    said = words.difference(" ".join(headers)) or words.difference(around)
+    around = " | ".join([name, *(c.header for c in layout.columns), *layout.above, *layout.below])
+    said = words.difference(" | ".join(headers)) or words.difference(around)
     if said is not None:
         return said[0] < 0, f"the file says {said[1]!r}" + (": the sign is turned" if said[0] < 0 else "")
     _ask(headers, layout, p.guesses.get(name, ""))
@@ -166,7 +186,7 @@ def _ask(headers: tuple[str, ...], layout: Layout, why: str) -> None:
                 f"column {header!r}: does it rise where the axis (the tool) goes too far, or fall? Say it: --sign "
                 "actual-minus-commanded, or --sign commanded-minus-actual"
             )
-    line = next((x for x in layout.below if words.titles_corrections(x)), None)
+    line = next((x for x in layout.below if _titles_corrections(x)), None)
     line = line or next((x for x in [*layout.above, *layout.below] if _is_on_the_sign(words.plain(x))), None)
     if line is not None:
         raise DataError(

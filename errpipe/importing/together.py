@@ -26,6 +26,7 @@ def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Propos
     if len(parts) == 1:
         return parts[0]
     first = parts[0]
+    lacking = _without_sensor(parts, stems)
     for other, stem in zip(parts[1:], stems[1:], strict=True):
         if other.entries.keys() != first.entries.keys():
             not_shared = ", ".join(sorted(other.entries.keys() ^ first.entries.keys()))
@@ -34,7 +35,7 @@ def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Propos
         for name, entry in first.entries.items():
             _refuse_another(name, (entry, other.entries[name]), (stems[0], stem))
     _in_one_unit(parts, stems)
-    joined = Proposal(entries=dict(first.entries), guesses=dict(first.guesses), notes=list(first.notes))
+    joined = Proposal(entries=dict(first.entries), guesses=dict(first.guesses), notes=[*first.notes, *lacking])
     run = joined.first("run")
     if run is None:
         run = joined.put("run", None, "one run for each file", role="run")
@@ -50,6 +51,28 @@ def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Propos
         labels += [f"{stem}-{label}" for label in own_labels] if own_labels is not None else [stem] * part.rows
     joined.data[run] = labels
     return joined
+
+
+def _without_sensor(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]:
+    """Fill temperatures that some files lack, or hold without a reading, with empty cells, in place; notes of them.
+
+    Only where a file has every other column of the one with most of them: a sensor of another name is none that fails.
+    """
+    notes = []
+    whole = max(parts, key=lambda part: len(part.entries))
+    for part, stem in zip(parts, stems, strict=True):
+        missing = [n for n in whole.entries if n not in part.entries]
+        if part.entries.keys() - whole.entries.keys() or any(
+            whole.entries[n]["role"] != "temperature" for n in missing
+        ):
+            continue
+        for name in missing:
+            part.entries[name] = dict(whole.entries[name])
+            part.guesses[name] = whole.guesses.get(name, "")
+            part.data[name] = np.full(part.rows, np.nan)
+        if missing:
+            notes.append(f"{stem}: no reading of {', '.join(missing)}: left empty")
+    return notes
 
 
 _RUN_WORD = r"(?:run|lauf|durchlauf|messung|messreihe|cycle|zyklus|pass|trial|essai|passe|prova|ensayo|pasada)"
@@ -98,6 +121,8 @@ def sides_of_names(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]
     The names of the files where their columns state the sides, and where not every name does.
     """
     said = [[w for w in re.findall(r"[^\W\d_]{2,}", stem) if side(w) is not None] for stem in stems]
+    shared = set(said[0]).intersection(*said) if said else set()  # `pos` of `pos_X_up` and `pos_X_down`
+    said = [[w for w in of_stem if w not in shared] for of_stem in said]
     ways = {side(words[0]) for words in said if len(words) == 1}
     stated = any(part.first("direction") is not None for part in parts)
     if stated or ways != {1.0, -1.0} or any(len(words) != 1 for words in said):

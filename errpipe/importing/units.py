@@ -15,7 +15,8 @@ UNITS = {
         ("µm", "μm", "um", "micron", "microns", "mikron", "mikrometer", "micrometer", "micrometers", "мкм"), "um"
     ),
     **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "мм"), "mm"),
-    **dict.fromkeys(("m", "meter", "metre"), "m"),
+    **dict.fromkeys(("m", "meter", "metre", "meters", "metres"), "m"),
+    "µ": "um",
     **dict.fromkeys(("nm", "nanometer"), "nm"),
     **dict.fromkeys(("in", "inch", "inches", "zoll", '"'), "inch"),
     **dict.fromkeys(("mil", "mils", "thou", "thous"), "0.001 inch"),
@@ -80,7 +81,82 @@ LETTERS = {
 }
 _LAST_LETTER = re.compile(r"^(.*[^\s_/,.])[\s_/,]+([shKCFN])$")
 _INLET = re.compile(r"(coolant|oil|water|air|chiller)[\s_]+in$", re.IGNORECASE)  # of a medium, not inches
+_SIGNS = '"°″'
 _AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,9})$")
+
+
+# Units in words, with their plurals: `micrometres`, `Mikrometern`, `micromètres`, `micras`; parts of them in words.
+_METRES = re.compile(
+    r"\b(micro|mikro|micró|milli|milí|mili|nano|nanó|миллим|микром|наном)(?:-?m[eè]t(?:er|re?|ro?|ri)(?:s|n|i|y|ów|ach|u)?|етр\w{0,2})\b"
+    r"|\b(micras|micra)\b",
+    re.IGNORECASE,
+)
+_SECONDS = re.compile(
+    r"\b(?:seconds? of arc|sec\.? of arc|arc seconds?|secondes? d'arc|secondi d'arco|segundos? de arco"
+    r"|(?:winkel|bogen)sekunden)\b",
+    re.IGNORECASE,
+)
+_METRE = {"mi": "mm", "на": "nm", "na": "nm", "ми": "mm"}
+_PARTS = (
+    (r"ten[ -]?thousandths?|zehntausendstel", 4),
+    (r"hundred[ -]?thousandths?|hunderttausendstel", 5),
+    (r"tenths?|zehntel|dixiemes?|dixièmes?|decimi|décimas?", 1),
+    (r"hundredths?|hundertstel|centiemes?|centièmes?|centesimi|centésimas?", 2),
+    (r"thousandths?|tausendstel|milliemes?|millièmes?|millesimi|milésimas?", 3),
+    (r"millionths?|millionstel", 6),
+)
+_PART_IN_WORDS = re.compile(
+    r"\b(?:" + "|".join(f"({words})" for words, _ in _PARTS) + r")[ -]?"
+    r"(?:(?:of|d[eiu]|d')\s?(?:an?\s|one\s|un[ae]?\s)?|eines\s)?\s?"
+    r"(mm|um|µm|inch|inches|in|\"|thou|mil|zoll|metre|meter|m)(?![^\W_])",
+    re.IGNORECASE,
+)
+_PART_OF = re.compile(  # `0.001 mm`, `1/100mm`, `10^-4 mm` outside of brackets
+    r"(?<![\[(\d.,/])([x×*]?(?:1/10+|(?:10\^?|1e)[-−][1-6]|0?[.,]0*1)\s?(?:mm|um|µm|inch|in|\"))(?![^\W_])(?!\s?[\])])",
+    re.IGNORECASE,
+)
+
+
+def in_words(text: str) -> str:
+    """A text whose units stand as `[0.01 mm]` where they are words, or a part: `hundredths of a millimetre`."""
+
+    def symbol(match: re.Match[str]) -> str:
+        word = match.group(0).lower()
+        return "um" if word.startswith(("mic", "mik", "мик")) else _METRE[word[:2]]
+
+    def part(match: re.Match[str]) -> str:
+        zeros = next(n for group, (_, n) in zip(match.groups(), _PARTS, strict=False) if group)
+        base = match.groups()[-1].lower()
+        zeros, base = (zeros + 3, "inch") if base in ("thou", "mil") else (zeros, base)
+        return f"[1e-{zeros} {base}]"
+
+    text = _SECONDS.sub("arcsec", text)
+    plain = _METRES.sub(symbol, text.replace("μ", "µ"))
+    marked = _PART_OF.sub(r"[\1]", _PART_IN_WORDS.sub(part, plain))
+    return re.sub(r"[\[(]\s*(\[[^\[\]]+\])\s*[\])]", r"\1", re.sub(r"\b(in|en|w|em) (?=\[)", "", marked))
+
+
+_RESOLUTION = re.compile(r"resol|aufl[oö]|schritt|\bstep|least|count", re.IGNORECASE)
+
+
+def units_in(line: str) -> list[str]:
+    """The units that a line of text names, in its order, not those of amounts.
+
+    `in` is one at the end, or alone in brackets.
+    """
+    line = in_words(line)
+    found: dict[int, str] = {}
+    for bracket in _BRACKET.finditer(line):
+        unit = unit_of(bracket.group(1) or bracket.group(2))
+        if unit is not None and not (unit.startswith("0.") and _RESOLUTION.search(line[: bracket.start()])):
+            found[bracket.start()] = unit
+    rest = _BRACKET.sub(lambda b: " " * len(b.group(0)) if b.start() in found else b.group(0), line)
+    for word in re.finditer(r"[^\s\[\]():;,=]+", rest):
+        unit = unit_of(word.group(0))
+        amount = re.search(r"\d\s?$", line[: word.start()]) is not None  # `Limit 20 um`
+        if unit and not amount and (word.group(0).lower() != "in" or not line[word.end() :].strip(" .:;,")):
+            found[word.start()] = unit
+    return [found[at] for at in sorted(found)]
 
 
 _PER_LENGTH = re.compile(
@@ -102,7 +178,7 @@ def unit_of(text: str) -> str | None:
     if plain in ("Nm", "N m"):
         return "N m"
     word = plain.lower().replace(" ", "")
-    if (part := _PART.fullmatch(word)) is None or (base := UNITS.get(part[4])) not in ("um", "mm", "inch"):
+    if (part := _PART.fullmatch(word)) is None or (base := UNITS.get(part[4])) not in ("um", "mm", "inch", "m"):
         return UNITS.get(word)
     zeros = part[1].count("0") if part[1] else int(part[2] or 0) or len(re.split("[.,]", part[3])[1])
     return f"0.{'1':0>{zeros}} {base}"
@@ -110,20 +186,32 @@ def unit_of(text: str) -> str | None:
 
 def split_header(text: str) -> tuple[str, str | None]:
     """'Abw. [µm]' -> ('Abw.', 'um'); 'pos_mm' -> ('pos', 'mm'); a header without a unit as it is."""
-    text = " ".join(str(text).split())
+    text = in_words(" ".join(str(text).split()))
     for bracket in reversed(list(_BRACKET.finditer(text))):
         if (unit := unit_of(bracket.group(1) or bracket.group(2))) is not None:
-            return " ".join((text[: bracket.start()] + " " + text[bracket.end() :]).split()) or text, unit
+            rest = " ".join((text[: bracket.start()] + " " + text[bracket.end() :]).split()) or text
+            return rest, _of_a_temperature(unit, rest)
     after = None if _INLET.search(text) else _AFTER.match(text)
-    if after and (unit := unit_of(after.group(2))) is not None and len(after.group(2)) > 1:
-        return after.group(1).rstrip(" _/,"), unit
-    if text.endswith("/m") and kind_by_name(text[:-2]) in ("command", "position", "actual"):
-        return text[:-2].rstrip(), "m"  # a quantity over its unit; `Error/m` may be an error per metre
+    if (
+        after
+        and (unit := unit_of(after.group(2))) is not None
+        and (len(after.group(2)) > 1 or after.group(2) in _SIGNS)
+    ):
+        rest = after.group(1).rstrip(" _/,")
+        return rest, _of_a_temperature(unit, rest)
+    metres = re.fullmatch(r"(.*\S)(?:\s*/\s*|,\s+|\s+in\s+)m", text)
+    if metres and kind_by_name(metres[1]) in ("command", "position", "actual"):
+        return metres[1], "m"  # a quantity over its unit; `Error/m` may be an error per metre
     letter = _LAST_LETTER.match(text)
     kinds = {kind_by_name(text), kind_by_name(letter.group(1))} if letter else set()
     if letter and (unit := next((u for k, u in LETTERS.get(letter.group(2), ()) if k in kinds), None)):
         return letter.group(1), unit
     return text, None
+
+
+def _of_a_temperature(unit: str, header: str) -> str:
+    """degC for degrees of a temperature: `Temp °`; any other unit as it is."""
+    return "degC" if unit == "deg" and kind_by_name(header) == "temperature" else unit
 
 
 # Units of readings which the manifest does not have -> the unit it has, and the factor.

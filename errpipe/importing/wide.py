@@ -11,7 +11,7 @@ from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.sheet import label, number
-from errpipe.importing.units import unit_of
+from errpipe.importing.units_above import UNITS_OF_READINGS, unit_above
 from errpipe.importing.words import THERE_AND_BACK
 
 _TOKEN = re.compile(r"\d+|[^\W\d_]+|[+\-−↑↓→←<>]+")
@@ -28,7 +28,6 @@ _STATISTIC = re.compile(
 )
 _FIGURE = re.compile("[UBMRS]")  # beside targets: the reversal of VDI/DGQ 3441, figures of ISO 230-2; no axis U or B
 _MEAN = re.compile(r"\b(mean|average|avg|mittel\w*|mw|moyenne|media|promedio)\b|[Øø∅\u0304\u0305]|平均")
-UNITS_OF_READINGS = ("um", "mm", "inch", "0.001 inch", "nm", "urad", "arcsec")
 MEASURED = ("command", "position", "actual", "error", "time")
 KINDS = ("ignore", "error", "run", "direction", "actual", "position", "command")
 
@@ -54,6 +53,9 @@ def run_and_side(header: str) -> tuple[str | None, float | None]:
     """'Lauf 2 auf' -> ('2', +1); '3-' -> ('3', -1); 'F1' -> ('1', +1); '3.5.2024' -> ('3.5.2024', None)."""
     if signed := re.fullmatch(r"([+\-−])\s?(\d{1,3})", header.strip()):
         return signed.group(2), guessing.side(signed.group(1))
+    if grouped := re.fullmatch(r"([+\-−])\s+([^\W\d_].*)", header.strip()):  # `+` above a group of columns
+        run, way = run_and_side(grouped.group(2))
+        return run, guessing.side(grouped.group(1)) if way is None else way
     if dated := _DATE_WITHIN.search(header):
         return dated.group(), run_and_side(header.replace(dated.group(), " "))[1]
     if _NO_NAME.fullmatch(header) or _INSTRUMENT.search(guessing.plain(header)):
@@ -314,7 +316,7 @@ def unpivoted(layout: Layout) -> Layout:
     unit = units.pop() if len(units) == 1 else None
     columns.append(RawColumn("target", unit, [float(v) for v in x[at]], x[at]))
     values = readings[rows, at]
-    columns.append(RawColumn("error", unit_above(layout.above), [float(v) for v in values], values))
+    columns.append(RawColumn("error", unit_above(layout.above, values), [float(v) for v in values], values))
     note = f"a row per run, a column per target: {x.size} targets from {x.min():g} to {x.max():g}"
     return Layout(columns, layout.above, [*layout.notes, note])
 
@@ -338,16 +340,3 @@ def _place(header: str) -> float | None:
     """A header that is nothing but a position: '50', '50,0', '-12.5'."""
     value = number(header, comma=False)
     return value if value is not None else number(header, comma=True)
-
-
-def unit_above(lines: list[str]) -> str | None:
-    """The unit of the readings that the lines above the table name: of a line on readings, else of one on units."""
-    readings = r"(abweich|deviation|error|fehler|reading|ecart)"
-    for words in (readings, r"(unit|einheit)"):
-        for line in map(guessing.plain, lines):
-            of_targets = re.search(rf"(target|position|soll|ziel|nominal|temp)(?!\w* ?{readings})", line)
-            if re.search(words, line) and not of_targets:
-                for word in re.split(r"[\s\[\]():;,=]+", line)[::-1]:
-                    if unit_of(word) in UNITS_OF_READINGS:
-                        return unit_of(word)
-    return None

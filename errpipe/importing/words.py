@@ -12,10 +12,10 @@ import unicodedata
 
 CORRECTION = (  # minus the deviation
     r"\b(corrections?|\w*korrektur(en|wert|werte)?|corr|comp(ensation)?s?|\w*kompensation(swerte?)?|correzion[ei]"
-    r"|correccion(es)?|correctif|compensazion[ei]|compensacion(es)?|compensacao|correcao|correctie|compensatie|korekc\w*"
+    r"|correccion(es)?|correctif|compensazion[ei]|compensacion(es)?|compensacao|correcao|correctie|compensatie|korekc\w*|korekt\w*|popraw\w*"
     r"|kompensac\w*|kompenzac\w*|korrigering\w*|kompensering\w*|duezeltme\w*|telafi\w*"
     r"|to apply|adjustments?|nachstell\w*|ausgleich(swerte?)?|verrechnung(swerte?)?)\b"
-    r"|補正|补偿|修正|коррекци|компенсаци|поправк|보정"
+    r"|補正|补偿|修正|коррекц\w*|компенсац\w*|поправ\w*|보정"
 )
 
 # Of readings that are referred to 20 degC, or to the air of a laser: it says nothing on their sign.
@@ -69,15 +69,16 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"^(t|ts|sec|sek|x value)$", "time"),
     (
         r"(temp|^t[ .]|[ ]t$|tmp|thermo|^pt100|°c|degc|温度)|^tc? ?\d{1,2}$"
-        r"|^(ambient|room|raum|umgebung|hall|halle|shop)( ?air| ?luft)?$",
+        r"|^t?(ambient|room|raum|umgebung|hall|halle|shop)( ?air| ?luft)?$|^t(amb|air|luft|spindle|spindel|bed|bett)$",
         "temperature",
     ),
     (
-        r"(dir(ection)?|richtung|approach|anfahr|sense?|sens|sinn|sentido|direzione|verso|方向|направлени\w*)\b",
+        r"(dir(ection)?|richtung|approach|anfahr|sense?|sens|sinn|sentido|direzione|verso|direccion|direcao|kierunek|irany|smer"
+        r"|riktning|richting|方向|방향|направлени\w*)\b",
         "direction",
     ),
     (
-        r"\b(run|lauf|durchlauf|cycle|zyklus|messreihe|pass(?:age)?|serie|trial|essai|passe|prova|ensayo|pasada)\b|回数|次数|^цикл|^проход",
+        r"\b(run|lauf|durchlauf|cycle|zyklus|messreihe|pass(?:age)?|serie|trial|essai|passe|prova|ensayo|pasada)\b|回数|次数|회차|^цикл|^проход",
         "run",
     ),
     (r"(count|inkrement|\binc\b|pulse|impuls|raw ?enc|\bdigits?\b|\bdiv(isions?)?\b|teilstrich|\blsb\b)", "counts"),
@@ -98,7 +99,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(humid|feucht)", "humidity"),
     (
         r"(deviation|abweich|\babw|error|err\b|fehler|\bdev\b|residual|lage ?abw|\becart|erreur|scostamento|desviacion"
-        r"|errore|\berros?\b|desvio|afwijking|\bfout|odchyl|odchyłk|\bbład|\bchyb|avvik|afvigelse|\bfejl|\bsapma"
+        r"|errore|\berros?\b|deviazion|desvio|afwijking|\bfout|odchyl|odchyłk|\bbład|\bchyb|avvik|afvigelse|\bfejl|\bsapma"
         r"|\bhata|偏差|誤差|误差|отклонени|погрешност|ошибк|오차|편차)",
         "error",
     ),
@@ -109,18 +110,20 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(velocity|geschw|\bvel\b|speed)", "velocity"),
     (r"(accel|beschl)", "acceleration"),
     (
-        r"(target|soll|ziel|nominal|\bnom\b|nennwert|command|\bcmd|\bnoml\b|setpoint|demand|ref(erence)?\b|consigne|theorique|cible|teoric"
-        r"|objetivo|\balvo\b|doelpos|malpos|zadan|cilov|hedef|目標|目标|指令|задан|목표)",
+        r"(target|soll|ziel|nominal|\bnom\b|nennwert|command|\bcmd|\bnoml\b|setpoint|demand|ref(erence)?\b|consign[ea]|theorique|cible|teoric"
+        r"|objetivo|\balvo\b|doelpos|malpos|zadan|cilov|hedef|gewenst|boervaerd|borvard|celpoz|目標|目标|指令|задан|целев|목표)",
         "command",
     ),
     (
         r"(actual|\b[xyzabcuvw]?\d?ist\b|istwert|\bfbk\b|measured|\bmeas\b|gemessen|messwert|reading|anzeige|feedback|\bfb\b|\bactl?\b|encoder"
-        r"|laser|dial|indicator|uhr|\bmesure|releve|misurat|\bmedid|実測|实测|測定値|实际)",
+        r"|laser|dial|indicator|uhr|\bmesure|releve|misurat|\bmedid|display|read ?out|\bdro\b|\bgemeten|\bwerkelijk"
+        r"|aervaerd|arvard|uppmaett|zmierzon|rzeczywist|skutecn|namer|oelcuelen|olculen|\bgercek|\bmert\b|tenyleg|\breale?\b|\breelle\b|\bmisura\b|lectura|leitura|lettura|実測|实测|測定値|测量|测定|实际"
+        r"|измерен|фактич|действит|측정|실제)",
         "actual",
     ),
     (
         r"(position|\bpos|^[xyzabcuvw]\d?$|weg|^[xyz] ?(axis|achse|-achse)|\b(angle|(dreh|schwenk)?winkel)\b|posizione"
-        r"|posicion|\bquota\b|\bcota\b|位置|позици|положени|координат)",
+        r"|posicion|\bquota\b|\bcotas?\b|\bcotes?\b|\bpozyc|\bpozic|\bposicao|位置|позици|положени|координат)",
         "position",
     ),
 )
@@ -129,13 +132,13 @@ WORDS: tuple[tuple[str, str], ...] = (
 UP = re.compile(
     r"\+1?|1|↑|→|>+|up?|auf(waerts)?|f|fw|fwd|forwards?|v|vor(waerts)?|h|hin(weg|fahrt)?|p|pos|positive?|plus|rising|asc(ending)?"
     r"|increasing|steigend|below|unten|aller|avance|montee|andata|avanti|ida|往|往路|行き?|正|正向"
-    r"|прям\w*|вперед|вверх|heen|fram|tam|oda"
+    r"|прям\w*|вперед|вверх|heen|fram|tam|oda|avant|avanco|subida|salita|dodatni\w*|(w )?przod"
 )
 DOWN = re.compile(
     r"-1?|↓|←|<+|d|dn|down|ab(waerts)?|b|bw|bwd|back|backwards?|r|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?"
     r"|her(weg|fahrt)?|n|neg|negative?|minus|falling|desc(ending)?|decreasing|fallend|above|oben|recul|descente|ritorno|indietro|vuelta|復|復路"
     r"|帰り?|反向?|[负負]向?"
-    r"|обратн\w*|назад|вниз|terug|tillbaka|zpet|vissza"
+    r"|обратн\w*|назад|вниз|terug|tillbaka|zpet|vissza|arriere|volta|retorno|retroceso|bajada|discesa|ujemn\w*|(w )?tył"
 )
 
 # Of those, words that mean the way there and the way back: where targets fall, the way there comes from above.
@@ -143,6 +146,7 @@ THERE_AND_BACK = re.compile(
     r"fw|fwd|forwards?|vor(waerts)?|hin(weg|fahrt)?|aller|andata|ida|往|往路|行き?"
     r"|b|bw|bwd|back|backwards?|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?|her(weg|fahrt)?"
     r"|ritorno|vuelta|復|復路|帰り?|v|h|прям\w*|вперед|обратн\w*|назад|heen|terug|fram|tillbaka|tam|zpet|oda|vissza"
+    r"|avance|avanco|avant|arriere|volta|retorno|retroceso|(w )?przod|(w )?tył"
 )
 
 # What a difference is of, by how far out it is read: the command, the machine's own scale, what the axis did.
@@ -150,13 +154,13 @@ _OF_A_DIFFERENCE = (
     (
         0,
         r"soll\w*|nominal\w*|nom|nennwert|targets?|command\w*|cmd|set(?: ?point)?|sp|demand\w*|dem|programmed"
-        r"|prog|reference|ref|consigne|theo\w*|cible|teoric\w*|objetivo|指令\w*|目標\w*|目标\w*",
+        r"|prog|reference|ref|consign[ea]|theo\w*|cible|teoric\w*|objetivo|alvo|zadan\w*|задан\w*|指令\w*|目標\w*|目标\w*|理论\w*",
     ),
     (1, r"encoder|enc|(?:glass ?)?scale|display|anzeige|dro|machine|maschine|control(?:ler)?|steuerung"),
     (
         2,
         r"ist\w*|actual|act|real|feedback|fbk?|pv|measured|meas|mess\w*|readings?|mesure\w*|releve\w*|misurat\w*|medid\w*"
-        r"|laser|interferometer|gauge|dial|indicator|実測\w*|实测\w*|实际\w*",
+        r"|laser|interferometer|gauge|dial|indicator|zmierzon\w*|rzeczywist\w*|измерен\w*|фактич\w*|実測\w*|实测\w*|实际\w*",
     ),
 )
 _LESS = (
@@ -167,10 +171,6 @@ _ONE, _OTHER = (
     "|".join(rf"(?P<{name}{n}>(?<![^\W_])(?:{pattern})(?![^\W_]))" for n, pattern in _OF_A_DIFFERENCE) for name in "ab"
 )
 _ACTUAL_AND_COMMANDED = re.compile(rf"(?:{_ONE}){_LESS}(?:{_OTHER})")
-# A line above a table whose readings are corrections: `Korrekturwerte in um`, not `Compensation: off`.
-_TITLE_OF_CORRECTIONS = re.compile(
-    r"(korrekturwerte|korrekturtabelle|(correction|compensation|comp\.?) (values?|table|data))\b[^:=;]*$"
-)
 
 # Words of a header that say nothing about the sign of its readings.
 _NEUTRAL = re.compile(
@@ -183,16 +183,24 @@ _NEUTRAL = re.compile(
 AXIS_LETTER = r"([XYZABCUVW](?:[2-9](?!\d))?)"
 _CALLED_AXIS = (
     r"(?:axis|(?:mess|pruef|prüf|maschinen|linear|rund|dreh|schwenk|vorschub|haupt)?achse|achs(?:bezeichnung|name)"
-    r"|axe|asse|eje|eixo|ось|oś|osa|eksen|ekseni)\b"
+    r"|axe|asse|eje|eixo|ось|oś|osa|eksen|ekseni|axel|tengely|as(?= ?:))\b"
     r"(?: (?:under test|tested|measured|name|id|letter|of (?:motion|travel|movement)|lin[eé]aire|lineare?"
     r"|mesuré))?"
 )
 _NUMBERED = r"(?:(?:(?:no|nr)\.? ?)?\d(?: ?[:=]| (?=\()))"  # `Axis: 1 (X)`, `Achse Nr. 2: Y`
 _AXIS_ABOVE = re.compile(
-    rf"(?:\b{_CALLED_AXIS}|[軸轴축])\s{{0,9}}[:=;,：]?\s{{0,9}}{_NUMBERED}?\s{{0,9}}[\"'(\[]?{AXIS_LETTER}1?\b"
+    rf"(?:\b{_CALLED_AXIS}|[軸轴축][名号]?)\s{{0,9}}[:=;,：]?\s{{0,9}}{_NUMBERED}?\s{{0,9}}[\"'(\[]?{AXIS_LETTER}1?\b"
     rf"|\b{AXIS_LETTER}1?[- ]?(?:{_CALLED_AXIS}|[軸轴축])"
     r"|\b(?:linear(?: positioning)?|positioning|positionierung)[: ]{1,9}(?-i:([XYZ]))\b(?! ?-)",
     re.IGNORECASE,
+)
+_ALONG = re.compile(  # `X direction`, `Richtung: X`, `positioning error along X`
+    r"\b([XYZABCUVW])[ -](?i:direction|richtung)\b"
+    r"|\b(?i:(?:direction|richtung)(?: of (?:travel|motion|movement))?|along|entlang|laengs|längs)"
+    r"\s{0,3}[:=]?\s{0,3}([XYZABCUVW])\b"
+)
+_ACROSS = re.compile(  # readings of one direction over the way of another
+    r"straight|gerad(?!e)|rectitud|rettilin|square|perpendic|recht|orthogon|flat|eben|parallel|probe|taster|sensor"
 )
 _AXIS_BEFORE = re.compile(
     r"\b([xyzabcuvw]\d?)(?=(?:cmd|act|fb|soll|ist|pos|ref|nom|meas|set|err|dev|enc)(?:[^a-z]|$))", re.IGNORECASE
@@ -234,6 +242,12 @@ def unknown_word(header: str) -> str | None:
         if not _NEUTRAL.fullmatch(word) and kind_by_name(word) is None and not _ways_of(word):
             return word
     return None
+
+
+def way_in(header: str) -> str | None:
+    """The word of a text that is a direction, where all such words of it are one way: `reverse` of `Run 2 reverse`."""
+    found = [word for word in re.findall(r"[^\W\d_]+|[+\-↑↓→←]+", plain(header)) if _ways_of(word)]
+    return found[-1] if way_of(header) is not None else None
 
 
 def way_of(header: str) -> float | None:
@@ -280,15 +294,15 @@ def names_both(text: str) -> bool:
     return all(found) and difference(text) is None
 
 
-def titles_corrections(line: str) -> bool:
-    """Whether a line above a table states that its readings are corrections."""
-    return _TITLE_OF_CORRECTIONS.match(plain(line)) is not None
-
-
 def axis_above(lines: list[str]) -> str | None:
     """The axis that the lines above a table name."""
     for line in lines:
         match = _AXIS_ABOVE.search(line)
         if match:
             return next(filter(None, match.groups())).upper()
+    for line in lines:
+        named = {*re.findall(r"\b[XYZABCUVW]\b", line)}
+        along = _ALONG.search(line) if len(named) == 1 and not _ACROSS.search(plain(line)) else None
+        if along:
+            return next(filter(None, along.groups()))
     return None

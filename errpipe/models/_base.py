@@ -170,12 +170,11 @@ def held_out(fold: Fold, before: np.ndarray, after: np.ndarray, outside: np.ndar
     """The judged rows of a fold that have a value before and after, um; arrays over all rows, (rows,)."""
     import numpy as np
 
-    from errpipe.errors import DataError
-    from errpipe.fitting.judging import HeldOut
+    from errpipe.fitting.judging import HeldOut, NothingJudged
 
     rows = np.flatnonzero(fold.test & np.isfinite(before) & np.isfinite(after))
     if rows.size == 0:
-        raise DataError(f"hold-out {fold.label}: no judged row has a value in every column that the model reads")
+        raise NothingJudged(f"hold-out {fold.label}: no judged row has a value in every column that the model reads")
     return HeldOut(fold.label, rows, before[rows], after[rows], outside[rows], used)
 
 

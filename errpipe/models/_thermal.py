@@ -265,6 +265,8 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
     limit = limits(y[rows])
     total = _sum_of(outcome, groups)
     factor, half = _interval(family, problem, outcome)
+    alone = problem.run_count == 1
+    growth = thermal_interval.growth_of_one_day(half, family.coverage) if alone else thermal_interval.GROWTH
     roles = ("position", "command") if problem.plain else ("position", "command", "spindle_speed")
     places = {name for role in roles for name in problem.recording.names(role)}
     read = [n for n in d.inputs(total) if n in places]
@@ -274,7 +276,7 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
         options=SeasonOptions(),
         parts=tuple((name, w * g, n) for e, w in outcome.weights for name, g, n in e.parts(groups)),
         terms=((1.0, d.Clip(of=total, low=limit[0], high=limit[1])),),
-        intervals=thermal_interval.Intervals(half, half, 0.0),
+        intervals=thermal_interval.Intervals(half, half, 0.0, growth),
         factor=factor,
         validity=validity.model_copy(update={"fades": False}),
         fade=1.0,

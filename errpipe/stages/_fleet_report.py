@@ -84,8 +84,7 @@ def _residuals(recording: Recording, validation: Path | None) -> list[dict[str, 
 
 
 def model_of(result: Mapping[str, Any]) -> ErrorModel | None:
-    """The model of one machine's run, None where it has none. What the report imports comes with the first one."""
-    import errpipe.fitting.pooling  # noqa: F401
+    """The model of one machine's run, None where it has none."""
     from errpipe.domain.error_model import ErrorModel
 
     return ErrorModel.model_validate(result["parameters"]) if result.get("parameters") else None

@@ -14,7 +14,7 @@ from errpipe.errors import DataError, GateError, UsageError, did_you_mean
 from errpipe.ncprogram.correct import rewrite
 from errpipe.ncprogram.modal import OFFSETS, Setup
 from errpipe.stages import _artefacts
-from errpipe.tables import batch
+from errpipe.tables import batch, ect
 from errpipe.targets import _sample
 
 if TYPE_CHECKING:
@@ -31,6 +31,8 @@ MAX_OVERRUN = 1.0  # mm; a program may overrun the ends of what was measured by 
 _TURNING = re.compile(r"G(?:96(?!\d)|(?:50|92)[ \t]*S[ \t]*\d+)|T(?:0\d(?!00)\d\d|1([0-6])1\1)(?!\d)", re.IGNORECASE)
 _WHOLE = re.compile(r"[XYZIJKR][ \t]*[+-]?0*[1-9]\d*(?![\d.])", re.IGNORECASE | re.ASCII)
 _COMMENT = re.compile(r"\([^)]*\)?|;.*")
+_HEAD = re.compile(r"%|(?:N\d+\s*)?O\s*\d", re.IGNORECASE | re.ASCII)  # what a control wants first: tape mark, number
+_MARK = "CORRECTED BY ERRPIPE, TABLE "  # in capitals: some controls have no others
 MAX_LENGTH = 1e5  # mm; of an offset, a tool, a start
 
 
@@ -45,8 +47,13 @@ def correct(
     start: str | None = None,
     chord_error: float = 0.001,
     longest: float = 25.0,
+    again: bool = False,
 ) -> dict[str, Any]:
-    """Write the corrected program. Raises DataError naming the line of anything that is not understood."""
+    """Write the corrected program, with a comment at its head that names the table.
+
+    again: a program may be one that was corrected before. Raises DataError naming the line of anything that is not
+    understood.
+    """
     if out is not None and Path(out).exists() and Path(out).samefile(program):
         raise UsageError(f"--out {out}: is the program itself, which corrected twice is wrong by as much: name another")
     compensation_table = _artefacts.read_table(table)
@@ -57,7 +64,9 @@ def correct(
 
     def rewritten(write: Callable[[bytes], object]) -> Summary:
         try:
-            return rewrite(chunks_of(program), write, deviation, setup, chord_error=chord_error, longest=longest)
+            marked = _marked(write, next(chunks_of(program), b""), ect.fingerprint(compensation_table))
+            chunks = chunks_of(program) if again else _corrected_once(chunks_of(program))
+            return rewrite(chunks, marked, deviation, setup, chord_error=chord_error, longest=longest)
         except DataError as err:
             mark = "," if str(err).startswith("line ") else ":"
             raise DataError(f"{program}{mark} {err}") from None
@@ -76,23 +85,29 @@ def correct(
         "largest_correction_um": 1e3 * summary.largest_correction,
         "largest_chord_error_um": 1e3 * summary.largest_chord_error,
     }
-    if depends_on_direction(compensation_table):
-        result["direction"] = "the mean of both directions of travel: lost motion is not corrected in a program"
-    if left := [o.name for o in compensation_table.outputs if o.axis not in MOVED]:
-        result["not_corrected"] = f"{', '.join(left)}: programs are corrected in X, Y and Z only"
-    if not any(option.startswith("G54=") for option in offsets):
-        result["offsets"] = "no --offset of G54 was given: G54 is taken as 0,0,0, machine coordinates"
+    result |= _remarks(compensation_table, offsets, next(chunks_of(program), b"").decode())
     beyond = [outside_validity(compensation_table, readings), outside_travel(compensation_table, low, high)]
     if any(beyond):
         result["outside_what_was_measured"] = "; ".join(filter(None, beyond))
-    beginning = next(chunks_of(program), b"").decode()
+    if out is None:
+        return {**result, "program": b"".join(parts).decode()}
+    return {**result, "written": str(out)}
+
+
+def _remarks(table: CompensationTable, offsets: Sequence[str], beginning: str) -> dict[str, str]:
+    """What a table, the work offsets that were given and the beginning of a program leave open, in words."""
+    result = {}
+    if depends_on_direction(table):
+        result["direction"] = "the mean of both directions of travel: lost motion is not corrected in a program"
+    if left := [o.name for o in table.outputs if o.axis not in MOVED]:
+        result["not_corrected"] = f"{', '.join(left)}: programs are corrected in X, Y and Z only"
+    if not any(option.startswith("G54=") for option in offsets):
+        result["offsets"] = "no --offset of G54 was given: G54 is taken as 0,0,0, machine coordinates"
     if whole := whole_numbers(beginning):
         result["whole_numbers"] = whole
     if turned := diameters(beginning):
         result["diameters"] = turned
-    if out is None:
-        return {**result, "program": b"".join(parts).decode()}
-    return {**result, "written": str(out)}
+    return result
 
 
 def chunks_of(program: Path) -> Iterator[bytes]:
@@ -116,6 +131,49 @@ def chunks_of(program: Path) -> Iterator[bytes]:
         raise DataError("there is no such file (an NC program is needed)") from None
     except OSError as err:
         raise DataError(files.why(err)) from None
+
+
+def _marked(write: Callable[[bytes], object], beginning: bytes, table: str) -> Callable[[bytes], object]:
+    """Writes a corrected program with a comment that names the table below the head, which stays first.
+
+    beginning: of the program. Its comments are in parentheses, unless it has those behind a semicolon alone.
+    """
+    head, text = 0, beginning.decode(errors="replace")
+    for number, line in enumerate(text.split("\n"), 1):
+        if _HEAD.match(line.strip()):
+            head = number
+        elif line.strip():
+            break
+    comment = f";{_MARK}{table.upper()}\n" if ";" in text and "(" not in text else f"({_MARK}{table.upper()})\n"
+    left = head
+
+    def marked(data: bytes) -> None:
+        nonlocal left, comment
+        at = 0
+        while comment and left and (feed := data.find(b"\n", at)) >= 0:
+            at, left = feed + 1, left - 1
+        if not comment or left:
+            write(data)
+            return
+        write(b"".join([data[:at], comment.encode(), data[at:]]))
+        comment = ""
+
+    return marked
+
+
+def _corrected_once(chunks: Iterator[bytes]) -> Iterator[bytes]:
+    """The pieces of a program. Raises DataError where it names a table that corrected it before."""
+    lines = 0
+    for chunk in chunks:
+        if (at := chunk.upper().find(_MARK.encode())) >= 0:
+            number, first = lines + chunk.count(b"\n", 0, at) + 1, chunk.rfind(b"\n", 0, at) + 1
+            comment = chunk[first:].split(b"\n", 1)[0].decode(errors="replace").strip()
+            raise DataError(
+                f"line {number}: {comment!r}: corrected once more it would be wrong by as much; correct the program of "
+                "before, or say --again"
+            )
+        lines += chunk.count(b"\n")
+        yield chunk
 
 
 def whole_numbers(text: str) -> str:

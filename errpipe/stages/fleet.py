@@ -11,7 +11,7 @@ import multiprocessing
 import os
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -85,6 +85,7 @@ def fleet(
     run = _on_cluster(tasks, scheduler) if scheduler else _in_processes(tasks, jobs)
     results: dict[str, dict[str, Any]] = {}
     with ThreadPoolExecutor(1) as reader:  # models are checked while other machines run
+        reader.submit(importlib.import_module, "errpipe.fitting.pooling")  # for the report, while workers import
         models = {}
         for result in run:
             name = result["name"]
@@ -153,18 +154,35 @@ def run_machine(pipeline: str, name: str, sets: Sequence[str], out: str) -> dict
 
     begin, state, message = time.perf_counter(), "done", ""
     figures: dict[str, Any] = {"responses": {}, "drift": [], "model": ""}
+    folder, brought_up_to_date = Path(out) / MACHINES / name, set()
+    callbacks = runner.Callbacks(finished=lambda step: brought_up_to_date.add(step.name))
     _reset_peak()
     try:
         spec = load_pipeline(Path(pipeline), STAGES, sets=sets)
-        runner.run(spec, Path(out) / MACHINES / name)
-        figures = facts(spec, Path(out) / MACHINES / name)
+        runner.run(spec, folder, callbacks=callbacks)
+        figures = facts(spec, folder)
     except ErrpipeError as err:
         state, message = ("refused" if err.exit_code == 4 else "failed"), str(err).replace(out, "OUT")
     except Exception as err:
         state, message = "failed", f"internal error, please report it: {type(err).__name__}: {err}"
+    message += _of_earlier(folder, brought_up_to_date) if state != "done" else ""
     seconds = time.perf_counter() - begin
     result = {"name": name, "state": state, "message": message, "attempts": 1, "seconds": seconds}
     return figures | result | {"peak_mb": _peak_mb()}
+
+
+def _of_earlier(folder: Path, brought_up_to_date: Container[str]) -> str:
+    """In words, which outputs in a machine's folder an earlier run made; '' where there are none.
+
+    A machine that fails keeps them: whoever reads its folder alone would take its old table for today's.
+    """
+    from errpipe.pipeline.lock import read_lock
+
+    try:
+        earlier = [name for name in read_lock(folder) if name not in brought_up_to_date and (folder / name).is_dir()]
+    except (ErrpipeError, OSError):
+        return ""
+    return f"; {MACHINES}/{folder.name} holds what an earlier run made: {', '.join(earlier)}" if earlier else ""
 
 
 def _reset_peak() -> None:
@@ -186,6 +204,7 @@ def _peak_mb() -> float:
 
 def _failed_result(task: Sequence[Any], attempts: int) -> dict[str, Any]:
     message = f"its worker was killed {attempts} times (out of memory?)"
+    message += _of_earlier(Path(task[3]) / MACHINES / task[1], ())
     nothing = {"responses": {}, "drift": [], "model": "", "seconds": 0.0, "peak_mb": 0.0}
     return nothing | {"name": task[1], "state": "failed", "message": message, "attempts": attempts}
 

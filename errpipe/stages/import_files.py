@@ -15,6 +15,7 @@ from errpipe import formats, jsonfile
 from errpipe.domain import units
 from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError, ErrpipeError, UsageError, did_you_mean
+from errpipe.files import missing
 from errpipe.formats import _derived, manifest_folder
 from errpipe.importing import order, other_tests, resolve, signs, together
 from errpipe.importing.across import transposed
@@ -152,6 +153,8 @@ def write(
     """
     import tempfile
 
+    if Path(folder).exists() and not Path(folder).is_dir():
+        raise UsageError(f"{folder}: is a file (a folder for the recording is needed)")
     manifest = _manifest(proposal, options, files)
     table, text = _csv(proposal), _commented(manifest_folder.manifest_text(manifest), proposal)
     parts = {TABLE: table, manifest_folder.MANIFEST: _as_written.marked(text, table)}
@@ -198,7 +201,7 @@ def _of_known_format(file: Path, door: DoorOptions, options: ImportOptions) -> P
     Raises UsageError for an option whose value such a file states itself: it would be ignored.
     """
     if not file.exists():
-        raise DataError(f"{file}: no such file")
+        raise DataError(f"{file}: {missing(file)}")
     if file.is_dir():
         raise DataError(f"{file}: a folder (allowed: files)")
     if not any(f.sniff(file) for f in formats.FORMATS):

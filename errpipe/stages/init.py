@@ -9,9 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from errpipe.errors import UsageError, did_you_mean
+
+if TYPE_CHECKING:
+    from errpipe.domain.recording import Recording
 
 PIPELINE = "pipeline.yaml"
 
@@ -122,6 +125,9 @@ def _filled(name: str, text: str, folder: Path, recording: Path | None, targets:
         needs = TEMPLATES[name].needs
         if needs and not {*needs} & facts["roles"]:
             raise UsageError(f"{recording}: no column of role {' or '.join(needs)}, which template {name} needs")
+        if facts["others"]:
+            also = f"  # recorded too: {', '.join(facts['others'])}"
+            text = re.sub(r"(?m)^( +component: @COMPONENT@)$", rf"\g<1>{also}", text)
         words["RECORDING"] = json.dumps(Path(os.path.relpath(recording, folder)).as_posix(), ensure_ascii=False)
     words["METHOD"] = "ridge" if recording is not None and len(sensors) > 1 else "linear"
     text = re.sub(r"(?m)^.*@SENSOR@.*\n", lambda line: "".join(_with_sensor(line[0], s) for s in sensors), text)
@@ -148,7 +154,7 @@ def _facts(folder: Path) -> dict[str, Any]:
     recorded = recording.components()
     if not recorded:
         raise UsageError(f"{folder}: no column of role error; there is nothing to fit")
-    component = next((c for c in recorded if components.parse(c).kind in POSITIONING), recorded[0])
+    component = next((c for c in recorded if components.parse(c).kind in POSITIONING), _widest(recording))
     places = [c.axis for c in recording.manifest.columns.values() if c.role in ("command", "position") and c.axis]
     axis = components.parse(component).axis or next(iter(places), "X")
     place = recording.name("command", axis=axis) or recording.name("position", axis=axis)
@@ -159,4 +165,21 @@ def _facts(folder: Path) -> dict[str, Any]:
     words = {"AXIS": axis, "COMPONENT": component, "DEGREE": str(max(1, min(10, targets // 2)))}
     words["HOLDOUT"] = "{scheme: leave-one-run-out}" if runs > 1 else "{scheme: blocks, blocks: 5}"
     words["ISO"] = "true" if both and runs >= 2 and components.parse(component).kind in POSITIONING else "false"
-    return {"words": words, "both_directions": both, "sensors": recording.names("temperature"), "roles": roles}
+    return {
+        "words": words,
+        "both_directions": both,
+        "sensors": recording.names("temperature"),
+        "roles": roles,
+        "others": [c for c in recorded if c != component],
+    }
+
+
+def _widest(recording: Recording) -> str:
+    """The component whose deviations spread most among those of one unit with the first."""
+    import numpy as np
+
+    columns = {c: str(recording.name("error", component=c)) for c in recording.components()}
+    unit = {c: recording.manifest.columns[name].unit for c, name in columns.items()}
+    first = next(iter(columns))
+    alike = [c for c in columns if unit[c] == unit[first]]
+    return max(alike, key=lambda c: float(np.nan_to_num(np.nanstd(recording.array(columns[c])))))

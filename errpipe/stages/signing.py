@@ -91,7 +91,7 @@ def promote(
         _same_kind(store.table(past[-1].table), new, machine, table)
     when = _time_after(past, time)
     entry = store.append(machine, "promote", data, _why(why), when, minisign.read_secret(secret), len(past))
-    return _row(entry, store) | {"says": [f"machine {machine}: table {name} is entry {entry.number}"]}
+    return _row(entry, store) | _told(f"machine {machine}: table {name} is entry {entry.number}", when)
 
 
 def _same_kind(before: bytes, table: CompensationTable, machine: str, path: Path) -> None:
@@ -159,9 +159,8 @@ def rollback(
     entry = store.append(machine, "rollback", data, _why(why), when, minisign.read_secret(secret), len(past))
     if out is not None:
         jsonfile.write_bytes(out, data)
-    return _row(entry, store) | {
-        "says": [f"machine {machine}: entry {entry.number} is again the table of entry {earlier[-1].number}"]
-    }
+    said = f"machine {machine}: entry {entry.number} is again the table of entry {earlier[-1].number}"
+    return _row(entry, store) | _told(said, when)
 
 
 def _before(past: Sequence[Entry]) -> list[Entry]:
@@ -228,6 +227,18 @@ def _time_after(past: Sequence[Entry], text: str | None) -> str:
             " is wrong, and `log --at` would go by it. Set the clock, or say --time."
         )
     return time
+
+
+def _told(said: str, when: str) -> dict[str, Any]:
+    """What is printed of a new entry, with a remark on a time that has not come: a slip (2062 for 2026) stays for good.
+
+    It is no error: a host's clock may be the wrong one.
+    """
+    now = _time(None)
+    if when <= now:
+        return {"says": [said]}
+    remark = f"{when} is later than this host's clock ({now}): `log --at` knows the table from then on only"
+    return {"says": [said, remark], "remark": remark}
 
 
 def _time(text: str | None) -> str:

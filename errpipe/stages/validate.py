@@ -42,6 +42,7 @@ class Validate(Stage):
         if folder is not None:
             document |= self._of_model(context, folder)
             remark = MORE_RUNS if document["scheme"] == HALVES else ""
+            remark += "".join(f"; {why}" for why in document.get("not_judged", ()))
             summary |= {c["component"]: headline(c) + remark for c in document["components"]}
         machine = context.maybe("identified_machine")
         if machine is not None:

@@ -40,6 +40,8 @@ def verify(folder: Path) -> dict[str, Any]:
         raise VerifyError(f"{folder}: a registry, which `errpipe log {folder} --public-key KEY` verifies")
     if not folder.exists():
         raise DataError(f"{folder}: there is no such folder (what an export wrote is needed)")
+    if not folder.is_dir():
+        raise DataError(f"{folder}: is a file (the folder that an export wrote is needed: {folder.parent})")
     if not (folder / "export.json").is_file():
         raise VerifyError(f"{folder}: holds no export.json, so nothing here was exported by errpipe")
     document = _listed(folder / "export.json", jsonfile.read(folder / "export.json"))

@@ -73,16 +73,13 @@ def start_states(recording: Recording, tau: float, first: float, later: float) -
     first, later: freedom in the first session and in each further one.
     """
     session, t = sessions(recording), recording.time()
-    made = []
-    for s in np.unique(session):
-        inside = session == s
-        since = np.where(inside, t - t[inside][0], 0.0)
-        made.append(np.where(inside, np.exp(-np.maximum(since, 0.0) / tau), 0.0))
-    if len(made) >= MANY_STARTS:
-        yield np.sum(made, axis=0), 1.0
+    codes, start, inside = np.unique(session, return_index=True, return_inverse=True)
+    decay = np.exp(-np.maximum(t - t[start][inside], 0.0) / tau)
+    if codes.size >= MANY_STARTS:
+        yield decay, 1.0
         return
-    for k, column in enumerate(made):
-        yield column, first if k == 0 else later
+    for k in range(codes.size):
+        yield np.where(inside == k, decay, 0.0), first if k == 0 else later
 
 
 def lagged(recording: Recording, values: np.ndarray, tau: float, most: float = 1.0) -> np.ndarray:

@@ -73,6 +73,7 @@ class AngularAbbe(Term):
         return self._powers(position(recording, self.axis)) * (recording.array(self.lever) * 1e-3)[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        yield recording.array(self.lever), 1.0  # the angle is zero at one end as often as in the middle
         polynomials = chebyshev(position(recording, self.axis), 6)
         for k in range(self.order + 1, 7):
             yield polynomials[:, k] * recording.array(self.lever), 0.2

@@ -23,6 +23,7 @@ class CoolantEffect(Term):
     """Coolant runs over table, work and spindle nose and brings them to its own temperature while it flows.
 
     Equation   tau dy/dt + y = flow * (T_coolant - T_other);  deviation = gain * y   [um] = [um/K] * [K]
+               without T_other, which nobody measures: tau dy/dt + y = flow * (gain * (T_coolant - 20) + shift), y in um
                without temperatures: tau dy/dt + y = flow;    deviation = shift * y  [um]
                with `at_once` y is the right-hand side itself
     Assumes    one time constant
@@ -42,9 +43,9 @@ class CoolantEffect(Term):
     simulated_log_odds = -2.0
 
     def linear(self) -> tuple[Parameter, ...]:
-        if self.sensor:
-            return (Parameter("gain", "um/K", (0.5, 10.0), (-100.0, 100.0), "shift per kelvin while it flows"),)
-        return (Parameter("shift", "um", (2.0, 20.0), (-200.0, 200.0), "shift while it flows"),)
+        gain = Parameter("gain", "um/K", (0.5, 10.0), (-100.0, 100.0), "shift per kelvin while it flows")
+        shift = Parameter("shift", "um", (2.0, 20.0), (-200.0, 200.0), "shift while it flows")
+        return (gain,) if self.other else (gain, shift) if self.sensor else (shift,)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         return () if self.at_once else (Parameter("tau", "s", (60.0, 900.0), (1.0, 10000.0), "time constant"),)
@@ -73,27 +74,29 @@ class CoolantEffect(Term):
             yield term
             yield term.model_copy(update={"at_once": True})
 
-    def _source(self) -> Driver:
-        source: Driver = Input(name=self.flow)
+    def _sources(self) -> tuple[Driver, ...]:
+        """One for each linear parameter."""
+        flow: Driver = Input(name=self.flow)
         if self.sensor and self.other:
             cold = Affine(weights=(1.0, -1.0), of=(Input(name=self.sensor), Input(name=self.other)))
-            return Product(of=(source, cold))
+            return (Product(of=(flow, cold)),)
         if self.sensor:
-            return Product(of=(source, Affine(offset=-20.0, weights=(1.0,), of=(Input(name=self.sensor),))))
-        return source
+            return Product(of=(flow, Affine(offset=-20.0, weights=(1.0,), of=(Input(name=self.sensor),)))), flow
+        return (flow,)
 
-    def _driver(self, *tau: float) -> Driver:
-        return Lag(of=self._source(), tau_up=tau[0], tau_down=tau[0], start="zero") if tau else self._source()
+    def _drivers(self, *tau: float) -> tuple[Driver, ...]:
+        sources = self._sources()
+        return tuple(Lag(of=s, tau_up=tau[0], tau_down=tau[0], start="zero") for s in sources) if tau else sources
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        return drive(self._driver(*nonlinear), recording)[:, None]
+        return np.column_stack([drive(d, recording) for d in self._drivers(*nonlinear)])
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         for tau in nonlinear:
             yield from start_states(recording, tau, 0.2, 0.2)
             for factor in (0.3, 3.0):
-                yield self.basis(recording, tau * factor)[:, 0], 0.25
-        if self.sensor:
+                yield from ((column, 0.25) for column in self.basis(recording, tau * factor).T)
+        if self.other:
             yield self.model_copy(update={"sensor": None, "other": None}).basis(recording, *nonlinear)[:, 0], 0.25
         yield from ((column, 0.25) for column in self._cooled_growth(recording, *nonlinear))
 
@@ -109,5 +112,5 @@ class CoolantEffect(Term):
                 yield responses.lag(sessions(recording), t, cooled, tau[0], tau[0], False) if tau else cooled
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
-        gain = parameters["gain" if self.sensor else "shift"]
-        return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), gain)),)
+        drivers = self._drivers(*self.nonlinear_values(parameters))
+        return tuple(Lowered(scaled(d, parameters[p.name])) for p, d in zip(self.linear(), drivers, strict=True))

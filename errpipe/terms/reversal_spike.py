@@ -60,6 +60,7 @@ class ReversalSpike(Term):
     reports_as = "reversal_spike"
     family = "reversal"
     in_part = "runs"
+    form = "any rise"
     gains = (Parameter("height", "um", (2.0, 15.0), (-200.0, 200.0), "height of the spike (at 1000 mm/min)"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:

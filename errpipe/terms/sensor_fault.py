@@ -74,7 +74,7 @@ class SensorFault(Term):
         else:
             before = read[: self.first][np.isfinite(read[: self.first])]
             held = np.where(np.isfinite(read), read, before[-1] if before.size else np.nanmedian(read))
-            lie = reconstructed(recording, self.sensor, inside) - held
+            lie = reconstructed(recording, self.sensor, self.first, self.last) - held
         return np.where(inside, lie * self._reach(recording), 0.0)[:, None]
 
     def _reach(self, recording: Recording) -> np.ndarray | float:
@@ -108,22 +108,35 @@ def step_of(values: np.ndarray, first: int, last: int) -> float:
     return float(on + off) / 2 if on * off > 0 and max(on / off, off / on) < ALIKE else 0.0
 
 
-def reconstructed(recording: Recording, sensor: str, inside: np.ndarray) -> np.ndarray:
-    """What a sensor should have read: from the others, now and late, as they went together outside the stretch."""
+def reconstructed(recording: Recording, sensor: str, first: int, last: int) -> np.ndarray:
+    """What a sensor should have read: from the others, now and late, as they went together outside rows first..last.
+
+    How they went together is kept: the fault is tried on every axis and response.
+    """
     read = recording.array(sensor)
     if ("others", sensor) not in recording.derived:
         recording.derived["others", sensor] = _others(recording, sensor)
-    good = ~inside & np.isfinite(read)
+    if ("others", sensor, first, last) not in recording.derived:
+        good = np.isfinite(read)
+        good[first : last + 1] = False
+        recording.derived["others", sensor, first, last] = _together(recording.derived["others", sensor], read, good)
+    size, weights = recording.derived["others", sensor, first, last]
+    return recording.derived["others", sensor] / size @ weights if weights.size else read
+
+
+def _together(others: np.ndarray, read: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """Sizes of the columns of other sensors, (rows, k), and their weights in a reading on good rows, shape (2, k).
+
+    Shape (2, 0) where these rows are too few.
+    """
     if good.sum() < 10:
-        return read
-    A = recording.derived["others", sensor]
-    known = A[good]
+        return np.empty((2, 0))
+    known = others[good]
     size = np.maximum(known.std(axis=0), 1e-9)
     size[0] = 1.0
     known /= size
-    ridge = 1e-3 * good.sum() * np.diag(np.r_[0.0, np.ones(A.shape[1] - 1)])
-    weights = np.linalg.lstsq(known.T @ known + ridge, known.T @ read[good], rcond=None)[0]
-    return A / size @ weights
+    ridge = 1e-3 * good.sum() * np.diag(np.r_[0.0, np.ones(others.shape[1] - 1)])
+    return np.array([size, np.linalg.lstsq(known.T @ known + ridge, known.T @ read[good], rcond=None)[0]])
 
 
 def _others(recording: Recording, sensor: str) -> np.ndarray:

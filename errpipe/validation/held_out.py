@@ -7,6 +7,7 @@ other groups alone.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -19,7 +20,7 @@ from errpipe.errors import DataError
 from errpipe.fitting import holdout, recalibration
 from errpipe.fitting.batches import Source
 from errpipe.fitting.history import Fold
-from errpipe.fitting.judging import HeldOut, half_width90, widening90
+from errpipe.fitting.judging import HeldOut, every_judged, half_width90, half_widths90_without_each, widening90
 from errpipe.fitting.noise_floor import noise_floor
 from errpipe.models import Family
 from errpipe.validation import seasons, significance
@@ -53,11 +54,11 @@ def judged(
         label, folds = family.folds(recording, scheme)
     else:
         folds, label = [holdout.Fold(*fold) for fold in folds], "given"
-    by_component = _left_out(recording, family, folds, progress)
+    by_component, empty = _left_out(recording, family, folds, progress)
 
     @cache
     def blocks() -> dict[str, list[HeldOut]]:
-        return _left_out(recording, family, family.folds(recording, BLOCKS)[1], progress)
+        return _left_out(recording, family, family.folds(recording, BLOCKS)[1], progress)[0]
 
     document = {
         "validation": VERSION,
@@ -68,6 +69,8 @@ def judged(
             for name, left in by_component.items()
         ],
     }
+    if empty:
+        document["not_judged"] = empty
     if label == holdout.HALVES:
         _of_one_run(document)
     if family.seasonal:
@@ -79,14 +82,15 @@ def judged(
 
 def _left_out(
     recording: Recording, family: Family, folds: Sequence[holdout.Fold], progress: Callable[[float, str], None]
-) -> dict[str, list[HeldOut]]:
-    """Per component the held-out rows of every fold."""
-    out: dict[str, list[HeldOut]] = {c: [] for c in family.responses}
-    for number, fold in enumerate(folds):
-        progress(number / len(folds), f"without {fold.label}")
-        for component, left in family.judge(recording, fold).items():
-            out[component].append(left)
-    return out
+) -> tuple[dict[str, list[HeldOut]], list[str]]:
+    """Per component the held-out rows of every fold, and why some folds judge nothing."""
+    number = itertools.count()
+
+    def judge(fold: holdout.Fold) -> Mapping[str, HeldOut]:
+        progress(next(number) / len(folds), f"without {fold.label}")
+        return family.judge(recording, fold)
+
+    return every_judged(family.responses, folds, judge)
 
 
 def _of_one_run(document: dict[str, Any]) -> None:
@@ -165,7 +169,7 @@ def component_figures(
     if not folds:
         raise DataError(f"validate: no held-out rows of {component}")
     name = recording.name("error", component=component)
-    half = half_width90(folds)
+    half, coverage = half_width90(folds), _coverage(folds)
     gains = gains or {f"{g:g}": _pooled(folds, g) for g in GAINS}
     rows = np.concatenate([f.rows for f in folds])
     after = np.concatenate([f.after for f in folds])
@@ -185,7 +189,7 @@ def component_figures(
         "bias": float(np.sqrt(np.mean([np.mean(f.after) ** 2 for f in folds]))),
         "scatter": float(np.sqrt(np.mean([np.var(f.after) for f in folds]))),
         "half_width90": half,
-        "coverage90": _coverage(folds),
+        "coverage90": float(np.mean([c for c in coverage if c is not None])) if len(folds) > 1 else None,
         "rms_by_gain": gains,
         "gain": chosen,
         "rms_at_gain": gains[f"{chosen:g}"],
@@ -193,7 +197,7 @@ def component_figures(
         "p_value": chance,
         "runs": runs,
         "verdict": "do nothing" if chosen == 0.0 else ("model" if chosen == 1.0 else "partial gain"),
-        "groups": [_group(f, k, folds) for k, f in enumerate(folds)],
+        "groups": [_group(f, share) for f, share in zip(folds, coverage, strict=True)],
     }
     if chosen > 0.0 and len(folds) > 1 and recalibration.is_thermal(recording):
         figures["readings"] = recalibration.by_readings(
@@ -226,7 +230,7 @@ def _share_left(folds: Sequence[HeldOut]) -> float:
     return _pooled(folds, 1.0) / max(_pooled(folds, 0.0), 1e-30)
 
 
-def _group(fold: HeldOut, number: int, folds: Sequence[HeldOut]) -> dict[str, Any]:
+def _group(fold: HeldOut, coverage: float | None) -> dict[str, Any]:
     return {
         "label": fold.label,
         "rows": int(fold.rows.size),
@@ -236,7 +240,7 @@ def _group(fold: HeldOut, number: int, folds: Sequence[HeldOut]) -> dict[str, An
         "worst_after": float(np.abs(fold.after).max()),
         "bias_after": float(np.mean(fold.after)),
         "scatter_after": float(np.std(fold.after)),
-        "coverage90": _covered(folds, number),
+        "coverage90": coverage,
         "outside_share": float(np.mean(fold.outside > 0)),
     }
 
@@ -256,16 +260,12 @@ def _smallest_tied_gain(gains: dict[str, float]) -> float:
     return min(float(g) for g, rms in gains.items() if rms <= best * (1.0 + TIE))
 
 
-def _covered(folds: Sequence[HeldOut], number: int) -> float | None:
-    others = [f for k, f in enumerate(folds) if k != number]
-    if not others:
-        return None
-    half = half_width90(others)
-    width = half + widening90(others, half) * folds[number].outside
-    return float(np.mean(np.abs(folds[number].after) <= width))
-
-
-def _coverage(folds: Sequence[HeldOut]) -> float | None:
-    coverage = [_covered(folds, k) for k in range(len(folds))]
-    known = [c for c in coverage if c is not None]
-    return float(np.mean(known)) if known else None
+def _coverage(folds: Sequence[HeldOut]) -> list[float | None]:
+    """Share of each group inside the 90 % interval that the others state; None where there is no other."""
+    if len(folds) < 2:
+        return [None] * len(folds)
+    out: list[float | None] = []
+    for k, (fold, half) in enumerate(zip(folds, half_widths90_without_each(folds), strict=True)):
+        width = half + widening90([*folds[:k], *folds[k + 1 :]], half) * fold.outside
+        out.append(float(np.mean(np.abs(fold.after) <= width)))
+    return out

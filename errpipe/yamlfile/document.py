@@ -110,12 +110,14 @@ def text_of(path: Path) -> str:
     """The text of a YAML file. Raises ConfigError where it cannot be read."""
     path, name = Path(path), str(path)
     if path.is_dir():
-        raise ConfigError([Problem(name, 0, 0, "", "is a folder (a YAML file is needed)")])
+        inside = path / "pipeline.yaml"
+        beside = f": {inside}" if inside.is_file() else ""
+        raise ConfigError([Problem(name, 0, 0, "", f"is a folder (a YAML file is needed{beside})")])
     try:
         with files.open_regular(path) as stream:
             data, size = stream.read(MAX_BYTES + 1), os.fstat(stream.fileno()).st_size
     except FileNotFoundError:
-        raise ConfigError([Problem(name, 0, 0, "", "no such file")]) from None
+        raise ConfigError([Problem(name, 0, 0, "", files.missing(path))]) from None
     except OSError as err:
         raise ConfigError([Problem(name, 0, 0, "", files.why(err))]) from None
     if len(data) > MAX_BYTES:

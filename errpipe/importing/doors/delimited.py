@@ -21,7 +21,13 @@ suffixes = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".prn")
 
 SEPARATORS = (";", "\t", "|", ",")
 LONGEST_LINE = 1 << 16  # characters: beyond it a file is no table
-ENCODINGS = {"utf-8-sig": "UTF-8", "cp1252": "Windows-1252", "cp932": "Shift JIS", "cp1251": "Windows-1251"}
+ENCODINGS = {
+    "utf-8-sig": "UTF-8",
+    "cp1252": "Windows-1252",
+    "cp932": "Shift JIS",
+    "cp1251": "Windows-1251",
+    "cp1250": "Windows-1250",
+}
 SAMPLE_LINES = 400  # from which the dialect is guessed
 
 
@@ -85,6 +91,8 @@ def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
     first = next((r for r, n in enumerate(figures) if n >= 2 and len(sample[r]) == width), 0)
     for r, line in enumerate(lines):
         row: list[Cell] = [*line.split()]
+        if r < first and len(row) == width + 1 and re.fullmatch(r"[#%;!]+|//", str(row[0])):
+            row = row[1:]  # names behind the mark of a comment
         if len(row) != width > 1 < len(row):
             if r > first and all(map(_figure, row)):
                 raise DataError(f"{path}:{r + 1}  {len(row)} numbers, not {width}: a gap between blanks has no column")
@@ -159,13 +167,20 @@ def _decode(path: Path, data: bytes) -> tuple[str, str]:
         candidates = [wide]
     else:
         head = data[: 1 << 16]
-        candidates = ["utf-8-sig", *(_cyrillic(head) or _east_asian(head)), "cp1252", "latin-1"]
+        candidates = ["utf-8-sig", *(_cyrillic(head) or _east_asian(head) or _central(head)), "cp1252", "latin-1"]
     for encoding in candidates:
         try:
             return ENCODINGS.get(encoding, encoding), data.decode(encoding)
         except UnicodeDecodeError:
             continue
     raise DataError(f"{path}: not text (tried {', '.join(candidates)})")
+
+
+def _central(head: bytes) -> list[str]:
+    """Windows-1250 where Western letters would be signs within words: `Odchy³ka`, `w ty³`."""
+    text = head.decode("cp1252", errors="replace")
+    within = re.search(r"(?<=[A-Za-z])[³¹¿¼¾](?=[a-z³¹¿¼¾])|(?<=[a-z]{3})³|\bOœ\b|œæ", text)
+    return ["cp1250"] if within else []
 
 
 FEWEST_CYRILLIC = 0.8  # of the bytes beyond ASCII in Russian words; the rest are signs such as ° and µ
@@ -191,6 +206,8 @@ def _east_asian(head: bytes) -> list[str]:
     letters = [c for c in head.decode("euc_kr", errors="replace") if c > "\x7f"]
     if len(letters) > 3 and sum("가" <= c <= "힣" for c in letters) >= FEWEST_HANGUL * len(letters):
         return ["cp949"]
+    if 2 * len(re.findall(rb"[a-z][\xc0-\xfe]{2}[a-z\s]", head)) > len(re.findall(rb"[\x81-\xfe]{2,}", head)):
+        return []  # letters with accents within words: `Dire\xe7\xe3o`
     pairs = b"".join(re.findall(rb"[\x81-\xfe][\x80-\xfe](?:[\x81-\xfe][\x40-\xfe])*", head))
     if sum(byte > 127 for byte in pairs) < 0.7 * sum(byte > 127 for byte in head):
         return []

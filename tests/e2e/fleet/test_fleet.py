@@ -192,6 +192,29 @@ def test_a_wrong_key_of_the_first_machine_stops_no_other_one(tmp_path: Path, cap
     assert capsys.readouterr().err.count("no stage") == 1
 
 
+def test_a_machine_that_fails_says_what_an_earlier_run_left_in_its_folder(tmp_path: Path) -> None:
+    """Its table of before stays, and whoever reads its folder alone would take it for today's."""
+    site(tmp_path, 2)
+    task = [str(tmp_path / "axis.yaml"), "m", ["ingest.recording=recordings/m000"], str(tmp_path / "out")]
+    done = fleet_stage.run_machine(*task)
+    assert (done["state"], done["message"]) == ("done", "")
+    damaged = ["ingest.recording=recordings/m001"]
+    assert "earlier" not in fleet_stage.run_machine(task[0], "new", damaged, task[3])["message"]
+    left = {}
+    for name, keys in {"ingest": damaged, "fit": [*task[2], "fit.components=[]"]}.items():
+        left[name] = fleet_stage.run_machine(task[0], "m", keys, task[3])["message"].partition("; machines/m ")[2]
+    read = tmp_path / "recordings/m000/recording.csv"  # a reading apart: ingest goes through, the fit has too few rows
+    read.write_text("\n".join(read.read_text(encoding="utf-8").splitlines()[:4]) + "\n", encoding="utf-8")
+    left["rows"] = fleet_stage.run_machine(*task)["message"].partition("; machines/m ")[2]
+    assert left == {
+        "ingest": "holds what an earlier run made: fit, ingest, validate",
+        "fit": "holds what an earlier run made: fit, ingest, validate",
+        "rows": "holds what an earlier run made: fit, validate",
+    }
+    killed = fleet_stage._failed_result(task, 3)["message"]
+    assert "earlier run made: fit, ingest, validate" in killed
+
+
 @pytest.mark.slow
 def test_machines_on_a_dask_cluster_with_a_worker_killed(tmp_path: Path, capsys: Any) -> None:
     """30 machines; FLEET_MACHINES=200 in the environment takes as many (about 10 minutes on two cores)."""

@@ -90,3 +90,13 @@ def test_few_starts_are_left_out_by_blocks():
     fold, scheme = folds(np.repeat(np.arange(7), 50), np.repeat(np.arange(7), 50))
     assert scheme == "7 whole runs in 5 groups"
     assert all(np.unique(fold[k * 50 : (k + 1) * 50]).size == 1 for k in range(7))
+
+
+def test_held_out_blocks_do_not_come_in_step_with_what_is_repeated():
+    """Four turns of a circle, ten blocks each: dealt in turn, a fold would lose the same two in every turn."""
+    fold, _ = folds(np.zeros(2000, dtype=int))
+    block = np.arange(2000) // 50
+    assert all(np.bincount(fold[block == b], minlength=FOLDS).max() == 50 for b in range(40))
+    for f in range(FOLDS):
+        held = np.unique(block[fold == f])
+        assert held.size == 8 and np.unique(held % 10).size >= 5

@@ -34,13 +34,23 @@ def tight_end(frame):
     return frame.assign(F_X=frame.F_X + 15 * np.sign(frame.v) * (1 + 0.7 * (frame.x - 200) / 150))
 
 
-def sticks(frame):
-    """Each reversal breaks away with 25 N more, gone within a tenth of a second."""
+def since_turn(frame):
+    """Time since the last reversal in s, long before the first."""
     t, side = frame.t.to_numpy(), np.sign(frame.v.to_numpy())
     turns = np.flatnonzero(np.diff(side) != 0) + 1
     last = np.searchsorted(turns, np.arange(t.size), side="right") - 1
-    since = np.where(last >= 0, t - t[turns[last]], np.inf)
-    return frame.assign(F_X=frame.F_X + 25 * side * np.exp(-since / 0.05))
+    return np.where(last >= 0, t - t[turns[last]], 1e3)
+
+
+def sticks(frame):
+    """Each reversal breaks away with 25 N more, gone within a tenth of a second."""
+    return frame.assign(F_X=frame.F_X + 25 * np.sign(frame.v) * np.exp(-since_turn(frame) / 0.05))
+
+
+def breaks_away_late(frame):
+    """A spike that takes 80 ms to rise."""
+    since = since_turn(frame)
+    return frame.assign(F_X=frame.F_X + 25 * np.sign(frame.v) * since / 0.08 * np.exp(1 - since / 0.08))
 
 
 CASES = {
@@ -64,3 +74,23 @@ def test_mass_off_by_a_tenth_is_a_recalibration() -> None:
     known = trace(1)
     response = diagnose(type(known)(known.manifest, known.frame.assign(F_X_sim=0.9 * known.frame.F_X_sim)))[0]
     assert response.responses[0].verdict == "recalibrate"
+
+
+def test_a_spike_that_takes_its_time_to_rise_is_a_spike() -> None:
+    assert answer(breaks_away_late)[0] == "reversal_spike"
+
+
+@pytest.mark.parametrize("off", [(0.0, 0.0, 0.12), (0.05, -0.1, 0.12)])
+def test_one_coefficient_off_in_a_simulation_that_is_right_elsewhere_is_named(off) -> None:
+    known = trace(1)
+    frame, side = known.frame, np.sign(known.frame.v)
+    held = frame.F_X_sim, 20.0 * side, 0.2 * frame.v
+    simulated = sum(held)
+    recorded = frame.F_X - frame.F_X_sim + sum((1.0 + by) * part for by, part in zip(off, held, strict=True))
+    changed = frame.assign(F_X=recorded, F_X_sim=simulated)
+    (response,) = diagnose(type(known)(known.manifest, changed))[0].responses
+    assert response.verdict == ("recalibrate" if off[0] else "missing_physics")
+    if not off[0]:
+        first = response.findings[0]
+        assert first.effect == "viscous_friction" and first.confidence <= 0.45  # it may be the gain
+        assert first.parameters[0].ci95[0] <= 24.0 <= first.parameters[0].ci95[1]

@@ -67,8 +67,11 @@ def test_only_a_stribeck_part_against_the_dry_friction_gives_way():
         friction.Fitted(np.ones(4), np.eye(4), 2.8),
     )
     dry = of("coulomb_friction", "force", 20.0)
-    against = friction.with_directional_law([dry, of("stribeck_friction", "extra", -8.0)], law)
+    against = friction.with_directional_law([dry, of("stribeck_friction", "extra", -8.0)], law, set())
     assert [f.effect for f in against] == ["coulomb_friction", "viscous_friction"]
     assert [p.name for p in against[1].parameters] == ["damping_forward", "damping_backward"]
-    adding = friction.with_directional_law([dry, of("stribeck_friction", "extra", 8.0)], law)
+    adding = friction.with_directional_law([dry, of("stribeck_friction", "extra", 8.0)], law, set())
     assert [f.effect for f in adding] == ["coulomb_friction", "stribeck_friction"]
+    slope = of("viscous_friction", "slope", 30.0)  # what the simulation's damping is off by, beside the damping itself
+    (missing,) = friction.with_directional_law([slope], law, {"viscous_friction"})
+    assert [p.name for p in missing.parameters] == ["slope", "damping_forward", "damping_backward"]

@@ -107,3 +107,14 @@ def test_what_looks_like_a_part_of_the_simulation_may_be_its_gain(slope, rising,
     assert plausible.gain_of_a_part(case, found) is doubtful
     assert not plausible.gain_of_a_part(case, SimpleNamespace(contribution=slope * x**2))
     assert not plausible.gain_of_a_part(case, SimpleNamespace(contribution=0.6 * whole))
+
+
+@pytest.mark.parametrize(("share", "parts"), [(0.5, True), (1.5, False)])
+def test_a_signal_that_is_no_sum_of_effects_has_one_gain(share, parts):
+    """An effect that half of it follows is no part of it: its gain would play what is missing."""
+    case = condition(spindle())
+    rows = np.arange(len(case))
+    library = hypotheses.build(case, "E_Z", rows)
+    rise, other = case.array("T_bed") - 20.0, share * np.random.default_rng(3).standard_normal(rows.size)
+    (first, *_), _ = decompose.decompose(3.0 * rise / rise.std() + other, library, case, rows, 0.3)
+    assert bool(first.parts) == parts

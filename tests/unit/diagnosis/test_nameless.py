@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from errpipe.diagnosis import coloured, diagnose, empirical, own_noise, plausible, unnamed
+from errpipe.diagnosis import coloured, diagnose, empirical, own_noise, plausible, report, unnamed
 from errpipe.diagnosis.holdout import HeldOut
 from errpipe.diagnosis.shapes import shapes
-from errpipe.domain.diagnosis import Empirical, EmpiricalTerm
+from errpipe.domain.diagnosis import Empirical, EmpiricalTerm, Finding
 from errpipe.terms.air_refraction import AirRefraction
 from errpipe.terms.scale_expansion import ScaleExpansion
 
@@ -103,7 +103,27 @@ def test_one_column_that_an_effect_follows_is_no_unknown_mechanism(column, known
     term = EmpiricalTerm(column=name, coefficient=1.0, unit="um/K", ci95=(0.9, 1.1), rms_um=1.0)
     law = Empirical(terms=(term,), constant=0.0, unit="um", share=0.9, p=0.01, scheme="", says="")
     case = SimpleNamespace(recording=made, library=hypotheses.build(made, "E_Z", rows), pair=SimpleNamespace(rows=rows))
+    case.explanation = SimpleNamespace(accepted=())
     assert empirical.has_a_name(case, law) == known  # type: ignore[arg-type]
+
+
+def test_an_equation_that_is_the_named_effect_is_no_unknown_mechanism():
+    """A lagged temperature beside a name that follows it late."""
+    from errpipe.diagnosis import hypotheses
+
+    made = spindle()
+    rows = np.arange(len(made))
+    library = hypotheses.build(made, "E_Z", rows)
+    column = [
+        c.name for c in empirical.candidates(made, rows) if c.name.startswith("lag(T_bed") and ") " not in c.name
+    ][-1]
+    term = EmpiricalTerm(column=column, coefficient=1.0, unit="um/K", ci95=(0.9, 1.1), rms_um=1.0)
+    law = Empirical(terms=(term,), constant=0.0, unit="um", share=0.9, p=0.01, scheme="", says="")
+    case = SimpleNamespace(recording=made, library=library, pair=SimpleNamespace(rows=rows))
+    lag = next(h for h in library.hypotheses if h.effect == "thermal_lag")
+    for accepted, known in (((), False), ((SimpleNamespace(hypothesis=lag),), True)):
+        case.explanation = SimpleNamespace(accepted=accepted)
+        assert empirical.has_a_name(case, law) == known  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("low", "high", "no_such_size"), [(7.0, 9.0, True), (4.0, 9.0, False), (-9.0, -7.0, True)])
@@ -234,3 +254,16 @@ def test_a_name_in_a_part_that_is_one_of_many_must_be_likelier_than_not(masks, s
     case = SimpleNamespace(explanation=SimpleNamespace(accepted=accepted))
     found = [SimpleNamespace(sure=lambda: sure)] * len(masks)
     assert unnamed.unlikely(case, found) is unlikely  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("unknown", "limit"), [(0.4, 0.4), (0.7, 0.3)])
+def test_a_name_behind_unknown_is_no_likelier_than_it(monkeypatch, unknown, limit):
+    monkeypatch.setattr(report, "needs_recalibration", lambda case: False)
+    monkeypatch.setattr(unnamed, "wanders", lambda case: False)
+    monkeypatch.setattr(unnamed, "finding", lambda case, p: Finding(effect="unknown", confidence=p))
+    names = [Finding(effect="stribeck_friction", confidence=0.8)]
+    found, verdict = report._verdict(None, names, unknown, nameless=True)  # type: ignore[arg-type]
+    assert verdict == "unexplained"
+    assert [(f.effect, f.confidence) for f in found] == [("unknown", unknown), ("stribeck_friction", limit)]
+    # noise that is a linear process is left: no reason to put it before a name
+    assert report._verdict(None, names, unnamed.NOISE, nameless=True) == (names, "missing_physics")  # type: ignore[arg-type]

@@ -145,3 +145,19 @@ def test_outliers_do_not_become_physics():
     frame.loc[[20, 130, 260, 400], "EXX"] += 40.0
     response = diagnose(type(case)(case.manifest, frame))[0].responses[0]
     assert response.verdict == "no_mismatch"
+
+
+def test_wear_has_no_rival_in_its_own_curve():
+    """A curve over the length cut is wear, too; over another input it is a rival."""
+    from types import SimpleNamespace
+
+    from errpipe.diagnosis import report
+
+    kinds = [SimpleNamespace(drivers=(d,), of_inputs=True, freedom=d) for d in ("cut", "rpm")]
+    gains = {"cut": 232.0, "rpm": 41.0}
+    scene = SimpleNamespace(gains=lambda sets, freedoms, rows: np.array([gains[f] for f in freedoms]))
+    search = SimpleNamespace(scene=lambda chosen: scene, rows=None)
+    case = SimpleNamespace(free_shapes=kinds, places=[0, 1], search=search)
+    for form, expected in (("any rate", 41.0), ("textbook", 232.0)):
+        name = SimpleNamespace(drivers=("cut",), terms=(SimpleNamespace(form=form),))
+        assert report._best_shape(case, [], name) == expected

@@ -63,7 +63,8 @@ def test_a_search_keeps_its_prior_when_another_is_made_without_its_finding(monke
 
 
 @pytest.mark.parametrize(
-    ("lost", "drivers", "simpler"), [(2.0, ("a",), True), (5.0, ("a",), False), (2.0, ("b", "c", "d"), False)]
+    ("lost", "drivers", "simpler"),
+    [(3.0, ("a",), True), (5.0, ("a",), False), (3.0, ("b", "c", "d"), False), (1.0, ("b", "c", "d"), True)],
 )
 def test_of_two_that_are_as_likely_the_simpler_stands(lost, drivers, simpler):
     """A flexible mode far above what is excited is a compliance; inputs and non-linear parameters were chosen."""
@@ -77,3 +78,47 @@ def test_of_two_that_are_as_likely_the_simpler_stands(lost, drivers, simpler):
     search.accepted = lambda chosen: tuple(known[i].effect for i, _ in chosen)
     expected = ("inertial_deflection",) if simpler else (found,)
     assert Search.simplest(search, (found,)) == expected
+
+
+@pytest.mark.parametrize(
+    ("lost", "drivers", "simpler"), [(1.0, ("x",), True), (3.0, ("x",), False), (1.0, ("z",), False)]
+)
+def test_a_slope_that_no_temperature_moves_is_no_expansion(lost, drivers, simpler):
+    known = [
+        SimpleNamespace(effect=e, drivers=d, nonlinear=((),), mask=())
+        for e, d in (("scale_expansion", ("x", "T")), ("scale_error", drivers))
+    ]
+    found = Accepted(0, known[0], 2.0, 90.0)
+    search = SimpleNamespace(library=SimpleNamespace(hypotheses=known), tune=lambda chosen: chosen)
+    search.rivals = lambda accepted, k: [("scale_error", lost, 1)]
+    search.accepted = lambda chosen: tuple(known[i].effect for i, _ in chosen)
+    assert Search.simplest(search, (found,)) == (("scale_error",) if simpler else (found,))
+
+
+@pytest.mark.parametrize(
+    ("joint", "agreement", "taken"), [(490.0, 0.2, True), (470.0, 0.2, False), (490.0, 0.6, False)]
+)
+def test_what_most_folds_find_stands_in_the_place_of_two_look_alikes(monkeypatch, joint, agreement, taken):
+    """Feed heating beside an expansion and a drift that few folds find again, nearly as likely together."""
+    effects = ("feed_heating", "scale_expansion", "thermal_drift")
+    library = SimpleNamespace(hypotheses=[SimpleNamespace(effect=e) for e in effects])
+    made = SimpleNamespace(plain=False, library=library, prior=np.zeros(3))
+
+    def case(chosen, worth):
+        search = SimpleNamespace(prior=np.zeros(3), joint=lambda chosen: worth)
+        return SimpleNamespace(chosen=lambda: chosen, search=search, held=None)
+
+    two, one, seen = case([1, 2], 500.0), case([0], joint), []
+    two.held = SimpleNamespace(agreement=(agreement, 0.0), often=("feed_heating",))
+    monkeypatch.setattr(judge, "_held", lambda case: case.held)
+    monkeypatch.setattr(judge, "_settled", lambda made: seen.append(made.prior) or ())
+
+    def explained(made):
+        made.prior = np.r_[made.prior, 0.0]  # a point of the grid joins the library
+        return one
+
+    monkeypatch.setattr(judge, "_explained", explained)
+    assert judge._found_by_folds(made, two) is (one if taken else two)
+    if seen:
+        assert seen[0].tolist() == [0.0, NEVER, NEVER]
+        assert made.prior.tolist() == two.search.prior.tolist() == [0.0, 0.0, 0.0, 0.0]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from errpipe.diagnosis import judge, prepare
+from errpipe.diagnosis import diagnose, judge, prepare
 from errpipe.terms.sensor_fault import step_of, suspicious
 
 from .machines import axis, recording
@@ -73,3 +73,23 @@ def test_stretches_are_seen_under_a_display_that_jitters_and_from_a_pause_on():
     assert (200, 299) in suspicious(stepped, t)
     assert step_of(np.r_[np.zeros(20), np.full(30, 3.0), np.zeros(20)], 20, 49) == 3.0
     assert step_of(np.r_[np.zeros(20), np.full(30, 3.0), np.full(20, 6.0)], 20, 49) == 0.0
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_two_gains_of_expansion_and_lead_error_are_no_finding(seed):
+    """Both are slopes, so the simulation is seen to hold one expansion, counted from another temperature."""
+    rng = np.random.default_rng(seed)
+    x = rng.permutation(np.tile(np.linspace(0, 900, 25), 12))
+    bed = 22 + 4 * (1 - np.exp(-np.arange(x.size) / 90))
+    grown, lead = 11e-3 * x * (bed - 20), -22e-3 * x
+    columns = {"t": 10.0 * np.arange(x.size), "x": x, "T_bed": bed, "S": grown + lead}
+    columns["E"] = 1.12 * grown + 0.95 * lead + 0.3 * rng.standard_normal(x.size)
+    kinds = {
+        "t": {"role": "time", "unit": "s"},
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "T_bed": {"role": "temperature", "unit": "degC", "location": "bed"},
+        "E": {"role": "error", "component": "EXX", "unit": "um"},
+        "S": {"role": "simulated", "component": "EXX", "unit": "um"},
+    }
+    (response,) = diagnose(recording(columns, kinds))[0].responses
+    assert response.verdict == "recalibrate", response.says

@@ -49,3 +49,8 @@ def test_readings_that_begin_at_zero_in_each_of_two_sessions_or_more():
     assert not zeroed_at_starts(rise + 6.0 * session, session)  # one zero for all
     assert not zeroed_at_starts(rise[:50], session[:50])
     assert not zeroed_at_starts(np.tile(np.linspace(0, 10, 20), 3), np.repeat([0, 1, 2], 20))  # too few rows to show it
+
+
+def test_readings_that_swing_about_zero_begin_near_it_by_chance():
+    swing = np.tile(10.0 * np.sin(np.linspace(-0.5, 30, 50)), 2)
+    assert not zeroed_at_starts(swing, np.repeat([0, 1], 50))

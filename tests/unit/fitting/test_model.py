@@ -11,7 +11,9 @@ from errpipe.errors import DataError, NotIdentifiable
 from errpipe.fitting.judging import judge_all
 from errpipe.fitting.lowering import lower, uncompensated_terms
 from errpipe.fitting.model import ModelSpec, evaluate, fit, term_of
+from errpipe.models.terms import Terms
 from tests.unit.fitting.axis_recordings import axis_recording, with_response
+from tests.validation_document import held_out
 
 
 @pytest.fixture(name="axis")
@@ -263,6 +265,22 @@ def test_refusals_name_the_pair_the_reason_and_a_remedy(axis):
         " (correlation 1.000).\n     Leave one sensor out, use method: ridge, or record a run in which the two"
         " temperatures part."
     )
+
+
+def test_a_run_without_a_sensor_judges_nothing_and_is_named(axis):
+    """Before: validation refused the recording, and the interval was that of the fitted rows."""
+    recording = with_response(axis, truth(axis), 0.4)
+    nut = np.where(recording.frame["run"] == "r3", np.nan, recording.array("T_nut"))
+    recording = recording.with_columns({"T_nut": nut}, {})
+    terms = [OFFSET, BOW, SCALE, BACKLASH]
+    model = fit(recording, spec_of(*terms))
+    assert not model.notes and model.components[0].half_width90 == pytest.approx(1.645 * 0.4, rel=0.2)
+    document = held_out(recording, Terms.of(spec_of(*terms)))
+    assert [g["label"] for g in document["components"][0]["groups"]] == [f"r{k}" for k in range(8) if k != 3]
+    (why,) = document["not_judged"]
+    assert why.startswith("hold-out r3: no judged row") and "T_nut" in why
+    with pytest.raises(DataError, match="no row has both EXX and everything"):
+        held_out(recording.with_columns({"T_nut": np.full(nut.size, np.nan)}, {}), Terms.of(spec_of(*terms)))
 
 
 def test_a_level_and_a_level_per_run_say_the_same(axis):

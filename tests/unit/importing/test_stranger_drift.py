@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from errpipe.cli.app import main
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
+from errpipe.formats import manifest_folder
 from tests.unit.importing import known_test
 
 HOURS = np.arange(0.0, 4.0, 0.25)
@@ -66,3 +68,27 @@ def test_numbers_that_are_no_degrees_are_not_taken_for_a_temperature(tmp_path: P
 def test_a_temperature_without_a_unit_beside_fahrenheit_is_asked_for(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"no unit is stated for 'ambient', and 'T1' is in degF"):
         imported(tmp_path, drift("run;t;ambient;T1 [degF];T2 [degF];drift [um];month"), component="E_Z")
+
+
+def test_a_file_that_lacks_a_temperature_has_empty_cells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Before: refused ("its columns are not those of"); another name for a sensor still is."""
+    whole = drift("run;t;room;T1;T2;drift [um];month").splitlines()
+    day, other = [line.split(",") for line in whole], tmp_path / "day2.csv"
+    (tmp_path / "day1.csv").write_text("\n".join(whole))
+    for lacking in ([[*row[:4], *row[5:]] for row in day], [day[0], *([*r[:4], "", *r[5:]] for r in day[1:])]):
+        other.write_text("\n".join(",".join(row) for row in lacking))
+        files = [str(tmp_path / "day1.csv"), str(other)]
+        assert main(["import", *files, "--out", str(tmp_path / "rec"), "--yes", "--component", "E_Z"]) == 0
+        assert "day2: no reading of T2: left empty" in " ".join(capsys.readouterr().out.split())
+        recording = manifest_folder.read(tmp_path / "rec")
+        own = np.char.startswith(np.array(recording.run_labels())[recording.run_codes()], "day2")
+        assert np.array_equal(np.isnan(recording.array("T2")), own)
+    other.write_text("\n".join(whole).replace("T2", "T9"))
+    assert main(["import", *files, "--out", str(tmp_path / "rec"), "--yes", "--component", "E_Z"]) == 3
+
+
+@pytest.mark.parametrize("name", ["Tamb", "TRoom", "Troom", "Tbed", "room"])
+def test_a_sensor_by_t_and_its_place_is_a_temperature(tmp_path: Path, name: str) -> None:
+    """Before: `Tamb` was ignored."""
+    recording = imported(tmp_path, drift(f"run;t;{name};T1;T2;drift [um];month"), component="E_Z")
+    assert len(recording.names("temperature")) == 3

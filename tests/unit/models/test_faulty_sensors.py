@@ -22,3 +22,12 @@ def test_a_season_without_one_sensor_leaves_the_runs_of_the_other_to_be_judged()
     (figures,) = held_out(recording, FAMILY)["components"]
     assert figures["rms_after"] < 0.3 * figures["rms_before"]
     assert "emptiest: T_spindle" in FAMILY.fit(recording).summary["E_Z"]
+
+
+def test_one_run_without_a_sensor_is_named_by_the_fit() -> None:
+    """Before: one run of ten took no part, and nothing said so."""
+    recording = machine(3, seasons=("winter", "spring"))
+    gone = np.where(recording.frame["run"] == "winter2", np.nan, recording.array("T_spindle"))
+    said = FAMILY.fit(recording.with_columns({"T_spindle": gone}, {})).summary["E_Z"]
+    assert "; without winter2 (emptiest: T_spindle, no reading in" in said
+    assert "without" not in FAMILY.fit(recording).summary["E_Z"]

@@ -297,6 +297,45 @@ def test_a_program_is_not_replaced_by_its_correction(tmp_path, capsys):
     assert program.read_text() == "G90 G21 G54\nG0 X100 Y0 Z0\n"
 
 
+@pytest.mark.parametrize("lines_at_once", [1, 10_000])
+@pytest.mark.parametrize(
+    ("head", "comment"),
+    [
+        ("", "({})"),
+        ("%\n", "({})"),
+        ("%\nO1234 (UPPER POCKET)\n", "({})"),
+        ("\n%\n\nN5 o7\n", "({})"),
+        ("%\n; upper pocket\n", ";{}"),
+        ("O0001 ; number\n(milled twice)\n", "({})"),
+    ],
+)
+def test_a_corrected_program_names_its_table_below_its_head_and_is_corrected_once(
+    tmp_path, capsys, monkeypatch, head, comment, lines_at_once
+):
+    from errpipe.cli.app import main
+    from errpipe.ncprogram import writer
+    from errpipe.tables import ect
+    from tests.unit.targets import machines
+
+    monkeypatch.setattr(writer, "MAX_POINTS", lines_at_once)
+    table = machines.too_long_at_plus_x()
+    ect.write(table, tmp_path / "t.ect")
+    (tmp_path / "p.ngc").write_text(f"{head}G90 G21 G54\nG0 X100 Y0 Z0\nG1 X400 F500\nM30\n")
+    words = ["correct", "--table", str(tmp_path / "t.ect"), str(tmp_path / "p.ngc")]
+    assert main([*words, "--out", str(tmp_path / "once.ngc")]) == 0
+    once = (tmp_path / "once.ngc").read_text()
+    mark = comment.format(f"CORRECTED BY ERRPIPE, TABLE {ect.fingerprint(table).upper()}")
+    kept = "".join(line for line in head.splitlines(keepends=True) if line[0] not in ";(")
+    assert once.startswith(f"{kept}{mark}\n{head.removeprefix(kept)}G90 G21 G54\nG0 X") and once.count(mark) == 1
+    words[-1] = str(tmp_path / "once.ngc")
+    assert main([*words, "--out", str(tmp_path / "twice.ngc")]) == 3 and not (tmp_path / "twice.ngc").exists()
+    line = kept.count("\n") + 1
+    assert f"once.ngc, line {line}: {mark!r}: corrected once more" in " ".join(capsys.readouterr().err.split())
+    (tmp_path / "once.ngc").write_text(once.lower())  # an editor that has no capitals
+    assert main([*words, "--out", str(tmp_path / "twice.ngc")]) == 3
+    assert main([*words, "--out", str(tmp_path / "twice.ngc"), "--again"]) == 0
+
+
 LONG = "N1000 G1 X99.5 Y88.25 Z70.5 A123.4567 B45.6789 C359.1234 F1500.5 S12000 M8 (finish pass of the upper pocket)"
 
 

@@ -189,6 +189,18 @@ def test_a_clock_that_went_back_is_told_not_recorded(where: Path, capsys: Any) -
     assert [e["number"] for e in document["result"]["entries"]] == [2]
 
 
+@pytest.mark.parametrize("verb", ["promote", "rollback"])
+def test_a_time_that_has_not_come_is_told(where: Path, capsys: Any, verb: str) -> None:
+    """2062 for 2026 stays on record for good: `log --at` would not show the table until then."""
+    for table, day in (("one.ect", "2026-01-01"), ("two.ect", "2026-01-02")):
+        words = ("promote", where / "reg", "7", where / table, "--why", "measured", "--time", day)
+        assert "remark" not in run(where, *words, capsys=capsys)[1]["result"]
+    table = [where / "one.ect"] if verb == "promote" else []
+    late = (verb, where / "reg", "7", *table, "--why", "worse", "--time", "2162-11-25")
+    code, document = run(where, *late, capsys=capsys)
+    assert code == 0 and "2162-11-25T00:00:00Z is later than this host's clock" in document["result"]["remark"]
+
+
 def test_a_changed_table_is_refused_as_such_where_there_is_nothing_to_go_back_to(where: Path, capsys: Any) -> None:
     for _ in range(2):
         words = ("promote", where / "reg", "7", where / "one.ect", "--why", "measured")

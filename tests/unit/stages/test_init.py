@@ -55,3 +55,17 @@ def test_a_sensor_that_cleaning_set_aside_is_named_with_the_reason(tmp_path: Pat
     assert main(["run", str(tmp_path / "work" / "pipeline.yaml"), "--out", str(tmp_path / "out")]) == 3
     said = capsys.readouterr().err
     assert "frame_t: cleaning set it aside: reads" in said and "kelvin" in said and "Did you mean" not in said
+
+
+def test_of_several_drifts_the_widest_is_modelled_and_the_others_are_named(tmp_path: Path) -> None:
+    """Before: the first column, X of 5 um, and nothing said that Z of 50 um was left."""
+    made = sample_recordings.gantry()
+    (name,) = made.names("error")
+    columns = {"small": made.manifest.columns[name].model_copy(update={"component": "E_X"}), **made.manifest.columns}
+    manifest = made.manifest.model_copy(update={"columns": columns})
+    frame = made.frame.assign(small=0.1 * made.frame[name])
+    recording_folder.write(tmp_path / "recording", Recording(manifest, frame))
+    init(tmp_path / "work", "spindle-drift", tmp_path / "recording")
+    component = made.manifest.columns[name].component
+    text = (tmp_path / "work" / "pipeline.yaml").read_text()
+    assert f"component: {component}  # recorded too: E_X\n" in text and f"drift, {component}\n" in text

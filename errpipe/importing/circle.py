@@ -1,0 +1,169 @@
+"""Readings of a ball bar over the angle of a circle (ISO 230-4) as a recording of protocol `ballbar_circle`.
+
+Radius and plane stand in lines above the table. An angle is a place on the circle: 0 on the first axis of the plane,
+90 deg on the second one. A run is one way round; its rows are in the order of motion, positions count from the centre.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from errpipe.errors import DataError
+from errpipe.importing import resolve, signs
+from errpipe.importing.layout import Layout, RawColumn
+from errpipe.importing.proposed import ImportOptions, Proposal
+from errpipe.importing.sheet import label, number
+from errpipe.importing.units_above import unit_above
+from errpipe.importing.words import kind_by_name, plain
+
+_NAMED = re.compile(
+    r"\bball ?bar\b|kreisform|\bqc ?[12]0\b|\bcircular(ity)? (test|deviation)|iso ?230-4|\bdouble ?ball\b"
+)
+_ANGLE = re.compile(r"^(rotation |position )?(angle|angolo|angulo|phi|theta|(dreh|polar|kreis)?winkel)\b|^角度")
+_READING = re.compile(r"\b(radius|radial\w*|d ?r|dev\w*|abw\w*|error|fehler|bar|scostamento|ecart)\b|偏差|半径")
+_CCW = re.compile(r"\bccw\b|counter ?-?clock|anti ?-?clock|gegen|\bg0?3\b|\blinks\b|antihor|antior|anti-hor|逆")
+_CW = re.compile(r"\bcw\b|clockwise|uhrzeiger|\bg0?2\b|\brechts\b|horaire|horari|orari|顺|時計")
+_FACT = r"\D{0,12}?[:=;, ]\s*([+-]?\d+(?:[.,]\d+)?)\s*(mm|inch|in)?\b"
+_RADIUS = re.compile(r"\b(?:radius|radio|raggio|rayon|bar length|stangenlaenge|nominal length|半径)\b" + _FACT)
+_FEED = re.compile(r"\b(?:feed(?: ?rate)?|vorschub|avance|avanzamento)\b" + _FACT)
+_PLANE = re.compile(
+    r"\b([xyz])[ /-]?([xyz])[ -]?(?:plane|ebene|plan\b|piano)|\b(?:plane|ebene|plan|piano)\W+([xyz])\W?([xyz])\b"
+)
+_G_PLANE = {"g17": "XY", "g18": "ZX", "g19": "YZ"}
+FEWEST = 12  # readings of a run, and half a turn: less is no circle
+WIDEST = 0.2  # of the radius: readings near it are lengths of the bar, not their deviations
+
+
+def proposal(layout: Layout, options: ImportOptions) -> Proposal | None:
+    """The recording of a ball bar's table; None where nothing names a ball bar beside a column of angles.
+
+    Raises DataError where radius or plane are not stated, or the order of the rows contradicts the way round.
+    """
+    texts = [plain(text) for text in [*layout.above, *(c.header for c in layout.columns)]]
+    angle = next((c for c in layout.columns if c.numeric and _ANGLE.search(plain(c.header))), None)
+    if angle is None or angle.unit not in (None, "deg", "rad") or not any(map(_NAMED.search, texts)):
+        return None
+    radius, first, second = _radius(texts), *_plane(texts)
+    runs = _runs(layout, angle)
+    if not runs:
+        return None
+    p = Proposal(notes=[*layout.notes], headers={c.header for c in layout.columns})
+    turn = np.concatenate([angles for _, angles, _ in runs])
+    values = np.concatenate([read for _, _, read in runs])
+    of, unit = _unit(layout, options, values)
+    values, unit, why = resolve.unit_of_readings(values, unit, "E_R", f"{of}: along the bar")
+    if unit == "mm" and np.all(np.abs(values - radius) < WIDEST * radius):
+        values, why = values - radius, f"{why}; the length of the bar less its radius {radius:g} mm"
+    labels = [name for name, angles, _ in runs for _ in angles]
+    p.put("run", labels, "plane and way round", role="run")
+    p.put(
+        first,
+        np.round(radius * np.cos(turn), 6),
+        "from the centre of the circle",
+        role="position",
+        axis=first,
+        unit="mm",
+    )
+    p.put(
+        second,
+        np.round(radius * np.sin(turn), 6),
+        "from the centre of the circle",
+        role="position",
+        axis=second,
+        unit="mm",
+    )
+    if (feed := _fact(_FEED, texts)) is not None:
+        p.put("feed", np.full(turn.size, feed), "from a line above the table", role="feed", unit="mm/min")
+    p.put("E_R", values, why, role="error", component="E_R", unit=unit, _headers=(of,))
+    signs.change(p, layout, options)
+    for entry in p.entries.values():
+        entry.pop("_headers", None)
+    p.facts["protocol"] = "ballbar_circle"
+    p.notes.append(
+        f"a ball bar: circle of radius {radius:g} mm in {first}{second}, angle 0 at +{first}, 90 deg at +{second}; "
+        f"where it lies is not read: write centre_{first}, centre_{second} into the constants of recording.yaml"
+    )
+    return p
+
+
+def _fact(pattern: re.Pattern[str], texts: list[str]) -> float | None:
+    """The number that a line states, in mm."""
+    match = next(filter(None, map(pattern.search, texts)), None)
+    value = number(match[1], comma="," in match[1]) if match else None
+    return value * 25.4 if value is not None and match and match[2] in ("inch", "in") else value
+
+
+def _radius(texts: list[str]) -> float:
+    radius = _fact(_RADIUS, texts)
+    if radius is None or radius <= 0:
+        raise DataError(
+            "a ball bar's table, and no line above it states the radius: write one, such as `Radius: 100 mm`"
+        )
+    return radius
+
+
+def _plane(texts: list[str]) -> tuple[str, str]:
+    """The axis at angle 0, and the one at 90 deg."""
+    named = next((_G_PLANE[g] for t in texts for g in re.findall(r"\bg1[789]\b", t)), None)
+    for match in filter(None, map(_PLANE.search, texts)):
+        named = "".join(filter(None, match.groups())).upper()
+    if named is None or named[0] == named[1]:
+        raise DataError("a ball bar's table, and no line above it states the plane: write one, such as `Plane: XY`")
+    return named[0], named[1]
+
+
+def _unit(layout: Layout, options: ImportOptions, values: np.ndarray) -> tuple[str, str | None]:
+    """The header of the first column of readings, and the unit of all."""
+    read = [c for c in layout.columns if _is_reading(c)]
+    units = {c.unit for c in read}
+    if len(units) > 1:
+        raise DataError(f"the readings have several units ({', '.join(sorted(map(str, units)))})")
+    written = units.pop() or unit_above(layout.above, values)
+    return read[0].header, resolve.stated_unit(options, written, read[0].header)
+
+
+def _is_reading(c: RawColumn) -> bool:
+    text = plain(c.header)
+    named = _way(text) or (_READING.search(text) and kind_by_name(c.header) not in ("feed", "run", "time"))
+    return c.numeric and bool(named) and not _ANGLE.search(text)
+
+
+def _way(text: str) -> str | None:
+    word = plain(text)
+    return "ccw" if _CCW.search(word) else "cw" if _CW.search(word) else None
+
+
+def _runs(layout: Layout, angle: RawColumn) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """Label, angles in rad in the order of motion, and readings of every run. Raises DataError for an unclear way."""
+    turn = angle.values * (1.0 if angle.unit == "rad" else np.pi / 180.0)
+    read = [c for c in layout.columns if _is_reading(c)]
+    name = "".join(_plane([plain(t) for t in [*layout.above, *(c.header for c in layout.columns)]]))
+    ways = next((c for c in layout.columns if not c.numeric and any(_way(label(x)) for x in c.cells)), None)
+    passes = next((c for c in layout.columns if kind_by_name(c.header) == "run" and c is not ways), None)
+    found: list[tuple[str, np.ndarray, np.ndarray]] = []
+    for number_, c in enumerate(read):
+        way = _way(c.header)
+        if len(read) > 1 and way is None:
+            raise DataError(f"column {c.header!r}: clockwise or counterclockwise? Write CW or CCW into its header")
+        of_rows = [_way(label(x)) for x in ways.cells] if ways is not None and way is None else [way] * turn.size
+        groups = [label(x) for x in passes.cells] if passes is not None else [""] * turn.size
+        for group in dict.fromkeys(zip(groups, of_rows, strict=True)):
+            rows = np.array([pair == group for pair in zip(groups, of_rows, strict=True)])
+            rows &= np.isfinite(turn) & np.isfinite(c.values)
+            angles, values = turn[rows], c.values[rows]
+            if rows.sum() < FEWEST or np.ptp(angles) < np.pi:
+                continue
+            rises = bool(np.sum(np.diff(np.unwrap(angles))) > 0)
+            stated = group[1] or ("ccw" if rises else "cw")
+            if rises == (stated == "cw"):
+                if way is None or len(read) == 1:
+                    raise DataError(
+                        f"rows that are {stated} have angles that {'rise' if rises else 'fall'}: write the rows in the "
+                        "order of motion, angles counterclockwise (both ways beside one angle may stay)"
+                    )
+                angles, values = angles[::-1], values[::-1]
+            text = " ".join(filter(None, (name, stated, group[0], str(number_ // 2 + 1) if len(read) > 2 else "")))
+            found.append((text, angles, values))
+    return found

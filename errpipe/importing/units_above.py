@@ -1,0 +1,59 @@
+"""Units that lines above a table state: of all its columns, or of its readings."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from errpipe.importing.sheet import Cell, filled_cells, label
+from errpipe.importing.units import split_header, unit_of, units_in
+from errpipe.importing.words import kind_by_name, plain
+
+DEEPEST = 12  # lines above the header in which a line of units is looked for
+LARGEST = {"mm": 5.0, "inch": 0.2}  # reading: no axis that is to be compensated is wrong by more
+UNITS_OF_READINGS = ("um", "mm", "inch", "0.001 inch", "nm", "urad", "arcsec")
+_UNITS = re.compile(r"(?:y_)?unit|einheit|unidad|unità|unité", re.IGNORECASE)
+
+
+def units_of_columns(rows: list[list[Cell]], end: int, names: list[str]) -> list[str | None]:
+    """The units of a line above the header that holds nothing else: `Units,mm,um`, or LabVIEW's `Y_Unit_Label`.
+
+    `Units: inch` is one of the positions; whether of the readings as well, their size says.
+    """
+    width = len(names)
+    for row in rows[max(end - DEEPEST, 0) : end]:
+        cells = [label(c) for c in row[1:]]
+        filled = [label(c) for c in filled_cells(row)]
+        if len(filled) == 1 and _UNITS.match(filled[0]):
+            cells = [word for word in re.split(r"[\s:=]+", filled[0])[1:] if word]
+        if not filled or not _UNITS.match(filled[0]) or not all(unit_of(c) for c in cells if c):
+            continue
+        units = [unit_of(c) if c else None for c in cells]
+        if [u for u in units if u] == ["inch"] and len([c for c in cells if c]) == 1:
+            places = ("command", "position", "actual")
+            return ["inch" if kind_by_name(n) in places and not split_header(n)[1] else None for n in names]
+        if label(row[0]).lower().startswith("y_"):
+            return ([None, *units] + [None] * width)[:width]
+        if len([u for u in units if u]) == width:
+            return [u for u in units if u]
+    return [None] * width
+
+
+def unit_above(lines: list[str], values: np.ndarray) -> str | None:
+    """The unit of the readings that the lines above the table name: of a line on readings, else of one on units.
+
+    A line on units may be of the positions: mm or inch only where no reading is larger than a deviation.
+    """
+    large = np.abs(values[np.isfinite(values)]).max(initial=0.0)
+    readings = r"(abweich|deviation|error|fehler|reading|ecart)"
+    clauses = [*lines, *(c for line in lines for c in re.split(r"[,;] |\b(?:and|und|et)\b", line) if c != line)]
+    for words in (readings, r"(unit|einheit)"):
+        for line in map(plain, clauses):
+            of_targets = re.search(rf"(target|position|soll|ziel|nominal|temp)(?!\w* ?{readings})", line)
+            if re.search(words, line) and not of_targets:
+                for unit in units_in(line)[::-1]:
+                    of_positions = words != readings and large > LARGEST.get(unit, np.inf)
+                    if (unit in UNITS_OF_READINGS or unit.startswith("0.")) and not of_positions:
+                        return unit
+    return None

@@ -1,0 +1,83 @@
+"""A ball bar's table over the angle, with radius and plane above it, is a recording of protocol `ballbar_circle`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from errpipe.domain.protocols import missing_readings, protocol_of
+from errpipe.errors import DataError
+from errpipe.validation import iso230_4
+from tests.unit.importing.known_test import imported, prepared
+
+HEAD = ("Ballbar test", "Radius;150;mm", "Plane;XY", "Feed;1200;mm/min")
+PLACES = np.radians(np.arange(0.0, 360.0, 5.0))
+
+
+def deviation(angle: np.ndarray, sense: int) -> np.ndarray:
+    """The bar in um: axes out of square by 20 urad, 3 um that turn with the way round, a radius 2 um too long."""
+    return np.round(1.5 * np.sin(2 * angle) + 3.0 * sense * np.cos(3 * angle) + 2.0, 2)
+
+
+def beside(headers: str, offset: float = 0.0, factor: float = 1.0) -> list[str]:
+    """Both ways in columns beside the angle; offset in the unit of the readings, factor: that unit per um."""
+    both = zip(np.degrees(PLACES), deviation(PLACES, 1), deviation(PLACES, -1), strict=True)
+    return [headers, *(f"{a:g};{offset + factor * up:.5f};{offset + factor * down:.5f}" for a, up, down in both)]
+
+
+def below(order: int) -> list[str]:
+    rows = [f"CCW;{np.degrees(a):g};{d}" for a, d in zip(PLACES, deviation(PLACES, 1), strict=True)]
+    back = [f"CW;{np.degrees(a):g};{d}" for a, d in zip(PLACES, deviation(PLACES, -1), strict=True)]
+    return ["Direction;Angle [deg];Deviation [um]", *rows, *back[::order]]
+
+
+def written(tmp_path: Path, lines: list[str], head: tuple[str, ...] = HEAD) -> Path:
+    (tmp_path / "f.csv").write_text("\n".join([*head, *lines]), "utf-8")
+    return tmp_path / "f.csv"
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        beside("Angle [deg];CCW [um];CW [um]"),
+        beside("Winkel [°];Radius gegen UZS [mm];Radius im Uhrzeigersinn [mm]", 150.0, 1e-3),
+        beside("Angle [deg];Correction G3 [um];Correction G2 [um]", factor=-1.0),
+        below(-1),
+    ],
+    ids=["beside", "lengths", "corrections", "below"],
+)
+def test_a_ball_bar(tmp_path: Path, lines: list[str]) -> None:
+    """It was asked to be written by hand."""
+    recording = imported(tmp_path, written(tmp_path, lines))
+    assert protocol_of(recording) == "ballbar_circle" and missing_readings(recording) is None
+    circles = iso230_4.circles(recording)
+    assert [(c.label, c.plane, c.sense) for c in circles] == [("XY ccw", ("X", "Y"), 1), ("XY cw", ("X", "Y"), -1)]
+    for c in circles:
+        assert c.radius == pytest.approx(150)
+        assert c.deviation == pytest.approx(deviation(c.angle, c.sense), abs=0.02)
+        assert c.speed == pytest.approx(20.0)
+
+
+def test_a_plane_begins_with_its_first_axis(tmp_path: Path) -> None:
+    head = ("Ballbar", "Radius: 100 mm", "G18")
+    recording = imported(tmp_path, written(tmp_path, beside("Angle [deg];CCW [um];CW [um]"), head))
+    first, last = recording.array("Z"), recording.array("X")
+    assert (first[0], last[0], recording.array("E_R")[0]) == (100.0, 0.0, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("lines", "head", "match"),
+    [
+        (beside("Angle [deg];CCW [um];CW [um]"), ("Ballbar", "Plane: XY"), "states the radius"),
+        (beside("Angle [deg];CCW [um];CW [um]"), ("Ballbar", "Radius: 100 mm"), "states the plane"),
+        (beside("Angle [deg];Dev 1 [um];Dev 2 [um]"), HEAD, "'Dev 1': clockwise or counterclockwise"),
+        (below(1), HEAD, "rows that are cw have angles that rise"),
+    ],
+)
+def test_what_a_ball_bar_does_not_state_is_asked(
+    tmp_path: Path, lines: list[str], head: tuple[str, ...], match: str
+) -> None:
+    with pytest.raises(DataError, match=match):
+        prepared([written(tmp_path, lines, head)])

@@ -1,0 +1,57 @@
+"""What belongs to the form of a term and is no departure: where an angle or a temperature is counted from."""
+
+import numpy as np
+import pytest
+
+from errpipe.drivers.evaluation import drive
+from errpipe.terms.angular_abbe import AngularAbbe
+from errpipe.terms.coolant_effect import CoolantEffect
+from tests.unit.diagnosis.machines import recording
+
+
+def wet(reference: float):
+    """A spindle nose that follows the coolant while it flows, counted from a temperature that nobody measures."""
+    t, rng = 60.0 * np.arange(600), np.random.default_rng(1)
+    flow = np.repeat(rng.integers(0, 2, 60), 10).astype(float)
+    coolant = 21.0 + 1.5 * np.sin(t / 9000)
+    kinds = {
+        "t": {"role": "time", "unit": "s"},
+        "flow": {"role": "coolant"},
+        "T_c": {"role": "temperature", "unit": "degC", "location": "coolant tank"},
+    }
+    made = recording({"t": t, "flow": flow, "T_c": coolant}, kinds)
+    return made, 3.0 * flow * (coolant - reference)
+
+
+@pytest.mark.parametrize("reference", [20.0, 23.5])
+def test_the_temperature_that_coolant_is_compared_with_need_not_be_known(reference):
+    made, hidden = wet(reference)
+    term = CoolantEffect(flow="flow", sensor="T_c", at_once=True)
+    b, *_ = np.linalg.lstsq(term.basis(made), hidden, rcond=None)
+    assert dict(zip((p.name for p in term.linear()), b, strict=True)) == pytest.approx(
+        {"gain": 3.0, "shift": 3.0 * (20.0 - reference)}, abs=1e-9
+    )
+
+
+def test_the_compiled_form_holds_both_parameters_of_coolant():
+    made, _ = wet(23.5)
+    term = CoolantEffect(flow="flow", sensor="T_c")
+    known = {"gain": 3.0, "shift": -10.5, "tau": 300.0}
+    compiled = sum(drive(pair.driver, made) for pair in term.lower(known))
+    np.testing.assert_allclose(compiled, term.value(made, known), rtol=1e-12, atol=1e-12)
+
+
+def test_an_angle_may_be_zero_at_one_end():
+    """Counted from there it holds a squareness, which is no second effect."""
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(0, 600, (2, 300))
+    kinds = {n: {"role": "position", "axis": n.upper(), "unit": "mm"} for n in "xy"}
+    made = recording({"x": x, "y": y}, kinds)
+    term = AngularAbbe(axis="X", lever="y", low=0.0, high=600.0)
+    base = term.basis(made)
+    hidden = 30.0 * (x / 600.0) * y * 1e-3
+    columns, freedoms = zip(*term.slack(made, base), strict=True)
+    strong = [c for c, f in zip(columns, freedoms, strict=True) if f >= 1.0]
+    design = np.column_stack([base, *strong])
+    left = hidden - design @ np.linalg.lstsq(design, hidden, rcond=None)[0]
+    assert np.std(left) < 1e-9 * np.std(hidden)
