@@ -295,8 +295,9 @@ def _coverage_gates(pipeline: Pipeline, folder: Path) -> list[Gate]:
     names = [stage.label for stage in pipeline.stages if "validation" in stage.gives]
     if not names:
         return [Gate("validation", False, "the pipeline has no validate stage, so its held-out figures are unknown")]
-    out = []
-    for component in jsonfile.read(folder / names[-1] / "validation.json")["components"]:
+    validation = jsonfile.read(folder / names[-1] / "validation.json")
+    out = [Gate("held-out runs", True, why) for why in validation.get("not_judged", ())]
+    for component in validation["components"]:
         covered = component["coverage90"]
         name = f"coverage of {component['component']}"
         if covered is None:
