@@ -60,9 +60,7 @@ def command(
     finally:
         reporter.clear()
     promoted = document["decision"] == "promote"
-    lines = [document["decision"], *(f"{g['name']}: {g['says']}" for g in document["gates"] if not g["passed"])]
-    for d in (d for d in document["drift"]["inputs"] if d["suspected"]):
-        lines.append(f"sensor {d['column']} {'drifts' if d['blamed'] else 'may drift'} since run {d['since']}")
+    lines = stage_module("retrain").in_words(document)
     lines.append(str(out / "retrain.md"))
     if annotations == "github":
         lines = [*stage_module("retrain").github_annotations(document), *lines]

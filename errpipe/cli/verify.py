@@ -11,7 +11,7 @@ from errpipe.cli.output import print_answer, stage_module
 
 
 def command(
-    folder: Path = typer.Argument(metavar="DIR", help="A folder that `export` wrote."),
+    folder: Path = typer.Argument(metavar="DIR", help="A folder that `export` wrote, or a table alone."),
     public_key: Path | None = typer.Option(
         None, "--public-key", metavar="FILE", help="The table must be signed by this key."
     ),
@@ -26,5 +26,5 @@ def command(
       errpipe verify out/axis/export
     """
     if public_key is not None:
-        stage_module("signing").verify_signature(folder / "table.ect", public_key)
+        stage_module("signing").verify_signature(folder if folder.is_file() else folder / "table.ect", public_key)
     print_answer("verify", stage_module("verify").verify(folder), as_json=json)

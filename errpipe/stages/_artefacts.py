@@ -137,10 +137,12 @@ def read_table(path: Path) -> CompensationTable:
 
 def model_or_table(path: Path) -> ErrorModel | CompensationTable:
     """Whichever of the two a file holds. Raises DataError for neither, VerifyError for a damaged one."""
+    from errpipe.tables import ect
+
     path = Path(path)
     if not path.is_file():
         raise DataError(f"{path}: there is no such file (an error model or a compensation table is needed)")
-    if path.suffix == ".ect":
+    if path.suffix == ".ect" or ect.sniff(path):
         return read_table(path)
     if path.suffix != ".json":
         raise DataError(f"{path}: an error model (.json) or a compensation table (.ect, .json) is needed")

@@ -34,6 +34,7 @@ def markdown(document: Mapping[str, Any]) -> str:
         "",
         f"Evidence for the challenger: e-value {document['e_value']:.3g}, {document['e_value_needed']:.3g} needed. "
         + ("Every gate holds." if promoted else "What failed is listed first."),
+        *([_fitted_since(document["fitted_since"])] if document["fitted_since"] else []),
         "",
         "| gate | holds | why |",
         "| --- | --- | --- |",
@@ -44,6 +45,10 @@ def markdown(document: Mapping[str, Any]) -> str:
     ]
     lines += ["", *_drift_lines(document["drift"])]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _fitted_since(run: str) -> str:
+    return f"Fitted on the runs since {plain_text(run)} alone: the machine changed there."
 
 
 def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
@@ -67,7 +72,26 @@ def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
             f"- {plain_text(d['component'])} is {d['factor']:.2g} of what the champion predicts since run "
             f"{plain_text(d['since'])}: {plain_text(d['meaning'] or 'the machine changed')}."
         )
+    lines += [f"- {plain_text(sentence)}" for sentence in _sentences(drift)]
     return lines
+
+
+def in_words(document: Mapping[str, Any]) -> list[str]:
+    """What a terminal shows: the decision, the gates that failed, sensors that may drift, what changed."""
+    lines = [document["decision"], *(f"{g['name']}: {g['says']}" for g in document["gates"] if not g["passed"])]
+    for d in (d for d in document["drift"]["inputs"] if d["suspected"]):
+        lines.append(f"sensor {d['column']} {'drifts' if d['blamed'] else 'may drift'} since run {d['since']}")
+    return [*lines, *_sentences(document["drift"])]
+
+
+def _sentences(drift: Mapping[str, Any]) -> list[str]:
+    """What changed, in the terms of the model, and runs that are odd by themselves: one sentence each."""
+    out = []
+    for change in drift["changes"]:
+        terms = "; ".join(t["says"] for t in change["terms"])
+        out.append(f"What changed of {change['component']} since run {change['since']}: {terms}.")
+    out += [f"Run {odd['run']}, {odd['what']}: {odd['says']}" for odd in drift["runs"]]
+    return out
 
 
 def junit(document: Mapping[str, Any]) -> str:

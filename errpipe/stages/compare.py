@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 VERSION = 1  # of the document's layout
 DIAGNOSIS = "diagnosis.json"
+SETTLED = 0.5  # of the largest difference: less than that once settled is worth a line
 MAX_LISTED = 12  # lines of one kind in a text; the JSON document has all
 
 
@@ -85,7 +86,7 @@ def kind_of(path: Path) -> str:
         raise DataError(f"{path}: there is no such file or folder")
     if path.name == "recording.yaml":
         return "recording"
-    if path.suffix == ".ect":
+    if path.suffix == ".ect" or ect.sniff(path):
         return "table"
     value = jsonfile.read(path) if path.suffix == ".json" else None
     if isinstance(value, dict):
@@ -116,7 +117,7 @@ def _settings(out: Comparison, old: CompensationTable, new: CompensationTable) -
         before, after = ({part.name: part.model_dump(mode="json") for part in parts} for parts in pair)
         _keys(out, what, before, after)
         for name in (n for n in before if n in after and before[n] != after[n]):
-            for key in (k for k in before[name] if before[name][k] != after[name][k]):
+            for key in (k for k in before[name] if _short(before[name][k]) != _short(after[name][k])):
                 out.says.append(f"{what} {name}: {key} {_short(before[name][key])} -> {_short(after[name][key])}")
     for key in ("machine", "title", "position_cycle_s", "thermal_cycle_s"):
         if getattr(old, key) != getattr(new, key):
@@ -180,6 +181,8 @@ def _fields(out: Comparison, old: Compensation, new: Compensation) -> None:
             continue
         place = ", ".join(f"{name} = {value:.5g}" for name, value in c.at.items())
         out.says.append(f"{c.component}: differs by at most {c.largest:.4g} {c.unit} ({c.rms:.4g} rms over validity)")
+        if c.settled < SETTLED * c.largest:
+            out.says.append(f"    by at most {c.settled:.4g} {c.unit} once settled: they follow a step at other rates")
         out.says.append(f"    most at {place}: {c.old:+.4g} -> {c.new:+.4g} {c.unit}")
         if c.goes_with and c.share > 0.1:
             means = [b[1] for b in c.by_bin]

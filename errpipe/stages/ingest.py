@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from errpipe.pipeline.stage import Context, InputPath, Need, Stage
 from errpipe.yamlfile import quantity
+
+if TYPE_CHECKING:
+    from errpipe.domain.recording import Recording
 
 
 class Ingest(Stage):
@@ -28,6 +31,8 @@ class Ingest(Stage):
         "deviations, which are then those of the machine itself.",
     )
     compensated_since: str | None = Field(None, description="First run recorded with that table; default: all were.")
+    since_run: str | None = Field(None, description="First run that is kept: what came before is another machine's.")
+    without_runs: tuple[str, ...] = Field((), description="Runs that are left out: measured wrongly.")
 
     takes: ClassVar[Mapping[str, Need]] = {"simulated": Need("raw_recording", optional=True)}
     gives: ClassVar[tuple[str, ...]] = ("recording", "ingestion")
@@ -42,24 +47,39 @@ class Ingest(Stage):
         if path is None:
             raise UsageError("ingest: no recording is named and no simulate stage stands before it")
         context.progress(0.1, "reading")
-        if self.compensated_by is not None:
-            return self._summary(context, *self._uncompensated(context, path))
+        if self.compensated_by is not None or self.since_run is not None or self.without_runs:
+            return self._summary(context, *self._whole(context, path))
         if manifest_folder.sniff(path) and self.format in (None, manifest_folder.name):
             rows = manifest_folder.to_parquet(path, context.folder)
         else:
             rows = manifest_folder.write(formats.read(path, self.format, self.options), context.folder)
         return self._summary(context, rows)
 
-    def _uncompensated(self, context: Context, path: Path) -> tuple[int, Mapping[str, Any]]:
-        """Write the recording as without the table that was on. Returns its rows, and what was added."""
+    def _whole(self, context: Context, path: Path) -> tuple[int, Mapping[str, Any] | None]:
+        """Write the runs that are kept, as without the table that was on. Returns the rows, and what was added."""
         from errpipe import formats
         from errpipe.formats import manifest_folder
         from errpipe.stages import _compensated
 
-        assert self.compensated_by is not None
-        recording = formats.read(path, self.format, self.options)
-        recording, said = _compensated.uncompensated(recording, self.compensated_by, self.compensated_since)
-        return manifest_folder.write(recording, context.folder), said
+        recording, said = formats.read(path, self.format, self.options), None
+        if self.compensated_by is not None:
+            recording, said = _compensated.uncompensated(recording, self.compensated_by, self.compensated_since)
+        return manifest_folder.write(self._kept(recording), context.folder), said
+
+    def _kept(self, recording: Recording) -> Recording:
+        """The runs that are asked for. Raises DataError where none is left; one left out may be gone."""
+        import numpy as np
+
+        from errpipe.errors import DataError, did_you_mean
+
+        labels = recording.run_labels()
+        if self.since_run is not None and self.since_run not in labels:
+            raise DataError(f"since_run: no run {self.since_run!r}.{did_you_mean(self.since_run, labels)}")
+        codes = range(0 if self.since_run is None else labels.index(self.since_run), len(labels))
+        kept = [c for c in codes if labels[c] not in self.without_runs]
+        if not kept:
+            raise DataError("without_runs: no run is left")
+        return recording.take(np.isin(recording.run_codes(), kept))
 
     def _summary(self, context: Context, rows: int, compensated: Mapping[str, Any] | None = None) -> Mapping[str, Any]:
         from errpipe.formats import manifest_folder

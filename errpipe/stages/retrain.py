@@ -4,32 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from errpipe import jsonfile
 from errpipe.errors import DataError, GateError, UsageError, VerifyError
 from errpipe.pipeline.step import NO_CALLBACKS, Callbacks
-from errpipe.stages import _artefacts
-from errpipe.stages._retrain_pages import github_annotations, write_pages
+from errpipe.stages import _artefacts, _retrain_drift
+from errpipe.stages._retrain_drift import predictions
+from errpipe.stages._retrain_pages import github_annotations, in_words, write_pages
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
     from errpipe.pipeline.spec import Pipeline
     from errpipe.validation.retraining import Gate, RunScore
 
-__all__ = ["github_annotations", "retrain"]
+__all__ = ["github_annotations", "in_words", "retrain"]
 
 VERSION = 1  # of the document's layout
+LEAST_SINCE = 5  # runs since a change of the machine, from which a challenger is fitted on these alone
 RUN = "run"  # folder of the challenger's pipeline run, below OUT
 DOCUMENT = "retrain.json"
-LEAST_SLOPE = (
-    1.0  # a run determines a sensor's error to 1 K at least, or does not count: its standard error is 1/sqrt(slope)
-)
 
 
 def retrain(
@@ -49,35 +46,67 @@ def retrain(
     `retrain.json`: decision, evidence, gates, runs, drift. Raises DataError where the champion's folder lacks its
     model or recording, VerifyError where they are damaged, UsageError where the challenger would be written over it.
     """
-    from errpipe.pipeline import runner
-
     if champion.resolve().is_relative_to((out / RUN).resolve()):
         raise UsageError(f"{champion}: the challenger is written there, and would replace it before it is judged")
 
     old_model, old_recording, fingerprint = _champion(pipeline, champion)
-    earlier = _earlier_scores(out / DOCUMENT, fingerprint)
-    refused = ""
-    try:
-        runner.run(pipeline, out / RUN, callbacks=callbacks or NO_CALLBACKS)
-    except GateError as err:
-        refused = str(err)
-    folder = out / RUN / _last_stage_with(pipeline, "recording")
-    recording = _artefacts.recording_in(folder)
+    earlier = _earlier_document(out / DOCUMENT)
+    kept_from, since = _since(earlier, fingerprint)
+    refused, since = _run(pipeline, out, since, callbacks or NO_CALLBACKS)
+    recording = _artefacts.recording_in(out / RUN / _last_stage_with(pipeline, "recording"))
     _same_machine(champion, old_model, old_recording, recording)
     document = _judged(
         pipeline,
         out,
         recording,
         (old_model, old_recording, fingerprint),
-        earlier,
+        _scores_of(earlier, out / DOCUMENT, fingerprint),
         refused,
         alpha=alpha,
         limits=(max_change_um, max_change_um_per_k),
         allowed=allowed_sensors,
     )
+    document |= {"kept_from": kept_from, "fitted_since": since}
     jsonfile.write(out / DOCUMENT, document)
     write_pages(document, out)
     return document
+
+
+def _since(earlier: Mapping[str, Any], champion: str) -> tuple[str | None, str | None]:
+    """The run that the champion's own fit began with, and the one that the challenger's should; None: the first.
+
+    Where an earlier look at this champion dated a change of the machine, the runs before it are another machine's. It
+    has to be an earlier look: runs that had a say in the date are then not those by which the challenger is judged.
+    """
+    if earlier.get("challenger") == champion:  # it was promoted
+        return earlier.get("fitted_since"), earlier.get("fitted_since")
+    if earlier.get("champion") != champion:
+        return None, None
+    changes = earlier.get("drift", {}).get("changes", [])
+    return earlier.get("kept_from"), changes[-1]["since"] if changes else earlier.get("kept_from")
+
+
+def _run(pipeline: Pipeline, out: Path, since: str | None, callbacks: Callbacks) -> tuple[str, str | None]:
+    """Run the pipeline on the runs since one, on all where these are too few. Returns what refused it; since when."""
+    from errpipe.pipeline import runner
+
+    if since is not None:
+        stages = tuple(
+            s.model_copy(update={"since_run": since}) if getattr(s, "since_run", since) is None else s
+            for s in pipeline.stages
+        )
+        try:
+            runner.run(replace(pipeline, stages=stages), out / RUN, callbacks=callbacks)
+            recording = _artefacts.recording_in(out / RUN / _last_stage_with(pipeline, "recording"))
+            if len(recording.run_labels()) >= LEAST_SINCE:
+                return "", since
+        except (DataError, GateError):
+            pass  # too few to fit, to judge, or to be better than nothing; or no longer kept
+    try:
+        runner.run(pipeline, out / RUN, callbacks=callbacks)
+    except GateError as err:
+        return str(err), None
+    return "", None
 
 
 def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limits, allowed) -> dict[str, Any]:
@@ -85,15 +114,21 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
 
     old_model, old_recording, fingerprint = champion
     known = frozenset(retraining.run_keys(old_recording))
-    prediction = _predictions(old_model, recording)
-    scores = list(earlier)
-    drift = _drift(old_model, old_recording, recording, known)
-    gates = [*_response_gates(drift), *_unit_gates(old_recording, recording, known)]
+    prediction = predictions(old_model, recording)
+    drift = _retrain_drift.drift(old_model, old_recording, recording, known)
+    wrong = {o["run"] for o in drift["runs"] if o["wrong"]} | _without_runs(pipeline)
+    scores = [s for s in earlier if s.run not in wrong]
+    gates = [
+        *_retrain_drift.response_gates(drift),
+        *_retrain_drift.odd_run_gates(drift),
+        *_retrain_drift.unit_gates(old_recording, recording, known),
+    ]
     if refused:
         gates.append(retraining.Gate("pipeline", False, refused))
     else:
         model_folder = out / RUN / _last_stage_with(pipeline, "error_model")
-        model = _artefacts.read_model(model_folder / _artefacts.MODEL)
+        path = model_folder / _artefacts.MODEL
+        model, challenger = _artefacts.read_model(path), jsonfile.fingerprint_bytes(path.read_bytes())
         lacking = [c.component for c in model.components if c.component not in prediction]
         if lacking:
             raise DataError(
@@ -103,17 +138,19 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         family = _artefacts.family_in(model_folder)
         already_scored = frozenset(s.key for s in scores)
         copied = frozenset([*retraining.run_contents(old_recording), *(s.content for s in scores)])
-        scores += retraining.score_new_runs(recording, family, prediction, known, already_scored, copied)
+        new = retraining.score_new_runs(recording, family, prediction, known, already_scored, copied)
+        scores += [s for s in new if s.run not in wrong]
         gates += _name_gate(retraining.reused_names(old_recording, recording), any_new=bool(scores))
         change = _change(old_model, model, recording)
         gates += _table_gates(change, limits)
-        gates += [_sensor_gate(old_model, model, allowed), _drift_gate(drift, model)]
+        gates += [_sensor_gate(old_model, model, allowed), _retrain_drift.drift_gate(drift, model)]
         gates += _coverage_gates(pipeline, out / RUN)
     decision = retraining.decide(scores, gates, alpha=alpha)
     return {
         "retrain": VERSION,
         "title": pipeline.title,
         "champion": fingerprint,
+        "challenger": "" if refused else challenger,
         "decision": "promote" if decision.promote else "keep the champion",
         "e_value": decision.e_value,
         "e_value_needed": decision.needed,
@@ -137,6 +174,11 @@ def _name_gate(names: list[str], any_new: bool) -> list[Any]:
     return [Gate("names of runs", any_new, says)]
 
 
+def _without_runs(pipeline: Pipeline) -> set[str]:
+    """Labels of the runs that the pipeline leaves out: scored or not, they are no evidence."""
+    return {label for stage in pipeline.stages for label in getattr(stage, "without_runs", ())}
+
+
 def _last_stage_with(pipeline: Pipeline, artefact: str) -> str:
     """Name of the last stage that gives an artefact of a type. Raises DataError where none does."""
     names = [stage.label for stage in pipeline.stages if artefact in stage.gives]
@@ -157,7 +199,7 @@ def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, 
             )
     pair, rows = _artefacts.read_model(model), _artefacts.recording_in(recording)
     try:
-        _predictions(pair, rows.take([0]))
+        predictions(pair, rows.take([0]))
     except DataError as why:
         raise DataError(
             f"{model}: {why} (a champion of another version? Run the pipeline into {folder} anew)"
@@ -179,17 +221,22 @@ def _same_machine(folder: Path, model: ErrorModel, old: Recording, new: Recordin
         )
 
 
-def _earlier_scores(path: Path, champion: str) -> list[RunScore]:
+def _earlier_document(path: Path) -> Mapping[str, Any]:
+    """The document of the look before; empty where there was none. Raises VerifyError where it is of another layout."""
+    if not path.is_file():
+        return {}
+    document = jsonfile.read(path)
+    if not isinstance(document, dict) or document.get("retrain") != VERSION:
+        raise VerifyError(f"{path}: not a document of retrain version {VERSION}")
+    return document
+
+
+def _scores_of(document: Mapping[str, Any], path: Path, champion: str) -> list[RunScore]:
     """Scores of earlier evaluations against the same champion; a new champion begins with none."""
     from pydantic import TypeAdapter, ValidationError
 
     from errpipe.validation.retraining import RunScore
 
-    if not path.is_file():
-        return []
-    document = jsonfile.read(path)
-    if not isinstance(document, dict) or document.get("retrain") != VERSION:
-        raise VerifyError(f"{path}: not a document of retrain version {VERSION}")
     if document.get("champion") != champion:
         return []
     try:
@@ -203,33 +250,11 @@ def _earlier_scores(path: Path, champion: str) -> list[RunScore]:
     return scores
 
 
-def _predictions(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
-    """Component -> the model's deviation on every row, um; last inputs are held over gaps, 0 where nothing is known."""
-    import numpy as np
-
-    from errpipe.domain.operations import LARGEST_NUMBER
-    from errpipe.domain.recording import Recording
-    from errpipe.fitting.components import evaluate
-
-    frame = recording.frame
-    gaps = [name for name in model.columns if name in frame.columns and frame[name].isna().any()]
-    if gaps:
-        frame = frame.assign(**frame[gaps].groupby(recording.run_codes()).ffill())
-    predicted = evaluate(model, Recording(recording.manifest, frame, recording.between))
-    known = {component: np.nan_to_num(values) for component, values in predicted.items()}
-    for component, values in known.items():
-        if np.abs(values).max(initial=0.0) > LARGEST_NUMBER:
-            raise VerifyError(
-                f"the champion's {component} predicts more than {LARGEST_NUMBER:g} um: its file was changed"
-            )
-    return known
-
-
 def _change(old: ErrorModel, new: ErrorModel, recording: Recording) -> dict[str, dict[str, float]]:
     """Component -> how far the two models differ over the recording's rows, um, and per kelvin of any one sensor."""
     import numpy as np
 
-    before, after = _predictions(old, recording), _predictions(new, recording)
+    before, after = predictions(old, recording), predictions(new, recording)
     out = {}
     for component in (c for c in after if c in before):
         difference = after[component] - before[component]
@@ -237,7 +262,7 @@ def _change(old: ErrorModel, new: ErrorModel, recording: Recording) -> dict[str,
         out[component]["largest_um_per_k"] = 0.0
     for name in recording.names("temperature"):
         warmer = recording.with_columns({name: recording.array(name) + 1.0}, {})
-        old_warm, new_warm = _predictions(old, warmer), _predictions(new, warmer)
+        old_warm, new_warm = predictions(old, warmer), predictions(new, warmer)
         for component, figures in out.items():
             slope = (new_warm[component] - after[component]) - (old_warm[component] - before[component])
             figures["largest_um_per_k"] = max(figures["largest_um_per_k"], float(np.max(np.abs(slope))))
@@ -264,52 +289,15 @@ def _sensor_gate(old: ErrorModel, new: ErrorModel, allowed: Sequence[str]) -> Ga
     return Gate("inputs", not added, says)
 
 
-def _drift_gate(drift: Mapping[str, Any], model: ErrorModel) -> Gate:
-    """No promotion of a challenger that reads a sensor which may drift: the drift was part of its training data."""
-    from errpipe.validation.input_drift import drifting_sensors
-    from errpipe.validation.retraining import Gate
-
-    faulty = [d["column"] for d in drift["inputs"] if d["suspected"]]
-    if not set(faulty) & set(model.columns):
-        return Gate("sensors", True, "no sensor of the challenger drifts")
-    return Gate("sensors", False, f"{drifting_sensors(faulty)}; repair or replace it first")
-
-
-def _response_gates(drift: Mapping[str, Any]) -> list[Gate]:
-    """No promotion of a challenger fitted on responses that are no deviations of the uncompensated machine."""
-    from errpipe.validation.retraining import Gate
-
-    return [
-        Gate(
-            f"readings of {d['component']}",
-            False,
-            f"since run {d['since']} they are {d['factor']:.2g} of what the champion predicts: {d['meaning']}",
-        )
-        for d in drift["sizes"]
-        if d["meaning"]
-    ]
-
-
-def _unit_gates(old: Recording, recording: Recording, known: frozenset[str]) -> list[Gate]:
-    """No promotion of a challenger whose new temperatures are in another unit: the controller's are not."""
-    from errpipe.validation.input_drift import other_unit
-    from errpipe.validation.retraining import Gate
-
-    both, reference = _with_new_runs(old, recording, known)
-    found = None if both is None else other_unit(both, reference)
-    if found is None:
-        return []
-    return [Gate("temperatures", False, f"since run {found[1]} all of them read as if in {found[0]}")]
-
-
 def _coverage_gates(pipeline: Pipeline, folder: Path) -> list[Gate]:
     from errpipe.validation.retraining import LEAST_COVERAGE, Gate
 
     names = [stage.label for stage in pipeline.stages if "validation" in stage.gives]
     if not names:
         return [Gate("validation", False, "the pipeline has no validate stage, so its held-out figures are unknown")]
-    out = []
-    for component in jsonfile.read(folder / names[-1] / "validation.json")["components"]:
+    validation = jsonfile.read(folder / names[-1] / "validation.json")
+    out = [Gate("held-out runs", True, why) for why in validation.get("not_judged", ())]
+    for component in validation["components"]:
         covered = component["coverage90"]
         name = f"coverage of {component['component']}"
         if covered is None:
@@ -318,77 +306,3 @@ def _coverage_gates(pipeline: Pipeline, folder: Path) -> list[Gate]:
             says = f"{covered:.2f} of held-out rows in the 90 % interval, {LEAST_COVERAGE:g} needed"
             out.append(Gate(name, covered >= LEAST_COVERAGE, says))
     return out
-
-
-def _drift(model: ErrorModel, old: Recording, recording: Recording, known: frozenset[str]) -> dict[str, Any]:
-    """Drift of inputs (which sensor), of the champion's residual and of the size of a response, each with since when.
-
-    The reference is what the champion was fitted on, also where those runs are no longer kept with the new ones.
-    """
-    from errpipe.validation import input_drift, response_drift
-
-    both, reference = _with_new_runs(old, recording, known)
-    if both is None:
-        return {"inputs": [], "residuals": [], "sizes": []}
-    prediction = _predictions(model, both)
-    apparent = _apparent_errors(model, both, prediction, reference)
-    residuals, sizes = response_drift.drifts(both, reference, prediction)
-    sensors = [asdict(d) for d in input_drift.sensor_drift(both, reference, apparent)]
-    read = [d["column"] for d in sensors if d["suspected"] and d["column"] in model.columns]
-    if read:  # what the champion predicts is wrong, not what was measured
-        sizes = [s | {"meaning": f"it predicts by {read[0]}, which drifts"} if s["meaning"] else s for s in sizes]
-    return {"inputs": sensors, "residuals": residuals, "sizes": sizes}
-
-
-def _apparent_errors(model: ErrorModel, recording: Recording, prediction, reference) -> dict[str, np.ndarray]:
-    """Column -> how far, per run, the sensor would be off if it alone explained what the champion leaves, K.
-
-    Least squares of the residual on the prediction's change per kelvin; columns that the champion does not read, or
-    whose constant offset it does not show, are left out.
-    """
-    import numpy as np
-
-    run = recording.run_codes()
-    measured = {c: recording.name("error", component=c) for c in prediction}
-    residual = {c: recording.array(name) - prediction[c] for c, name in measured.items() if name is not None}
-    out = {}
-    for column in (n for n in recording.names("temperature") if n in model.columns):
-        warmer = _predictions(model, recording.with_columns({column: recording.array(column) + 1.0}, {}))
-        above, below = np.zeros(len(recording)), np.zeros(len(recording))
-        for component, left in residual.items():
-            known, noise = np.isfinite(left), float(np.nanstd(left[reference]))
-            slope = np.where(known, warmer[component] - prediction[component], 0.0) / max(noise, 1e-9)
-            above, below = above - slope * np.where(known, left, 0.0) / max(noise, 1e-9), below + slope**2
-        by_run, weight = np.bincount(run, above), np.bincount(run, below)
-        if np.any(weight > LEAST_SLOPE):
-            out[column] = np.where(weight > LEAST_SLOPE, by_run / np.maximum(weight, LEAST_SLOPE), np.nan)
-    return out
-
-
-def _with_new_runs(old: Recording, recording: Recording, known: frozenset[str]) -> tuple[Recording | None, np.ndarray]:
-    """The champion's recording followed by the runs that it did not see, and which rows are the champion's."""
-    import numpy as np
-
-    from errpipe.validation import retraining
-
-    keys = retraining.run_keys(recording)
-    new = np.isin(recording.run_codes(), [c for c, key in enumerate(keys) if key not in known])
-    both = _joined(old, recording.take(new))
-    return both, np.arange(0 if both is None else len(both)) < len(old)
-
-
-def _joined(old: Recording, new: Recording) -> Recording | None:
-    """Two recordings as one, the runs of the second marked apart; None where they share no columns."""
-    import pandas as pd
-
-    from errpipe.domain.recording import Recording
-
-    run = old.name("run")
-    names = [n for n in old.frame.columns if n in new.frame.columns]
-    if run is None or run not in names or len(new) == 0:
-        return None
-    frame = pd.concat([old.frame[names], new.frame[names]], ignore_index=True)
-    label = [f"{label} (champion)" for label in old.frame[run]] + list(new.frame[run])
-    kept = {name: column for name, column in old.manifest.columns.items() if name in names}
-    manifest = old.manifest.model_copy(update={"columns": kept})
-    return Recording(manifest, frame.assign(**{run: label}))

@@ -28,8 +28,16 @@ SAME_UM = 5e-6  # of a loss: more than the last of the digits that `export.json`
 
 
 def verify(folder: Path) -> dict[str, Any]:
-    """Prove everything in an export folder. Raises VerifyError on the first thing that does not hold."""
+    """Prove everything in an export folder, or a table alone. Raises VerifyError on the first that does not hold."""
     folder = Path(folder)
+    if folder.is_file():
+        name = ect.fingerprint(_artefacts.read_table(folder))
+        says = (
+            f"{folder.name}: table {name}: checksum, layout and limits hold (its export folder would prove its model)"
+        )
+        return {"checks": 1, "says": [says]}
+    if (folder / "objects").is_dir() and (folder / "machines").is_dir():
+        raise VerifyError(f"{folder}: a registry, which `errpipe log {folder} --public-key KEY` verifies")
     if not folder.exists():
         raise DataError(f"{folder}: there is no such folder (what an export wrote is needed)")
     if not folder.is_dir():

@@ -24,12 +24,14 @@ DOCUMENTS = {
 
 def whatis(file: Path) -> dict[str, Any]:
     """Kind, identity and content of any file that errpipe reads or writes. Raises DataError for anything else."""
+    from errpipe.tables import ect
+
     file = Path(file)
     if file.is_dir() or file.name == "recording.yaml":
         return _recording(file)
     if not file.is_file():
         raise DataError(f"{file}: there is no such file")
-    if file.suffix == ".ect":
+    if file.suffix == ".ect" or ect.sniff(file):
         return _table(file)
     if file.suffix == ".json":
         return _json(file)

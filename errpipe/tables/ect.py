@@ -30,6 +30,12 @@ def write(table: t.CompensationTable, path: Path) -> bool:
     return jsonfile.write_bytes(path, dumps(table))
 
 
+def sniff(path: Path) -> bool:
+    """Whether a file begins as a table does, whatever it is called: one found on a stick may have any name."""
+    with Path(path).open("rb") as file:
+        return file.read(4) == lay.MAGIC[:4]
+
+
 def read(path: Path) -> t.CompensationTable:
     """Read a binary file. Raises VerifyError saying what is wrong with it."""
     data = files.read(Path(path), MAX_FILE_BYTES, VerifyError)

@@ -55,7 +55,8 @@ class States:
 
 @dataclass(frozen=True)
 class Change:
-    """How far one response differs, in its unit. at: readings where it differs most.
+    """How far one response differs, in its unit. at: readings where it differs most; settled: the largest difference
+    once nothing moves any more, as of two that follow a step at another rate.
 
     goes_with: the input that explains most of the difference, with its share of the variance; by_bin: that input's
     value, the difference's mean, least and largest in each part of its range.
@@ -71,6 +72,7 @@ class Change:
     goes_with: str
     share: float
     by_bin: tuple[tuple[float, float, float, float], ...]
+    settled: float = 0.0
 
 
 def of_model(model: ErrorModel) -> Compensation:
@@ -187,6 +189,7 @@ def _change(component: str, unit: str, states: States, old: np.ndarray, new: np.
     at["seconds after a step"] = float(states.time[worst])
     uniform = difference[judged < STATES // 2 * AFTER.size]
     rms = float(np.sqrt(np.mean(uniform**2))) if uniform.size else 0.0
+    last = np.abs(difference[judged % AFTER.size == AFTER.size - 1])
     return Change(
         component,
         unit,
@@ -198,6 +201,7 @@ def _change(component: str, unit: str, states: States, old: np.ndarray, new: np.
         name,
         share,
         bins,
+        float(last.max(initial=0.0)),
     )
 
 

@@ -18,7 +18,9 @@ WEAKEST_RUN = 0.25  # of the median rms of the prediction: a run that hardly mov
 NO_RESPONSE = 0.3  # of what is predicted: compensated machines leave less than a third, worn ones show more than that
 HALF = 0.5  # of a change of the mean: what the median of the same runs must show of it
 UNITS = {1000.0: "1000", 25.4: "25.4", 1.0 / 25.4: "1/25.4", 0.001: "1/1000"}  # um for mm, inch for mm and back
+QUIETER = 0.3  # of the noise before: readings of that much noise are in the unit of before, whatever their size
 UNIT_TOLERANCE = 0.2  # of such a factor
+SIGN_TOLERANCE = 0.3  # about -1: the same machine, turned round, is no larger or smaller than that (by judgement)
 
 
 def drifts(
@@ -40,20 +42,34 @@ def drifts(
         if moved := _moved(slopes, reference, run):
             since, before, after = moved
             factor = after / before if abs(before) > NO_RESPONSE else after
-            sizes.append({"component": component, "since": labels[since], "factor": factor, "meaning": meaning(factor)})
+            as_noisy = _noise(measured, prediction, run == max(slopes)) > QUIETER * _noise(
+                measured, prediction, reference
+            )
+            means = meaning(0.0 if as_noisy and abs(factor) < NO_RESPONSE else factor)
+            sizes.append({"component": component, "since": labels[since], "factor": factor, "meaning": means})
     return levels, sizes
 
 
 def meaning(factor: float) -> str:
     """What readings of another size probably are, where a fit would be wrong; empty where the machine changed."""
-    if factor < -NO_RESPONSE:
+    if abs(factor + 1.0) < SIGN_TOLERANCE:
         return "their sign is the other one"
+    if factor < -NO_RESPONSE:
+        return "they fall where it rises: of another machine, or measured elsewhere?"
     unit = next((text for size, text in UNITS.items() if abs(factor / size - 1.0) < UNIT_TOLERANCE), None)
     if unit is not None:
         return f"they are in another unit, {unit} of the one before"
     if abs(factor) < NO_RESPONSE:
         return "they were measured with compensation switched on (`compensated_by` of ingest takes such runs)"
     return ""
+
+
+def _noise(measured: np.ndarray, prediction: np.ndarray, rows: np.ndarray) -> float:
+    """rms about the straight line through the prediction: readings in a larger unit have less of it, too."""
+    known = rows & np.isfinite(measured) & np.isfinite(prediction)
+    design = np.column_stack([np.ones(known.sum()), prediction[known]])
+    solved = np.linalg.lstsq(design, measured[known])[0]
+    return float(np.sqrt(np.mean((measured[known] - design @ solved) ** 2)))
 
 
 def _of_runs(values: np.ndarray, run: np.ndarray) -> dict[int, float]:

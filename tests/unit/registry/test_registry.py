@@ -384,3 +384,20 @@ def test_minisign_and_errpipe_read_each_other(where: Path, key: minisign.SecretK
     assert "by errpipe" in program("-V", "-p", where / "m.pub", "-m", where / "two.ect")
     table.write_bytes(table.read_bytes() + b"x")
     assert program("-V", "-p", keys / "errpipe.pub", "-m", table).startswith("failed")
+
+
+def test_a_table_on_a_stick_under_another_name_is_known_by_its_content(where: Path, capsys: Any) -> None:
+    """`verify`, `whatis`, `log` and `compare` took the end of its name for what it is, or asked for a folder."""
+    found = where / "USB_0001.dat"
+    shutil.copy(where / "one.ect", found)
+    run(where, "promote", where / "reg", "7", where / "one.ect", "--why", "new", capsys=capsys)
+    assert main(["whatis", str(found)]) == 0 and "compensation table" in capsys.readouterr().out
+    assert main(["verify", str(found)]) == 0 and "checksum, layout and limits hold" in capsys.readouterr().out
+    assert main(["compare", str(where / "one.ect"), str(found), "--max-um", "0"]) == 0
+    assert run(where, "log", where / "reg", "--file", found, capsys=capsys)[0] == 0
+    assert run(where, "verify", found, capsys=capsys)[0] == 6  # unsigned
+    main(["sign", str(found), "--key", str(where / "keys/errpipe.key")])
+    assert run(where, "verify", found, capsys=capsys)[0] == 0
+    found.write_bytes(found.read_bytes()[:-9] + b"\x01" + found.read_bytes()[-8:])
+    assert main(["verify", str(found)]) == 6
+    assert main(["verify", str(where / "reg")]) == 6 and "errpipe log" in capsys.readouterr().err

@@ -56,6 +56,10 @@ def test_directions_and_time_constants_count_although_places_at_rest_agree(
         lag = d.Lag(of=d.Affine(offset=-20.0, weights=(1.0,), of=(d.Input(name="T"),)), tau_up=tau, tau_down=tau)
         return Lowered(lag, None, lambda x: np.full(np.shape(x), 2.0))
 
+    _, answer = asked(table(tmp_path / "s.ect", slow(60.0)), table(tmp_path / "f.ect", slow(600.0)), capsys=capsys)
+    assert answer["changes"][0]["settled"] < 0.1 * answer["largest_um"]
+    assert main(["compare", str(tmp_path / "s.ect"), str(tmp_path / "f.ect")]) == 0
+    assert "once settled" in capsys.readouterr().out
     _, answer = asked(table(tmp_path / "a.ect", gap(6.0)), table(tmp_path / "b.ect", gap(2.0)), capsys=capsys)
     assert answer["largest_um"] == pytest.approx(2.0, abs=0.01)
     _, answer = asked(table(tmp_path / "c.ect", slow(600.0)), table(tmp_path / "d.ect", slow(1200.0)), capsys=capsys)

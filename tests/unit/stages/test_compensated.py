@@ -61,3 +61,25 @@ def test_a_run_that_is_not_there_is_named(tmp_path: Path, capsys: pytest.Capture
     code, _ = ingested(tmp_path, {"on": 0.0 * PLACES}, since="later")
     assert code == 3
     assert "compensated_since: no run 'later' (there are on)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "options, kept",
+    [("since_run: b", ["b", "c"]), ("without_runs: [b, gone]", ["a", "c"]), ("since_run: b, without_runs: [c]", ["b"])],
+)
+def test_runs_before_one_or_by_name_are_left_out(tmp_path: Path, options: str, kept: list[str]) -> None:
+    rows = [(run, x, 1.0) for run in "abc" for x in PLACES]
+    (tmp_path / "recording").mkdir()
+    pd.DataFrame(rows, columns=["run", "x", "EXX"]).to_csv(tmp_path / "recording/recording.csv", index=False)
+    (tmp_path / "recording/recording.yaml").write_text(MANIFEST, encoding="utf-8")
+    text = PIPELINE.replace("compensated_by: table.ect%s", options)
+    (tmp_path / "p.yaml").write_text(text, encoding="utf-8")
+    assert main(["run", str(tmp_path / "p.yaml"), "--out", str(tmp_path / "out")]) == 0
+    assert manifest_folder.read(tmp_path / "out" / "ingest").run_labels() == tuple(kept)
+
+
+def test_a_first_run_that_is_not_there_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    test_runs_before_one_or_by_name_are_left_out(tmp_path, "since_run: b", ["b", "c"])
+    (tmp_path / "p.yaml").write_text(PIPELINE.replace("compensated_by: table.ect%s", "since_run: d"), encoding="utf-8")
+    assert main(["run", str(tmp_path / "p.yaml"), "--out", str(tmp_path / "out")]) == 3
+    assert "since_run: no run 'd'" in capsys.readouterr().err

@@ -14,11 +14,11 @@ RUN = np.repeat(np.arange(OLD + NEW), ROWS)
 REFERENCE = RUN < OLD
 
 
-def changed(factor: np.ndarray, offset: np.ndarray, seed: int = 1) -> tuple[list, list]:
+def changed(factor: np.ndarray, offset: np.ndarray, seed: int = 1, least_noise: float = 0.0) -> tuple[list, list]:
     """Drifts of 18 runs of which each is read by a factor and with an offset, um."""
     rng = np.random.default_rng(seed)
     prediction = 10.0 * np.sin(np.linspace(0.0, 40.0, RUN.size)) + rng.normal(0.0, 1.0, RUN.size)
-    noise = rng.normal(0.0, 0.5, RUN.size) * np.minimum(1.0, np.abs(factor[RUN]))
+    noise = rng.normal(0.0, 0.5, RUN.size) * np.clip(np.abs(factor[RUN]), least_noise, 1.0)
     measured = factor[RUN] * prediction + offset[RUN] + noise
     columns = {"run": Column(role="run"), "e": Column(role="error", component="E_Z", unit="um")}
     frame = pd.DataFrame({"run": RUN.astype(str), "e": measured})
@@ -40,6 +40,12 @@ def test_what_a_factor_means(factor: float, means: str) -> None:
     assert size["factor"] == pytest.approx(factor, rel=0.1)
     assert int(size["since"]) in range(OLD, OLD + 3)
     assert means in size["meaning"] and bool(size["meaning"]) == bool(means)
+
+
+def test_compensated_readings_of_1_in_25_are_not_taken_for_inches() -> None:
+    """A unit scales the noise too, a table does not."""
+    _, ((size,)) = changed(np.where(np.arange(OLD + NEW) < OLD, 1.0, 1 / 25.4), np.zeros(OLD + NEW), least_noise=1.0)
+    assert "switched on" in size["meaning"]
 
 
 def test_a_level_that_moved_is_no_size() -> None:

@@ -1,0 +1,215 @@
+"""What moved since the champion was fitted: sensors, its residual, single runs; and what of it stops a promotion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from errpipe.errors import VerifyError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.domain.recording import Recording
+    from errpipe.validation.retraining import Gate
+
+LEAST_SLOPE = (
+    1.0  # a run determines a sensor's error to 1 K at least, or does not count: its standard error is 1/sqrt(slope)
+)
+
+
+def predictions(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
+    """Component -> the model's deviation on every row, um; last inputs are held over gaps, 0 where nothing is known."""
+    import numpy as np
+
+    from errpipe.domain.operations import LARGEST_NUMBER
+    from errpipe.domain.recording import Recording
+    from errpipe.fitting.components import evaluate
+
+    frame = recording.frame
+    gaps = [name for name in model.columns if name in frame.columns and frame[name].isna().any()]
+    if gaps:
+        frame = frame.assign(**frame[gaps].groupby(recording.run_codes()).ffill())
+    predicted = evaluate(model, Recording(recording.manifest, frame, recording.between))
+    known = {component: np.nan_to_num(values) for component, values in predicted.items()}
+    for component, values in known.items():
+        if np.abs(values).max(initial=0.0) > LARGEST_NUMBER:
+            raise VerifyError(
+                f"the champion's {component} predicts more than {LARGEST_NUMBER:g} um: its file was changed"
+            )
+    return known
+
+
+def drift_gate(drift: Mapping[str, Any], model: ErrorModel) -> Gate:
+    """No promotion of a challenger that reads a sensor which may drift: the drift was part of its training data."""
+    from errpipe.validation.input_drift import drifting_sensors
+    from errpipe.validation.retraining import Gate
+
+    faulty = [d["column"] for d in drift["inputs"] if d["suspected"]]
+    if not set(faulty) & set(model.columns):
+        return Gate("sensors", True, "no sensor of the challenger drifts")
+    return Gate("sensors", False, f"{drifting_sensors(faulty)}; repair or replace it first")
+
+
+def response_gates(drift: Mapping[str, Any]) -> list[Gate]:
+    """No promotion of a challenger fitted on responses that are no deviations of the uncompensated machine."""
+    from errpipe.validation.retraining import Gate
+
+    return [
+        Gate(
+            f"readings of {d['component']}",
+            False,
+            f"since run {d['since']} they are {d['factor']:.2g} of what the champion predicts: {d['meaning']}",
+        )
+        for d in drift["sizes"]
+        if d["meaning"]
+    ]
+
+
+def odd_run_gates(drift: Mapping[str, Any]) -> list[Gate]:
+    """No promotion of a challenger fitted on single runs whose readings are known to be wrong."""
+    from errpipe.validation.retraining import Gate
+
+    runs: dict[tuple[str, str], list[str]] = {}
+    for odd in (o for o in drift["runs"] if o["wrong"]):
+        runs.setdefault((odd["what"], odd["says"]), []).append(odd["run"])
+    return [
+        Gate(
+            f"readings of {what}",
+            False,
+            f"in run {', '.join(labels)} {says}: put right, or left out (`without_runs` of ingest)",
+        )
+        for (what, says), labels in runs.items()
+    ]
+
+
+def unit_gates(old: Recording, recording: Recording, known: frozenset[str]) -> list[Gate]:
+    """No promotion of a challenger whose new temperatures are in another unit: the controller's are not."""
+    from errpipe.validation.input_drift import other_unit
+    from errpipe.validation.retraining import Gate
+
+    both, reference = _with_new_runs(old, recording, known)
+    found = None if both is None else other_unit(both, reference)
+    if found is None:
+        return []
+    return [Gate("temperatures", False, f"since run {found[1]} all of them read as if in {found[0]}")]
+
+
+def drift(model: ErrorModel, old: Recording, recording: Recording, known: frozenset[str]) -> dict[str, Any]:
+    """Drift of inputs (which sensor), of the champion's residual and of the size of a response, each with since when.
+
+    The reference is what the champion was fitted on, also where those runs are no longer kept with the new ones.
+    """
+    import numpy as np
+
+    from errpipe.validation import input_drift, response_drift
+
+    both, reference = _with_new_runs(old, recording, known)
+    if both is None:
+        return {"inputs": [], "residuals": [], "sizes": [], "changes": [], "runs": []}
+    odd, lone = _odd_runs(model, both, reference)
+    labels = np.asarray(both.run_labels())[both.run_codes()]
+    sound = ~np.isin(labels, lone)
+    both, reference = both.take(sound), reference[sound]
+    prediction = predictions(model, both)
+    apparent = _apparent_errors(model, both, prediction, reference)
+    residuals, sizes = response_drift.drifts(both, reference, prediction)
+    sensors = [asdict(d) for d in input_drift.sensor_drift(both, reference, apparent)]
+    read = [d["column"] for d in sensors if d["suspected"] and d["column"] in model.columns]
+    if read:  # what the champion predicts is wrong, not what was measured
+        sizes = [s | {"meaning": f"it predicts by {read[0]}, which drifts"} if s["meaning"] else s for s in sizes]
+    wrong = any(s["meaning"] for s in sizes)
+    changes = [] if read or wrong else _changes(model, both, reference, prediction, [*residuals, *sizes])
+    return {"inputs": sensors, "residuals": residuals, "sizes": sizes, "changes": changes, "runs": odd}
+
+
+def _odd_runs(model: ErrorModel, both: Recording, reference: np.ndarray) -> tuple[list[dict[str, Any]], list[str]]:
+    """New runs that are odd by themselves, and the labels of those that say nothing of what holds since.
+
+    Deviations that are odd up to the last run say what holds since: these stay, as do none whose sensors are wrong.
+    """
+    from errpipe.validation import odd_runs
+
+    sensors = odd_runs.odd_sensors(both, reference)
+    wrong = [o.run for o in sensors]
+    responses = odd_runs.odd_responses(both, reference, predictions(model, both), wrong)
+    last = both.run_labels()[-1]
+    lasting = {(o.what, o.says) for o in responses if o.run == last}
+    lone = [o for o in responses if (o.what, o.says) not in lasting]
+    return [asdict(o) for o in (*sensors, *lone)], [*wrong, *(o.run for o in lone)]
+
+
+def _changes(model, both, reference, prediction, moved) -> list[dict[str, Any]]:
+    """Which terms of the model moved, for every component whose residual did, since the first run of any sign of it."""
+    import numpy as np
+
+    from errpipe.validation.what_changed import what_changed
+
+    labels, run, out = both.run_labels(), both.run_codes(), []
+    for part in model.components:
+        first = [labels.index(m["since"]) for m in moved if m["component"] == part.component]
+        if not first:
+            continue
+        residual = both.array(str(both.name("error", component=part.component))) - prediction[part.component]
+        since = run >= max(first)  # the level and the size may be dated a run apart
+        noise = float(np.sqrt(np.nanmean(residual[reference] ** 2)))
+        terms = what_changed(model, part, both.take(since), residual[since], noise)
+        entry = {"component": part.component, "since": labels[max(first)], "unit": part.unit}
+        out.append({**entry, "terms": [asdict(t) for t in terms]})
+    return [e for e in out if e["terms"]]
+
+
+def _apparent_errors(model: ErrorModel, recording: Recording, prediction, reference) -> dict[str, np.ndarray]:
+    """Column -> how far, per run, the sensor would be off if it alone explained what the champion leaves, K.
+
+    Least squares of the residual on the prediction's change per kelvin; columns that the champion does not read, or
+    whose constant offset it does not show, are left out.
+    """
+    import numpy as np
+
+    run = recording.run_codes()
+    measured = {c: recording.name("error", component=c) for c in prediction}
+    residual = {c: recording.array(name) - prediction[c] for c, name in measured.items() if name is not None}
+    out = {}
+    for column in (n for n in recording.names("temperature") if n in model.columns):
+        warmer = predictions(model, recording.with_columns({column: recording.array(column) + 1.0}, {}))
+        above, below = np.zeros(len(recording)), np.zeros(len(recording))
+        for component, left in residual.items():
+            known, noise = np.isfinite(left), float(np.nanstd(left[reference]))
+            slope = np.where(known, warmer[component] - prediction[component], 0.0) / max(noise, 1e-9)
+            above, below = above - slope * np.where(known, left, 0.0) / max(noise, 1e-9), below + slope**2
+        by_run, weight = np.bincount(run, above), np.bincount(run, below)
+        if np.any(weight > LEAST_SLOPE):
+            out[column] = np.where(weight > LEAST_SLOPE, by_run / np.maximum(weight, LEAST_SLOPE), np.nan)
+    return out
+
+
+def _with_new_runs(old: Recording, recording: Recording, known: frozenset[str]) -> tuple[Recording | None, np.ndarray]:
+    """The champion's recording followed by the runs that it did not see, and which rows are the champion's."""
+    import numpy as np
+
+    from errpipe.validation import retraining
+
+    keys = retraining.run_keys(recording)
+    new = np.isin(recording.run_codes(), [c for c, key in enumerate(keys) if key not in known])
+    both = _joined(old, recording.take(new))
+    return both, np.arange(0 if both is None else len(both)) < len(old)
+
+
+def _joined(old: Recording, new: Recording) -> Recording | None:
+    """Two recordings as one, the runs of the second marked apart; None where they share no columns."""
+    import pandas as pd
+
+    from errpipe.domain.recording import Recording
+
+    run = old.name("run")
+    names = [n for n in old.frame.columns if n in new.frame.columns]
+    if run is None or run not in names or len(new) == 0:
+        return None
+    frame = pd.concat([old.frame[names], new.frame[names]], ignore_index=True)
+    label = [f"{label} (champion)" for label in old.frame[run]] + list(new.frame[run])
+    kept = {name: column for name, column in old.manifest.columns.items() if name in names}
+    manifest = old.manifest.model_copy(update={"columns": kept})
+    return Recording(manifest, frame.assign(**{run: label}))

@@ -1,0 +1,159 @@
+"""New runs that do not fit the machine and name their own cause: sensors exchanged, another unit, another sign.
+
+One such run is no drift: the runs after it are as before, and a test of what changed since then forgets it, while every
+later challenger is fitted on it. So each new run is looked at by itself, for as long as the recording holds it. A cause
+is named only where its opposite, done to the readings, leaves what the runs of the champion left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.validation.input_drift import FEWEST_RUNS, MIN_SD, SCALES
+from errpipe.validation.response_drift import UNITS, meaning
+
+ODD = 4.0  # root of an F ratio: by chance once in years of nights, and then without a cause
+SOUND = 3.0  # root of an F ratio of a sound run; and how much less of an odd one its cause, undone, leaves
+AS_BEFORE = 2.0  # times the rms that the champion leaves in its own runs, their largest: a run that fits it
+UNLIKE = 5.0  # times that: a run that does not
+LIKELY = 2.0  # times the largest prediction of the champion's runs: beyond it the prediction is in doubt
+LEAST_NOISE = 0.1  # of the usual rms: a compensated machine is measured with no less noise than before
+
+
+@dataclass(frozen=True)
+class OddRun:
+    """what: the columns or the component; says: how it reads. wrong: the readings are, not the machine."""
+
+    run: str
+    what: str
+    says: str
+    wrong: bool = True
+
+
+def odd_sensors(recording: Recording, reference: np.ndarray) -> list[OddRun]:
+    """New runs in which two temperatures read exchanged, or one in another unit.
+
+    reference: rows that fitted the champion, (rows,). Empty where there are too few sensors or reference runs to know.
+    """
+    names, run, labels = recording.names("temperature"), recording.run_codes(), recording.run_labels()
+    old = list(dict.fromkeys(run[reference].tolist()))
+    new = [c for c in dict.fromkeys(run.tolist()) if c not in set(old)]
+    if len(names) < 2 or len(old) < FEWEST_RUNS or not new:
+        return []
+    readings = np.column_stack([recording.array(n) for n in names])
+    good = np.isfinite(readings).all(axis=1)
+    means = {c: readings[good & (run == c)].mean(axis=0) for c in (*old, *new) if (good & (run == c)).any()}
+    old, new = [c for c in old if c in means], [c for c in new if c in means]
+    if len(old) < len(names) + FEWEST_RUNS:
+        return []
+    distance = _distance(np.array([means[c] for c in old]))
+    as_read = {c: distance(means[c]) for c in new}
+    causes: dict[int, tuple[str, str] | None] = {}
+    for code in [c for c in new if as_read[c] > ODD]:
+        tried = [(distance(mean), what, says) for what, says, mean in _put_right(means[code], names)]
+        left, *cause = min(tried)
+        causes[code] = (cause[0], cause[1]) if left < min(SOUND, as_read[code] / SOUND) else None
+    found = [(c, cause) for c, cause in causes.items() if cause is not None and _stands_alone(new, c, as_read, causes)]
+    return [OddRun(labels[c], *cause) for c, cause in found]
+
+
+def _distance(reference: np.ndarray) -> Callable[[np.ndarray], float]:
+    """Hotelling's distance of a run's mean temperatures, (sensors,), from those of reference runs, (runs, sensors).
+
+    As the root of an F ratio: about 1 for a run of their kind. Unlike a residual over its standard error it does not
+    shrink where readings lie far outside of the reference, as those of sensors that are wrongly taken for exchanged.
+    """
+    count, sensors = reference.shape
+    middle = reference.mean(axis=0)
+    spread = np.cov(reference, rowvar=False) + MIN_SD**2 * np.eye(sensors)
+    share = count * (count - sensors) / ((count**2 - 1) * sensors)
+
+    def distance(mean: np.ndarray) -> float:
+        gap = mean - middle
+        return float(np.sqrt(share * gap @ np.linalg.solve(spread, gap)))
+
+    return distance
+
+
+def _stands_alone(
+    new: Sequence[int], code: int, as_read: Mapping[int, float], causes: Mapping[int, tuple[str, str] | None]
+) -> bool:
+    """Whether all odd runs next to a run have its cause: a sensor that drifts looks like an exchange in passing."""
+    at = new.index(code)
+    for side in (new[at + 1 :], new[:at][::-1]):
+        for other in side:
+            if as_read[other] <= ODD:
+                break
+            if causes[other] != causes[code]:
+                return False
+    return True
+
+
+def _put_right(mean: np.ndarray, names: Sequence[str]) -> Iterator[tuple[str, str, np.ndarray]]:
+    """(columns, what is wrong with them, the means with that undone)."""
+    for a, b in combinations(range(len(names)), 2):
+        values = mean.copy()
+        values[[a, b]] = mean[[b, a]]
+        yield f"{names[a]} and {names[b]}", "read exchanged", values
+    for k, name in enumerate(names):
+        for scale, back in SCALES.items():
+            values = mean.copy()
+            values[k] = back(mean[k])
+            yield name, f"reads as if in {scale}", values
+
+
+def odd_responses(
+    recording: Recording, reference: np.ndarray, predictions: Mapping[str, np.ndarray], wrong: Sequence[str] = ()
+) -> list[OddRun]:
+    """New runs whose deviations are the champion's with another sign, in another unit or compensated, or unlike any.
+
+    Only where most new runs are what they were. wrong: labels of runs whose temperatures are wrong, and so what is
+    predicted by them. Unlike any, and no proof that it is wrong, is the only run, or the only few in a row, that the
+    champion leaves far more of than of all others.
+    """
+    run, labels, out = recording.run_codes(), recording.run_labels(), []
+    for component, prediction in predictions.items():
+        measured = recording.array(str(recording.name("error", component=component)))
+        known = np.isfinite(measured) & np.isfinite(prediction)
+        codes = [c for c in dict.fromkeys(run[known].tolist()) if labels[c] not in wrong]
+        of = {c: np.flatnonzero(known & (run == c)) for c in codes}
+        left = {c: _rms(measured[of[c]] - prediction[of[c]]) for c in codes}
+        old = [c for c in codes if reference[of[c][0]]]
+        new = [c for c in codes if c not in old]
+        usual = max((left[c] for c in old), default=0.0)
+        largest = LIKELY * max((_rms(prediction[of[c]]) for c in old), default=0.0)
+        unlike = [c for c in new if left[c] > UNLIKE * usual > 0.0 and _rms(prediction[of[c]]) < largest]
+        sound = [left[c] for c in new if c not in unlike]
+        if not sound or np.median(sound) > AS_BEFORE * usual:
+            continue  # the machine itself changed, or all new runs are odd: what holds since then says more of them
+        factors = {c: _factor(measured[of[c]], prediction[of[c]], usual) for c in unlike}
+        out += [OddRun(labels[c], component, meaning(f)) for c, f in factors.items() if f is not None]
+        alone = [c for c in unlike if factors[c] is None]
+        if alone and _few_in_a_row([new.index(c) for c in alone], len(new)) and max(sound) <= AS_BEFORE * usual:
+            says = (
+                f"um rms are left of it, at most {max(sound):.3g} um of other new runs: of another machine, or a fault"
+            )
+            out += [OddRun(labels[c], component, f"{left[c]:.3g} {says} in measuring?", False) for c in alone]
+    return out
+
+
+def _factor(measured: np.ndarray, predicted: np.ndarray, usual: float) -> float | None:
+    """The factor by which a run was read, where that leaves of it what is left of others; None where none does."""
+    for factor in (-1.0, *UNITS):
+        if _rms(measured - factor * predicted) <= AS_BEFORE * usual * abs(factor):
+            return factor
+    return 0.0 if LEAST_NOISE * usual < _rms(measured) <= AS_BEFORE * usual else None
+
+
+def _few_in_a_row(places: Sequence[int], count: int) -> bool:
+    """Whether places among `count` follow each other, with at least as many others after them."""
+    return places[-1] - places[0] == len(places) - 1 and count - 1 - places[-1] >= len(places)
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,101 @@
+"""Which terms of a model its residual asks to be changed: the machine's change in the model's own vocabulary."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedTerm
+from errpipe.domain.recording import Recording
+from errpipe.fitting.components import from_run_start, term_of
+
+MOST = 3  # terms that are named; a change of more of them is a change of everything
+LEAST_SHARE = 0.1  # of what is beyond the noise, that a further term has to take
+NEARLY = 0.9  # of what the best term takes: a term of fewer parameters that takes as much is named instead
+SIGNIFICANT = 4.0  # standard errors of the mean square of noise: less is no change of the mean square
+SHOWN = 2  # parameters of a term that are written out
+LARGEST_CONDITION = 1e8  # columns that are nearer to each other are not solved for together
+
+
+@dataclass(frozen=True)
+class TermChange:
+    """says: parameters before and after; size: rms of the change, um (urad); unexplained: no term of the model."""
+
+    term: str
+    says: str
+    size: float
+
+
+def what_changed(
+    model: ErrorModel, component: ComponentModel, recording: Recording, residual: np.ndarray, noise: float
+) -> list[TermChange]:
+    """The fewest terms whose linear parameters explain a residual, the largest first; last what no term explains.
+
+    residual: measured less predicted on the rows since the change, um (urad), (rows,), NaN where unknown; noise: its
+    rms before the change. Terms are added one by one, each fitted with those before it by least squares.
+    """
+    known = np.isfinite(residual)
+    bases = [_columns(model, component, fitted, recording) for fitted in component.terms]
+    for basis in bases:
+        known = known & np.isfinite(basis).all(axis=1)
+    if not known.any():
+        return []
+    r, bases = residual[known], [basis[known] for basis in bases]
+    begin = float(np.mean(r**2))
+    chosen: list[int] = []
+    beyond = left = begin - noise**2
+    if beyond < SIGNIFICANT * noise**2 * np.sqrt(2.0 / r.size):
+        return []
+    while left > LEAST_SHARE * beyond and len(chosen) < MOST:
+        trials = {k: left - (_left(bases, [*chosen, k], r) - noise**2) for k in range(len(bases)) if k not in chosen}
+        good = [k for k, taken in trials.items() if taken >= max(NEARLY * max(trials.values()), LEAST_SHARE * beyond)]
+        if not good:
+            break
+        chosen.append(min(good, key=lambda k: (bases[k].shape[1], -trials[k])))
+        left -= trials[chosen[-1]]
+    out = [
+        _named(component.terms[k], bases[k], steps) for k, steps in zip(chosen, _steps(bases, chosen, r), strict=True)
+    ]
+    if left > 0.5 * beyond:
+        out.append(TermChange("", "something that the model has no term for", float(np.sqrt(left))))
+    return sorted(out, key=lambda c: (not c.term, -c.size))
+
+
+def _columns(model: ErrorModel, component: ComponentModel, fitted: FittedTerm, recording: Recording) -> np.ndarray:
+    """Change of the deviation per unit of each linear parameter of a term, (rows, parameters)."""
+    term, values = term_of(fitted), fitted.values()
+    before = term.value(recording, values)
+    columns = []
+    for parameter in term.linear():
+        one_more = dict(values) | {parameter.name: values[parameter.name] + 1.0}
+        step = component.gain * (term.value(recording, one_more) - before)
+        columns.append(from_run_start(recording, step) if model.datum == "run_start" else step)
+    return np.column_stack(columns) if columns else np.zeros((len(recording), 0))
+
+
+def _steps(bases: Sequence[np.ndarray], chosen: Sequence[int], r: np.ndarray) -> list[np.ndarray]:
+    if not chosen:
+        return []
+    design = np.column_stack([bases[k] for k in chosen])
+    scale = np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-12)
+    solved = np.linalg.lstsq(design / scale, r, rcond=1.0 / LARGEST_CONDITION)[0] / scale
+    return list(np.split(solved, np.cumsum([bases[k].shape[1] for k in chosen])[:-1]))
+
+
+def _left(bases: Sequence[np.ndarray], chosen: Sequence[int], r: np.ndarray) -> float:
+    steps = _steps(bases, chosen, r)
+    return float(np.mean((r - sum(bases[k] @ s for k, s in zip(chosen, steps, strict=True))) ** 2))
+
+
+def _named(fitted: FittedTerm, basis: np.ndarray, steps: np.ndarray) -> TermChange:
+    name, size = fitted.term["term"], float(np.sqrt(np.mean((basis @ steps) ** 2)))
+    parameters = {p.name: p for p in fitted.parameters}
+    if len(steps) > SHOWN:
+        return TermChange(name, f"{name} by {size:.3g} um rms", size)
+    moved = []
+    for declared, step in zip(term_of(fitted).linear(), steps, strict=True):
+        p = parameters[declared.name]
+        moved.append(f"{p.name} {p.value:.3g} -> {p.value + step:.3g} {p.unit}")
+    return TermChange(name, f"{name}: {', '.join(moved)}", size)
