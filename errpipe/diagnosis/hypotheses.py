@@ -130,7 +130,8 @@ class Library:
 
     def best_of_each(self, name: str, gain: np.ndarray, most: int, taken: Iterable = ()) -> list[int]:
         """The best hypothesis of each effect or key (name), best first, without those of `taken`."""
-        seen, out = set(taken), []
+        seen = set(taken)
+        out: list[int] = []
         for i in np.argsort(-gain):
             if len(out) < most and (own := getattr(self.hypotheses[i], name)) not in seen:
                 seen.add(own)
