@@ -17,9 +17,8 @@ SHARE_OF_FIRST = 0.03  # a further finding must bring this share of the first on
 MOST_PRICE = 25.0  # but never more than this
 SHORTLIST = 10  # first findings tried
 BETTER = 6.0  # log Bayes factor beside the others from which an effect replaces another
-AS_LIKELY = 4.0  # log Bayes factor by which a simpler effect of the same inputs may lose (generators, seeds 12201 to
-# 14112), and
-TIED = 2.0  # one of other inputs, or of fewer inputs and as many parameters
+AS_LIKELY = 4.0  # log Bayes factor by which a simpler effect may lose (generators, seeds 12201 to 14112), and
+TIED = 2.0  # one of fewer inputs and as many parameters
 MAX_EXCHANGES = 4  # effects tried in the place of each finding
 FINALISTS, MAX_LOSS = 4, 25.0  # explanations judged jointly at the end, and their largest log evidence below the best
 
@@ -139,9 +138,9 @@ class Search:
         return [(e, own - g, i) for e, (g, i) in best.items()]
 
     def simplest(self, accepted: tuple[Accepted, ...]) -> tuple[Accepted, ...]:
-        """Findings with each exchanged for a simpler effect, one with fewer non-linear parameters, that is as likely.
+        """Findings with each exchanged for an effect of the same inputs that is simpler and as likely.
 
-        Linear coefficients are integrated over; non-linear parameters are the best of many and pay too little. Of as
+        Linear coefficients are integrated over; non-linear parameters are the best of many and pay nothing. Of as
         many parameters an effect of fewer inputs is simpler: a slope that no temperature moves is no expansion.
         """
         for k, f in enumerate(accepted):
@@ -149,9 +148,9 @@ class Search:
             for effect, lost, i in self.rivals(accepted, k):
                 other = self.library.hypotheses[i]
                 inside, fewer = set(other.drivers) <= set(h.drivers), len(h.nonlinear[0]) - len(other.nonlinear[0])
-                simpler = fewer > 0 or (inside and fewer == 0 and len(other.drivers) < len(h.drivers))
-                within = AS_LIKELY if inside and fewer > 0 else TIED
-                if effect not in taken and lost < within and other.mask == h.mask and simpler:
+                within = AS_LIKELY if fewer > 0 else TIED
+                simpler = fewer > 0 or (fewer == 0 and len(other.drivers) < len(h.drivers))
+                if effect not in taken and lost < within and other.mask == h.mask and inside and simpler:
                     chosen = [(g.index, g.size) for g in accepted]
                     return self.accepted(self.tune([*chosen[:k], (i, f.size), *chosen[k + 1 :]]))
         return accepted
