@@ -30,7 +30,7 @@ SAME_UM = 5e-6  # of a loss: more than the last of the digits that `export.json`
 def verify(folder: Path) -> dict[str, Any]:
     """Prove everything in an export folder, or a table alone. Raises VerifyError on the first that does not hold."""
     folder = Path(folder)
-    if folder.is_file():
+    if folder.is_file() and (folder.suffix in (".ect", ".json") or ect.sniff(folder)):
         name = ect.fingerprint(_artefacts.read_table(folder))
         says = (
             f"{folder.name}: table {name}: checksum, layout and limits hold (its export folder would prove its model)"
@@ -41,7 +41,7 @@ def verify(folder: Path) -> dict[str, Any]:
     if not folder.exists():
         raise DataError(f"{folder}: there is no such folder (what an export wrote is needed)")
     if not folder.is_dir():
-        raise DataError(f"{folder}: is a file (the folder that an export wrote is needed: {folder.parent})")
+        raise DataError(f"{folder}: is no table (one, or the folder that an export wrote is needed: {folder.parent})")
     if not (folder / "export.json").is_file():
         raise VerifyError(f"{folder}: holds no export.json, so nothing here was exported by errpipe")
     document = _listed(folder / "export.json", jsonfile.read(folder / "export.json"))

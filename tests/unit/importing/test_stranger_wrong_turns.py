@@ -33,7 +33,7 @@ def test_a_file_in_place_of_the_folder_is_named(tmp_path: Path, capsys: pytest.C
     code, text = said(capsys, "import", file, "--out", file, "--yes")
     assert code == 2 and "is a file (a folder for the recording is needed)" in text and file.read_bytes() == before
     code, text = said(capsys, "verify", file)
-    assert code == 3 and f"(the folder that an export wrote is needed: {tmp_path})" in text
+    assert code == 3 and f"is no table (one, or the folder that an export wrote is needed: {tmp_path})" in text
 
 
 def test_the_folder_of_a_pipeline_is_checked_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
