@@ -130,8 +130,7 @@ class Library:
 
     def best_of_each(self, name: str, gain: np.ndarray, most: int, taken: Iterable = ()) -> list[int]:
         """The best hypothesis of each effect or key (name), best first, without those of `taken`."""
-        seen = set(taken)
-        out: list[int] = []
+        seen, out = set(taken), []
         for i in np.argsort(-gain):
             if len(out) < most and (own := getattr(self.hypotheses[i], name)) not in seen:
                 seen.add(own)
