@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,6 +65,7 @@ class Decomposition:
     rest: np.ndarray
     worth: float
     plain: bool = False
+
 
 
 def decompose(
@@ -191,10 +191,11 @@ class Work:
 
     def without(self, effect: str) -> list[Decomposition]:
         """The likeliest sets of parts in which an effect has no part."""
-        other = copy(self)
-        other._promising = {}
-        other.prior = np.where([h.effect == effect for h in self.library.hypotheses], NEVER, self.prior)
-        return other.run()
+        prior, self.prior = self.prior, np.where([h.effect == effect for h in self.library.hypotheses], NEVER, self.prior)
+        self._promising = {}
+        made = self.run()
+        self.prior, self._promising = prior, {}
+        return made
 
     def _different(self, beam: list[tuple[float, Chosen]]) -> list[tuple[float, Chosen]]:
         """The best state of each set of effects, those not far behind the best."""
@@ -251,8 +252,16 @@ class Work:
     def _listed(self, others: Chosen) -> Chosen:
         gain, size, core = self._scene(others).scores(self.library.listed, rows=self.count)
         gain = gain - textbook_penalty(core) + self.prior
-        effects = [self.library.hypotheses[i].effect for i, _ in others]
-        return [(k, float(size[k])) for k in self.library.best_of_each("effect", gain, MOST_MOVES, effects)]
+        effects = {self.library.hypotheses[i].effect for i, _ in others}
+        out: Chosen = []
+        for k in np.argsort(-gain):
+            effect = self.library.hypotheses[k].effect
+            if effect not in effects:
+                effects.add(effect)
+                out.append((int(k), float(size[k])))
+            if len(out) == MOST_MOVES:
+                break
+        return out
 
     def _active(self, chosen: Chosen) -> Active:
         index = [np.array([self.library.datum]), *(self.library.places[i] for i, _ in chosen)]

@@ -128,15 +128,6 @@ class Library:
         """The hypotheses that differ from it in non-linear parameters only."""
         return self._families[self.hypotheses[i].key]
 
-    def best_of_each(self, name: str, gain: np.ndarray, most: int, taken: Iterable = ()) -> list[int]:
-        """The best hypothesis of each effect or key (name), best first, without those of `taken`."""
-        seen, out = set(taken), []
-        for i in np.argsort(-gain):
-            if len(out) < most and (own := getattr(self.hypotheses[i], name)) not in seen:
-                seen.add(own)
-                out.append(int(i))
-        return out
-
 
 def build(
     recording: Recording,

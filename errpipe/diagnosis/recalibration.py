@@ -30,7 +30,7 @@ TRUST = 0.3  # weight of the decomposition's evidence: its residual is misfit, n
 EXACT_SD = 0.03  # prior standard deviation of such gains, relative to the usual
 
 
-def worth(search: Search, explanation: Explanation, rows: np.ndarray) -> tuple[float, np.ndarray]:
+def _worth(search: Search, explanation: Explanation, rows: np.ndarray) -> tuple[float, np.ndarray]:
     """Log evidence less what findings and gains beyond the limits cost, and which gains are beyond them."""
     chosen = [(f.index, f.size) for f in explanation.accepted]
     gain_penalty, beyond = gains.excess(search.scene(chosen), rows, search.rows)
@@ -80,9 +80,9 @@ def likeliest(
         nuisance, kinds, columns, sizes = recalibration(simulated, d, library)
         search, e = settled(library, data, nuisance, log_prior(library, d), noise)
         held, rows = gains.totals(kinds, sizes)
-        own, beyond = worth(search, e, rows)
+        worth, beyond = _worth(search, e, rows)
         off = [n.effect for n, far in zip(held, beyond, strict=False) if far]  # without parts there is one row
-        return TRUST * d.worth + own, (d, (nuisance, kinds, columns, sizes)), e.accepted, off
+        return TRUST * d.worth + worth, (d, (nuisance, kinds, columns, sizes)), e.accepted, off
 
     if work is None and len(alternatives) == 1:
         return alternatives[0], recalibration(simulated, alternatives[0], library)

@@ -75,7 +75,7 @@ class Search:
         if not alone.size or alone.max() < self.threshold:
             return Explanation((), alone)
         tried: dict[tuple, tuple[float, list[tuple[int, float]]]] = {}
-        firsts = [k for k in self.library.best_of_each("key", alone, starts) if alone[k] >= 0.3 * alone.max() - 5]
+        firsts = [k for k in self.best_of_each_key(alone, starts) if alone[k] >= 0.3 * alone.max() - 5]
         self.data.table.know(np.concatenate([self.library.places[k] for k in firsts]))
         for first in firsts:
             chosen, total = self._forward([(first, float(scored.size[first]))], alone[first])
@@ -117,8 +117,15 @@ class Search:
         """The best hypotheses beside the others, each effect once, but the one given up."""
         scored = self.score(others)
         gain = scored.gain + self.prior
-        taken = [self.library.hypotheses[i].effect for i in (given_up, *(i for i, _ in others))]
-        return [(i, float(scored.size[i])) for i in self.library.best_of_each("effect", gain, MAX_EXCHANGES, taken)]
+        effects = {self.library.hypotheses[i].effect for i, _ in others} | {self.library.hypotheses[given_up].effect}
+        out: list[tuple[int, float]] = []
+        for i in np.argsort(-gain):
+            if self.library.hypotheses[i].effect not in effects:
+                effects.add(self.library.hypotheses[i].effect)
+                out.append((int(i), float(scored.size[i])))
+            if len(out) == MAX_EXCHANGES:
+                break
+        return out
 
     def accepted(self, chosen: list[tuple[int, float]]) -> tuple[Accepted, ...]:
         """Findings of a set of hypotheses, strongest first."""
@@ -132,8 +139,11 @@ class Search:
         """Other effects in the place of finding k: (effect, log Bayes factor by which it loses, hypothesis)."""
         others = [(f.index, f.size) for j, f in enumerate(accepted) if j != k]
         gain = self.score(others).gain + self.prior
-        firsts = self.library.best_of_each("effect", gain, gain.size)
-        best = {self.library.hypotheses[i].effect: (float(gain[i]), i) for i in firsts}
+        best: dict[str, tuple[float, int]] = {}
+        for i in np.argsort(-gain):
+            effect = self.library.hypotheses[i].effect
+            if effect not in best:
+                best[effect] = (float(gain[i]), int(i))
         own = max(best.pop(accepted[k].hypothesis.effect)[0], accepted[k].gain)
         return [(e, own - g, i) for e, (g, i) in best.items()]
 
@@ -205,6 +215,18 @@ class Search:
             gain[known] = scene.exactly(at, unit, self.library.gain_sd[which[known]] * unit, self.rows)
             size[known] = unit / self.sigma
         return Scores(gain, size)
+
+    def best_of_each_key(self, gain: np.ndarray, most: int) -> list[int]:
+        """The best point of each key, best first."""
+        out, keys = [], set()
+        for i in np.argsort(-gain):
+            key = self.library.hypotheses[i].key
+            if key not in keys:
+                keys.add(key)
+                out.append(int(i))
+            if len(out) == most:
+                break
+        return out
 
     def _forward(self, chosen, total):
         chosen = list(chosen)

@@ -7,11 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from errpipe.diagnosis import decompose, gains, holdout, hypotheses, judge, plausible, prepare, recalibration, unnamed
-from errpipe.diagnosis.evidence import Data
+from errpipe.diagnosis import decompose, holdout, hypotheses, judge, plausible, prepare, unnamed
 from errpipe.diagnosis.holdout import HeldOut
 from errpipe.diagnosis.prepare import condition
-from errpipe.diagnosis.search import MISSING, settled
 from errpipe.terms import NEVER
 
 from .machines import axis, spindle
@@ -21,39 +19,16 @@ def test_an_effect_takes_the_place_of_the_part_that_stands_in_for_it():
     case = condition(spindle())
     rows = np.arange(len(case))
     library = hypotheses.build(case, "E_Z", rows)
-    (first, *_), work = decompose.decompose(3.0 * (case.array("T_bed") - 20.0), library, case, rows, 0.3)
+    (first, *_), holding = decompose.decompose(3.0 * (case.array("T_bed") - 20.0), library, case, rows, 0.3)
     drift = next(i for i, h in enumerate(library.hypotheses) if h.drivers == ("T_bed",) and not h.nonlinear[0])
     growth = next(i for i, h in enumerate(library.hypotheses) if h.drivers == ("rpm",))
     assert library.hypotheses[drift].effect in [p.hypothesis.effect for p in first.parts]
-    again = work.holding(first, drift)
+    again = holding(first, drift)
     assert again[0].leftover < 0.01 and library.hypotheses[drift].effect in [
         p.hypothesis.effect for p in again[0].parts
     ]
-    assert work.holding(first, growth) == []
-    others = {p.hypothesis.effect for d in work.without(library.hypotheses[drift].effect) for p in d.parts}
-    assert others and library.hypotheses[drift].effect not in others
+    assert holding(first, growth) == []
     assert decompose.decompose(np.zeros(rows.size), library, case, rows, 0.3)[1] is None
-
-
-@pytest.mark.parametrize(("off", "asked"), [(0.1, []), (0.4, ["thermal_drift"])])
-def test_a_gain_beyond_the_limits_asks_for_what_holds_no_such_effect_and_costs_as_much_as_a_finding(off, asked):
-    """A missing effect may be taken for a part of the simulation whose gain is off."""
-    case = condition(spindle())
-    rows, noise = np.arange(len(case)), np.random.default_rng(0).normal(0.0, 0.1, len(case))
-    library = hypotheses.build(case, "E_Z", rows)
-    signal = 3.0 * (case.array("T_bed") - 20.0)
-    (first, *_), work = decompose.decompose(signal, library, case, rows, 0.3)
-    data, done = Data(library.table, off * (signal - signal.mean()) + noise), []
-    work.without = lambda effect: done.append(effect) or []
-    _, (nuisance, kinds, _, sizes) = recalibration.likeliest([first], work, signal, library, data, 0.1)
-    assert done == asked
-    never = np.full(len(library.hypotheses), NEVER)
-    search, nothing = settled(library, data, nuisance, never, 0.1)
-    held = gains.totals(kinds, sizes)[1]
-    worth, beyond = recalibration.worth(search, nothing, held)
-    penalty = min(gains.excess(search.scene([]), held, search.rows)[0], recalibration.MAX_GAIN_PENALTY)
-    assert beyond.sum() == len(asked)
-    assert search.evidence([]) - penalty - worth == pytest.approx(MISSING * len(asked))
 
 
 def largest_part(case, component: str, signal: np.ndarray) -> tuple[str, list[float]]:
