@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,6 @@ import numpy as np
 from errpipe.diagnosis.evidence import SIZES, Active, Data, Scene, textbook_penalty, textbook_share
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 from errpipe.domain.recording import Recording
-from errpipe.terms import NEVER
 
 MOST_PARTS = 5  # effects that a simulation is taken to consist of; more are not told apart by one response
 BEAM = 6  # beam width: states kept at each step
@@ -67,20 +67,22 @@ class Decomposition:
     plain: bool = False
 
 
+Held = Callable[[Decomposition, int], list[Decomposition]]
+
 
 def decompose(
     simulated: np.ndarray, library: Library, recording: Recording, rows: np.ndarray, noise: float
-) -> tuple[list[Decomposition], Work | None]:
+) -> tuple[list[Decomposition], Held | None]:
     """Parts added, exchanged and dropped while the evidence grows; the likeliest sets of effects, best first.
 
-    noise: rms of the measuring noise, below which the decomposition stops. Beside them: how to ask for the likeliest
-    ones with or without a certain effect, None where the signal holds no physics.
+    noise: rms of the measuring noise, below which the decomposition stops. Beside them: how to ask whether the signal
+    may hold a certain effect, None where it holds no physics.
     """
     run = library.table.run
     if _one_level_per_run(simulated, run):
         return [Decomposition((), 1.0, simulated - simulated.mean(), 0.0)], None
-    work = Work(simulated, library, recording, rows, noise)
-    return work.run(), work if not work.constant else None
+    work = _Work(simulated, library, recording, rows, noise)
+    return work.run(), work.holding if not work.constant else None
 
 
 def _one_level_per_run(simulated: np.ndarray, run: np.ndarray) -> bool:
@@ -136,9 +138,7 @@ def _gains(columns: list[np.ndarray], values: np.ndarray) -> tuple[np.ndarray, f
     return gains, float(np.std(target - centred @ gains))
 
 
-class Work:
-    """The decomposition of one signal."""
-
+class _Work:
     def __init__(self, simulated: np.ndarray, library: Library, recording: Recording, rows: np.ndarray, noise: float):
         self.y, self.library = simulated - simulated.mean(), library
         self.recording, self.rows = recording, rows
@@ -152,7 +152,6 @@ class Work:
         self.freedom = [library.freedoms[k] for k in range(len(library.hypotheses))]
 
     def run(self) -> list[Decomposition]:
-        """The likeliest sets of parts, best first."""
         if self.constant or not self.library.hypotheses:
             return [Decomposition((), 0.0, np.zeros_like(self.y), 0.0)]
         self.data = Data(self.library.table, self.y)
@@ -188,14 +187,6 @@ class Work:
         least = LEAST_PART * self.spread
         holds = lambda p: p.index in own and np.std(p.core) > least and p.certainty > EARNED  # noqa: E731
         return [f for f in matches if f.leftover < NO_SUM and any(map(holds, f.parts))]
-
-    def without(self, effect: str) -> list[Decomposition]:
-        """The likeliest sets of parts in which an effect has no part."""
-        prior, self.prior = self.prior, np.where([h.effect == effect for h in self.library.hypotheses], NEVER, self.prior)
-        self._promising = {}
-        made = self.run()
-        self.prior, self._promising = prior, {}
-        return made
 
     def _different(self, beam: list[tuple[float, Chosen]]) -> list[tuple[float, Chosen]]:
         """The best state of each set of effects, those not far behind the best."""

@@ -30,12 +30,11 @@ TRUST = 0.3  # weight of the decomposition's evidence: its residual is misfit, n
 EXACT_SD = 0.03  # prior standard deviation of such gains, relative to the usual
 
 
-def _worth(search: Search, explanation: Explanation, rows: np.ndarray) -> tuple[float, np.ndarray]:
-    """Log evidence less what findings and gains beyond the limits cost, and which gains are beyond them."""
+def _worth(search: Search, explanation: Explanation, rows: np.ndarray) -> float:
+    """Log evidence less what findings and gains beyond the limits cost."""
     chosen = [(f.index, f.size) for f in explanation.accepted]
-    gain_penalty, beyond = gains.excess(search.scene(chosen), rows, search.rows)
-    price = MISSING * (len(chosen) + np.count_nonzero(beyond)) + min(gain_penalty, MAX_GAIN_PENALTY)
-    return search.evidence(chosen) - price, beyond
+    gain_penalty, _ = gains.excess(search.scene(chosen), rows, search.rows)
+    return search.evidence(chosen) - MISSING * len(chosen) - min(gain_penalty, MAX_GAIN_PENALTY)
 
 
 def exact_but_for_one(
@@ -68,30 +67,26 @@ def exact_but_for_one(
 
 
 def likeliest(
-    alternatives: list[parts.Decomposition], work: parts.Work | None, simulated, library, data: Data, noise: float
+    alternatives: list[parts.Decomposition], holding: parts.Held | None, simulated, library, data: Data, noise: float
 ):
     """The decomposition that makes signal and mismatch likeliest together, with its recalibration.
 
     What seems to be missing may be in the simulation under other names, with another gain: a decomposition that holds
-    it is tried, too. So is one without an effect whose gain would be beyond the limits.
+    it is tried, too.
     """
 
     def scored(d: parts.Decomposition):
         nuisance, kinds, columns, sizes = recalibration(simulated, d, library)
         search, e = settled(library, data, nuisance, log_prior(library, d), noise)
-        held, rows = gains.totals(kinds, sizes)
-        worth, beyond = _worth(search, e, rows)
-        off = [n.effect for n, far in zip(held, beyond, strict=False) if far]  # without parts there is one row
-        return TRUST * d.worth + worth, (d, (nuisance, kinds, columns, sizes)), e.accepted, off
+        worth = TRUST * d.worth + _worth(search, e, gains.totals(kinds, sizes)[1])
+        return worth, (d, (nuisance, kinds, columns, sizes)), e.accepted
 
-    if work is None and len(alternatives) == 1:
+    if holding is None and len(alternatives) == 1:
         return alternatives[0], recalibration(simulated, alternatives[0], library)
     best = max(map(scored, alternatives), key=lambda t: t[0])
-    if work is not None:
-        for effect in best[3]:
-            best = max([best, *map(scored, work.without(effect))], key=lambda t: t[0])
+    if holding is not None:
         for finding in best[2]:
-            others = map(scored, work.holding(best[1][0], finding.index))
+            others = map(scored, holding(best[1][0], finding.index))
             best = max([best, *others], key=lambda t: t[0])
     return best[1]
 
