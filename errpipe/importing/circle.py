@@ -46,7 +46,7 @@ def proposal(layout: Layout, options: ImportOptions) -> Proposal | None:
     if angle is None or angle.unit not in (None, "deg", "rad") or not any(map(_NAMED.search, texts)):
         return None
     radius, first, second = _radius(texts), *_plane(texts)
-    runs = _runs(layout, angle)
+    runs = _runs(layout, angle, first + second)
     if not runs:
         return None
     p = Proposal(notes=[*layout.notes], headers={c.header for c in layout.columns})
@@ -58,22 +58,9 @@ def proposal(layout: Layout, options: ImportOptions) -> Proposal | None:
         values, why = values - radius, f"{why}; the length of the bar less its radius {radius:g} mm"
     labels = [name for name, angles, _ in runs for _ in angles]
     p.put("run", labels, "plane and way round", role="run")
-    p.put(
-        first,
-        np.round(radius * np.cos(turn), 6),
-        "from the centre of the circle",
-        role="position",
-        axis=first,
-        unit="mm",
-    )
-    p.put(
-        second,
-        np.round(radius * np.sin(turn), 6),
-        "from the centre of the circle",
-        role="position",
-        axis=second,
-        unit="mm",
-    )
+    for axis, share in ((first, np.cos(turn)), (second, np.sin(turn))):
+        place = np.round(radius * share, 6)
+        p.put(axis, place, "from the centre of the circle", role="position", axis=axis, unit="mm")
     if (feed := _fact(_FEED, texts)) is not None:
         p.put("feed", np.full(turn.size, feed), "from a line above the table", role="feed", unit="mm/min")
     p.put("E_R", values, why, role="error", component="E_R", unit=unit, _headers=(of,))
@@ -135,15 +122,14 @@ def _way(text: str) -> str | None:
     return "ccw" if _CCW.search(word) else "cw" if _CW.search(word) else None
 
 
-def _runs(layout: Layout, angle: RawColumn) -> list[tuple[str, np.ndarray, np.ndarray]]:
+def _runs(layout: Layout, angle: RawColumn, plane: str) -> list[tuple[str, np.ndarray, np.ndarray]]:
     """Label, angles in rad in the order of motion, and readings of every run. Raises DataError for an unclear way."""
     turn = angle.values * (1.0 if angle.unit == "rad" else np.pi / 180.0)
     read = [c for c in layout.columns if _is_reading(c)]
-    name = "".join(_plane([plain(t) for t in [*layout.above, *(c.header for c in layout.columns)]]))
     ways = next((c for c in layout.columns if not c.numeric and any(_way(label(x)) for x in c.cells)), None)
     passes = next((c for c in layout.columns if kind_by_name(c.header) == "run" and c is not ways), None)
     found: list[tuple[str, np.ndarray, np.ndarray]] = []
-    for number_, c in enumerate(read):
+    for k, c in enumerate(read):
         way = _way(c.header)
         if len(read) > 1 and way is None:
             raise DataError(f"column {c.header!r}: clockwise or counterclockwise? Write CW or CCW into its header")
@@ -164,6 +150,6 @@ def _runs(layout: Layout, angle: RawColumn) -> list[tuple[str, np.ndarray, np.nd
                         "order of motion, angles counterclockwise (both ways beside one angle may stay)"
                     )
                 angles, values = angles[::-1], values[::-1]
-            text = " ".join(filter(None, (name, stated, group[0], str(number_ // 2 + 1) if len(read) > 2 else "")))
+            text = " ".join(filter(None, (plane, stated, group[0], str(k // 2 + 1) if len(read) > 2 else "")))
             found.append((text, angles, values))
     return found

@@ -15,9 +15,7 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
     from errpipe.validation.retraining import Gate
 
-LEAST_SLOPE = (
-    1.0  # a run determines a sensor's error to 1 K at least, or does not count: its standard error is 1/sqrt(slope)
-)
+LEAST_SLOPE = 1.0  # 1/K2: a run tells a sensor's error to 1 K (a standard error of 1/sqrt(slope)), or does not count
 
 
 def predictions(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:

@@ -91,7 +91,7 @@ def promote(
         _same_kind(store.table(past[-1].table), new, machine, table)
     when = _time_after(past, time)
     entry = store.append(machine, "promote", data, _why(why), when, minisign.read_secret(secret), len(past))
-    return _row(entry, store) | _told(f"machine {machine}: table {name} is entry {entry.number}", when)
+    return _row(entry, store) | _with_remark(f"machine {machine}: table {name} is entry {entry.number}", when)
 
 
 def _same_kind(before: bytes, table: CompensationTable, machine: str, path: Path) -> None:
@@ -160,7 +160,7 @@ def rollback(
     if out is not None:
         jsonfile.write_bytes(out, data)
     said = f"machine {machine}: entry {entry.number} is again the table of entry {earlier[-1].number}"
-    return _row(entry, store) | _told(said, when)
+    return _row(entry, store) | _with_remark(said, when)
 
 
 def _before(past: Sequence[Entry]) -> list[Entry]:
@@ -229,7 +229,7 @@ def _time_after(past: Sequence[Entry], text: str | None) -> str:
     return time
 
 
-def _told(said: str, when: str) -> dict[str, Any]:
+def _with_remark(said: str, when: str) -> dict[str, Any]:
     """What is printed of a new entry, with a remark on a time that has not come: a slip (2062 for 2026) stays for good.
 
     It is no error: a host's clock may be the wrong one.
