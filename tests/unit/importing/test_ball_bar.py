@@ -60,6 +60,18 @@ def test_a_ball_bar(tmp_path: Path, lines: list[str]) -> None:
         assert c.speed == pytest.approx(20.0)
 
 
+@pytest.mark.parametrize(
+    ("header", "sign"), [("Radius error CCW [um]", 1.0), ("Correction CCW [um]", -1.0)], ids=["deviation", "correction"]
+)
+def test_a_machine_too_long_at_plus_x_lengthens_the_bar_there(tmp_path: Path, header: str, sign: float) -> None:
+    """10 um at X = +150 mm, growing from the centre: the bar is longer there by 10 um, and unchanged at Y = 150 mm."""
+    read = sign * 10.0 * np.cos(PLACES) ** 2
+    lines = [f"{angle:g};{value:.4f}" for angle, value in zip(np.degrees(PLACES), read, strict=True)]
+    recording = imported(tmp_path, written(tmp_path, [f"Angle [deg];{header}", *lines]))
+    x, y, bar = (recording.array(name) for name in ("X", "Y", "E_R"))
+    assert bar[np.argmax(x)] == pytest.approx(10.0) and bar[np.argmax(y)] == pytest.approx(0.0, abs=1e-3)
+
+
 def test_a_plane_begins_with_its_first_axis(tmp_path: Path) -> None:
     head = ("Ballbar", "Radius: 100 mm", "G18")
     recording = imported(tmp_path, written(tmp_path, beside("Angle [deg];CCW [um];CW [um]"), head))
