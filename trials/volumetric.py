@@ -84,19 +84,19 @@ def true_rms(
 
     axes: those that are corrected. The workpiece's shift and turn is taken out, as its datum does.
     """
-    linear = remaining.linear_axes(chain)
+    linear = chain.machine.linear_axes()
 
     def true(q: np.ndarray) -> np.ndarray:
         return synthesis.exact(chain, q, truth.at(q))[:, :3]
 
     def left(q: np.ndarray) -> np.ndarray:
-        ways = remaining.linear_motion(chain, q)
+        ways = synthesis.linear_motion(chain, q)
         moved = np.linalg.pinv(ways) @ synthesis.first_order(chain, q, found.at(q))[:, :3, None]
         moved *= np.array([a in axes for a in linear], dtype=float)[:, None]
         return true(q) - (ways @ moved)[:, :, 0]
 
     q = remaining.mirrored_places(chain, PLACES, SEED)
-    inverse = np.linalg.pinv(remaining.linear_motion(chain, q))
+    inverse = np.linalg.pinv(synthesis.linear_motion(chain, q))
     out = []
     for field in (true, left):
         size = (inverse @ remaining.without_pose(chain, field, q)(q)[:, :, None])[:, :, 0]

@@ -16,6 +16,7 @@ constant turn of a carriage is set-up, taken up by the workpiece's or tool's dat
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -52,6 +53,15 @@ class Chain:
     def travel(self) -> np.ndarray:
         """Lowest and highest position, shape (axes, 2)."""
         return np.array([self.machine.axes[a].travel for a in self.axes])
+
+    @cached_property
+    def linear(self) -> list[int]:
+        """Columns of `q` of the linear axes."""
+        return [self.axes.index(a) for a in self.machine.linear_axes()]
+
+    def axis_unit(self, axis: str) -> str:
+        """mm or deg."""
+        return "mm" if self.machine.axes[axis].kind == "linear" else "deg"
 
     def of_axis(self, axis: str) -> tuple[str, ...]:
         """The six error motions of an axis: X Y Z A B C."""
@@ -138,6 +148,11 @@ class _Builder:
             np.array(angle, dtype=np.bool_),
             np.array(evec),
         )
+
+
+def combinations(grids: Iterable[np.ndarray]) -> np.ndarray:
+    """Every combination of one position of each axis, the last axis running fastest, shape (n, axes)."""
+    return np.stack([g.ravel() for g in np.meshgrid(*grids, indexing="ij")], axis=1)
 
 
 def compile_chain(machine: Machine) -> Chain:

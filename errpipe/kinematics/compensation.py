@@ -16,7 +16,7 @@ from errpipe.domain import driver as d
 from errpipe.domain.synthesis import SynthesisOutput, SynthesisTerm
 from errpipe.drivers.lowered import Lowered
 from errpipe.kinematics import polynomials, synthesis
-from errpipe.kinematics.chain import Chain
+from errpipe.kinematics.chain import Chain, combinations
 from errpipe.kinematics.errors import MachineErrors
 
 SINE_STEP = 0.5  # deg; straight lines between are then within 1e-5 of the sine: 0.01 um of a 1 mm deviation
@@ -145,11 +145,8 @@ def profile_bound(chain: Chain, gridding: Mapping[str, float], tip: np.ndarray |
     gridding: component -> how far its profile may be off (um, urad). Each counts with its largest arm in the volume;
     arms are linear in each linear coordinate, so the corners hold the largest. Rotary axes are gone through in steps.
     """
-    ends = [
-        t if chain.machine.axes[a].kind == "linear" else np.linspace(t[0], t[1], 9)
-        for a, t in zip(chain.axes, chain.travel, strict=True)
-    ]
-    corners = np.stack([g.ravel() for g in np.meshgrid(*ends, indexing="ij")], axis=1)
+    ends = [t if n in chain.linear else np.linspace(t[0], t[1], 9) for n, t in enumerate(chain.travel)]
+    corners = combinations(ends)
     arms = np.abs(synthesis.jacobian(chain, corners, tip)[:, :3]).max(axis=0)
     off = np.array([gridding.get(n, 0.0) for n in chain.components])
     return float(np.linalg.norm(arms @ off))
@@ -163,7 +160,7 @@ def lattice(errors: MachineErrors, counts: tuple[int, ...], tip: np.ndarray | No
     if len(counts) != len(chain.axes) or min(counts) < 2:
         raise ValueError(f"counts needs a number of at least 2 for each of {', '.join(chain.axes)}")
     grids = tuple(np.linspace(t[0], t[1], n) for t, n in zip(chain.travel, counts, strict=True))
-    q = np.stack([g.ravel() for g in np.meshgrid(*grids, indexing="ij")], axis=1)
+    q = combinations(grids)
     values = synthesis.first_order(chain, q, errors.at(q), tip)[:, :3].reshape(*counts, 3)
     rng = np.random.default_rng(0)
     places = rng.uniform(chain.travel[:, 0], chain.travel[:, 1], (4000, len(chain.axes)))
@@ -194,7 +191,7 @@ def _lattice_bound(errors: MachineErrors, grids: tuple[np.ndarray, ...], tip: np
     defined on the guideway; the product is then bent by at most gap x arm + h^2/4 x slope.
     """
     chain = errors.chain
-    corners = np.stack([g.ravel() for g in np.meshgrid(*chain.travel, indexing="ij")], axis=1)
+    corners = combinations(chain.travel)
     arms = np.abs(synthesis.jacobian(chain, corners, tip)[:, :3]).max(axis=0)
     total = np.zeros(3)
     for c, name in enumerate(chain.components):

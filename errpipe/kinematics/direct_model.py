@@ -15,6 +15,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import VerifyError
 from errpipe.kinematics import direct, records
 from errpipe.kinematics.chain import Chain
+from errpipe.kinematics.errors import positions_of
 from errpipe.terms import Line, Term, plain
 from errpipe.terms.backlash import Backlash
 from errpipe.terms.offset import Offset
@@ -77,7 +78,7 @@ def error_model(
 def _curve(name: str, axis: str, curve: Mapping[str, Any], sign: float) -> list[FittedTerm]:
     """An offset and a spline that reproduce an identified curve times a sign."""
     value = sign * np.asarray(curve["value"], dtype=float)
-    at = curve["start"] + curve["step"] * np.arange(len(value))
+    at = positions_of(curve)
     segments = max(SEGMENTS, len(at) * 3 // 4)
     term = SmoothCurve(axis=axis, segments=segments, span=(float(at[0]), float(at[-1])))
     basis = np.column_stack([np.ones(len(at)), term._profile().basis(at)])

@@ -8,11 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from errpipe.kernels import volumetric as k
 from errpipe.kinematics.chain import Chain
+
+
+def positions_of(curve: Mapping[str, Any]) -> np.ndarray:
+    """Positions, mm (deg), of the points of a curve in a document: its `start`, `step` and `value`s."""
+    return curve["start"] + curve["step"] * np.arange(len(curve["value"]))
+
+
+def interpolated(curve: Mapping[str, Any]) -> Callable[[np.ndarray], np.ndarray]:
+    """A curve of a document as a function of position: straight between its points, held beyond its ends."""
+    grid = positions_of(curve)
+    return lambda p: np.interp(p, grid, curve["value"])
 
 
 @dataclass(frozen=True)

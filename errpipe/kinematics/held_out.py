@@ -117,7 +117,7 @@ def shares(chain: Chain, obs: Observations) -> np.ndarray:
 
     An angle counts with the arms it has in the volume.
     """
-    ways = remaining.linear_motion(chain, obs.q, obs.tip)
+    ways = synthesis.linear_motion(chain, obs.q, obs.tip)
     places = synthesis.ideal_pose(chain, remaining.places(chain))[:, 0] * 1e-3
     x, y, z = np.var(places, axis=0)
     moved = np.array([[0.0, z, y], [z, 0.0, x], [y, x, 0.0]])  # um2 per urad2: square of what a turn does to a place

@@ -209,7 +209,7 @@ def _ball_columns(chain: Chain, pose: np.ndarray, unit: np.ndarray, label: str) 
 
     It looks like an offset of a rotary axis' line; so a rotary test is only as good as its ball is centred.
     """
-    if not any(a.kind == "rotary" for a in chain.machine.axes.values()):
+    if not chain.machine.rotary_axes():
         return []
     columns = []
     for i, d in enumerate("XYZ"):

@@ -79,10 +79,9 @@ def _noise(stated: np.ndarray | None, n: int, relative: float) -> np.ndarray:
 
 def _moved(chain: Chain, q: np.ndarray, tip: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """Poses whose tool point is `steps` (n, k, 3) mm away from that at q (n, axes); shape (n, k, axes)."""
-    linear = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "linear"]
-    ways = synthesis.motion_jacobian(chain, q, tip)[:, :3][:, :, linear]
+    ways = synthesis.linear_motion(chain, q, tip)
     path = np.repeat(q[:, None, :], steps.shape[1], axis=1)
-    path[:, :, linear] += np.einsum("nij,nkj->nki", np.linalg.pinv(ways), steps)
+    path[:, :, chain.linear] += np.einsum("nij,nkj->nki", np.linalg.pinv(ways), steps)
     return path
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from errpipe.errors import DataError
 from errpipe.kinematics import observability, synthesis
 from errpipe.kinematics import observations as o
-from errpipe.kinematics.chain import Chain
+from errpipe.kinematics.chain import Chain, combinations
 
 SHOWN = 20.0  # nats that a newly observed combination counts for: observing all comes before observing precisely
 MIN_GAIN = 1e-3  # nats per second below which a block is not worth its time
@@ -103,7 +103,7 @@ def default_tools(chain: Chain) -> tuple[tuple[float, tuple[float, float, float]
 
 def default_sockets(chain: Chain) -> list[np.ndarray]:
     """Three sockets well apart on the workpiece's side, just outside the reach of the tool."""
-    corners = np.stack([g.ravel() for g in np.meshgrid(*_box(chain), indexing="ij")], axis=1)
+    corners = combinations(_box(chain))
     pose = synthesis.ideal_pose(chain, corners)[:, 0]
     low, high = pose.min(axis=0), pose.max(axis=0)
     tool = np.asarray(chain.machine.tool.direction)

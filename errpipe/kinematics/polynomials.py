@@ -171,7 +171,7 @@ def _named(chain: Chain, rows: dict[tuple[int, int], Polynomial], frame: str) ->
     names = ["E_X", "E_Y", "E_Z", "E_A", "E_B", "E_C"]
     if frame == "workpiece":
         return {(names[i], chain.components[c]): p for (i, c), p in sorted(rows.items()) if p}
-    linear = [a for a in chain.axes if chain.machine.axes[a].kind == "linear"]
+    linear = chain.machine.linear_axes()
     _linear_axes_stand(chain, linear)
     directions = np.array([chain.machine.direction(a) for a in linear]).T
     undo = np.linalg.pinv(directions)
@@ -189,7 +189,7 @@ def _named(chain: Chain, rows: dict[tuple[int, int], Polynomial], frame: str) ->
     return out
 
 
-def _linear_axes_stand(chain: Chain, linear: list[str]) -> None:
+def _linear_axes_stand(chain: Chain, linear: tuple[str, ...]) -> None:
     links = [n.rstrip("'") for n in chain.machine.chain]
     bed = links.index("bed")
     for name in linear:

@@ -19,7 +19,7 @@ import numpy as np
 from errpipe.domain.components import parse
 from errpipe.kinematics import synthesis
 from errpipe.kinematics.chain import Chain
-from errpipe.kinematics.errors import MachineErrors
+from errpipe.kinematics.errors import MachineErrors, interpolated
 from errpipe.kinematics.identify import Identified
 
 PLACES, SEED = 400, 77  # random positions at which a residual is evaluated; no test draws from this seed
@@ -149,11 +149,12 @@ def expected(identified: Identified, tip: np.ndarray | None = None, count: int =
     columns = _pose_columns(chain, q, tip, synthesis.ideal_pose(chain, q, tip)[:, 0].mean(axis=0))
     pose, _ = np.linalg.qr(columns.reshape(-1, 6))
     rows = (rows - pose @ (pose.T @ rows)).reshape(count, 3, -1)
-    by_axis = np.einsum("nai,nip->anp", np.linalg.pinv(linear_motion(chain, q, tip)), rows)
+    by_axis = np.einsum("nai,nip->anp", np.linalg.pinv(synthesis.linear_motion(chain, q, tip)), rows)
     whole = by_axis.reshape(-1, rows.shape[2])
     kept = _not_harmful(identified, [whole, *by_axis])
     part = np.where(kept[prior.component], identified.mean, 0.0)
-    axes = {name: _expected(identified, part, own) for name, own in zip(linear_axes(chain), by_axis, strict=True)}
+    names = chain.machine.linear_axes()
+    axes = {name: _expected(identified, part, own) for name, own in zip(names, by_axis, strict=True)}
     others = tuple(n for n, k in zip(chain.components, kept, strict=True) if not k)
     return replace(_expected(identified, part, whole, count), axes=axes, left_alone=others)
 
@@ -190,17 +191,6 @@ def _not_harmful(identified: Identified, fields: Sequence[np.ndarray]) -> np.nda
     if kept.any():
         out[names] = (kept > 0.0) | ~own.any(axis=0)  # what is zero is left as it is anyway
     return out
-
-
-def linear_axes(chain: Chain) -> tuple[str, ...]:
-    """Names of the linear axes: those that a volumetric table moves."""
-    return tuple(a for a in chain.axes if chain.machine.axes[a].kind == "linear")
-
-
-def linear_motion(chain: Chain, q: np.ndarray, tip: np.ndarray | None = None) -> np.ndarray:
-    """Displacement of the tool point per displacement of each linear axis, shape (n, 3, linear axes)."""
-    linear = [chain.axes.index(a) for a in linear_axes(chain)]
-    return synthesis.motion_jacobian(chain, q, tip)[:, :3][:, :, linear]
 
 
 def _expected(identified: Identified, part: np.ndarray, rows: np.ndarray, count: int | None = None) -> Expected:
@@ -240,6 +230,5 @@ def truth(chain: Chain, document: Mapping[str, Any]) -> MachineErrors | None:
     values: dict[str, Any] = {n: v for n, v in document["constants"].items() if n in chain.components}
     for name, curve in document["curves"].items():
         if name in chain.components:
-            grid = curve["start"] + curve["step"] * np.arange(len(curve["value"]))
-            values[name] = lambda p, grid=grid, value=curve["value"]: np.interp(p, grid, value)
+            values[name] = interpolated(curve)
     return MachineErrors.of(chain, values, 401)

@@ -14,7 +14,7 @@ import numpy as np
 from errpipe.errors import VerifyError
 from errpipe.kinematics import observability, remaining, synthesis
 from errpipe.kinematics.chain import Chain
-from errpipe.kinematics.errors import MachineErrors
+from errpipe.kinematics.errors import MachineErrors, interpolated
 from errpipe.kinematics.identify import Identified
 from errpipe.kinematics.observations import Observations
 
@@ -98,7 +98,6 @@ def errors(
         raise VerifyError(f"the identification is of machine {parameters['machine']!r}, not of {chain.machine.name!r}")
     values: dict[str, Any] = {row["component"]: float(row["value"]) for row in parameters["constants"]}
     for name, curve in parameters["curves"].items():
-        grid = curve["start"] + curve["step"] * np.arange(len(curve["value"]))
-        values[name] = lambda p, grid=grid, value=curve["value"]: np.interp(p, grid, value)
-        nodes = max(nodes, len(grid))
+        values[name] = interpolated(curve)
+        nodes = max(nodes, len(curve["value"]))
     return MachineErrors.of(chain, {n: v for n, v in values.items() if kept is None or n in kept}, nodes)

@@ -81,6 +81,11 @@ def motion_jacobian(chain: Chain, q: np.ndarray, tip: np.ndarray | None = None) 
     return out
 
 
+def linear_motion(chain: Chain, q: np.ndarray, tip: np.ndarray | None = None) -> np.ndarray:
+    """Displacement of the tool point per displacement of each linear axis, shape (n, 3, linear axes)."""
+    return motion_jacobian(chain, q, tip)[:, :3][:, :, chain.linear]
+
+
 def _rows(chain: Chain, q: np.ndarray, comps: np.ndarray | None, tip: np.ndarray | None):
     q = np.ascontiguousarray(np.atleast_2d(np.asarray(q, dtype=float)))
     if q.shape[1] != len(chain.axes):

@@ -239,7 +239,7 @@ def slices(chain: Chain, panels: Mapping[str, Callable[[np.ndarray], np.ndarray]
 
     panels: heading -> function of axis positions (n, axes) that gives sizes (n,) in um, such as before and after.
     """
-    linear = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "linear"][:3]
+    linear = chain.linear[:3]
     middle = chain.travel.mean(axis=1)
     pairs = [(i, j) for n, i in enumerate(linear) for j in linear[n + 1 :]]
     maps = {}
@@ -317,7 +317,7 @@ def components(
                 axes.axhline(0.0, color=svg.INK, linewidth=0.6)
                 axes.set_ylabel(unit, fontsize=8)
                 axes.tick_params(labelsize=7)
-                axes.set_xlabel(f"{axis} {'mm' if chain.machine.axes[axis].kind == 'linear' else 'deg'}", fontsize=8)
+                axes.set_xlabel(f"{axis} {chain.axis_unit(axis)}", fontsize=8)
                 axes.legend(fontsize=7, ncols=3, loc="upper left", bbox_to_anchor=(0.0, 1.22), borderaxespad=0.0)
         return svg.to_svg(canvas, f"Error motions of {chain.machine.name}")
 

@@ -57,7 +57,7 @@ def record(chain: Chain, values: Values, setup: SetUp, seed: int) -> Recording:
     constants: dict[str, Constant] = {}
     for a in chain.axes:
         kind = chain.machine.axes[a].kind
-        unit = "mm" if kind == "linear" else "deg"
+        unit = chain.axis_unit(a)
         columns[a.lower()] = Column(role="position", axis=a, unit=unit)
         columns[f"dir_{a.lower()}"] = Column(role="direction", axis=a)
         constants[a] = Constant(role="axis", kind=kind, travel=chain.machine.axes[a].travel, unit=unit)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.kinematics.chain import Chain
+from errpipe.kinematics.chain import Chain, combinations
 from errpipe.simulation import metrology
 from errpipe.simulation.metrology import Run
 
@@ -21,10 +21,9 @@ MIN_POSES = 8  # within reach; a rotary test with fewer is left out
 
 
 def _linear(chain: Chain) -> list[int]:
-    linear = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "linear"]
-    if len(linear) != 3:
-        raise DataError(f"this test needs three linear axes ({chain.machine.name} has {len(linear)})")
-    return linear
+    if len(chain.linear) != 3:
+        raise DataError(f"this test needs three linear axes ({chain.machine.name} has {len(chain.linear)})")
+    return chain.linear
 
 
 def fractions(chain: Chain, *shares: float | np.ndarray) -> np.ndarray:
@@ -34,7 +33,7 @@ def fractions(chain: Chain, *shares: float | np.ndarray) -> np.ndarray:
     for i, share in zip(_linear(chain), shares, strict=True):
         every[i] = share
     grids = [lo + np.atleast_1d(s) * (hi - lo) for lo, hi, s in zip(low, high, every, strict=True)]
-    return np.stack([g.ravel() for g in np.meshgrid(*grids, indexing="ij")], axis=1)
+    return combinations(grids)
 
 
 def scattered(chain: Chain, count: int, seed: int = 1) -> np.ndarray:
@@ -138,7 +137,7 @@ def table_poses(chain: Chain, ball: np.ndarray, length: float, count: int, seed:
     """
     rng = np.random.default_rng(seed)
     low, high = chain.travel.T
-    rotary = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "rotary"]
+    rotary = [i for i in range(len(chain.axes)) if i not in chain.linear]
     if not rotary:
         raise DataError(f"a test of rotary axes needs one ({chain.machine.name} has none)")
     _linear(chain)

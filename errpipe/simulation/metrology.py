@@ -16,7 +16,7 @@ import pandas as pd
 from errpipe.domain.components import parse
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.kinematics import synthesis
-from errpipe.kinematics.chain import Chain
+from errpipe.kinematics.chain import Chain, combinations
 from errpipe.simulation import part_features
 
 # Rise of the straight part over the travel, in units of the wavy part's rms: a scale error of some 35 um over a
@@ -119,8 +119,7 @@ def record(
     frame = pd.concat(frames, ignore_index=True)
     columns = {"run": Column(role="run")}
     for a in chain.axes:
-        unit = "mm" if chain.machine.axes[a].kind == "linear" else "deg"
-        columns[a.lower()] = Column(role="position", axis=a, unit=unit)
+        columns[a.lower()] = Column(role="position", axis=a, unit=chain.axis_unit(a))
     for name in frame.columns:
         if name.startswith("E_"):
             columns[name] = Column(role="error", component=name, unit=parse(name).unit)
@@ -145,7 +144,7 @@ def _play(chain, values, run: Run, rng, noise, setup, protocol, directions) -> p
     comps = components_at(chain, values, run.q)
     ideal = synthesis.ideal_pose(chain, run.q, tip)
     actual = synthesis.actual_pose(chain, run.q, comps, tip)
-    rotary = any(a.kind == "rotary" for a in chain.machine.axes.values())
+    rotary = chain.machine.rotary_axes()
     point = actual[:, 0] + (np.einsum("k,nkj->nj", rng.normal(0, RUN_OUT * 1e-3, 3), actual[:, 1:]) if rotary else 0.0)
     shown = run.q - (0.0 if run.centre is None else run.centre)
     out = {"run": np.full(len(run.q), run.label, dtype=object)}
@@ -177,14 +176,14 @@ def _play(chain, values, run: Run, rng, noise, setup, protocol, directions) -> p
 def _part(chain: Chain, values: Values, run: Run, rng: np.random.Generator, noise: float, setup: float):
     """Readings of a part's features: it lay turned by `setup` urad on the CMM, and was cut warm, some 20 um/m."""
     tip = chain.tip(run.length, run.offset)
-    linear = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "linear"]
+    linear = chain.linear
     middle = synthesis.ideal_pose(chain, run.q, tip)[:, 0].mean(axis=0)
     turn, shift = rng.normal(0, setup * 1e-6, 3), rng.normal(0, setup * 1e-3, 3)
     warm, cutter = (rng.normal(0, size) if setup else 0.0 for size in (WARM, CUTTER))
 
     def cut(feature: np.ndarray, steps: np.ndarray) -> np.ndarray:
         q = run.q[feature].astype(float)
-        ways = synthesis.motion_jacobian(chain, q, tip)[:, :3][:, :, linear]
+        ways = synthesis.linear_motion(chain, q, tip)
         q[:, linear] += np.linalg.solve(ways, steps[..., None])[..., 0]
         ideal = synthesis.ideal_pose(chain, q, tip)[:, 0]
         point = synthesis.actual_pose(chain, q, components_at(chain, values, q), tip)[:, 0]
@@ -202,8 +201,7 @@ def _constants(chain: Chain, run: Run) -> dict[str, Constant]:
     if run.beam is not None:
         constants |= {f"beam_{d}": (v, None) for d, v in zip("XYZ", run.beam, strict=True)}
     if run.centre is not None:
-        unit = {a: "mm" if chain.machine.axes[a].kind == "linear" else "deg" for a in chain.axes}
-        constants |= {f"centre_{a}": (v, unit[a]) for a, v in zip(chain.axes, run.centre, strict=True)}
+        constants |= {f"centre_{a}": (v, chain.axis_unit(a)) for a, v in zip(chain.axes, run.centre, strict=True)}
     return {f"{n}@{run.label}": Constant(value=float(v), unit=u) for n, (v, u) in constants.items()}
 
 
@@ -211,7 +209,7 @@ def circles(
     chain: Chain, centre: np.ndarray, radius: float, length: float, count: int = 72, label: str = ""
 ) -> list[Run]:
     """Ball-bar circles in the planes of each pair of linear axes about a centre, both senses (ISO 230-4)."""
-    linear = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "linear"]
+    linear = chain.linear
     angle = np.arange(count) * 2 * np.pi / count
     socket = synthesis.ideal_pose(chain, centre, chain.tip(length))[0, 0]
     runs = []
@@ -233,7 +231,7 @@ def volume_points(chain: Chain, per_axis: Sequence[int], margin: float = 0.02) -
         np.linspace(lo + e, hi - e, n) if n > 1 else np.array([(lo + hi) / 2])
         for lo, hi, e, n in zip(low, high, edge, per_axis, strict=True)
     ]
-    return np.stack([g.ravel() for g in np.meshgrid(*grids, indexing="ij")], axis=1)
+    return combinations(grids)
 
 
 def sockets(chain: Chain, spread: float = 0.35) -> list[np.ndarray]:
@@ -247,7 +245,7 @@ def sockets(chain: Chain, spread: float = 0.35) -> list[np.ndarray]:
 
 def diagonals(chain: Chain, length: float, steps: int = 20, step_diagonal: bool = False) -> list[Run]:
     """The four body diagonals (ISO 230-6), straight or one axis after the other at each step."""
-    linear = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "linear"]
+    linear = chain.linear
     low, high = chain.travel.T
     runs = []
     for number, signs in enumerate(((1, 1, 1), (-1, 1, 1), (1, -1, 1), (-1, -1, 1))):
@@ -274,10 +272,10 @@ def follow(chain: Chain, turning: np.ndarray, ball: np.ndarray, length: float) -
     turning (n, axes): rotary positions (linear columns are starting values); ball: mm, workpiece frame.
     """
     q = np.asarray(turning, dtype=float).copy()
-    linear = [i for i, a in enumerate(chain.axes) if chain.machine.axes[a].kind == "linear"]
+    linear = chain.linear
     tip = chain.tip(length)
     for _ in range(4):
         gap = synthesis.ideal_pose(chain, q, tip)[:, 0] - ball
-        jac = synthesis.motion_jacobian(chain, q, tip)[:, :3][:, :, linear]
+        jac = synthesis.linear_motion(chain, q, tip)
         q[:, linear] -= np.linalg.solve(jac, gap[..., None])[..., 0]
     return q

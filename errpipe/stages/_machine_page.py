@@ -159,7 +159,7 @@ def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]
             "identification. Its direction is not known; a test at places not used here would show the true remainder."
         )
     figures = [("Volumetric error, before and after", machine_figures.vectors(chain, q, before, after), caption)]
-    if sum(a.kind == "linear" for a in chain.machine.axes.values()) >= 2:
+    if len(chain.linear) >= 2:
         slices = machine_figures.slices(chain, sizes)
         figures.append(("Slices, before and after", slices, "Size of the error in um on the middle planes, one scale."))
     return figures
@@ -174,12 +174,13 @@ def _nan_where_none(values: Any) -> Any:
 def _component_figure(solved: Solved, errors: MachineErrors) -> tuple[str, str, str]:
     import numpy as np
 
+    from errpipe.kinematics.errors import positions_of
     from errpipe.reporting import machine_figures
 
     bands = {}
     for name, curve in solved.document["curves"].items():
         value, half = np.array(curve["value"]), np.array(curve["half_width95"])
-        at = curve["start"] + curve["step"] * np.arange(len(value))
+        at = positions_of(curve)
         bands[name] = (at, value - half, value + half)
     measured = {
         name: (_nan_where_none(r["target"]), _nan_where_none(r["up"]), _nan_where_none(r["down"]))

@@ -55,7 +55,7 @@ class ExportVolumetric(SignOptions, Stage):
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe import jsonfile, yamlfile
         from errpipe.domain.machine import Machine
-        from errpipe.kinematics import remaining, summary
+        from errpipe.kinematics import summary
         from errpipe.kinematics.chain import compile_chain
         from errpipe.stages.targets import checksums, write_targets
         from errpipe.tables import ect
@@ -82,7 +82,7 @@ class ExportVolumetric(SignOptions, Stage):
         proof = [{"component": "tool point", "largest_difference_um": worst, **stated}]
         files = [{"file": _artefacts.TABLE, "what": "volumetric table", "error": "0", "read_back": "equal"}]
         remarks = self.seal(table, context.folder / _artefacts.TABLE)
-        left_out = [axis for axis in remaining.linear_axes(chain) if axis not in axes]
+        left_out = [axis for axis in chain.machine.linear_axes() if axis not in axes]
         left_out += [component for component in chain.components if component not in kept]
         note = left_alone(left_out)
         files += write_targets(table, self.targets, context.folder, remarks, note)
@@ -97,11 +97,10 @@ class ExportVolumetric(SignOptions, Stage):
     def _axes_that_gain(self, context: Context, document: Mapping[str, Any], chain: Any) -> tuple[str, ...]:
         """Linear axes that the table corrects. Raises GateError where the machine may get worse."""
         from errpipe import jsonfile
-        from errpipe.kinematics import remaining
         from errpipe.validation import machine
 
         if self.ungated:
-            return remaining.linear_axes(chain)
+            return chain.machine.linear_axes()
         validations = [jsonfile.read(at / _artefacts.VALIDATION) for at in context.every("validation").values()]
         fingerprint = jsonfile.fingerprint(document)
         judged = [
@@ -153,12 +152,13 @@ def lattice(
 
     from errpipe.errors import UsageError
     from errpipe.kinematics import compensation
+    from errpipe.kinematics.chain import combinations
 
     try:
         sampled = compensation.lattice(errors, counts, chain.tip(length, (0.0, 0.0, 0.0)))
     except ValueError as err:
         raise UsageError(f"export_volumetric: lattice: {err}") from None
-    places = np.stack([g.ravel() for g in np.meshgrid(*sampled.grids, indexing="ij")], axis=1)
+    places = combinations(sampled.grids)
     corrected = [float(letter in axes) for letter in "XYZ"]
     rows = np.column_stack([places, sampled.values.reshape(-1, 3) * corrected])
     lines = [",".join([*sampled.axes, "E_X", "E_Y", "E_Z"])]
@@ -223,15 +223,12 @@ def compile_machine(
 def _inputs(chain: Any) -> list[TableInput]:
     from errpipe.domain.table import TableInput
 
-    def unit(axis: str) -> str:
-        return "mm" if chain.machine.axes[axis].kind == "linear" else "deg"
-
     places = [
         TableInput(
             name=axis,
             kind="position",
             axis=axis,
-            unit=unit(axis),
+            unit=chain.axis_unit(axis),
             low=low - OVERRUN,
             high=high + OVERRUN,
             default=min(max(0.0, low), high),
@@ -269,7 +266,7 @@ def largest_difference(
     moving = [n for n, a in enumerate(chain.axes) if a in known]
     readings = {"tool_length": 100.0} if "tool_length" in known else {}
     of_table = batch.position(table, np.ascontiguousarray(q[:, moving]), tuple(chain.axes[n] for n in moving), readings)
-    linear = [n for n, o in enumerate(table.outputs) if o.axis and chain.machine.axes[o.axis].kind == "linear"]
+    linear = [n for n, o in enumerate(table.outputs) if o.axis in chain.machine.linear_axes()]
     if not linear:
         return 0.0
     nominal = synthesis.ideal_pose(chain, q, tip)[:, 0]

@@ -68,7 +68,7 @@ def _at_the_tool(chain: Chain, every: Any, left: list[held_out.HeldOutGroup]) ->
     share = held_out.shares(chain, every.take(rows))
     values = {k: np.concatenate([getattr(one, k) for one in left]) for k in ("before", "after")}
     axes = {}
-    for a, axis in enumerate(remaining.linear_axes(chain)):
+    for a, axis in enumerate(chain.machine.linear_axes()):
         if share[:, a].sum() > 1e-9:
             axes[axis] = {f"rms_{k}": float(np.sqrt(share[:, a] @ v**2 / share[:, a].sum())) for k, v in values.items()}
     groups = [{"label": one.label, "rows": len(one.rows)} | _rms(one.before, one.after) for one in left]
@@ -105,11 +105,11 @@ def _of_components(
     if not by_component:
         return {}
     q = remaining.places(chain)
-    to_axes = np.linalg.pinv(remaining.linear_motion(chain, q))
+    to_axes = np.linalg.pinv(synthesis.linear_motion(chain, q))
     arms = np.mean((to_axes @ synthesis.jacobian(chain, q)[:, :3]) ** 2, axis=0)
     axes: dict[str, dict[str, float]] = {}
     total = {"rms_before": 0.0, "rms_after": 0.0}
-    for a, axis in enumerate(remaining.linear_axes(chain)):
+    for a, axis in enumerate(chain.machine.linear_axes()):
         square = {"rms_before": 0.0, "rms_after": 0.0}
         for component, parts in by_component.items():
             weight = float(arms[a, chain.index(component)])

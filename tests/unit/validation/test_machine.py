@@ -128,7 +128,7 @@ def test_an_angle_counts_with_the_arm_it_has_in_the_volume():
     level = observations.angle(chain, q, chain.tip(), (0.0, 1.0, 0.0))
     spread = np.ptp(chain.travel, axis=1) / np.sqrt(12.0) * 1e-3
     order = [chain.axes.index(a) for a in "XYZ"]
-    share = dict(zip(remaining.linear_axes(chain), np.sqrt(held_out.shares(chain, level)[0]), strict=True))
+    share = dict(zip(chain.machine.linear_axes(), np.sqrt(held_out.shares(chain, level)[0]), strict=True))
     assert share["X"] == pytest.approx(spread[order[2]], rel=0.1)
     assert share["Z"] == pytest.approx(spread[order[0]], rel=0.1) and share["Y"] < 1e-9
 
