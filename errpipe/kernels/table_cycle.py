@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from errpipe.kernels import bare_kernel
+from errpipe.kernels.elementary import towards
 from errpipe.kernels.table_codes import (
     ACTIVE,
     BEYOND_PROFILE,
@@ -71,19 +72,6 @@ class State(NamedTuple):
     components: np.ndarray
     outputs: np.ndarray
     common: np.ndarray  # one record
-
-
-@bare_kernel
-def towards(value, target, dt, whole):
-    """From value to target by at most dt / whole; at once where whole is 0."""
-    if whole <= 0.0:
-        return target
-    step = dt / whole
-    if target > value + step:
-        return value + step
-    if target < value - step:
-        return value - step
-    return target
 
 
 @bare_kernel

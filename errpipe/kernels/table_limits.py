@@ -3,38 +3,8 @@
 from __future__ import annotations
 
 from errpipe.kernels import bare_kernel
+from errpipe.kernels.elementary import closing_rate
 from errpipe.kernels.table_codes import AT_MAGNITUDE, AT_RATE, HAS_ACCELERATION, HAS_MAGNITUDE, HAS_SLEW, LARGEST
-
-
-@bare_kernel
-def can_stop(closing, left, brake):
-    """Whether a closing speed can be braked within what is left of the way (per cycle)."""
-    if closing <= 0.0:
-        return True
-    return closing * (closing - brake) <= 2.0 * brake * left
-
-
-@bare_kernel
-def closing_rate(keep, way, drift, slowest, fastest, brake):
-    """Full towards, keep, full away: the first that can be braked; where braking would end the closing, half way."""
-    if keep > fastest:
-        keep = fastest
-    if keep < slowest:
-        keep = slowest
-    if way > 0.0:
-        forward, away, sign = fastest, slowest, 1.0
-    else:
-        forward, away, sign = slowest, fastest, -1.0
-    if brake <= 0.0:
-        return forward
-    if can_stop(sign * (forward - drift), sign * (way - forward), brake):
-        return forward
-    if sign * (keep - drift) > 0.0 and can_stop(sign * (keep - drift), sign * (way - keep), brake):
-        return keep
-    if sign * (away - drift) > 0.0:
-        return away
-    half = drift + 0.5 * (way - drift)
-    return slowest if half < slowest else fastest if half > fastest else half
 
 
 @bare_kernel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from errpipe.kernels import bare_kernel
-from errpipe.kernels.elementary import exp, power
+from errpipe.kernels.elementary import exp, moved_side, on_lines, power
 from errpipe.kernels.table_codes import (
     AFFINE,
     APPROACH,
@@ -25,26 +25,6 @@ from errpipe.kernels.table_codes import (
 
 
 @bare_kernel
-def moved_side(x, known, side, memory, threshold):
-    """(side, turning point) of an axis that moved to x."""
-    if known > 0.0:
-        return 1.0, x
-    if known < 0.0:
-        return -1.0, x
-    if side > 0.0:
-        if x >= memory:
-            return side, x
-        if memory - x > threshold:
-            return -1.0, x
-    else:
-        if x <= memory:
-            return side, x
-        if x - memory > threshold:
-            return 1.0, x
-    return side, memory
-
-
-@bare_kernel
 def recall(own, x, way, threshold, started):
     """Undo what the last reading did where it is alone between two that agree, or alone states a direction."""
     if not started:
@@ -61,20 +41,6 @@ def recall(own, x, way, threshold, started):
     own.changed = 1 if way != 0 and way != own.stated else 0
     own.stated = way
     own.before, own.last = own.last, x
-
-
-@bare_kernel
-def lookup(lookups, first, last, s):
-    """Straight lines between uniform values, held at the ends; s counts steps."""
-    if s < 0.0:
-        s = 0.0
-    if s > last:
-        s = float(last)
-    j = int(s)
-    if j > last - 1:
-        j = last - 1
-    left = lookups[first + j]
-    return left + (s - j) * (lookups[first + j + 1] - left)
 
 
 @bare_kernel
@@ -167,7 +133,7 @@ def run_nodes(which, nodes, operands, lookups, state, inputs, common, dt, replay
                 recall(own, u, 0, node.b, started)
             u = approach(own, node, u, state[operands[begin + 1].number].value, started)
         else:
-            u = lookup(lookups, node.other, np.int64(node.others) - 1, (u - node.a) * node.c)
+            u = on_lines(lookups, node.other, np.int64(node.others) - 1, (u - node.a) * node.c)
         if not (u >= -LARGEST and u <= LARGEST):
             u = 0.0
             status |= NOT_FINITE

@@ -13,7 +13,7 @@ import numpy as np
 
 from errpipe.kernels import bare_kernel
 from errpipe.kernels.arithmetic import EXP, LOG2_E
-from errpipe.kernels.elementary import exp
+from errpipe.kernels.elementary import exp, moved_side
 from errpipe.kernels.table_codes import (
     ACTIVE,
     APPROACH,
@@ -33,7 +33,6 @@ from errpipe.kernels.table_codes import (
     RUNNING,
     SWITCH,
 )
-from errpipe.kernels.table_nodes import moved_side
 from errpipe.kernels.table_position import BLOCK, Buffers, fade_block, node_block, profile_blocks, sum_pairs, sum_terms
 from errpipe.kernels.table_readings import follows
 

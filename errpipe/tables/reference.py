@@ -19,12 +19,13 @@ This is the cycle, its nodes, profiles and synthesis; readings and limits are `r
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from errpipe.domain import table as t
 from errpipe.kernels.arithmetic import exp, power
-from errpipe.tables.reference_limits import Limits, towards
+from errpipe.kernels.motion import moved_side, on_lines, towards
+from errpipe.tables.reference_limits import Limits
 from errpipe.tables.reference_readings import Readings
 
 
@@ -213,7 +214,9 @@ class Evaluator:
             case t.ApproachNode():
                 return self._approach(n, node, values[node.of[0]], values[node.of[1]], started, dt is not None)
             case t.LookupNode():
-                return _interpolate(node.values, (values[node.of[0]] - node.start) * (1.0 / node.step))
+                return on_lines(
+                    node.values, 0, len(node.values) - 1, (values[node.of[0]] - node.start) * (1.0 / node.step)
+                )
         raise TypeError(f"unknown node {node!r}")
 
     def _lag(self, n: int, node: t.LagNode, u: float, started: bool, dt: float | None) -> float:
@@ -257,24 +260,7 @@ class Evaluator:
             self._node[n] = float(node.start)
             self._a[n] = x
         self._recall(n, x, (known > 0.0) - (known < 0.0), node.threshold, started, replay)
-        side = self._node[n]
-        if known > 0.0:
-            side = 1.0
-            self._a[n] = x
-        elif known < 0.0:
-            side = -1.0
-            self._a[n] = x
-        elif side > 0.0:
-            if x >= self._a[n]:
-                self._a[n] = x
-            elif self._a[n] - x > node.threshold:
-                side = -1.0
-                self._a[n] = x
-        elif x <= self._a[n]:
-            self._a[n] = x
-        elif x - self._a[n] > node.threshold:
-            side = 1.0
-            self._a[n] = x
+        side, self._a[n] = moved_side(x, known, self._node[n], self._a[n], node.threshold)
         return side
 
     def _approach(self, n: int, node: t.ApproachNode, x: float, side: float, started: bool, replay: bool) -> float:
@@ -329,7 +315,7 @@ class Evaluator:
             s = s - float(whole) * last
         elif s < 0.0 or s > last:
             self._status |= t.STATUS_BIT["beyond_profile"]
-        return _interpolate(profile.values, s) * profile.scale
+        return on_lines(profile.values, 0, last, s) * profile.scale
 
     def _synthesis(self, components: list[float]) -> list[float]:
         out = []
@@ -345,17 +331,3 @@ class Evaluator:
                 self._status |= t.STATUS_BIT["not_finite"]
             out.append(total)
         return out
-
-
-def _interpolate(values: Sequence[float], s: float) -> float:
-    """Straight lines between uniform values, held at the ends; s counts steps."""
-    last = len(values) - 1
-    if s < 0.0:
-        s = 0.0
-    if s > last:
-        s = float(last)
-    j = int(s)
-    if j > last - 1:
-        j = last - 1
-    left = values[j]
-    return left + (s - j) * (values[j + 1] - left)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from errpipe.domain import table as t
+from errpipe.kernels.motion import closing_rate, towards
 
 
 class Limits:
@@ -90,7 +91,7 @@ class Limits:
             self._correction[n] = target
             return
         self.status |= t.STATUS_BIT["at_rate"]
-        rate = self._closing_rate(n, way, drift, slowest, fastest, brake)
+        rate = closing_rate(self._rate[n], way, drift, slowest, fastest, brake)
         before = self._correction[n]
         self._rate[n] = rate
         self._correction[n] = before + rate
@@ -100,47 +101,3 @@ class Limits:
                 self.status |= t.STATUS_BIT["at_magnitude"]
                 self._correction[n] = bounded
                 self._rate[n] = bounded - before
-
-    def _closing_rate(self, n: int, way: float, drift: float, slowest: float, fastest: float, brake: float) -> float:
-        """Full towards, keep, full away: the first that can be braked; where braking would end the closing, half way.
-
-        Without an acceleration limit always full towards.
-        """
-        keep = self._rate[n]
-        if keep > fastest:
-            keep = fastest
-        if keep < slowest:
-            keep = slowest
-        if way > 0.0:
-            towards, away, sign = fastest, slowest, 1.0
-        else:
-            towards, away, sign = slowest, fastest, -1.0
-        if brake <= 0.0:
-            return towards
-        if _can_stop(sign * (towards - drift), sign * (way - towards), brake):
-            return towards
-        if sign * (keep - drift) > 0.0 and _can_stop(sign * (keep - drift), sign * (way - keep), brake):
-            return keep
-        if sign * (away - drift) > 0.0:
-            return away
-        half = drift + 0.5 * (way - drift)
-        return slowest if half < slowest else fastest if half > fastest else half
-
-
-def _can_stop(closing: float, left: float, brake: float) -> bool:
-    """Whether a closing speed can be braked to nothing within what is left of the way (per cycle)."""
-    if closing <= 0.0:
-        return True
-    return closing * (closing - brake) <= 2.0 * brake * left
-
-
-def towards(value: float, target: float, dt: float, whole: float) -> float:
-    """Move from value to target by at most dt / whole; at once where whole is 0."""
-    if whole <= 0.0:
-        return target
-    step = dt / whole
-    if target > value + step:
-        return value + step
-    if target < value - step:
-        return value - step
-    return target
