@@ -216,6 +216,21 @@ def _location_kind(direction: str, axis: str) -> Kind:
 _COMMON = (*of_machine(rotary=("A", "B", "C")), "E_X", "E_Y", "E_Z", "E_R", "E_D", "F_X", "F_Y", "F_Z")
 
 
+def is_deviation(name: str) -> bool:
+    """Whether a recorded component is a deviation (EXX, EBX, E_X, E_R), not a drive force."""
+    return name.startswith("E")
+
+
+def is_force(name: str) -> bool:
+    """Whether a component is the drive force or torque of an axis (F_X)."""
+    return name.startswith("F_")
+
+
+def is_at_tool(name: str) -> bool:
+    """Whether a component is read at the tool point (E_X, E_A, E_R), not of one axis alone."""
+    return name.startswith("E_")
+
+
 def is_error_motion(component: str) -> bool:
     """Whether a component is an error motion of one axis, such as EXX, EYX or EBX."""
     return parse(component).kind not in (

@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 
 from errpipe.domain import driver as d
+from errpipe.domain.components import is_at_tool
 from errpipe.domain.synthesis import SynthesisOutput, SynthesisTerm
 from errpipe.drivers.lowered import Lowered
 from errpipe.kinematics import polynomials, synthesis
@@ -38,15 +39,15 @@ def outputs(
     names = dict(inputs or {})
     terms_by_output: dict[str, list[SynthesisTerm]] = {}
     for (output, component), letters in polynomials.jacobian(chain, "axes").items():
-        if (used is not None and component not in used) or (not orientation and output.startswith("E_")):
+        if (used is not None and component not in used) or (not orientation and is_at_tool(output)):
             continue
         terms_by_output.setdefault(output, []).append(_term(chain, component, letters, names))
     return tuple(
         SynthesisOutput(
-            name=n if n.startswith("E_") else f"E_{n}",
-            axis="" if n.startswith("E_") else n,
+            name=n if is_at_tool(n) else f"E_{n}",
+            axis="" if is_at_tool(n) else n,
             terms=tuple(t),
-            unit="urad" if n.startswith("E_") else "um",
+            unit="urad" if is_at_tool(n) else "um",
         )
         for n, t in terms_by_output.items()
     )

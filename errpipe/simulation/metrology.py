@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from errpipe.domain.components import parse
+from errpipe.domain.components import is_at_tool, parse
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.kinematics import synthesis
 from errpipe.kinematics.chain import Chain, combinations
@@ -121,7 +121,7 @@ def record(
     for a in chain.axes:
         columns[a.lower()] = Column(role="position", axis=a, unit=chain.axis_unit(a))
     for name in frame.columns:
-        if name.startswith("E_"):
+        if is_at_tool(name):
             columns[name] = Column(role="error", component=name, unit=parse(name).unit)
         elif name.startswith("u_"):
             component = f"E_{name[2:]}"

@@ -199,7 +199,9 @@ def _plane(recording: Any, component: str, index: Any) -> dict[str, Any]:
     """Axis -> positions, where a deviation of the tool point was measured over two axes; empty elsewhere."""
     import numpy as np
 
-    if not component.startswith("E_"):
+    from errpipe.domain.components import is_at_tool
+
+    if not is_at_tool(component):
         return {}
     at = {str(recording.manifest.columns[n].axis): recording.array(n)[index] for n in recording.names("position")}
     moving = {axis: x for axis, x in at.items() if x.size and np.nanmax(x) > np.nanmin(x)}

@@ -149,8 +149,11 @@ class Term(Frozen, ABC):
 
     def value(self, recording: Recording, parameters: Mapping[str, float]) -> np.ndarray:
         """Deviation in the response's unit, shape (rows,)."""
-        gains = np.array([parameters[p.name] for p in self.linear()])
-        return self.basis(recording, *self.nonlinear_values(parameters)) @ gains
+        return self.basis(recording, *self.nonlinear_values(parameters)) @ self.gain_values(parameters)
+
+    def gain_values(self, parameters: Mapping[str, float]) -> np.ndarray:
+        """Values of the linear parameters, in their order."""
+        return np.array([parameters[p.name] for p in self.linear()])
 
     def nonlinear_values(self, parameters: Mapping[str, float]) -> list[float]:
         """Values of all non-linear parameters, fixed ones included."""

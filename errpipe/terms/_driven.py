@@ -9,7 +9,8 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field
 
-from errpipe.domain.driver import ONE, Driver
+from errpipe.domain.components import is_deviation, is_force
+from errpipe.domain.driver import ONE, Driver, Input, Power
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
@@ -18,6 +19,7 @@ from errpipe.terms import _profiles as shapes
 from errpipe.terms._base import NEVER, Parameter, Term
 from errpipe.terms._fields import Axis
 from errpipe.terms._warm import scaled
+from errpipe.yamlfile import quantity
 
 
 class Driven(Term):
@@ -33,6 +35,25 @@ class Driven(Term):
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (gain,) = self.linear()
         return (Lowered(scaled(self._driver(*self.nonlinear_values(parameters)), parameters[gain.name])),)
+
+
+class OfSpindleSpeed(Driven):
+    """What the spindle makes of its speed, stated at the highest one of the recording."""
+
+    column: str = Field(description="Column of the spindle speed.")
+    full_speed: float = quantity("rpm", "Speed at which the parameter is stated.")
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[Self]:
+        own: Any = cls  # a subclass has its `term`
+        for column in recording.names("spindle_speed") if is_deviation(component) else ():
+            values = recording.array(column)
+            if np.nanmax(values) > max(np.nanmin(values), 0.0):
+                yield own(column=column, full_speed=float(np.nanmax(values)))
+
+    def _power(self, exponent: float) -> Power:
+        """A power of the speed as a share of the full one."""
+        return Power(of=scaled(Input(name=self.column), 1.0 / self.full_speed), exponent=exponent)
 
 
 class CurveOverAxis(Term):
@@ -57,7 +78,7 @@ class CurveOverAxis(Term):
         return self._profile().basis(position(recording, self.axis))
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
-        gains = np.array([parameters[p.name] for p in self.linear()])
+        gains = self.gain_values(parameters)
         return (Lowered(ONE, self.axis, shapes.curve(self._profile(), gains, rotary=False)),)
 
 
@@ -76,5 +97,5 @@ class OfSimulatedForce(Term):
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[Self]:
         own: Any = cls  # a subclass has its `term`
-        for column in recording.names("simulated", component=component) if component.startswith("F_") else ():
+        for column in recording.names("simulated", component=component) if is_force(component) else ():
             yield own(column=column)

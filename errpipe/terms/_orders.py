@@ -7,11 +7,14 @@ from typing import Annotated
 
 import numpy as np
 
+from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
+from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import is_rotary, position
 from errpipe.terms._base import Parameter
 from errpipe.terms._lines import FEW_PLACES, combs, lines, waves
 from errpipe.terms._search import Signals
+from errpipe.terms._slack import Slack, higher_harmonics, uneven_waves
 from errpipe.yamlfile import quantity
 
 TURN, NEARLY = 360.0, 0.95  # deg; share of a turn from which its orders are distinguished,
@@ -42,6 +45,23 @@ def total(x: np.ndarray, period: float, orders: tuple[float, ...], parameters: M
     """Sum of all orders, shape of x."""
     gains = [parameters[p.name] for p in named(orders, "um", (0.0, 0.0), np.inf)]
     return columns(x, period, orders) @ np.array(gains)
+
+
+def log_prior_odds(orders: tuple[float, ...], known: bool) -> float:
+    """The strongest of about a hundred waves is chosen; a further order is one of about twenty. known: the period."""
+    return (0.0 if known else -3.0) - 3.0 * (len(orders) - 1)
+
+
+def slack(base: np.ndarray, x: np.ndarray, period: float, alone: bool) -> Slack:
+    """Departures of waves (rows, k) along x; alone: of one order and a searched period, so that others may be seen."""
+    yield from uneven_waves(base, x)
+    if alone:
+        yield from higher_harmonics(x, period)
+
+
+def lowered(axis: str, period: float, orders: tuple[float, ...], parameters: Mapping[str, float]) -> Lowered:
+    """All orders as one profile over the axis that repeats."""
+    return Lowered(ONE, axis, lambda x: total(x, period, orders, parameters), period)
 
 
 def turn(recording: Recording, axis: str, share: float = BENT) -> tuple[float, ...]:

@@ -6,20 +6,23 @@ radial deviation of a circular test (`E_R`) holds x/R of it, counted from the ci
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+from errpipe.domain.components import is_deviation, is_force
 from errpipe.domain.recording import Constant, Recording
 from errpipe.drivers.motion import axes
 
 
 def own_axis(component: str) -> str | None:
     """The axis a component belongs to: X of EXX, EYX, EAX; None for tool-point, radial and size components."""
-    if len(component) == 3 and component[0] == "E" and component[1] != "_" and component[2].isalpha():
+    if len(component) == 3 and is_deviation(component) and component[1] != "_" and component[2].isalpha():
         return component[2]
     return None
 
 
 def direction_of(component: str) -> str | None:
     """The direction a linear deviation points in: Y of EYX, X of E_X; None for angles, E_R, E_D and forces."""
-    if len(component) == 3 and component[0] == "E":
+    if len(component) == 3 and is_deviation(component):
         letter = component[2] if component[1] == "_" else component[1]
         return letter if letter in "XYZUVW" else None
     return None
@@ -47,9 +50,15 @@ def linear_axes_acting(recording: Recording, component: str) -> tuple[str, ...]:
 def driven_axes(recording: Recording, component: str) -> tuple[str, ...]:
     """Axes that a drive force (F_X) belongs to: its own where that is recorded, else every one that is."""
     present = axes(recording) + axes(recording, "rotary")
-    if not component.startswith("F_"):
+    if not is_force(component):
         return ()
     return (component[2:],) if component[2:] in present else present
+
+
+def velocities(recording: Recording, component: str) -> Iterator[tuple[str, str]]:
+    """(axis, column) of each velocity of the axes that a drive force belongs to, recorded or not."""
+    for axis in driven_axes(recording, component) or (component[2:],) * is_force(component):
+        yield from ((axis, column) for column in recording.names("velocity", axis=axis))
 
 
 def axes_acting(recording: Recording, component: str) -> tuple[str, ...]:
@@ -57,7 +66,7 @@ def axes_acting(recording: Recording, component: str) -> tuple[str, ...]:
     present = axes(recording) + axes(recording, "rotary")
     if is_radial(component):
         return axes(recording)[:2]
-    if component.startswith("E") and len(component) == 3:
+    if is_deviation(component) and len(component) == 3:
         own = own_axis(component) or component[2]
         if direction_of(component) in (own, None):
             return (own,) if own in present else ()

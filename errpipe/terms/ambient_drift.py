@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from errpipe.domain.components import is_deviation
 from errpipe.domain.driver import Lag
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter
@@ -38,7 +39,7 @@ class AmbientDrift(Driven):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[AmbientDrift]:
-        if component.startswith("E"):
+        if is_deviation(component):
             room = [s for s in sensors(recording) if mentions(recording, s, ROOM_WORDS)]
             for sensor in room or [s for s in sensors(recording) if mentions(recording, s, AIR_WORDS)]:
                 yield cls(sensor=sensor)

@@ -81,5 +81,5 @@ class AngularAbbe(Term):
             yield polynomials[:, k], 0.2  # the origin of the lever is unknown
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
-        gains = np.array([parameters[p.name] for p in self.linear()])
+        gains = self.gain_values(parameters)
         return (Lowered(Input(name=self.lever), self.axis, lambda x: 1e-3 * self._powers(x) @ gains),)

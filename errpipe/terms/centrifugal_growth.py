@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Literal
 
-import numpy as np
-from pydantic import Field
-
-from errpipe.domain.driver import Affine, Input, Power
-from errpipe.domain.recording import Recording
+from errpipe.domain.driver import Power
 from errpipe.terms._base import Parameter
-from errpipe.terms._driven import Driven
-from errpipe.yamlfile import quantity
+from errpipe.terms._driven import OfSpindleSpeed
 
 
-class CentrifugalGrowth(Driven):
+class CentrifugalGrowth(OfSpindleSpeed):
     """A turning spindle swells and its bearings shift: at once with speed, and gone as soon as it stops.
 
     Equation   deviation = shift * (n / n_max)^2                     [um]
@@ -26,20 +20,10 @@ class CentrifugalGrowth(Driven):
     """
 
     term: Literal["centrifugal_growth"] = "centrifugal_growth"
-    column: str = Field(description="Column of the spindle speed.")
-    full_speed: float = quantity("rpm", "Speed at which the parameter is stated.")
     reports_as = "centrifugal_growth"
     family = "spindle"
     rowwise = True
     gains = (Parameter("shift", "um", (1.0, 20.0), (-200.0, 200.0), "shift at full speed"),)
 
-    @classmethod
-    def bind(cls, recording: Recording, component: str) -> Iterator[CentrifugalGrowth]:
-        if component.startswith("E"):
-            for column in recording.names("spindle_speed"):
-                values = recording.array(column)
-                if np.nanmax(values) > max(np.nanmin(values), 0.0):
-                    yield cls(column=column, full_speed=float(np.nanmax(values)))
-
     def _driver(self, *nonlinear: float) -> Power:
-        return Power(of=Affine(weights=(1.0 / self.full_speed,), of=(Input(name=self.column),)), exponent=2.0)
+        return self._power(2.0)

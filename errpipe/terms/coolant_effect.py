@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.components import is_deviation
 from errpipe.domain.driver import Affine, Driver, Input, Lag, Product
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
@@ -55,7 +56,7 @@ class CoolantEffect(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[CoolantEffect]:
-        if not component.startswith("E"):
+        if not is_deviation(component):
             return
         candidates = sensors(recording)
         for flow in recording.names("coolant"):

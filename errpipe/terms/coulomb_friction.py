@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.components import is_force
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position
@@ -52,7 +53,7 @@ class CoulombFriction(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[CoulombFriction]:
-        for axis in driven_axes(recording, component) or (component[2:],) * component.startswith("F_"):
+        for axis in driven_axes(recording, component) or (component[2:],) * is_force(component):
             for column in recording.names("velocity", axis=axis):
                 yield cls(axis=axis, column=column)
             if not recording.names("velocity", axis=axis):

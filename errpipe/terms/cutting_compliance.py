@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.components import is_deviation
 from errpipe.domain.driver import Affine, Driver, Input, Power, Product
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter
@@ -45,7 +46,7 @@ class CuttingCompliance(Driven):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[CuttingCompliance]:
-        if not component.startswith("E"):
+        if not is_deviation(component):
             return
         for force in recording.names("force"):
             values = recording.array(force)

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.components import is_at_tool
 from errpipe.domain.driver import Lag
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
@@ -18,7 +19,7 @@ from errpipe.kernels.events import travelled
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._equations import magnitude, times
 from errpipe.terms._fields import Axis
-from errpipe.terms._place import is_radial, linear_axes_acting
+from errpipe.terms._place import linear_axes_acting
 from errpipe.terms._slack import Slack, bent, start_states
 from errpipe.yamlfile import quantity
 
@@ -52,7 +53,7 @@ class FeedHeating(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[FeedHeating]:
-        if is_radial(component) or component.startswith("E_"):
+        if is_at_tool(component):
             return  # motion this slow does not warm a screw
         for axis in linear_axes_acting(recording, component):
             known = recording.manifest.axis(axis)

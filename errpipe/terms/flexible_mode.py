@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 from scipy.special import fdtrc
 
+from errpipe.domain.components import is_force
 from errpipe.domain.driver import Input
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
@@ -67,7 +68,7 @@ class FlexibleMode(Term):
         step, _ = resolved_times(recording)
         if recording.name("time") is None or step > MAX_SAMPLE_INTERVAL or is_radial(component):
             return
-        on_force = component.startswith("F_")
+        on_force = is_force(component)
         for axis in (component[2:],) if on_force else axes_acting(recording, component):
             for column in recording.names("acceleration", axis=axis):
                 for ringing in (False, True):

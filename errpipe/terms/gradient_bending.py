@@ -7,6 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from errpipe.domain.components import is_deviation
 from errpipe.domain.driver import Affine, Input
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter
@@ -37,7 +38,7 @@ class GradientBending(Driven):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[GradientBending]:
-        if component.startswith("E"):
+        if is_deviation(component):
             candidates = sensors(recording)
             for i, first in enumerate(candidates):
                 for second in candidates[i + 1 :]:

@@ -70,5 +70,5 @@ class Harmonics(Term):
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         period = self.period or self.nonlinear_values(parameters)[0]
         profile = self._profile(period)
-        gains = np.array([parameters[p.name] for p in self.linear()])
+        gains = self.gain_values(parameters)
         return (Lowered(ONE, self.axis, shapes.curve(profile, gains, rotary=False), period),)

@@ -67,5 +67,5 @@ class Interpolation(Term):
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (period,) = self.nonlinear_values(parameters)
-        gains = np.array([parameters[p.name] for p in self.linear()])
+        gains = self.gain_values(parameters)
         return (Lowered(ONE, self.axis, lambda x: self._waves(x, period) @ gains, period),)

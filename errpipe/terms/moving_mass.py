@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.components import is_force
 from errpipe.domain.driver import Input
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
@@ -35,7 +36,7 @@ class MovingMass(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[MovingMass]:
-        if component.startswith("F_"):
+        if is_force(component):
             for column in recording.names("acceleration", axis=component[2:]):
                 yield cls(column=column)
 

@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position, share
@@ -16,7 +15,7 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import as_positioning, axes_acting, drive_periods, is_radial
 from errpipe.terms._search import Signals, Waves, of_encoder
-from errpipe.terms._slack import Slack, higher_harmonics, uneven_waves
+from errpipe.terms._slack import Slack
 
 
 class PitchCyclic(Term):
@@ -77,16 +76,13 @@ class PitchCyclic(Term):
         return own * share(recording, self.axis, self.radial)[:, None]
 
     def log_prior_odds(self) -> float:
-        """The strongest of about a hundred waves is chosen; a further order is one of about twenty."""
-        return (0.0 if self.fixed else -3.0) - 3.0 * (len(self.orders) - 1)
+        return waves.log_prior_odds(self.orders, bool(self.fixed))
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         if not self.radial:
-            x = position(recording, self.axis)
-            yield from uneven_waves(base, x)
-            if not self.fixed and len(self.orders) == 1:
-                yield from higher_harmonics(x, nonlinear[0])
+            alone = not self.fixed and len(self.orders) == 1
+            yield from waves.slack(base, position(recording, self.axis), nonlinear[0], alone)
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (period,) = self.nonlinear_values(parameters)
-        return (Lowered(ONE, self.axis, lambda x: waves.total(x, period, self.orders, parameters), period),)
+        return (waves.lowered(self.axis, period, self.orders, parameters),)

@@ -143,7 +143,7 @@ class ProfileDriver(Term):
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         driver = self._driver(self.nonlinear_values(parameters))
-        gains = np.array([parameters[p.name] for p in self.linear()])
+        gains = self.gain_values(parameters)
         if self.axis is None or isinstance(self.profile, shapes.Level):
             return (Lowered(d.Affine(weights=(float(gains[0]),), of=(driver,))),)
         period = getattr(self.profile, "period", None)

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.components import is_deviation
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import position
 from errpipe.drivers.sessions import sessions
@@ -58,7 +59,7 @@ class SensorFault(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[SensorFault]:
-        if component.startswith("E"):
+        if is_deviation(component):
             for sensor in recording.names("temperature"):
                 for first, last in suspicious(recording.array(sensor), recording.time()):
                     stepped = (False, True) if step_of(recording.array(sensor), first, last) else (False,)

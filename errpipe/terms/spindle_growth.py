@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
-from errpipe.domain.driver import Affine, Input, Lag, Power
+from errpipe.domain.driver import Lag
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter
-from errpipe.terms._driven import Driven
+from errpipe.terms._driven import OfSpindleSpeed
 from errpipe.terms._search import Listed
 from errpipe.terms._slack import Slack, difference_of_shape, start_states
-from errpipe.yamlfile import quantity
 
 
-class SpindleGrowth(Driven):
+class SpindleGrowth(OfSpindleSpeed):
     """The bearings heat the spindle, which grows: an exponential after each change of speed.
 
     Equation   tau dy/dt + y = (n / n_max)^exponent;  deviation = growth * y
@@ -30,8 +27,6 @@ class SpindleGrowth(Driven):
     """
 
     term: Literal["spindle_growth"] = "spindle_growth"
-    column: str = Field(description="Column of the spindle speed.")
-    full_speed: float = quantity("rpm", "Speed at which the parameter is stated.")
     reports_as = "spindle_growth"
     family = "thermal"
     form = "any start"
@@ -42,18 +37,9 @@ class SpindleGrowth(Driven):
         Parameter("exponent", "1", (1.0, 2.0), (0.3, 3.0), "power of the speed", search=Listed((0.7, 1.0, 1.4, 2.0))),
     )
 
-    @classmethod
-    def bind(cls, recording: Recording, component: str) -> Iterator[SpindleGrowth]:
-        if component.startswith("E"):
-            for column in recording.names("spindle_speed"):
-                values = recording.array(column)
-                if np.nanmax(values) > max(np.nanmin(values), 0.0):
-                    yield cls(column=column, full_speed=float(np.nanmax(values)))
-
     def _driver(self, *nonlinear: float) -> Lag:
         tau, exponent = nonlinear
-        share = Affine(weights=(1.0 / self.full_speed,), of=(Input(name=self.column),))
-        return Lag(of=Power(of=share, exponent=exponent), tau_up=tau, tau_down=tau, start="zero")
+        return Lag(of=self._power(exponent), tau_up=tau, tau_down=tau, start="zero")
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         tau, exponent = nonlinear

@@ -91,6 +91,6 @@ class Straightness(Term):
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
         if self.across:
             return None
-        gains = np.array([parameters[p.name] for p in self.linear()])
+        gains = self.gain_values(parameters)
         low, high, order = self.low, self.high, self.order
         return (Lowered(ONE, self.axis, lambda x: bows(x, low, high, order) @ gains),)

@@ -14,7 +14,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._equations import curve, sign, times
 from errpipe.terms._fields import Axis
-from errpipe.terms._place import driven_axes
+from errpipe.terms._place import velocities
 from errpipe.terms._slack import Slack, difference_of_shape
 
 
@@ -40,9 +40,8 @@ class StribeckFriction(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[StribeckFriction]:
-        for axis in driven_axes(recording, component) or (component[2:],) * component.startswith("F_"):
-            for column in recording.names("velocity", axis=axis):
-                yield cls(axis=axis, column=column)
+        for axis, column in velocities(recording, component):
+            yield cls(axis=axis, column=column)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         v = recording.array(self.column)

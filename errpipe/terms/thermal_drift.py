@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from errpipe.domain.components import is_deviation
 from errpipe.domain.driver import Affine
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter
@@ -37,7 +38,7 @@ class ThermalDrift(Driven):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ThermalDrift]:
-        if component.startswith("E"):
+        if is_deviation(component):
             for sensor in sensors(recording):
                 yield cls(sensor=sensor)
 

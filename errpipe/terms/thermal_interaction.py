@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.components import is_deviation
 from errpipe.domain.driver import Product
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter
@@ -43,7 +44,7 @@ class ThermalInteraction(Driven):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ThermalInteraction]:
-        if component.startswith("E"):
+        if is_deviation(component):
             candidates = sensors(recording)
             for i, first in enumerate(candidates):
                 for second in candidates[i:]:

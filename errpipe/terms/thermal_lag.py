@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.components import is_deviation
 from errpipe.domain.driver import Lag
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
@@ -66,7 +67,7 @@ class ThermalLag(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ThermalLag]:
-        if not component.startswith("E"):
+        if not is_deviation(component):
             return
         for sensor in sensors(recording):
             yield cls(sensor=sensor)
@@ -94,7 +95,7 @@ class ThermalLag(Term):
     ) -> Iterator[tuple[ThermalLag, tuple[float, ...]]]:
         """For each sensor the time constant, and the two a factor of three or more apart, that explain most."""
         low, high = Times().limits(cls, recording)
-        if not (component.startswith("E") and signals.values and recording.name("time") and high > 9 * low):
+        if not (is_deviation(component) and signals.values and recording.name("time") and high > 9 * low):
             return
         taus = geometric(low, high, RATIO)
         for sensor in sensors(recording):

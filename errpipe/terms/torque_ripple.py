@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from errpipe.domain.driver import ONE
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position
@@ -16,7 +15,7 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import drive_periods, driven_axes, pole_periods
 from errpipe.terms._search import Signals, Waves
-from errpipe.terms._slack import Slack, higher_harmonics, uneven_waves
+from errpipe.terms._slack import Slack
 
 
 class TorqueRipple(Term):
@@ -61,18 +60,15 @@ class TorqueRipple(Term):
         return waves.columns(position(recording, self.axis), nonlinear[0], self.orders)
 
     def log_prior_odds(self) -> float:
-        """The strongest of some hundred waves is picked; a further order is one of about twenty."""
-        return (0.0 if self.fixed else -3.0) - 3.0 * (len(self.orders) - 1)
+        return waves.log_prior_odds(self.orders, bool(self.fixed))
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
-        x = position(recording, self.axis)
-        yield from uneven_waves(base, x)
-        if not self.fixed and len(self.orders) == 1:
-            yield from higher_harmonics(x, nonlinear[0])
+        alone = not self.fixed and len(self.orders) == 1
+        return waves.slack(base, position(recording, self.axis), nonlinear[0], alone)
 
     def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (period,) = self.nonlinear_values(parameters)
-        return (Lowered(ONE, self.axis, lambda x: waves.total(x, period, self.orders, parameters), period),)
+        return (waves.lowered(self.axis, period, self.orders, parameters),)
 
 
 def stated(recording: Recording, axis: str) -> tuple[float, ...]:

@@ -14,7 +14,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._equations import times
 from errpipe.terms._fields import Axis
-from errpipe.terms._place import driven_axes
+from errpipe.terms._place import velocities
 from errpipe.terms._slack import Slack
 
 
@@ -39,9 +39,8 @@ class ViscousFriction(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ViscousFriction]:
-        for axis in driven_axes(recording, component) or (component[2:],) * component.startswith("F_"):
-            for column in recording.names("velocity", axis=axis):
-                yield cls(axis=axis, column=column)
+        for axis, column in velocities(recording, component):
+            yield cls(axis=axis, column=column)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return (1e-3 * recording.array(self.column))[:, None]

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain.components import is_deviation
 from errpipe.domain.driver import Input
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
@@ -46,7 +47,7 @@ class WorkpieceLoad(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[WorkpieceLoad]:
-        if not component.startswith("E"):
+        if not is_deviation(component):
             return
         for name in recording.names("load"):
             values = recording.array(name)
@@ -72,7 +73,7 @@ class WorkpieceLoad(Term):
         return load if self.axis is None else load * self._powers(position(recording, self.axis))
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
-        gains = np.array([parameters[p.name] for p in self.linear()]) / self.full_load
+        gains = self.gain_values(parameters) / self.full_load
         source = Input(name=self.column)
         if self.axis is None:
             return (Lowered(scaled(source, float(gains[0]))),)
