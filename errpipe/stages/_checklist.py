@@ -201,10 +201,7 @@ def _moves(read: Any) -> list[str]:
 
     The three points are both ends, and where the correction is furthest from the straight line between them.
     """
-    ends = {c.over: (float(c.positions[0]), float(c.positions[-1])) for c in read.curves}
-    for part in (*read.products, *read.planes):
-        grids = getattr(part, "positions", None) or (part.first, part.second)
-        ends |= {over: (float(x[0]), float(x[-1])) for over, x in zip(part.over, grids, strict=True)}
+    ends = read.spans()
     middle = {over: np.full(1, (low + high) / 2) for over, (low, high) in ends.items()}
     cold = {line.sensor: np.full(1, line.reference) for line in read.lines}
 

@@ -136,10 +136,7 @@ def of_files(read: Any) -> list[str]:
 
     if hasattr(read, "table"):  # nothing was lost: the table itself was read back
         return of_table(read.table)
-    spans = {c.over: (float(c.positions[0]), float(c.positions[-1])) for c in read.curves}
-    for part in (*read.products, *read.planes):
-        grids = part.positions if hasattr(part, "positions") else (part.first, part.second)
-        spans |= {over: (float(x[0]), float(x[-1])) for over, x in zip(part.over, grids, strict=True)}
+    spans = read.spans()
     cold = {line.sensor: np.full(PLACES, line.reference) for line in read.lines}
     out = []
     for axis in read.axes():

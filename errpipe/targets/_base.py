@@ -7,6 +7,8 @@ the loss of the format, in micrometres, and is always reported.
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
@@ -145,6 +147,14 @@ class ReadBack:
         lines, products = self.lines + other.lines, self.products + other.products
         return ReadBack(self.curves + other.curves, self.planes + other.planes, lines, products)
 
+    def spans(self) -> dict[str, tuple[float, float]]:
+        """Axis -> the ends of the positions over which anything is corrected, mm (deg)."""
+        ends = {c.over: (float(c.positions[0]), float(c.positions[-1])) for c in self.curves}
+        grids = [*((p.over, p.positions) for p in self.products), *((p.over, (p.first, p.second)) for p in self.planes)]
+        for over, positions in grids:
+            ends |= {axis: (float(x[0]), float(x[-1])) for axis, x in zip(over, positions, strict=True)}
+        return ends
+
     def axes(self) -> tuple[str, ...]:
         """Axes that would be moved."""
         parts: tuple[Curve | Plane | Line | Product, ...] = (*self.curves, *self.planes, *self.lines, *self.products)
@@ -267,6 +277,24 @@ def too_many(target: str, points: int, most: int, error_um: float) -> GateError:
         f"{target}: {points} points are needed, {most} fit; with {most} the error would be {error_um:.3g} um. "
         "Allow a larger error, or choose a target that holds more."
     )
+
+
+def found(pattern: str | re.Pattern[str], text: str, target: str, what: str) -> re.Match[str]:
+    """The first match (^ and $ at every line) of a pattern. Raises VerifyError where there is none."""
+    match = re.search(pattern, text) if isinstance(pattern, re.Pattern) else re.search(pattern, text, re.M)
+    if match is None:
+        raise VerifyError(f"{target}: {what}")
+    return match
+
+
+def grid_stated(facts: Mapping[str, float]) -> np.ndarray:
+    """Positions from MIN by STEP up to MAX: not rounded, for a control may not do so either."""
+    return facts["MIN"] + facts["STEP"] * np.arange(math.floor((facts["MAX"] - facts["MIN"]) / facts["STEP"]) + 1)
+
+
+def settings_in(text: str) -> dict[str, str]:
+    """Lines of a name and its value, comments behind # left out."""
+    return dict(line.split("#")[0].split() for line in text.splitlines() if line.split("#")[0].strip())
 
 
 def expect(condition: bool, target: str, what: str) -> None:

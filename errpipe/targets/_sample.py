@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from decimal import Decimal
 
 import numpy as np
@@ -258,9 +258,15 @@ def lost_motion(table: CompensationTable) -> dict[str, float]:
 
 def backlash(table: CompensationTable, target: str, letters: str = "") -> dict[str, float]:
     """Lost motion of the axes (of those in `letters`), mm (deg). Raises GateError for none or a negative one."""
-    out = {axis: value for axis, value in lost_motion(table).items() if not letters or axis in letters}
+    out = backlash_if_any(table, target, letters)
     if not out:
         raise GateError(f"{target}: no axis of the table has lost motion")
+    return out
+
+
+def backlash_if_any(table: CompensationTable, target: str, letters: str = "") -> dict[str, float]:
+    """As `backlash`, nothing where there is none."""
+    out = {axis: value for axis, value in lost_motion(table).items() if not letters or axis in letters}
     for axis, value in out.items():
         if value < 0:
             raise GateError(f"{target}: {axis} would have to be pushed back by {-1e3 * value:.3g} um at reversals")
@@ -279,6 +285,11 @@ def reversal(axis: str, lost: float, low: float, high: float) -> Curve:
     """Deviation by a reversal value: plus or minus half of it by direction, mm (deg)."""
     half = np.full(2, lost / 2)
     return Curve(axis, axis, np.array([low, high]), half, -half)
+
+
+def lost_motions(pairs: Iterable[tuple[str, float]]) -> tuple[Curve, ...]:
+    """What a controller that knows the lost motion of axes adds to them, wherever they stand."""
+    return tuple(reversal(axis, lost, 0.0, 1.0) for axis, lost in pairs)
 
 
 def around_zero(low: float, high: float, step: float) -> np.ndarray:
@@ -328,6 +339,13 @@ def even(table: CompensationTable, axis: str, count: int) -> Points:
     """So many points over the range of an axis."""
     low, high = span(table, axis)
     return Points(low, (high - low) / (count - 1), count)
+
+
+def bed(table: CompensationTable, count: int) -> Plane | None:
+    """Z over so many points along X and along Y; None for a table that does not correct Z, or reads no X or Y."""
+    if "Z" not in outputs_by_axis(table) or not {"X", "Y"} <= set(positions_of(table)):
+        return None
+    return plane(table, "Z", ("X", "Y"), (even(table, "X", count), even(table, "Y", count)))
 
 
 def plane(table: CompensationTable, axis: str, over: tuple[str, str], points: tuple[Points, Points]) -> Plane:

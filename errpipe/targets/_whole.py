@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
+from errpipe.tables import ect
 from errpipe.targets import _sample
-from errpipe.targets._base import ReadBack
+from errpipe.targets._base import ReadBack, Target, expect, found
 
 LEAST_UM = 0.01  # per kelvin; less is not worth a line of a checklist
 
@@ -32,6 +33,22 @@ class WholeTable(ReadBack):
             lines=tuple(line for line in lines if abs(line.level) * 1e3 >= LEAST_UM),
             table=table,
         )
+
+    @classmethod
+    def from_array(cls, target: type[Target], files: Mapping[str, str], name: str, array: str) -> WholeTable:
+        """From a file that holds the table's bytes as an array in C; the files must be those written of it."""
+        match = found(rf"{array}\[(\d+)\] = \{{([\d,\s]*)\}};", files.get(name, ""), name, "holds no table")
+        data = bytes(int(v) for v in match[2].split(","))
+        expect(len(data) == int(match[1]), name, f"{len(data)} bytes of {match[1]}")
+        return cls.as_written(target, files, data)
+
+    @classmethod
+    def as_written(cls, target: type[Target], files: Mapping[str, str], data: bytes) -> WholeTable:
+        """From the table's bytes. Raises VerifyError where the files are not those that the target writes of it."""
+        table, plain_files = ect.loads(data), target.bare(files)
+        for name, text in target.write(table).items():
+            expect(plain_files.get(name) == text, name, "is missing or was changed")
+        return cls.of(table)
 
     def axes(self) -> tuple[str, ...]:
         return tuple(_sample.outputs_by_axis(self.table))

@@ -9,11 +9,9 @@ Limits    both directions alike ("all corrections are bidirectional"); the axis'
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
-from errpipe.targets._base import CAUTION, Curve, expect
+from errpipe.targets._base import CAUTION, Curve, found
 from errpipe.targets._screw_map import ScrewMap
 
 
@@ -50,11 +48,8 @@ class AerotechCal(ScrewMap):
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
-        match = re.search(
-            r"^:START1D REFAXIS=(\d+) OUTAXIS=\1 .*OFFSET=(\S+) SAMPLEDIST=(\S+)$((?:\n[-\d.]+)+)\n:END$", text, re.M
-        )
-        expect(match is not None, name, "has no table between :START1D and :END")
-        assert match is not None
+        pattern = r"^:START1D REFAXIS=(\d+) OUTAXIS=\1 .*OFFSET=(\S+) SAMPLEDIST=(\S+)$((?:\n[-\d.]+)+)\n:END$"
+        match = found(pattern, text, name, "has no table between :START1D and :END")
         value = np.array(match[4].split(), dtype=float)
         axis = name.partition(".")[0]
         return Curve(axis, axis, float(match[2]) + float(match[3]) * np.arange(value.size), value, value)

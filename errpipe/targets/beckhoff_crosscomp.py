@@ -10,7 +10,6 @@ Order     `.setpoint` of the master ascending in 0.1 um; straight between, held 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -18,7 +17,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, Curve, NothingToAddError, ReadBack, Target, expect
+from errpipe.targets._base import CAUTION, Curve, NothingToAddError, ReadBack, Target, expect, found, settings_in
 
 MOST = 1001  # nodes of a table
 ERROR_UM = 0.1  # between points, at most
@@ -90,7 +89,7 @@ def _text(axes: list[str], curve: Curve) -> str:
 
 
 def _read(name: str, text: str) -> Curve:
-    settings = dict(line.split("#")[0].split() for line in text.splitlines() if line.split("#")[0].strip())
+    settings = settings_in(text)
     count = int(settings["kw.crosscomp.last_index"]) + 1
     expect(2 <= count <= MOST, name, f"{count} nodes (2 to {MOST} are taken)")
     column = {
@@ -98,9 +97,7 @@ def _read(name: str, text: str) -> Curve:
         for key in ("setpoint", "correction")
     }
     expect(bool(np.all(np.diff(column["setpoint"]) > 0)), name, "set points are not ascending")
-    pair = re.search(r"^# (\w+) over (\w+)$", text, re.M)
-    expect(pair is not None and settings["kopf.log_achs_name"] == pair[1], name, "is not the list of its slave axis")
+    axis, over = found(r"^# (\w+) over (\w+)$", text, name, "is not the list of its slave axis").groups()
+    expect(settings["kopf.log_achs_name"] == axis, name, "is not the list of its slave axis")
     expect(settings["kw.crosscomp.unit"] == "1", name, "counts in increments")
-    assert pair is not None
-    axis, over = pair.groups()
     return Curve(axis, over, column["setpoint"], column["correction"], column["correction"])

@@ -15,7 +15,7 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import Curve, every_turn, expect
+from errpipe.targets._base import Curve, every_turn, expect, settings_in
 from errpipe.targets._screw_map import ScrewMap
 
 MOST = 1500  # points of a TwinCAT position correction table
@@ -58,7 +58,7 @@ class BeckhoffSsfk(ScrewMap):
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
-        settings = dict(line.split("#")[0].split() for line in text.splitlines() if line.split("#")[0].strip())
+        settings = settings_in(text)
         count, start, step = (int(settings[f"kw.ssfk.{k}"]) for k in ("kw_nr_max", "kw_startpos", "interval"))
         expect(2 <= count <= MOST and step > 0, name, f"{count} nodes (2 to {MOST} are taken)")
         tables = []

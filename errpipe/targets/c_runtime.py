@@ -13,9 +13,8 @@ from collections.abc import Mapping
 from importlib import resources
 
 from errpipe.domain.table import CompensationTable
-from errpipe.errors import VerifyError
 from errpipe.tables import ect
-from errpipe.targets._base import ReadBack, Target, expect
+from errpipe.targets._base import ReadBack, Target
 from errpipe.targets._text import plain
 from errpipe.targets._whole import WholeTable
 
@@ -54,15 +53,7 @@ class CRuntime(Target):
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
-        match = re.search(r"ect_table\[(\d+)\] = \{([\d,\s]*)\};", files.get("table.c", ""))
-        if match is None:
-            raise VerifyError("table.c: holds no table")
-        data = bytes(int(v) for v in match[2].split(","))
-        expect(len(data) == int(match[1]), "table.c", f"{len(data)} bytes of {match[1]}")
-        table, plain_files = ect.loads(data), cls.bare(files)
-        for name, text in cls.write(table).items():
-            expect(plain_files.get(name) == text, name, "is missing or was changed")
-        return WholeTable.of(table)
+        return WholeTable.from_array(cls, files, "table.c", "ect_table")
 
 
 def _macro(kind: str, name: str) -> str:

@@ -12,11 +12,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-import numpy as np
-
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, Curve, ReadBack, Target, expect
+from errpipe.targets._base import CAUTION, ReadBack, Target, expect
 
 FILE = "PRG_Backlash.st"
 CREEP = 1.0  # mm/s (deg/s), with ten times that as acceleration and a hundred times as jerk: slow beside any feed
@@ -54,8 +52,7 @@ class CodesysBacklash(Target):
             r"fb(\w+)\(Master := \1_Master, Slave := \1_Slave, bExecute := bExecute, fBacklash := ([\d.]+),", text
         )
         expect(bool(rows), FILE, "calls no block")
-        ends = np.array([0.0, 1.0])  # mm (deg); held beyond
-        return ReadBack(curves=tuple(Curve(a, a, ends, np.full(2, float(v)), np.full(2, -float(v))) for a, v in rows))
+        return ReadBack(curves=_sample.lost_motions((axis, 2 * float(half)) for axis, half in rows))
 
 
 def _call(axis: str, lost: float) -> str:

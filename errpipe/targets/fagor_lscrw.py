@@ -18,7 +18,7 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, ReadBack, every_turn, expect, points_in_file
+from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, ReadBack, every_turn, expect, found, points_in_file
 from errpipe.targets._screw_map import ScrewMap
 
 
@@ -66,9 +66,8 @@ class FagorLscrw(ScrewMap):
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
         points = re.findall(r"^P(\d+) (\S+) (\S+) (\S+)$", text, re.M)
-        announced = re.search(r"^; axis (\w+), (\d+) points", text, re.M)
-        expect(announced is not None and len(points) == int(announced[2]), name, "has not the points that it announces")
-        assert announced is not None
+        announced = found(r"^; axis (\w+), (\d+) points", text, name, "has not the points that it announces")
+        expect(len(points) == int(announced[2]), name, "has not the points that it announces")
         _, x, up, down = np.array(points, dtype=float).T
         expect(bool(np.all(np.diff(x) > 0)), name, "positions are not ascending")
         if not np.any(down):

@@ -14,15 +14,14 @@ Direction from the command (the HAL files feed the table from joint.N.pos-cmd). 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from importlib import resources
 
 from errpipe.domain.table import CompensationTable
-from errpipe.errors import GateError, VerifyError
+from errpipe.errors import GateError
 from errpipe.tables import ect
 from errpipe.targets import _sample
-from errpipe.targets._base import ReadBack, Target, expect
+from errpipe.targets._base import ReadBack, Target
 from errpipe.targets._text import filled, plain
 from errpipe.targets._whole import WholeTable
 
@@ -89,15 +88,7 @@ class FeedbackInject(Target):
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
-        match = re.search(r"inject_table\[(\d+)\] = \{([\d,\s]*)\};", files.get(TABLE, ""))
-        if match is None:
-            raise VerifyError(f"{TABLE}: holds no table")
-        data = bytes(int(v) for v in match[2].split(","))
-        expect(len(data) == int(match[1]), TABLE, f"{len(data)} bytes of {match[1]}")
-        table, plain_files = ect.loads(data), cls.bare(files)
-        for name, text in cls.write(table).items():
-            expect(plain_files.get(name) == text, name, "is missing or was changed")
-        return WholeTable.of(table)
+        return WholeTable.from_array(cls, files, TABLE, "inject_table")
 
 
 def _largest(outputs: tuple) -> float:

@@ -11,11 +11,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-import numpy as np
-
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import Curve, ReadBack, Target, expect
+from errpipe.targets._base import ReadBack, Target, expect
 
 FILE = "backlash.gcode"
 LETTERS = "XYZABCUV"
@@ -51,6 +49,4 @@ class GrblhalBacklash(Target):
         expect(
             bool(rows) and all(0 <= int(n) - FIRST < len(LETTERS) for n, _ in rows), FILE, "holds no backlash setting"
         )
-        ends = np.array([0.0, 1.0])  # mm (deg); held beyond
-        half = [(LETTERS[int(n) - FIRST], np.full(2, float(v) / 2)) for n, v in rows]
-        return ReadBack(curves=tuple(Curve(a, a, ends, v, -v) for a, v in half))
+        return ReadBack(curves=_sample.lost_motions((LETTERS[int(n) - FIRST], float(v)) for n, v in rows))

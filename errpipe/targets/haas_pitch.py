@@ -17,7 +17,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, Curve, expect
+from errpipe.targets._base import CAUTION, Curve, expect, found
 from errpipe.targets._screw_map import ScrewMap
 
 INCH = 25.4  # mm
@@ -71,10 +71,10 @@ class HaasPitch(ScrewMap):
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
-        head = re.search(r"^# (\w+): (\d+) values in inches, machine zero at (\S+) mm$", text, re.M)
+        pattern = r"^# (\w+): (\d+) values in inches, machine zero at (\S+) mm$"
+        head = found(pattern, text, name, "has not the values that it announces")
         rows = re.findall(r"^(\d+) (-?[\d.]+)$", text, re.M)
-        expect(head is not None and len(rows) == int(head[2]), name, "has not the values that it announces")
-        assert head is not None
+        expect(len(rows) == int(head[2]), name, "has not the values that it announces")
         value = INCH * np.array([float(v) for _, v in rows])[::-1]
         x = float(head[3]) - STEP * np.arange(value.size - 1, -1, -1)
         return Curve(head[1], head[1], x, value, value)

@@ -28,10 +28,9 @@ from importlib import resources
 from typing import Any
 
 from errpipe.domain.table import CompensationTable
-from errpipe.errors import VerifyError
 from errpipe.tables import ect
 from errpipe.tables import layout as lay
-from errpipe.targets._base import ReadBack, Target, expect
+from errpipe.targets._base import ReadBack, Target, expect, found
 from errpipe.targets._text import plain
 from errpipe.targets._whole import WholeTable
 
@@ -96,10 +95,7 @@ class IecSt(Target):
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
         tables = [_bytes_of(name, files[name]) for name in ("ect.st", f"{DATA}.TcGVL") if name in files]
         expect(len(tables) == 2 and tables[0] == tables[1], cls.name, "the files do not hold one and the same table")
-        table, plain_files = ect.loads(tables[0]), cls.bare(files)
-        for name, text in cls.write(table).items():
-            expect(plain_files.get(name) == text, name, "is missing or was changed")
-        return WholeTable.of(table)
+        return WholeTable.as_written(cls, files, tables[0])
 
 
 def capacity_for(table: CompensationTable) -> dict[str, int]:
@@ -208,10 +204,9 @@ def _example(table: CompensationTable) -> str:
 
 
 def _bytes_of(name: str, text: str) -> bytes:
-    size = re.search(r"nFileSize : DINT := (\d+);", text)
-    match = re.search(r"(?:aFile|aBytes) : ARRAY \[0\.\.\d+\] OF BYTE := \[([\d,\s]*)\];", text)
-    if size is None or match is None:
-        raise VerifyError(f"{name}: holds no table")
+    size = found(r"nFileSize : DINT := (\d+);", text, name, "holds no table")
+    pattern = r"(?:aFile|aBytes) : ARRAY \[0\.\.\d+\] OF BYTE := \[([\d,\s]*)\];"
+    match = found(pattern, text, name, "holds no table")
     values = [int(v) for v in match[1].split(",")]
     expect(len(values) == int(size[1]) and all(v < 256 for v in values), name, f"{len(values)} bytes of {size[1]}")
     return bytes(values)

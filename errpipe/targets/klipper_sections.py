@@ -49,9 +49,8 @@ class KlipperSections(Target):
         axes = _sample.positions_of(table)
         corrected = _sample.outputs_by_axis(table)
         text = ""
-        if "Z" in corrected and {"X", "Y"} <= set(axes):
-            grids = _sample.even(table, "X", MESH), _sample.even(table, "Y", MESH)
-            text += _mesh(_sample.plane(table, "Z", ("X", "Y"), grids))
+        if (bed := _sample.bed(table, MESH)) is not None:
+            text += _mesh(bed)
         text += _skew(table, axes, corrected)
         if "Z" in corrected:
             text += _thermal(table)

@@ -17,7 +17,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, Curve, Plane, ReadBack, Target, expect
+from errpipe.targets._base import CAUTION, Plane, ReadBack, Target, expect
 
 FILE = "errpipe.gcode"
 POINTS = 5  # along each axis: GRID_MAX_POINTS_X, _Y of most configurations
@@ -46,9 +46,8 @@ class MarlinGcode(Target):
     def write(cls, table: CompensationTable) -> dict[str, str]:
         head = [f"; {CAUTION}", "G21"]
         lines = [*head, *_backlash(table)]
-        if "Z" in _sample.outputs_by_axis(table) and {"X", "Y"} <= set(_sample.positions_of(table)):
-            grids = _sample.even(table, "X", POINTS), _sample.even(table, "Y", POINTS)
-            lines += _mesh(_sample.plane(table, "Z", ("X", "Y"), grids))
+        if (bed := _sample.bed(table, POINTS)) is not None:
+            lines += _mesh(bed)
         if lines == head:
             raise GateError("marlin_gcode: nothing of the table is a bed or lost motion")
         return {FILE: "\n".join([*lines, "; end", ""])}
@@ -57,19 +56,14 @@ class MarlinGcode(Target):
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
         text = files[FILE]
         expect(text.rstrip().endswith("; end"), FILE, "is cut off")
-        ends = np.array([0.0, 1.0])  # mm; held beyond
         match = re.search(r"^M425 F1(.*)$", text, re.M)
         lost = re.findall(r" ([A-Z])([\d.]+)", match[1]) if match else []
-        curves = tuple(Curve(a, a, ends, np.full(2, float(v) / 2), np.full(2, -float(v) / 2)) for a, v in lost)
+        curves = _sample.lost_motions((axis, float(value)) for axis, value in lost)
         return ReadBack(curves=curves, planes=_read_mesh(text))
 
 
 def _backlash(table: CompensationTable) -> list[str]:
-    backlash = {axis: value for axis, value in _sample.lost_motion(table).items() if axis in "XYZ"}
-    if any(value < 0 for value in backlash.values()):
-        raise GateError(
-            f"marlin_gcode: {' and '.join(a for a, v in backlash.items() if v < 0)}: lost motion below zero"
-        )
+    backlash = _sample.backlash_if_any(table, "marlin_gcode", "XYZ")
     return ["M425 F1 " + " ".join(f"{a}{v:.6f}" for a, v in sorted(backlash.items()))] if backlash else []
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, ReadBack, expect, too_many
+from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, ReadBack, expect, found, too_many
 from errpipe.targets._screw_map import ScrewMap
 
 COUNTS = 10_000  # per mm (deg)
@@ -106,7 +106,7 @@ def _block(number: int, axis: str, step: int, at: np.ndarray, curve: Curve) -> s
 def _read(text: str, number: str, axis: str, low: str, high: str) -> Curve:
     """As the controller does: an entry for each spacing, positions below zero rolled over."""
     part = text.split(f"\n#{number}\n")[1].split("\n;")[0]
-    constant = re.search(rf"^I{number}86=(-?\d+)$", text, re.M)
+    constant = found(rf"^I{number}86=(-?\d+)$", text, FILE, f"#{number} lacks a table")
     at, tables = np.arange(int(low), int(high) + 1), {}
     step, turns = 0, axis[0] in "ABC" and re.search(rf"DEFINE COMP \d+,{int(TURN * COUNTS)}$", part, re.M)
     if turns:
@@ -118,7 +118,6 @@ def _read(text: str, number: str, axis: str, low: str, high: str) -> Curve:
         )
         step = int(length) // int(count)
         tables[word] = np.array(values)[(at - 1) % int(count)]
-    expect(set(tables) == {"COMP", "BLCOMP"} and constant is not None, FILE, f"#{number} lacks a table")
-    assert constant is not None
+    expect(set(tables) == {"COMP", "BLCOMP"}, FILE, f"#{number} lacks a table")
     up = tables["COMP"] / (COUNTS * PART)
     return Curve(axis, axis, at * step / COUNTS, up, up - (tables["BLCOMP"] + int(constant[1])) / (COUNTS * PART))

@@ -17,7 +17,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, Curve, Plane, ReadBack, Target, expect
+from errpipe.targets._base import CAUTION, Plane, ReadBack, Target, expect
 
 MAP, MACRO = "heightmap.csv", "errpipe.g"
 POINTS = 21  # of the grid, each way
@@ -47,26 +47,19 @@ class ReprapHeightmap(Target):
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
         files = {}
-        lost = {axis: value for axis, value in _sample.lost_motion(table).items() if axis in "XYZUVW"}
-        if any(value < 0 for value in lost.values()):
-            raise GateError(
-                f"reprap_heightmap: {' and '.join(a for a, v in lost.items() if v < 0)}: lost motion below zero"
-            )
-        if lost:
+        if lost := _sample.backlash_if_any(table, cls.name, "XYZUVW"):
             files[MACRO] = f"; {CAUTION}\nG21\nM425 " + " ".join(f"{a}{v:.6f}" for a, v in sorted(lost.items())) + "\n"
-        if "Z" in _sample.outputs_by_axis(table) and {"X", "Y"} <= set(_sample.positions_of(table)):
-            grids = _sample.even(table, "X", POINTS), _sample.even(table, "Y", POINTS)
-            files[MAP] = _map(_sample.plane(table, "Z", ("X", "Y"), grids))
+        if (bed := _sample.bed(table, POINTS)) is not None:
+            files[MAP] = _map(bed)
         if not files:
             raise GateError("reprap_heightmap: nothing of the table is a bed or lost motion")
         return files
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
-        ends = np.array([0.0, 1.0])  # mm; held beyond
         match = re.search(r"^M425(.*)$", files.get(MACRO, ""), re.M)
         lost = re.findall(r" ([A-Z])([\d.]+)", match[1]) if match else []
-        curves = tuple(Curve(a, a, ends, np.full(2, float(v) / 2), np.full(2, -float(v) / 2)) for a, v in lost)
+        curves = _sample.lost_motions((axis, float(value)) for axis, value in lost)
         return ReadBack(curves=curves, planes=(_read_map(files[MAP]),) if MAP in files else ())
 
 

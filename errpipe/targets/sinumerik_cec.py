@@ -16,7 +16,6 @@ Limits    828D: 8 tables of 200 points, four for each product; held outside MIN.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -39,6 +38,7 @@ from errpipe.targets._base import (
     Target,
     every_turn,
     expect,
+    grid_stated,
     points_in_file,
 )
 
@@ -261,12 +261,12 @@ def _read(text: str, number: int, letters: dict[str, str]) -> Curve:
     facts = {k: float(v) for k, v in re.findall(rf"\$AN_CEC_(STEP|MIN|MAX|DIRECTION)\[{number}\]=(\S+)", text)}
     ends = dict(re.findall(rf"\$AN_CEC_(INPUT|OUTPUT)_AXIS\[{number}\]=\((\w+)\)", text))
     expect(len(facts) == 4 and len(ends) == 2, FILE, f"table {number} lacks STEP, MIN, MAX, DIRECTION or its axes")
-    count = math.floor((facts["MAX"] - facts["MIN"]) / facts["STEP"]) + 1
+    x = grid_stated(facts)
+    count = x.size
     expect(sorted(points) == list(range(count)), FILE, f"table {number} has {len(points)} points, not {count}")
     value = np.array([points[n] for n in range(count)])
     nothing = np.zeros(count)
     up, down = (value if facts["DIRECTION"] >= 0 else nothing), (value if facts["DIRECTION"] <= 0 else nothing)
-    x = facts["MIN"] + facts["STEP"] * np.arange(count)
     curve = Curve(letters[ends["OUTPUT"]], letters[ends["INPUT"]], x, up, down)
     if re.search(rf"IS_MODULO\[{number}\]=1", text):
         expect(up[0] == up[-1] and down[0] == down[-1], FILE, f"table {number} does not end on its first value")

@@ -9,7 +9,6 @@ Limits    one curve for both directions; the reversal error belongs to MD32450 B
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 
@@ -17,7 +16,16 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import KEPT_BACKLASH, ByHand, Curve, ReadBack, every_turn, expect, points_in_file
+from errpipe.targets._base import (
+    KEPT_BACKLASH,
+    ByHand,
+    Curve,
+    ReadBack,
+    every_turn,
+    expect,
+    grid_stated,
+    points_in_file,
+)
 from errpipe.targets._screw_map import ScrewMap
 
 
@@ -75,14 +83,13 @@ class SinumerikLec(ScrewMap):
         points = {int(n): float(v) for n, v in re.findall(r"\$AA_ENC_COMP\[0,(\d+),\w+\]=(\S+)", text)}
         facts = {k: float(v) for k, v in re.findall(r"\$AA_ENC_COMP_(STEP|MIN|MAX)\[0,\w+\]=(\S+)", text)}
         expect(len(facts) == 3 and facts["STEP"] > 0, name, "STEP, MIN or MAX is missing")
-        count = (
-            math.floor((facts["MAX"] - facts["MIN"]) / facts["STEP"]) + 1
-        )  # not rounded: a control may not do so either
+        x = grid_stated(facts)
+        count = x.size
         expect(sorted(points) == list(range(count)), name, f"{len(points)} points where MIN, MAX and STEP say {count}")
         expect(text.rstrip().endswith("M17"), name, "does not end with M17")
         value = -np.array([points[n] for n in range(count)])
         axis = name.split("_")[1]
-        curve = Curve(axis, axis, facts["MIN"] + facts["STEP"] * np.arange(count), value, value)
+        curve = Curve(axis, axis, x, value, value)
         if re.search(r"IS_MODULO\[0,\w+\]=1", text):
             expect(value[0] == value[-1], name, "does not end on its first value, and repeats")
             return every_turn(curve)
