@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from errpipe.ncprogram.correct import Deviation, Setup, Summary, rewrite
 
 
@@ -12,3 +14,18 @@ def correct(text: str, deviation: Deviation, setup: Setup, **how: Any) -> tuple[
     parts: list[bytes] = []
     done = rewrite([text.encode()], parts.append, deviation, setup, **how)
     return b"".join(parts).decode(), done
+
+
+def too_long_at_plus_x(points: np.ndarray, tool_length: float) -> np.ndarray:
+    """10 um too long at X = 500 of the machine, growing from zero at X = 0."""
+    out = np.zeros_like(points)
+    out[:, 0] = 0.010 * points[:, 0] / 500.0
+    return out
+
+
+def bent(points: np.ndarray, tool_length: float) -> np.ndarray:
+    """A machine with squareness, scale, bow and an angular error that the tool's length magnifies; mm."""
+    x, y, z = points.T
+    return np.column_stack(
+        [4e-5 * x + 3e-5 * y + 2e-5 * tool_length * x / 500, 5e-3 * np.sin(x / 150), -3e-5 * z + 1e-8 * x * y]
+    )

@@ -26,7 +26,7 @@ from errpipe.domain.diagnosis import Diagnosis, Finding, ResponseDiagnosis
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import in_order_of_time, sessions
 from errpipe.errors import DataError
-from errpipe.fitting.quantiles import student_quantile, student_tail
+from errpipe.fitting.statistics import student_quantile, student_tail
 
 LEVEL = 0.05  # chance that any of the unchanged effects is called changed
 MIN_CLUSTERS, BLOCKS = 8, 40  # fewer sessions estimate the variance between them badly

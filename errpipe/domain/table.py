@@ -192,6 +192,11 @@ class Profile(Part):
         0.0, description="Largest error of rounding to whole numbers.", json_schema_extra={"unit": "of the profile"}
     )
 
+    @property
+    def end(self) -> float:
+        """Input at the last value."""
+        return self.start + self.step * (len(self.values) - 1)
+
     @model_validator(mode="after")
     def _sound(self) -> Profile:
         if (self.input is None) != (len(self.values) == 1):

@@ -335,14 +335,10 @@ def stretches(batch: Recording) -> Iterator[tuple[str, int, int]]:
     return zip(runs, starts.tolist(), [*starts[1:].tolist(), len(batch)], strict=True)
 
 
-def _blocked(scheme: holdout.HoldOut) -> bool:
-    return scheme.scheme == "blocks" or (scheme.scheme == "forward" and scheme.of is None)
-
-
 def _groups(batch: Recording, layout: Layout, at: int) -> np.ndarray | None:
     """Group of each row where the hold-out is not by run, (rows,)."""
     scheme = layout.scheme
-    if _blocked(scheme):
+    if scheme.blocked:
         number = (at + np.arange(len(batch))) * scheme.blocks // layout.rows
         return np.array([f"block {k + 1} of {scheme.blocks}" for k in range(scheme.blocks)], dtype=object)[number]
     of = scheme.of

@@ -17,6 +17,7 @@ from errpipe.fitting.estimate import Estimate, estimate
 from errpipe.fitting.noise_floor import noise_floor
 from errpipe.fitting.solve import one_thread
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
+from errpipe.fitting.statistics import rms
 from errpipe.fitting.uncertainty import half_width
 from errpipe.fitting.validity import box, few_rows_outside
 from errpipe.terms import TERMS, Term, plain
@@ -182,8 +183,8 @@ def component_model(problem: Problem, estimate: Estimate, block: int, component:
         covariance=tuple(tuple(map(float, row)) for row in spread),
         rows=int(after.size),
         rows_effective=float(estimate.rows_effective * share),
-        rms_before=_rms(before),
-        rms_after=_rms(after),
+        rms_before=rms(before),
+        rms_after=rms(after),
         noise_floor=noise_floor(problem.recording, rows, after, problem.recording.array(response)[rows]),
     )
 
@@ -248,10 +249,6 @@ def without_nuisance(problem: Problem, values: np.ndarray) -> np.ndarray:
         return values
     design = np.hstack(columns)
     return values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
 def whole_model(recording: Recording, spec: ModelSpec, mask, models: Sequence[ComponentModel]) -> ErrorModel:

@@ -27,7 +27,8 @@ from errpipe.errors import DataError
 from errpipe.fitting import thermal_causes
 from errpipe.fitting.season_options import SeasonOptions
 from errpipe.fitting.solve import one_thread
-from errpipe.fitting.thermal_arithmetic import centred, held_readings, rms, since_start_of
+from errpipe.fitting.statistics import rms
+from errpipe.fitting.thermal_arithmetic import centred, held_readings, since_start_of
 
 # Least variance of a principal component over that of the first. Chosen on simulated machines (trials.duty_cycles, seed
 # 7, 9 machines): geometric mean of what three chosen runs leave of a third season 3.9 um, 5.0 with 1e-2, 9.6 with 3e-2.

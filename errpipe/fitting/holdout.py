@@ -52,6 +52,11 @@ class HoldOut(Frozen):
     blocks: int = Field(5, ge=2, description="Number of blocks or batches (batches, blocks, and forward without `of`).")
     gap: float = quantity("s", "Rows this close to a judged block do not fit.", 0.0, ge=0)
 
+    @property
+    def blocked(self) -> bool:
+        """Whether blocks of time are held out, not labelled groups."""
+        return self.scheme == "blocks" or (self.scheme == "forward" and self.of is None)
+
 
 def groups(recording: Recording, scheme: HoldOut | str = "auto") -> list[Fold]:
     """All folds of a scheme, in order of first appearance; every fold has measured rows on both sides.
@@ -176,8 +181,7 @@ def _folds(recording: Recording, scheme: HoldOut) -> Iterator[Fold]:
     if scheme.scheme == HALVES:
         yield from _halves(recording, scheme.gap)
         return
-    blocked = scheme.scheme == "blocks" or (scheme.scheme == "forward" and scheme.of is None)
-    if blocked:
+    if scheme.blocked:
         codes = block_numbers(recording, scheme.blocks)
         order = [(f"block {k + 1} of {scheme.blocks}", k) for k in range(scheme.blocks)]
     else:

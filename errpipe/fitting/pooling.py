@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 
-from errpipe.fitting.quantiles import chi2_quantile
+from errpipe.fitting.statistics import chi2_quantile
 
 STEPS = 200  # of EM, which converges slowly where machines hardly differ
 CONVERGED = 1e-5  # convergence threshold: relative change of the spread per step

@@ -20,6 +20,7 @@ import numpy as np
 from errpipe.domain.error_model import DatumReadings, ErrorModel
 from errpipe.domain.recording import Recording
 from errpipe.errors import GateError
+from errpipe.fitting.statistics import rms
 
 SHIFT = 28800.0  # s: eight hours
 PER_SHIFT = (1, 2, 4, 8, 16)  # readings a shift that the report compares
@@ -110,8 +111,8 @@ def by_readings(
                 share_of_all = share_of(values, last)
         levels.append(
             {"per_shift": number, "share": share_of_all}
-            | {name: _rms(np.concatenate(after)) for name, after in residuals.items()}
-            | {"groups": [{"label": g} | {n: _rms(a[k]) for n, a in residuals.items()} for k, g in enumerate(labels)]}
+            | {name: rms(np.concatenate(after)) for name, after in residuals.items()}
+            | {"groups": [{"label": g} | {n: rms(a[k]) for n, a in residuals.items()} for k, g in enumerate(labels)]}
         )
     bound = PLAUSIBLE * max(float(np.abs(v).max()) for v in left)
     return {"shift_h": SHIFT / 3600.0, "bound": bound, "levels": levels}
@@ -153,7 +154,3 @@ def with_readings(model: ErrorModel, validations: Sequence[Mapping[str, Any]], p
     if all(c.readings is None for c in out):
         raise GateError(f"export: readings_per_shift: {'; '.join(why)}")
     return model.model_copy(update={"components": tuple(out)})
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

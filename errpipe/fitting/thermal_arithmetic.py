@@ -10,8 +10,8 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting.design import response_name
-from errpipe.fitting.quantiles import normal_quantile, student_quantile
 from errpipe.fitting.solve import one_thread
+from errpipe.fitting.statistics import normal_quantile, student_quantile
 from errpipe.fitting.validity import LONGEST_HELD
 
 # A prediction starts at zero in a run's first row, its deviation is counted from the mean of the first few, and may be
@@ -202,12 +202,17 @@ def inner_groups(run: np.ndarray, rows: np.ndarray, blocks: int = BLOCKS) -> np.
     return group
 
 
-def ridge_gains(triangle: np.ndarray, response: np.ndarray, rows: float, strength: float) -> np.ndarray:
-    """Ridge gains from a triangle (k, p) that stands for `rows` rows; strength on columns of unit root mean square."""
+def ridge_gains(
+    triangle: np.ndarray, response: np.ndarray, rows: float, strength: float, scale: np.ndarray | None = None
+) -> np.ndarray:
+    """Ridge gains, (p,), from a triangle (k, p) that stands for `rows` rows.
+
+    strength: 1, of columns of unit root mean square; `scale`: theirs (default: that of the triangle).
+    """
     if triangle.shape[1] == 0:
         return np.empty(0)
-    size = np.sqrt(np.sum(triangle**2, axis=0) / rows)
-    size[size == 0] = 1.0
+    size = np.sqrt(np.sum(triangle**2, axis=0) / rows) if scale is None else scale
+    size = np.where(size > 0, size, 1.0)
     system = np.vstack([triangle / size, np.sqrt(strength * rows) * np.eye(size.size)])
     with one_thread():
         scaled_gains = np.linalg.lstsq(system, np.r_[response, np.zeros(size.size)], rcond=None)[0]
@@ -231,8 +236,3 @@ def limits(y: np.ndarray, seen_only: bool = False) -> tuple[float, float]:
         return low - SEEN_BEYOND * (high - low), high + SEEN_BEYOND * (high - low)
     reach = float(np.abs(y).max()) + SPAN_BEYOND * (high - low)
     return -reach, reach
-
-
-def rms(values: np.ndarray) -> float:
-    """Root mean square; 0 of nothing."""
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0

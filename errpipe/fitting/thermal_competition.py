@@ -24,7 +24,7 @@ from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout
-from errpipe.fitting.quantiles import student_tail
+from errpipe.fitting.statistics import student_tail
 
 MOST_FOLDS = 10  # of a grouping; more groups are left out in as many batches
 LEVEL = 0.3  # p over runs, one-sided, above which a partial gain is not kept; 0.1 to 0.5 do alike on seeds 101 to 103

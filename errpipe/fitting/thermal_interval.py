@@ -21,7 +21,7 @@ import numpy as np
 
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
-from errpipe.fitting.quantiles import normal_quantile
+from errpipe.fitting.statistics import normal_quantile
 from errpipe.fitting.thermal_arithmetic import conformal_half_width
 
 GROWTH = 1.0 / 50.0  # 1/um

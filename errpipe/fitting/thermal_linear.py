@@ -188,18 +188,6 @@ def time_constants(recording: Recording, sensors: int = 1) -> tuple[float, ...]:
     return tuple(float(f"{high / ratio**k:.3g}") for k in range(number))[::-1]
 
 
-def ridge(
-    design: np.ndarray, response: np.ndarray, rows: float, strength: float, scale: np.ndarray | None = None
-) -> np.ndarray:
-    """Ridge gains of a triangle, (p,), um/K. strength: 1, of columns of unit root mean square; `scale`: theirs, K."""
-    size = np.sqrt(np.sum(design**2, axis=0) / rows) if scale is None else scale
-    size = np.where(size > 0, size, 1.0)
-    system = np.vstack([design / size, np.sqrt(strength * rows) * np.eye(size.size)])
-    with one_thread():
-        scaled_gains = np.linalg.lstsq(system, np.r_[response, np.zeros(size.size)], rcond=None)[0]
-    return scaled_gains / size
-
-
 def ridge_path(
     design: np.ndarray, response: np.ndarray, rows: float, strengths: Sequence[float], scale: np.ndarray | float = 1.0
 ) -> np.ndarray:

@@ -34,7 +34,8 @@ from errpipe.fitting import holdout, thermal_causes, thermal_interval, thermal_l
 from errpipe.fitting.design import response_name
 from errpipe.fitting.season_options import SeasonOptions
 from errpipe.fitting.solve import one_thread
-from errpipe.fitting.thermal_arithmetic import centred, inner_groups, limits, no_usable_row, rms, since_start, slope
+from errpipe.fitting.statistics import rms
+from errpipe.fitting.thermal_arithmetic import centred, inner_groups, limits, no_usable_row, since_start, slope
 from errpipe.fitting.thermal_interval import Intervals, LeftOut
 from errpipe.fitting.thermal_model import Part, ThermalModel
 from errpipe.fitting.validity import box

@@ -19,8 +19,8 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from errpipe.fitting.quantiles import chi2_quantile, student_quantile
 from errpipe.fitting.solve import one_thread
+from errpipe.fitting.statistics import chi2_quantile, student_quantile
 from errpipe.kernels import whitening
 
 RHO = (0.3, 0.6, 0.8, 0.9, 0.95, 0.98, 0.995)  # starting points of the search: correlation of neighbouring rows,

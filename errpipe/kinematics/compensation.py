@@ -72,9 +72,9 @@ def _product(chain: Chain, key: tuple[str, ...], names: Mapping[str, str]) -> d.
 
 
 def _variable(chain: Chain, name: str, names: Mapping[str, str]) -> d.Driver:
-    if name[:4] not in ("sin ", "cos "):
+    function, axis = polynomials.function_of(name)
+    if not function:
         return d.Input(name=names.get(name, name))
-    function, axis = name.split(" ")
     low, high = chain.machine.axes[axis].travel
     count = max(2, int(np.ceil((high - low) / SINE_STEP)) + 1)
     angle = np.radians(np.linspace(low, high, count))

@@ -30,6 +30,7 @@ TYPICAL = np.array([10.0, 3.0, 2.0, 1.0, 2.0, 2.0])  # prior: um rms by family; 
 CERTAINTY = np.array([1.0, 1.0, 1.0, 1.0, 0.4, 3.0])  # prior sd of the logarithm of each
 SHIFT, TURN = 2000.0, 2000.0  # um, urad: CMM datum against the machine's
 OWN_ROUGH = 3.0  # a run's own map holds bends up to this wave number: set-up and temperature are smooth
+REWEIGHTINGS = 4  # weights then change by less than readings are noisy (by judgement)
 MISTAKE = 6.0  # robust standard deviations (1.48 MAD) about an affine map beyond which a hole is left out as an outlier
 HUBER = 2.5  # Huber threshold, standard deviations, beyond which a hole is down-weighted (a chip, a mispicked hole)
 
@@ -211,12 +212,10 @@ def _reader(grid: np.ndarray, curve: np.ndarray) -> Callable[[np.ndarray], np.nd
     return lambda x: np.interp(x, grid, curve)
 
 
-def fit_plate(
-    recording: Recording, *, rows: np.ndarray | None = None, modes: int = 8, robust: bool = True
-) -> PlanarModel:
+def fit_plate(recording: Recording, *, rows: np.ndarray | None = None, modes: int = 8) -> PlanarModel:
     """Fit the map to components E_X and E_Y over positions X and Y; every run has its own shift and rotation.
 
-    rows: mask or indices of the holes to use (all where left out). robust: down-weight outlying holes.
+    rows: mask or indices of the holes to use (all where left out). Outlying holes weigh less.
     Raises DataError where columns are missing, there are fewer than 12 holes, or they lie on one line.
     """
     x, y, run, ex, ey = _columns(recording, rows)
@@ -226,20 +225,8 @@ def fit_plate(
         raise DataError("a planar map needs holes that do not lie on one line")
     functions = Functions.of(box, min(modes, max(1, int(np.sqrt(len(x) / 4)))))
     design, spreads = _design(functions, x, y, run, used)
-    readings = np.r_[ex, ey]
-    known = np.full(6, np.nan)
-    if len(used) < 2:
-        known[3] = 1e-6
-    weight, hyper = np.ones(len(readings)), np.empty(0)  # no prior sizes estimated yet
-    if robust:
-        weight = np.tile(_inliers(x, y, run, used, np.column_stack([ex, ey])), 2)
-    plausible = weight > 0
-    for _ in range(4 if robust else 1):
-        moments = evidence.Moments.of(design * weight[:, None], readings * weight)
-        hyper = evidence.learn(spreads, moments, known, hyper if hyper.size else None)
-        mean, cov = evidence.solve(spreads, moments, hyper)
-        standardised = np.abs(readings - design @ mean) / hyper[-1]
-        weight = plausible * np.sqrt(np.minimum(1.0, HUBER / np.maximum(standardised, 1e-12))) if robust else weight
+    inliers = np.tile(_inliers(x, y, run, used, np.column_stack([ex, ey])), 2)
+    mean, cov, hyper, weight = _reweighted(design, spreads, np.r_[ex, ey], inliers, len(used))
     p = 3 + len(functions.output)
     labels = recording.run_labels()
     poses = mean[p : p + 3 * len(used)].reshape(-1, 3)
@@ -255,6 +242,22 @@ def fit_plate(
         len(x),
         weight.reshape(2, -1).T ** 2,
     )
+
+
+def _reweighted(
+    design: np.ndarray, spreads: evidence.Spreads, readings: np.ndarray, weight: np.ndarray, runs: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Mean, covariance, prior sizes and weights of iteratively reweighted least squares (Huber's weights)."""
+    known, hyper, plausible = np.full(6, np.nan), np.empty(0), weight > 0  # no prior sizes estimated yet
+    if runs < 2:
+        known[3] = 1e-6
+    for _ in range(REWEIGHTINGS):
+        moments = evidence.Moments.of(design * weight[:, None], readings * weight)
+        hyper = evidence.learn(spreads, moments, known, hyper if hyper.size else None)
+        mean, cov = evidence.solve(spreads, moments, hyper)
+        standardised = np.abs(readings - design @ mean) / hyper[-1]
+        weight = plausible * np.sqrt(np.minimum(1.0, HUBER / np.maximum(standardised, 1e-12)))
+    return mean, cov, hyper, weight
 
 
 def without_setup(x: np.ndarray, y: np.ndarray, deviation: np.ndarray, fit: np.ndarray | None = None) -> np.ndarray:
@@ -273,6 +276,17 @@ def repeated(recording: Recording, first: str, second: str) -> dict[str, float]:
     `floor`: that over sqrt 2, one measurement's share. `smooth`: the floor once a smooth drift is taken out too.
     Raises DataError where fewer than 12 holes are common.
     """
+    place, difference = _repeats(recording, first, second)
+    residual = without_setup(place[:, 0], place[:, 1], difference)
+    terms = [place[:, 0] ** i * place[:, 1] ** j for i in range(4) for j in range(4 - i)]
+    basis = np.column_stack([t / np.abs(t).max() for t in terms])
+    detrended = difference - basis @ np.linalg.lstsq(basis, difference, rcond=None)[0]
+    size = [float(np.sqrt(np.mean(v**2))) for v in (residual, detrended)]
+    return {"holes": len(place), "difference": size[0], "floor": size[0] / 2**0.5, "smooth": size[1] / 2**0.5}
+
+
+def _repeats(recording: Recording, first: str, second: str) -> tuple[np.ndarray, np.ndarray]:
+    """Places of the holes that two runs share (n, 2), mm, and second minus first there (n, 2), um."""
     labels = recording.run_labels()
     for label in (first, second):
         if label not in labels:
@@ -285,14 +299,7 @@ def repeated(recording: Recording, first: str, second: str) -> dict[str, float]:
     holes = sorted(at_first.keys() & at_second.keys())
     if len(holes) < 12:
         raise DataError(f"runs {first} and {second} have only {len(holes)} holes in common")
-    place = np.array(holes)
-    difference = np.array([np.subtract(at_second[h], at_first[h]) for h in holes])
-    residual = without_setup(place[:, 0], place[:, 1], difference)
-    terms = [place[:, 0] ** i * place[:, 1] ** j for i in range(4) for j in range(4 - i)]
-    basis = np.column_stack([t / np.abs(t).max() for t in terms])
-    detrended = difference - basis @ np.linalg.lstsq(basis, difference, rcond=None)[0]
-    size = [float(np.sqrt(np.mean(v**2))) for v in (residual, detrended)]
-    return {"holes": len(holes), "difference": size[0], "floor": size[0] / 2**0.5, "smooth": size[1] / 2**0.5}
+    return np.array(holes), np.array([np.subtract(at_second[h], at_first[h]) for h in holes])
 
 
 def _columns(recording: Recording, rows: np.ndarray | None):

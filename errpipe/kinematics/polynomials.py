@@ -16,6 +16,12 @@ Polynomial = dict[tuple[str, ...], float]
 _TINY = 1e-12  # smaller coefficients are rounding of the geometry (mm, direction cosines)
 
 
+def function_of(variable: str) -> tuple[str, str]:
+    """("sin", "C") of the variable "sin C"; ("", "X") of one that is no function."""
+    function, _, axis = variable.rpartition(" ")
+    return function, axis
+
+
 def add(a: Polynomial, b: Polynomial, factor: float = 1.0) -> Polynomial:
     """a + factor * b, without terms that cancel."""
     out = dict(a)

@@ -48,15 +48,16 @@ def modes(tests: Mapping[str, Recording]) -> int:
     return min(MOST, max(FEWEST, dense - 2)) if dense else AT_THE_TOOL
 
 
-def curve_misfit(chain: Chain, obs: o.Observations, residual: np.ndarray, *, largest: bool = False) -> dict[str, float]:
-    """What repeated readings of a component's targets agree on and its curve does not follow, rms in um or urad.
+def curve_misfit(chain: Chain, obs: o.Observations, residual: np.ndarray) -> tuple[dict[str, float], dict[str, float]]:
+    """What repeated readings of a component's targets agree on and its curve does not follow: rms, largest; um or urad.
 
-    Mean residual of each target, less what the scatter of single readings leaves of it. largest: the largest mean
-    residual of a target instead, its scatter included, for the components that have such a rest.
+    rms: of the mean residual of each target, less what the scatter of single readings leaves of it. largest: mean
+    residual of a target, its scatter included. Of the components that have such a rest.
     """
-    out: dict[str, float] = {}
+    rms: dict[str, float] = {}
+    largest: dict[str, float] = {}
     for label in dict.fromkeys(obs.label.tolist() if obs.own is not None else ()):
-        name = str(label).split(" ")[-1]
+        name = records.component_of(label)
         rows = np.flatnonzero((obs.label == label) & ~np.isnan(obs.own).any(axis=1)) if obs.own is not None else ()
         if name not in chain.components or len(rows) == 0:
             continue
@@ -65,6 +66,6 @@ def curve_misfit(chain: Chain, obs: o.Observations, residual: np.ndarray, *, lar
         mean = np.bincount(place, weights=residual[rows]) / count
         left = float(np.mean(mean**2) - np.mean(obs.noise[rows] ** 2) * np.mean(1.0 / count))
         if left > MIN_MISSED**2:
-            size = np.abs(mean).max() if largest else np.sqrt(left)
-            out[name] = max(out.get(name, 0.0), float(size))
-    return out
+            rms[name] = max(rms.get(name, 0.0), float(np.sqrt(left)))
+            largest[name] = max(largest.get(name, 0.0), float(np.abs(mean).max()))
+    return rms, largest

@@ -58,6 +58,11 @@ class Record:
     air: float = 0.0
 
 
+def component_of(label: object) -> str:
+    """The component that the label of a record's rows, or of its set-up, is of: the last word before a colon."""
+    return str(label).partition(":")[0].split(" ")[-1]
+
+
 def is_direct(recording: Recording) -> bool:
     """Whether a recording holds error motions (EXX, EYX ...) rather than readings at the tool."""
     return any(is_error_motion(c) for c in recording.components())
@@ -327,7 +332,7 @@ def reversals(chain: Chain, setup: Mapping[str, tuple[float, float]]) -> dict[st
     for name, (value, error) in setup.items():
         if not name.endswith(": reversal"):
             continue
-        component = name.removesuffix(": reversal").split(" ")[-1]
+        component = component_of(name)
         slope, slope_error = setup[f"{name} per metre"]
         axis = direct.axis_of(component)
         sign = sense(chain, component)

@@ -62,7 +62,7 @@ def entrant(family: str, name: str, problem: LinearProblem, layer: Layer) -> Ent
     import numpy as np
 
     from errpipe.domain import driver as d
-    from errpipe.fitting import thermal_linear
+    from errpipe.fitting.thermal_arithmetic import ridge_gains
     from errpipe.fitting.thermal_causes import columns
     from errpipe.fitting.thermal_competition import Entrant
 
@@ -76,7 +76,7 @@ def entrant(family: str, name: str, problem: LinearProblem, layer: Layer) -> Ent
     def gains(groups: tuple[int, ...]) -> np.ndarray:
         if layer.ridge is None:
             return np.zeros(width)
-        return thermal_linear.ridge(*problem.stacked(groups, width), layer.ridge)
+        return ridge_gains(*problem.stacked(groups, width), layer.ridge)
 
     @cache
     def net(groups: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -257,7 +257,8 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
     from errpipe.domain import driver as d
     from errpipe.fitting import thermal_interval
     from errpipe.fitting.season_options import SeasonOptions
-    from errpipe.fitting.thermal_arithmetic import limits, rms
+    from errpipe.fitting.statistics import rms
+    from errpipe.fitting.thermal_arithmetic import limits
     from errpipe.fitting.thermal_model import ThermalModel
     from errpipe.fitting.validity import box
 

@@ -33,6 +33,7 @@ class Rises(ThermalFamily):
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """Every strength of the ridge, and every freedom of the runs; of one day the mean of sensors taken alone."""
         from errpipe.fitting import thermal_linear as t
+        from errpipe.fitting.thermal_arithmetic import ridge_gains
 
         family, width = self.family_name(), problem.plain
         if not width:
@@ -40,7 +41,7 @@ class Rises(ThermalFamily):
 
         def ridge(strength: float) -> Entrant:
             def gains(groups: tuple[int, ...]) -> np.ndarray:
-                return t.ridge(*problem.stacked(groups, width), strength)
+                return ridge_gains(*problem.stacked(groups, width), strength)
 
             return linear(family, f"rises, ridge {strength:g}", problem, gains)
 

@@ -108,6 +108,12 @@ def _targets() -> np.ndarray:
     return np.round(even + LEAD * scatter * inner, 3)
 
 
+def _visits(targets: np.ndarray) -> list[tuple[float, float]]:
+    """(target, side) in order: up and down, CYCLES times."""
+    up, down = ([(float(x), side) for x in order] for order, side in ((targets, 1.0), (targets[::-1], -1.0)))
+    return [*up, *down] * CYCLES
+
+
 def _program(states: Sequence[tuple[float, float]]) -> _Program:
     rows, moves, t = [], [], 0.0
     targets = _targets()
@@ -120,13 +126,11 @@ def _program(states: Sequence[tuple[float, float]]) -> _Program:
             moves.append((t, t + 60.0 * minutes, float(speed), *STROKE))
             t += 60.0 * minutes
         here = float(targets[0])
-        for _ in range(CYCLES):
-            for side, order in ((1.0, targets), (-1.0, targets[::-1])):
-                for x in order.tolist():
-                    lasts = max(abs(x - here), 2.0) / APPROACH_SPEED + DWELL
-                    moves.append((t, t + lasts, abs(x - here) / lasts, min(x, here), max(x, here)))
-                    t, here = t + lasts, x
-                    rows.append((f"state-{k + 1}", 2 * k + 1, round(t - 0.5, 3), x, side, True))
+        for x, side in _visits(targets):
+            lasts = max(abs(x - here), 2.0) / APPROACH_SPEED + DWELL
+            moves.append((t, t + lasts, abs(x - here) / lasts, min(x, here), max(x, here)))
+            t, here = t + lasts, x
+            rows.append((f"state-{k + 1}", 2 * k + 1, round(t - 0.5, 3), x, side, True))
     grid = np.arange(0.0, t + heat.STEP, heat.STEP)
     begin = np.array([m[0] for m in moves])
     which = np.clip(np.searchsorted(begin, grid, side="right") - 1, 0, len(moves) - 1)

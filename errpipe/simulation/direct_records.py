@@ -51,8 +51,8 @@ def record(chain: Chain, values: Values, setup: SetUp, seed: int) -> Recording:
     """Every linear and rotary axis measured in all six components, `cycles` times up and down."""
     rng = np.random.default_rng(seed)
     turns = {n: float(rng.normal(0, LAY)) for n in chain.components if n[1] == "0" and n[0] in "ABC"}
-    parts = [_axis(chain, values, setup, axis, rng, turns, start) for start, axis in enumerate(chain.axes)]
-    frame = pd.concat(parts, ignore_index=True)
+    test = _Test(chain, values, setup, turns)
+    frame = pd.concat([test.of_axis(axis, rng) for axis in chain.axes], ignore_index=True)
     columns: dict[str, Column] = {"run": Column(role="run"), "t": Column(role="time", unit="s")}
     constants: dict[str, Constant] = {}
     for a in chain.axes:
@@ -76,32 +76,89 @@ def record(chain: Chain, values: Values, setup: SetUp, seed: int) -> Recording:
     return Recording(manifest, frame[list(columns)])
 
 
-def _axis(chain: Chain, values: Values, setup: SetUp, axis: str, rng, turns, start: int) -> pd.DataFrame:
-    low, high = chain.travel[chain.axes.index(axis)]
-    up = np.linspace(low, high, setup.targets)
-    p = np.tile(np.r_[up, up[::-1]], setup.cycles)
-    side = np.tile(np.repeat([1.0, -1.0], setup.targets), setup.cycles)
-    t = STEP * np.arange(len(p))
-    warm = 20.0 + setup.warming * (1 - np.exp(-t / 2400.0)) + 0.4 * start
-    pressure = 1013.0 + 3.0 * np.sin(t / 4000.0 + start)
-    columns = {
-        "run": np.repeat([f"{axis} {n + 1}" for n in range(setup.cycles)], 2 * setup.targets).astype(object),
-        "t": t,
-        axis.lower(): p,
-        f"dir_{axis.lower()}": side,
-        "T_air": warm,
-        "p_air": pressure,
-    }
-    true = {n: _curve_at(values[n], p) for n in chain.of_axis(axis)}
-    own = next((n for n in chain.of_axis(axis) if parse(n).kind in ("positioning", "angular positioning")), None)
-    if own is not None:
-        true[own] = true[own] + 0.5 * side * setup.reversal * rng.normal()
-    sense = _sense(chain, axis)
-    for n in chain.of_axis(axis):
-        noise = setup.noise if parse(n).unit == "um" else setup.angle_noise
-        shown = _shown(chain, values, setup, n, axis, p, {k: sense * v for k, v in true.items()}, turns, warm, pressure)
-        columns[n] = shown + ZERO * rng.normal() + noise * rng.normal(size=len(p))
-    return pd.DataFrame(columns)
+@dataclass(frozen=True)
+class _Air:
+    """Beside the beam, at each row: degC and hPa."""
+
+    warm: np.ndarray
+    pressure: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Test:
+    """A machine and the set-up that measures it. turns: squareness -> urad by which its square lies askew."""
+
+    chain: Chain
+    values: Values
+    setup: SetUp
+    turns: Mapping[str, float]
+
+    def of_axis(self, axis: str, rng: np.random.Generator) -> pd.DataFrame:
+        """The rows of one axis, every component of it."""
+        chain, setup, start = self.chain, self.setup, self.chain.axes.index(axis)
+        low, high = chain.travel[start]
+        up = np.linspace(low, high, setup.targets)
+        p = np.tile(np.r_[up, up[::-1]], setup.cycles)
+        side = np.tile(np.repeat([1.0, -1.0], setup.targets), setup.cycles)
+        t = STEP * np.arange(len(p))
+        warm = 20.0 + setup.warming * (1 - np.exp(-t / 2400.0)) + 0.4 * start
+        air = _Air(warm, 1013.0 + 3.0 * np.sin(t / 4000.0 + start))
+        columns = {
+            "run": np.repeat([f"{axis} {n + 1}" for n in range(setup.cycles)], 2 * setup.targets).astype(object),
+            "t": t,
+            axis.lower(): p,
+            f"dir_{axis.lower()}": side,
+            "T_air": air.warm,
+            "p_air": air.pressure,
+        }
+        true = {n: _curve_at(self.values[n], p) for n in chain.of_axis(axis)}
+        own = next((n for n in chain.of_axis(axis) if parse(n).kind in ("positioning", "angular positioning")), None)
+        if own is not None:
+            true[own] = true[own] + 0.5 * side * setup.reversal * rng.normal()
+        sense = _sense(chain, axis)
+        true = {n: sense * value for n, value in true.items()}
+        for n in chain.of_axis(axis):
+            noise = setup.noise if parse(n).unit == "um" else setup.angle_noise
+            shown = self.shown(n, axis, p, true, air)
+            columns[n] = shown + ZERO * rng.normal() + noise * rng.normal(size=len(p))
+        return pd.DataFrame(columns)
+
+    def shown(self, name: str, axis: str, p: np.ndarray, true: Mapping[str, np.ndarray], air: _Air) -> np.ndarray:
+        """What the instrument displays for one component, um or urad, before zero and noise."""
+        component, beam = parse(name), self.setup.beams.get(name, Beam())
+        if component.unit == "urad":
+            return true[name]
+        along = np.asarray(self.chain.machine.direction(axis))
+        reads = along if component.kind == "positioning" else np.asarray(LETTERS[component.direction])
+        arm = np.tile(-np.asarray(beam.offset, dtype=float), (len(p), 1))
+        if self.chain.machine.axes[axis].reference_on == "guideway":
+            arm = arm + p[:, None] * along
+        own = true[name] * (float(reads @ LETTERS[component.direction]) if component.kind == "positioning" else 1.0)
+        moved = own + (_turned(np.column_stack([true[f"E{d}{axis}"] for d in "ABC"]), arm) - arm) @ reads * 1e3
+        if component.is_straightness:
+            return moved + self.slope(name, axis, reads, along) * p * 1e-3
+        if component.kind != "positioning":
+            return moved
+        path = (p - p[0]) + (moved - moved[0]) * 1e-3  # mm since the laser was reset
+        index = AIR[0] * (air.warm - air.warm[0]) + AIR[1] * (air.pressure - air.pressure[0])
+        seen = path * np.cos(beam.misalignment * 1e-6) * (1.0 if beam.wavelength_corrected else 1.0 + index)
+        return (seen + beam.dead_path * index - (p - p[0])) * 1e3
+
+    def slope(self, name: str, axis: str, reads: np.ndarray, along: np.ndarray) -> float:
+        """Slope of a straightness record, um/m: the axis leans by its squareness, and the square lies askew."""
+        total = 0.0
+        for square in self.turns:
+            about = LETTERS["XYZ"["ABC".index(square[0])]]
+            lean = float(np.cross(about, along) @ reads)
+            if abs(lean) < 1e-9:
+                continue
+            second = square[2:] == axis
+            if second:
+                size = self.values.get(square, 0.0)
+                total += 0.0 if callable(size) else lean * size
+            if second or _is_datum_of(self.chain, square, name):
+                total -= lean * (self.turns[square] + (self.setup.squares.get(square, 0.0) if second else 0.0))
+        return total
 
 
 def _curve_at(value: Callable[[np.ndarray], np.ndarray] | float, p: np.ndarray) -> np.ndarray:
@@ -114,49 +171,11 @@ def _sense(chain: Chain, axis: str) -> float:
     return -1.0 if against else 1.0
 
 
-def _shown(chain, values, setup: SetUp, name: str, axis: str, p, true, turns, warm, pressure) -> np.ndarray:
-    """What the instrument displays for one component, um or urad, before zero and noise."""
-    component, beam = parse(name), setup.beams.get(name, Beam())
-    if component.unit == "urad":
-        return true[name]
-    along = np.asarray(chain.machine.direction(axis))
-    reads = along if component.kind == "positioning" else np.asarray(LETTERS[component.direction])
-    arm = np.tile(-np.asarray(beam.offset, dtype=float), (len(p), 1))
-    if chain.machine.axes[axis].reference_on == "guideway":
-        arm = arm + p[:, None] * along
-    own = true[name] * (float(reads @ LETTERS[component.direction]) if component.kind == "positioning" else 1.0)
-    moved = own + (_turned(np.column_stack([true[f"E{d}{axis}"] for d in "ABC"]), arm) - arm) @ reads * 1e3
-    if component.is_straightness:
-        return moved + _slope(chain, values, setup, name, axis, reads, along, turns) * p * 1e-3
-    if component.kind != "positioning":
-        return moved
-    path = (p - p[0]) + (moved - moved[0]) * 1e-3  # mm since the laser was reset
-    index = AIR[0] * (warm - warm[0]) + AIR[1] * (pressure - pressure[0])
-    seen = path * np.cos(beam.misalignment * 1e-6) * (1.0 if beam.wavelength_corrected else 1.0 + index)
-    return (seen + beam.dead_path * index - (p - p[0])) * 1e3
-
-
 def _turned(turn: np.ndarray, arm: np.ndarray) -> np.ndarray:
     """Arms (n, 3) after whole rotations by vectors (n, 3) in urad."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_rotvec(turn * 1e-6).apply(arm)
-
-
-def _slope(chain, values, setup: SetUp, name: str, axis: str, reads, along, turns) -> float:
-    """Slope of a straightness record, um/m: the axis leans by its squareness, and the square lies askew."""
-    total = 0.0
-    for square in turns:
-        about = LETTERS["XYZ"["ABC".index(square[0])]]
-        lean = float(np.cross(about, along) @ reads)
-        if abs(lean) < 1e-9:
-            continue
-        second = square[2:] == axis
-        if second:
-            total += lean * float(values.get(square, 0.0))
-        if second or _is_datum_of(chain, square, name):
-            total -= lean * (turns[square] + (setup.squares.get(square, 0.0) if second else 0.0))
-    return total
 
 
 def _is_datum_of(chain, square: str, name: str) -> bool:

@@ -47,13 +47,13 @@ def solve(stage: Any, context: Context) -> Solved:
     context.progress(0.3, f"{len(chain.components)} components from {len(seen)} readings")
     modes = readings.modes(tests) if stage.modes is None else stage.modes
     identified = identify.identify(identify.Parametrisation.of(chain, modes, stage.without), seen)
-    missed = readings.curve_misfit(chain, seen, identified.residual)
+    missed, largest = readings.curve_misfit(chain, seen, identified.residual)
     document = summary.document(identified, seen, missed=missed)
     document |= {"procedure": {"modes": modes, **stage.procedure()}, "unfollowed": missed}
-    document["unfollowed_largest"] = readings.curve_misfit(chain, seen, identified.residual, largest=True)
+    document["unfollowed_largest"] = largest
     if single:
         each = zip(seen.label, seen.noise, strict=True)
-        noise = {str(tag).split(" ")[-1]: float(size * identified.noise) for tag, size in each}
+        noise = {records.component_of(tag): float(size * identified.noise) for tag, size in each}
         document |= {
             "reversal": records.reversals(chain, identified.setup),
             "records": _records(chain, single, stage),

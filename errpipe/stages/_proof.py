@@ -29,7 +29,8 @@ def compare(table: CompensationTable, model: ErrorModel, recording: Recording) -
 
     from errpipe.fitting.components import evaluate
     from errpipe.fitting.lowering import compensable, uncompensated_terms
-    from errpipe.fitting.thermal_arithmetic import held_readings, rms
+    from errpipe.fitting.statistics import rms
+    from errpipe.fitting.thermal_arithmetic import held_readings
     from errpipe.stages.predict import table_values
     from errpipe.tables import bounds
 

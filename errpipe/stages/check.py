@@ -299,12 +299,12 @@ def _no_response(name: str, have: tuple[str, ...]) -> str:
 
 def _term(term: Any, recording: Recording, place: Place) -> Iterator[tuple[Place, str]]:
     """The columns a term reads, by the term itself; a field that names a temperature must name one."""
+    from errpipe.terms import TEMPERATURE
+
     columns = recording.manifest.columns
     for name, field in type(term).model_fields.items():
         value = getattr(term, name)
-        if not isinstance(value, str) or field.description is None:
-            continue
-        if field.description.startswith("Column of the temperature"):
+        if isinstance(value, str) and TEMPERATURE in field.metadata:
             if value not in recording.frame.columns:
                 near = did_you_mean(value, recording.names("temperature"))
                 sensors = ", ".join(recording.names("temperature")) or "none"

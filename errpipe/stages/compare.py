@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ from errpipe.validation import changes
 
 if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
+    from errpipe.pipeline.lock import Record
     from errpipe.validation.changes import Change, Compensation
 
 VERSION = 1  # of the document's layout
@@ -288,8 +289,7 @@ def _run_folders(old: Path, new: Path) -> Comparison:
     out = Comparison("run folder", parts={"stages": {}})
     _keys(out, "stage", before, after)
     for name in (n for n in before if n in after):
-        reasons = changes(before[name], after[name])
-        reasons = [r for r in reasons if not r.startswith("input ") or "/" not in r.split()[1]] or reasons[:3]
+        reasons = changes(*map(_without_files, (before[name], after[name]))) or changes(before[name], after[name])[:3]
         out.says += [f"{name}: {reason}" for reason in reasons]
         files = [f for f in before[name].outputs if f in after[name].outputs]
         parts = {}
@@ -300,6 +300,11 @@ def _run_folders(old: Path, new: Path) -> Comparison:
                 parts[file] = part
         out.parts["stages"][name] = {"reasons": reasons, "artefacts": parts}
     return out
+
+
+def _without_files(record: Record) -> Record:
+    """A record with its own inputs alone: what other stages wrote is said of those stages."""
+    return replace(record, inputs={name: value for name, value in record.inputs.items() if "/" not in name})
 
 
 ARTEFACTS = (_artefacts.TABLE, _artefacts.MODEL, DIAGNOSIS, "recording.yaml")

@@ -56,7 +56,9 @@ def _sin2_replaced(letters: Polynomial) -> Polynomial:
     waiting = list(letters.items())
     while waiting:
         key, value = waiting.pop()
-        twice = next((n for n, times in Counter(key).items() if n.startswith("sin ") and times > 1), None)
+        twice = next(
+            (n for n, times in Counter(key).items() if polynomials.function_of(n)[0] == "sin" and times > 1), None
+        )
         if twice is None:
             out[key] = out.get(key, 0.0) + value
             continue
@@ -80,7 +82,7 @@ def _expression(parts: list[dict[str, Any]]) -> str:
 
 
 def _function(name: str) -> str:
-    function, _, axis = name.rpartition(" ")
+    function, axis = polynomials.function_of(name)
     return f"{function}({axis})" if function else name
 
 

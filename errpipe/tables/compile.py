@@ -261,9 +261,8 @@ def _on_common_grids(groups: list[_Group], made: list[t.Profile]) -> list[t.Prof
     for group, p in zip(groups, made, strict=True):
         intervals = finest[_range(p)]
         if p.input is not None and len(p.values) - 1 < intervals <= COMMON_GRID_INTERVALS and not group.own_grid()[2]:
-            end = p.start + p.step * (len(p.values) - 1)
-            error = interpolation_error(group.curve, p.start, end, intervals)
-            finer = quantise(group.curve, p.start, end, intervals, error, p.scale, p.periodic)
+            error = interpolation_error(group.curve, p.start, p.end, intervals)
+            finer = quantise(group.curve, p.start, p.end, intervals, error, p.scale, p.periodic)
             p = group.stated(finer, p.input)
         out.append(p)
     return out

@@ -60,11 +60,9 @@ def sensors_of(table: CompensationTable) -> list[str]:
 def span(table: CompensationTable, axis: str) -> tuple[float, float]:
     """Range of the profiles over an axis, mm (deg); its plausible range where there is none."""
     name = positions_of(table)[axis]
-    ends = [(p.start, p.start + p.step * (len(p.values) - 1)) for p in table.profiles if p.input == name]
-    whole = [e for e, p in zip(ends, (p for p in table.profiles if p.input == name), strict=True) if not p.periodic]
-    chosen = whole or ends
-    if chosen:
-        return min(e[0] for e in chosen), max(e[1] for e in chosen)
+    own = [p for p in table.profiles if p.input == name]
+    if chosen := [p for p in own if not p.periodic] or own:
+        return min(p.start for p in chosen), max(p.end for p in chosen)
     channel = next(i for i in table.inputs if i.name == name)
     return channel.low, channel.high
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from errpipe.terms._base import NEVER, Example, Parameter, Term, plain
 from errpipe.terms._example import example_of
+from errpipe.terms._fields import TEMPERATURE
 from errpipe.terms._profiles import Curve, Line
 from errpipe.terms._search import Signals, resolved_times, search_of
 from errpipe.terms._slack import MANY_STARTS
@@ -12,6 +13,7 @@ from errpipe.yamlfile import Choice
 __all__ = [
     "MANY_STARTS",
     "NEVER",
+    "TEMPERATURE",
     "TERMS",
     "Curve",
     "Example",

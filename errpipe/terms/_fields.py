@@ -9,7 +9,8 @@ from pydantic import Field
 from errpipe.yamlfile import quantity
 
 Axis = Annotated[str, Field(description="Letter of the axis, such as X.")]
-Sensor = Annotated[str, Field(description="Column of the temperature.")]
+TEMPERATURE = "temperature"  # mark of a field that names a column of a temperature
+Sensor = Annotated[str, TEMPERATURE, Field(description="Column of the temperature.")]
 Reference = Annotated[
     float | None, quantity("degC", "Temperature at which the effect is nothing; none: the first one of each run.")
 ]

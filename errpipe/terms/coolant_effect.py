@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -16,6 +16,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._fields import TEMPERATURE
 from errpipe.terms._slack import Slack, start_states
 from errpipe.terms._warm import COOLANT_WORDS, mentions, scaled, sensors
 
@@ -36,7 +37,9 @@ class CoolantEffect(Term):
     term: Literal["coolant_effect"] = "coolant_effect"
     flow: str = Field(description="Column that is 1 while coolant flows.")
     sensor: str | None = Field(None, description="Column of the coolant's temperature.")
-    other: str | None = Field(None, description="Column of the temperature it is compared with.")
+    other: Annotated[str | None, TEMPERATURE] = Field(
+        None, description="Column of the temperature it is compared with."
+    )
     at_once: bool = Field(False, description="Without a time constant, which is shorter than rows are apart.")
     reports_as = "coolant_effect"
     family = "thermal"

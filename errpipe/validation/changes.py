@@ -107,8 +107,8 @@ def of_table(table: CompensationTable) -> Compensation:
 
 
 def _profile_span(table: CompensationTable, name: str) -> Range | None:
-    ends = [(p.start, p.start + p.step * (len(p.values) - 1)) for p in table.profiles if p.input == name]
-    return (min(e[0] for e in ends), max(e[1] for e in ends)) if ends else None
+    own = [p for p in table.profiles if p.input == name]
+    return (min(p.start for p in own), max(p.end for p in own)) if own else None
 
 
 def one_axis_one_name(old: Compensation, new: Compensation) -> tuple[Compensation, dict[str, str]]:

@@ -14,6 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from errpipe.domain.recording import Recording
+from errpipe.fitting.statistics import rms
 from errpipe.validation.input_drift import FEWEST_RUNS, MIN_SD, SCALES
 from errpipe.validation.response_drift import UNITS, meaning
 
@@ -122,12 +123,12 @@ def odd_responses(
         known = np.isfinite(measured) & np.isfinite(prediction)
         codes = [c for c in dict.fromkeys(run[known].tolist()) if labels[c] not in wrong]
         of = {c: np.flatnonzero(known & (run == c)) for c in codes}
-        left = {c: _rms(measured[of[c]] - prediction[of[c]]) for c in codes}
+        left = {c: rms(measured[of[c]] - prediction[of[c]]) for c in codes}
         old = [c for c in codes if reference[of[c][0]]]
         new = [c for c in codes if c not in old]
         usual = max((left[c] for c in old), default=0.0)
-        largest = LIKELY * max((_rms(prediction[of[c]]) for c in old), default=0.0)
-        unlike = [c for c in new if left[c] > UNLIKE * usual > 0.0 and _rms(prediction[of[c]]) < largest]
+        largest = LIKELY * max((rms(prediction[of[c]]) for c in old), default=0.0)
+        unlike = [c for c in new if left[c] > UNLIKE * usual > 0.0 and rms(prediction[of[c]]) < largest]
         sound = [left[c] for c in new if c not in unlike]
         if not sound or np.median(sound) > AS_BEFORE * usual:
             continue  # the machine itself changed, or all new runs are odd: what holds since then says more of them
@@ -145,15 +146,11 @@ def odd_responses(
 def _factor(measured: np.ndarray, predicted: np.ndarray, usual: float) -> float | None:
     """The factor by which a run was read, where that leaves of it what is left of others; None where none does."""
     for factor in (-1.0, *UNITS):
-        if _rms(measured - factor * predicted) <= AS_BEFORE * usual * abs(factor):
+        if rms(measured - factor * predicted) <= AS_BEFORE * usual * abs(factor):
             return factor
-    return 0.0 if LEAST_NOISE * usual < _rms(measured) <= AS_BEFORE * usual else None
+    return 0.0 if LEAST_NOISE * usual < rms(measured) <= AS_BEFORE * usual else None
 
 
 def _few_in_a_row(places: Sequence[int], count: int) -> bool:
     """Whether places among `count` follow each other, with at least as many others after them."""
     return places[-1] - places[0] == len(places) - 1 and count - 1 - places[-1] >= len(places)
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

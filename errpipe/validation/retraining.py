@@ -17,7 +17,7 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.fitting.holdout import Fold, measured
 from errpipe.fitting.judging import FIRST_READINGS, HeldOut
-from errpipe.fitting.quantiles import student_tail
+from errpipe.fitting.statistics import student_tail
 from errpipe.models import Family
 
 ALPHA = 0.05  # chance of ever promoting a challenger that is no better than the champion

@@ -24,7 +24,8 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout
 from errpipe.fitting.holdout import Fold
-from errpipe.fitting.thermal_arithmetic import rms, since_start_of
+from errpipe.fitting.statistics import rms
+from errpipe.fitting.thermal_arithmetic import since_start_of
 from errpipe.models import Family
 
 # Recording, component, mask of the rows to fit -> a model with `values`, and `predict` where it has an interval.

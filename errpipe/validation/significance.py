@@ -16,7 +16,7 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.fitting.judging import HeldOut
-from errpipe.fitting.quantiles import chi2_tail, student_tail
+from errpipe.fitting.statistics import chi2_tail, student_tail
 
 # Largest p of an exported correction. Chosen on: random offsets by run, 3,000 draws for each of 3 to 20 runs, of which
 # the mean offset is exported in 0.1 to 1.3 %; at 0.05 it is up to 3.3 %.

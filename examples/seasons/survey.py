@@ -19,6 +19,7 @@ from learning_curve import curve
 from errpipe import jsonfile
 from errpipe.domain.recording import Recording
 from errpipe.fitting import holdout, recalibration, thermal_arithmetic, thermal_season
+from errpipe.fitting.statistics import rms
 from errpipe.formats import manifest_folder
 from errpipe.reporting import run_figures, svg
 from errpipe.validation import seasons
@@ -119,12 +120,12 @@ def hotter(recording: Recording, component: str) -> tuple[Any, str]:
         moved = {n: recording.array(n) + shift for n in recording.names("temperature")}
         value = model.predict(Recording(recording.manifest, recording.frame.assign(**moved)))
         left = y - value.predicted
-        worse = [thermal_arithmetic.rms(left[run == c]) > thermal_arithmetic.rms(y[run == c]) for c in np.unique(run)]
+        worse = [rms(left[run == c]) > rms(y[run == c]) for c in np.unique(run)]
         told.append(
             {
                 "shift_K": shift,
-                "rms": thermal_arithmetic.rms(left),
-                "uncompensated": thermal_arithmetic.rms(y),
+                "rms": rms(left),
+                "uncompensated": rms(y),
                 "runs_worse_than_nothing": int(sum(worse)),
                 "largest": float(np.abs(value.predicted).max()),
                 "half_width": float(np.mean(value.upper - value.lower)) / 2,
@@ -173,7 +174,7 @@ def failures(recording: Recording, component: str) -> tuple[Any, str]:
     run, t = recording.run_codes(), recording.time()
     for fold in holdout.groups(recording, SEASON):
         model = thermal_season.fit(recording, component, rows=fold.train)
-        healthy = thermal_arithmetic.rms((y - model.values(recording))[fold.test])
+        healthy = rms((y - model.values(recording))[fold.test])
         for name in recording.names("temperature"):
             relation = _relation(recording, name, fold.train)
             for way, spoil in WAYS.items():
@@ -190,8 +191,8 @@ def failures(recording: Recording, component: str) -> tuple[Any, str]:
                         "sensor": name,
                         "failure": way,
                         "healthy": healthy,
-                        "failed": thermal_arithmetic.rms((y - model.values(broken))[fold.test]),
-                        "recovered": thermal_arithmetic.rms((y - model.values(mended))[fold.test]),
+                        "failed": rms((y - model.values(broken))[fold.test]),
+                        "recovered": rms((y - model.values(mended))[fold.test]),
                         "rows_to_detection": seen_after,
                     }
                 )

@@ -17,17 +17,10 @@ from errpipe.errors import DataError
 from errpipe.ncprogram.modal import Setup
 from errpipe.tables import ect
 from tests.hostile.doors import command
-from tests.nc import correct
+from tests.nc import correct, too_long_at_plus_x
 from tests.unit.targets import machines
 
 SETUP = Setup(offsets={"G54": (100.0, 50.0, 0.0), "G55": (300.0, 50.0, 0.0)}, tools={1: 80.0}, start=(100.0, 50.0, 0.0))
-
-
-def too_long_at_plus_x(points: np.ndarray, tool_length: float) -> np.ndarray:
-    """10 um too long at X = +500."""
-    out = np.zeros_like(points)
-    out[:, 0] = 0.010 * points[:, 0] / 500.0
-    return out
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.errors import DataError
 from errpipe.fitting import thermal_arithmetic, thermal_causes, thermal_network, thermal_season
+from errpipe.fitting.statistics import rms
 
 REAL = Path(os.environ.get("ERRPIPE_REAL_DATA", Path(__file__).parents[4] / "shared" / "real-data"))
 STEP = 140.0
@@ -63,10 +64,6 @@ def machine(runs: int = 8, warm: float = 0.0, seed: int = 0, rows: int = 120, ro
 def both(one: Recording, two: Recording) -> Recording:
     frame = two.frame.assign(run=[f"w{r}" for r in two.frame["run"]])
     return Recording(one.manifest, pd.concat([one.frame, frame], ignore_index=True))
-
-
-def rms(x: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(x**2)))
 
 
 def truth(recording: Recording) -> np.ndarray:

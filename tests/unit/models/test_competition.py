@@ -14,6 +14,7 @@ from sklearn.linear_model import Lasso
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError, GateError
 from errpipe.fitting import thermal_competition, thermal_linear
+from errpipe.fitting.statistics import rms
 from errpipe.fitting.thermal_arithmetic import held_readings, since_start
 from errpipe.models import FAMILIES, family_of, procedure
 from errpipe.models.auto import Auto, competitors
@@ -62,10 +63,6 @@ def machine(seed: int, runs: int = 5, noise: float = 0.3, seasons=tuple(SEASONS)
     kinds |= {n: Column(role="temperature", unit="degC", location=p) for n, p in places.items()}
     kinds["E_Z"] = Column(role="error", component="E_Z", unit="um")
     return Recording(Manifest(recording=1, tables=("a.csv",), columns=kinds), pd.concat(frames, ignore_index=True))
-
-
-def rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def part(recording: Recording, season: str, inside: bool) -> Recording:

@@ -11,7 +11,8 @@ import pytest
 from errpipe.domain.error_model import Validity
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.fitting import thermal_competition, thermal_linear
-from errpipe.fitting.thermal_arithmetic import limits, since_start
+from errpipe.fitting.statistics import rms
+from errpipe.fitting.thermal_arithmetic import limits, ridge_gains, since_start
 from errpipe.fitting.thermal_interval import GAIN_SPREAD, GROWTH, growth_of_one_day, independent_runs
 from errpipe.models.auto import Auto
 from errpipe.models.lagged import Lagged
@@ -33,10 +34,6 @@ def lag(u: np.ndarray, tau: float) -> np.ndarray:
     for k in range(1, u.size):
         out[k] = u[k - 1] + (out[k - 1] - u[k - 1]) * np.exp(-STEP / tau)
     return out
-
-
-def rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def test_the_first_block_of_a_warm_up_is_predicted_from_the_rest() -> None:
@@ -186,7 +183,7 @@ def test_the_error_of_a_runs_zero_moves_the_gain_less_than_it_would_in_plain_lea
                 y = 2 * warm + rng.normal(0, 1.0) * (np.arange(60) == 0)
                 frames.append(pd.DataFrame({"run": str(k), "t": STEP * np.arange(60), "T_1": 20 + warm, "E_Z": y}))
             problem = thermal_linear.problem(recording(pd.concat(frames, ignore_index=True)), "E_Z", None, 1)
-            gain = thermal_linear.ridge(*problem.stacked(problem.groups, 1), 0.0)
+            gain = ridge_gains(*problem.stacked(problem.groups, 1), 0.0)
             errors[share].append(float(gain[0]) - 2.0)
     plain, shared = (rms(np.array(e)) for e in errors.values())
     assert plain > 0.02 and shared < 0.8 * plain

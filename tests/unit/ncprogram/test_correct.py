@@ -8,26 +8,11 @@ import pytest
 
 from errpipe.errors import DataError
 from errpipe.ncprogram.modal import Setup
-from tests.nc import correct
+from tests.nc import bent, correct, too_long_at_plus_x
 
 SETUP = Setup(
     offsets={"G54": (100.0, 50.0, -200.0), "G55": (300.0, 50.0, -200.0)}, tools={1: 80.0}, start=(0.0, 0.0, 0.0)
 )
-
-
-def too_long_at_plus_x(points, tool_length):
-    """10 um too long at X = 500 of the machine, growing from zero at X = 0."""
-    out = np.zeros_like(points)
-    out[:, 0] = 0.010 * points[:, 0] / 500.0
-    return out
-
-
-def bent(points, tool_length):
-    """A machine with squareness, scale, bow and an angular error that the tool's length magnifies; mm."""
-    x, y, z = points.T
-    return np.column_stack(
-        [4e-5 * x + 3e-5 * y + 2e-5 * tool_length * x / 500, 5e-3 * np.sin(x / 150), -3e-5 * z + 1e-8 * x * y]
-    )
 
 
 def no_deviation(points, tool_length):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from errpipe.ncprogram.modal import Setup
-from tests.nc import correct
+from tests.nc import bent, correct
 
 pytestmark = [
     pytest.mark.toolchain,
@@ -36,14 +36,6 @@ G49 G0 Z150
 M2
 """
 INCH = 25.4
-
-
-def bent(points, tool_length):
-    """Squareness, scale, bow and an angle that the tool's length magnifies, mm."""
-    x, y, z = points.T
-    return np.column_stack(
-        [4e-5 * x + 3e-5 * y + 2e-5 * tool_length * x / 500, 5e-3 * np.sin(x / 150), -3e-5 * z + 1e-8 * x * y]
-    )
 
 
 def interpret(program, folder):

@@ -9,8 +9,9 @@ import numpy as np
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
 from errpipe.drivers.lowered import Lowered
+from errpipe.kernels import table_cycle
 from errpipe.kernels.table_codes import HOLD, OFF, ON
-from errpipe.tables import ComponentSource, compile_table
+from errpipe.tables import ComponentSource, compile_table, pack
 
 
 def position(name="x", axis="X", low=-500.0, high=1500.0, **more):
@@ -241,3 +242,13 @@ def follower(magnitude: float | None) -> t.CompensationTable:
     made = compile_table([ComponentSource("EXX", "um", (Lowered(driver),))], inputs=[x], ramp_s=0.0)
     (only,) = made.outputs
     return made.model_copy(update={"outputs": (only.model_copy(update={"magnitude": magnitude}),)})
+
+
+def numba_stream(table, readings, fresh, enable):
+    """Deviation, correction (cycles, outputs) and status of the Numba cycle."""
+    program = pack.program(table)
+    state = pack.state(program)
+    shape = (len(readings), len(table.outputs))
+    deviation, correction, status = np.empty(shape), np.empty(shape), np.empty(shape[0], dtype=np.int64)
+    table_cycle.stream(program, state, readings, fresh, enable, deviation, correction, status)
+    return deviation, correction, status

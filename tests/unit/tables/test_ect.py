@@ -16,12 +16,7 @@ from errpipe.domain import table as t
 from errpipe.errors import VerifyError
 from errpipe.tables import ect, layout, pack
 from tests.unit.tables.made import everything, ten_um_too_long
-
-
-def mended(data: bytes) -> bytes:
-    out = bytearray(data)
-    struct.pack_into("<I", out, 20, zlib.crc32(out[24:]))
-    return bytes(out)
+from tests.unit.tables.refused import mended
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -10,22 +10,12 @@ import pytest
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
 from errpipe.drivers.lowered import Lowered
-from errpipe.kernels import arithmetic, elementary, table_codes, table_cycle
-from errpipe.tables import ComponentSource, batch, compile_table, ect, pack
+from errpipe.kernels import arithmetic, elementary, table_codes
+from errpipe.tables import ComponentSource, batch, compile_table, ect
 from errpipe.tables.reference import Evaluator
-from tests.unit.tables.made import everything, modes, position, sensor, stimulus, ten_um_too_long
+from tests.unit.tables.made import everything, modes, numba_stream, position, sensor, stimulus, ten_um_too_long
 
 pytest.importorskip("numba")
-
-
-def stream(table, readings, fresh, enable):
-    """Deviation, correction (cycles, outputs) and status of the Numba cycle."""
-    program = pack.program(table)
-    state = pack.state(program)
-    shape = (len(readings), len(table.outputs))
-    deviation, correction, status = np.empty(shape), np.empty(shape), np.empty(shape[0], dtype=np.int64)
-    table_cycle.stream(program, state, readings, fresh, enable, deviation, correction, status)
-    return deviation, correction, status
 
 
 def same(cycle, deviation, correction, status):
@@ -40,7 +30,7 @@ def same(cycle, deviation, correction, status):
 def test_numba_cycle_is_the_reference_to_the_bit(seed):
     table = everything(seed)
     readings, fresh, enable = stimulus(table, 400, seed)
-    results = stream(table, readings, fresh, enable)
+    results = numba_stream(table, readings, fresh, enable)
     evaluator = Evaluator(table)
     for k in range(len(readings)):
         given = {i.name: readings[k, n] for n, i in enumerate(table.inputs) if fresh[k, n]}
@@ -52,7 +42,7 @@ def test_numba_cycle_is_the_reference_to_the_bit(seed):
 def test_numba_cycle_is_the_reference_over_many_cycles(seed):
     table = everything(seed)
     readings, fresh, enable = stimulus(table, 20_000, seed)
-    results = stream(table, readings, fresh, enable)
+    results = numba_stream(table, readings, fresh, enable)
     evaluator = Evaluator(table)
     for k in range(len(readings)):
         given = {i.name: readings[k, n] for n, i in enumerate(table.inputs) if fresh[k, n]}
@@ -234,7 +224,7 @@ def test_replay_at_the_controllers_rate_gives_the_controllers_bits():
     replay = batch.Rows(table)({"x": x, "T": temperature}, 0.25 * np.arange(400), np.zeros(400))
     readings = np.column_stack([{"x": x, "T": temperature}[i.name] for i in table.inputs])
     ones = np.ones(readings.shape, dtype=np.uint8)
-    deviation, _, _ = stream(table, readings, ones, np.ones(400, dtype=np.uint8))
+    deviation, _, _ = numba_stream(table, readings, ones, np.ones(400, dtype=np.uint8))
     assert np.array_equal(replay.deviation["EXX"], deviation[:, 0])
 
 

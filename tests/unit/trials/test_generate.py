@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from errpipe.formats import manifest_folder
+from tests.unit.trials.folders import assert_same_files
 from trials.first.assemble import MOSTLY_EXPLAINED, TIERS
 from trials.first.generate import MIX, PROTOCOLS, generate, occurring, one_case, plan
 from trials.score import sealed_answers
@@ -26,10 +27,7 @@ def drawn(tmp_path_factory):
 def test_same_seed_same_bytes(tmp_path):
     for name in ("one", "other"):
         generate(tmp_path / name, seed=3, cases=8)
-    one = {p.relative_to(tmp_path / "one"): p.read_bytes() for p in (tmp_path / "one").rglob("*") if p.is_file()}
-    other = {p.relative_to(tmp_path / "other"): p.read_bytes() for p in (tmp_path / "other").rglob("*") if p.is_file()}
-    assert one == other
-    assert len(one) == 8 * 3 + 1
+    assert_same_files(tmp_path / "one", tmp_path / "other", count=8 * 3 + 1)
 
 
 @pytest.mark.slow

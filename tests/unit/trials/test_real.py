@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from errpipe.formats import manifest_folder
+from tests.unit.trials.folders import assert_same_files
 from trials.folder import Sheet, write
 from trials.real.__main__ import figures, judge_all, markdown
 from trials.real.draw import additions, generate
@@ -120,8 +121,7 @@ def test_cases_are_readable_sealed_and_counted(tmp_path: Path) -> None:
     sheets = [("strokes", strokes()), ("warm-up", warm_up()), ("plate", plate_twice())]
     generate(tmp_path / "a", sheets, 5, 4, 5)
     generate(tmp_path / "b", sheets, 5, 4, 5)
-    for path in sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*") if p.is_file()):
-        assert (tmp_path / "a" / path).read_bytes() == (tmp_path / "b" / path).read_bytes()
+    assert_same_files(tmp_path / "a", tmp_path / "b")
     for case in sorted((tmp_path / "a" / "cases").iterdir()):
         manifest_folder.read(case)
         key = json.loads((tmp_path / "a" / "answers" / f"{case.name}.json").read_text())

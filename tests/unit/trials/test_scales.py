@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from errpipe.formats import manifest_folder
+from tests.unit.trials.folders import assert_same_files
 from trials import folder
 from trials.claims import impossible
 from trials.judge import judge
@@ -27,8 +28,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_seed_gives_the_same_bytes(drawn: Path, tmp_path: Path) -> None:
     generate(tmp_path, 3, 9)
-    for path in sorted(p.relative_to(drawn) for p in drawn.rglob("*") if p.is_file()):
-        assert (tmp_path / path).read_bytes() == (drawn / path).read_bytes(), path
+    assert_same_files(tmp_path, drawn)
 
 
 def test_every_recording_is_read_by_the_project(drawn: Path) -> None:

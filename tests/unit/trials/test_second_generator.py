@@ -15,6 +15,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from errpipe.formats import manifest_folder
+from tests.unit.trials.folders import assert_same_files
 from trials.second import generate, perfect
 from trials.second.compare import figures, spread
 from trials.second.contact import dahl, maxwell_slip, play
@@ -59,10 +60,7 @@ def verdict(judge, case: Path, key: dict, diagnosis: dict, tmp_path: Path) -> di
 
 def test_seed_gives_the_same_bytes(drawn: Path, tmp_path: Path) -> None:
     generate.main([str(tmp_path), "--seed", "41", "--cases", "7"])
-    ours = sorted(p.relative_to(drawn) for p in drawn.rglob("*") if p.is_file())
-    assert len(ours) == 21
-    for name in ours:
-        assert (drawn / name).read_bytes() == (tmp_path / name).read_bytes(), name
+    assert_same_files(drawn, tmp_path, count=21)
 
 
 def test_another_seed_gives_other_cases(drawn: Path, tmp_path: Path) -> None:

@@ -19,13 +19,12 @@ from bench import bench_cortex
 from bench.bench_tables import machine
 from errpipe import tables
 from errpipe.errors import VerifyError
-from errpipe.kernels import table_cycle
 from errpipe.stages._compile import CompileOptions, compile_model
-from errpipe.tables import bounds, ect, pack
+from errpipe.tables import bounds, ect
 from errpipe.targets.c_runtime import CRuntime
 from tests.compiled import compile_once
 from tests.unit.stages.test_readings import model
-from tests.unit.tables.made import everything, stimulus, ten_um_too_long
+from tests.unit.tables.made import everything, numba_stream, stimulus, ten_um_too_long
 
 HERE = Path(__file__).parent
 RUNTIME = Path(tables.__file__).parent / "runtime"
@@ -74,15 +73,6 @@ def build(folder: Path, *flags, compiler=None, name="libect.so", sources=("drive
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
     return Library(build(tmp_path_factory.mktemp("c")))
-
-
-def numba_stream(table, readings, fresh, enable):
-    program = pack.program(table)
-    state = pack.state(program)
-    shape = (len(readings), len(table.outputs))
-    deviation, correction, status = np.empty(shape), np.empty(shape), np.empty(shape[0], dtype=np.int64)
-    table_cycle.stream(program, state, readings, fresh, enable, deviation, correction, status)
-    return deviation, correction, status
 
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])

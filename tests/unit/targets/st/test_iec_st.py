@@ -18,8 +18,8 @@ from errpipe.tables import ect
 from errpipe.targets import iec_st, twincat_nc_table
 from tests.compiled import compile_once
 from tests.faults import sequences
-from tests.unit.tables.made import everything, stimulus, ten_um_too_long
-from tests.unit.targets.c.test_c_runtime import damaged, numba_stream, python_takes
+from tests.unit.tables.made import everything, numba_stream, stimulus, ten_um_too_long
+from tests.unit.targets.c.test_c_runtime import damaged, python_takes
 from tests.unit.targets.st import matiec, translate
 
 UNITS = (*iec_st.TYPES, *iec_st.FUNCTIONS, *iec_st.BLOCKS)

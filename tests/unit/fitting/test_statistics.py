@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from errpipe.fitting.quantiles import chi2_quantile, normal_quantile, student_quantile, student_tail
+from errpipe.fitting.statistics import chi2_quantile, normal_quantile, student_quantile, student_tail
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 7, 33.5, 400])

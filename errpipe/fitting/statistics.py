@@ -1,8 +1,14 @@
-"""Quantiles and tails of the usual distributions: the bits of scipy.stats without its half second of import."""
+"""Root mean square; quantiles and tails of the usual distributions: scipy.stats without its half second of import."""
 
 from __future__ import annotations
 
+import numpy as np
 from scipy import special
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square; 0 of nothing."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
 def student_quantile(p: float, degrees: float) -> float:
