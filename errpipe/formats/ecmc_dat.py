@@ -27,9 +27,9 @@ import pandas as pd
 from pydantic import Field
 
 from errpipe import files
-from errpipe.domain import components
-from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError
+from errpipe.formats._positioning import columns_of, finite
 from errpipe.yamlfile import Options as YamlOptions
 
 name = "ecmc_dat"
@@ -80,13 +80,7 @@ def read(path: Path, options: Options | None = None) -> Recording:
                     rows.append((str(cycle), targets[i] * factor, way * turned, (value - targets[i]) * factor * 1e3))
     runs, position, ways, deviation = zip(*rows, strict=True)
     axis = options.axis
-    component = components.positioning(axis)
-    columns = {
-        "run": Column(role="run"),
-        axis.lower(): Column(role="position", axis=axis, unit="mm"),
-        "direction": Column(role="direction", axis=axis),
-        component: Column(role="error", component=component, unit="um"),
-    }
+    columns = columns_of(axis)
     title = f"ISO 230-2 acceptance of {axis}: {len(targets)} targets, {len(set(runs))} cycles"
     data = (np.array(runs, dtype=object), np.array(position), np.array(ways, dtype=float), np.array(deviation))
     frame = pd.DataFrame(dict(zip(columns, data, strict=True)))
@@ -116,7 +110,7 @@ def _parse(path: Path) -> tuple[dict[int, float], dict[tuple[int, int, int], flo
         entry = index[0] if key == "TGT_DATA" else (WAYS[key], *index)
         if entry in where:
             raise DataError(f"{path}:{line}  {text.partition('=')[0]} stands in the file twice")
-        where[entry] = _number(value, f"{path}:{line}  {text.partition('=')[0]}")
+        where[entry] = finite(value, f"{path}:{line}  {text.partition('=')[0]}")
     _complete(path, targets, readings, settings)
     line, unit = settings.get("UNIT", (0, DEFAULT_UNIT))
     if unit not in UNITS:
@@ -133,16 +127,6 @@ def _lines(path: Path) -> list[tuple[int, str]]:
         raise DataError(f"{path}: not UTF-8 text at byte {err.start}") from None
     stripped = ((n, raw.strip().removeprefix("TEST_DATA=")) for n, raw in enumerate(text.splitlines(), 1))
     return [(n, line) for n, line in stripped if line and not line.startswith("#")]
-
-
-def _number(text: str, place: str) -> float:
-    try:
-        value = float(text) if "_" not in text else np.nan
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise DataError(f"{place}: {text!r} is not a number")
-    return value
 
 
 def _complete(path: Path, targets: dict, readings: dict, settings: dict[str, tuple[int, str]]) -> None:

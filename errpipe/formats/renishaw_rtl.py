@@ -21,9 +21,9 @@ import pandas as pd
 from pydantic import Field
 
 from errpipe import files
-from errpipe.domain import components
-from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError
+from errpipe.formats._positioning import columns_of, finite
 from errpipe.yamlfile import Options as YamlOptions
 
 name = "renishaw_rtl"
@@ -73,21 +73,10 @@ def read(path: Path, options: Options | None = None) -> Recording:
         raise DataError(f"{path}: the file's axis is {axis!r}, not a linear ISO 841 axis (say which: `axis: X`)")
     runs, numbers, deviation = _deviations(path, sections.get("DEVIATIONS", []), len(targets))
     position = targets[numbers - 1]
-    component = components.positioning(axis)
-    columns = {
-        "run": Column(role="run"),
-        axis.lower(): Column(role="position", axis=axis, unit="mm"),
-        "direction": Column(role="direction", axis=axis),
-        component: Column(role="error", component=component, unit="um"),
-    }
-    frame = pd.DataFrame(
-        {
-            "run": np.array([str(r) for r in runs], dtype=object),
-            axis.lower(): position,
-            "direction": _directions(path, runs, position),
-            component: deviation,
-        }
-    )
+    columns = columns_of(axis)
+    labels = np.array([str(r) for r in runs], dtype=object)
+    data = (labels, position, _directions(path, runs, position), deviation)
+    frame = pd.DataFrame(dict(zip(columns, data, strict=True)))
     manifest = Manifest(
         recording=1,
         title=facts.get("title", ""),
@@ -163,11 +152,11 @@ def _targets(path: Path, lines: list[_Line]) -> np.ndarray:
     for number, text in lines:
         key, colon, rest = text.partition(":")
         if colon and key.strip().lower() == "target-count":
-            count = int(_number(rest.strip(), f"{path}:{number}  Target-count"))
+            count = int(finite(rest.strip(), f"{path}:{number}  Target-count"))
         elif colon:
             listing = key.strip().lower() == "targets"
         elif listing:
-            values += [_number(word, f"{path}:{number}  target {len(values) + 1}") for word in text.split()]
+            values += [finite(word, f"{path}:{number}  target {len(values) + 1}") for word in text.split()]
     if not values or (count is not None and count != len(values)):
         raise DataError(f"{path}: Target-count is {count}, but {len(values)} targets are listed")
     return np.array(values)
@@ -184,7 +173,7 @@ def _deviations(path: Path, lines: list[_Line], targets: int) -> tuple[np.ndarra
             raise DataError(f"{path}:{number}  {text[:60]!r} is not a reading (allowed: run, target number, deviation)")
         if not 1 <= int(words[1]) <= targets:
             raise DataError(f"{path}:{number}  target {words[1]} does not exist (the file lists {targets})")
-        out.append((int(words[0]), int(words[1]), _number(words[2], f"{path}:{number}  deviation")))
+        out.append((int(words[0]), int(words[1]), finite(words[2], f"{path}:{number}  deviation")))
     if not out:
         raise DataError(f"{path}: section DEVIATIONS:: holds no readings")
     runs, numbers, values = zip(*out, strict=True)
@@ -201,14 +190,3 @@ def _directions(path: Path, runs: np.ndarray, position: np.ndarray) -> np.ndarra
             raise DataError(f"{path}: run {run} visits its targets neither upwards nor downwards")
         out[rows] = 1.0 if steps.sum() > 0 else -1.0
     return out
-
-
-def _number(text: str, place: str) -> float:
-    try:
-        value = float(text) if "_" not in text else np.nan
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        hint = " (a decimal comma? save with decimal points)" if "," in text else ""
-        raise DataError(f"{place}: {text!r} is not a number{hint}")
-    return value

@@ -56,9 +56,14 @@ def build(pieces: tuple[Piece, ...], recording: Recording) -> tuple[bytes, str]:
     return out.getvalue(), problem
 
 
+def c_compiler() -> str | None:
+    """Path of the C compiler of this host, if it has one."""
+    return next((path for name in ("cc", "gcc", "clang") if (path := shutil.which(name))), None)
+
+
 def compiled(sources: dict[str, str]) -> tuple[bytes | None, str]:
     """The shared library, or None and why there is none."""
-    compiler = next((path for name in ("cc", "gcc", "clang") if (path := shutil.which(name))), None)
+    compiler = c_compiler()
     if compiler is None:
         return None, "no C compiler was found: the FMU holds its sources alone"
     with tempfile.TemporaryDirectory(prefix="errpipe-patch-") as folder:

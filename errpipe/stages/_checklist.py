@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -201,35 +201,38 @@ def _moves(read: Any) -> list[str]:
 
     The three points are both ends, and where the correction is furthest from the straight line between them.
     """
-    ends = read.spans()
-    middle = {over: np.full(1, (low + high) / 2) for over, (low, high) in ends.items()}
-    cold = {line.sensor: np.full(1, line.reference) for line in read.lines}
-
-    def row(axis: str, over: str, where: str, at: dict[str, float]) -> str:
-        readings = middle | {name: np.full(1, x) for name, x in at.items()}
-        up, down = (1e3 * float(read.correction(axis, readings, np.full(1, s), cold)[0]) for s in (1.0, -1.0))
-        return f"| {axis} | {over} | {where} | {up + 0.0:+.2f} | {down + 0.0:+.2f} |"
-
-    def between(axis: str, over: str) -> float:
-        low, high = ends[over]
-        x = np.sort(np.append(_sample.spread(low, high, 101), (low + high) / 2))
-        value = read.correction(
-            axis,
-            {k: np.full(x.size, v) for k, v in middle.items()} | {over: x},
-            np.ones(x.size),
-            {k: np.full(x.size, v) for k, v in cold.items()},
-        )
-        off = np.abs(value - np.interp(x, (low, high), value[[0, -1]]))
-        return float(x[off.argmax()]) if 1e3 * off.max() > MIN_BEND else (low + high) / 2
-
-    lines = []
+    ends, lines = read.spans(), []
     for axis, over in dict.fromkeys((c.axis, c.over) for c in read.curves):
-        places = (ends[over][0], between(axis, over), ends[over][1])
-        lines += [row(axis, over, f"{x:.3f}", {over: float(x)}) for x in places]
+        places = (ends[over][0], _most_bent(read, axis, over), ends[over][1])
+        lines += [_move(read, axis, {over: float(x)}) for x in places]
     for axis, (a, b) in dict.fromkeys((p.axis, p.over) for p in (*read.products, *read.planes)):
-        corners = [(x, y) for x in ends[a] for y in ends[b]]
-        lines += [row(axis, f"{a} and {b}", f"{x:.3f}, {y:.3f}", {a: x, b: y}) for x, y in corners]
+        lines += [_move(read, axis, {a: x, b: y}) for x in ends[a] for y in ends[b]]
     for line in read.lines:
         per_kelvin = 1e3 * line.level
         lines.append(f"| {line.axis} | {line.sensor} +1 K | {line.zero:.3f} | {per_kelvin:+.3f} | {per_kelvin:+.3f} |")
     return lines
+
+
+def _corrections(read: Any, axis: str, at: Mapping[str, np.ndarray], side: float) -> np.ndarray:
+    """Corrections of an axis, mm (deg), at positions (n,); other axes in the middle, sensors at their reference."""
+    size = next(iter(at.values())).size
+    middle = {over: np.full(size, (low + high) / 2) for over, (low, high) in read.spans().items()}
+    cold = {line.sensor: np.full(size, line.reference) for line in read.lines}
+    return np.asarray(read.correction(axis, middle | dict(at), np.full(size, side), cold))
+
+
+def _move(read: Any, axis: str, at: Mapping[str, float]) -> str:
+    """A row of the move list: corrections at one place, come to from below and from above."""
+    place = {over: np.full(1, x) for over, x in at.items()}
+    up, down = (1e3 * float(_corrections(read, axis, place, side)[0]) for side in (1.0, -1.0))
+    where = ", ".join(f"{x:.3f}" for x in at.values())
+    return f"| {axis} | {' and '.join(at)} | {where} | {up + 0.0:+.2f} | {down + 0.0:+.2f} |"
+
+
+def _most_bent(read: Any, axis: str, over: str) -> float:
+    """Where the correction is furthest from the straight line between its ends; the middle where it is straight."""
+    low, high = read.spans()[over]
+    x = np.sort(np.append(_sample.spread(low, high, 101), (low + high) / 2))
+    value = _corrections(read, axis, {over: x}, 1.0)
+    off = np.abs(value - np.interp(x, (low, high), value[[0, -1]]))
+    return float(x[off.argmax()]) if 1e3 * off.max() > MIN_BEND else (low + high) / 2

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-import shutil
 import tempfile
 from importlib import metadata
 from pathlib import Path
@@ -17,12 +16,12 @@ EXTRAS = {"excel": "python-calamine", "tdms": "npTDMS", "hdf": "h5py", "fmu": "F
 def doctor() -> dict[str, Any]:
     """Every fact by name, and lines for people; nothing is written but a file that is removed again."""
     from errpipe import __version__
+    from errpipe.simulation.patch_fmu import c_compiler
 
     facts: dict[str, Any] = {"errpipe": __version__, "python": platform.python_version(), "system": platform.platform()}
     facts |= {name: _version(name) for name in PACKAGES}
     facts |= {f"extra {extra}": _version(package) for extra, package in EXTRAS.items()}
-    compiler = next((path for name in ("cc", "gcc", "clang") if (path := shutil.which(name))), None)
-    facts["C compiler"] = compiler or "none (exported C is then not compiled for its proof)"
+    facts["C compiler"] = c_compiler() or "none (exported C is then not compiled for its proof)"
     facts["cache folder"] = _cache()
     facts["threads"] = f"{os.cpu_count()} cores, OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'not set')}"
     width = max(map(len, facts))
