@@ -9,7 +9,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-PACKAGES = ("numpy", "scipy", "pandas", "pyarrow", "scikit-learn", "pydantic", "numba", "ruamel.yaml", "pint", "typer")
+PACKAGES = ("numpy", "scipy", "pandas", "pyarrow", "scikit-learn", "pydantic", "numba", "ruamel.yaml", "typer")
 EXTRAS = {"excel": "python-calamine", "tdms": "npTDMS", "hdf": "h5py", "fmu": "FMPy", "dask": "dask"}
 
 
