@@ -17,8 +17,8 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 
 ROOM = (5.0, 45.0)  # degC: a sensor of a machine at rest reads room temperature, and no machine hall is outside this
-NEAR = 6.0  # K: at the cold start of a run the sensors of a machine agree so far
-MIN_SLIP = 20.0  # K: and a slip sets one apart by more than that
+NEAR = 6.0  # K: largest spread of the sensors of a machine at the cold start of a run
+MIN_SLIP = 20.0  # K: smallest difference that a slip makes to one of them
 AIR = {"hPa": (650.0, 1100.0)}  # pressure of the air from sea level to 3500 m
 # Of a slip to the right value: what the wrong unit was.
 RATIOS = {25.4: "inch", 1 / 25.4: "mm in an inch column", 1000.0: "m", 0.001: "um"}

@@ -6,7 +6,7 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 
-LONGEST_PAUSE = 7200.0  # s; runs further apart than this start anew (by judgement: a machine at rest forgets)
+LONGEST_PAUSE = 7200.0  # s between runs of one session (by judgement: a machine at rest cools down)
 
 
 def sessions(recording: Recording) -> np.ndarray:

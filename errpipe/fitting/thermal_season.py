@@ -56,7 +56,7 @@ FEWEST_RUNS = 3  # an environment is left out only where so many runs stay to le
 def fit(
     recording: Recording, component: str, options: SeasonOptions | None = None, rows: np.ndarray | None = None
 ) -> ThermalModel:
-    """Fit on the rows of a mask (all where not given). Nothing outside the mask is looked at, the datum apart.
+    """Fit on the rows of a mask (all where not given). Of other rows only the datum is read.
 
     Raises DataError where the response is missing or no sensor sits on the machine.
     """

@@ -113,7 +113,7 @@ class _Test:
 
 
 def _test(rows: Healthy, horizon_s: float, per_hour: float) -> _Test:
-    """The ridge by which the smallest faults are seen, of those that keep sensors apart; else the largest ridge."""
+    """The ridge that detects the smallest faults, of those that tell the sensors from each other; else the largest."""
     recent = rows.x - rows.lagged(rows.x, horizon_s)
     tried = []
     for ridge in RIDGES:

@@ -25,7 +25,7 @@ from errpipe.simulation.patch import Piece, Program, Statement
 
 NAME = "patch"
 STEPWISE = ("direction", "coolant", "spindle_speed", "feed", "load", "overhang", "depth_of_cut")  # held between rows
-HISTORY = 1100  # values that a delay remembers, a thousandth of it apart or more (with `HISTORY` in the template)
+HISTORY = 1100  # stored values of a delay, one in a thousandth of it or more (as `HISTORY` in the template)
 # Numbers that each operation remembers between steps.
 STATE_WIDTH = {"lag": 1, "first": 1, "switch": 1, "side": 1, "direction": 2, "approach": 2, "ringing": 3}
 STATE_WIDTH["late"] = 3 + 2 * HISTORY

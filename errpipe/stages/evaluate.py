@@ -56,7 +56,7 @@ def evaluate(table: Path, at: Mapping[str, float]) -> dict[str, Any]:
 
 
 def _not_given(table: CompensationTable, at: Mapping[str, float]) -> list[str]:
-    """Inputs that were not given, with what stands for them, in words: a temperature's default is seldom the shop's."""
+    """Inputs that were not given, with their defaults, in words: that of a temperature may be far from the shop's."""
     return [f"{i.name} = {i.default:g}" for i in table.inputs if i.name not in at and not i.optional]
 
 
