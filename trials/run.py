@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import json
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from time import perf_counter
+
+from trials.command import add_reports, print_failures, write_reports
 
 from .first.generate import generate, split
 from .score import document, figures, markdown, score, wrong_ones
@@ -63,14 +64,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--cases", type=int, default=130)
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--keep", type=Path, help="folder to leave cases, answers and diagnoses in")
     parser.add_argument("--tiers", help="comma-separated")
     parser.add_argument("--effects", help="comma-separated effect ids")
     parser.add_argument("--protocols", help="comma-separated")
     parser.add_argument("--second", action="store_true", help="cases of the second generator")
     parser.add_argument("--third", action="store_true", help="cases of the third generator (real noise, every scale)")
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--markdown", type=Path)
+    add_reports(parser)
     a = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         out = a.keep or Path(temporary) / "trials"
@@ -86,14 +85,8 @@ def main() -> None:
     text = markdown(judged, f"{len(judged)} cases drawn with seed {a.seed}{by}")
     print(text)
     print(wrong_ones(judged))
-    for name, _, trouble in done:
-        if trouble:
-            print(f"{name} failed: {trouble}")
-    print(f"longest diagnosis {max(s for _, s, _ in done):.1f} s, all {sum(s for _, s, _ in done):.0f} s of work")
-    if a.markdown:
-        a.markdown.write_text(text)
-    if a.json:
-        a.json.write_text(json.dumps({"seed": a.seed, **document(judged)}, indent=1) + "\n")
+    print_failures(done)
+    write_reports(a, text, document(judged))
     print(f"right {100 * (figures(judged)['correct'] or 0):.1f} %")
 
 

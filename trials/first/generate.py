@@ -16,6 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from trials.command import in_shares
+
 from . import chain, circle, cutting, feedback, grid, linear, spindle
 from .assemble import Story, Unfit, build
 from .case import Bench
@@ -34,18 +36,6 @@ TRIES = 60
 
 def opaque(seed: int, number: int) -> str:
     return hashlib.sha256(f"errpipe trial {seed} {number}".encode()).hexdigest()[:10]
-
-
-def tiers_of(rng: np.random.Generator, cases: int, tiers: list[str]) -> list[str]:
-    """The mix by largest remainder, in random order."""
-    share = np.array([MIX[t] for t in tiers])
-    exact = share / share.sum() * cases
-    count = np.floor(exact).astype(int)
-    for i in np.argsort(count - exact)[: cases - count.sum()]:
-        count[i] += 1
-    drawn = [t for t, n in zip(tiers, count, strict=True) for _ in range(n)]
-    rng.shuffle(drawn)
-    return drawn
 
 
 def occurring() -> dict[str, list[str]]:
@@ -128,7 +118,7 @@ def plan(
         raise SystemExit("none of these effects occurs in these protocols")
     out: list[tuple[str, str | None, list[str]]] = []
     turn: dict[str, list[str]] = {}
-    for tier in tiers_of(rng, cases, tiers):
+    for tier in in_shares(rng, MIX, cases, tiers):
         if tier in ("null", "novel"):
             out.append((tier, None, [str(rng.choice(protocols))]))
             continue

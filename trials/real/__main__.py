@@ -15,6 +15,7 @@ from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
+from trials.command import add_reports, write_reports
 from trials.judge import judge, read
 from trials.run import diagnose_all
 
@@ -108,9 +109,7 @@ def main() -> None:
     parser.add_argument("--nulls", type=int, default=20)
     parser.add_argument("--additions", type=int, default=25)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--keep", type=Path, help="folder to leave cases, answers and diagnoses in")
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--markdown", type=Path)
+    add_reports(parser)
     a = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         out = a.keep or Path(temporary) / "real"
@@ -126,10 +125,7 @@ def main() -> None:
     for r in rows:
         if r["confident_wrong"] or not (quiet(r) if r["tier"] == "null" else r["right"]):
             print(r["case"], r["tier"], r["source"], *r["truth"], "->", ", ".join(r["said"]))
-    if a.markdown:
-        a.markdown.write_text(text)
-    if a.json:
-        a.json.write_text(json.dumps({"seed": a.seed, "figures": figures(rows), "cases": rows}, indent=1) + "\n")
+    write_reports(a, text, {"figures": figures(rows), "cases": rows})
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ python -m trials.scales --seed 7 --cases 100 --jobs 1 [--keep DIR] [--json FILE]
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 from collections import Counter, defaultdict
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 
 from trials import folder
 from trials.claims import impossible
+from trials.command import add_reports, print_failures, write_reports
 from trials.judge import Judged, judge, read
 from trials.run import diagnose_all
 
@@ -101,9 +101,7 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=100)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--only", help="comma-separated effect ids (the named cases always run)")
-    parser.add_argument("--keep", type=Path, help="folder to leave cases, answers and diagnoses in")
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--markdown", type=Path)
+    add_reports(parser)
     a = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         out = a.keep or Path(temporary) / "scales"
@@ -117,14 +115,8 @@ def main() -> None:
             print(
                 r["case"], r["bench"], "; ".join(r["truth"]), "->", r["outcome"], ", ".join(r["said"]), *r["impossible"]
             )
-    for name, _, trouble in done:
-        if trouble:
-            print(f"{name} failed: {trouble}")
-    print(f"longest diagnosis {max(s for _, s, _ in done):.1f} s, all {sum(s for _, s, _ in done):.0f} s of work")
-    if a.markdown:
-        a.markdown.write_text(text)
-    if a.json:
-        a.json.write_text(json.dumps({"seed": a.seed, "cases": rows}, indent=1) + "\n")
+    print_failures(done)
+    write_reports(a, text, {"cases": rows})
 
 
 if __name__ == "__main__":

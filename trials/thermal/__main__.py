@@ -13,7 +13,6 @@ a tenth of the time. Baselines are computed here on the same rows.
 from __future__ import annotations
 
 import argparse
-import json
 import subprocess
 import sys
 import tempfile
@@ -24,6 +23,7 @@ import numpy as np
 import pandas as pd
 
 from trials import folder
+from trials.command import add_reports, write_reports
 from trials.folder import Array, Sheet
 
 from . import logs
@@ -166,9 +166,7 @@ def main() -> None:
     parser.add_argument("--families", default="season,auto", help="comma-separated; empty: baselines only")
     parser.add_argument("--without-gate", action="store_true")
     parser.add_argument("--log-days", type=int, default=0)
-    parser.add_argument("--keep", type=Path)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--markdown", type=Path)
+    add_reports(parser)
     a = parser.parse_args()
     families = [f for f in a.families.split(",") if f]
     rows = []
@@ -182,10 +180,7 @@ def main() -> None:
             print(f"{row['machine']} {row['uncompensated_um']:.1f} um: {left} {failed}", flush=True)
     text = markdown(rows, f"{len(rows)} machines, seed {a.seed}")
     print(text)
-    if a.markdown:
-        a.markdown.write_text(text)
-    if a.json:
-        a.json.write_text(json.dumps({"seed": a.seed, "machines": rows}, indent=1) + "\n")
+    write_reports(a, text, {"machines": rows})
 
 
 if __name__ == "__main__":

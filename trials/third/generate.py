@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from trials import folder
+from trials.command import in_shares
 from trials.folder import Array
 from trials.rivals import accepted, forms, possible
 from trials.scales.bench import Bench, Rng, log_uniform
@@ -205,18 +206,6 @@ def key(
     return out
 
 
-def tier_list(rng: Rng, cases: int, tiers: list[str]) -> list[str]:
-    """Tiers in their shares, in random order."""
-    share = np.array([TIERS[t] for t in tiers])
-    exact = share / share.sum() * cases
-    count = np.floor(exact).astype(int)
-    for i in np.argsort(count - exact)[: cases - count.sum()]:
-        count[i] += 1
-    out = [t for t, n in zip(tiers, count, strict=True) for _ in range(n)]
-    rng.shuffle(out)
-    return out
-
-
 def generate(
     out: Path, seed: int, cases: int, tiers: list[str] | None = None, effects: list[str] | None = None
 ) -> None:
@@ -225,7 +214,7 @@ def generate(
     names = list(MACHINES)
     share = np.array([MACHINES[m][0] for m in names])
     keys = {}
-    for number, tier in enumerate(tier_list(rng, cases, tiers or list(TIERS))):
+    for number, tier in enumerate(in_shares(rng, TIERS, cases, tiers or list(TIERS))):
         while True:
             machine = str(rng.choice(names, p=share / share.sum()))
             try:
