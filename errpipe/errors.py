@@ -7,8 +7,9 @@ ErrpipeError            1   never raised itself; anything outside this tree is a
 |   |-- NotIdentifiable 3   the data cannot distinguish two parameters
 |   `-- MissingColumn   3   a model reads what the recording does not hold
 |-- GateError           4   a quality gate said no
-|-- ChangesPending      5   `plan --exit-code` found stages to run
 `-- VerifyError         6   a file on disk is not what it claims to be
+
+CHANGES_PENDING (5) is no error: `plan --exit-code` found stages to run.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+
+CHANGES_PENDING = 5  # exit code
 
 
 class ErrpipeError(Exception):
@@ -76,12 +79,6 @@ class GateError(ErrpipeError):
     """A quality gate said no (not better than nothing, outside validity, over a limit)."""
 
     exit_code = 4
-
-
-class ChangesPending(ErrpipeError):
-    """Stages would run."""
-
-    exit_code = 5
 
 
 class VerifyError(ErrpipeError):

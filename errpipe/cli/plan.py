@@ -28,11 +28,12 @@ def command(
     """
     from errpipe.cli._arguments import output_folder
     from errpipe.cli._pipeline import load_pipeline_file
+    from errpipe.errors import CHANGES_PENDING
     from errpipe.pipeline import runner
 
     steps = runner.plan(load_pipeline_file(pipeline, sets), output_folder(pipeline, out), to=to, force=force)
     pending = any(step.action != "fresh" for step in steps)
-    code = 5 if pending and exit_code else 0
+    code = CHANGES_PENDING if pending and exit_code else 0
     width = max(len(step.name) for step in steps)
     lines = [f"{s.name:<{width}}  {s.action:<7}  {'; '.join(s.reasons)}".rstrip() for s in steps]
     result = {

@@ -90,10 +90,14 @@ Driver = Annotated[
 ONE = Constant(value=1.0)
 
 
+def at_start(name: str) -> First:
+    """The value of an input at the start of the run."""
+    return First(of=Input(name=name))
+
+
 def rise(name: str) -> Affine:
     """Temperature rise of an input over its value at the start of the run, K."""
-    source = Input(name=name)
-    return Affine(weights=(1.0, -1.0), of=(source, First(of=source)))
+    return Affine(weights=(1.0, -1.0), of=(Input(name=name), at_start(name)))
 
 
 def above(name: str, reference: float) -> Affine:

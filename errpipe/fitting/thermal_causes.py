@@ -226,7 +226,7 @@ def oil(sensors: Sensors, thinning: float) -> d.Driver | None:
     """Friction of an oil as warm as the machine at the start of the run, 1 at 20 degC; None where it does not thin."""
     if thinning == 0.0:
         return None
-    starts = tuple(_first_of(n) for n in sensors.bodies)
+    starts = tuple(d.at_start(n) for n in sensors.bodies)
     level = d.Affine(weights=(1.0 / len(starts),) * len(starts), of=starts)
     grid = np.linspace(*OIL_RANGE, 25)
     values = tuple(float(v) for v in np.exp(-thinning * (grid - OIL_REFERENCE)))
@@ -238,10 +238,10 @@ def follower(room: str, start: str, tau: float, mix: float = 0.0) -> d.Lag:
 
     It began at `start`'s temperature, or the share `mix` of the way from there to the room's.
     """
-    parts: tuple[d.Driver, ...] = (d.Input(name=room), _first_of(start))
+    parts: tuple[d.Driver, ...] = (d.Input(name=room), d.at_start(start))
     weights: tuple[float, ...] = (1.0, mix - 1.0)
     if mix:
-        parts, weights = (*parts, _first_of(room)), (*weights, -mix)
+        parts, weights = (*parts, d.at_start(room)), (*weights, -mix)
     return d.Lag(of=d.Affine(weights=weights, of=parts), tau_up=tau, tau_down=tau, start="zero")
 
 
@@ -254,10 +254,6 @@ def lagged_difference(one: str, other: str, tau: float) -> d.Lag:
 def _late(state: d.Driver, name: str, tau: float, friction: d.Driver | None) -> d.Lag:
     factors = (state, d.rise(name)) if friction is None else (state, friction, d.rise(name))
     return d.Lag(of=d.Product(of=factors), tau_up=tau, tau_down=tau, start="zero")
-
-
-def _first_of(name: str) -> d.First:
-    return d.First(of=d.Input(name=name))
 
 
 def columns(recording: Recording, drivers: Sequence[d.Driver]) -> np.ndarray:

@@ -93,7 +93,7 @@ class Problem:
         self.core = thermal_causes.columns(recording, [c.driver for c in self.causes])
         self.extra = thermal_causes.columns(recording, self.further)
         names = self.sensors.all()
-        self.starts = thermal_causes.columns(recording, [_start(n) for n in names])
+        self.starts = thermal_causes.columns(recording, [d.at_start(n) for n in names])
         self.balance = np.nan_to_num(drive(_balance(self.sensors), recording))
         deviation = recording.array(response_name(recording, component))
         run = recording.run_codes()
@@ -325,7 +325,7 @@ class Problem:
             return core, None, d.Constant(value=0.0)
         inside = d.Affine(offset=1.0, weights=(-1.0,), of=(self._outside(gains),))
         names = self.sensors.all()
-        warmth = d.Affine(weights=(1.0 / len(names),) * len(names), of=tuple(_start(n) for n in names))
+        warmth = d.Affine(weights=(1.0 / len(names),) * len(names), of=tuple(d.at_start(n) for n in names))
         slope_driver = d.Lookup(
             of=warmth, start=float(grid[0]), step=float(grid[1] - grid[0]), values=tuple(float(w) for w in shares)
         )
@@ -357,7 +357,7 @@ class Problem:
         most = 1e3
         nodes: list[d.Driver] = []
         for name, low, high in zip(self.sensors.all(), gains.low, gains.high, strict=True):
-            start = _start(name)
+            start = d.at_start(name)
             nodes.append(d.Clip(of=d.Affine(offset=float(low), weights=(-1.0,), of=(start,)), low=0.0, high=most))
             nodes.append(d.Clip(of=d.Affine(offset=-float(high), weights=(1.0,), of=(start,)), low=0.0, high=most))
         return d.Affine(weights=(1.0 / len(self.sensors.all()),) * len(nodes), of=tuple(nodes))
@@ -381,10 +381,6 @@ def _sum(parts: Sequence[Part]) -> d.Driver:
     if not parts:
         return d.Constant(value=0.0)
     return d.Affine(weights=tuple(g for _, g, _ in parts), of=tuple(node for _, _, node in parts))
-
-
-def _start(name: str) -> d.First:
-    return d.First(of=d.Input(name=name))
 
 
 def _correction_drivers(

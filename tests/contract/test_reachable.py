@@ -21,7 +21,6 @@ TOP = Path(errpipe.__file__).parent
 
 # Definition -> why it may stay. An entry that is no longer needed fails, too.
 KNOWN = {
-    "errors.ChangesPending": "the exit code of `plan`; raised by name of its code",
     "fitting.experiment_design.fit": "examples/next-duty-cycle",
     "kernels.table_cycle.stream": "a controller's cycles in a loop: every other evaluator is compared with it",
     "cli._verbs.list_commands": "click calls it",
