@@ -15,7 +15,6 @@ import numpy as np
 
 from errpipe.diagnosis import units
 from errpipe.diagnosis.case import Case
-from errpipe.domain.components import is_force
 from errpipe.domain.diagnosis import Finding, FoundParameter
 from errpipe.drivers.motion import is_rotary
 from errpipe.terms import TERMS
@@ -96,7 +95,7 @@ def by_direction(case: Case) -> ByDirection | None:
     axis = case.pair.component[2:]
     velocity = case.recording.name("velocity", axis=axis)
     acceleration = case.recording.name("acceleration", axis=axis)
-    if not is_force(case.pair.component) or velocity is None or acceleration is None:
+    if not case.pair.component.startswith("F_") or velocity is None or acceleration is None:
         return None
     rows = case.pair.rows
     force = case.recording.array(case.pair.error)[rows]

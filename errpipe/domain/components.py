@@ -233,14 +233,5 @@ def is_at_tool(name: str) -> bool:
 
 def is_error_motion(component: str) -> bool:
     """Whether a component is an error motion of one axis, such as EXX, EYX or EBX."""
-    return parse(component).kind not in (
-        "tool point",
-        "tool orientation",
-        "circular",
-        "diameter",
-        "force",
-        "squareness",
-        "axis offset",
-        "zero position",
-        "drift",
-    )
+    parsed = parse(component)
+    return parsed.axis is not None and is_deviation(parsed.name)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -163,18 +163,6 @@ def _entries(where: str, page: Callable[[Any], Iterator[str]]) -> Iterator[str]:
         yield from page(plugin)
 
 
-def _terms() -> Iterator[str]:
-    yield from _entries("errpipe.terms:TERMS", _term)
-
-
-def _formats() -> Iterator[str]:
-    yield from _entries("errpipe.formats:FORMATS", _format)
-
-
-def _targets() -> Iterator[str]:
-    yield from _entries("errpipe.targets:TARGETS", _target)
-
-
 def _stages() -> Iterator[str]:
     yield from _entries("errpipe.stages:STAGES", _stage)
     yield from ("", "## Cleaning rules", "")
@@ -248,7 +236,7 @@ stages:
           - {term: chebyshev, axis: X, degree: 6}
           - {term: scale_expansion, axis: X, sensor: T_nut}
 ```""",
-        _terms,
+        partial(_entries, "errpipe.terms:TERMS", _term),
     ),
     "formats": (
         "Measurement file formats",
@@ -259,7 +247,7 @@ stages:
 stages:
   - {kind: ingest, recording: recordings/x-axis, format: manifest}
 ```""",
-        _formats,
+        partial(_entries, "errpipe.formats:FORMATS", _format),
     ),
     "targets": (
         "Controller formats",
@@ -271,7 +259,7 @@ works as the controller does; what it cannot express is reported in um.
 stages:
   - {kind: export, targets: [linuxcnc_screw, c_runtime]}
 ```""",
-        _targets,
+        partial(_entries, "errpipe.targets:TARGETS", _target),
     ),
     "stages": (
         "Stages of a pipeline",
