@@ -60,13 +60,8 @@ def table_inputs(
     inputs = [_channel(name, facts, model) for name, facts in columns.items() if facts["role"] in CHANNELS]
     inputs += [_datum(c.datum_input, c.unit, c.readings) for c in model.components if c.readings is not None]
     known, silence = _sensor_rates_and_silences(recording) if recording is not None else ({}, {})
-    inputs = [
-        _with_rate_limit(channel, known.get(channel.name) or _rate_of_step_input(channel, model)) for channel in inputs
-    ]
-    inputs = [_with_stale_limit(channel, silence.get(channel.name, 0.0)) for channel in inputs]
-    return [
-        _with_guard_limits(channel, healthy[channel.name]) if channel.name in healthy else channel for channel in inputs
-    ]
+    rates = {c.name: known.get(c.name) or _rate_of_step_input(c, model) for c in inputs}
+    return [_limited(c, rates[c.name], silence.get(c.name, 0.0), healthy.get(c.name)) for c in inputs]
 
 
 def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingRate], dict[str, float]]:
@@ -81,10 +76,15 @@ def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingR
     return rates.learn(short_gaps_held(recording, names)), longest_silence(recording, names)
 
 
-def _with_stale_limit(channel: TableInput, silence: float) -> TableInput:
-    if channel.stale_after_s is None or channel.stale_after_s >= silence:
-        return channel
-    return channel.model_copy(update={"stale_after_s": silence})
+def _limited(channel: TableInput, rate: ReadingRate | None, silence: float, sensor: GuardedSensor | None) -> TableInput:
+    """A channel with what was learnt of its readings; silence: s between two of them; sensor: of a guard."""
+    learnt: dict[str, Any] = {} if rate is None else {"max_rate": rate.max_rate, "noise": rate.noise}
+    if channel.stale_after_s is not None:
+        learnt["stale_after_s"] = max(channel.stale_after_s, silence)
+    if sensor is not None:
+        learnt |= {"low": sensor.low, "high": sensor.high, "max_rate": sensor.max_rate}
+        learnt["default"] = min(max(channel.default, sensor.low), sensor.high)
+    return channel.model_copy(update=learnt)
 
 
 def _datum(name: str, unit: str, readings: DatumReadings) -> TableInput:
@@ -126,19 +126,6 @@ def _rate_of_step_input(channel: TableInput, model: ErrorModel) -> ReadingRate |
         return None
     low, high = model.validity.ranges.get(channel.name, (0.0, 1.0 if channel.kind == "coolant" else 0.0))
     return ReadingRate((high - low) / STEP_S, STEP_NOISE * (high - low)) if high > low else None
-
-
-def _with_rate_limit(channel: TableInput, rate: ReadingRate | None) -> TableInput:
-    if rate is None:
-        return channel
-    return channel.model_copy(update={"max_rate": rate.max_rate, "noise": rate.noise})
-
-
-def _with_guard_limits(channel: TableInput, sensor: GuardedSensor) -> TableInput:
-    default = min(max(channel.default, sensor.low), sensor.high)
-    return channel.model_copy(
-        update={"low": sensor.low, "high": sensor.high, "max_rate": sensor.max_rate, "default": default}
-    )
 
 
 def _channel(name: str, facts: dict, model: ErrorModel) -> TableInput:
