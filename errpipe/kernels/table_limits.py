@@ -70,7 +70,7 @@ def approach_target(output, own, target, dt):
 
 @bare_kernel
 def bound(magnitude, own, before):
-    """Keep a correction within its magnitude, or where another table left it beyond; True where it would have gone on."""
+    """Keep a correction within its magnitude, or within what another table left; True where it would have gone on."""
     most = max(magnitude, abs(before))
     if own.limited > most:
         own.limited = most

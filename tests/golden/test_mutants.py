@@ -57,6 +57,7 @@ SAME = {
     """,
     "no vector exchanges tables, without which no correction stands beyond its magnitude (tests/faults)": """
         _limit: abs(b) -> b
+        _limit: max(output.magnitude, abs(b)) -> output.magnitude
     """,
     "e^700 is no result either: what it is for is not sane": """
         exp: y = type(y)(limit) if y > limit else y -> pass
