@@ -1660,6 +1660,11 @@ void ect_cycle(ect *e, const ect_real *readings, const uint8_t *fresh, int mode)
     e->heartbeat += 1;
 }
 
+ect_real ect_correction(const ect *e, uint32_t output)
+{
+    return output < e->output_count ? e->outputs[output].correction : R(0);
+}
+
 /* names ------------------------------------------------------------------------------------------ */
 
 static int32_t find(const uint8_t *records, uint32_t record, uint32_t count, const char *name)
