@@ -696,11 +696,15 @@ static int is_error_bound(const uint8_t *p)
 static int is_turn_count_small(const ect_input *in, const ect_profile *p, ect_real step)
 {
     ect_real period = (ect_real)p->last * step;
-    ect_real below = in->low - p->start, above = in->high - p->start, far;
-    below = below < R(0) ? -below : below;
-    above = above < R(0) ? -above : above;
-    far = below > above ? below : above;
-    return !(far / period > R(1e9));
+    const ect_real ends[4] = {in->low, in->high, in->valid_low, in->valid_high}; /* the table sees it within validity */
+    int i;
+    for (i = 0; i < (in->flags & HAS_VALID ? 4 : 2); i++) {
+        ect_real far = ends[i] - p->start;
+        if ((far < R(0) ? -far : far) / period > R(1e9)) {
+            return 0;
+        }
+    }
+    return 1;
 }
 
 static ect_error load_profiles(ect *e, const sections *s)

@@ -60,8 +60,8 @@ int main(void) {
         ect e;
         ect_error error = ect_load_only(&e, ect_table, ECT_TABLE_SIZE, work, sizeof work, allowed);
         ect_cycle(&e, readings, NULL, ECT_ON);
-        printf("%s; %u outputs; running %d; moves %d\\n", ect_says(error), (unsigned)e.output_count, (int)(e.status & 1u),
-               ect_correction(&e, 0) < 0);
+        printf("%s; %u outputs; running %d; moves %d\\n", ect_says(error), (unsigned)e.output_count,
+               (int)(e.status & 1u), ect_correction(&e, 0) < 0);
         allowed[31] ^= 1u;
     }
     return 0;
