@@ -12,8 +12,9 @@ import pytest
 
 from errpipe import tables
 from errpipe.domain import table as t
+from errpipe.kernels import table_cycle
 from errpipe.kernels.table_codes import HOLD, OFF, ON
-from errpipe.tables import ect, limits
+from errpipe.tables import ect, limits, pack
 from errpipe.tables.reference import Evaluator
 from tests.faults import campaign, runners, sequences
 from tests.unit.targets.st import matiec
@@ -154,6 +155,22 @@ def test_a_table_of_a_smaller_magnitude_takes_the_correction_back_at_its_slew(na
 def test_a_mode_that_is_none_takes_corrections_to_0(name, tmp_path):
     run = runners.by_numba if name == "kernels" else campaign.compiled(name, tmp_path)
     assert np.all(run([standing(0), standing(0, mode=7)])[-1] == 0.0)
+
+
+@pytest.mark.parametrize("dt", [3600.0, -1.0, np.nan])
+def test_a_clock_that_steps_moves_nothing(dt):
+    """A cycle of 3600 s was given the slew of an hour: the whole correction in a cycle."""
+    ended = []
+    for given in (sequences.CYCLE, dt):
+        program = pack.program(sequences.table(0))
+        state = pack.state(program)
+        for k in range(20):
+            readings = np.array([450.0, 30.0, 24.0, 0.0])
+            fresh = np.ones(4, np.uint8)
+            step = given if k == 12 else sequences.CYCLE
+            table_cycle.cycle(program, state, readings, fresh, step, False, ON)
+        ended.append(state.outputs["limited"].copy())
+    assert np.array_equal(*ended) and ended[0].any()
 
 
 def test_a_table_with_other_outputs_is_not_taken_over():

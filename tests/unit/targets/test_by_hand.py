@@ -18,6 +18,8 @@ from errpipe.stages import targets as stage
 from errpipe.stages._checklist import checklist
 from errpipe.targets import TARGETS, _sample
 from errpipe.targets._base import AS_THE_AXIS
+from errpipe.targets.fanuc_pitch import FanucPitch
+from errpipe.targets.linuxcnc_hal import LinuxcncHal
 from tests.unit.targets import machines, manual_readers
 
 PLACES = 23
@@ -220,7 +222,7 @@ def test_a_file_that_counts_axes_says_which_one_it_means(target):
     for n, letter in enumerate(letters):
         assert f"{letter} is {target.numbering.format(n, n + 1)}" in first
     assert "else another axis is moved" in first
-    if letters == ["X", "Y"]:
+    if table.outputs[0].axis == "Y":
         text = "".join(files.values())
         called = {
             "aerotech_cal": "OUTAXIS=2",
@@ -233,6 +235,21 @@ def test_a_file_that_counts_axes_says_which_one_it_means(target):
             "sinumerik_lec": "$AA_ENC_COMP[0,0,AX2]",
         }
         assert called[target.name] in text
+
+
+@pytest.mark.parametrize(
+    ("axes", "numbers"), [("Y", "XYZ"), ("Z", "XYZ"), ("XZ", "XZ"), ("YZ", "XYZ"), ("C", "XYZC"), ("XZC", "XZC")]
+)
+def test_the_table_of_an_axis_measured_alone_is_not_that_of_the_first_axis(axes, numbers):
+    """A table of Y alone went to axis 1, which is X: its data moved another axis. X and Z alone are a lathe's."""
+    inputs = [TableInput(name=a.lower(), kind="position", axis=a, low=-50, high=550, default=0) for a in axes]
+    sources = [tables.ComponentSource(f"E{a}{a}", "um", (Lowered(d.ONE, a, lambda v: 0.02 * v),)) for a in axes]
+    table = tables.compile_table(sources, inputs=inputs, travel=dict.fromkeys(axes, (0, 300)))
+    assert "".join(_sample.axes_of(table)) == numbers
+    number = numbers.index(axes[-1])
+    text = "".join(LinuxcncHal.write(table).values())
+    assert f"joint.{number}.motor-pos-cmd => errpipe.planned-{axes[-1].lower()}" in text
+    assert f"A{number + 1} {axes[-1]}" in FanucPitch.write(table)["PITCH.TXT"]
 
 
 @pytest.mark.parametrize(
