@@ -142,9 +142,9 @@ def test_a_turn_that_does_not_close_is_refused_where_it_is_read():
     c = table_of("rotary axis 0 to 360")
     for name, key, pattern in (
         ("fanuc_pitch", "PITCH.TXT", r"N10003Q0P(-?\d+)"),
-        ("sinumerik_lec", "AX1_C_EEC.INI", r"COMP\[0,0,AX1\]=(\S+)"),
+        ("sinumerik_lec", "AX4_C_EEC.INI", r"COMP\[0,0,AX4\]=(\S+)"),
         ("sinumerik_cec", "NC_CEC.INI", r"CEC\[0,0\]=(\S+)"),
-        ("beckhoff_ssfk", "achskw1.lis", r"table\[0\].pos +(-?\d+)"),
+        ("beckhoff_ssfk", "achskw4.lis", r"table\[0\].pos +(-?\d+)"),
     ):
         (target,) = [t for t in TARGETS if t.name == name]
         files = target.write(c)
