@@ -113,8 +113,9 @@ class Cycle:
     `state.outputs[o].deviation` is the deviation, um (urad). inputs, outputs: names in the order of the readings and
     of the outputs. identity: the name by which a controller shows the table.
 
-    A step is a cycle of a controller: another place for one step alone counts as a bad sample where the axis stands.
-    True in place of False, with dt the time since the row before: rows of a recording, each of which is accepted.
+    A step is a cycle of a controller, as long as the table says whatever dt is: another place for one step alone
+    counts as a bad sample where the axis stands. True in place of False, with dt the time since the row before: rows
+    of a recording, each of which is accepted.
     """
 
     step: Any

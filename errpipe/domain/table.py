@@ -357,7 +357,8 @@ def _check_turns(number: int, profile: Profile, inputs: tuple[TableInput, ...]) 
         return
     channel = next(i for i in inputs if i.name == profile.input)
     period = (len(profile.values) - 1) * profile.step
-    if max(abs(channel.low - profile.start), abs(channel.high - profile.start)) / period > 1e9:
+    ends = (channel.low, channel.high, *(channel.valid or ()))  # the table sees an input within its validity
+    if max(abs(end - profile.start) for end in ends) / period > 1e9:
         raise ValueError(f"profile {number}: more than 1e9 periods within the range of {channel.name}")
 
 

@@ -132,7 +132,7 @@ def _group(code, mode):
     """Modal group of a G code that changes nothing but the motion, -1 of another."""
     if code == 0.0 or code == 1.0 or code == 2.0 or code == 3.0:
         return 0
-    if code == 19.0 - mode.through:
+    if mode.named and code == 19.0 - mode.through:
         return 1
     if code == (21.0 if mode.scale == 1.0 else 20.0):
         return 2
@@ -198,7 +198,7 @@ def _centre(value, seen, here, goal, mode, clockwise):
     a, b = mode.first, mode.second
     if seen >> (6 + mode.through) & 1 or not mode.centres:
         return 0.0, 0.0, False
-    if not mode.named and seen >> mode.through & 1 and not seen >> b & 1:
+    if not mode.named and not seen >> b & 1 and not seen >> (6 + b) & 1:
         return 0.0, 0.0, False
     for n in range(6, 10):
         if seen >> n & 1 and not abs(value[n]) <= mode.radius:

@@ -191,10 +191,12 @@ def sum_outputs(outputs, terms, components, nodes, state):
 
 @bare_kernel
 def cycle(program, state, readings, fresh, dt, replay, mode):
-    """One cycle. fresh: non-zero where readings holds a new one; dt in s (since the row before, when replaying).
+    """One cycle. fresh: non-zero where readings holds a new one; dt: s since the row before, when replaying.
 
-    mode: OFF (corrections go to 0), ON, or HOLD (they stay as they are).
+    mode: OFF (corrections go to 0), ON, or HOLD (they stay as they are). Where nothing is replayed a call is a cycle of
+    the table, whatever a clock says: a clock that steps would carry a correction past its slew.
     """
+    dt = dt if replay else program.cycle_s
     common = state.common[0]
     slow = replay or common.until_slow == 0
     common.until_slow = (program.slow_every if slow else common.until_slow) - 1

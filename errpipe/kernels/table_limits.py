@@ -40,11 +40,12 @@ def approach_target(output, own, target, dt):
 
 @bare_kernel
 def bound(magnitude, own, before):
-    """Keep a correction within its magnitude; True where it would have left it."""
-    if own.limited > magnitude:
-        own.limited = magnitude
-    elif own.limited < -magnitude:
-        own.limited = -magnitude
+    """Keep a correction within its magnitude, or within what another table left; True where it would have gone on."""
+    most = max(magnitude, abs(before))
+    if own.limited > most:
+        own.limited = most
+    elif own.limited < -most:
+        own.limited = -most
     else:
         return False
     own.rate = own.limited - before

@@ -27,8 +27,10 @@ from errpipe.ncprogram.modal import (
     LINEAR,
     MM_PER_INCH,
     MOTIONS,
+    OFF_M,
     PLANES,
     ROTARY,
+    STOPS_M,
     Motion,
     Setup,
     State,
@@ -152,7 +154,7 @@ class _Reader:
         block = parse(number, source)
         before = replace(self.state, position=tuple(None if v != v else v for v in self.here.tolist()))
         self.state, motion = advance(block, before, self.setup)
-        if block.delete and self.state != before:
+        if block.delete and (motion is not None or self.state != before):
             raise refuse(number, source, "a motion or mode that a block delete switch may skip")
         self.here[:] = [math.nan if v is None else v for v in self.state.position]
         self.mode = self._mode()
@@ -166,7 +168,10 @@ class _Reader:
         points, error = segments(block, motion, *self.limits)
         self.chord_error = max(self.chord_error, error)
         self._refuse_unknown(block, points)
+        self._refuse_stop_between(block, points)
         self.writer.path(block, points, _prefix(block, motion))
+        if stops := [w.text for w in block.words if w.code in STOPS_M]:
+            self.writer.line(" ".join(stops))
         self.cursor[nc_blocks.MOVES] += 1
 
     @staticmethod
@@ -179,6 +184,16 @@ class _Reader:
             )
             raise refuse(block.line, block.source, where)
 
+    @staticmethod
+    def _refuse_stop_between(block: Block, points: np.ndarray) -> None:
+        stops = OFF_M & set(block.codes("M"))
+        if stops and len(points) > 1:
+            why = (
+                f"{sorted(stops)[0]} beside a motion of {len(points)} segments: controls differ in whether it acts "
+                "before the motion or behind it (give it a line of its own)"
+            )
+            raise refuse(block.line, block.source, why)
+
 
 def _source(raw: bytes) -> str:
     """The text of a line. Raises DataError where it is none."""
@@ -189,8 +204,9 @@ def _source(raw: bytes) -> str:
 
 
 def _prefix(block: Block, motion: Motion) -> str:
-    """The block's line number and all its words but those of the path."""
-    kept = [w.text for w in block.words if w.letter not in "XYZABCIJKRP" and w.code not in ("G2", "G3")]
+    """The block's line number and all its words but those of the path and what stops the program behind it."""
+    left_out = {"G2", "G3"} | STOPS_M
+    kept = [w.text for w in block.words if w.letter not in "XYZABCIJKRP" and w.code not in left_out]
     straight = "G1" if motion.mode in ("G2", "G3") else ""
     return " ".join(part for part in (block.number, *kept, straight) if part)
 

@@ -19,6 +19,10 @@ MOTIONS = ("G0", "G1", "G2", "G3")
 HARMLESS_G = {"G4", "G40", "G61", "G61.1", "G64", "G80", "G94", "G95", "G96", "G97", "G98", "G99", "G69", "G50"}
 # Spindle, coolant, stop, override and end: none moves an axis.
 HARMLESS_M = {f"M{n}" for n in (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 30, 48, 49, 50, 51, 52, 53, 60)}
+# Of a block with a motion these act behind it (LinuxCNC's order of execution).
+STOPS_M = {"M0", "M1", "M2", "M30", "M60"}
+# Spindle and coolant off: before the motion of their block in LinuxCNC, behind it in others.
+OFF_M = {"M5", "M9"}
 # The control moves the axes to a place of its own: to change the tool or the pallet; to a reference point.
 LEAVING_M = {"M6", "M60"}
 LEAVING_G = {"G28", "G30", "G53"}
@@ -260,12 +264,12 @@ def _end(block: Block, state: State) -> tuple[float | None, ...]:
 def _arc(block: Block, state: State, end: tuple[float | None, ...]) -> tuple[float, float]:
     """Centre of an arc in its plane, from I J K or R. Raises DataError where the radii disagree."""
     first, second, through = PLANES[state.plane]
-    if not state.plane_said and block.has(through) and not block.has(second):
+    if not state.plane_said and not block.has(second + CENTRES[second]):
         raise refuse(
             block.line,
             block.source,
-            f"an arc in {first} and {through} before any plane was named: a lathe begins with G18, a mill with G17 "
-            "(name it above the arc)",
+            f"an arc without {second} or {CENTRES[second]} before any plane was named: a lathe begins with G18, a mill "
+            "with G17 (name it above the arc)",
         )
     a, b = LINEAR.index(first), LINEAR.index(second)
     ends = (state.position[a], state.position[b], end[a], end[b])
@@ -273,7 +277,7 @@ def _arc(block: Block, state: State, end: tuple[float | None, ...]) -> tuple[flo
         raise refuse(block.line, block.source, "an arc from a place that is not known")
     a0, b0, a1, b1 = (float(v) for v in ends if v is not None)
     scale = MM_PER_INCH if state.inch else 1.0
-    radius, across = block.value("R"), CENTRES[PLANES[state.plane][2]]
+    radius, across = block.value("R"), CENTRES[through]
     if block.value(across) is not None:
         raise refuse(block.line, block.source, f"{across} is not a centre in the plane in force ({state.plane})")
     if radius is not None and block.has("IJK"):

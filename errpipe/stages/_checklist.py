@@ -73,13 +73,13 @@ def checklist(
 
 
 def _numbered(target: Any, table: CompensationTable) -> list[str]:
-    """Which axis the files mean by a number: they count the axes of the table, which holds no others."""
+    """Which axis the files mean by a number: the table does not know all axes of the machine."""
     if not target.numbering:
         return []
     named = (f"{axis} is {target.numbering.format(n, n + 1)}" for n, axis in enumerate(_sample.axes_of(table)))
     return [
-        f"in the files {', '.join(named)}: only the axes of this table are counted. Compare with the machine's own "
-        "numbers and change them where they differ, else another axis is moved"
+        f"in the files {', '.join(named)}, as on a machine of these axes. Compare with the machine's own numbers and "
+        "change them where they differ, else another axis is moved"
     ]
 
 

@@ -41,8 +41,14 @@ def positions_of(table: CompensationTable) -> dict[str, str]:
 
 
 def axes_of(table: CompensationTable) -> list[str]:
-    """Letters of all axes that the table reads or moves, in the order X Y Z A B C U V W."""
+    """Axes as files number them: X, Y, Z and what the table reads or moves, in the order X Y Z A B C U V W.
+
+    An axis that was measured alone would else have the first axis' number. X and Z without Y are a lathe's: no Y.
+    """
     letters = set(positions_of(table)) | set(outputs_by_axis(table))
+    there = {letter[0] for letter in letters}
+    if "Y" in there or not {"X", "Z"} <= there:
+        letters |= set("XYZ") - there
     return sorted(letters, key=lambda letter: ("XYZABCUVW".find(letter[0]), letter))
 
 

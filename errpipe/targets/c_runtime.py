@@ -1,6 +1,7 @@
 """C99 for a controller of one's own: the runtime (one header, one source) and the table as an array of bytes.
 
-Value     `e.outputs[i].correction` in the output's unit (mm), to be added to the command: minus the deviation.
+Value     `ect_correction(&e, i)` in the output's unit (mm), to be added to the command: minus the deviation; 0 where no
+          table runs.
 Files     ect.h, ect.c (the same for every table), table.h/table.c (the bytes), example.c (a cycle, to copy from).
 Compile   -std=c99 -ffp-contract=off; -DECT_SINGLE where there is no double. No allocation, no C library but memcpy.
 """
@@ -41,7 +42,7 @@ class CRuntime(Target):
         "ect_load must return ECT_OK; e.crc shows the table's checksum: compare it with `errpipe whatis table.ect`",
         "emergency stop or drives without power: mode ECT_HOLD; before and while homing: ECT_OFF",
         "call ect_cycle once per position cycle; bit 0 of e.status must be set and e.heartbeat must count",
-        "read e.outputs[].correction at three points with ECT_OFF (all 0) and ECT_ON before adding it to a command",
+        "read ect_correction at three points with ECT_OFF (all 0) and ECT_ON before adding it to a command",
     )
 
     @classmethod
@@ -114,7 +115,7 @@ int main(void)
     }}
     ect_cycle(&e, readings, NULL, ECT_ON);
     for (o = 0; o < e.output_count; o++) {{
-        printf("%u %.9g\\n", (unsigned)o, (double)e.outputs[o].correction);
+        printf("%u %.9g\\n", (unsigned)o, (double)ect_correction(&e, o));
     }}
     return 0;
 }}

@@ -108,6 +108,7 @@ def _facts(table: t.CompensationTable, data: bytes) -> dict[str, Any]:
         "crc": ect.fingerprint(table),
         "crc_number": int(ect.fingerprint(table), 16),
         "period_ns": round(table.position_cycle_s * 1e9),
+        "counted": " ".join(joint),
         "bits": ", ".join(f"{n} {name}" for n, name in enumerate(t.STATUS)),
         "thread": THREAD,
         "count_size": COUNT_SIZE,

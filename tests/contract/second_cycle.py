@@ -390,9 +390,10 @@ class Evaluator:
             self.status |= AT_RATE
             s.r = _closing(way, drift, s.r, hi, lo, a)
             b, s.c = s.c, s.c + s.r
-            if self.table.version > 1 and output.flags & 1 and abs(s.c) > output.magnitude:
+            most = max(output.magnitude, abs(b))
+            if self.table.version > 1 and output.flags & 1 and abs(s.c) > most:
                 self.status |= AT_MAGNITUDE
-                s.c = output.magnitude if s.c > 0 else -output.magnitude
+                s.c = most if s.c > 0 else -most
                 s.r = s.c - b
         return s.c * output.factor
 

@@ -268,7 +268,8 @@ def _check_profiles(table: Table) -> None:
         check(r.count >= 3 and same(r.per_period, 1 / (r.count - 1)), f"profile {i}: 1 / (count - 1)")
         check(values[0] == values[-1], f"profile {i}: periodic, but does not end as it starts")
         period, span = (r.count - 1) * r.step, table.inputs[r.input]
-        far = max(abs(span.low - r.start), abs(span.high - r.start))
+        ends = (span.low, span.high, *((span.valid_low, span.valid_high) if span.flags & 4 else ()))
+        far = max(abs(end - r.start) for end in ends)
         check(far / period <= 1e9, f"profile {i}: too many periods")
 
 

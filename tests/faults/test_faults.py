@@ -12,8 +12,9 @@ import pytest
 
 from errpipe import tables
 from errpipe.domain import table as t
+from errpipe.kernels import table_cycle
 from errpipe.kernels.table_codes import HOLD, OFF, ON
-from errpipe.tables import ect, limits
+from errpipe.tables import ect, limits, pack
 from errpipe.tables.reference import Evaluator
 from tests.faults import campaign, runners, sequences
 from tests.unit.targets.st import matiec
@@ -120,6 +121,56 @@ def test_the_magnitude_is_the_last_word_with_an_acceleration_too():
         cycle = evaluator.cycle({"x": x, "T nut": 39.0, "T column": 24.0})
         seen.append(1e3 * cycle.correction["EXX"])
     assert np.abs(seen).max() <= 30.0 and np.abs(seen).max() == pytest.approx(30.0)
+
+
+def standing(number: int, mode: int = ON, cycles: int = 3000) -> sequences.Part:
+    """X stands at 450 mm in a warm machine; `number` is the table that begins."""
+    readings = np.tile([450.0, 30.0, 24.0, 0.0], (cycles, 1))
+    return sequences.Part("table", number, readings, np.ones(readings.shape, np.uint8), np.full(cycles, mode, np.uint8))
+
+
+@needs_gcc
+@toolchain
+@pytest.mark.parametrize("name", ["reference", "kernels", "C, double", "C, single", "Structured Text"])
+def test_a_table_of_a_smaller_magnitude_takes_the_correction_back_at_its_slew(name, tmp_path, monkeypatch):
+    """The magnitude as the last word took it back at once: 25 um in a cycle, while the axis cut."""
+    tight = tables.limited(sequences.table(0), stated={"EXX": limits.Limits(10.0, 1000.0, 100000.0)})
+    chosen = (sequences.table(0), tight)
+    monkeypatch.setattr(runners, "table", lambda number: chosen[number])
+    monkeypatch.setattr(runners, "_bytes", lambda number: ect.dumps(chosen[number]))
+    run = {"reference": runners.by_reference, "kernels": runners.by_numba}.get(name) or campaign.compiled(
+        name, tmp_path
+    )
+    seen = run([standing(0), standing(1)])[:, 0]
+    assert abs(seen[2999]) > 30.0 and abs(seen[-1]) == pytest.approx(10.0)
+    assert np.abs(np.diff(seen)).max() <= 1.0 + 1e-4
+    size = np.abs(seen[2999:])
+    within = int(np.argmax(size <= 10.0))
+    assert np.all(np.diff(size[: within + 1]) < 0.0) and size[within:].max() <= 10.0 + 1e-4
+
+
+@needs_gcc
+@toolchain
+@pytest.mark.parametrize("name", ["kernels", "C, double", "C, single"])
+def test_a_mode_that_is_none_takes_corrections_to_0(name, tmp_path):
+    run = runners.by_numba if name == "kernels" else campaign.compiled(name, tmp_path)
+    assert np.all(run([standing(0), standing(0, mode=7)])[-1] == 0.0)
+
+
+@pytest.mark.parametrize("dt", [3600.0, -1.0, np.nan])
+def test_a_clock_that_steps_moves_nothing(dt):
+    """A cycle of 3600 s was given the slew of an hour: the whole correction in a cycle."""
+    ended = []
+    for given in (sequences.CYCLE, dt):
+        program = pack.program(sequences.table(0))
+        state = pack.state(program)
+        for k in range(20):
+            readings = np.array([450.0, 30.0, 24.0, 0.0])
+            fresh = np.ones(4, np.uint8)
+            step = given if k == 12 else sequences.CYCLE
+            table_cycle.cycle(program, state, readings, fresh, step, False, ON)
+        ended.append(state.outputs["limited"].copy())
+    assert np.array_equal(*ended) and ended[0].any()
 
 
 def test_a_table_with_other_outputs_is_not_taken_over():

@@ -24,7 +24,7 @@ SAME = {
         _take_over: s.now < r.valid_low -> s.now <= r.valid_low
         _take_over: over > 0 -> over >= 0
         _rate: s.raw - s.anchor > reach -> s.raw - s.anchor >= reach
-        _limit: abs(s.c) > output.magnitude -> abs(s.c) >= output.magnitude
+        _limit: abs(s.c) > most -> abs(s.c) >= most
         _move: goal > x + step -> goal >= x + step
         _move: goal < x - step -> goal <= x - step
         exp: y >= 0 -> y > 0
@@ -54,6 +54,10 @@ SAME = {
         _limit: goal > 0 -> goal >= 0
         _limit: s.c > 0 -> s.c >= 0
         _limit: 6 -> 7 in output.flags & 6
+    """,
+    "no vector exchanges tables, without which no correction stands beyond its magnitude (tests/faults)": """
+        _limit: abs(b) -> b
+        _limit: max(output.magnitude, abs(b)) -> output.magnitude
     """,
     "e^700 is no result either: what it is for is not sane": """
         exp: y = type(y)(limit) if y > limit else y -> pass

@@ -696,11 +696,15 @@ static int is_error_bound(const uint8_t *p)
 static int is_turn_count_small(const ect_input *in, const ect_profile *p, ect_real step)
 {
     ect_real period = (ect_real)p->last * step;
-    ect_real below = in->low - p->start, above = in->high - p->start, far;
-    below = below < R(0) ? -below : below;
-    above = above < R(0) ? -above : above;
-    far = below > above ? below : above;
-    return !(far / period > R(1e9));
+    const ect_real ends[4] = {in->low, in->high, in->valid_low, in->valid_high}; /* the table sees it within validity */
+    int i;
+    for (i = 0; i < (in->flags & HAS_VALID ? 4 : 2); i++) {
+        ect_real far = ends[i] - p->start;
+        if ((far < R(0) ? -far : far) / period > R(1e9)) {
+            return 0;
+        }
+    }
+    return 1;
 }
 
 static ect_error load_profiles(ect *e, const sections *s)
@@ -1567,7 +1571,7 @@ static ect_real closing(ect_real keep, ect_real way, ect_real drift, ect_real lo
 
 static uint32_t approach_goal(const ect *e, ect_output *o, ect_real goal)
 {
-    ect_real way = goal - o->limited, drift = goal - o->goal, lo = -BIG, hi = BIG, a = R(0), before;
+    ect_real way = goal - o->limited, drift = goal - o->goal, lo = -BIG, hi = BIG, a = R(0), before, most;
     int arrives;
     o->goal = goal;
     if (o->flags & HAS_SLEW) {
@@ -1595,8 +1599,10 @@ static uint32_t approach_goal(const ect *e, ect_output *o, ect_real goal)
     before = o->limited;
     o->rate = closing(o->rate, way, drift, lo, hi, a);
     o->limited = before + o->rate;
-    if (e->rules > 1 && (o->flags & HAS_MAGNITUDE) && (o->limited > o->magnitude || o->limited < -o->magnitude)) {
-        o->limited = o->limited > R(0) ? o->magnitude : -o->magnitude;
+    most = before < R(0) ? -before : before; /* beyond its magnitude where another table left it: comes back at its rate */
+    most = most > o->magnitude ? most : o->magnitude;
+    if (e->rules > 1 && (o->flags & HAS_MAGNITUDE) && (o->limited > most || o->limited < -most)) {
+        o->limited = o->limited > R(0) ? most : -most;
         o->rate = o->limited - before;
         return ECT_AT_RATE | ECT_AT_MAGNITUDE;
     }
@@ -1651,11 +1657,16 @@ void ect_cycle(ect *e, const ect_real *readings, const uint8_t *fresh, int mode)
     if (mode == ECT_HOLD) {
         status |= ECT_HOLDING;
     } else {
-        e->ramp = move(e, e->ramp, mode == ECT_OFF ? R(0) : R(1), e->ramp_time);
+        e->ramp = move(e, e->ramp, mode == ECT_ON ? R(1) : R(0), e->ramp_time);
     }
     status |= run_limits(e, mode == ECT_HOLD);
     e->status = status & ~LOST;
     e->heartbeat += 1;
+}
+
+ect_real ect_correction(const ect *e, uint32_t output)
+{
+    return output < e->output_count ? e->outputs[output].correction : R(0);
 }
 
 /* names ------------------------------------------------------------------------------------------ */

@@ -6,8 +6,8 @@
  *
  *     static uint64_t work[4096];
  *     ect e;
- *     if (ect_load(&e, table, size, work, sizeof work) != ECT_OK) { leave the corrections at 0; }
- *     each position cycle:  ect_cycle(&e, readings, NULL, ECT_ON);  command_x += e.outputs[0].correction;
+ *     if (ect_load(&e, table, size, work, sizeof work) != ECT_OK) { say so: corrections are 0 }
+ *     each position cycle:  ect_cycle(&e, readings, NULL, ECT_ON);  command_x += ect_correction(&e, 0);
  *
  * A table is changed while the machine runs by loading the new one into a second `ect` (in a slower task), then, between
  * two cycles, ect_take_over(&second, &first): corrections go on from where they stand, within their limits.
@@ -176,6 +176,10 @@ int ect_take_over(ect *e, const ect *before);
 /* One position cycle. readings: one per input, in the order of the table; fresh: non-zero where the reading is new
  * since the last cycle (NULL: all are); mode: an ect_mode. Results: e->outputs[], e->status, e->heartbeat. */
 void ect_cycle(ect *e, const ect_real *readings, const uint8_t *fresh, int mode);
+
+/* Correction of an output, in its correction unit, to be added to the command. 0 where there is no such output, as after a
+ * table that was refused: e->outputs points nowhere then. */
+ect_real ect_correction(const ect *e, uint32_t output);
 
 /* Number of the input or output of a name, -1 if there is none. */
 int32_t ect_find_input(const ect *e, const char *name);

@@ -103,7 +103,7 @@ def table() -> t.CompensationTable:
 def session_of(folder: Path, made: t.CompensationTable) -> np.ndarray:
     """Every servo cycle: number, joint position (deg), feedback (deg), correction (1e-6 deg), status."""
     files = {
-        **LinuxcncHal.write(made),
+        **{name: text.replace("joint.3.", "joint.1.") for name, text in LinuxcncHal.write(made).items()},  # no Y, no Z
         "core.hal": CORE + session.IO,
         "connect.hal": CONNECT,
         "sim.ini": session.ini("XC", JOINTS, TRAJ) + AXES,

@@ -147,7 +147,7 @@ def test_most_of_a_plain_program_is_read_in_bulk(monkeypatch):
     from errpipe.ncprogram.blocks import parse
 
     lines = [
-        "G90 G21 G54",
+        "G90 G21 G54 G17",
         "G0 X0 Y0 Z0 A0",
         "N1 G01 X1.5 F100 (c)",
         "g3 x3 i.75",
@@ -158,7 +158,7 @@ def test_most_of_a_plain_program_is_read_in_bulk(monkeypatch):
         "M2",
     ]
     correct("\r\n".join(lines), bent, SETUP)
-    assert parsed == ["G90 G21 G54", "M2"]
+    assert parsed == ["G90 G21 G54 G17", "M2"]
 
 
 def test_angles_are_rounded_as_python_writes_them():

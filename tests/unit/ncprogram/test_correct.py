@@ -229,15 +229,40 @@ def test_what_a_program_cannot_correct_is_said(tmp_path):
 
 
 @pytest.mark.parametrize("bulk", [True, False])
-@pytest.mark.parametrize("arc", ["G2 X30 Z-5 R9", "g3 z-5 i5 r9", "G2 Z-5 I5"])
-def test_an_arc_in_x_and_z_before_a_plane_was_named_is_refused(arc, bulk):
+@pytest.mark.parametrize("arc", ["G2 X30 Z-5 R9", "g3 z-5 i5 r9", "G2 Z-5 I5", "G3 X40 R10", "G2 X40 I10"])
+def test_an_arc_of_no_y_before_a_plane_was_named_is_refused(arc, bulk):
     """On a lathe, which begins with G18, it was cut into moves of X and Y: Y moved by half the chord."""
-    with pytest.raises(DataError, match="line 2: an arc in X and Z before any plane was named"):
+    with pytest.raises(DataError, match="line 2: an arc without Y or J before any plane was named"):
         correct(f"G90 G21 G54 G0 X20 Y0 Z0\n{arc}\n", no_deviation, SETUP, bulk=bulk)
     said, _ = correct("G90 G21 G18 G0 X20 Y0 Z0\nG2 X30 Z-5 R9\n", no_deviation, SETUP, bulk=bulk)
     assert set(numbers(said, "Y")) == {0.0}
-    for mill in ("G2 X30 Y10 R9", "G2 X30 Y10 Z-5 R9"):  # no lathe's
+    for mill in ("G2 X30 Y10 R9", "G2 X30 Y10 Z-5 R9", "G2 X40 I10 J0", "G17 X20\nG3 X40 R10"):  # no lathe's
         correct(f"G90 G21 G54 G0 X20 Y0 Z0\n{mill}\n", no_deviation, SETUP, bulk=bulk)
+
+
+@pytest.mark.parametrize("skipped", ["/X0 Y0 I5 J0", "/G0 X0", "/G1"])
+def test_a_motion_that_may_be_skipped_is_refused_though_it_ends_where_it_began(skipped):
+    """A full circle behind a block delete mark was cut whatever the switch said."""
+    with pytest.raises(DataError, match=r"line 3: a motion or mode that a block delete switch may skip"):
+        correct(f"G90 G21 G54 G17 G0 X0 Y0 Z0\nG2 X0 Y0 I5 J0 F100\n{skipped}\n", no_deviation, SETUP)
+
+
+@pytest.mark.parametrize("stop", ["M0", "M1", "M30", "m2"])
+def test_a_stop_beside_a_motion_comes_behind_its_last_segment(stop):
+    """It stood in the first segment: the program ended 25 mm into a cut of 100 mm."""
+    text, _ = correct(f"G90 G21 G54 G0 X0 Y0 Z0\nN7 G1 X100 F100 {stop} (cut)\n", no_deviation, SETUP)
+    *moves, last = text.splitlines()[1:]
+    assert (last, numbers(moves[-1], "X")) == (stop, [100.0])
+    assert not any(stop in line for line in moves)
+
+
+@pytest.mark.parametrize("off", ["M5", "M9"])
+def test_spindle_or_coolant_off_beside_a_cut_of_several_segments_is_refused(off):
+    """LinuxCNC stops before the motion, others behind it: there the rest would be cut with a spindle that stands."""
+    with pytest.raises(DataError, match=f"line 2: {off} beside a motion of 4 segments"):
+        correct(f"G90 G21 G54 G0 X0 Y0 Z0\nG1 X100 F100 {off}\n", no_deviation, SETUP)
+    text, _ = correct(f"G90 G21 G54 G0 X0 Y0 Z0\nG0 Z100 {off}\n", no_deviation, SETUP)
+    assert text.splitlines()[1] == f"G0 {off} Z100.0000"
 
 
 def test_an_input_that_is_given_twice_is_refused(tmp_path, capsys):

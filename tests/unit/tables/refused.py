@@ -344,6 +344,9 @@ def cases() -> Iterator[tuple[str, bytes]]:
     for what, section, record, at, form, value in FIELDS:
         yield what, _changed(data, starts[section] + record * lay.RECORDS[section][1].size + at, form, value)
     yield "approach of version 1 with a threshold", ect.dumps(sound().model_copy(update={"table": 1}))
+    x, *others = sound().inputs
+    far = x.model_copy(update={"valid": (0.0, 1e14), "margin": 1.0})
+    yield "validity 1e13 periods away", ect.dumps(sound().model_copy(update={"inputs": (far, *others)}))
     yield "no end", data[:-8]
     yield "bytes behind the end", mended(data[:16] + struct.pack("<I", len(data) + 8) + data[20:] + bytes(8))
     yield "gap behind the profile values", _changed(data, starts[COMPONENT] - 4, "I", 1)  # an odd number of them

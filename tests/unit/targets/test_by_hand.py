@@ -18,6 +18,8 @@ from errpipe.stages import targets as stage
 from errpipe.stages._checklist import checklist
 from errpipe.targets import TARGETS, _sample
 from errpipe.targets._base import AS_THE_AXIS
+from errpipe.targets.fanuc_pitch import FanucPitch
+from errpipe.targets.linuxcnc_hal import LinuxcncHal
 from tests.unit.targets import machines, manual_readers
 
 PLACES = 23
@@ -140,9 +142,9 @@ def test_a_turn_that_does_not_close_is_refused_where_it_is_read():
     c = table_of("rotary axis 0 to 360")
     for name, key, pattern in (
         ("fanuc_pitch", "PITCH.TXT", r"N10003Q0P(-?\d+)"),
-        ("sinumerik_lec", "AX1_C_EEC.INI", r"COMP\[0,0,AX1\]=(\S+)"),
+        ("sinumerik_lec", "AX4_C_EEC.INI", r"COMP\[0,0,AX4\]=(\S+)"),
         ("sinumerik_cec", "NC_CEC.INI", r"CEC\[0,0\]=(\S+)"),
-        ("beckhoff_ssfk", "achskw1.lis", r"table\[0\].pos +(-?\d+)"),
+        ("beckhoff_ssfk", "achskw4.lis", r"table\[0\].pos +(-?\d+)"),
     ):
         (target,) = [t for t in TARGETS if t.name == name]
         files = target.write(c)
@@ -220,7 +222,7 @@ def test_a_file_that_counts_axes_says_which_one_it_means(target):
     for n, letter in enumerate(letters):
         assert f"{letter} is {target.numbering.format(n, n + 1)}" in first
     assert "else another axis is moved" in first
-    if letters == ["X", "Y"]:
+    if table.outputs[0].axis == "Y":
         text = "".join(files.values())
         called = {
             "aerotech_cal": "OUTAXIS=2",
@@ -233,6 +235,21 @@ def test_a_file_that_counts_axes_says_which_one_it_means(target):
             "sinumerik_lec": "$AA_ENC_COMP[0,0,AX2]",
         }
         assert called[target.name] in text
+
+
+@pytest.mark.parametrize(
+    ("axes", "numbers"), [("Y", "XYZ"), ("Z", "XYZ"), ("XZ", "XZ"), ("YZ", "XYZ"), ("C", "XYZC"), ("XZC", "XZC")]
+)
+def test_the_table_of_an_axis_measured_alone_is_not_that_of_the_first_axis(axes, numbers):
+    """A table of Y alone went to axis 1, which is X: its data moved another axis. X and Z alone are a lathe's."""
+    inputs = [TableInput(name=a.lower(), kind="position", axis=a, low=-50, high=550, default=0) for a in axes]
+    sources = [tables.ComponentSource(f"E{a}{a}", "um", (Lowered(d.ONE, a, lambda v: 0.02 * v),)) for a in axes]
+    table = tables.compile_table(sources, inputs=inputs, travel=dict.fromkeys(axes, (0, 300)))
+    assert "".join(_sample.axes_of(table)) == numbers
+    number = numbers.index(axes[-1])
+    text = "".join(LinuxcncHal.write(table).values())
+    assert f"joint.{number}.motor-pos-cmd => errpipe.planned-{axes[-1].lower()}" in text
+    assert f"A{number + 1} {axes[-1]}" in FanucPitch.write(table)["PITCH.TXT"]
 
 
 @pytest.mark.parametrize(

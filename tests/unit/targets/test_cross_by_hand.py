@@ -63,7 +63,8 @@ def beckhoff_crosscomp(files, axis, over):
     """The list of the slave axis; setpoint of the master and correction in 0.1 um (0.0001 deg), added to the slave."""
     (text,) = [t for t in files.values() if re.search(rf"^kopf.log_achs_name {axis}$", t, re.M)]
     number = int(re.search(r"^kw.crosscomp.master_ax_nr (\d+)$", text, re.M)[1])
-    assert number == 1 + sorted((axis, over), key="XYZABC".index).index(over)
+    machine = {"X", "Z"} if {axis, over} == {"X", "Z"} else {*"XYZ", axis, over}  # a lathe, or a machine of X, Y, Z
+    assert number == 1 + sorted(machine, key="XYZABC".index).index(over)
     assert re.search(r"^kw.crosscomp.unit 1$", text, re.M)
     x, v = ([int(n) * 1e-4 for n in re.findall(rf"\.{k} (-?\d+)$", text, re.M)] for k in ("setpoint", "correction"))
     assert len(x) == 1 + int(re.search(r"last_index (\d+)$", text, re.M)[1])

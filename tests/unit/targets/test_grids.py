@@ -37,7 +37,7 @@ def over(low, high, um=10.0, lost=0.0):
 def test_fanuc_counts_from_the_reference_position(low, high):
     """Parameter 3620 is the point at machine coordinate 0, whichever part of the travel lies on which side of it."""
     text = BY_NAME["fanuc_pitch"].write(over(low, high, lost=4.0))["PITCH.TXT"]
-    facts = {int(k): int(v) for k, v in re.findall(r"N0(36\d\d)Q1A1P(-?\d+)", text)}
+    facts = {int(k): int(v) for k, v in re.findall(r"N0(36\d\d)Q1A3P(-?\d+)", text)}
     steps = {int(n) - 10000: int(v) for n, v in re.findall(r"N(1\d{4})Q0P(-?\d+)", text)}
     interval = facts[3624] / 1000
 

@@ -60,7 +60,8 @@ int main(void) {
         ect e;
         ect_error error = ect_load_only(&e, ect_table, ECT_TABLE_SIZE, work, sizeof work, allowed);
         ect_cycle(&e, readings, NULL, ECT_ON);
-        printf("%s; %u outputs; running %d\\n", ect_says(error), (unsigned)e.output_count, (int)(e.status & 1u));
+        printf("%s; %u outputs; running %d; moves %d\\n", ect_says(error), (unsigned)e.output_count,
+               (int)(e.status & 1u), ect_correction(&e, 0) < 0);
         allowed[31] ^= 1u;
     }
     return 0;
@@ -74,8 +75,8 @@ def test_a_table_that_is_not_the_one_allowed_is_not_loaded(tmp_path):
     sources = [tmp_path / name for name in ("ect.c", "ect_identity.c", "table.c", "only.c")]
     run(COMPILERS[0], *STRICT, *sources, "-o", tmp_path / "only")
     first, second = run(tmp_path / "only").stdout.splitlines()
-    assert first == "sound; 1 outputs; running 1"
-    assert second == "another table than the one allowed; 0 outputs; running 0"
+    assert first == "sound; 1 outputs; running 1; moves 1"
+    assert second == "another table than the one allowed; 0 outputs; running 0; moves 0"
 
 
 LOADERS = """#include "ect.h"
