@@ -30,8 +30,9 @@ INPUTS = (
 )
 # Lengths that are known better than the machine: where its own probe read them, its reading stands for the command.
 _ARTEFACT = re.compile(
-    r"\b(step ?gauges?|step ?bar|gau?ge ?blocks?|(stufen|parallel)?endmass\w*|kugel(balken|platte|leiste)"
-    r"|ball ?(plate|beam)|calibrated (length|value|position)s?|kalibrierte[rs]? (laenge|wert|position)\w*"
+    r"\b(step ?gauges?|step ?bar|gau?ge ?blocks?|(stufen|parallel)?endmass\w*|(kugel|loch)(balken|platte|leiste)"
+    r"|(ball|hole) ?(plate|beam|bar)|length bars?|calibrated( (length|value|position)s?|$)"
+    r"|kalibrierte?[rs]?( (laenge|wert|position)\w*|$)"
     r"|posn|dprnt|inspection (report|print)|cal\.? ?[xyz]|cale etalon|blocco campione)\b|ブロックゲージ|量块|步距规"
 )
 _SIGNS = re.compile(r"\b(signs?|vorzeichen|vz|signe|segno|signo)\b|符号|^\W*\+ ?/ ?-\W*$|^\W*±\W*$")

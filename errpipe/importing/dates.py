@@ -12,11 +12,12 @@ from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError
 from errpipe.importing.layout import RawColumn
 from errpipe.importing.sheet import Cell
+from errpipe.importing.units import unit_of
 
 NOT_UNDERSTOOD = "a date that is not understood"
 MIDNIGHT = "T00:00:00"  # how a workbook gives a date without a time of day
 _DATE = re.compile(rf"(\d{{4}}-\d\d-\d\d|\d{{1,2}}[./-]\d{{1,2}}[./-]\d{{2,4}}|\d{{4}}/\d\d?/\d\d?)(?:{MIDNIGHT})?")
-_CLOCK = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?( [AP]M)?")
+_CLOCK = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?( ?[AaPp]\.?[Mm]\.?)?")
 _ELAPSED = re.compile(
     r"(?:(\d+)\s*(?:d|days?|tage?|[.:])?\s+|(\d+)[.:](?=\d+:\d\d:))?(\d+):(\d\d)(?::(\d\d(?:\.\d+)?))?"
 )
@@ -76,6 +77,7 @@ def numbered(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str,
     Raises DataError for what may be days or seconds.
     """
     first, last = float(np.nanmin(c.values)), float(np.nanmax(c.values))
+    unit = unit or unit_of(c.header)  # a column that is called `minutes`
     tick = next((tick for low, high, tick in EPOCHS if low <= first < high), None)
     epoch = None if tick in (None, FILE_TIME) else datetime.fromtimestamp(first * tick, UTC).isoformat()
     if unit in SHORT:
@@ -204,6 +206,7 @@ _EAST_ASIAN = str.maketrans({"年": "/", "月": "/", "日": " ", "時": ":", "�
 def _usual_signs(text: str) -> str:
     """`7:00:00,5` with a point, `Mar 1, 2025 7:00` with a blank, `2. März 2026` in English, `07.58.00` with colons."""
     text = re.sub(r",(?=\d)", ".", text.translate(_EAST_ASIAN)).replace(",", " ")
+    text = re.sub(r"(?<=\d) ?([AaPp])\.?[Mm]\.?$", r" \1M", text)
     text = re.sub(r"(:\d\d:\d\d):(\d{1,3})$", r"\1.\2", text)  # `08:00:00:250`, as data loggers write
     text = re.sub(r"(?<= )(\d{1,2})\.(\d\d)\.(\d\d)$", r"\1:\2:\3", text)
     text = re.sub(r"(?<=\d)\.(?= [^\W\d]{3})|(?<=[^\W\d])\.(?= )", "", text)

@@ -14,6 +14,7 @@ from errpipe.importing.blocks import blocks, sections
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, filled_cells, label, number, of_one_mark
 from errpipe.importing.units import split_header, unit_of
 from errpipe.importing.units_above import units_of_columns
+from errpipe.importing.words import kind_by_name
 
 DEEPEST_HEADER = 200  # lines above the data: the longest preamble seen, of a laser's own file, has 60
 MOST_REMARKS = 50  # lines below a table that are kept as remarks
@@ -29,7 +30,7 @@ _AXIS_OF_SHEET = re.compile(
     r"^([XYZ])\d?$|\b(?:axis|achse|axe|asse|eje)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse|axe|asse)\b",
     re.IGNORECASE,
 )
-_MOMENT = re.compile(r"(?=.*\d:\d|.*\d[./-]\d+[./-]\d)\d[\d.:/\-T ,+Z]*( [AP]M)?")
+_MOMENT = re.compile(r"(?=.*\d:\d|.*\d[./-]\d+[./-]\d)\d[\d.:/\-T ,+Z]*( ?[AaPp]\.?[Mm]\.?)?")
 _COMMENT = ("#", "%", "//", ";", "!")
 _RULE = re.compile(r"[-=_+:~*|]{2,}")
 
@@ -66,7 +67,7 @@ class Layout:
 
 def is_word(cell: Cell) -> bool:
     """Whether a cell is a word, and not one of those for a missing value."""
-    return isinstance(cell, str) and _WORD.match(cell) is not None
+    return isinstance(cell, str) and _WORD.match(cell) is not None and not is_moment(cell)
 
 
 def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
@@ -305,9 +306,11 @@ def _are_units(texts: list[str]) -> bool:
 
 
 def _metres(names: list[str]) -> list[str]:
-    """`x_m` as `x [m]` where another header ends so too: alone it may be a measured x."""
+    """`x_m` as `x [m]` where another header ends so too, or it is a target: alone it may be a measured x."""
     ending = [n for n in names if re.fullmatch(r".*\w[_ ]m", n)]
-    return [f"{n[:-2]} [m]" if n in ending and len(ending) > 1 else n for n in names]
+    bare = any("[" not in n and "(" not in n and split_header(n)[1] for n in names)  # `Deviation um` beside it
+    metres = ending if len(ending) > 1 else [n for n in ending if bare and kind_by_name(n[:-2]) == "command"]
+    return [f"{n[:-2]} [m]" if n in metres else n for n in names]
 
 
 def _is_preamble(group: list[str], names: list[str]) -> bool:
@@ -350,7 +353,8 @@ def _layout(
             header += "'" * (count_of[header] - 1)  # no number, which would be taken for that of a run
         cells = [row[i] if i < len(row) else None for row in rows]
         try:
-            cells = of_one_mark(cells, comma)
+            thousands = (stated or unit) not in ("degC", "degF", "K") and kind_by_name(header) != "temperature"
+            cells = of_one_mark(cells, comma, thousands)
         except ValueError as err:
             raise DataError(
                 f"column {header!r}: {err} may have a mark of thousands or of decimals (write its numbers without "

@@ -114,8 +114,10 @@ def unit_by_size(values: np.ndarray) -> str:
             f"the readings are whole numbers, or halves, up to {most:g} and no unit is stated: um, or the steps of a "
             "gauge? Say it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
         )
-    if most < 1.0 or (most <= LARGEST and decimals > 1):
-        likely = "mm is likely, by their decimals" if decimals in OF_MM else "nothing says which is likely"
+    if most <= LARGEST:
+        likely = {1: "um is likely, by their decimal", **dict.fromkeys(OF_MM, "mm is likely, by their decimals")}.get(
+            decimals, "nothing says which is likely"
+        )
         raise DataError(
             f"the readings reach {most:.3g} and no unit is stated: um or mm ({likely})? Say it with --unit mm (or um)"
         )

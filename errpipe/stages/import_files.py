@@ -17,7 +17,7 @@ from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError, ErrpipeError, UsageError, did_you_mean
 from errpipe.files import missing
 from errpipe.formats import _derived, manifest_folder
-from errpipe.importing import order, other_tests, resolve, signs, together
+from errpipe.importing import features, order, other_tests, resolve, signs, together
 from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
@@ -112,8 +112,11 @@ def _of_any_sheet(
         if len(out) == MAX_SHEETS:
             break
         try:
-            layout = with_period(lay_out(transposed(unstacked(sheet)), door.names), door.period)
-            out.append((propose(layout, options, may_be_log), sheet.name))
+            proposed = features.proposal(sheet, options)
+            if proposed is None:
+                layout = with_period(lay_out(transposed(unstacked(sheet)), door.names), door.period)
+                proposed = propose(layout, options, may_be_log)
+            out.append((proposed, sheet.name))
         except DataError as err:
             problems.append(f"{sheet.name}: {err}" if len(sheets) > 1 else str(err))
             question = "--" in str(err) and not str(err).startswith(resolve.NO_DEVIATION)
