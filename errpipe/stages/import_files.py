@@ -180,9 +180,23 @@ def write(
         "rows": proposal.rows,
         "says": [
             f"{Path(folder) / manifest_folder.MANIFEST}: {proposal.rows} rows, {len(proposal.entries)} columns",
-            f"next: errpipe init --template NAME DIR --recording {folder}",
+            _next(proposal, folder),
         ],
     }
+
+
+def _next(proposal: Proposal, folder: Path) -> str:
+    """What to do with the recording: the template for what it holds, or the stage that reads its test."""
+    test = proposal.facts.get("protocol")
+    if test is not None and test not in ("hole_pattern", "ball_plate"):
+        return (
+            f"next: a pipeline of the stages ingest (recording: {folder}) and identify, with a machine.yaml, together "
+            "with the other tests of this machine (errpipe init --template five-axis DIR shows one)"
+        )
+    has_place = any(proposal.first(role) for role in ("position", "command"))
+    template = "drilled-plate" if test else "laser-iso230" if has_place else "spindle-drift"
+    template = "diagnose-log" if proposal.first("simulated") else template
+    return f"next: errpipe init --template {template} DIR --recording {folder}"
 
 
 def _refuse_changed(folder: Path, parts: dict[str, str]) -> None:

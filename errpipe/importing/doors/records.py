@@ -11,6 +11,7 @@ from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable
 
 name = "Parquet or JSON"
 suffixes = (".parquet", ".json", ".jsonl", ".ndjson")
+binary = True  # a few bytes can state many rows
 _PARQUET = b"PAR1"
 
 
