@@ -193,6 +193,9 @@ def component_above(
     axis = options.axis or words.axis_above(layout.above)  # `EAC` beside axis X is a mark of conformity
     found = {name for line in layout.above for name in re.findall(COMPONENT, line)}
     named = sorted(name for name in found if axis in (None, name[2]))
+    if axis and not named and not any(map(columns.names_a_turn, (c.header for c in layout.columns))):
+        turned = _turn_above(layout, axis)
+        named = [turned] if turned else []
     stated = options.component or any(columns.component_in(c.header) for c in layout.columns) or options.sets
     if not named or stated or sum(g.kind in ("error", "actual") for g in guesses.values()) == 0:
         return options
@@ -203,3 +206,11 @@ def component_above(
         )
     p.notes.append(f"the component is {named[0]}, as a line above the table, its sheet or file says (--component)")
     return replace(options, component=named[0], axis=options.axis or named[0][2])
+
+
+def _turn_above(layout: Layout, moved: str) -> str | None:
+    """EBX of a line `Pitch` above angles along X, where lines name one of roll, pitch and yaw; or None."""
+    found = {name for line in layout.above for said, name in columns.TURNS if re.search(said, words.plain(line))}
+    about = columns.ANGLES.get(moved[0], {}).get(next(iter(found), ""))
+    angles = any(c.unit in columns.SMALL_ANGLES for c in layout.columns)
+    return f"E{about}{moved}" if about and angles and len(found) == 1 else None

@@ -107,6 +107,20 @@ def order_of(form: str) -> str:
     return "; the day first" if form.startswith(("%d/", "%d-")) else ""
 
 
+def refuse_an_hour_back(c: RawColumn, since: np.ndarray) -> None:
+    """Raise DataError where a clock goes back once, by an hour less one step, as at the end of summer time."""
+    rows = np.flatnonzero(np.isfinite(since))
+    steps = np.diff(since[rows])
+    usual = float(np.median(steps)) if steps.size else 0.0
+    back = np.flatnonzero(steps < 0)
+    if back.size == 1 and 0 <= steps[back[0]] + 3600.0 <= 2.0 * usual:
+        before, after = (str(c.cells[rows[back[0] + k]]) for k in (0, 1))
+        raise DataError(
+            f"column {c.header!r}: {after!r} stands below {before!r}, an hour back: the end of summer time? Write the "
+            "times in UTC or with their zone (2026-10-25T02:10:00+02:00, ... +01:00)"
+        )
+
+
 def refuse_unread(entries: dict[str, dict[str, Any]], guesses: dict[str, str], data: dict[str, Any]) -> None:
     """Raise DataError where a drift has no time that is understood, but a column of what may be dates."""
     unread = next((name for name, why in guesses.items() if why == NOT_UNDERSTOOD), None)

@@ -32,6 +32,9 @@ _AXIS_OF_SHEET = re.compile(
 )
 _MOMENT = re.compile(r"(?=.*\d:\d|.*\d[./-]\d+[./-]\d)\d[\d.:/\-T ,+Z]*( ?[AaPp]\.?[Mm]\.?)?")
 _COMMENT = ("#", "%", "//", ";", "!")
+_DATE_FORM = re.compile(
+    r"[yY]{2,4}[./-][mM]{1,2}[./-][dD]{1,2}|[dD]{1,2}[./-][mM]{1,2}[./-][yY]{2,4}|[hH]{1,2}:[mM]{2}(:[sS]{2})?|NO\."
+)
 _RULE = re.compile(r"[-=_+:~*|]{2,}")
 
 
@@ -302,7 +305,7 @@ def _names(rows: list[list[Cell]], head: list[int], width: int) -> tuple[list[st
 
 def _are_units(texts: list[str]) -> bool:
     cells = [t.strip("[]() ") for t in texts if t]
-    return any(map(unit_of, cells)) and all(unit_of(c) or c in ("-", "1") for c in cells)
+    return any(map(unit_of, cells)) and all(unit_of(c) or c in ("-", "1") or _DATE_FORM.fullmatch(c) for c in cells)
 
 
 def _metres(names: list[str]) -> list[str]:

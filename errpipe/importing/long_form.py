@@ -18,7 +18,7 @@ _SIGNAL = re.compile(
     r"(signal|tag|channel|kanal|name|variable|sensor|field|point|measurement|messstelle|item|path|node"
     r"|data ?item|metric|symbol|entity|(sub ?)?type)( ?(name|id))?"
 )
-_VALUE = re.compile(r"(value|wert|reading|messwert|valeur|valore|valor)( ?\(?(float|double|num(ber|eric)?)\)?)?")
+_VALUE = re.compile(r"(value|state|wert|reading|messwert|valeur|valore|valor)( ?\(?(float|double|num(ber|eric)?)\)?)?")
 _UNIT = re.compile(r"(unit|einheit|units|unite|uom)s?")
 
 
@@ -81,7 +81,7 @@ def _columns(header: list[str], body: list[list[Cell]]) -> tuple[list[int], int,
     named = [i for i in words if header and _SIGNAL.fullmatch(header[i])]
     some = [i for i in columns if sum(number(row[i], comma) is not None for row in sample) > 0.5 * len(sample)]
     value = next((i for i in some if header and _VALUE.fullmatch(header[i])), None)
-    times = [i for i in (*moments, *numbers) if i != value and len({row[i] for row in sample}) > 1]
+    times = [i for i in (moments or numbers) if i != value and len({row[i] for row in sample}) > 1]
     if named and value is not None and len(times) == 1:
         return named, times[0], value, units
     signals = [i for i in words if i != units]

@@ -22,7 +22,8 @@ TESTS: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "R-test",
-        r"\br-?test\b|^\W*[abc]( ?(pos\w*|axis|achse))?\b[^a-z]*((deg|grad)\b\W*)?\bd? ?x\b.*\bd? ?y\b.*\bd? ?z\b",
+        r"\br-?test\b|^(\W*[abc]( ?(pos\w*|axis|achse))?\b[^a-z]*((deg|grad)\b\W*)?){1,2}\bd? ?x\b.*"
+        r"\bd? ?y\b.*\bd? ?z\b",
         "an R-test: where a ball stands at each position of a rotary axis",
         f"{_WRITE} protocol r_test, the positions of all axes, and the ball less its nominal place as E_X, E_Y, E_Z; "
         "deviations are imported with --set COLUMN.component=E_X and so on",

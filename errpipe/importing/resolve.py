@@ -68,8 +68,8 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
         )
     if standard == "um" and unit in guessing.SMALL_ANGLES:
         raise DataError(
-            f"readings in {unit} are angles, no {component}: say what turned with --component, such as EBX (pitch), "
-            "ECX (yaw) or EAX (roll) of X"
+            f"readings in {unit} are angles, no {component}: say what turned with --component, such as "
+            f"{_turns(component)}"
         )
     values, unit, why = plain_unit(values, unit, why)
     if unit is None and standard == "urad":
@@ -80,6 +80,14 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
         unit = unit_by_size(values) if standard == "um" else standard
         why += f"; no unit is stated, taken as {unit} by the size of the readings (--unit says it)"
     return values, unit, why
+
+
+def _turns(component: str) -> str:
+    """`EBX (pitch), ECX (yaw) or EAX (roll) of X` for the axis of a component."""
+    axis = (components.parse(component).axis or "X")[0]
+    about = guessing.ANGLES.get(axis, {}) | ({"pitch": "A", "yaw": "B"} if axis == "Z" else {})
+    pitch, yaw, roll = (f"E{about.get(name, 'B')}{axis} ({name})" for name in ("pitch", "yaw", "roll"))
+    return f"{pitch}, {yaw} or {roll} of {axis}"
 
 
 def stated_unit(options: ImportOptions, written: str | None, header: str) -> str | None:

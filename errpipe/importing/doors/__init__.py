@@ -59,6 +59,8 @@ def _refuse_known(path: Path, head: bytes) -> None:
     """Raise DataError for kinds of files that are not imported, with what to do instead."""
     if (what := controller_files.controller_file_kind(path, head)) is not None:
         raise DataError(f"{path}: {what}")
+    if path.name.startswith(("~$", ".~lock.")):
+        raise DataError(f"{path}: what a spreadsheet leaves beside a file that is open in it: name that file")
     if head.startswith((b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"7z\xbc\xaf")):
         raise DataError(f"{path}: a packed file: unpack it first")
     if head.lstrip().lower().startswith((b"<html", b"<table", b"<!doctype", b"<?xml")) and not mtconnect.sniff(
