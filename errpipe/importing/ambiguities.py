@@ -109,10 +109,16 @@ def refuse_without_position(p: Proposal, asked: bool) -> None:
     roles = {e["role"] for e in p.entries.values()}
     left_out = next((n for n, e in p.entries.items() if e["role"] == "ignore"), None)
     for name, entry in p.entries.items():
-        letter = entry.get("_axis")
+        letter = entry.get("_axis") or (components.parse(entry["component"]).axis if entry["role"] == "error" else None)
         if entry["role"] != "error" or letter is None or entry["component"] != components.positioning(letter):
             continue
-        recorded = any(e["role"] in PLACES and e.get("axis") == letter for e in p.entries.values())
+        places = [n for n, e in p.entries.items() if e["role"] in PLACES and e.get("axis") == letter]
+        recorded, place = bool(places), next((n for n in places if p.entries[n]["role"] != "actual"), "")
+        if place in p.data and np.unique(p.data[place]).size < 2 and not roles & {*INPUTS}:
+            raise DataError(
+                f"every reading of {name!r} stands at {place} = {p.data[place][0]:g}: at which places of "
+                f"{letter} was it read? (say which column holds them, with --set COLUMN.role=position)"
+            )
         if not recorded and (letter[0] in "ABC" or not (asked or roles & {*PLACES, *INPUTS})):
             hint = f" (is it {left_out!r}? {p.guesses.get(left_out, '')})" if left_out else ""
             raise DataError(f"no position of {letter} is recorded beside {name!r}: at which targets was it read?{hint}")

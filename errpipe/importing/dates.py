@@ -82,10 +82,11 @@ def numbered(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str,
     epoch = None if tick in (None, FILE_TIME) else datetime.fromtimestamp(first * tick, UTC).isoformat()
     if unit in SHORT:
         return (c.values - first) * SHORT[unit], "s", f"{why}; {unit} written as s", epoch
-    if unit not in ROLE_UNITS["time"] and tick is not None:
+    if tick is not None and (unit not in ROLE_UNITS["time"] or {"s": 1.0, "ms": 1e-3}.get(unit or "") == tick):
         return (c.values - first) * tick, "s", f"{why}; ticks of {tick:g} s since an epoch, by their size", epoch
     days = any(low <= first <= last < high for low, high in SERIAL_DAYS)
-    if unit is None and days and re.search(r"\b(date|datum|fecha|data)\b", c.header, re.IGNORECASE) and first < 1e5:
+    dated = re.search(r"\b(date|datum|fecha|data|zeitstempel|time ?stamp)\b", c.header, re.IGNORECASE)
+    if days and first < 1e5 and (unit == "d" or (unit is None and dated)):
         start = (SPREADSHEET_ZERO + timedelta(days=first)).isoformat(timespec="seconds")
         return (c.values - first) * DAY, "s", f"{why}; days as spreadsheets count them, written as s", start
     if unit is None and days and last - first < len(c.values):

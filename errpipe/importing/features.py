@@ -146,6 +146,7 @@ def _readings(rows: list[list[Cell]]) -> Iterator[_Reading]:
         texts = [label(c) for c in row]
         kinds = [_kind(c) for c in row]
         if NOMINAL in kinds and {ACTUAL, DEVIATION} & {*kinds} and not any(number(c, comma) is not None for c in row):
+            texts = _with_groups(rows[r - 1] if r else [], texts)
             named = any(kind_by_name(t) in ("run", "direction") for t in texts if t)
             header, last, breaks = [] if named else texts, "", True
             continue
@@ -163,6 +164,17 @@ def _readings(rows: list[list[Cell]]) -> Iterator[_Reading]:
             yield _Reading(r, axis, last, numbers, breaks, breaks or beside)
             breaks = False
         breaks |= not whole and not found and _IDENTIFIES.search(" ".join(texts)) is not None
+
+
+def _with_groups(above: list[Cell], texts: list[str]) -> list[str]:
+    """Names below merged cells of axes: `X` above Nominal, Actual, Deviation, and `Y` above the same again."""
+    if sum(_axis(c) is not None for c in above) < 2 or any(map(_axis, texts)):
+        return texts
+    groups, last = list[str](), ""
+    for cell in [*above, *[None] * (len(texts) - len(above))]:
+        last = label(cell) or last
+        groups.append(last)
+    return [f"{group} {text}".strip() for group, text in zip(groups, texts, strict=False)]
 
 
 def _split(cell: Cell) -> list[Cell]:

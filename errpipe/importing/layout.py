@@ -25,7 +25,10 @@ EMPTY = "columns without a value:"  # a note that an error repeats
 NUMERIC_SHARE = 0.6  # of a column's cells: what is a number column with gaps and remarks
 
 _NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
-_WORD = re.compile(r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?)$).*[^\W\d_]", re.IGNORECASE)  # no missing value
+_WORD = re.compile(
+    r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?|open|burn ?out|over ?(range|flow)|no ?sensor)$).*[^\W\d_]",
+    re.IGNORECASE,
+)  # no missing value
 _AXIS_OF_SHEET = re.compile(
     r"^([XYZ])\d?$|\b(?:axis|achse|axe|asse|eje)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse|axe|asse)\b",
     re.IGNORECASE,
@@ -364,6 +367,10 @@ def _layout(
                 "thousands, with the mark of the other columns)"
             ) from None
         values = np.array([v if (v := number(c, comma)) is not None else np.nan for c in cells])
+        part, _, base = (stated or unit or "").partition(" ")
+        if base == "degC" and part.startswith("0."):  # `Bed [0.1 °C]`
+            values, stated = values * float(part), base
+            notes.append(f"{header}: {part} degC written as degC")
         if any(c not in (None, "") for c in cells):
             columns.append(RawColumn(header, stated or unit, cells, values))
         elif not header.startswith("column "):

@@ -16,7 +16,7 @@ MOST_COLUMNS = 12  # signal, time, value, unit, quality, and what a database add
 FEWEST_VALUES = 3  # of each signal
 _SIGNAL = re.compile(
     r"(signal|tag|channel|kanal|name|variable|sensor|field|point|measurement|messstelle|item|path|node"
-    r"|data ?item|metric|symbol|entity|(sub ?)?type)( ?(name|id))?"
+    r"|data ?item|metric|symbol|display|entity|(sub ?)?type)( ?(name|id))?"
 )
 _VALUE = re.compile(r"(value|state|wert|reading|messwert|valeur|valore|valor)( ?\(?(float|double|num(ber|eric)?)\)?)?")
 _UNIT = re.compile(r"(unit|einheit|units|unite|uom)s?")

@@ -40,7 +40,7 @@ SIMULATED = (
 FORCES = r"(force|kraft|torque|drehmoment|moment)"
 # Of a tool point: a deviation, unless it is as long as a travel.
 DISPLACEMENT = (
-    r"(displacement|\bdisp\b|\bgrowth|wachstum|laengung|verlagerung|verschiebung|\bdrift\b|spostamento|deplacement|desplazamiento"
+    r"(displacement|\bdisp\b|\bgrowth|wachstum|laengung|verlagerung|verschiebung|\bdrift\b|\bderiv[ae]\b|spostamento|deplacement|desplazamiento"
     r"|変位|位移)"
 )
 
@@ -115,8 +115,8 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(accel|beschl)", "acceleration"),
     (
         r"(target|soll|ziel|nominal|\bnom\b|nenn(wert|mass|laenge)|calibrated( (value|length|position))?$"
-        r"|kalibriert(er wert|e laenge)?$|command|\bcmd|\bnoml\b|setpoint|demand|ref(erence)?\b|consign[ea]|theorique"
-        r"|cible|teoric|objetivo|\balvo\b|doelpos|malpos|zadan|cilov|hedef|gewenst|boervaerd|borvard|celpoz|目標|目标|指令|задан|целев|목표)",
+        r"|kalibrier(wert|ter wert|te laenge|t)$|command|\bcmd|\bnoml\b|setpoint|demand|ref(erence)?\b|consign[ea]"
+        r"|theorique|cible|teoric|objetivo|\balvo\b|doelpos|malpos|zadan|cilov|hedef|gewenst|boervaerd|borvard|celpoz|目標|目标|指令|задан|целев|목표)",
         "command",
     ),
     (

@@ -157,3 +157,53 @@ def test_the_mark_of_an_open_workbook(tmp_path: Path) -> None:
     (tmp_path / "~$laser.xlsx").write_bytes(b"\x05owner" + b" " * 50)
     with pytest.raises(DataError, match="name that file"):
         prepared([tmp_path / "~$laser.xlsx"])
+
+
+def test_an_answer_to_who_read_a_gauge_is_heard(tmp_path: Path) -> None:
+    """Of a column per run the answer was ignored, and the sign was the wrong one."""
+    x = np.arange(0.0, 401.0, 50.0)
+    rows = [f"{t:.4f};{t - 0.01 * t / 400:.4f};{t - 0.01 * t / 400:.4f}" for t in x]
+    (tmp_path / "f.csv").write_text("\n".join(["Axis Y", "Gauge block [mm];Run 1 [mm];Run 2 [mm]", *rows]), "utf-8")
+    with pytest.raises(DataError, match=r"--set actual_Y\.role=command --set Gauge_block\.role=actual"):
+        prepared([tmp_path / "f.csv"])
+    recording = imported(tmp_path, tmp_path / "f.csv", sets=["actual_Y.role=command", "Gauge_block.role=actual"])
+    read = recording.array(recording.name("error", component="EYY"))
+    assert read == pytest.approx(np.tile(10 * x / 400, 2), abs=0.06)
+
+
+def test_readings_at_one_place_are_no_positioning(tmp_path: Path) -> None:
+    rows = [f"0.000;{0.001 * (k % 5):.3f}" for k in range(12)]
+    (tmp_path / "f.csv").write_text("\n".join(["Axis Z, heights", "Nominal [mm];Actual [mm]", *rows]), "utf-8")
+    with pytest.raises(DataError, match="at which places of Z"):
+        prepared([tmp_path / "f.csv"])
+
+
+@pytest.mark.parametrize(
+    ("header", "factor"), [("Bed [0.1 °C]", 10.0), ("bed 0.1 °C", 10.0), ("Bed [°C];Air [°C]", 1.0)]
+)
+def test_tenths_of_a_degree_and_an_open_sensor(tmp_path: Path, header: str, factor: float) -> None:
+    rows = [
+        f"{START + timedelta(seconds=10 * k)};{factor * (20 + k / 100):.1f}{';OPEN' if ';' in header else ''}"
+        for k in range(260)
+    ]
+    (tmp_path / "log.csv").write_text("\n".join([f"Time;{header}", *rows]), "utf-8")
+    recording = imported(tmp_path, [laser(tmp_path), tmp_path / "log.csv"])
+    read = recording.array(recording.name("temperature"))
+    assert read == pytest.approx(20 + STEP * np.arange(read.size) / 1000, abs=0.06)
+
+
+@pytest.mark.parametrize("header", ["ts_ms", "Zeitstempel"])
+def test_two_files_with_ticks_or_days_are_joined(tmp_path: Path, header: str) -> None:
+    def tick(t: datetime) -> str:
+        day = (t - datetime(1899, 12, 30)).total_seconds() / 86400
+        return f"{(t - datetime(1970, 1, 1)).total_seconds() * 1000:.0f}" if header == "ts_ms" else f"{day:.8f}"
+
+    times = [START + timedelta(seconds=STEP * k) for k in range(len(long_rows()))]
+    rows = [f"{tick(t)};{r};{x:g};{d}" for t, (r, x, _, d) in zip(times, long_rows(), strict=True)]
+    (tmp_path / "laser.csv").write_text("\n".join([f"{header};Run;X target [mm];Deviation [um]", *rows]), "utf-8")
+    log = [f"{tick(START + timedelta(seconds=10 * k))};{20 + k / 100:.2f}" for k in range(260)]
+    (tmp_path / "log.csv").write_text("\n".join([f"{header};Bed [°C]", *log]), "utf-8")
+    recording = imported(tmp_path, [tmp_path / "laser.csv", tmp_path / "log.csv"])
+    holds_the_truth(recording)
+    read = recording.array(recording.name("temperature"))
+    assert read == pytest.approx(20 + STEP * np.arange(read.size) / 1000, abs=0.02)
