@@ -202,6 +202,9 @@ def component_above(
     if axis and not named and not any(map(columns.names_a_turn, (c.header for c in layout.columns))):
         turned = _turn_above(layout, axis)
         named = [turned] if turned else []
+        for c in layout.columns if turned else []:
+            if c.unit == "inch" and guesses[c.header].kind in ("actual", "error"):  # `"` of an angle
+                c.unit, guesses[c.header] = "arcsec", replace(guesses[c.header], kind="error")
     stated = options.component or any(columns.component_in(c.header) for c in layout.columns) or options.sets
     if not named or stated or sum(g.kind in ("error", "actual") for g in guesses.values()) == 0:
         return options
@@ -218,5 +221,6 @@ def _turn_above(layout: Layout, moved: str) -> str | None:
     """EBX of a line `Pitch` above angles along X, where lines name one of roll, pitch and yaw; or None."""
     found = {name for line in layout.above for said, name in columns.TURNS if re.search(said, words.plain(line))}
     about = columns.ANGLES.get(moved[0], {}).get(next(iter(found), ""))
-    angles = any(c.unit in columns.SMALL_ANGLES for c in layout.columns)
+    units = {c.unit for c in layout.columns}
+    angles = units & {*columns.SMALL_ANGLES} or {"mm", "inch"} <= units  # `"` is written for inch and for arcsec
     return f"E{about}{moved}" if about and angles and len(found) == 1 else None

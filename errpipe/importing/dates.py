@@ -16,7 +16,10 @@ from errpipe.importing.units import unit_of
 
 NOT_UNDERSTOOD = "a date that is not understood"
 MIDNIGHT = "T00:00:00"  # how a workbook gives a date without a time of day
-_DATE = re.compile(rf"(\d{{4}}-\d\d-\d\d|\d{{1,2}}[./-]\d{{1,2}}[./-]\d{{2,4}}|\d{{4}}/\d\d?/\d\d?)(?:{MIDNIGHT})?")
+_DATE = re.compile(
+    rf"(\d{{4}}-\d\d-\d\d|\d{{1,2}}[./-]\d{{1,2}}[./-]\d{{2,4}}|\d{{4}}/\d\d?/\d\d?)(?:{MIDNIGHT})?"
+    r"|\d{1,2}[-. ]{1,2}[^\W\d_]{3,9}[-. ]{1,2}\d{2,4}"  # 20-Feb-2026
+)
 _CLOCK = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?( ?[AaPp]\.?[Mm]\.?)?")
 _ELAPSED = re.compile(
     r"(?:(\d+)\s*(?:d|days?|tage?|[.:])?\s+|(\d+)[.:](?=\d+:\d\d:))?(\d+):(\d\d)(?::(\d\d(?:\.\d+)?))?"

@@ -11,6 +11,7 @@ import numpy as np
 
 from errpipe.errors import DataError
 from errpipe.importing.blocks import blocks, sections
+from errpipe.importing.facts import OF_A_FACT
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, filled_cells, label, number, of_one_mark
 from errpipe.importing.units import split_header, unit_of
 from errpipe.importing.units_above import units_of_columns
@@ -33,7 +34,10 @@ _AXIS_OF_SHEET = re.compile(
     r"^([XYZ])\d?$|\b(?:axis|achse|axe|asse|eje)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse|axe|asse)\b",
     re.IGNORECASE,
 )
-_MOMENT = re.compile(r"(?=.*\d:\d|.*\d[./-]\d+[./-]\d)\d[\d.:/\-T ,+Z]*( ?[AaPp]\.?[Mm]\.?)?")
+_MOMENT = re.compile(
+    r"(?=.*\d:\d|.*\d[./-]\d+[./-]\d)\d[\d.:/\-T ,+Z]*( ?[AaPp]\.?[Mm]\.?)?"
+    r"|\d{1,2}[-. ]{1,2}[^\W\d_]{3,9}[-. ]{1,2}\d{2,4}( \d.*)?"
+)
 _COMMENT = ("#", "%", "//", ";", "!")
 _DATE_FORM = re.compile(
     r"[yY]{2,4}[./-][mM]{1,2}[./-][dD]{1,2}|[dD]{1,2}[./-][mM]{1,2}[./-][yY]{2,4}|[hH]{1,2}:[mM]{2}(:[sS]{2})?|NO\."
@@ -81,7 +85,10 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
 
     stated: names of the columns of a file without a header, by a person.
     """
-    rows, unit_in_cells = _without_units([row for row in sheet.rows if filled_cells(row) and not _is_rule(row)])
+    rows = [row for row in sheet.rows if filled_cells(row) and not _is_rule(row)]
+    if rows and rows[0][:1] == ["TOA5"]:  # names, units (TS and RN: none) and how values were taken, of a data logger
+        rows = [rows[1], [None if c in ("TS", "RN") else c for c in rows[2]], *rows[4:]]
+    rows, unit_in_cells = _without_units(rows)
     comma = decimal_comma(rows)
     notes = list(sheet.notes) + (["decimal commas"] if comma else [])
     if sheet.header is not None:
@@ -324,7 +331,7 @@ def _is_preamble(group: list[str], names: list[str]) -> bool:
     cells = [i for i, text in enumerate(group) if text]
     words = [n for n in names if n]
     complete = len(set(words)) == len(words) and all(_WORD.match(n) for n in words)
-    named = len(words) > 2 or re.match(_OF_A_FACT, group[0], re.IGNORECASE) is not None
+    named = len(words) > 2 or re.match(OF_A_FACT, group[0], re.IGNORECASE) is not None
     return complete and named and cells in ([0], [0, 1])
 
 
@@ -378,24 +385,3 @@ def _layout(
     if empty:
         notes.append(f"{EMPTY} {', '.join(map(repr, empty))} (in a workbook: formulas that were never computed)")
     return Layout(columns, above, notes)
-
-
-FACTS = {
-    "machine": r"machine|maschine",
-    "serial_number": r"serial(?: ?(?:no|number))?|serien ?nr|seriennummer|s/n",
-    "operator": r"operator|bediener|pr[üu]fer|inspector",
-    "date": r"date|datum",
-    "instrument": r"instrument|messger[äa]t|laser",
-}
-_OF_A_FACT = "|".join(("axis|achse|axe|asse|eje|soft|program|title|titel|test|company|firma", *FACTS.values()))
-
-
-def facts(above: list[str]) -> dict[str, str]:
-    """Facts on the set-up from the lines above a table: `Maschine: VMC 3`."""
-    found: dict[str, str] = {}
-    for line in above:
-        for name, words in FACTS.items():
-            match = re.match(rf"\s*(?:{words})\b\.?\s*[:=;,]?\s+(\S.{{0,80}})$", line, re.IGNORECASE)
-            if match and name not in found:
-                found[name] = match.group(1).strip()
-    return found

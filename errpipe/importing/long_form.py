@@ -15,10 +15,12 @@ MOST_SIGNALS = 60  # names in one column; more are remarks, not signals
 MOST_COLUMNS = 12  # signal, time, value, unit, quality, and what a database adds
 FEWEST_VALUES = 3  # of each signal
 _SIGNAL = re.compile(
-    r"(signal|tag|channel|kanal|name|variable|sensor|field|point|measurement|messstelle|item|path|node"
+    r"(signal|tag|var|topic|channel|kanal|name|variable|sensor|field|point|measurement|messstelle|item|path|node"
     r"|data ?item|metric|symbol|display|entity|(sub ?)?type)( ?(name|id))?"
 )
-_VALUE = re.compile(r"(value|state|wert|reading|messwert|valeur|valore|valor)( ?\(?(float|double|num(ber|eric)?)\)?)?")
+_VALUE = re.compile(
+    r"(?:var ?)?(value|state|payload|wert|reading|messwert|valeur|valore|valor)( ?\(?(float|double|num(ber|eric)?)\)?)?"
+)
 _UNIT = re.compile(r"(unit|einheit|units|unite|uom)s?")
 
 

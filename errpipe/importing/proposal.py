@@ -27,7 +27,8 @@ from errpipe.importing import (
     wide,
 )
 from errpipe.importing import columns as guessing
-from errpipe.importing.layout import Layout, RawColumn, facts, is_word
+from errpipe.importing.facts import facts
+from errpipe.importing.layout import Layout, RawColumn, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
 from errpipe.importing.temperatures import with_temperatures

@@ -207,3 +207,33 @@ def test_two_files_with_ticks_or_days_are_joined(tmp_path: Path, header: str) ->
     holds_the_truth(recording)
     read = recording.array(recording.name("temperature"))
     assert read == pytest.approx(20 + STEP * np.arange(read.size) / 1000, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("head", "form"),
+    [
+        (
+            '"TOA5","CR1000"\n"TIMESTAMP","RECORD","T_bed"\n"TS","RN","Deg C"\n"","","Avg"',
+            "{t:%Y-%m-%d %H:%M:%S},{k},{c:.2f}",
+        ),
+        ("time,bed_K", "{t:%Y-%m-%d %H:%M:%S},{k273:.2f}"),
+        ("Date,Time,Temp bed [°C]", "{t:%d-%b-%Y},{t:%H:%M:%S},{c:.2f}"),
+    ],
+    ids=["TOA5", "kelvin", "names of months"],
+)
+def test_loggers_of_laboratories(tmp_path: Path, head: str, form: str) -> None:
+    """The sensor was left out, or the file was refused."""
+    degrees = [20 + k / 100 for k in range(260)]
+    rows = [form.format(t=START + timedelta(seconds=10 * k), k=k, c=c, k273=c + 273.15) for k, c in enumerate(degrees)]
+    (tmp_path / "log.dat").write_text("\n".join([head, *rows]), "utf-8")
+    recording = imported(tmp_path, [laser(tmp_path), tmp_path / "log.dat"])
+    read = recording.array(recording.name("temperature"))
+    assert read == pytest.approx(20 + STEP * np.arange(read.size) / 1000, abs=0.02)
+
+
+def test_seconds_of_arc_below_a_title_of_a_turn(tmp_path: Path) -> None:
+    """`"` was read as inch, and the readings as positions."""
+    rows = [f"{x};{0.01 * x - 1 + 0.1 * np.sin(x):.2f}" for x in range(0, 500, 50)]
+    (tmp_path / "f.csv").write_text("\n".join(["Rollwinkel Achse X", 'Position [mm];Anzeige ["]', *rows]), "utf-8")
+    recording = imported(tmp_path, tmp_path / "f.csv")
+    assert recording.array(recording.name("error", component="EAX"))[0] == pytest.approx(-4.848, abs=0.01)
