@@ -86,8 +86,9 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     stated: names of the columns of a file without a header, by a person.
     """
     rows = [row for row in sheet.rows if filled_cells(row) and not _is_rule(row)]
-    if rows and rows[0][:1] == ["TOA5"]:  # names, units (TS and RN: none) and how values were taken, of a data logger
-        rows = [rows[1], [None if c in ("TS", "RN") else c for c in rows[2]], *rows[4:]]
+    if len(rows) > 4 and rows[0][:1] == ["TOA5"]:  # of a data logger: names, units, and how values were taken
+        units_below = [f" [{u}]" if u not in ("", None, "TS", "RN") else "" for u in rows[2]]
+        rows = [[f"{n}{u}" for n, u in zip(rows[1], units_below, strict=False)], *rows[4:]]
     rows, unit_in_cells = _without_units(rows)
     comma = decimal_comma(rows)
     notes = list(sheet.notes) + (["decimal commas"] if comma else [])
