@@ -11,12 +11,13 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from errpipe.errors import DataError
 from errpipe.importing import resolve, signs
-from errpipe.importing.layout import Layout
+from errpipe.importing.layout import Layout, is_moment
 from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, filled_cells, label, number
 from errpipe.importing.units import split_header
@@ -24,6 +25,7 @@ from errpipe.importing.words import kind_by_name, plain
 
 NOMINAL, ACTUAL, DEVIATION = "command", "actual", "error"
 FEWEST = 3  # features
+MOST_ROWS = 20_000  # of a sheet: a thousand features have ten rows each; longer ones are logs
 FARTHEST = 5.0  # mm: as the largest deviation elsewhere; beyond it another number was read
 ROUNDING = 2.1e-4  # mm: of three numbers that are printed with four decimals (0.002 mm with three)
 _COORDINATE = re.compile(r"(?<![a-z\d])([xyz])(?![a-z\d])")
@@ -58,6 +60,8 @@ def proposal(sheet: Sheet, options: ImportOptions) -> Proposal | None:
     Raises DataError where numbers contradict one another, and where nobody states who made what was measured.
     """
     rows: list[list[Cell]] = [[*sheet.header], *sheet.rows] if sheet.header else sheet.rows
+    if len(rows) > MOST_ROWS:
+        return None
     units, of_deviation = _units(rows)
     features = _features(list(_readings(rows)))
     if len(features) < FEWEST:
@@ -113,34 +117,40 @@ def _units(rows: list[list[Cell]]) -> tuple[set[str], str | None]:
     """Units of length that the print names, and that of a column of deviations where its header states another."""
     found, of_deviation = set(), None
     for row in rows:
-        texts = [c for c in row if isinstance(c, str)]
-        for text in texts:
-            unit = split_header(text)[1]
-            if unit in ("um", "mm", "inch") and kind_by_name(text) == DEVIATION:
-                of_deviation = unit
+        texts = [c for c in row if isinstance(c, str) and _has_letters(c)]
+        stated = [split_header(text)[1] for text in texts if _kind(text) == DEVIATION]
+        of_deviation = next((u for u in stated if u in ("um", "mm", "inch")), of_deviation)
         said = re.findall(r"(?<![a-z\d])(mm|inch(?:es)?|in)(?![a-z])", " ".join(texts).lower()) if texts else []
         found |= {"mm" if s == "mm" else "inch" for s in said if s != "in" or re.search(r"unit", " ".join(texts), re.I)}
     return found, of_deviation
 
 
+def _has_letters(cell: Cell) -> bool:
+    return isinstance(cell, str) and any(map(str.isalpha, cell)) and not is_moment(cell)
+
+
+@lru_cache(maxsize=1024)
 def _kind(cell: Cell) -> str | None:
     """command, actual or error of a word; None of any other cell."""
-    if not isinstance(cell, str) or _TOLERANCE.search(cell):
+    if not _has_letters(cell) or _TOLERANCE.search(str(cell)):
         return None
     text = _COORDINATE.sub(" ", plain(cell)).strip()
     kind = kind_by_name(text) if text else None
     return DEVIATION if _DIFFERENCE.fullmatch(text) else kind if kind in (NOMINAL, ACTUAL, DEVIATION) else None
 
 
+@lru_cache(maxsize=1024)
 def _axis(cell: Cell) -> str | None:
-    found = {*_COORDINATE.findall(plain(cell))} if isinstance(cell, str) else set()
+    found = {*_COORDINATE.findall(plain(cell))} if _has_letters(cell) else set()
     return found.pop().upper() if len(found) == 1 else None
 
 
 def _readings(rows: list[list[Cell]]) -> Iterator[_Reading]:
     """Every row, or cell of a table with columns for each axis, that states a coordinate with nominal and result."""
-    comma, header, last, breaks = decimal_comma(rows), list[str](), "", True
+    comma, header, last, breaks, per_axis = decimal_comma(rows), list[str](), "", True, False
     for r, row in enumerate(rows):
+        if not per_axis and not any(map(_has_letters, row)):
+            continue
         if len(alone := filled_cells(row)) == 1:  # a line among columns that blanks part
             row = [*label(alone[0]).split()]
         texts = [label(c) for c in row]
@@ -149,12 +159,13 @@ def _readings(rows: list[list[Cell]]) -> Iterator[_Reading]:
             texts = _with_groups(rows[r - 1] if r else [], texts)
             named = any(kind_by_name(t) in ("run", "direction") for t in texts if t)
             header, last, breaks = [] if named else texts, "", True
+            per_axis = len({a for t in header if _kind(t) and (a := _axis(t))}) > 1
             continue
         cells = [part for c in row for part in _split(c)]
         beside = not header or any(k in (ACTUAL, DEVIATION) for k in map(_kind, cells))
         if beside:
             found = [(axis, "", numbers) for axis, numbers in _beside_words(cells, comma)]
-        elif len({a for t in header if _kind(t) and (a := _axis(t))}) > 1:
+        elif per_axis:
             found = _columns_per_axis(header, row, comma)
         else:
             found = _below(header, row, comma)
