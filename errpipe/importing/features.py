@@ -36,6 +36,7 @@ _NAME_OF_FEATURE = re.compile(
 _GLUED = re.compile(r"([A-Za-z]{1,8})[=:]?([+-]?\d+[.,]\d+)")  # `X50.0000`, `XNOM50.000`
 _TOLERANCE = re.compile(r"((upper|lower|ob|unt|o|u|out)\w*[. ]*|[+-] ?)tol\w*\.?", re.IGNORECASE)
 _IDENTIFIES = re.compile(r"(?<![\d.,])\d+(?![\d.,])")  # `FEATURE NO 2`, `DIM LOC2=`, not `ERROR TP 0.1311`
+_VERDICT = re.compile(r"\bfail|\bok\b|^$")  # `Pass/Fail` is no run
 _DIFFERENCE = re.compile(r"\b(diff\w*|delta)\b")
 
 
@@ -157,7 +158,7 @@ def _readings(rows: list[list[Cell]]) -> Iterator[_Reading]:
         kinds = [_kind(c) for c in row]
         if NOMINAL in kinds and {ACTUAL, DEVIATION} & {*kinds} and not any(number(c, comma) is not None for c in row):
             texts = _with_groups(rows[r - 1] if r else [], texts)
-            named = any(kind_by_name(t) in ("run", "direction") for t in texts if t)
+            named = any(kind_by_name(t) in ("run", "direction") for t in texts if not _VERDICT.search(plain(t)))
             header, last, breaks = [] if named else texts, "", True
             per_axis = len({a for t in header if _kind(t) and (a := _axis(t))}) > 1
             continue

@@ -57,10 +57,10 @@ def probing_cycle(made: bool) -> list[str]:
 
 def table(made: bool) -> list[str]:
     """Merged cells of the feature; deviations that are nominal less actual, in um."""
-    out = ["Merkmal;Achse;Soll [mm];Ist [mm];Abw. [µm]"]
+    out = ["Merkmal;Achse;Soll [mm];Ist [mm];Abw. [µm];Pass/Fail"]
     for n, hole in enumerate(HOLES):
         for k, (a, x, y) in enumerate(printed(hole, made)):
-            out += [f"{'' if k else f'Bohrung {n}'};{a};{x};{y};{1000 * (x - y):.1f}".replace(".", ",")]
+            out += [f"{'' if k else f'Bohrung {n}'};{a};{x};{y};{1000 * (x - y):.1f};PASS".replace(".", ",")]
     return out
 
 
@@ -110,7 +110,7 @@ def test_a_plate_that_was_measured_again_is_another_run(tmp_path: Path) -> None:
     [
         ([line.replace("Ist", "Tol.").replace("Abw.", "Tol. +") for line in table(True)], "several axes"),
         (
-            [table(True)[0], *(line.rpartition(";")[0] + ";7,0" for line in table(True)[1:])],
+            [table(True)[0], *(line.rsplit(";", 2)[0] + ";7,0;PASS" for line in table(True)[1:])],
             "line 2: X: the deviation 7",
         ),
         (["X50.0031 Y50.0012 Z-10.0000", "X200.0031 Y50.0012 Z-10.0000"], "`Feature;Axis;Nominal;Actual`"),
