@@ -35,13 +35,21 @@ def _parquet(path: Path) -> dict[str, list[Cell]]:
         file = parquet.ParquetFile(path)
         affordable(file.metadata.num_rows * file.metadata.num_columns, path)
         table = file.read(use_threads=False)
-        return {n: [_cell(v) for v in table[n].to_pylist()] for n in dict.fromkeys(table.column_names)}
+        return {n: _column(table[n]) for n in dict.fromkeys(table.column_names)}
     except (DataError, MemoryError):
         raise
     except Exception as err:  # pyarrow raises ArrowInvalid, OSError, KeyError, ... for damaged files
         raise DataError(
             f"{path}: not a Parquet file that can be read ({type(err).__name__}): export it anew, or as CSV"
         ) from None
+
+
+def _column(values: Any) -> list[Cell]:
+    """The cells of a column; of numbers at once."""
+    if str(values.type).startswith(("int", "uint", "float", "double")):
+        numbers: list[Cell] = values.to_numpy().astype(float).tolist()
+        return numbers
+    return [_cell(v) for v in values.to_pylist()]
 
 
 def _json(path: Path) -> dict[str, list[Cell]]:
