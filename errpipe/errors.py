@@ -97,4 +97,6 @@ def did_you_mean(word: str, allowed: Iterable[str]) -> str:
     if (meant := MEANT.get(word)) in words:
         return f" Did you mean {meant}?"
     near = difflib.get_close_matches(word, words, n=1, cutoff=0.6)
+    begun = [w for w in words if len(word) > 2 and w.startswith(word)]  # `laser` of laser-iso230
+    near = near or (begun if len(begun) == 1 else [])
     return f" Did you mean {near[0]}?" if near else ""

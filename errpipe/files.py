@@ -77,12 +77,17 @@ MOST_NEIGHBOURS = 1000  # names of a folder that are compared with one that is m
 
 def missing(path: Path) -> str:
     """`no such file`, with the name in its folder that is nearest to it."""
+    return f"no such file{nearest(path)}"
+
+
+def nearest(path: Path) -> str:
+    """`. Did you mean X?` for the name in its folder that is nearest to one that is not there; '' where none is."""
     try:
         near = [entry.name for entry in islice(path.parent.iterdir(), MOST_NEIGHBOURS)]
     except OSError:
         near = []
     meant = difflib.get_close_matches(path.name, near, n=1, cutoff=0.75)
-    return "no such file" + (f". Did you mean {path.parent / meant[0]}?" if meant else "")
+    return f". Did you mean {path.parent / meant[0]}?" if meant else ""
 
 
 def why(err: OSError) -> str:

@@ -76,7 +76,10 @@ def errpipe(
     version: bool = typer.Option(False, "--version", callback=_show_version, is_eager=True, help="Show the version."),
     debug: bool = typer.Option(False, "--debug", help="Show the traceback of an error (anywhere on the line)."),
 ) -> None:
-    """Raw machine-tool measurements in, verified compensation tables out."""
+    """Raw machine-tool measurements in, verified compensation tables out.
+
+    Begin with `errpipe demo`; with a file of your own: `errpipe import FILE --out recording`.
+    """
     if ctx.invoked_subcommand is None:
         typer.echo(ctx.get_help())
 

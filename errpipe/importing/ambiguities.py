@@ -30,8 +30,9 @@ INPUTS = (
 )
 # Lengths that are known better than the machine: where its own probe read them, its reading stands for the command.
 _ARTEFACT = re.compile(
-    r"\b(step ?gauges?|step ?bar|gau?ge ?blocks?|(stufen|parallel)?endmass\w*|kugel(balken|platte|leiste)"
-    r"|ball ?(plate|beam)|calibrated (length|value|position)s?|kalibrierte[rs]? (laenge|wert|position)\w*"
+    r"\b(step ?gauges?|step ?bar|gau?ge ?blocks?|(stufen|parallel)?endmass\w*|(kugel|loch)(balken|platte|leiste)"
+    r"|(ball|hole) ?(plate|beam|bar)|length bars?|calibrated( (length|value|position)s?|$)"
+    r"|kalibrierte?[rs]?( (laenge|wert|position)\w*|$)"
     r"|posn|dprnt|inspection (report|print)|cal\.? ?[xyz]|cale etalon|blocco campione)\b|ブロックゲージ|量块|步距规"
 )
 _SIGNS = re.compile(r"\b(signs?|vorzeichen|vz|signe|segno|signo)\b|符号|^\W*\+ ?/ ?-\W*$|^\W*±\W*$")
@@ -108,10 +109,16 @@ def refuse_without_position(p: Proposal, asked: bool) -> None:
     roles = {e["role"] for e in p.entries.values()}
     left_out = next((n for n, e in p.entries.items() if e["role"] == "ignore"), None)
     for name, entry in p.entries.items():
-        letter = entry.get("_axis")
+        letter = entry.get("_axis") or (components.parse(entry["component"]).axis if entry["role"] == "error" else None)
         if entry["role"] != "error" or letter is None or entry["component"] != components.positioning(letter):
             continue
-        recorded = any(e["role"] in PLACES and e.get("axis") == letter for e in p.entries.values())
+        places = [n for n, e in p.entries.items() if e["role"] in PLACES and e.get("axis") == letter]
+        recorded, place = bool(places), next((n for n in places if p.entries[n]["role"] != "actual"), "")
+        if place in p.data and np.unique(p.data[place]).size < 2 and not roles & {*INPUTS}:
+            raise DataError(
+                f"every reading of {name!r} stands at {place} = {p.data[place][0]:g}: at which places of "
+                f"{letter} was it read? (say which column holds them, with --set COLUMN.role=position)"
+            )
         if not recorded and (letter[0] in "ABC" or not (asked or roles & {*PLACES, *INPUTS})):
             hint = f" (is it {left_out!r}? {p.guesses.get(left_out, '')})" if left_out else ""
             raise DataError(f"no position of {letter} is recorded beside {name!r}: at which targets was it read?{hint}")
@@ -192,6 +199,12 @@ def component_above(
     axis = options.axis or words.axis_above(layout.above)  # `EAC` beside axis X is a mark of conformity
     found = {name for line in layout.above for name in re.findall(COMPONENT, line)}
     named = sorted(name for name in found if axis in (None, name[2]))
+    if axis and not named and not any(map(columns.names_a_turn, (c.header for c in layout.columns))):
+        turned = _turn_above(layout, axis)
+        named = [turned] if turned else []
+        for c in layout.columns if turned else []:
+            if c.unit == "inch" and guesses[c.header].kind in ("actual", "error"):  # `"` of an angle
+                c.unit, guesses[c.header] = "arcsec", replace(guesses[c.header], kind="error")
     stated = options.component or any(columns.component_in(c.header) for c in layout.columns) or options.sets
     if not named or stated or sum(g.kind in ("error", "actual") for g in guesses.values()) == 0:
         return options
@@ -202,3 +215,12 @@ def component_above(
         )
     p.notes.append(f"the component is {named[0]}, as a line above the table, its sheet or file says (--component)")
     return replace(options, component=named[0], axis=options.axis or named[0][2])
+
+
+def _turn_above(layout: Layout, moved: str) -> str | None:
+    """EBX of a line `Pitch` above angles along X, where lines name one of roll, pitch and yaw; or None."""
+    found = {name for line in layout.above for said, name in columns.TURNS if re.search(said, words.plain(line))}
+    about = columns.ANGLES.get(moved[0], {}).get(next(iter(found), ""))
+    units = {c.unit for c in layout.columns}
+    angles = units & {*columns.SMALL_ANGLES} or {"mm", "inch"} <= units  # `"` is written for inch and for arcsec
+    return f"E{about}{moved}" if about and angles and len(found) == 1 else None

@@ -111,7 +111,7 @@ def _guess(column: RawColumn, axis: str | None) -> ColumnGuess:
     if (kind := kind_by_name(column.header)) is not None:
         kind, why = _settled(kind, column)
         return ColumnGuess(kind, axis, why or f"its name ({column.header!r})")
-    if column.numeric and column.unit in _ANY_ANGLE and _names_a_turn(column.header):
+    if column.numeric and column.unit in _ANY_ANGLE and names_a_turn(column.header):
         return ColumnGuess("error", axis, f"its name ({column.header!r}) and unit ({column.unit})")
     if column.unit in KIND_OF_UNIT and column.numeric:
         return ColumnGuess(KIND_OF_UNIT[column.unit], axis, f"its unit ({column.unit})")
@@ -291,7 +291,7 @@ def other_component(text: str, moved: str) -> str | None:
                 f"other readings with --set '{text}.component=EYX'"
             )
         return f"E{across}{moved}"
-    for pattern, name in _TURNS:
+    for pattern, name in TURNS:
         if re.search(pattern, word):
             about = ANGLES.get(moved[0], {}).get(name)
             if about is None:
@@ -300,16 +300,16 @@ def other_component(text: str, moved: str) -> str | None:
     return None
 
 
-_TURNS = (
+TURNS = (
     (r"\b(roll\w*|rollen)\b", "roll"),
     (r"\b(pitch(?! ?(error)? ?comp)|nick\w*)\b", "pitch"),  # of a screw: pitch error compensation
     (r"\b(yaw|gier\w*)\b", "yaw"),
 )
 
 
-def _names_a_turn(header: str) -> bool:
+def names_a_turn(header: str) -> bool:
     """Whether a header names roll, pitch or yaw."""
-    return any(re.search(pattern, plain(header)) for pattern, _ in _TURNS)
+    return any(re.search(pattern, plain(header)) for pattern, _ in TURNS)
 
 
 _STRAIGHT = r"straight|gerad(?!e)|rectitud|rettilin|直线度|真直度"

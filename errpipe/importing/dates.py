@@ -12,11 +12,15 @@ from errpipe.domain.recording import ROLE_UNITS
 from errpipe.errors import DataError
 from errpipe.importing.layout import RawColumn
 from errpipe.importing.sheet import Cell
+from errpipe.importing.units import unit_of
 
 NOT_UNDERSTOOD = "a date that is not understood"
 MIDNIGHT = "T00:00:00"  # how a workbook gives a date without a time of day
-_DATE = re.compile(rf"(\d{{4}}-\d\d-\d\d|\d{{1,2}}[./-]\d{{1,2}}[./-]\d{{2,4}}|\d{{4}}/\d\d?/\d\d?)(?:{MIDNIGHT})?")
-_CLOCK = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?( [AP]M)?")
+_DATE = re.compile(
+    rf"(\d{{4}}-\d\d-\d\d|\d{{1,2}}[./-]\d{{1,2}}[./-]\d{{2,4}}|\d{{4}}/\d\d?/\d\d?)(?:{MIDNIGHT})?"
+    r"|\d{1,2}[-. ]{1,2}[^\W\d_]{3,9}[-. ]{1,2}\d{2,4}"  # 20-Feb-2026
+)
+_CLOCK = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?( ?[AaPp]\.?[Mm]\.?)?")
 _ELAPSED = re.compile(
     r"(?:(\d+)\s*(?:d|days?|tage?|[.:])?\s+|(\d+)[.:](?=\d+:\d\d:))?(\d+):(\d\d)(?::(\d\d(?:\.\d+)?))?"
 )
@@ -76,14 +80,16 @@ def numbered(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str,
     Raises DataError for what may be days or seconds.
     """
     first, last = float(np.nanmin(c.values)), float(np.nanmax(c.values))
+    unit = unit or unit_of(c.header)  # a column that is called `minutes`
     tick = next((tick for low, high, tick in EPOCHS if low <= first < high), None)
     epoch = None if tick in (None, FILE_TIME) else datetime.fromtimestamp(first * tick, UTC).isoformat()
     if unit in SHORT:
         return (c.values - first) * SHORT[unit], "s", f"{why}; {unit} written as s", epoch
-    if unit not in ROLE_UNITS["time"] and tick is not None:
+    if tick is not None and (unit not in ROLE_UNITS["time"] or {"s": 1.0, "ms": 1e-3}.get(unit or "") == tick):
         return (c.values - first) * tick, "s", f"{why}; ticks of {tick:g} s since an epoch, by their size", epoch
     days = any(low <= first <= last < high for low, high in SERIAL_DAYS)
-    if unit is None and days and re.search(r"\b(date|datum|fecha|data)\b", c.header, re.IGNORECASE) and first < 1e5:
+    dated = re.search(r"\b(date|datum|fecha|data|zeitstempel|time ?stamp)\b", c.header, re.IGNORECASE)
+    if days and first < 1e5 and (unit == "d" or (unit is None and dated)):
         start = (SPREADSHEET_ZERO + timedelta(days=first)).isoformat(timespec="seconds")
         return (c.values - first) * DAY, "s", f"{why}; days as spreadsheets count them, written as s", start
     if unit is None and days and last - first < len(c.values):
@@ -103,6 +109,20 @@ def order_of(form: str) -> str:
     if form.startswith(("%y/", "%y-")):
         return "; the year first"
     return "; the day first" if form.startswith(("%d/", "%d-")) else ""
+
+
+def refuse_an_hour_back(c: RawColumn, since: np.ndarray) -> None:
+    """Raise DataError where a clock goes back once, by an hour less one step, as at the end of summer time."""
+    rows = np.flatnonzero(np.isfinite(since))
+    steps = np.diff(since[rows])
+    usual = float(np.median(steps)) if steps.size else 0.0
+    back = np.flatnonzero(steps < 0)
+    if back.size == 1 and 0 <= steps[back[0]] + 3600.0 <= 2.0 * usual:
+        before, after = (str(c.cells[rows[back[0] + k]]) for k in (0, 1))
+        raise DataError(
+            f"column {c.header!r}: {after!r} stands below {before!r}, an hour back: the end of summer time? Write the "
+            "times in UTC or with their zone (2026-10-25T02:10:00+02:00, ... +01:00)"
+        )
 
 
 def refuse_unread(entries: dict[str, dict[str, Any]], guesses: dict[str, str], data: dict[str, Any]) -> None:
@@ -204,6 +224,7 @@ _EAST_ASIAN = str.maketrans({"年": "/", "月": "/", "日": " ", "時": ":", "�
 def _usual_signs(text: str) -> str:
     """`7:00:00,5` with a point, `Mar 1, 2025 7:00` with a blank, `2. März 2026` in English, `07.58.00` with colons."""
     text = re.sub(r",(?=\d)", ".", text.translate(_EAST_ASIAN)).replace(",", " ")
+    text = re.sub(r"(?<=\d) ?([AaPp])\.?[Mm]\.?$", r" \1M", text)
     text = re.sub(r"(:\d\d:\d\d):(\d{1,3})$", r"\1.\2", text)  # `08:00:00:250`, as data loggers write
     text = re.sub(r"(?<= )(\d{1,2})\.(\d\d)\.(\d\d)$", r"\1:\2:\3", text)
     text = re.sub(r"(?<=\d)\.(?= [^\W\d]{3})|(?<=[^\W\d])\.(?= )", "", text)

@@ -11,9 +11,11 @@ import numpy as np
 
 from errpipe.errors import DataError
 from errpipe.importing.blocks import blocks, sections
+from errpipe.importing.facts import OF_A_FACT
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, filled_cells, label, number, of_one_mark
 from errpipe.importing.units import split_header, unit_of
 from errpipe.importing.units_above import units_of_columns
+from errpipe.importing.words import kind_by_name
 
 DEEPEST_HEADER = 200  # lines above the data: the longest preamble seen, of a laser's own file, has 60
 MOST_REMARKS = 50  # lines below a table that are kept as remarks
@@ -24,13 +26,22 @@ EMPTY = "columns without a value:"  # a note that an error repeats
 NUMERIC_SHARE = 0.6  # of a column's cells: what is a number column with gaps and remarks
 
 _NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
-_WORD = re.compile(r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?)$).*[^\W\d_]", re.IGNORECASE)  # no missing value
+_WORD = re.compile(
+    r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?|open|burn ?out|over ?(range|flow)|no ?sensor)$).*[^\W\d_]",
+    re.IGNORECASE,
+)  # no missing value
 _AXIS_OF_SHEET = re.compile(
     r"^([XYZ])\d?$|\b(?:axis|achse|axe|asse|eje)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse|axe|asse)\b",
     re.IGNORECASE,
 )
-_MOMENT = re.compile(r"(?=.*\d:\d|.*\d[./-]\d+[./-]\d)\d[\d.:/\-T ,+Z]*( [AP]M)?")
+_MOMENT = re.compile(
+    r"(?=.*\d:\d|.*\d[./-]\d+[./-]\d)\d[\d.:/\-T ,+Z]*( ?[AaPp]\.?[Mm]\.?)?"
+    r"|\d{1,2}[-. ]{1,2}[^\W\d_]{3,9}[-. ]{1,2}\d{2,4}( \d.*)?"
+)
 _COMMENT = ("#", "%", "//", ";", "!")
+_DATE_FORM = re.compile(
+    r"[yY]{2,4}[./-][mM]{1,2}[./-][dD]{1,2}|[dD]{1,2}[./-][mM]{1,2}[./-][yY]{2,4}|[hH]{1,2}:[mM]{2}(:[sS]{2})?|NO\."
+)
 _RULE = re.compile(r"[-=_+:~*|]{2,}")
 
 
@@ -66,7 +77,7 @@ class Layout:
 
 def is_word(cell: Cell) -> bool:
     """Whether a cell is a word, and not one of those for a missing value."""
-    return isinstance(cell, str) and _WORD.match(cell) is not None
+    return isinstance(cell, str) and _WORD.match(cell) is not None and not is_moment(cell)
 
 
 def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
@@ -74,7 +85,11 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
 
     stated: names of the columns of a file without a header, by a person.
     """
-    rows, unit_in_cells = _without_units([row for row in sheet.rows if filled_cells(row) and not _is_rule(row)])
+    rows = [row for row in sheet.rows if filled_cells(row) and not _is_rule(row)]
+    if len(rows) > 4 and rows[0][:1] == ["TOA5"]:  # of a data logger: names, units, and how values were taken
+        units_below = [f" [{u}]" if u not in ("", None, "TS", "RN") else "" for u in rows[2]]
+        rows = [[f"{n}{u}" for n, u in zip(rows[1], units_below, strict=False)], *rows[4:]]
+    rows, unit_in_cells = _without_units(rows)
     comma = decimal_comma(rows)
     notes = list(sheet.notes) + (["decimal commas"] if comma else [])
     if sheet.header is not None:
@@ -301,13 +316,15 @@ def _names(rows: list[list[Cell]], head: list[int], width: int) -> tuple[list[st
 
 def _are_units(texts: list[str]) -> bool:
     cells = [t.strip("[]() ") for t in texts if t]
-    return any(map(unit_of, cells)) and all(unit_of(c) or c in ("-", "1") for c in cells)
+    return any(map(unit_of, cells)) and all(unit_of(c) or c in ("-", "1") or _DATE_FORM.fullmatch(c) for c in cells)
 
 
 def _metres(names: list[str]) -> list[str]:
-    """`x_m` as `x [m]` where another header ends so too: alone it may be a measured x."""
+    """`x_m` as `x [m]` where another header ends so too, or it is a target: alone it may be a measured x."""
     ending = [n for n in names if re.fullmatch(r".*\w[_ ]m", n)]
-    return [f"{n[:-2]} [m]" if n in ending and len(ending) > 1 else n for n in names]
+    bare = any("[" not in n and "(" not in n and split_header(n)[1] for n in names)  # `Deviation um` beside it
+    metres = ending if len(ending) > 1 else [n for n in ending if bare and kind_by_name(n[:-2]) == "command"]
+    return [f"{n[:-2]} [m]" if n in metres else n for n in names]
 
 
 def _is_preamble(group: list[str], names: list[str]) -> bool:
@@ -315,7 +332,7 @@ def _is_preamble(group: list[str], names: list[str]) -> bool:
     cells = [i for i, text in enumerate(group) if text]
     words = [n for n in names if n]
     complete = len(set(words)) == len(words) and all(_WORD.match(n) for n in words)
-    named = len(words) > 2 or re.match(_OF_A_FACT, group[0], re.IGNORECASE) is not None
+    named = len(words) > 2 or re.match(OF_A_FACT, group[0], re.IGNORECASE) is not None
     return complete and named and cells in ([0], [0, 1])
 
 
@@ -350,13 +367,18 @@ def _layout(
             header += "'" * (count_of[header] - 1)  # no number, which would be taken for that of a run
         cells = [row[i] if i < len(row) else None for row in rows]
         try:
-            cells = of_one_mark(cells, comma)
+            thousands = (stated or unit) not in ("degC", "degF", "K") and kind_by_name(header) != "temperature"
+            cells = of_one_mark(cells, comma, thousands)
         except ValueError as err:
             raise DataError(
                 f"column {header!r}: {err} may have a mark of thousands or of decimals (write its numbers without "
                 "thousands, with the mark of the other columns)"
             ) from None
         values = np.array([v if (v := number(c, comma)) is not None else np.nan for c in cells])
+        part, _, base = (stated or unit or "").partition(" ")
+        if base == "degC" and part.startswith("0."):  # `Bed [0.1 °C]`
+            values, stated = values * float(part), base
+            notes.append(f"{header}: {part} degC written as degC")
         if any(c not in (None, "") for c in cells):
             columns.append(RawColumn(header, stated or unit, cells, values))
         elif not header.startswith("column "):
@@ -364,24 +386,3 @@ def _layout(
     if empty:
         notes.append(f"{EMPTY} {', '.join(map(repr, empty))} (in a workbook: formulas that were never computed)")
     return Layout(columns, above, notes)
-
-
-FACTS = {
-    "machine": r"machine|maschine",
-    "serial_number": r"serial(?: ?(?:no|number))?|serien ?nr|seriennummer|s/n",
-    "operator": r"operator|bediener|pr[üu]fer|inspector",
-    "date": r"date|datum",
-    "instrument": r"instrument|messger[äa]t|laser",
-}
-_OF_A_FACT = "|".join(("axis|achse|axe|asse|eje|soft|program|title|titel|test|company|firma", *FACTS.values()))
-
-
-def facts(above: list[str]) -> dict[str, str]:
-    """Facts on the set-up from the lines above a table: `Maschine: VMC 3`."""
-    found: dict[str, str] = {}
-    for line in above:
-        for name, words in FACTS.items():
-            match = re.match(rf"\s*(?:{words})\b\.?\s*[:=;,]?\s+(\S.{{0,80}})$", line, re.IGNORECASE)
-            if match and name not in found:
-                found[name] = match.group(1).strip()
-    return found

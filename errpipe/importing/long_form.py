@@ -15,9 +15,12 @@ MOST_SIGNALS = 60  # names in one column; more are remarks, not signals
 MOST_COLUMNS = 12  # signal, time, value, unit, quality, and what a database adds
 FEWEST_VALUES = 3  # of each signal
 _SIGNAL = re.compile(
-    r"(signal|tag|channel|kanal|name|variable|sensor|field|point|measurement|messstelle|item|path)( ?(name|id))?"
+    r"(signal|tag|var|topic|channel|kanal|name|variable|sensor|field|point|measurement|messstelle|item|path|node"
+    r"|data ?item|metric|symbol|display|entity|(sub ?)?type)( ?(name|id))?"
 )
-_VALUE = re.compile(r"(value|wert|reading|messwert|valeur|valore|valor)( ?\(?(float|double|num(ber|eric)?)\)?)?")
+_VALUE = re.compile(
+    r"(?:var ?)?(value|state|payload|wert|reading|messwert|valeur|valore|valor)( ?\(?(float|double|num(ber|eric)?)\)?)?"
+)
 _UNIT = re.compile(r"(unit|einheit|units|unite|uom)s?")
 
 
@@ -37,18 +40,23 @@ def unstacked(sheet: Sheet) -> Sheet:
     at = _columns(header, body)
     if at is None:
         return sheet
-    name, time, value, unit = at
+    names, time, value, unit = at
     counts: dict[str, int] = {}
     table: dict[str, dict[str, Cell]] = {}
     for row in body:
-        signal = label(row[name]) + (f" [{label(row[unit])}]" if unit is not None and row[unit] else "")
+        signal = " ".join(filter(None, (label(row[i]) for i in names))) + (
+            f" [{label(row[unit])}]" if unit is not None and row[unit] else ""
+        )
         counts[signal] = counts.get(signal, 0) + 1
         table.setdefault(label(row[time]), {}).setdefault(signal, row[value])
-    if not 2 <= len(counts) <= MOST_SIGNALS or min(counts.values()) < FEWEST_VALUES:
+    few = [s for s, n in counts.items() if n < FEWEST_VALUES]
+    if len(counts) > MOST_SIGNALS or len(counts) - len(few) < 2:
         return sheet
+    counts = {s: n for s, n in counts.items() if s not in few}
+    left = [f"signals of less than {FEWEST_VALUES} values were left out: {', '.join(few)}"[:160]] if few else []
     note = f"a row per value: {len(counts)} signals became columns"
     out: list[list[Cell]] = [[when, *(values.get(s) for s in counts)] for when, values in table.items()]
-    return Sheet(sheet.name, _by_time(out), ["time", *counts], [*sheet.notes, note])
+    return Sheet(sheet.name, _by_time(out), ["time", *counts], [*sheet.notes, note, *left])
 
 
 def _by_time(rows: list[list[Cell]]) -> list[list[Cell]]:
@@ -62,7 +70,7 @@ def _is_header(rows: list[list[Cell]]) -> bool:
     return len(rows) > 1 and not any(figures.search(label(c)) for c in rows[0]) and not all(map(is_word, rows[1]))
 
 
-def _columns(header: list[str], body: list[list[Cell]]) -> tuple[int, int, int, int | None] | None:
+def _columns(header: list[str], body: list[list[Cell]]) -> tuple[list[int], int, int, int | None] | None:
     """Where signals, times, values and units (or None) stand; None where the sheet is of another form."""
     comma = decimal_comma(body)
     columns = range(len(body[0]))
@@ -72,12 +80,13 @@ def _columns(header: list[str], body: list[list[Cell]]) -> tuple[int, int, int, 
     others = [i for i in columns if i not in moments and i not in numbers]
     words = [i for i in others if len({row[i] for row in sample}) > 1]
     units = next((i for i, text in enumerate(header) if _UNIT.fullmatch(text)), None)
-    named = next((i for i in words if header and _SIGNAL.fullmatch(header[i])), None)
-    value = next((i for i in numbers if header and _VALUE.fullmatch(header[i])), None)
-    times = [*moments, *(i for i in numbers if i != value)]
-    if named is not None and value is not None and len(times) == 1:
+    named = [i for i in words if header and _SIGNAL.fullmatch(header[i])]
+    some = [i for i in columns if sum(number(row[i], comma) is not None for row in sample) > 0.5 * len(sample)]
+    value = next((i for i in some if header and _VALUE.fullmatch(header[i])), None)
+    times = [i for i in (moments or numbers) if i != value and len({row[i] for row in sample}) > 1]
+    if named and value is not None and len(times) == 1:
         return named, times[0], value, units
     signals = [i for i in words if i != units]
     if header or len(moments) != 1 or len(numbers) != 1 or not signals:
         return None
-    return signals[0], moments[0], numbers[0], units
+    return signals[:1], moments[0], numbers[0], units

@@ -39,13 +39,14 @@ def refuse_swapped(p: Proposal, command: str, actual: str) -> None:
 
 def resolve_order(p: Proposal, axis: str) -> None:
     """Directions and runs of a test, or velocity, acceleration and an ideal simulation of a log."""
-    if _is_log(p, axis):
+    if is_log(p, axis):
         _log_of_an_axis(p, axis)
     else:
         _directions_and_runs(p, axis)
 
 
-def _is_log(p: Proposal, axis: str) -> bool:
+def is_log(p: Proposal, axis: str | None = None) -> bool:
+    """Whether the rows are samples of a moving axis in time, not targets."""
     command = p.first("command", axis) or p.first("position", axis)
     if p.first("time") is None or command is None or p.rows < DENSE_ROWS or command not in p.data:
         return False
@@ -158,7 +159,7 @@ def sides_of_falling_runs(p: Proposal) -> None:
     error = p.first("error")
     axis = components.parse(p.entries[error]["component"]).axis if error is not None else None
     place = p.first("command", axis) or p.first("position", axis)
-    if axis is None or place not in p.data or p.first("direction") is not None or _is_log(p, axis):
+    if axis is None or place not in p.data or p.first("direction") is not None or is_log(p, axis):
         return
     x = p.data[place]
     labels = np.asarray(p.data.get(p.first("run") or "", [""] * x.size), dtype=str)

@@ -22,7 +22,8 @@ TESTS: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "R-test",
-        r"\br-?test\b|^\W*[abc]( ?(pos\w*|axis|achse))?\b[^a-z]*((deg|grad)\b\W*)?\bd? ?x\b.*\bd? ?y\b.*\bd? ?z\b",
+        r"\br-?test\b|^(\W*[abc]( ?(pos\w*|axis|achse))?\b[^a-z]*((deg|grad)\b\W*)?){1,2}\bd? ?x\b.*"
+        r"\bd? ?y\b.*\bd? ?z\b",
         "an R-test: where a ball stands at each position of a rotary axis",
         f"{_WRITE} protocol r_test, the positions of all axes, and the ball less its nominal place as E_X, E_Y, E_Z; "
         "deviations are imported with --set COLUMN.component=E_X and so on",
@@ -36,11 +37,11 @@ TESTS: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "inspection print",
-        r"^\W*posn\b|\bdprnt\b|\bfeature no\b.*\d|\binspection (report|print)\b",
-        "a print of the machine's own probe (POSN, NOM, ACT, DEV)",
-        "it counts minus the deviations of the machine where the part is known better than it; "
-        f"{_WRITE} of a calibrated plate protocol ball_plate, of bores that the machine drilled and a CMM measured "
-        "hole_pattern; of a gauge along one axis, a table of target and deviation with --sign commanded-minus-actual",
+        r"^\W*posn\b|\bdprnt\b|\bfeature no\b.*\d|\binspection (report|print)\b|\btchpr|\bmeasuring log\b|messprotokoll"
+        r"|^\W*(n\d+ )?x ?-?\d+[.,]\d*\W+y ?-?\d|\bdim loc|\bcmm\b",
+        "an inspection print of a CMM or of the machine's own probe",
+        "it lacks rows that state axis, nominal and actual place of each feature: write them as a table "
+        "`Feature;Axis;Nominal;Actual` (Hole 1;X;50.000;50.012), in mm, which is imported",
     ),
 )
 

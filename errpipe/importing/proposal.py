@@ -27,7 +27,8 @@ from errpipe.importing import (
     wide,
 )
 from errpipe.importing import columns as guessing
-from errpipe.importing.layout import Layout, RawColumn, facts, is_word
+from errpipe.importing.facts import facts
+from errpipe.importing.layout import Layout, RawColumn, is_word
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
 from errpipe.importing.temperatures import with_temperatures
@@ -351,6 +352,7 @@ def _time(c: RawColumn, unit: str | None, why: str, p: Proposal) -> None:
         p.put(c.header, [label(x) for x in c.cells], "a second clock", role="ignore")
     elif stamps is not None:
         since, epoch, form = stamps
+        dates.refuse_an_hour_back(c, since)
         why += f"; dates written as s since the first row{dates.order_of(form)}"
         p.put("t", since, why, role="time", unit="s", epoch=epoch)
     elif c.numeric:

@@ -11,7 +11,7 @@ from errpipe.errors import DataError
 from errpipe.importing import order
 from errpipe.importing.columns import ColumnGuess
 from errpipe.importing.layout import RawColumn
-from errpipe.importing.proposed import ImportOptions, Proposal
+from errpipe.importing.proposed import ImportOptions, Proposal, slug
 
 NARROW = 100.0  # a longer travel is in mm: machines of more than 100 inch are few, and their files name the unit
 ABSOLUTE = 0.1  # of the position: a steeper "deviation" is a reading (no axis is wrong by 10 %)
@@ -114,6 +114,9 @@ def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
     """error = actual - commanded, where both are recorded and no error column is."""
     if any(e["role"] == "error" for e in p.entries.values()):
         return
+    for name, keys in options.sets.items():  # also of a column that a wide layout made: `actual_Y`
+        if slug(name) in p.entries and keys.get("role") in ("command", "actual", "position"):
+            p.entries[slug(name)]["role"] = keys["role"]
     letters = list(dict.fromkeys([axis, *(e["axis"] for e in p.entries.values() if e.get("axis"))]))
     moving = [a for a in letters if (c := p.first("command", a)) in p.data and np.ptp(p.data[c]) > 0]
     if options.axis is not None:

@@ -68,8 +68,8 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
         )
     if standard == "um" and unit in guessing.SMALL_ANGLES:
         raise DataError(
-            f"readings in {unit} are angles, no {component}: say what turned with --component, such as EBX (pitch), "
-            "ECX (yaw) or EAX (roll) of X"
+            f"readings in {unit} are angles, no {component}: say what turned with --component, such as "
+            f"{_turns(component)}"
         )
     values, unit, why = plain_unit(values, unit, why)
     if unit is None and standard == "urad":
@@ -80,6 +80,14 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
         unit = unit_by_size(values) if standard == "um" else standard
         why += f"; no unit is stated, taken as {unit} by the size of the readings (--unit says it)"
     return values, unit, why
+
+
+def _turns(component: str) -> str:
+    """`EBX (pitch), ECX (yaw) or EAX (roll) of X` for the axis of a component."""
+    axis = (components.parse(component).axis or "X")[0]
+    about = guessing.ANGLES.get(axis, {}) | ({"pitch": "A", "yaw": "B"} if axis == "Z" else {})
+    pitch, yaw, roll = (f"E{about.get(name, 'B')}{axis} ({name})" for name in ("pitch", "yaw", "roll"))
+    return f"{pitch}, {yaw} or {roll} of {axis}"
 
 
 def stated_unit(options: ImportOptions, written: str | None, header: str) -> str | None:
@@ -114,8 +122,10 @@ def unit_by_size(values: np.ndarray) -> str:
             f"the readings are whole numbers, or halves, up to {most:g} and no unit is stated: um, or the steps of a "
             "gauge? Say it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
         )
-    if most < 1.0 or (most <= LARGEST and decimals > 1):
-        likely = "mm is likely, by their decimals" if decimals in OF_MM else "nothing says which is likely"
+    if most <= LARGEST:
+        likely = {1: "um is likely, by their decimal", **dict.fromkeys(OF_MM, "mm is likely, by their decimals")}.get(
+            decimals, "nothing says which is likely"
+        )
         raise DataError(
             f"the readings reach {most:.3g} and no unit is stated: um or mm ({likely})? Say it with --unit mm (or um)"
         )

@@ -78,11 +78,12 @@ def number(cell: Any, comma: bool) -> float | None:
     return float(text.upper().replace("D", "E")) if _PLAIN.fullmatch(text) else None
 
 
-def of_one_mark(cells: list[Cell], comma: bool) -> list[Cell]:
+def of_one_mark(cells: list[Cell], comma: bool, thousands: bool = True) -> list[Cell]:
     """The cells of a column as `number` reads them, whichever mark its decimals and thousands have.
 
     comma: whether the file writes decimal commas. `75.000` there is 75000 where the column shows it: it holds commas,
-    `1.234.567`, or `0` beside `75.000`. Raises ValueError with the cell that may be either.
+    `1.234.567`, or `0` beside `75.000`. thousands: whether the quantity reaches them, as no
+    temperature does. Raises ValueError with the cell that may be either.
     """
     other = "." if comma else ","
     texts = {
@@ -92,7 +93,8 @@ def of_one_mark(cells: list[Cell], comma: bool) -> list[Cell]:
     if not marked:
         return cells
     groups = [t.split(other) for t in marked.values()]
-    if any(len(g) == 2 and (len(g[1]) != 3 or not 0 < len(g[0]) <= 3 or g[0].startswith("0")) for g in groups):
+    odd = any(len(g) == 2 and (len(g[1]) != 3 or not 0 < len(g[0]) <= 3 or g[0].startswith("0")) for g in groups)
+    if odd or not thousands:
         if comma:
             return cells
         return [str(c).replace(",", ".") if i in marked else c for i, c in enumerate(cells)]

@@ -13,7 +13,7 @@ import numpy as np
 from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
-from errpipe.importing import words
+from errpipe.importing import order, words
 from errpipe.importing.layout import Layout
 from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.units import split_header
@@ -75,6 +75,7 @@ def ignore_corrections(p: Proposal) -> None:
         p.guesses[name] = "corrections beside deviations: only the deviations are used"
 
 
+_INSTRUMENT = re.compile(r"laser|interferom|gauge|dial|probe|dev|abw|measured|gemessen")
 _SWITCHED_ON = re.compile(
     r"\b(?:comp\w*|korrektur\w*|kompensation\w*|correction\w*)\W+(?:was |is |ist |war )?"
     r"(?:on|active|aktiv|enabled|ein|an)\b|\b(?:with|mit|after|nach) (?:\w+ )?(?:comp\w*|korrektur|kompensation)\b"
@@ -150,6 +151,11 @@ def _said(p: Proposal, name: str, layout: Layout) -> tuple[bool, str]:
     if said is not None:
         return said[0] < 0, f"the file says {said[1]!r}" + (": the sign is turned" if said[0] < 0 else "")
     _ask(headers, layout, p.guesses.get(name, ""))
+    if order.is_log(p) and not any(map(_INSTRUMENT.search, map(words.plain, headers))):
+        raise DataError(
+            f"{headers[0]!r} is logged beside a moving axis: controls show commanded minus actual there, instruments "
+            "actual minus commanded. Say it: --sign commanded-minus-actual, or --sign actual-minus-commanded"
+        )
     return False, ASSUMED
 
 

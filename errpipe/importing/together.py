@@ -233,7 +233,11 @@ def _shift(p: Proposal, start: datetime | None, own: datetime | None) -> None:
     if start is None or own is None:
         return
     if (start.tzinfo is None) != (own.tzinfo is None):
-        raise DataError("some dates have a time zone and others do not: write all in one way")
+        zoned, bare = (start, own) if start.tzinfo else (own, start)
+        raise DataError(
+            f"the times of one file have a time zone ({zoned.isoformat()}) and those of another have none "
+            f"({bare.isoformat()}), which may be hours apart: write both with it, or both as the same clock shows them"
+        )
     time = p.first("time") or ""
     p.data[time] = p.data[time] + (own - start).total_seconds()
     p.entries[time]["epoch"] = start.isoformat()

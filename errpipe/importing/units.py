@@ -26,12 +26,12 @@ UNITS = {
     **dict.fromkeys(("°c", "degc", "c", "celsius", "grad c", "℃", "gradc"), "degC"),
     **dict.fromkeys(("°f", "degf", "fahrenheit", "℉"), "degF"),
     **dict.fromkeys(("k", "kelvin"), "K"),
-    **dict.fromkeys(("s", "sec", "sek", "seconds"), "s"),
+    **dict.fromkeys(("s", "sec", "sek", "seconds", "sekunden", "secondes", "secondi", "segundos"), "s"),
     **dict.fromkeys(("ms", "msec"), "ms"),
     **dict.fromkeys(("us", "µs", "μs"), "us"),
     "ns": "ns",
-    **dict.fromkeys(("min", "minutes", "minuten"), "min"),
-    **dict.fromkeys(("h", "hours", "std"), "h"),
+    **dict.fromkeys(("min", "minutes", "minuten", "minuti", "minutos"), "min"),
+    **dict.fromkeys(("h", "hours", "std", "stunden", "heures", "horas"), "h"),
     **dict.fromkeys(("cm",), "cm"),
     **dict.fromkeys(("µin", "μin", "uin", "microinch", "microinches", "millionths"), "microinch"),
     **dict.fromkeys(("°", "deg", "degree", "degrees", "grad"), "deg"),
@@ -68,7 +68,7 @@ UNITS = {
 
 
 # A tenth, hundredth, ... of a unit: `0.1 um`, `1/1000 mm`, `x 0.0001"`, `10^-4 mm`.
-_PART = re.compile(r"[x×*]?(?:1/(10+)|(?:10\^?|1e)[-−]([1-6])|(0?[.,]0*1))[x×*·]?([a-zµμ\"]+)")
+_PART = re.compile(r"[x×*]?(?:1/(10+)|(?:10\^?|1e)[-−]([1-6])|(0?[.,]0*1))[x×*·]?([a-zµμ°\"]+)")
 _BRACKET = re.compile(r"\s*(?:[\[(]\s*([^\[\]()]{1,14})\s*[\])]|\"([^\W\d]{1,4})\")\s*")
 # A last letter is a unit only of a quantity that has it: `time h`, `T1_K`; not in `current A`, perhaps that of axis A.
 LETTERS = {
@@ -112,7 +112,7 @@ _PART_IN_WORDS = re.compile(
     re.IGNORECASE,
 )
 _PART_OF = re.compile(  # `0.001 mm`, `1/100mm`, `10^-4 mm` outside of brackets
-    r"(?<![\[(\d.,/])([x×*]?(?:1/10+|(?:10\^?|1e)[-−][1-6]|0?[.,]0*1)\s?(?:mm|um|µm|inch|in|\"))(?![^\W_])(?!\s?[\])])",
+    r"(?<![\[(\d.,/])([x×*]?(?:1/10+|(?:10\^?|1e)[-−][1-6]|0?[.,]0*1)\s?(?:mm|um|µm|inch|in|\"|°C|degC))(?![^\W_])(?!\s?[\])])",
     re.IGNORECASE,
 )
 
@@ -178,7 +178,7 @@ def unit_of(text: str) -> str | None:
     if plain in ("Nm", "N m"):
         return "N m"
     word = plain.lower().replace(" ", "")
-    if (part := _PART.fullmatch(word)) is None or (base := UNITS.get(part[4])) not in ("um", "mm", "inch", "m"):
+    if (part := _PART.fullmatch(word)) is None or (base := UNITS.get(part[4])) not in ("um", "mm", "inch", "m", "degC"):
         return UNITS.get(word)
     zeros = part[1].count("0") if part[1] else int(part[2] or 0) or len(re.split("[.,]", part[3])[1])
     return f"0.{'1':0>{zeros}} {base}"

@@ -40,7 +40,7 @@ SIMULATED = (
 FORCES = r"(force|kraft|torque|drehmoment|moment)"
 # Of a tool point: a deviation, unless it is as long as a travel.
 DISPLACEMENT = (
-    r"(displacement|\bdisp\b|\bgrowth|wachstum|laengung|verlagerung|verschiebung|\bdrift\b|spostamento|deplacement|desplazamiento"
+    r"(displacement|\bdisp\b|\bgrowth|wachstum|laengung|verlagerung|verschiebung|\bdrift\b|\bderiv[ae]\b|spostamento|deplacement|desplazamiento"
     r"|変位|位移)"
 )
 
@@ -66,7 +66,11 @@ WORDS: tuple[tuple[str, str], ...] = (
         r"(zeit|time|datum|date|stamp|(?<!mess)uhr|horodat|heure|\bora\b|\bfecha\b|\bhora\b|elapsed|duration|\bdauer\b|時刻|時間|时间|日時)",
         "time",
     ),
-    (r"^(t|ts|sec|sek|x value)$", "time"),
+    (
+        r"^(t|ts|sec|sek|x value|seconds|sekunden|secondes|secondi|segundos|minutes|minuten|minuti|minutos|hours"
+        r"|stunden|heures|horas)$",
+        "time",
+    ),
     (
         r"(temp|^t[ .]|[ ]t$|tmp|thermo|^pt100|°c|degc|温度)|^tc? ?\d{1,2}$"
         r"|^t?(ambient|room|raum|umgebung|hall|halle|shop)( ?air| ?luft)?$|^t(amb|air|luft|spindle|spindel|bed|bett)$",
@@ -110,8 +114,9 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(velocity|geschw|\bvel\b|speed)", "velocity"),
     (r"(accel|beschl)", "acceleration"),
     (
-        r"(target|soll|ziel|nominal|\bnom\b|nennwert|command|\bcmd|\bnoml\b|setpoint|demand|ref(erence)?\b|consign[ea]|theorique|cible|teoric"
-        r"|objetivo|\balvo\b|doelpos|malpos|zadan|cilov|hedef|gewenst|boervaerd|borvard|celpoz|目標|目标|指令|задан|целев|목표)",
+        r"(target|soll|ziel|nominal|\bnom\b|nenn(wert|mass|laenge)|calibrated( (value|length|position))?$"
+        r"|kalibrier(wert|ter wert|te laenge|t)$|command|\bcmd|\bnoml\b|setpoint|demand|ref(erence)?\b|consign[ea]"
+        r"|theorique|cible|teoric|objetivo|\balvo\b|doelpos|malpos|zadan|cilov|hedef|gewenst|boervaerd|borvard|celpoz|目標|目标|指令|задан|целев|목표)",
         "command",
     ),
     (

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field, create_model
 
-from errpipe import yamlfile
+from errpipe import files, yamlfile
 from errpipe.errors import ConfigError, Problem, UsageError, did_you_mean
 from errpipe.pipeline.graph import Links, link
 from errpipe.pipeline.stage import Stage
@@ -150,7 +150,7 @@ def missing_inputs(pipeline: Pipeline, stages: Sequence[Stage]) -> list[Problem]
         for wanted in stage.inputs() if stage in stages else ():
             if not wanted.exists():
                 place = _place_of(pipeline.document, number, pipeline.root, wanted)
-                problems.append(pipeline.document.problem(place, f"{wanted} is not there"))
+                problems.append(pipeline.document.problem(place, f"{wanted} is not there{files.nearest(wanted)}"))
     return problems
 
 

@@ -43,11 +43,13 @@ def formats(name: str) -> dict[str, Any]:
     rows += [{"format": name, "how": "identify", "about": what} for name, _, what, _ in TESTS]
     rows += [{"format": d.name, "how": "import", "about": _first_line(d.__doc__)} for d in DOORS]
     says = ["Read by a pipeline as they are (ingest: {recording: FILE}):"]
-    says += [f"  {r['format']:<20} {r['about']}"[:100] for r in rows if r["how"] == "ingest"]
+    says += [f"  {r['format']:<20} {r['about']}" for r in rows if r["how"] == "ingest"]
     says += ["Turned into a recording first (errpipe import FILE --out FOLDER):"]
-    says += [f"  {r['format']:<20} {r['about']}"[:100] for r in rows if r["how"] == "import"]
-    says += ["Written by hand as a recording with a protocol (docs/recordings.md, Tests of a machine; stage identify):"]
-    says += [f"  {r['format']:<20} {r['about']}"[:100] for r in rows if r["how"] == "identify"]
+    says += [f"  {r['format']:<20} {r['about']}" for r in rows if r["how"] == "import"]
+    says += [
+        "Tests of a machine as a whole (stage identify): imported where the file says its set-up, else written by hand:"
+    ]
+    says += [f"  {r['format']:<20} {r['about']}" for r in rows if r["how"] == "identify"]
     return {"formats": rows, "says": says}
 
 

@@ -17,7 +17,7 @@ from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError, ErrpipeError, UsageError, did_you_mean
 from errpipe.files import missing
 from errpipe.formats import _derived, manifest_folder
-from errpipe.importing import order, other_tests, resolve, signs, together
+from errpipe.importing import features, order, other_tests, resolve, signs, together
 from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
@@ -112,8 +112,11 @@ def _of_any_sheet(
         if len(out) == MAX_SHEETS:
             break
         try:
-            layout = with_period(lay_out(transposed(unstacked(sheet)), door.names), door.period)
-            out.append((propose(layout, options, may_be_log), sheet.name))
+            proposed = features.proposal(sheet, options)
+            if proposed is None:
+                layout = with_period(lay_out(transposed(unstacked(sheet)), door.names), door.period)
+                proposed = propose(layout, options, may_be_log)
+            out.append((proposed, sheet.name))
         except DataError as err:
             problems.append(f"{sheet.name}: {err}" if len(sheets) > 1 else str(err))
             question = "--" in str(err) and not str(err).startswith(resolve.NO_DEVIATION)
@@ -177,9 +180,23 @@ def write(
         "rows": proposal.rows,
         "says": [
             f"{Path(folder) / manifest_folder.MANIFEST}: {proposal.rows} rows, {len(proposal.entries)} columns",
-            f"next: errpipe init --template NAME DIR --recording {folder}",
+            _next(proposal, folder),
         ],
     }
+
+
+def _next(proposal: Proposal, folder: Path) -> str:
+    """What to do with the recording: the template for what it holds, or the stage that reads its test."""
+    test = proposal.facts.get("protocol")
+    if test is not None and test not in ("hole_pattern", "ball_plate"):
+        return (
+            f"next: a pipeline of the stages ingest (recording: {folder}) and identify, with a machine.yaml, together "
+            "with the other tests of this machine (errpipe init --template five-axis DIR shows one)"
+        )
+    has_place = any(proposal.first(role) for role in ("position", "command"))
+    template = "drilled-plate" if test else "laser-iso230" if has_place else "spindle-drift"
+    template = "diagnose-log" if proposal.first("simulated") else template
+    return f"next: errpipe init --template {template} DIR --recording {folder}"
 
 
 def _refuse_changed(folder: Path, parts: dict[str, str]) -> None:

@@ -43,7 +43,9 @@ def verify(folder: Path) -> dict[str, Any]:
     if not folder.is_dir():
         raise DataError(f"{folder}: is no table (one, or the folder that an export wrote is needed: {folder.parent})")
     if not (folder / "export.json").is_file():
-        raise VerifyError(f"{folder}: holds no export.json, so nothing here was exported by errpipe")
+        below = sorted(p.parent for depth in ("*", "*/*") for p in folder.glob(f"{depth}/export.json"))
+        hint = f". Did you mean {below[0]}?" if below else ""
+        raise VerifyError(f"{folder}: holds no export.json, so nothing here was exported by errpipe{hint}")
     document = _listed(folder / "export.json", jsonfile.read(folder / "export.json"))
     table = ect.read(folder / _artefacts.TABLE)
     checks = [f"{_artefacts.TABLE}: checksum, layout and limits hold"]

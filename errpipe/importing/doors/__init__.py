@@ -17,10 +17,10 @@ from types import ModuleType
 
 from errpipe.errors import DataError, ErrpipeError, UsageError
 from errpipe.importing import controller_files
-from errpipe.importing.doors import delimited, excel, halsampler, hdf5, matlab, mtconnect, tdms
+from errpipe.importing.doors import delimited, excel, halsampler, hdf5, matlab, mtconnect, records, tdms
 from errpipe.importing.sheet import DoorOptions, Sheet
 
-DOORS: tuple[ModuleType, ...] = (excel, tdms, hdf5, matlab, mtconnect, halsampler, delimited)
+DOORS: tuple[ModuleType, ...] = (excel, tdms, hdf5, matlab, mtconnect, halsampler, records, delimited)
 
 MOST_BYTES = 256 << 20  # 256 MB: a larger log belongs in Parquet beside a manifest, which is read in blocks
 HEAD_BYTES = 1 << 16  # that a format is recognised by
@@ -59,8 +59,8 @@ def _refuse_known(path: Path, head: bytes) -> None:
     """Raise DataError for kinds of files that are not imported, with what to do instead."""
     if (what := controller_files.controller_file_kind(path, head)) is not None:
         raise DataError(f"{path}: {what}")
-    if head.startswith(b"PAR1"):
-        raise DataError(f"{path}: a Parquet table: write a recording.yaml beside it that declares its columns")
+    if path.name.startswith(("~$", ".~lock.")):
+        raise DataError(f"{path}: what a spreadsheet leaves beside a file that is open in it: name that file")
     if head.startswith((b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"7z\xbc\xaf")):
         raise DataError(f"{path}: a packed file: unpack it first")
     if head.lstrip().lower().startswith((b"<html", b"<table", b"<!doctype", b"<?xml")) and not mtconnect.sniff(

@@ -229,7 +229,8 @@ def _separator(lines: list[str]) -> str:
         agree = sum(n for w, n in counts.items() if abs(w - width) <= 1)
         if separator == "," and _commas_are_decimal(filled):
             continue
-        if agree > 1.05 * most and agree >= 0.3 * len(filled):
+        all_lines = agree == len(filled) > most  # also the header: `;` may stand within cells (`ns=2;s=Axis.X`)
+        if (agree > 1.05 * most or all_lines) and agree >= 0.3 * len(filled):
             best, most = separator, agree
     return best
 

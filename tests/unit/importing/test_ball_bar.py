@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from errpipe.cli.app import main
 from errpipe.domain.protocols import missing_readings, protocol_of
 from errpipe.errors import DataError
 from errpipe.validation import iso230_4
@@ -93,3 +94,38 @@ def test_what_a_ball_bar_does_not_state_is_asked(
 ) -> None:
     with pytest.raises(DataError, match=match):
         prepared([written(tmp_path, lines, head)])
+
+
+THREE_AXES = """machine: 1
+name: three-axes
+chain: [workpiece, "X'", bed, Y, Z, spindle, tool]
+axes:
+  X: {kind: linear, travel: [-200, 200]}
+  Y: {kind: linear, travel: [-200, 200]}
+  Z: {kind: linear, travel: [-300, 0]}
+"""
+IDENTIFIED = """pipeline: 1
+stages:
+  - {kind: ingest, recording: rec}
+  - {kind: identify, machine: machine.yaml}
+  - {kind: validate}
+  - {kind: export_volumetric, targets: [linuxcnc_screw], ungated: true}
+"""
+
+
+@pytest.mark.parametrize(("reading", "sign"), [("Radius error", 1.0), ("Correction", -1.0)])
+def test_a_ball_bar_through_identify_to_the_controller(tmp_path: Path, reading: str, sign: float) -> None:
+    """10 um too long at X = +150 mm against Y: one bar shows no more. The control goes that much less far along X."""
+    noise = np.random.default_rng(1).normal(0, 0.1, (PLACES.size, 2))
+    read = sign * 10.0 * np.cos(PLACES)[:, None] ** 2 + noise
+    lines = [f"{a:g};{up:.3f};{down:.3f}" for a, (up, down) in zip(np.degrees(PLACES), read, strict=True)]
+    written(tmp_path, [f"Angle [deg];{reading} CCW [um];{reading} CW [um]", *lines])
+    for name, text in (("machine.yaml", THREE_AXES), ("p.yaml", IDENTIFIED)):
+        (tmp_path / name).write_text(text, "utf-8")
+    assert main(["import", str(tmp_path / "f.csv"), "--out", str(tmp_path / "rec"), "--yes"]) == 0
+    assert main(["run", str(tmp_path / "p.yaml"), "--out", str(tmp_path / "out")]) == 0
+    folder = tmp_path / "out" / "export_volumetric"
+    x, y = (np.loadtxt(folder / "linuxcnc_screw" / f"{axis}.comp") for axis in "xy")  # nominal, forward, reverse in mm
+    along, across = ((c[-1, 1] - c[0, 1]) / (c[-1, 0] - c[0, 0]) for c in (x, y))
+    assert 150 * (along - across) == pytest.approx(-0.010, abs=4e-4)
+    assert main(["verify", str(folder)]) == 0

@@ -69,7 +69,8 @@ def test_a_term_that_reads_a_sensor_which_stood_still_says_so(
     "values, match",
     [
         ([0.012, 0.215, 0.433, 0.652], r"um or mm \(mm is likely, by their decimals\)\? Say it with --unit mm"),
-        ([0.1, 0.2, 0.4, 0.6], "um or mm .nothing says"),
+        ([0.1, 0.2, 0.4, 0.6], r"um or mm \(um is likely, by their decimal\)"),
+        ([0.2, -2.3], r"um or mm \(um is likely"),  # a router, measured with a caliper
         ([0.012, 0.415, 0.833, 1.252], "um or mm"),
         ([0.11, 0.42, 2.31, 4.25], "um or mm"),
         ([0.5, 1.5, 3.0, 2.5], "whole numbers, or halves"),
@@ -85,7 +86,6 @@ def test_readings_that_can_be_only_one_of_them_are_taken() -> None:
     assert unit_by_size(np.array([0.0123, -0.0871])) == "mm"  # 0.09 um are no error of an axis
     assert unit_by_size(np.array([0.12, -7.31])) == "um"  # nor are 7 mm
     assert unit_by_size(np.array([2.5, 5.0, -222.5])) == "um"  # a step of 2.5 is no division of a dial
-    assert unit_by_size(np.array([0.2, -2.3])) == "um"  # nobody measures 0.1 mm to compensate them
 
 
 @pytest.mark.parametrize(("factor", "places", "unit"), [(1, "mm", "mm"), (1000, "mm", "um"), (1, "inch", "mm")])

@@ -1,0 +1,293 @@
+"""Inspection prints: nominal and actual places of features, as CMMs and probing cycles write them, as a recording.
+
+A row states one coordinate of a feature: below a header (`AX NOMINAL MEAS DEV`), or with the words beside the numbers
+(`POSN X50.0000 ACTUAL 50.0031 DEV 0.0031`); or a table has columns for each axis. A part that the machine made shows
+its deviations, an artefact that it measured minus its deviations: a print does not say which it is, a person does.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from errpipe.errors import DataError
+from errpipe.importing import resolve, signs
+from errpipe.importing.layout import Layout, is_moment
+from errpipe.importing.proposed import ImportOptions, Proposal
+from errpipe.importing.sheet import Cell, Sheet, decimal_comma, filled_cells, label, number
+from errpipe.importing.units import split_header
+from errpipe.importing.words import kind_by_name, plain
+
+NOMINAL, ACTUAL, DEVIATION = "command", "actual", "error"
+FEWEST = 3  # features
+MOST_ROWS = 20_000  # of a sheet: a thousand features have ten rows each; longer ones are logs
+FARTHEST = 5.0  # mm: as the largest deviation elsewhere; beyond it another number was read
+ROUNDING = 2.1e-4  # mm: of three numbers that are printed with four decimals (0.002 mm with three)
+_COORDINATE = re.compile(r"(?<![a-z\d])([xyz])(?![a-z\d])")
+_OF_A_COORDINATE = re.compile(r"\b(value|wert|coord\w*|koord\w*|val)\b|[^\w]|_")
+_NAME_OF_FEATURE = re.compile(
+    r"\b(feature|element\w*|merkmal|hole|bohrung|circle|kreis|ball|kugel|sphere|foro|trou|ident|characteristic)\b"
+)
+_GLUED = re.compile(r"([A-Za-z]{1,8})[=:]?([+-]?\d+[.,]\d+)")  # `X50.0000`, `XNOM50.000`
+_TOLERANCE = re.compile(r"((upper|lower|ob|unt|o|u|out)\w*[. ]*|[+-] ?)tol\w*\.?", re.IGNORECASE)
+_IDENTIFIES = re.compile(r"(?<![\d.,])\d+(?![\d.,])")  # `FEATURE NO 2`, `DIM LOC2=`, not `ERROR TP 0.1311`
+_VERDICT = re.compile(r"\bfail|\bok\b|^$")  # `Pass/Fail` is no run
+_DIFFERENCE = re.compile(r"\b(diff\w*|delta)\b")
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """One coordinate of a feature: the numbers by kind.
+
+    breaks: a line before it begins another feature; apart: so it does, or the row holds the words as well.
+    """
+
+    row: int
+    axis: str
+    name: str
+    numbers: dict[str, float]
+    breaks: bool
+    apart: bool
+
+
+def proposal(sheet: Sheet, options: ImportOptions) -> Proposal | None:
+    """The recording of a print; None of any other sheet.
+
+    Raises DataError where numbers contradict one another, and where nobody states who made what was measured.
+    """
+    rows: list[list[Cell]] = [[*sheet.header], *sheet.rows] if sheet.header else sheet.rows
+    if len(rows) > MOST_ROWS:
+        return None
+    units, of_deviation = _units(rows)
+    features = _features(list(_readings(rows)))
+    if len(features) < FEWEST:
+        return None
+    axes = Counter(tuple(sorted(f)) for f in features).most_common(1)[0][0]
+    kept = [f for f in features if tuple(sorted(f)) == axes]
+    apart = all(r.apart for f in kept for r in f.values())  # else one coordinate may be the axis of a plain table
+    if len(kept) < max(FEWEST, 0.5 * len(features)) or (len(axes) < 2 and not apart):
+        return None
+    if len(units) > 1:
+        raise DataError(f"a print in {' and '.join(sorted(units))}: write it in one unit")
+    unit = options.unit if options.unit in ("mm", "inch") else next(iter(units), "mm")
+    scale = 25.4 if unit == "inch" else 1.0
+    place = {a: scale * np.array([f[a].numbers[NOMINAL] for f in kept]) for a in axes}
+    read = {a: _deviations([f[a] for f in kept], of_deviation, scale, options) for a in axes}
+    moved = [a for a in axes if np.unique(place[a]).size > 1]
+    measured = [a for a in (moved if len(moved) == 1 else axes) if np.any(read[a])]
+    if not moved or not measured:
+        raise DataError("a print of features, all at one place or without a deviation: nothing to compensate")
+    _ask_who_made_it(len(kept), moved, options)
+    p = Proposal(notes=[*sheet.notes], headers={label(c) for row in rows[:1] for c in row})
+    p.put("run", _runs([place[a] for a in axes]), "how often a place was measured before", role="run")
+    why = "nominal place of the feature" + ("" if units else "; no unit is stated, taken as mm")
+    for a in moved:
+        p.put(a, np.round(place[a], 4), why, role="position", axis=a, unit="mm")
+    for a in measured:
+        component = f"E{a}{a}" if len(moved) == 1 else f"E_{a}"
+        p.put(component, np.round(read[a], 7), "actual less nominal", role="error", component=component, unit="mm")
+    signs.change(p, Layout([], []), options)
+    made = options.sign == "actual-minus-commanded"
+    if len(moved) > 1:
+        p.facts["protocol"] = "hole_pattern" if made else "ball_plate"
+    p.notes.append(f"a print of {len(kept)} features: {'a part that the machine made' if made else 'an artefact'}")
+    if any(f[a].numbers.get(DEVIATION, 0.0) * d < 0 for a in measured for f, d in zip(kept, read[a], strict=True)):
+        p.notes.append("its column of deviations is nominal less actual: taken from these two")
+    if left := {r.name or f"line {r.row + 1}" for f in features if f not in kept for r in f.values()}:
+        p.notes.append(f"features without {' and '.join(axes)} were left out: {', '.join(sorted(left))}"[:160])
+    for a in {*axes} - {*measured}:
+        p.notes.append(f"{a} was left out: " + ("it does not vary" if len(moved) == 1 else "every deviation is 0"))
+    return p
+
+
+def _ask_who_made_it(count: int, moved: list[str], options: ImportOptions) -> None:
+    if options.sign is None:
+        raise DataError(
+            f"a print of {count} features in {', '.join(moved)}: who made what was measured? A part that this machine "
+            "made and a CMM measured: --sign actual-minus-commanded; a calibrated artefact (ball plate, step gauge) "
+            "that this machine measured with its own probe: --sign commanded-minus-actual"
+        )
+
+
+def _units(rows: list[list[Cell]]) -> tuple[set[str], str | None]:
+    """Units of length that the print names, and that of a column of deviations where its header states another."""
+    found, of_deviation = set(), None
+    for row in rows:
+        texts = [c for c in row if isinstance(c, str) and _has_letters(c)]
+        stated = [split_header(text)[1] for text in texts if _kind(text) == DEVIATION]
+        of_deviation = next((u for u in stated if u in ("um", "mm", "inch")), of_deviation)
+        said = re.findall(r"(?<![a-z\d])(mm|inch(?:es)?|in)(?![a-z])", " ".join(texts).lower()) if texts else []
+        found |= {"mm" if s == "mm" else "inch" for s in said if s != "in" or re.search(r"unit", " ".join(texts), re.I)}
+    return found, of_deviation
+
+
+def _has_letters(cell: Cell) -> bool:
+    return isinstance(cell, str) and any(map(str.isalpha, cell)) and not is_moment(cell)
+
+
+@lru_cache(maxsize=1024)
+def _kind(cell: Cell) -> str | None:
+    """command, actual or error of a word; None of any other cell."""
+    if not _has_letters(cell) or _TOLERANCE.search(str(cell)):
+        return None
+    text = _COORDINATE.sub(" ", plain(cell)).strip()
+    kind = kind_by_name(text) if text else None
+    return DEVIATION if _DIFFERENCE.fullmatch(text) else kind if kind in (NOMINAL, ACTUAL, DEVIATION) else None
+
+
+@lru_cache(maxsize=1024)
+def _axis(cell: Cell) -> str | None:
+    found = {*_COORDINATE.findall(plain(cell))} if _has_letters(cell) else set()
+    return found.pop().upper() if len(found) == 1 else None
+
+
+def _readings(rows: list[list[Cell]]) -> Iterator[_Reading]:
+    """Every row, or cell of a table with columns for each axis, that states a coordinate with nominal and result."""
+    comma, header, last, breaks, per_axis = decimal_comma(rows), list[str](), "", True, False
+    for r, row in enumerate(rows):
+        if not per_axis and not any(map(_has_letters, row)):
+            continue
+        if len(alone := filled_cells(row)) == 1:  # a line among columns that blanks part
+            row = [*label(alone[0]).split()]
+        texts = [label(c) for c in row]
+        kinds = [_kind(c) for c in row]
+        if NOMINAL in kinds and {ACTUAL, DEVIATION} & {*kinds} and not any(number(c, comma) is not None for c in row):
+            texts = _with_groups(rows[r - 1] if r else [], texts)
+            named = any(kind_by_name(t) in ("run", "direction") for t in texts if not _VERDICT.search(plain(t)))
+            header, last, breaks = [] if named else texts, "", True
+            per_axis = len({a for t in header if _kind(t) and (a := _axis(t))}) > 1
+            continue
+        cells = [part for c in row for part in _split(c)]
+        beside = not header or any(k in (ACTUAL, DEVIATION) for k in map(_kind, cells))
+        if beside:
+            found = [(axis, "", numbers) for axis, numbers in _beside_words(cells, comma)]
+        elif per_axis:
+            found = _columns_per_axis(header, row, comma)
+        else:
+            found = _below(header, row, comma)
+        whole = [one for one in found if NOMINAL in one[2] and {ACTUAL, DEVIATION} & {*one[2]}]
+        for axis, name, numbers in whole:
+            last = name or last  # a cell that is merged over the coordinates of a feature
+            yield _Reading(r, axis, last, numbers, breaks, breaks or beside)
+            breaks = False
+        breaks |= not whole and not found and _IDENTIFIES.search(" ".join(texts)) is not None
+
+
+def _with_groups(above: list[Cell], texts: list[str]) -> list[str]:
+    """Names below merged cells of axes: `X` above Nominal, Actual, Deviation, and `Y` above the same again."""
+    if sum(_axis(c) is not None for c in above) < 2 or any(map(_axis, texts)):
+        return texts
+    groups, last = list[str](), ""
+    for cell in [*above, *[None] * (len(texts) - len(above))]:
+        last = label(cell) or last
+        groups.append(last)
+    return [f"{group} {text}".strip() for group, text in zip(groups, texts, strict=False)]
+
+
+def _split(cell: Cell) -> list[Cell]:
+    """`X50.0000` as a word and a number; any other cell as it is."""
+    match = _GLUED.fullmatch(cell) if isinstance(cell, str) else None
+    return [match[1], match[2]] if match else [cell]
+
+
+def _beside_words(cells: list[Cell], comma: bool) -> list[tuple[str, dict[str, float]]]:
+    """The coordinate of a row and its numbers, each behind the word that says what it is."""
+    axis, kind, numbers = None, None, dict[str, float]()
+    for cell in filled_cells(cells):
+        value = number(cell, comma)
+        if value is None:
+            named, kind = _axis(cell), _kind(cell)
+            if named is not None and axis in (None, named):
+                axis, kind = named, kind or NOMINAL
+        elif axis is not None and kind is not None:
+            numbers.setdefault(kind, value)
+            kind = None
+    return [(axis, numbers)] if axis is not None and len(numbers) > 1 else []
+
+
+def _below(header: list[str], row: list[Cell], comma: bool) -> list[tuple[str, str, dict[str, float]]]:
+    """The coordinate that a row names, the name of its feature, and its numbers by the header."""
+    at = [i for i, c in enumerate(row) if _axis(c) is not None]
+    if not at or len({_axis(row[i]) for i in at}) > 1:
+        return []
+    first = next((i for i in range(at[-1], len(row)) if number(row[i], comma) is not None), len(row))
+    if len(row) == len(header):
+        named = list(zip(header, row, strict=True))
+    else:  # parted by blanks: the numbers behind the words, below the names from the first kind on
+        joined = _TOLERANCE.sub("tol", " ".join(header)).split()
+        begin = next(i for i, text in enumerate(joined) if _kind(text))
+        begin = min(begin, next((i for i, text in enumerate(joined) if text == "tol"), begin))
+        named = list(zip(joined[begin:], [c for c in row[first:] if number(c, comma) is not None], strict=False))
+    numbers = {k: v for text, c in named if (k := _kind(text)) and (v := number(c, comma)) is not None}
+    words = [_OF_A_COORDINATE.sub("", _COORDINATE.sub(" ", plain(label(c)))) for c in row[: at[-1] + 1]]
+    return [(str(_axis(row[at[-1]])), " ".join(filter(None, words)), numbers)]
+
+
+def _columns_per_axis(header: list[str], row: list[Cell], comma: bool) -> list[tuple[str, str, dict[str, float]]]:
+    """Coordinates of a row of a table of features: `Feature;Nominal X;Actual X;Nominal Y;...`."""
+    names = [i for i, text in enumerate(header) if _NAME_OF_FEATURE.search(plain(text)) and not _kind(text)]
+    if not names or len(row) != len(header) or not row[names[0]]:
+        return []
+    found: dict[str, dict[str, float]] = {}
+    for text, cell in zip(header, row, strict=True):
+        axis, kind, value = _axis(text), _kind(text), number(cell, comma)
+        if axis and kind and value is not None:
+            found.setdefault(axis, {}).setdefault(kind, value)
+    return [(axis, f"{label(row[names[0]])} {id(row)}", numbers) for axis, numbers in found.items()]
+
+
+def _features(readings: list[_Reading]) -> list[dict[str, _Reading]]:
+    """Readings by feature: of one name, until a coordinate comes again or, without names, a line begins another."""
+    features: list[dict[str, _Reading]] = []
+    current: dict[str, int] = {}
+    several = len({r.name for r in readings}) > 1
+    for r in readings:
+        at = current.get(r.name)
+        if at is None or r.axis in features[at] or (r.breaks and not several):
+            at = current[r.name] = len(features)
+            features.append({})
+        features[at][r.axis] = r
+    return features
+
+
+def _deviations(readings: list[_Reading], unit: str | None, scale: float, options: ImportOptions) -> np.ndarray:
+    """Actual less nominal in mm. Raises DataError where a printed deviation is another number."""
+    stated = np.array([r.numbers.get(DEVIATION, np.nan) for r in readings])
+    both = np.array([r.numbers.get(ACTUAL, np.nan) - r.numbers[NOMINAL] for r in readings]) * scale
+    if np.isnan(both).any():
+        unit = options.unit if options.unit in ("um", "mm", "inch") else unit or resolve.unit_by_size(stated)
+        both = np.where(np.isnan(both), stated * {"um": 1e-3, "inch": 25.4}.get(unit, 1.0), both)
+    else:
+        stated = stated * {"um": 1e-3, "inch": 25.4}.get(unit or "", scale)
+        off = np.minimum(np.abs(stated - both), np.abs(stated + both)) > ROUNDING + 0.002 * (
+            np.abs(both) < 10 * ROUNDING
+        )
+        off &= np.isfinite(stated)
+        if off.any():
+            r = readings[int(np.argmax(off))]
+            raise DataError(
+                f"line {r.row + 1}: {r.axis}: the deviation {r.numbers[DEVIATION]:g} is not actual "
+                f"{r.numbers[ACTUAL]:g} less nominal {r.numbers[NOMINAL]:g}: which column is which?"
+            )
+    if np.abs(both).max() > FARTHEST:
+        r = readings[int(np.argmax(np.abs(both)))]
+        raise DataError(
+            f"line {r.row + 1}: {r.axis}: actual less nominal is {np.abs(both).max():.4g} mm (at most "
+            f"{FARTHEST:g} mm): is the header that of these numbers?"
+        )
+    return both
+
+
+def _runs(places: list[np.ndarray]) -> list[str]:
+    """1, 2, ... of each row: how often its place stands above it, and itself."""
+    seen: Counter[tuple[float, ...]] = Counter()
+    out = []
+    for place in zip(*(np.round(x, 3).tolist() for x in places), strict=True):
+        seen[place] += 1
+        out.append(str(seen[place]))
+    return out
