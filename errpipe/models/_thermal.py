@@ -62,8 +62,9 @@ class ThermalFamily(Family):
         """Without a scheme: each environment in turn, or each run where the recording names less than two.
 
         A group in which a temperature has no reading judges nothing; where that leaves one environment, its runs
-        are left out. Fewer than three runs: each half by the
-        other. A block between two that fit is interpolated, which shows little of the next run: of 12 simulated days
+        are left out. Fewer than three runs, of one environment or two: each half by the other, for no test over two
+        runs tells a correction from chance. A block between two that fit is interpolated, which shows little of the
+        next run: of 12 simulated days
         (seeds 5101 and 5102 of `trials.thermal`), later days were left 1.8 times as far off as such blocks (0.8 times
         as far as halves), and their 90 % width held 65 % (89 %) of the rows.
         """
@@ -80,11 +81,11 @@ class ThermalFamily(Family):
             if scheme is not None:
                 raise
             folds = []
-        if usable := [fold for fold in folds if known[fold.test].any() and known[fold.train].any()]:
+        usable = [fold for fold in folds if known[fold.test].any() and known[fold.train].any()]
+        runs = np.unique(recording.run_codes()[known if folds else holdout.measured(recording)]).size
+        if usable and (scheme is not None or runs >= FEWEST_RUNS):
             return name, usable
         if scheme is None:
-            seen = known if folds else holdout.measured(recording)
-            runs = np.unique(recording.run_codes()[seen]).size
             name, folds = super().folds(recording, "auto" if runs >= FEWEST_RUNS else holdout.HALVES)
         return name, [fold for fold in folds if known[fold.test].any() and known[fold.train].any()] or folds
 
