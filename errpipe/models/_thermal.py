@@ -95,7 +95,7 @@ class ThermalFamily(Family):
 
     def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Fit on every row. Raises DataError without a temperature or with one run only."""
-        from errpipe.fitting.thermal_arithmetic import few_rows_fitted, held_readings
+        from errpipe.fitting.thermal_arithmetic import changes_with_place, few_rows_fitted, held_readings
 
         fitted, outcome = self._compete(recording, None)
         model = fitted.error_model(recording)
@@ -108,7 +108,8 @@ class ThermalFamily(Family):
             "chance": dict(outcome.chance),
             "noise_floor_um": _noise_floor(recording, self, outcome),
         }
-        said = _said(outcome) + few_rows_fitted(held_readings(recording), self.component, fitted.report["rows"])
+        said = _said(outcome) + changes_with_place(recording, _left(recording, self, outcome))
+        said += few_rows_fitted(held_readings(recording), self.component, fitted.report["rows"])
         return Fitted(model, {COMPETITION: document}, {self.component: said})
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
@@ -209,14 +210,20 @@ def _said(outcome: Outcome) -> str:
     return f"{said}; {other:.3g} um on each {MACHINE} left out: machines that differ need a recording each"
 
 
+def _left(recording: Recording, family: ThermalFamily, outcome: Outcome) -> np.ndarray:
+    """What the mixture leaves of groups left out, um, (rows,); NaN where nothing is judged."""
+    from errpipe.fitting.thermal_arithmetic import since_start_of
+
+    predicted = next(iter(outcome.predictions.values()))[: len(recording)]
+    return since_start_of(recording, family.component, family.datum_rows) - predicted
+
+
 def _noise_floor(recording: Recording, family: ThermalFamily, outcome: Outcome) -> float | None:
     import numpy as np
 
     from errpipe.fitting.noise_floor import noise_floor
-    from errpipe.fitting.thermal_arithmetic import since_start_of
 
-    predicted = next(iter(outcome.predictions.values()))[: len(recording)]
-    residual = since_start_of(recording, family.component, family.datum_rows) - predicted
+    residual = _left(recording, family, outcome)
     rows = np.flatnonzero(np.isfinite(residual))
     return noise_floor(recording, rows, residual[rows])
 
