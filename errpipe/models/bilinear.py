@@ -6,10 +6,7 @@ which it warms does. The state equation of such a machine is bilinear,
     d theta / dt = (A + s W) theta + B u          theta: rises, s: speed, u: heat
 
 and the part of theta that W makes is, to first order, lagged products of s and theta (Volterra series of second order;
-Rugh 1981, Nonlinear System Theory, chapter 3). The sensors' rates stand for s. A film acts by a difference in
-temperature, so theta counts from the mean of all sensors at the start of the run, not from each sensor's own start.
-Drawn machines, two seasons fitted and the third judged: auto leaves 1 % less on seed 61001 of `trials.thermal`, and 4 %
-less on 61002, which chose nothing (12 each; bilinear alone 2 and 4 % less).
+Rugh 1981, Nonlinear System Theory, chapter 3). The sensors' rates stand for s.
 """
 
 from __future__ import annotations
@@ -38,7 +35,7 @@ LATE = 0.25  # which of the recording's time constants a product also acts throu
 
 
 class Bilinear(ThermalFamily):
-    """Ridge on rises, lagged rises, and products of a sensor's rate with how warm a sensor is, at once and late."""
+    """Ridge on rises, lagged rises, and products of a sensor's rate with a sensor's rise, at once and late."""
 
     family: Literal["bilinear"] = Field("bilinear", description="Model family.")
     nonlinear: ClassVar[bool] = True
@@ -55,7 +52,8 @@ class Bilinear(ThermalFamily):
         taus = t.time_constants(problem.recording, problem.plain)
         if problem.one_run or not 0 < problem.plain <= MOST_SENSORS or not taus:
             return ()
-        features = _Products(t.rates(problem), t.gaps(problem.recording), taus[int(LATE * len(taus))])
+        rises = problem.drivers[: problem.plain]
+        features = _Products(t.rates(problem), rises, taus[int(LATE * len(taus))])
         whole = t.extended(problem, features.columns())
         width, count = len(problem.drivers), len(whole.drivers)
 
@@ -83,31 +81,31 @@ class Bilinear(ThermalFamily):
 
 
 class _Products(NamedTuple):
-    """Rates of the sensors and how warm each is, K, and the time constant through which their products act late, s."""
+    """Rates and rises of the sensors, K, and the time constant through which their products act late, s."""
 
     rates: tuple[d.Driver, ...]
-    gaps: tuple[d.Driver, ...]
+    rises: tuple[d.Driver, ...]
     late: float
 
     def columns(self) -> list[d.Driver]:
         """Every product, and every product late; K2."""
         from errpipe.domain import driver as d
 
-        plain: list[d.Driver] = [d.Product(of=(rate, x)) for rate in self.rates for x in self.gaps]
+        plain: list[d.Driver] = [d.Product(of=(rate, x)) for rate in self.rates for x in self.rises]
         return plain + [self._lagged(node) for node in plain]
 
     def sum(self, gains: np.ndarray) -> d.Driver:
         """Gains (um/K2) times the columns, with one product per sensor and a single lag."""
         from errpipe.domain import driver as d
 
-        at_once, late = gains.reshape(2, len(self.rates), len(self.gaps))
+        at_once, late = gains.reshape(2, len(self.rates), len(self.rises))
         both = (self._sum(at_once), self._lagged(self._sum(late)))
         return d.Affine(weights=(1.0, 1.0), of=both)
 
     def _sum(self, gains: np.ndarray) -> d.Driver:
         from errpipe.domain import driver as d
 
-        by_rate = (d.Affine(weights=tuple(map(float, row)), of=self.gaps) for row in gains)
+        by_rate = (d.Affine(weights=tuple(map(float, row)), of=self.rises) for row in gains)
         products = tuple(d.Product(of=pair) for pair in zip(self.rates, by_rate, strict=True))
         return d.Affine(weights=(1.0,) * len(products), of=products)
 

@@ -52,22 +52,6 @@ def test_products_of_rate_and_rise_are_learnt() -> None:
     assert left(Bilinear(component="E_Z"), fitted, judged) < 0.5 * left(Lagged(component="E_Z"), fitted, judged)
 
 
-def test_products_count_from_a_common_zero() -> None:
-    """What air takes off a body that moves goes by how cold the air is, not by how much colder it has become."""
-    both = []
-    for seed, runs in ((1, 10), (2, 5)):
-        recording = bent_machine(seed, runs)
-        body, run = recording.array("T_0"), recording.run_codes()
-        air = np.random.default_rng(seed).uniform(5.0, 30.0, runs)[run]
-        heat = np.diff(body, prepend=20.0) * (run == np.roll(run, 1)) * (air - 20.0)
-        part = np.zeros(len(recording))
-        for i in range(1, part.size):
-            part[i] = (run[i] == run[i - 1]) * (part[i - 1] + heat[i] - STEP * part[i - 1] / 1500.0)
-        both.append(recording.with_columns({"T_1": air, "E_Z": part}, {}))
-    deviation = since_start(both[1].array("E_Z"), both[1].run_codes(), 3)[0]
-    assert left(Bilinear(component="E_Z"), *both) < 0.3 * np.std(deviation)
-
-
 @pytest.mark.parametrize(("family", "within"), [(Bilinear(component="E_Z"), 1e-6), (Neural(component="E_Z"), 0.05)])
 def test_what_competes_is_what_a_table_is_given(family, within: float) -> None:
     """The machine warms while its zero is read; a table of tanh is within 0.0015 of it."""
