@@ -24,6 +24,10 @@ FEWEST_RUNS = 3  # that can be left out one by one
 # trials.thermal; a turning centre's winter, fitted on spring, has 7.1 um with 0.25 and 6.9 with 0.5 and more.
 SPAN_BEYOND = 0.5
 MOST_FITTED = 0.8  # of the measured rows: with fewer, the fit reports it (by judgement)
+MUCH_BY_PLACE = 0.3  # of the squares left, by a straight line over a position, from which on the fit reports it
+FEWEST_PASSES = (
+    4  # of a run through the middle of its places; with fewer a drift looks like a profile (both by judgement)
+)
 SEEN_BEYOND = 0.25  # of the span; with more a failed sensor cost over 1.3 of healthy on a turning centre
 
 
@@ -132,6 +136,25 @@ def few_rows_fitted(recording: Recording, component: str, fitted: int) -> str:
         empty = [recording.run_labels()[k] for k in np.unique(run[measured]) if not known[measured & (run == k)].any()]
         return f"; without {', '.join(empty)} ({_sensor_with_most_gaps(recording)})" if empty else ""
     return f"; fitted to {fitted} of {rows} rows, the others lack a temperature ({_sensor_with_most_gaps(recording)})"
+
+
+def changes_with_place(recording: Recording, left: np.ndarray) -> str:
+    """A few words where a straight line over a position, in each run, explains much of what is left (um, (rows,))."""
+    run = recording.run_codes()
+    for name in recording.names("position"):
+        place, before, after = recording.array(name), 0.0, 0.0
+        known = np.isfinite(left) & np.isfinite(place)
+        for code in np.unique(run[known]):
+            x, y = (values[known & (run == code)] for values in (place, left))
+            if np.count_nonzero(np.diff(x > x.mean())) >= FEWEST_PASSES:  # else place and time are one
+                before += float(np.sum((y - y.mean()) ** 2))
+                after += float(np.sum((y - np.polyval(np.polyfit(x, y, 1), x)) ** 2))
+        if before - after > MUCH_BY_PLACE * before:
+            return (
+                f"; {100 * (1 - after / before):.0f} % of what is left is a straight line over {name} in each run: a "
+                "thermal family is the same at every place, fit terms over the position instead"
+            )
+    return ""
 
 
 def _sensor_with_most_gaps(recording: Recording) -> str:

@@ -62,8 +62,9 @@ class ThermalFamily(Family):
         """Without a scheme: each environment in turn, or each run where the recording names less than two.
 
         A group in which a temperature has no reading judges nothing; where that leaves one environment, its runs
-        are left out. Fewer than three runs: each half by the
-        other. A block between two that fit is interpolated, which shows little of the next run: of 12 simulated days
+        are left out. Fewer than three runs, of one environment or two: each half by the other, for no test over two
+        runs tells a correction from chance. A block between two that fit is interpolated, which shows little of the
+        next run: of 12 simulated days
         (seeds 5101 and 5102 of `trials.thermal`), later days were left 1.8 times as far off as such blocks (0.8 times
         as far as halves), and their 90 % width held 65 % (89 %) of the rows.
         """
@@ -80,11 +81,11 @@ class ThermalFamily(Family):
             if scheme is not None:
                 raise
             folds = []
-        if usable := [fold for fold in folds if known[fold.test].any() and known[fold.train].any()]:
+        usable = [fold for fold in folds if known[fold.test].any() and known[fold.train].any()]
+        runs = np.unique(recording.run_codes()[known if folds else holdout.measured(recording)]).size
+        if usable and (scheme is not None or runs >= FEWEST_RUNS):
             return name, usable
         if scheme is None:
-            seen = known if folds else holdout.measured(recording)
-            runs = np.unique(recording.run_codes()[seen]).size
             name, folds = super().folds(recording, "auto" if runs >= FEWEST_RUNS else holdout.HALVES)
         return name, [fold for fold in folds if known[fold.test].any() and known[fold.train].any()] or folds
 
@@ -94,7 +95,7 @@ class ThermalFamily(Family):
 
     def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Fit on every row. Raises DataError without a temperature or with one run only."""
-        from errpipe.fitting.thermal_arithmetic import few_rows_fitted, held_readings
+        from errpipe.fitting.thermal_arithmetic import changes_with_place, few_rows_fitted, held_readings
 
         fitted, outcome = self._compete(recording, None)
         model = fitted.error_model(recording)
@@ -107,7 +108,8 @@ class ThermalFamily(Family):
             "chance": dict(outcome.chance),
             "noise_floor_um": _noise_floor(recording, self, outcome),
         }
-        said = _said(outcome) + few_rows_fitted(held_readings(recording), self.component, fitted.report["rows"])
+        said = _said(outcome) + changes_with_place(recording, _left(recording, self, outcome))
+        said += few_rows_fitted(held_readings(recording), self.component, fitted.report["rows"])
         return Fitted(model, {COMPETITION: document}, {self.component: said})
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
@@ -208,14 +210,20 @@ def _said(outcome: Outcome) -> str:
     return f"{said}; {other:.3g} um on each {MACHINE} left out: machines that differ need a recording each"
 
 
+def _left(recording: Recording, family: ThermalFamily, outcome: Outcome) -> np.ndarray:
+    """What the mixture leaves of groups left out, um, (rows,); NaN where nothing is judged."""
+    from errpipe.fitting.thermal_arithmetic import since_start_of
+
+    predicted = next(iter(outcome.predictions.values()))[: len(recording)]
+    return since_start_of(recording, family.component, family.datum_rows) - predicted
+
+
 def _noise_floor(recording: Recording, family: ThermalFamily, outcome: Outcome) -> float | None:
     import numpy as np
 
     from errpipe.fitting.noise_floor import noise_floor
-    from errpipe.fitting.thermal_arithmetic import since_start_of
 
-    predicted = next(iter(outcome.predictions.values()))[: len(recording)]
-    residual = since_start_of(recording, family.component, family.datum_rows) - predicted
+    residual = _left(recording, family, outcome)
     rows = np.flatnonzero(np.isfinite(residual))
     return noise_floor(recording, rows, residual[rows])
 

@@ -51,9 +51,10 @@ def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> Pa
 def _at_gain(component: ComponentModel, gain: float, figures: Sequence[Mapping[str, Any]]) -> ComponentModel:
     if gain == 1.0:
         return component
-    update: dict[str, Any] = {"gain": component.gain * gain}
-    if component.factor90 is None:  # an interval that follows the inputs keeps its own calibration
-        update["half_width90"] = max(c["half_width90_at_gain"] for c in figures)
+    half = max(c["half_width90_at_gain"] for c in figures)
+    if component.factor90 is not None:  # an interval that follows the inputs was calibrated at the whole gain
+        half = max(half, component.half_width90)
+    update = {"gain": component.gain * gain, "half_width90": half}
     return component.model_copy(update=update)
 
 

@@ -95,6 +95,10 @@ def test_the_gain_that_was_judged_is_the_gain_that_is_exported() -> None:
     cut = pass_gate(model, [half]).model
     assert np.allclose(evaluate(cut, recording)["EXX"], 0.5 * evaluate(model, recording)["EXX"])
     assert cut.components[0].gain == 0.5 and cut.components[0].half_width90 == 7.0
+    for stated, exported in ((3.0, 7.0), (9.0, 9.0)):  # an interval that follows the inputs is never narrower either
+        follows = {"factor90": {"op": "constant", "value": 1.0}, "half_width90": stated}
+        follows = model.model_copy(update={"components": (model.components[0].model_copy(update=follows),)})
+        assert pass_gate(follows, [half]).model.components[0].half_width90 == exported
     from errpipe.drivers.evaluation import drive
 
     (pair,), (all_of_it,) = lower(cut)["EXX"], lower(model)["EXX"]

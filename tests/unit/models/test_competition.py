@@ -357,3 +357,14 @@ def test_rows_that_lack_a_sensor_take_no_part_and_the_fit_says_so() -> None:
     said = Rises(component="E_Z").fit(whole.with_columns({"T_bed": later}, {})).summary["E_Z"]
     assert "fitted to 216 of 648 rows" in said and "emptiest: T_bed, no reading in 432 of 648 rows" in said
     assert "fitted to" not in Rises(component="E_Z").fit(whole).summary["E_Z"]
+
+
+def test_a_deviation_that_changes_along_an_axis_is_named() -> None:
+    """To and fro over 800 mm; a single pass says nothing, because drift and place are one there."""
+    whole = machine(8, runs=3)
+    at = np.arange(len(whole)) % ROWS
+    to_and_fro, once = 100.0 * np.abs(at % 16 - 8), 800.0 * at / ROWS
+    for place, named in ((to_and_fro, True), (once, False)):
+        bent = whole.array("E_Z") + 0.05 * (place - 400.0)
+        along = whole.with_columns({"x": place, "E_Z": bent}, {"x": Column(role="position", axis="X", unit="mm")})
+        assert ("straight line over x" in Rises(component="E_Z").fit(along).summary["E_Z"]) is named

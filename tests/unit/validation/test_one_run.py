@@ -48,6 +48,15 @@ def test_of_two_runs_each_judges_the_other() -> None:
         assert run[fold.train][0] != run[fold.test][0]
 
 
+def test_two_runs_of_two_seasons_are_halves_too() -> None:
+    """No test over two runs can pass the gate, whatever the model leaves; their blocks can."""
+    two = machine(2, seasons=("winter", "spring"), runs=1)
+    label, folds = FAMILY.folds(two, None)
+    assert label == "halves" and len(folds) == 6
+    assert FAMILY.folds(two, "leave-one-group-out:season")[0] == "leave-one-group-out:season"
+    assert held_out(two, FAMILY)["components"][0]["gain"] > 0.0
+
+
 def test_a_row_without_a_deviation_divides_no_half() -> None:
     """Temperatures that were logged long before the deviation count in neither half."""
     one = machine(2, seasons=("winter",), runs=1)
