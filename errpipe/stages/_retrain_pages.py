@@ -34,7 +34,7 @@ def markdown(document: Mapping[str, Any]) -> str:
         "",
         f"Evidence for the challenger: e-value {document['e_value']:.3g}, {document['e_value_needed']:.3g} needed. "
         + ("Every gate holds." if promoted else "What failed is listed first."),
-        *([_fitted_since(document["fitted_since"])] if document["fitted_since"] else []),
+        *([plain_text(fitted)] if (fitted := _fitted(document)) else []),
         "",
         "| gate | holds | why |",
         "| --- | --- | --- |",
@@ -47,8 +47,11 @@ def markdown(document: Mapping[str, Any]) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _fitted_since(run: str) -> str:
-    return f"Fitted on the runs since {plain_text(run)} alone: the machine changed there."
+def _fitted(document: Mapping[str, Any]) -> str:
+    """On which runs the challenger is fitted, where the machine changed at one of them."""
+    if document["fitted_since"]:
+        return f"Fitted on the runs since {document['fitted_since']} alone: those before are another machine's."
+    return str(document["fitted_on_all"])
 
 
 def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
@@ -81,7 +84,7 @@ def in_words(document: Mapping[str, Any]) -> list[str]:
     lines = [document["decision"], *(f"{g['name']}: {g['says']}" for g in document["gates"] if not g["passed"])]
     for d in (d for d in document["drift"]["inputs"] if d["suspected"]):
         lines.append(f"sensor {d['column']} {'drifts' if d['blamed'] else 'may drift'} since run {d['since']}")
-    return [*lines, *_sentences(document["drift"])]
+    return [*lines, *([fitted] if (fitted := _fitted(document)) else []), *_sentences(document["drift"])]
 
 
 def _sentences(drift: Mapping[str, Any]) -> list[str]:

@@ -52,7 +52,7 @@ def retrain(
     old_model, old_recording, fingerprint = _champion(pipeline, champion)
     earlier = _earlier_document(out / DOCUMENT)
     kept_from, since = _since(earlier, fingerprint)
-    refused, since = _run(pipeline, out, since, callbacks or NO_CALLBACKS)
+    refused, since, on_all = _run(pipeline, out, since, callbacks or NO_CALLBACKS)
     recording = _artefacts.recording_in(out / RUN / _last_stage_with(pipeline, "recording"))
     _same_machine(champion, old_model, old_recording, recording)
     document = _judged(
@@ -66,7 +66,7 @@ def retrain(
         limits=(max_change_um, max_change_um_per_k),
         allowed=allowed_sensors,
     )
-    document |= {"kept_from": kept_from, "fitted_since": since}
+    document |= {"kept_from": kept_from, "fitted_since": since, "fitted_on_all": on_all}
     jsonfile.write(out / DOCUMENT, document)
     write_pages(document, out)
     return document
@@ -86,27 +86,34 @@ def _since(earlier: Mapping[str, Any], champion: str) -> tuple[str | None, str |
     return earlier.get("kept_from"), changes[-1]["since"] if changes else earlier.get("kept_from")
 
 
-def _run(pipeline: Pipeline, out: Path, since: str | None, callbacks: Callbacks) -> tuple[str, str | None]:
-    """Run the pipeline on the runs since one, on all where these are too few. Returns what refused it; since when."""
+def _run(pipeline: Pipeline, out: Path, since: str | None, callbacks: Callbacks) -> tuple[str, str | None, str]:
+    """Run the pipeline on the runs since one, on all where those do not do.
+
+    Returns what refused it; since which run it is fitted; and why on all where the machine changed at a run.
+    """
     from errpipe.pipeline import runner
 
-    if since is not None:
+    by_hand = next((run for s in pipeline.stages if (run := getattr(s, "since_run", None)) is not None), None)
+    on_all = ""
+    if since is not None and by_hand is None:
         stages = tuple(
-            s.model_copy(update={"since_run": since}) if getattr(s, "since_run", since) is None else s
-            for s in pipeline.stages
+            s.model_copy(update={"since_run": since}) if hasattr(s, "since_run") else s for s in pipeline.stages
         )
         try:
             runner.run(replace(pipeline, stages=stages), out / RUN, callbacks=callbacks)
             recording = _artefacts.recording_in(out / RUN / _last_stage_with(pipeline, "recording"))
-            if len(recording.run_labels()) >= LEAST_SINCE:
-                return "", since
-        except (DataError, GateError):
-            pass  # too few to fit, to judge, or to be better than nothing; or no longer kept
+            runs = len(recording.run_labels())
+            if runs >= LEAST_SINCE:
+                return "", since, ""
+            on_all = f"{runs} run{'' if runs == 1 else 's'} since then, {LEAST_SINCE} needed"
+        except (DataError, GateError) as err:  # too few to fit, to judge, or to be better than nothing; not kept
+            on_all = str(err).rstrip(".")
+        on_all = f"The machine changed at run {since}, but the challenger is fitted on all runs: {on_all}."
     try:
         runner.run(pipeline, out / RUN, callbacks=callbacks)
     except GateError as err:
-        return str(err), None
-    return "", None
+        return str(err), by_hand, on_all
+    return "", by_hand, on_all
 
 
 def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limits, allowed) -> dict[str, Any]:

@@ -172,6 +172,24 @@ def test_after_a_change_that_an_earlier_look_dated_the_challenger_is_fitted_on_t
     assert code == 4 and document["runs"] == [] and document["fitted_since"] == document["kept_from"]
 
 
+def test_a_challenger_fitted_on_all_runs_though_the_machine_changed_says_why(site: Path, capsys: Any) -> None:
+    """The runs since the change are too few: before, nothing said that the other machine's runs had a part in it."""
+    for days in (14, 15):
+        record(site / "recording", days, changed_from=12)
+        capsys.readouterr()
+        _, document = retrain(site)
+    says = "The machine changed at run day 12, but the challenger is fitted on all runs: 3 runs since then, 5 needed."
+    assert document["fitted_since"] is None and document["fitted_on_all"] == says
+    assert says in capsys.readouterr().out and says in (site / "out/retrain.md").read_text(encoding="utf-8")
+
+
+def test_a_first_run_that_the_pipeline_names_is_the_one_that_the_report_names(site: Path) -> None:
+    for days in (18, 20):
+        record(site / "recording", days, changed_from=12)
+        _, document = retrain(site, "--set", "ingest.since_run=day 14")
+    assert document["fitted_since"] == "day 14" and document["drift"]["changes"]
+
+
 def test_temperatures_that_change_their_unit_together_stop_a_promotion(site: Path) -> None:
     """They agree with each other as before, and a challenger that was fitted in degF suits them: it was promoted."""
     record(site / "recording", 44, first=12)
