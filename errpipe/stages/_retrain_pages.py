@@ -59,16 +59,18 @@ def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
     if not any(drift.values()):
         return [*lines, "Neither the sensors nor the champion's residual left what they were when it was fitted."]
     for d in drift["inputs"]:
-        word = (
-            "drifts" if d["blamed"] else "may be the one that drifts" if d["suspected"] else "disagrees with the others"
-        )
         lines.append(
-            f"- Sensor {plain_text(d['column'])} {word} since run {plain_text(d['since'])}: {d['size']:+.2g} K."
+            f"- Sensor {plain_text(d['column'])} {_word(d)} since run {plain_text(d['since'])}: {d['size']:+.2g} K."
         )
     for d in drift["residuals"]:
         lines.append(
             f"- The champion's residual of {plain_text(d['component'])} moved since run {plain_text(d['since'])}: "
             f"{d['size_um']:+.3g} um on average."
+        )
+    for d in drift["rms"]:
+        lines.append(
+            f"- The champion leaves {d['after_um']:.3g} um rms of {plain_text(d['component'])} since run "
+            f"{plain_text(d['since'])}, {d['before_um']:.3g} um before."
         )
     for d in drift["sizes"]:
         lines.append(
@@ -79,11 +81,21 @@ def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
     return lines
 
 
+def _word(sensor: Mapping[str, Any]) -> str:
+    if sensor["cleared"]:
+        return (
+            "left the others but reads right, as the deviations show (what surrounds it changed: coolant, place, load?)"
+        )
+    if sensor["suspected"]:
+        return "drifts" if sensor["blamed"] else "may be the one that drifts"
+    return "disagrees with the others"
+
+
 def in_words(document: Mapping[str, Any]) -> list[str]:
     """What a terminal shows: the decision, the gates that failed, sensors that may drift, what changed."""
     lines = [document["decision"], *(f"{g['name']}: {g['says']}" for g in document["gates"] if not g["passed"])]
-    for d in (d for d in document["drift"]["inputs"] if d["suspected"]):
-        lines.append(f"sensor {d['column']} {'drifts' if d['blamed'] else 'may drift'} since run {d['since']}")
+    for d in (d for d in document["drift"]["inputs"] if d["suspected"] or d["cleared"]):
+        lines.append(f"sensor {d['column']} {_word(d)} since run {d['since']}")
     return [*lines, *([fitted] if (fitted := _fitted(document)) else []), *_sentences(document["drift"])]
 
 

@@ -18,6 +18,10 @@ response moved, r the sensor's residuals in them and C their covariance, the reg
     log likelihood ratio = a' C^-1 r - a' C^-1 a / 2
 
 A machine that changed keeps the ratio below RATIO for ever in all but 1 / RATIO of the cases (Ville 1939).
+
+The same witness clears a sensor: where its temperature left the others and the response followed it, it reads right,
+and what surrounds it changed (coolant, place, load). Two sensors that disagree do not say which of them is wrong, so
+without a witness both are suspected.
 """
 
 from __future__ import annotations
@@ -59,7 +63,8 @@ FEWEST_RUNS = 4  # reference runs below which no scatter between runs is known
 class Drift:
     """A column that drifted from the reference. since: label of the run where its excursion began; size: K, mean.
 
-    blamed: the fault is this sensor's; suspected: it is, or it is that of another suspected one.
+    blamed: the fault is this sensor's; suspected: it is, or it is that of another suspected one; cleared: a response
+    shows that it reads right.
     """
 
     column: str
@@ -68,6 +73,7 @@ class Drift:
     statistic: float
     blamed: bool = False
     suspected: bool = False
+    cleared: bool = False
 
 
 def sensor_drift(
@@ -87,9 +93,10 @@ def sensor_drift(
         return []
     readings = np.column_stack([recording.array(n) for n in names])
     z, sd, limit = _standardised_residuals(readings, run, old, new)
-    seen = {}
+    seen, begins = {}, {}
     for k, name in enumerate(names):
         alarm, begin = cusum(z[:, k])
+        begins[k] = begin
         seen[k] = Drift(name, recording.run_labels()[new[begin]], float(np.mean(z[begin:, k]) * sd[k]), alarm)
     drift_of = {k: d for k, d in seen.items() if d.statistic >= limit}
     known = [k for k, name in enumerate(names) if name in apparent]
@@ -101,9 +108,20 @@ def sensor_drift(
         faulty = [blamed]
     else:
         faulty = _faulty_sensors(readings, run, old, new, max(d.statistic for d in seen.values()) / limit)
+        if len(names) == 2:
+            faulty = sorted(drift_of and seen, key=lambda k: -seen[k].statistic)
         drift_of |= {k: seen[k] for k in faulty}
-    drifts = [replace(d, blamed=faulty == [k], suspected=k in faulty) for k, d in drift_of.items()]
-    order = [names[k] for k in faulty]
+    right = {
+        k
+        for k in drift_of
+        if k in tests and _reads_right(readings, run, old, new, k, sd[k], apparent[names[k]], begins[k])
+    }
+    suspected = [k for k in faulty if k not in right]
+    drifts = [
+        replace(d, blamed=faulty == [k] == suspected, suspected=k in suspected, cleared=k in right)
+        for k, d in drift_of.items()
+    ]
+    order = [names[k] for k in suspected]
     return sorted(drifts, key=lambda d: (order.index(d.column) if d.suspected else len(order), -d.statistic))
 
 
@@ -134,15 +152,52 @@ def drifting_sensors(suspected: Sequence[str]) -> str:
     *others, last = suspected
     if not others:
         return f"{last} drifts"
-    return f"{', '.join(others)} or {last} drifts (the likeliest first; runs of more nights distinguish them)"
+    likeliest = (
+        "the likeliest first; runs of more nights distinguish three or more, of two only a third or a response does"
+    )
+    return f"{', '.join(others)} or {last} drifts ({likeliest})"
 
 
 def _sensor_or_machine(readings, run, old, new, k: int, sd: float, apparent: np.ndarray) -> tuple[float, int, float]:
     """Log-likelihood ratio that sensor k is off by what a response shows; the new run since when; mean error, K."""
-    off = np.nan_to_num(apparent[new] - np.nanmean(apparent[old]))
-    alarm, begin = cusum(off / max(float(np.nanstd(apparent[old])), MIN_SD))
+    off, alarm, begin = _apparent_drift(old, new, apparent)
     if alarm < threshold(len(old) - 1, FALSE_ALARMS / readings.shape[1]):
         return 0.0, 0, 0.0
+    since, r, covariance = _residuals_since(readings, run, old, new, k, sd, begin)
+    a = off[np.isin(new, since)]
+    return float(a @ np.linalg.solve(covariance, r - 0.5 * a)), begin, float(a.mean())
+
+
+def _reads_right(readings, run, old, new, k: int, sd: float, apparent: np.ndarray, begin: int) -> bool:
+    """Whether a response follows sensor k since new run `begin`, where the sensor left the others.
+
+    Likelihood of the apparent errors of a sensor that reads right, zero but for their scatter in the old runs, over
+    that of one which is off by its residuals.
+    """
+    off, alarm, _ = _apparent_drift(old, new, apparent)
+    if alarm >= threshold(len(old) - 1, FALSE_ALARMS / readings.shape[1]):
+        return False  # the response moved by itself
+    since, r, covariance = _residuals_since(readings, run, old, new, k, sd, begin)
+    a, known = off[np.isin(new, since)], np.isfinite(apparent[since])
+    a, r, covariance = a[known], r[known], covariance[np.ix_(known, known)]
+    scatter = max(float(np.nanstd(apparent[old])), MIN_SD) ** 2 * (np.eye(a.size) + 1.0 / len(old))
+    return _log_likelihood(a, scatter) - _log_likelihood(a - r, scatter + covariance) >= np.log(RATIO)
+
+
+def _log_likelihood(values: np.ndarray, covariance: np.ndarray) -> float:
+    return -0.5 * float(values @ np.linalg.solve(covariance, values) + np.linalg.slogdet(covariance)[1])
+
+
+def _apparent_drift(old, new, apparent: np.ndarray) -> tuple[np.ndarray, float, int]:
+    """Apparent errors of the new runs beyond the mean of the old, K, (new,); their CUSUM and where it began."""
+    off = np.nan_to_num(apparent[new] - np.nanmean(apparent[old]))
+    return off, *cusum(off / max(float(np.nanstd(apparent[old])), MIN_SD))
+
+
+def _residuals_since(
+    readings, run, old, new, k: int, sd: float, begin: int
+) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """The new runs since `begin`, the residuals of sensor k on the others in them, K, and their covariance, K2."""
     good = np.isfinite(readings).all(axis=1)
     before, since = ([c for c in runs if good[run == c].any()] for runs in ([*old, *new[:begin]], new[begin:]))
     fitted = np.isin(run, before) & good
@@ -151,8 +206,7 @@ def _sensor_or_machine(readings, run, old, new, k: int, sd: float, apparent: np.
     r = np.array([residual[good & (run == c)].mean() for c in since])
     means, spans = (np.array([design[good & (run == c)].mean(axis=0) for c in runs]) for runs in (since, before))
     covariance = sd**2 * (np.eye(r.size) + means @ np.linalg.pinv(spans.T @ spans, hermitian=True) @ means.T)
-    a = off[np.isin(new, since)]
-    return float(a @ np.linalg.solve(covariance, r - 0.5 * a)), begin, float(a.mean())
+    return since, r, covariance
 
 
 def _faulty_sensors(readings, run, old, new, loudest: float) -> list[int]:

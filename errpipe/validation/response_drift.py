@@ -1,7 +1,9 @@
-"""Whether a response moved away from what a model predicts: its level or its size, and since which run.
+"""Whether a response moved away from what a model predicts: its level, its size or its rms, and since which run.
 
 The level of a run is the mean residual, its size the slope of the measured deviations on the predicted ones (least
-squares, each about its mean). Both go into a CUSUM against the runs that the model was fitted on (`input_drift`).
+squares, each about its mean), its rms that of the residual (as the logarithm of the mean square, which is nearly
+normal): lost motion or a worn stretch moves neither mean nor slope. Each goes into a CUSUM against the runs that the
+model was fitted on (`input_drift`).
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from errpipe.validation.input_drift import level_drift
 
 WEAKEST_RUN = 0.25  # of the median rms of the prediction: a run that hardly moved shows nothing of the size
 NO_RESPONSE = 0.3  # of what is predicted: compensated machines leave less than a third, worn ones show more than that
+TINY = 1e-12  # um2: a mean square of which the logarithm exists
 HALF = 0.5  # of a change of the mean: what the median of the same runs must show of it
 UNITS = {1000.0: "1000", 25.4: "25.4", 1.0 / 25.4: "1/25.4", 0.001: "1/1000"}  # um for mm, inch for mm and back
 QUIETER = 0.3  # of the noise before: readings of that much noise are in the unit of before, whatever their size
@@ -25,9 +28,12 @@ SIGN_TOLERANCE = 0.3  # about -1: the same machine, turned round, is no larger o
 
 def drifts(
     recording: Recording, reference: np.ndarray, predictions: Mapping[str, np.ndarray]
-) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Responses whose mean residual moved, and those whose size changed. reference: rows of the model's own runs."""
-    levels, sizes = [], []
+) -> dict[str, list[dict[str, Any]]]:
+    """Responses whose mean residual moved (`residuals`), whose size changed (`sizes`), of which more is left (`rms`).
+
+    reference: rows of the model's own runs.
+    """
+    levels, sizes, rms = [], [], []
     for component, prediction in predictions.items():
         name = recording.name("error", component=component)
         if name is None:
@@ -36,8 +42,13 @@ def drifts(
         level = _of_runs(measured - prediction, run)
         if moved := _moved(level, reference, run):
             since, before, after = moved
-            size = {"size_um": after - before}
-            levels.append({"component": component, "since": labels[since], **size})
+            levels.append({"component": component, "since": labels[since], "size_um": after - before})
+        squares = _of_runs((measured - prediction) ** 2, run)
+        logarithms = {c: float(np.log(max(square, TINY))) for c, square in squares.items()}
+        if (moved := _moved(logarithms, reference, run)) and moved[2] > moved[1]:
+            since, *both = moved
+            before, after = np.exp(0.5 * np.array(both)).tolist()
+            rms.append({"component": component, "since": labels[since], "before_um": before, "after_um": after})
         slopes = _slopes(measured, prediction, run)
         if moved := _moved(slopes, reference, run):
             since, before, after = moved
@@ -47,7 +58,7 @@ def drifts(
             )
             means = meaning(0.0 if as_noisy and abs(factor) < NO_RESPONSE else factor)
             sizes.append({"component": component, "since": labels[since], "factor": factor, "meaning": means})
-    return levels, sizes
+    return {"residuals": levels, "sizes": sizes, "rms": rms}
 
 
 def meaning(factor: float) -> str:

@@ -112,7 +112,7 @@ def test_a_machine_that_did_not_change_keeps_its_champion(site: Path) -> None:
     code, document = retrain(site)
     assert code == 4 and document["decision"] == "keep the champion"
     assert failed(document) == ["evidence"]
-    assert document["drift"] == {key: [] for key in ("inputs", "residuals", "sizes", "changes", "runs")}
+    assert document["drift"] == {key: [] for key in ("inputs", "residuals", "sizes", "rms", "changes", "runs")}
 
 
 @pytest.mark.parametrize(
