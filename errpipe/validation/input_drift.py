@@ -34,6 +34,7 @@ from types import MappingProxyType
 import numpy as np
 
 from errpipe.domain.recording import Recording
+from errpipe.fitting.quantiles import chi2_quantile
 
 REFERENCE = 1.0  # of a standard error: half of the shift that is to be found quickest (Page 1954)
 FALSE_ALARMS = 0.02  # of years without drift that raise an alarm, any sensor, normal noise; measured: docs/registry.md
@@ -46,6 +47,7 @@ ALIKE = 2.0  # times the quietest of these: whatever is quieter may as well be t
 SIGNS = np.array([1.0, -1.0])  # up and down
 # Likelihood of a sensor that drifts over that of a machine that changed: at most one change in 10 is misnamed
 RATIO = 10.0
+HALF = 0.5  # of what a sensor left the others by: a response that shows less does not show that it is wrong
 SCALES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {  # what reads so -> what it would be as declared
     "degF instead of degC": lambda t: (t - 32.0) / 1.8,
     "K instead of degC": lambda t: t - 273.15,
@@ -159,12 +161,19 @@ def drifting_sensors(suspected: Sequence[str]) -> str:
 
 
 def _sensor_or_machine(readings, run, old, new, k: int, sd: float, apparent: np.ndarray) -> tuple[float, int, float]:
-    """Log-likelihood ratio that sensor k is off by what a response shows; the new run since when; mean error, K."""
-    off, alarm, begin = _apparent_drift(old, new, apparent)
+    """Log-likelihood ratio that sensor k is off by what a response shows; the new run since when; mean error, K.
+
+    0 where the sensor left the others by clearly more than twice that: then it is no error that the response shows.
+    """
+    off = _beyond_old(old, new, apparent)
+    alarm, begin = cusum(off / max(float(np.nanstd(apparent[old])), MIN_SD))
     if alarm < threshold(len(old) - 1, FALSE_ALARMS / readings.shape[1]):
         return 0.0, 0, 0.0
     since, r, covariance = _residuals_since(readings, run, old, new, k, sd, begin)
     a = off[np.isin(new, since)]
+    misfit = float((r - a) @ np.linalg.solve(covariance, r - a))
+    if a @ r < HALF * (r @ r) and misfit > chi2_quantile(1.0 - FALSE_ALARMS, r.size):
+        return 0.0, 0, 0.0
     return float(a @ np.linalg.solve(covariance, r - 0.5 * a)), begin, float(a.mean())
 
 
@@ -172,26 +181,23 @@ def _reads_right(readings, run, old, new, k: int, sd: float, apparent: np.ndarra
     """Whether a response follows sensor k since new run `begin`, where the sensor left the others.
 
     Likelihood of the apparent errors of a sensor that reads right, zero but for their scatter in the old runs, over
-    that of one which is off by its residuals.
+    that of one which is off by its residuals; and they are less than half of these (the response may move by itself).
     """
-    off, alarm, _ = _apparent_drift(old, new, apparent)
-    if alarm >= threshold(len(old) - 1, FALSE_ALARMS / readings.shape[1]):
-        return False  # the response moved by itself
     since, r, covariance = _residuals_since(readings, run, old, new, k, sd, begin)
-    a, known = off[np.isin(new, since)], np.isfinite(apparent[since])
-    a, r, covariance = a[known], r[known], covariance[np.ix_(known, known)]
+    known = np.isfinite(apparent[since])
+    a, r, covariance = _beyond_old(old, since, apparent)[known], r[known], covariance[np.ix_(known, known)]
     scatter = max(float(np.nanstd(apparent[old])), MIN_SD) ** 2 * (np.eye(a.size) + 1.0 / len(old))
-    return _log_likelihood(a, scatter) - _log_likelihood(a - r, scatter + covariance) >= np.log(RATIO)
+    ratio = _log_likelihood(a, scatter) - _log_likelihood(a - r, scatter + covariance)
+    return ratio >= np.log(RATIO) and bool(a @ a < HALF**2 * (r @ r))
 
 
 def _log_likelihood(values: np.ndarray, covariance: np.ndarray) -> float:
     return -0.5 * float(values @ np.linalg.solve(covariance, values) + np.linalg.slogdet(covariance)[1])
 
 
-def _apparent_drift(old, new, apparent: np.ndarray) -> tuple[np.ndarray, float, int]:
-    """Apparent errors of the new runs beyond the mean of the old, K, (new,); their CUSUM and where it began."""
-    off = np.nan_to_num(apparent[new] - np.nanmean(apparent[old]))
-    return off, *cusum(off / max(float(np.nanstd(apparent[old])), MIN_SD))
+def _beyond_old(old: Sequence[int], runs: Sequence[int], apparent: np.ndarray) -> np.ndarray:
+    """Apparent errors of some runs beyond the mean of the old ones, K, (runs,); 0 where unknown."""
+    return np.nan_to_num(apparent[runs] - np.nanmean(apparent[old]))
 
 
 def _residuals_since(
