@@ -34,7 +34,6 @@ from types import MappingProxyType
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.fitting.quantiles import chi2_quantile
 
 REFERENCE = 1.0  # of a standard error: half of the shift that is to be found quickest (Page 1954)
 FALSE_ALARMS = 0.02  # of years without drift that raise an alarm, any sensor, normal noise; measured: docs/registry.md
@@ -47,7 +46,7 @@ ALIKE = 2.0  # times the quietest of these: whatever is quieter may as well be t
 SIGNS = np.array([1.0, -1.0])  # up and down
 # Likelihood of a sensor that drifts over that of a machine that changed: at most one change in 10 is misnamed
 RATIO = 10.0
-HALF = 0.5  # of what a sensor left the others by: a response that shows less does not show that it is wrong
+HALF = 0.5  # of what a sensor left the others by: a response that moved by more does not show that it reads right
 SCALES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {  # what reads so -> what it would be as declared
     "degF instead of degC": lambda t: (t - 32.0) / 1.8,
     "K instead of degC": lambda t: t - 273.15,
@@ -101,8 +100,9 @@ def sensor_drift(
         begins[k] = begin
         seen[k] = Drift(name, recording.run_labels()[new[begin]], float(np.mean(z[begin:, k]) * sd[k]), alarm)
     drift_of = {k: d for k, d in seen.items() if d.statistic >= limit}
-    known = [k for k, name in enumerate(names) if name in apparent]
-    tests = {k: _sensor_or_machine(readings, run, old, new, k, sd[k], apparent[names[k]]) for k in known}
+    known = {k: apparent[name] for k, name in enumerate(names) if name in apparent}
+    right = [k for k, a in known.items() if drift_of and _reads_right(readings, run, old, new, k, sd[k], a, begins[k])]
+    tests = {k: _sensor_or_machine(readings, run, old, new, k, sd[k], a) for k, a in known.items() if k not in right}
     blamed = max(tests, key=lambda k: tests[k][0], default=None)
     if blamed is not None and tests[blamed][0] >= np.log(RATIO):
         ratio, begin, size = tests[blamed]
@@ -113,11 +113,6 @@ def sensor_drift(
         if len(names) == 2:
             faulty = sorted(drift_of and seen, key=lambda k: -seen[k].statistic)
         drift_of |= {k: seen[k] for k in faulty}
-    right = {
-        k
-        for k in drift_of
-        if k in tests and _reads_right(readings, run, old, new, k, sd[k], apparent[names[k]], begins[k])
-    }
     suspected = [k for k in faulty if k not in right]
     drifts = [
         replace(d, blamed=faulty == [k] == suspected, suspected=k in suspected, cleared=k in right)
@@ -161,19 +156,13 @@ def drifting_sensors(suspected: Sequence[str]) -> str:
 
 
 def _sensor_or_machine(readings, run, old, new, k: int, sd: float, apparent: np.ndarray) -> tuple[float, int, float]:
-    """Log-likelihood ratio that sensor k is off by what a response shows; the new run since when; mean error, K.
-
-    0 where the sensor left the others by clearly more than twice that: then it is no error that the response shows.
-    """
+    """Log-likelihood ratio that sensor k is off by what a response shows; the new run since when; mean error, K."""
     off = _beyond_old(old, new, apparent)
     alarm, begin = cusum(off / max(float(np.nanstd(apparent[old])), MIN_SD))
     if alarm < threshold(len(old) - 1, FALSE_ALARMS / readings.shape[1]):
         return 0.0, 0, 0.0
     since, r, covariance = _residuals_since(readings, run, old, new, k, sd, begin)
     a = off[np.isin(new, since)]
-    misfit = float((r - a) @ np.linalg.solve(covariance, r - a))
-    if a @ r < HALF * (r @ r) and misfit > chi2_quantile(1.0 - FALSE_ALARMS, r.size):
-        return 0.0, 0, 0.0
     return float(a @ np.linalg.solve(covariance, r - 0.5 * a)), begin, float(a.mean())
 
 

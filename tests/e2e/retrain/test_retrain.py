@@ -172,6 +172,16 @@ def test_after_a_change_that_an_earlier_look_dated_the_challenger_is_fitted_on_t
     assert code == 4 and document["runs"] == [] and document["fitted_since"] == document["kept_from"]
 
 
+def test_of_two_changes_in_a_week_the_second_dates_the_challenger(site: Path) -> None:
+    """A new screw on day 12, another laser on day 16; on the runs since day 12 no one machine is to be fitted."""
+    for days in (13, 17, 21, 23):
+        record(site / "recording", days, changed_from=12, read_from=16, as_read=lambda e: e + 6.0)
+        _, document = retrain(site)
+    (change,) = document["drift"]["changes"]
+    assert change["since"] == "day 16" == document["fitted_since"]
+    assert {t["term"] for t in change["terms"]} == {"offset", "scale_expansion"}
+
+
 def test_a_challenger_fitted_on_all_runs_though_the_machine_changed_says_why(site: Path, capsys: Any) -> None:
     """The runs since the change are too few: before, nothing said that the other machine's runs had a part in it."""
     for days in (14, 15):

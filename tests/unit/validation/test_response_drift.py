@@ -21,7 +21,12 @@ def changed(
     rng = np.random.default_rng(seed)
     prediction = 10.0 * np.sin(np.linspace(0.0, 40.0, RUN.size)) + rng.normal(0.0, 1.0, RUN.size)
     noise = rng.normal(0.0, 0.5, RUN.size) * np.clip(np.abs(factor[RUN]), least_noise, 1.0)
-    measured = factor[RUN] * prediction + offset[RUN] + noise + np.where(REFERENCE, 0.0, lost / 2.0) * (-1.0) ** np.arange(RUN.size)
+    measured = (
+        factor[RUN] * prediction
+        + offset[RUN]
+        + noise
+        + np.where(REFERENCE, 0.0, lost / 2.0) * (-1.0) ** np.arange(RUN.size)
+    )
     columns = {"run": Column(role="run"), "e": Column(role="error", component="E_Z", unit="um")}
     frame = pd.DataFrame({"run": RUN.astype(str), "e": measured})
     recording = Recording(Manifest(recording=1, tables=("t.csv",), columns=columns), frame)
