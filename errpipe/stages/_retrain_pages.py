@@ -100,11 +100,17 @@ def in_words(document: Mapping[str, Any]) -> list[str]:
 
 
 def _sentences(drift: Mapping[str, Any]) -> list[str]:
-    """What changed, in the terms of the model, and runs that are odd by themselves: one sentence each."""
+    """What changed, in the terms of the model, sensors and runs that are odd by themselves: one sentence each."""
     out = []
     for change in drift["changes"]:
         terms = "; ".join(t["says"] for t in change["terms"])
         out.append(f"What changed of {change['component']} since run {change['since']}: {terms}.")
+    left = [d for d in drift["inputs"] if not d["cleared"]]
+    if left and not any(d["suspected"] for d in left):
+        out.append(
+            f"{' and '.join(d['column'] for d in left)} left the others since run {left[0]['since']}: whether one"
+            " of them is wrong or what surrounds it changed, a further sensor or a thermometer beside it shows."
+        )
     out += [f"Run {odd['run']}, {odd['what']}: {odd['says']}" for odd in drift["runs"]]
     return out
 

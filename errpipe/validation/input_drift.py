@@ -20,8 +20,8 @@ response moved, r the sensor's residuals in them and C their covariance, the reg
 A machine that changed keeps the ratio below RATIO for ever in all but 1 / RATIO of the cases (Ville 1939).
 
 The same witness clears a sensor: where its temperature left the others and the response followed it, it reads right,
-and what surrounds it changed (coolant, place, load). Two sensors that disagree do not say which of them is wrong, so
-without a witness both are suspected.
+and what surrounds it changed (coolant, place, load). Two sensors that disagree do not say which of them is wrong, nor
+whether one is: a cold hall that the reference runs lack looks alike. Without a witness none of them is suspected.
 """
 
 from __future__ import annotations
@@ -110,8 +110,6 @@ def sensor_drift(
         faulty = [blamed]
     else:
         faulty = _faulty_sensors(readings, run, old, new, max(d.statistic for d in seen.values()) / limit)
-        if len(names) == 2:
-            faulty = sorted(drift_of and seen, key=lambda k: -seen[k].statistic)
         drift_of |= {k: seen[k] for k in faulty}
     suspected = [k for k in faulty if k not in right]
     drifts = [
@@ -149,10 +147,7 @@ def drifting_sensors(suspected: Sequence[str]) -> str:
     *others, last = suspected
     if not others:
         return f"{last} drifts"
-    likeliest = (
-        "the likeliest first; runs of more nights distinguish three or more, of two only a third or a response does"
-    )
-    return f"{', '.join(others)} or {last} drifts ({likeliest})"
+    return f"{', '.join(others)} or {last} drifts (the likeliest first; runs of more nights distinguish them)"
 
 
 def _sensor_or_machine(readings, run, old, new, k: int, sd: float, apparent: np.ndarray) -> tuple[float, int, float]:

@@ -247,15 +247,15 @@ def test_a_response_that_shows_a_quarter_of_it_does_not_blame_the_sensor() -> No
     assert drift.cleared and not drift.suspected
 
 
-def test_of_two_sensors_that_disagree_both_are_suspected_and_none_is_named() -> None:
+def test_of_two_sensors_that_disagree_none_is_suspected_and_a_response_clears_them() -> None:
     recording, reference = moved("T_2", -2.0)
     kinds = {n: c for n, c in recording.manifest.columns.items() if n not in ("T_0", "T_3")}
     manifest = recording.manifest.model_copy(update={"columns": kinds})
     two = Recording(manifest, recording.frame[list(kinds)])
     drift = sensor_drift(two, reference)
-    assert {d.column for d in drift if d.suspected} == {"T_1", "T_2"} and not any(d.blamed for d in drift)
+    assert drift and not any(d.suspected or d.cleared for d in drift)
     followed = {n: np.random.default_rng(1).normal(0, 0.03, 40) for n in ("T_1", "T_2")}
-    assert all(d.cleared and not d.suspected for d in sensor_drift(two, reference, followed))
+    assert all(d.cleared for d in sensor_drift(two, reference, followed))
 
 
 def test_cusum_finds_the_begin_of_a_shift_and_ignores_noise() -> None:
