@@ -49,8 +49,8 @@ def drifts(
             since, *both = moved
             before, after = np.exp(0.5 * np.array(both)).tolist()
             rms.append({"component": component, "since": labels[since], "before_um": before, "after_um": after})
-        slopes = _slopes(measured, prediction, run)
-        if moved := _moved(slopes, reference, run):
+        slopes, strength = _slopes(measured, prediction, run)
+        if moved := _moved(slopes, reference, run, strength):
             since, before, after = moved
             factor = after / before if abs(before) > NO_RESPONSE else after
             as_noisy = _noise(measured, prediction, run == max(slopes)) > QUIETER * _noise(
@@ -89,8 +89,8 @@ def _of_runs(values: np.ndarray, run: np.ndarray) -> dict[int, float]:
     return {c: float(np.mean(values[known & (run == c)])) for c in dict.fromkeys(run[known].tolist())}
 
 
-def _slopes(measured: np.ndarray, prediction: np.ndarray, run: np.ndarray) -> dict[int, float]:
-    """Slope of measured on predicted deviations in each run whose prediction moves."""
+def _slopes(measured: np.ndarray, prediction: np.ndarray, run: np.ndarray) -> tuple[dict[int, float], dict[int, float]]:
+    """Slope of measured on predicted deviations in each run whose prediction moves, and the rms of what moves, um."""
     known = np.isfinite(measured) & np.isfinite(prediction)
     centred = {}
     for code in dict.fromkeys(run[known].tolist()):
@@ -98,19 +98,30 @@ def _slopes(measured: np.ndarray, prediction: np.ndarray, run: np.ndarray) -> di
         centred[code] = measured[rows] - np.mean(measured[rows]), prediction[rows] - np.mean(prediction[rows])
     strength = {code: float(np.sqrt(np.mean(p**2))) for code, (_, p) in centred.items()}
     least = WEAKEST_RUN * float(np.median([*strength.values()])) if strength else 0.0
-    return {code: float(m @ p / (p @ p)) for code, (m, p) in centred.items() if strength[code] > max(least, 1e-9)}
+    strong = {code: pair for code, pair in centred.items() if strength[code] > max(least, 1e-9)}
+    return {code: float(m @ p / (p @ p)) for code, (m, p) in strong.items()}, strength
 
 
-def _moved(figures: Mapping[int, float], reference: np.ndarray, run: np.ndarray) -> tuple[int, float, float] | None:
-    """The run since when a figure per run has another level, and its means before and after; None where it has not."""
+def _moved(
+    figures: Mapping[int, float], reference: np.ndarray, run: np.ndarray, strength: Mapping[int, float] | None = None
+) -> tuple[int, float, float] | None:
+    """The run since when a figure per run has another level, and its means before and after; None where it has not.
+
+    strength: what a figure's standard error is inversely proportional to, where that differs between runs.
+    """
     old = [c for c in figures if reference[run == c].any()]
     new = [c for c in figures if c not in old]
-    reference_values = [figures[c] for c in old]
-    drift = level_drift(reference_values, [figures[c] for c in new])
+    if not old or not new:
+        return None
+    before, even = float(np.mean([figures[c] for c in old])), figures
+    if strength is not None:
+        usual = float(np.median([strength[c] for c in old]))
+        even = {c: before + (figures[c] - before) * strength[c] / usual for c in figures}
+    drift = level_drift([even[c] for c in old], [even[c] for c in new])
     if drift is None:
         return None
     later = [figures[c] for c in new[drift[1] :]]
-    before, after = float(np.mean(reference_values)), float(np.median(later))
+    after = float(np.median(later))
     if abs(after - before) < HALF * abs(float(np.mean(later)) - before):
         return None  # one odd run, such as a night of swapped sensors
     return new[drift[1]], before, after
