@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 
 from errpipe.cli.app import main
+from errpipe.stages.retrain import _since
 
 MANIFEST = """recording: 1
 title: X axis, one run a day
@@ -191,6 +192,17 @@ def test_a_challenger_fitted_on_all_runs_though_the_machine_changed_says_why(sit
     says = "The machine changed at run day 12, but the challenger is fitted on all runs: 3 runs since then, 5 needed."
     assert document["fitted_since"] is None and document["fitted_on_all"] == says
     assert says in capsys.readouterr().out and says in (site / "out/retrain.md").read_text(encoding="utf-8")
+
+
+def test_where_too_few_runs_follow_the_latest_date_the_one_before_counts() -> None:
+    """Else one look at a date of two runs ago had fitted a challenger on the machine of before."""
+    look = {"champion": "a", "challenger": "b", "kept_from": None, "fitted_since": "day 12"}
+    drift = {"changes": [{"since": "day 20"}]}
+    assert _since(look | {"drift": drift}, "a") == (None, ["day 20", "day 12"])
+    assert _since(look | {"drift": {"changes": []}}, "a") == (None, [])
+    assert _since(look | {"drift": drift, "kept_from": "day 3"}, "a") == ("day 3", ["day 20", "day 12", "day 3"])
+    assert _since(look | {"drift": drift}, "b") == ("day 12", ["day 12"])
+    assert _since({}, "a") == (None, [])
 
 
 def test_a_first_run_that_the_pipeline_names_is_the_one_that_the_report_names(site: Path) -> None:
