@@ -80,9 +80,7 @@ class History:
     keys: dict[tuple[str, str], int] = field(default_factory=dict)
     sums: list[np.ndarray] = field(default_factory=list)
     counts: list[int] = field(default_factory=list)
-    rows: list[np.ndarray] = field(
-        default_factory=list
-    )  # of the sample: [1 | design | fixed | response], NaN where missing
+    sampled: list[np.ndarray] = field(default_factory=list)  # columns of the sample's rows, (k, rows), batch by batch
     cells: list[np.ndarray] = field(default_factory=list)  # of the sample: number of the cell
     places: list[np.ndarray] = field(default_factory=list)  # of the sample: row of the recording
     centre: np.ndarray | None = None  # what the columns of `sums` count from, (k,)
@@ -126,7 +124,7 @@ class History:
     def add(self, part: Part) -> None:
         """Take the rows of a batch."""
         rows, kept = self.columns(part.batch), part.sampled
-        self.rows.append(np.ascontiguousarray(rows.T.take(kept, axis=1).T))
+        self.sampled.append(rows.T.take(kept, axis=1))
         if self.centre is None:
             self.centre = np.nan_to_num(np.nanmean(rows[:FIRST_ROWS], axis=0))
             self.centre[0] = 0.0
@@ -145,6 +143,10 @@ class History:
         self.cells.append(np.array(numbers)[np.searchsorted(part.starts, kept, side="right") - 1])
         self.places.append(kept + part.at)
         self.kept.append(part.batch.take(kept))
+
+    def rows(self) -> np.ndarray:
+        """[1 | design | fixed part | response] of the sample, (rows, k); NaN where something is missing."""
+        return np.ascontiguousarray(np.hstack(self.sampled).T)
 
     def sample(self, manifest: Manifest) -> Recording:
         """The rows of the sample as a recording."""
@@ -184,11 +186,10 @@ class History:
 
 def _products(rows: np.ndarray, varying: Sequence[int]) -> tuple[np.ndarray, int]:
     """Sums of products of the complete rows of (n, k), (k, k), and their number; columns that are not live are 0."""
-    with solve.one_thread():
+    sums = _gram(rows.T, varying)
+    if not np.isfinite(sums).all():
+        rows = rows[np.isfinite(rows.sum(axis=1))]
         sums = _gram(rows.T, varying)
-        if not np.isfinite(sums).all():
-            rows = rows[np.isfinite(rows.sum(axis=1))]
-            sums = _gram(rows.T, varying)
     return sums, rows.shape[0]
 
 

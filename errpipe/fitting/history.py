@@ -82,7 +82,7 @@ def fitted(source: Source, spec: ModelSpec, prepare: Prepare) -> ErrorModel:
 
 
 def _component(source: Source, history: History, spec: ModelSpec, prepare: Prepare) -> ComponentModel:
-    sample, rows = history.sample(source.manifest), np.vstack(history.rows)
+    sample, rows = history.sample(source.manifest), history.rows()
     k = np.flatnonzero(np.isfinite(rows.sum(axis=1)))
     rows, sequence = rows[k], _sequence(history, sample)[k]
     width, total = history.width, batches.equivalent_rows(history.factor())
@@ -178,7 +178,7 @@ def all_left_out(histories: list[History], manifest: Manifest) -> list[list[Fold
 
 
 def _left_out(history: History, sample: Recording, drivers: list[str]) -> list[Fold]:
-    rows, cells = np.vstack(history.rows), np.concatenate(history.cells)
+    rows, cells = history.rows(), np.concatenate(history.cells)
     known = np.isfinite(rows.sum(axis=1))
     folds = []
     for label, train, test in _folds(history):

@@ -106,21 +106,22 @@ def drift(model: ErrorModel, old: Recording, recording: Recording, known: frozen
 
     both, reference = _with_new_runs(old, recording, known)
     if both is None:
-        return {"inputs": [], "residuals": [], "sizes": [], "changes": [], "runs": []}
+        return {"inputs": [], "residuals": [], "sizes": [], "rms": [], "changes": [], "runs": []}
     odd, lone = _odd_runs(model, both, reference)
     labels = np.asarray(both.run_labels())[both.run_codes()]
     sound = ~np.isin(labels, lone)
     both, reference = both.take(sound), reference[sound]
     prediction = predictions(model, both)
     apparent = _apparent_errors(model, both, prediction, reference)
-    residuals, sizes = response_drift.drifts(both, reference, prediction)
+    moved = response_drift.drifts(both, reference, prediction)
     sensors = [asdict(d) for d in input_drift.sensor_drift(both, reference, apparent)]
     read = [d["column"] for d in sensors if d["suspected"] and d["column"] in model.columns]
     if read:  # what the champion predicts is wrong, not what was measured
-        sizes = [s | {"meaning": f"it predicts by {read[0]}, which drifts"} if s["meaning"] else s for s in sizes]
-    wrong = any(s["meaning"] for s in sizes)
-    changes = [] if read or wrong else _changes(model, both, reference, prediction, [*residuals, *sizes])
-    return {"inputs": sensors, "residuals": residuals, "sizes": sizes, "changes": changes, "runs": odd}
+        says = {"meaning": f"it predicts by {read[0]}, which drifts"}
+        moved["sizes"] = [s | says if s["meaning"] else s for s in moved["sizes"]]
+    wrong = any(s["meaning"] for s in moved["sizes"])
+    changes = [] if read or wrong else _changes(model, both, reference, prediction, moved)
+    return {"inputs": sensors, **moved, "changes": changes, "runs": odd}
 
 
 def _odd_runs(model: ErrorModel, both: Recording, reference: np.ndarray) -> tuple[list[dict[str, Any]], list[str]]:
@@ -140,21 +141,27 @@ def _odd_runs(model: ErrorModel, both: Recording, reference: np.ndarray) -> tupl
 
 
 def _changes(model, both, reference, prediction, moved) -> list[dict[str, Any]]:
-    """Which terms of the model moved, for every component whose residual did, since the first run of any sign of it."""
+    """Which terms of the model moved, for every component whose residual did, since the first run of any sign of it.
+
+    Where the machine changed twice it is since the second time: challengers are fitted on the runs of one machine.
+    """
     import numpy as np
 
-    from errpipe.validation.what_changed import what_changed
+    from errpipe.validation.what_changed import changed_again, what_changed
 
     labels, run, out = both.run_labels(), both.run_codes(), []
     for part in model.components:
-        first = [labels.index(m["since"]) for m in moved if m["component"] == part.component]
-        if not first:
+        signs = [[m for m in moved[key] if m["component"] == part.component] for key in ("residuals", "sizes", "rms")]
+        seen = [*signs[0], *signs[1]] or signs[2]  # of a moved level or size, the rms is the later sign
+        if not seen:
             continue
         residual = both.array(str(both.name("error", component=part.component))) - prediction[part.component]
-        since = run >= max(first)  # the level and the size may be dated a run apart
+        first = max(labels.index(m["since"]) for m in seen)  # the level and the size may be dated a run apart
+        first += changed_again(model, part, both, residual, reference, first)
+        since = run >= first
         noise = float(np.sqrt(np.nanmean(residual[reference] ** 2)))
         terms = what_changed(model, part, both.take(since), residual[since], noise)
-        entry = {"component": part.component, "since": labels[max(first)], "unit": part.unit}
+        entry = {"component": part.component, "since": labels[first], "unit": part.unit}
         out.append({**entry, "terms": [asdict(t) for t in terms]})
     return [e for e in out if e["terms"]]
 

@@ -34,7 +34,7 @@ def markdown(document: Mapping[str, Any]) -> str:
         "",
         f"Evidence for the challenger: e-value {document['e_value']:.3g}, {document['e_value_needed']:.3g} needed. "
         + ("Every gate holds." if promoted else "What failed is listed first."),
-        *([_fitted_since(document["fitted_since"])] if document["fitted_since"] else []),
+        *([plain_text(fitted)] if (fitted := _fitted(document)) else []),
         "",
         "| gate | holds | why |",
         "| --- | --- | --- |",
@@ -47,8 +47,11 @@ def markdown(document: Mapping[str, Any]) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _fitted_since(run: str) -> str:
-    return f"Fitted on the runs since {plain_text(run)} alone: the machine changed there."
+def _fitted(document: Mapping[str, Any]) -> str:
+    """On which runs the challenger is fitted, where the machine changed at one of them."""
+    if document["fitted_since"]:
+        return f"Fitted on the runs since {document['fitted_since']} alone: those before are another machine's."
+    return str(document["fitted_on_all"])
 
 
 def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
@@ -56,16 +59,18 @@ def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
     if not any(drift.values()):
         return [*lines, "Neither the sensors nor the champion's residual left what they were when it was fitted."]
     for d in drift["inputs"]:
-        word = (
-            "drifts" if d["blamed"] else "may be the one that drifts" if d["suspected"] else "disagrees with the others"
-        )
         lines.append(
-            f"- Sensor {plain_text(d['column'])} {word} since run {plain_text(d['since'])}: {d['size']:+.2g} K."
+            f"- Sensor {plain_text(d['column'])} {_word(d)} since run {plain_text(d['since'])}: {d['size']:+.2g} K."
         )
     for d in drift["residuals"]:
         lines.append(
             f"- The champion's residual of {plain_text(d['component'])} moved since run {plain_text(d['since'])}: "
             f"{d['size_um']:+.3g} um on average."
+        )
+    for d in drift["rms"]:
+        lines.append(
+            f"- The champion leaves {d['after_um']:.3g} um rms of {plain_text(d['component'])} since run "
+            f"{plain_text(d['since'])}, {d['before_um']:.3g} um before."
         )
     for d in drift["sizes"]:
         lines.append(
@@ -76,20 +81,36 @@ def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
     return lines
 
 
+def _word(sensor: Mapping[str, Any]) -> str:
+    if sensor["cleared"]:
+        return (
+            "left the others but reads right, as the deviations show (what surrounds it changed: coolant, place, load?)"
+        )
+    if sensor["suspected"]:
+        return "drifts" if sensor["blamed"] else "may be the one that drifts"
+    return "disagrees with the others"
+
+
 def in_words(document: Mapping[str, Any]) -> list[str]:
     """What a terminal shows: the decision, the gates that failed, sensors that may drift, what changed."""
     lines = [document["decision"], *(f"{g['name']}: {g['says']}" for g in document["gates"] if not g["passed"])]
-    for d in (d for d in document["drift"]["inputs"] if d["suspected"]):
-        lines.append(f"sensor {d['column']} {'drifts' if d['blamed'] else 'may drift'} since run {d['since']}")
-    return [*lines, *_sentences(document["drift"])]
+    for d in (d for d in document["drift"]["inputs"] if d["suspected"] or d["cleared"]):
+        lines.append(f"sensor {d['column']} {_word(d)} since run {d['since']}")
+    return [*lines, *([fitted] if (fitted := _fitted(document)) else []), *_sentences(document["drift"])]
 
 
 def _sentences(drift: Mapping[str, Any]) -> list[str]:
-    """What changed, in the terms of the model, and runs that are odd by themselves: one sentence each."""
+    """What changed, in the terms of the model, sensors and runs that are odd by themselves: one sentence each."""
     out = []
     for change in drift["changes"]:
         terms = "; ".join(t["says"] for t in change["terms"])
         out.append(f"What changed of {change['component']} since run {change['since']}: {terms}.")
+    left = [d for d in drift["inputs"] if not d["cleared"]]
+    if left and not any(d["suspected"] for d in left):
+        out.append(
+            f"{' and '.join(d['column'] for d in left)} left the others since run {left[0]['since']}: whether one"
+            " of them is wrong or what surrounds it changed, a further sensor or a thermometer beside it shows."
+        )
     out += [f"Run {odd['run']}, {odd['what']}: {odd['says']}" for odd in drift["runs"]]
     return out
 

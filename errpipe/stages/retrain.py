@@ -51,8 +51,8 @@ def retrain(
 
     old_model, old_recording, fingerprint = _champion(pipeline, champion)
     earlier = _earlier_document(out / DOCUMENT)
-    kept_from, since = _since(earlier, fingerprint)
-    refused, since = _run(pipeline, out, since, callbacks or NO_CALLBACKS)
+    kept_from, dates = _since(earlier, fingerprint)
+    refused, since, on_all = _run(pipeline, out, dates, callbacks or NO_CALLBACKS)
     recording = _artefacts.recording_in(out / RUN / _last_stage_with(pipeline, "recording"))
     _same_machine(champion, old_model, old_recording, recording)
     document = _judged(
@@ -66,47 +66,58 @@ def retrain(
         limits=(max_change_um, max_change_um_per_k),
         allowed=allowed_sensors,
     )
-    document |= {"kept_from": kept_from, "fitted_since": since}
+    document |= {"kept_from": kept_from, "fitted_since": since, "fitted_on_all": on_all}
     jsonfile.write(out / DOCUMENT, document)
     write_pages(document, out)
     return document
 
 
-def _since(earlier: Mapping[str, Any], champion: str) -> tuple[str | None, str | None]:
-    """The run that the champion's own fit began with, and the one that the challenger's should; None: the first.
+def _since(earlier: Mapping[str, Any], champion: str) -> tuple[str | None, list[str]]:
+    """The run that the champion's own fit began with (None: the first), and those that the challenger's may begin with.
 
     Where an earlier look at this champion dated a change of the machine, the runs before it are another machine's. It
     has to be an earlier look: runs that had a say in the date are then not those by which the challenger is judged.
+    Behind the latest date stand that of the look before and the champion's own, for where too few runs follow it.
     """
+    fitted, kept = earlier.get("fitted_since"), earlier.get("kept_from")
     if earlier.get("challenger") == champion:  # it was promoted
-        return earlier.get("fitted_since"), earlier.get("fitted_since")
+        return fitted, [fitted] if fitted else []
     if earlier.get("champion") != champion:
-        return None, None
-    changes = earlier.get("drift", {}).get("changes", [])
-    return earlier.get("kept_from"), changes[-1]["since"] if changes else earlier.get("kept_from")
+        return None, []
+    changes = [change["since"] for change in earlier.get("drift", {}).get("changes", [])][-1:]
+    return kept, [run for run in dict.fromkeys([*changes, *([fitted] if changes else []), kept]) if run]
 
 
-def _run(pipeline: Pipeline, out: Path, since: str | None, callbacks: Callbacks) -> tuple[str, str | None]:
-    """Run the pipeline on the runs since one, on all where these are too few. Returns what refused it; since when."""
+def _run(pipeline: Pipeline, out: Path, dates: Sequence[str], callbacks: Callbacks) -> tuple[str, str | None, str]:
+    """Run the pipeline on the runs since the first date that leaves enough of them, on all where none does.
+
+    Returns what refused it; since which run it is fitted; and why on all where the machine changed at a run.
+    """
     from errpipe.pipeline import runner
 
-    if since is not None:
+    by_hand = next((run for s in pipeline.stages if (run := getattr(s, "since_run", None)) is not None), None)
+    reasons = []
+    for since in dates if by_hand is None else ():
         stages = tuple(
-            s.model_copy(update={"since_run": since}) if getattr(s, "since_run", since) is None else s
-            for s in pipeline.stages
+            s.model_copy(update={"since_run": since}) if hasattr(s, "since_run") else s for s in pipeline.stages
         )
         try:
             runner.run(replace(pipeline, stages=stages), out / RUN, callbacks=callbacks)
             recording = _artefacts.recording_in(out / RUN / _last_stage_with(pipeline, "recording"))
-            if len(recording.run_labels()) >= LEAST_SINCE:
-                return "", since
-        except (DataError, GateError):
-            pass  # too few to fit, to judge, or to be better than nothing; or no longer kept
+            runs = len(recording.run_labels())
+            if runs >= LEAST_SINCE:
+                return "", since, ""
+            reasons.append(f"{runs} run{'' if runs == 1 else 's'} since then, {LEAST_SINCE} needed")
+        except (DataError, GateError) as err:  # too few to fit, to judge, or to be better than nothing; not kept
+            reasons.append(" ".join(str(err).split()).rstrip("."))
+    on_all = ""
+    if reasons:
+        on_all = f"The machine changed at run {dates[0]}, but the challenger is fitted on all runs: {reasons[0]}."
     try:
         runner.run(pipeline, out / RUN, callbacks=callbacks)
     except GateError as err:
-        return str(err), None
-    return "", None
+        return str(err), by_hand, on_all
+    return "", by_hand, on_all
 
 
 def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limits, allowed) -> dict[str, Any]:

@@ -18,6 +18,10 @@ response moved, r the sensor's residuals in them and C their covariance, the reg
     log likelihood ratio = a' C^-1 r - a' C^-1 a / 2
 
 A machine that changed keeps the ratio below RATIO for ever in all but 1 / RATIO of the cases (Ville 1939).
+
+The same witness clears a sensor: where its temperature left the others and the response followed it, it reads right,
+and what surrounds it changed (coolant, place, load). Two sensors that disagree do not say which of them is wrong, nor
+whether one is: a cold hall that the reference runs lack looks alike. Without a witness none of them is suspected.
 """
 
 from __future__ import annotations
@@ -42,6 +46,7 @@ ALIKE = 2.0  # times the quietest of these: whatever is quieter may as well be t
 SIGNS = np.array([1.0, -1.0])  # up and down
 # Likelihood of a sensor that drifts over that of a machine that changed: at most one change in 10 is misnamed
 RATIO = 10.0
+HALF = 0.5  # of what a sensor left the others by: a response that moved by more does not show that it reads right
 SCALES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {  # what reads so -> what it would be as declared
     "degF instead of degC": lambda t: (t - 32.0) / 1.8,
     "K instead of degC": lambda t: t - 273.15,
@@ -59,7 +64,8 @@ FEWEST_RUNS = 4  # reference runs below which no scatter between runs is known
 class Drift:
     """A column that drifted from the reference. since: label of the run where its excursion began; size: K, mean.
 
-    blamed: the fault is this sensor's; suspected: it is, or it is that of another suspected one.
+    blamed: the fault is this sensor's; suspected: it is, or it is that of another suspected one; cleared: a response
+    shows that it reads right.
     """
 
     column: str
@@ -68,6 +74,7 @@ class Drift:
     statistic: float
     blamed: bool = False
     suspected: bool = False
+    cleared: bool = False
 
 
 def sensor_drift(
@@ -87,13 +94,15 @@ def sensor_drift(
         return []
     readings = np.column_stack([recording.array(n) for n in names])
     z, sd, limit = _standardised_residuals(readings, run, old, new)
-    seen = {}
+    seen, begins = {}, {}
     for k, name in enumerate(names):
         alarm, begin = cusum(z[:, k])
+        begins[k] = begin
         seen[k] = Drift(name, recording.run_labels()[new[begin]], float(np.mean(z[begin:, k]) * sd[k]), alarm)
     drift_of = {k: d for k, d in seen.items() if d.statistic >= limit}
-    known = [k for k, name in enumerate(names) if name in apparent]
-    tests = {k: _sensor_or_machine(readings, run, old, new, k, sd[k], apparent[names[k]]) for k in known}
+    known = {k: apparent[name] for k, name in enumerate(names) if name in apparent}
+    right = [k for k, a in known.items() if drift_of and _reads_right(readings, run, old, new, k, sd[k], a, begins[k])]
+    tests = {k: _sensor_or_machine(readings, run, old, new, k, sd[k], a) for k, a in known.items() if k not in right}
     blamed = max(tests, key=lambda k: tests[k][0], default=None)
     if blamed is not None and tests[blamed][0] >= np.log(RATIO):
         ratio, begin, size = tests[blamed]
@@ -102,8 +111,12 @@ def sensor_drift(
     else:
         faulty = _faulty_sensors(readings, run, old, new, max(d.statistic for d in seen.values()) / limit)
         drift_of |= {k: seen[k] for k in faulty}
-    drifts = [replace(d, blamed=faulty == [k], suspected=k in faulty) for k, d in drift_of.items()]
-    order = [names[k] for k in faulty]
+    suspected = [k for k in faulty if k not in right]
+    drifts = [
+        replace(d, blamed=faulty == [k] == suspected, suspected=k in suspected, cleared=k in right)
+        for k, d in drift_of.items()
+    ]
+    order = [names[k] for k in suspected]
     return sorted(drifts, key=lambda d: (order.index(d.column) if d.suspected else len(order), -d.statistic))
 
 
@@ -139,10 +152,42 @@ def drifting_sensors(suspected: Sequence[str]) -> str:
 
 def _sensor_or_machine(readings, run, old, new, k: int, sd: float, apparent: np.ndarray) -> tuple[float, int, float]:
     """Log-likelihood ratio that sensor k is off by what a response shows; the new run since when; mean error, K."""
-    off = np.nan_to_num(apparent[new] - np.nanmean(apparent[old]))
+    off = _beyond_old(old, new, apparent)
     alarm, begin = cusum(off / max(float(np.nanstd(apparent[old])), MIN_SD))
     if alarm < threshold(len(old) - 1, FALSE_ALARMS / readings.shape[1]):
         return 0.0, 0, 0.0
+    since, r, covariance = _residuals_since(readings, run, old, new, k, sd, begin)
+    a = off[np.isin(new, since)]
+    return float(a @ np.linalg.solve(covariance, r - 0.5 * a)), begin, float(a.mean())
+
+
+def _reads_right(readings, run, old, new, k: int, sd: float, apparent: np.ndarray, begin: int) -> bool:
+    """Whether a response follows sensor k since new run `begin`, where the sensor left the others.
+
+    Likelihood of the apparent errors of a sensor that reads right, zero but for their scatter in the old runs, over
+    that of one which is off by its residuals; and they are less than half of these (the response may move by itself).
+    """
+    since, r, covariance = _residuals_since(readings, run, old, new, k, sd, begin)
+    known = np.isfinite(apparent[since])
+    a, r, covariance = _beyond_old(old, since, apparent)[known], r[known], covariance[np.ix_(known, known)]
+    scatter = max(float(np.nanstd(apparent[old])), MIN_SD) ** 2 * (np.eye(a.size) + 1.0 / len(old))
+    ratio = _log_likelihood(a, scatter) - _log_likelihood(a - r, scatter + covariance)
+    return ratio >= np.log(RATIO) and bool(a @ a < HALF**2 * (r @ r))
+
+
+def _log_likelihood(values: np.ndarray, covariance: np.ndarray) -> float:
+    return -0.5 * float(values @ np.linalg.solve(covariance, values) + np.linalg.slogdet(covariance)[1])
+
+
+def _beyond_old(old: Sequence[int], runs: Sequence[int], apparent: np.ndarray) -> np.ndarray:
+    """Apparent errors of some runs beyond the mean of the old ones, K, (runs,); 0 where unknown."""
+    return np.nan_to_num(apparent[runs] - np.nanmean(apparent[old]))
+
+
+def _residuals_since(
+    readings, run, old, new, k: int, sd: float, begin: int
+) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """The new runs since `begin`, the residuals of sensor k on the others in them, K, and their covariance, K2."""
     good = np.isfinite(readings).all(axis=1)
     before, since = ([c for c in runs if good[run == c].any()] for runs in ([*old, *new[:begin]], new[begin:]))
     fitted = np.isin(run, before) & good
@@ -151,8 +196,7 @@ def _sensor_or_machine(readings, run, old, new, k: int, sd: float, apparent: np.
     r = np.array([residual[good & (run == c)].mean() for c in since])
     means, spans = (np.array([design[good & (run == c)].mean(axis=0) for c in runs]) for runs in (since, before))
     covariance = sd**2 * (np.eye(r.size) + means @ np.linalg.pinv(spans.T @ spans, hermitian=True) @ means.T)
-    a = off[np.isin(new, since)]
-    return float(a @ np.linalg.solve(covariance, r - 0.5 * a)), begin, float(a.mean())
+    return since, r, covariance
 
 
 def _faulty_sensors(readings, run, old, new, loudest: float) -> list[int]:

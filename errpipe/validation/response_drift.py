@@ -1,7 +1,9 @@
-"""Whether a response moved away from what a model predicts: its level or its size, and since which run.
+"""Whether a response moved away from what a model predicts: its level, its size or its rms, and since which run.
 
 The level of a run is the mean residual, its size the slope of the measured deviations on the predicted ones (least
-squares, each about its mean). Both go into a CUSUM against the runs that the model was fitted on (`input_drift`).
+squares, each about its mean), its rms that of the residual (as the logarithm of the mean square, which is nearly
+normal): lost motion or a worn stretch moves neither mean nor slope. Each goes into a CUSUM against the runs that the
+model was fitted on (`input_drift`).
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from errpipe.validation.input_drift import level_drift
 
 WEAKEST_RUN = 0.25  # of the median rms of the prediction: a run that hardly moved shows nothing of the size
 NO_RESPONSE = 0.3  # of what is predicted: compensated machines leave less than a third, worn ones show more than that
+TINY = 1e-12  # um2: a mean square of which the logarithm exists
 HALF = 0.5  # of a change of the mean: what the median of the same runs must show of it
 UNITS = {1000.0: "1000", 25.4: "25.4", 1.0 / 25.4: "1/25.4", 0.001: "1/1000"}  # um for mm, inch for mm and back
 QUIETER = 0.3  # of the noise before: readings of that much noise are in the unit of before, whatever their size
@@ -25,9 +28,12 @@ SIGN_TOLERANCE = 0.3  # about -1: the same machine, turned round, is no larger o
 
 def drifts(
     recording: Recording, reference: np.ndarray, predictions: Mapping[str, np.ndarray]
-) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Responses whose mean residual moved, and those whose size changed. reference: rows of the model's own runs."""
-    levels, sizes = [], []
+) -> dict[str, list[dict[str, Any]]]:
+    """Responses whose mean residual moved (`residuals`), whose size changed (`sizes`), of which more is left (`rms`).
+
+    reference: rows of the model's own runs.
+    """
+    levels, sizes, rms = [], [], []
     for component, prediction in predictions.items():
         name = recording.name("error", component=component)
         if name is None:
@@ -36,10 +42,15 @@ def drifts(
         level = _of_runs(measured - prediction, run)
         if moved := _moved(level, reference, run):
             since, before, after = moved
-            size = {"size_um": after - before}
-            levels.append({"component": component, "since": labels[since], **size})
-        slopes = _slopes(measured, prediction, run)
-        if moved := _moved(slopes, reference, run):
+            levels.append({"component": component, "since": labels[since], "size_um": after - before})
+        squares = _of_runs((measured - prediction) ** 2, run)
+        logarithms = {c: float(np.log(max(square, TINY))) for c, square in squares.items()}
+        if (moved := _moved(logarithms, reference, run)) and moved[2] > moved[1]:
+            since, *both = moved
+            before, after = np.exp(0.5 * np.array(both)).tolist()
+            rms.append({"component": component, "since": labels[since], "before_um": before, "after_um": after})
+        slopes, strength = _slopes(measured, prediction, run)
+        if moved := _moved(slopes, reference, run, strength):
             since, before, after = moved
             factor = after / before if abs(before) > NO_RESPONSE else after
             as_noisy = _noise(measured, prediction, run == max(slopes)) > QUIETER * _noise(
@@ -47,7 +58,7 @@ def drifts(
             )
             means = meaning(0.0 if as_noisy and abs(factor) < NO_RESPONSE else factor)
             sizes.append({"component": component, "since": labels[since], "factor": factor, "meaning": means})
-    return levels, sizes
+    return {"residuals": levels, "sizes": sizes, "rms": rms}
 
 
 def meaning(factor: float) -> str:
@@ -78,8 +89,8 @@ def _of_runs(values: np.ndarray, run: np.ndarray) -> dict[int, float]:
     return {c: float(np.mean(values[known & (run == c)])) for c in dict.fromkeys(run[known].tolist())}
 
 
-def _slopes(measured: np.ndarray, prediction: np.ndarray, run: np.ndarray) -> dict[int, float]:
-    """Slope of measured on predicted deviations in each run whose prediction moves."""
+def _slopes(measured: np.ndarray, prediction: np.ndarray, run: np.ndarray) -> tuple[dict[int, float], dict[int, float]]:
+    """Slope of measured on predicted deviations in each run whose prediction moves, and the rms of what moves, um."""
     known = np.isfinite(measured) & np.isfinite(prediction)
     centred = {}
     for code in dict.fromkeys(run[known].tolist()):
@@ -87,19 +98,30 @@ def _slopes(measured: np.ndarray, prediction: np.ndarray, run: np.ndarray) -> di
         centred[code] = measured[rows] - np.mean(measured[rows]), prediction[rows] - np.mean(prediction[rows])
     strength = {code: float(np.sqrt(np.mean(p**2))) for code, (_, p) in centred.items()}
     least = WEAKEST_RUN * float(np.median([*strength.values()])) if strength else 0.0
-    return {code: float(m @ p / (p @ p)) for code, (m, p) in centred.items() if strength[code] > max(least, 1e-9)}
+    strong = {code: pair for code, pair in centred.items() if strength[code] > max(least, 1e-9)}
+    return {code: float(m @ p / (p @ p)) for code, (m, p) in strong.items()}, strength
 
 
-def _moved(figures: Mapping[int, float], reference: np.ndarray, run: np.ndarray) -> tuple[int, float, float] | None:
-    """The run since when a figure per run has another level, and its means before and after; None where it has not."""
+def _moved(
+    figures: Mapping[int, float], reference: np.ndarray, run: np.ndarray, strength: Mapping[int, float] | None = None
+) -> tuple[int, float, float] | None:
+    """The run since when a figure per run has another level, and its means before and after; None where it has not.
+
+    strength: what a figure's standard error is inversely proportional to, where that differs between runs.
+    """
     old = [c for c in figures if reference[run == c].any()]
     new = [c for c in figures if c not in old]
-    reference_values = [figures[c] for c in old]
-    drift = level_drift(reference_values, [figures[c] for c in new])
+    if not old or not new:
+        return None
+    before, even = float(np.mean([figures[c] for c in old])), figures
+    if strength is not None:
+        usual = float(np.median([strength[c] for c in old]))
+        even = {c: before + (figures[c] - before) * strength[c] / usual for c in figures}
+    drift = level_drift([even[c] for c in old], [even[c] for c in new])
     if drift is None:
         return None
     later = [figures[c] for c in new[drift[1] :]]
-    before, after = float(np.mean(reference_values)), float(np.median(later))
+    after = float(np.median(later))
     if abs(after - before) < HALF * abs(float(np.mean(later)) - before):
         return None  # one odd run, such as a night of swapped sensors
     return new[drift[1]], before, after

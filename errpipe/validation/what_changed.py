@@ -12,9 +12,11 @@ from errpipe.domain.recording import Recording
 from errpipe.fitting.components import from_run_start, term_of
 
 MOST = 3  # terms that are named; a change of more of them is a change of everything
-LEAST_SHARE = 0.1  # of what is beyond the noise, that a further term has to take
+LEAST_SHARE = 0.02  # of what is beyond the noise, that a further term has to take: a seventh of the rms
 NEARLY = 0.9  # of what the best term takes: a term of fewer parameters that takes as much is named instead
 SIGNIFICANT = 4.0  # standard errors of the mean square of noise: less is no change of the mean square
+AGAIN = 6.0  # standard errors of a second change of the level: chosen on simulated axes, seed 1
+FEWEST = 5  # runs since a second change: a challenger is fitted on no fewer
 SHOWN = 2  # parameters of a term that are written out
 LARGEST_CONDITION = 1e8  # columns that are nearer to each other are not solved for together
 
@@ -46,11 +48,13 @@ def what_changed(
     begin = float(np.mean(r**2))
     chosen: list[int] = []
     beyond = left = begin - noise**2
-    if beyond < SIGNIFICANT * noise**2 * np.sqrt(2.0 / r.size):
+    least = SIGNIFICANT * noise**2 * np.sqrt(2.0 / r.size)
+    if beyond < least:
         return []
-    while left > LEAST_SHARE * beyond and len(chosen) < MOST:
+    least = max(least, LEAST_SHARE * beyond)
+    while left > least and len(chosen) < MOST:
         trials = {k: left - (_left(bases, [*chosen, k], r) - noise**2) for k in range(len(bases)) if k not in chosen}
-        good = [k for k, taken in trials.items() if taken >= max(NEARLY * max(trials.values()), LEAST_SHARE * beyond)]
+        good = [k for k, taken in trials.items() if taken >= max(NEARLY * max(trials.values()), least)]
         if not good:
             break
         chosen.append(min(good, key=lambda k: (bases[k].shape[1], -trials[k])))
@@ -61,6 +65,38 @@ def what_changed(
     if left > 0.5 * beyond:
         out.append(TermChange("", "something that the model has no term for", float(np.sqrt(left))))
     return sorted(out, key=lambda c: (not c.term, -c.size))
+
+
+def changed_again(
+    model: ErrorModel,
+    component: ComponentModel,
+    recording: Recording,
+    residual: np.ndarray,
+    reference: np.ndarray,
+    first: int,
+) -> int:
+    """How many runs after run `first`, at which a machine changed, its level changed once more; 0 where it did not.
+
+    residual: as of `what_changed`, of all rows; reference: rows before the first change, (rows,). Means of the runs
+    since then: a step at the likeliest run, beside all linear terms, over the scatter between runs of the reference.
+    """
+    run = recording.run_codes()
+    columns = np.column_stack([residual, *(_columns(model, component, f, recording) for f in component.terms)])
+    known = np.isfinite(columns).all(axis=1)
+    old = [float(np.mean(residual[known & (run == c)])) for c in np.unique(run[known & reference])]
+    codes = np.unique(run[known & (run >= first)])
+    means = np.array([columns[known & (run == c)].mean(axis=0) for c in codes])
+    if len(old) < 2 or len(codes) < FEWEST + 1:
+        return 0
+    steps = np.tri(len(codes), k=-1)[:, : len(codes) - FEWEST]  # of the runs after the first, the second, ...
+    design = means[:, 1:] / np.maximum(np.abs(means[:, 1:]).max(axis=0), 1e-12)
+    basis, size, _ = np.linalg.svd(design, full_matrices=False)
+    basis = basis[:, size > size.max(initial=0.0) / LARGEST_CONDITION]
+    level, steps = (v - basis @ (basis.T @ v) for v in (means[:, 0], steps))
+    length = np.sqrt(np.sum(steps**2, axis=0))
+    z = np.abs(level @ steps) / np.maximum(length, 0.1) / max(float(np.std(old, ddof=1)), 1e-9)
+    best = int(np.argmax(z))
+    return int(codes[best + 1]) - first if z[best] > AGAIN else 0
 
 
 def _columns(model: ErrorModel, component: ComponentModel, fitted: FittedTerm, recording: Recording) -> np.ndarray:

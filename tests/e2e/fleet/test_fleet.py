@@ -70,6 +70,26 @@ def test_a_recording_under_two_names_and_a_machine_of_the_other_sign_are_told(tm
     assert all(text in page for text in document["suspicious"])
 
 
+@pytest.mark.slow
+def test_a_machine_of_a_fleet_is_retrained_with_its_folder_as_the_champion(tmp_path: Path) -> None:
+    """m000 gets a new screw on day 12: it is followed on the runs since then. m002 has no new run: kept."""
+    fleet = site(tmp_path, 3, days=12)
+    main(["fleet", str(fleet), "--out", str(tmp_path / "out"), "--jobs", "1"])
+    codes, documents = {}, {}
+    for days in (13, 17, 21, 28):
+        record(tmp_path / "recordings/m000", days, changed_from=12)
+        for name in ("m000", "m002"):
+            champion, out = tmp_path / "out/machines" / name, tmp_path / "retrain" / name
+            recording = f'ingest.recording="{tmp_path / "recordings" / name}"'
+            command = ["retrain", str(tmp_path / "axis.yaml"), "--champion", str(champion), "--out", str(out)]
+            codes[name] = main([*command, "--set", recording])
+            documents[name] = json.loads((out / "retrain.json").read_text(encoding="utf-8"))
+        if codes["m000"] == 0:
+            break
+    assert codes == {"m000": 0, "m002": 4} and documents["m000"]["fitted_since"] in ("day 12", "day 13")
+    assert documents["m002"]["runs"] == [] and not any(documents["m002"]["drift"].values())
+
+
 def bytes_below(out: Path) -> dict[str, bytes]:
     """Every file of a fleet's run but times and locks of the system."""
     return {

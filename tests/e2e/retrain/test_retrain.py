@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 
 from errpipe.cli.app import main
+from errpipe.stages.retrain import _since
 
 MANIFEST = """recording: 1
 title: X axis, one run a day
@@ -112,7 +113,7 @@ def test_a_machine_that_did_not_change_keeps_its_champion(site: Path) -> None:
     code, document = retrain(site)
     assert code == 4 and document["decision"] == "keep the champion"
     assert failed(document) == ["evidence"]
-    assert document["drift"] == {key: [] for key in ("inputs", "residuals", "sizes", "changes", "runs")}
+    assert document["drift"] == {key: [] for key in ("inputs", "residuals", "sizes", "rms", "changes", "runs")}
 
 
 @pytest.mark.parametrize(
@@ -170,6 +171,45 @@ def test_after_a_change_that_an_earlier_look_dated_the_challenger_is_fitted_on_t
     shutil.copytree(site / "out/run", site / "champion")
     code, document = retrain(site)  # days before the change are no new ones of the champion that was promoted
     assert code == 4 and document["runs"] == [] and document["fitted_since"] == document["kept_from"]
+
+
+def test_of_two_changes_in_a_week_the_second_dates_the_challenger(site: Path) -> None:
+    """A new screw on day 12, another laser on day 16; on the runs since day 12 no one machine is to be fitted."""
+    for days in (13, 17, 21, 23):
+        record(site / "recording", days, changed_from=12, read_from=16, as_read=lambda e: e + 6.0)
+        _, document = retrain(site)
+    (change,) = document["drift"]["changes"]
+    assert change["since"] == "day 16" == document["fitted_since"]
+    assert {t["term"] for t in change["terms"]} == {"offset", "scale_expansion"}
+
+
+def test_a_challenger_fitted_on_all_runs_though_the_machine_changed_says_why(site: Path, capsys: Any) -> None:
+    """The runs since the change are too few: before, nothing said that the other machine's runs had a part in it."""
+    for days in (14, 15):
+        record(site / "recording", days, changed_from=12)
+        capsys.readouterr()
+        _, document = retrain(site)
+    says = "The machine changed at run day 12, but the challenger is fitted on all runs: 3 runs since then, 5 needed."
+    assert document["fitted_since"] is None and document["fitted_on_all"] == says
+    assert says in capsys.readouterr().out and says in (site / "out/retrain.md").read_text(encoding="utf-8")
+
+
+def test_where_too_few_runs_follow_the_latest_date_the_one_before_counts() -> None:
+    """Else one look at a date of two runs ago had fitted a challenger on the machine of before."""
+    look = {"champion": "a", "challenger": "b", "kept_from": None, "fitted_since": "day 12"}
+    drift = {"changes": [{"since": "day 20"}]}
+    assert _since(look | {"drift": drift}, "a") == (None, ["day 20", "day 12"])
+    assert _since(look | {"drift": {"changes": []}}, "a") == (None, [])
+    assert _since(look | {"drift": drift, "kept_from": "day 3"}, "a") == ("day 3", ["day 20", "day 12", "day 3"])
+    assert _since(look | {"drift": drift}, "b") == ("day 12", ["day 12"])
+    assert _since({}, "a") == (None, [])
+
+
+def test_a_first_run_that_the_pipeline_names_is_the_one_that_the_report_names(site: Path) -> None:
+    for days in (18, 20):
+        record(site / "recording", days, changed_from=12)
+        _, document = retrain(site, "--set", "ingest.since_run=day 14")
+    assert document["fitted_since"] == "day 14" and document["drift"]["changes"]
 
 
 def test_temperatures_that_change_their_unit_together_stop_a_promotion(site: Path) -> None:

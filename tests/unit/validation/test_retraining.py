@@ -219,6 +219,45 @@ def test_a_response_that_moved_names_the_sensor_within_three_runs_only_where_the
     assert (named.count("T_2") >= 9) if culprit == "sensor" else (len(named) <= 1), named
 
 
+def moved(column: str, by: float) -> tuple[Recording, np.ndarray]:
+    """Forty days without drift, but that a temperature is another one from day 20 on."""
+    recording, reference = sensors(None, 0.0)
+    return recording.with_columns({column: recording.array(column) + np.where(reference, 0.0, by)}, {}), reference
+
+
+def test_a_sensor_that_the_response_follows_reads_right() -> None:
+    """New coolant: the bed is colder beside the same nut, and the deviation is what the model predicts by it."""
+    recording, reference = moved("T_2", -1.0)
+    (alone,) = (d for d in sensor_drift(recording, reference) if d.column == "T_2")
+    followed, wrong = (
+        np.random.default_rng(1).normal(0, 0.03, 40) + off for off in (0.0, -1.0 * (np.arange(40) >= 20))
+    )
+    (right,) = (d for d in sensor_drift(recording, reference, {"T_2": followed}) if d.column == "T_2")
+    (faulty,) = (d for d in sensor_drift(recording, reference, {"T_2": wrong}) if d.column == "T_2")
+    assert alone.suspected and not alone.cleared
+    assert right.cleared and not right.suspected and not right.blamed
+    assert faulty.blamed and not faulty.cleared
+
+
+def test_a_response_that_shows_a_quarter_of_it_does_not_blame_the_sensor() -> None:
+    """The model extrapolates to temperatures that it never saw together, and errs."""
+    recording, reference = moved("T_2", -2.0)
+    apparent = np.random.default_rng(1).normal(0, 0.2, 40) - 0.5 * (np.arange(40) >= 20)
+    (drift,) = (d for d in sensor_drift(recording, reference, {"T_2": apparent}) if d.column == "T_2")
+    assert drift.cleared and not drift.suspected
+
+
+def test_of_two_sensors_that_disagree_none_is_suspected_and_a_response_clears_them() -> None:
+    recording, reference = moved("T_2", -2.0)
+    kinds = {n: c for n, c in recording.manifest.columns.items() if n not in ("T_0", "T_3")}
+    manifest = recording.manifest.model_copy(update={"columns": kinds})
+    two = Recording(manifest, recording.frame[list(kinds)])
+    drift = sensor_drift(two, reference)
+    assert drift and not any(d.suspected or d.cleared for d in drift)
+    followed = {n: np.random.default_rng(1).normal(0, 0.03, 40) for n in ("T_1", "T_2")}
+    assert all(d.cleared for d in sensor_drift(two, reference, followed))
+
+
 def test_cusum_finds_the_begin_of_a_shift_and_ignores_noise() -> None:
     rng = np.random.default_rng(1)
     noise = rng.normal(size=200)
