@@ -24,6 +24,7 @@ MISSING_BASE = 4  # the base itself may be absent down to this share of the lowe
 FEW_PLACES = 40  # up to so many a repeated profile of chance looks like a wave: see `waves_of_few_places`
 FALSE_ALARMS = 0.01  # chance that the strongest wave of a profile of chance is taken for one
 MAX_WAVES_PER_STEP = 2.0  # waves within the mean step between places, the most that uneven places are asked about
+BOWED = 0.5  # share of a wave at the places that a cubic must leave: one that even places fold down to a bow is a bow
 FOLDED = 0.5  # share of the residual of longer waves that one shorter than two steps, an alias else, must go below
 CLEARLY = 1.1  # factor by which a longer base must explain more power than a shorter one
 
@@ -76,7 +77,7 @@ def waves_of_few_places(at: np.ndarray, signal: np.ndarray) -> np.ndarray:
     the share q of the sum of squares, chance leaves as little with q^((P - 6) / 2) times the number of frequencies
     (F test; Lomb-Scargle false-alarm probability). From MIN_TURNS_OF_WAVE to half the mean step between places: uneven
     places distinguish waves that even places alias. A wave shorter than two steps must leave less than FOLDED of what
-    longer ones do.
+    longer ones do, and one about as long as a step between even places is a slope or a bow there (BOWED).
     """
     places, index = np.unique(at, return_inverse=True)
     free = places.size - 6
@@ -88,7 +89,9 @@ def waves_of_few_places(at: np.ndarray, signal: np.ndarray) -> np.ndarray:
     frequency = np.arange(MIN_TURNS_OF_WAVE / span, highest * (1 + 1e-9), 0.125 / span)
     cubic = np.polynomial.chebyshev.chebvander(2 * (places - places[0]) / span - 1, 3)
     rest = _residual(cubic, mean)
-    left = np.array([_squares(_residual(_residual(cubic, waves(places, f)), rest)) for f in frequency])
+    beside = [_residual(cubic, waves(places, f)) for f in frequency]
+    bowed = np.array([np.sum(wave**2) < BOWED * places.size for wave in beside])  # sine and cosine: places.size in all
+    left = np.where(bowed, np.inf, [_squares(_residual(wave, rest)) for wave in beside])
     if not left.size or _squares(rest) <= 0:
         return np.zeros(0)
     chance = max(highest * span, 1.0) * (left / _squares(rest)) ** (free / 2)

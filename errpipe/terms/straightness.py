@@ -72,8 +72,8 @@ class Straightness(Term):
                 continue
             x = position(recording, axis)
             low, high = float(np.nanmin(x)), float(np.nanmax(x))
-            if high > low:
-                yield cls(axis=axis, low=low, high=high)
+            if (degree := np.unique(x[~np.isnan(x)]).size - 1) >= 2:  # what few places determine
+                yield cls(axis=axis, low=low, high=high, order=min(degree, 4))
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         curve = bows(position(recording, self.axis), self.low, self.high, self.order)

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from errpipe.diagnosis import diagnose
+from errpipe.terms._lines import periods
+from errpipe.terms.straightness import Straightness
 
 from .machines import recording
 
@@ -141,3 +143,22 @@ def test_wear_is_no_drift_where_the_clock_starts_anew_with_each_tool():
     }
     first = diagnose(recording(columns, kinds))[0].responses[0].findings[0]
     assert first.effect == "tool_wear" and "sensor_drift" in first.indistinguishable_from
+
+
+def test_a_slope_at_even_places_is_no_wave_about_as_long_as_their_step():
+    x = np.tile(np.linspace(-290, 290, 30), 4)
+    bow = np.sin(3.1 * (x + 300) / 600) + 0.01 * np.random.default_rng(1).normal(size=x.size)
+    assert not [p for p in periods(x, (bow,)) if abs(1 / p - 1 / 20) * 580 < 1 or abs(1 / p - 1 / 10) * 580 < 1]
+
+
+@pytest.mark.parametrize(("places", "order"), [(2, None), (3, 2), (4, 3), (9, 4)])
+def test_a_bow_has_as_many_degrees_as_its_places_determine(places, order):
+    x = np.tile(np.linspace(0, 900, places), 3)
+    kinds = {"x": {"role": "position", "axis": "X", "unit": "mm"}}
+    bound = list(Straightness.bind(recording({"x": x}, kinds), "E_Y"))
+    assert [term.order for term in bound] == ([] if order is None else [order])
+    for term in bound:
+        assert (
+            np.linalg.matrix_rank(np.column_stack([np.ones(x.size), x, term.basis(recording({"x": x}, kinds))]))
+            == order + 1
+        )
