@@ -22,6 +22,7 @@ NEAR = 0.35  # turns over the positions covered by which a line may miss a multi
 NEAR_KNOWN = 0.12  # and of a base that is known, for it may make few turns
 MISSING_BASE = 4  # the base itself may be absent down to this share of the lowest line (cogging: slots and poles)
 FEW_PLACES = 40  # up to so many a repeated profile of chance looks like a wave: see `waves_of_few_places`
+SCATTER = 0.02  # of the longest way between neighbouring places: actual positions nearer than that are of one target
 FALSE_ALARMS = 0.01  # chance that the strongest wave of a profile of chance is taken for one
 MAX_WAVES_PER_STEP = 2.0  # waves within the mean step between places, the most that uneven places are asked about
 BOWED = 0.5  # share of a wave at the places that a cubic must leave: one that even places fold down to a bow is a bow
@@ -31,7 +32,7 @@ CLEARLY = 1.1  # factor by which a longer base must explain more power than a sh
 
 def periods(at: np.ndarray, signals: tuple[np.ndarray, ...]) -> tuple[float, ...]:
     """Lengths of the strongest waves of each signal along `at`, each with neighbours an eighth of a turn apart."""
-    span = float(np.ptp(at)) if at.size else 0.0
+    span, at = float(np.ptp(at)) if at.size else 0.0, at_targets(at)
     strongest: set[float] = set()
     few = np.unique(at).size <= FEW_PLACES
     for signal in signals:
@@ -39,6 +40,22 @@ def periods(at: np.ndarray, signals: tuple[np.ndarray, ...]) -> tuple[float, ...
             for shift in (-0.25, -0.125, 0.0, 0.125, 0.25):
                 strongest.add(float(1.0 / max(f + shift / span, 0.5 / span)))
     return tuple(sorted(strongest))
+
+
+def at_targets(at: np.ndarray) -> np.ndarray:
+    """The positions, or where they are actual ones that scatter about targets the mean of each target's, shape (rows,).
+
+    Rows of one target share its error, and the ways between targets limit the waves that they show, not the scatter.
+    """
+    order = np.argsort(at, kind="stable")
+    ways = np.diff(at[order])
+    scatter = SCATTER * float(ways.max(initial=0.0))
+    target = np.empty(at.size, dtype=int)
+    target[order] = np.r_[0, np.cumsum(ways > scatter)][: at.size]
+    first, last = (np.flatnonzero(np.diff(target[order], **end)) for end in ({"prepend": -1}, {"append": -1}))
+    if np.any(at[order][last] - at[order][first] > scatter):
+        return at  # a scan, or stretches that are scanned
+    return (np.bincount(target, at) / np.bincount(target))[target]
 
 
 def peaks(at: np.ndarray, signal: np.ndarray, most: int) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from errpipe.diagnosis import diagnose
-from errpipe.terms._lines import periods
+from errpipe.terms._lines import at_targets, periods
 from errpipe.terms.straightness import Straightness
 
 from .machines import recording
@@ -162,3 +162,13 @@ def test_a_bow_has_as_many_degrees_as_its_places_determine(places, order):
             np.linalg.matrix_rank(np.column_stack([np.ones(x.size), x, term.basis(recording({"x": x}, kinds))]))
             == order + 1
         )
+
+
+def test_rows_of_one_target_are_one_place_wherever_the_axis_really_stood():
+    rng, targets = np.random.default_rng(3), np.tile(np.linspace(22, 978, 25), 10)
+    at = targets + 1e-3 * rng.normal(size=targets.size)
+    wave = np.sin(2 * np.pi * targets / 149) + 0.1 * rng.normal(size=targets.size)
+    assert all(140 < p < 160 for p in periods(at, (wave,)))
+    assert np.unique(at_targets(at)).size == 25
+    scanned = np.concatenate([90.0 * k + np.linspace(0, 10, 41) for k in range(5)])
+    assert np.array_equal(at_targets(scanned), scanned)
