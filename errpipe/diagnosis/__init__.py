@@ -28,6 +28,7 @@ import numpy as np
 
 from errpipe.domain.diagnosis import Diagnosis, ResponseDiagnosis
 from errpipe.domain.recording import Recording
+from errpipe.drivers.between_readings import between_readings
 from errpipe.drivers.sessions import in_order_of_time
 from errpipe.terms import Term
 
@@ -70,9 +71,8 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
 
     progress(0.0, "reading the recording")
     title = recording.manifest.title
-    recording, source = derived.with_motion(in_order_of_time(recording))
-    short = thinning.thinned(recording)
-    recording = short.recording
+    recording, source = derived.with_motion(between_readings(in_order_of_time(recording)))
+    recording = (short := thinning.thinned(recording)).recording
     pairs, notes = prepare.pairs(recording)
     conditioned = prepare.condition(recording)
     shares = [0.0] * len(pairs)
