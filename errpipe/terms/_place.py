@@ -6,8 +6,11 @@ radial deviation of a circular test (`E_R`) holds x/R of it, counted from the ci
 
 from __future__ import annotations
 
+from errpipe.domain.components import positioning
 from errpipe.domain.recording import Constant, Recording
 from errpipe.drivers.motion import axes
+
+LINEAR = tuple("XYZUVWPQR")  # ISO 841: U, V, W and P, Q, R are parallel to X, Y, Z
 
 
 def own_axis(component: str) -> str | None:
@@ -18,8 +21,14 @@ def own_axis(component: str) -> str | None:
 
 
 def direction_of(component: str) -> str | None:
-    """The direction a linear deviation points in: Y of EYX, X of E_X; None for angles, E_R, E_D and forces."""
+    """The direction a linear deviation points in: Y of EYX, X of E_X; None for angles, E_R, E_D and forces.
+
+    The positioning deviation of an axis points along that axis: U of EXU, though U is parallel to X.
+    """
     if len(component) == 3 and component[0] == "E":
+        own = own_axis(component)
+        if own is not None and own in LINEAR and component == positioning(own):
+            return own
         letter = component[2] if component[1] == "_" else component[1]
         return letter if letter in "XYZUVW" else None
     return None

@@ -7,6 +7,9 @@ import pytest
 
 from errpipe.diagnosis import diagnose
 from errpipe.terms._lines import at_targets, periods
+from errpipe.terms._place import direction_of
+from errpipe.terms.scale_error import ScaleError
+from errpipe.terms.squareness import Squareness
 from errpipe.terms.straightness import Straightness
 
 from .machines import recording
@@ -172,3 +175,13 @@ def test_rows_of_one_target_are_one_place_wherever_the_axis_really_stood():
     assert np.unique(at_targets(at)).size == 25
     scanned = np.concatenate([90.0 * k + np.linspace(0, 10, 41) for k in range(5)])
     assert np.array_equal(at_targets(scanned), scanned)
+
+
+@pytest.mark.parametrize(("axis", "component"), [("U", "EXU"), ("V", "EYV"), ("R", "EZR")])
+def test_the_positioning_of_an_axis_parallel_to_another_is_its_own(axis, component):
+    """ISO 841: U runs along X, so EXU is how far U goes, and no straightness."""
+    made = recording({"u": np.linspace(0, 900, 31)}, {"u": {"role": "position", "axis": axis, "unit": "mm"}})
+    assert [term.axis for term in ScaleError.bind(made, component)] == [axis]
+    assert not list(Straightness.bind(made, component)) and not list(Squareness.bind(made, component))
+    assert list(Straightness.bind(made, f"E{'Y' if component[1] == 'X' else 'X'}{axis}"))
+    assert [direction_of(c) for c in ("EXX", "EYX", "ECC", "E_R", "E_D", "F_X")] == ["X", "Y", None, None, None, None]
