@@ -28,6 +28,7 @@ import numpy as np
 
 from errpipe.domain.diagnosis import Diagnosis, ResponseDiagnosis
 from errpipe.domain.recording import Recording
+from errpipe.drivers.between_readings import between_readings
 from errpipe.drivers.sessions import in_order_of_time
 from errpipe.terms import Term
 
@@ -69,10 +70,8 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
     from errpipe.diagnosis import derived, empirical, judge, prepare, report, thinning
 
     progress(0.0, "reading the recording")
-    title = recording.manifest.title
-    recording, source = derived.with_motion(in_order_of_time(recording))
-    short = thinning.thinned(recording)
-    recording = short.recording
+    recording, source = derived.with_motion(between_readings(in_order_of_time(recording)))
+    recording = (short := thinning.thinned(recording)).recording
     pairs, notes = prepare.pairs(recording)
     conditioned = prepare.condition(recording)
     shares = [0.0] * len(pairs)
@@ -98,5 +97,5 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
         with ThreadPoolExecutor(at_once) as pool:
             made = list(pool.map(judged, range(len(pairs)), pairs))
     responses, rows = zip(*made, strict=True)
-    diagnosis = Diagnosis(recording=title, responses=responses, notes=(*short.notes, *notes))
+    diagnosis = Diagnosis(recording=recording.manifest.title, responses=responses, notes=(*short.notes, *notes))
     return derived.named_by_source(diagnosis, source), list(rows)

@@ -290,8 +290,8 @@ class _Work:
             columns = self.library.block(i, self.recording, self.rows)
             own_columns = slice(start, start + columns.shape[1])
             weights, start = b[own_columns], own_columns.stop
-            counted = self.library.hypotheses[i].terms[0].form == "any reference"
-            form = self.library.textbook(i) if counted else self.library.cores[i]
+            counted = self.library.hypotheses[i].terms[0].form.startswith("any reference")
+            form = min((1 + counted) * self.library.cores[i], columns.shape[1])
             core, slack = columns[:, :form] @ weights[:form], columns[:, form:] @ weights[form:]
             total = total + core + slack
             doubt = _uncertain_directions(columns, spread[own_columns, own_columns])

@@ -71,7 +71,7 @@ def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
     empirical = equation(case.recording, case.pair.rows, whole, response.unit)
     named = 1.0 - (case.held.names / float(np.std(whole))) ** 2 if names and case.held else 0.0
     if empirical is not None and empirical.share > named + LEAST_SHARE:
-        known = has_a_name(case, empirical)
+        known = has_a_name(case, empirical, whole)
         p = max(min(empirical.share, MOST_LIKELY), response.findings[place].confidence if place is not None else 0.0)
         if not (known and names):
             return _unknown_first(case, response, min(p, unnamed.PROVISIONAL) if known else p, empirical)
@@ -85,15 +85,18 @@ def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
     return response.model_copy(update={"findings": findings})
 
 
-def has_a_name(case: Case, empirical: Empirical) -> bool:
+def has_a_name(case: Case, empirical: Empirical, whole: np.ndarray) -> bool:
     """Is the equation one column that is the form of an effect without non-linear parameters, or of one that is named?
 
-    It is no mechanism outside of the vocabulary, then, but that name, or an effect that noise which wanders may play.
+    Further terms count where they explain `LEAST_SHARE` more of the mismatch (rows,). It is no mechanism outside of the
+    vocabulary, then, but that name, or an effect that noise which wanders may play.
     """
     library, rows = case.library, case.pair.rows
-    if len(empirical.terms) > 1:
-        return False
     (values,) = (c.values for c in candidates(case.recording, rows) if c.name == empirical.terms[0].column)
+    alone = np.column_stack([np.ones(whole.size), case.simulated, values])  # the simulation's gain may have played it
+    left = whole - alone @ np.linalg.lstsq(alone, whole, rcond=None)[0]
+    if len(empirical.terms) > 1 and 1.0 - np.var(left) / np.var(whole) < empirical.share - LEAST_SHARE:
+        return False
     named = {f.hypothesis.effect for f in case.explanation.accepted}
     single = [i for i, h in enumerate(library.hypotheses) if not any(h.nonlinear) or h.effect in named]
     single = [i for i in single if library.cores[i] == 1 and not library.hypotheses[i].mask]
@@ -131,19 +134,15 @@ def equation(recording: Recording, rows: np.ndarray, y: np.ndarray, unit: str, s
     count = next(k for k in range(MOST_TERMS + 1) if shares[k] >= shares[best] - spread[best])
     if count == 0 or shares[count] < LEAST_SHARE:
         return None
+    far = target.size // 10, target.size - target.size // 10
     for k in range(SURROGATES):
-        surrogate = _shifted(target, rng) if k % 2 else _coloured_noise(target, rng)
+        shifted = np.roll(target, int(rng.integers(*far))) * rng.choice([-1.0, 1.0]) if k % 2 else None
+        surrogate = _coloured_noise(target, rng) if shifted is None else shifted
         if search.held_out(surrogate)[0].max() >= shares[count]:
             return None
     p = 1 / (SURROGATES + 1)
     chosen = [library[j] for j in search.chosen(target, count)]
     return _fitted(chosen, target, session, unit, float(shares[count]), p, scheme)
-
-
-def _shifted(y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A surrogate: circular shift by at least a tenth of the rows, random sign."""
-    by = int(rng.integers(y.size // 10, y.size - y.size // 10))
-    return np.roll(y, by) * rng.choice([-1.0, 1.0])
 
 
 def _coloured_noise(y: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -121,7 +121,8 @@ class Library:
 
     def textbook(self, i: int) -> int:
         """How many of its columns are its own form, with references, rises and states in which bodies started."""
-        starts = {"any reference": 1, "any rise": 1, "any start": self.starts, "any shape": self.places[i].size}
+        starts = {"any reference": 1, "any reference and end": 2, "any rise": 1, "any start": self.starts}
+        starts["any shape"] = self.places[i].size
         return min(self.cores[i] * (1 + starts.get(self.hypotheses[i].terms[0].form, 0)), self.places[i].size)
 
     def family(self, i: int) -> list[int]:
@@ -298,7 +299,7 @@ def columns_of(h: Hypothesis, recording: Recording) -> tuple[np.ndarray, np.ndar
 
 def has_level(h: Hypothesis, kind: str) -> bool:
     """Has a thermal effect in part a level of its own? The datum holds that of all rows; runs are set anew anyway."""
-    return kind != "runs" and h.terms[0].family == "thermal" and h.terms[0].form != "any reference"
+    return kind != "runs" and h.terms[0].family == "thermal" and not h.terms[0].form.startswith("any reference")
 
 
 def mask_of(mask: tuple, recording: Recording) -> np.ndarray:

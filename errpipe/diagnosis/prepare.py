@@ -317,7 +317,7 @@ def _without_edge_errors(derived: np.ndarray, recorded: np.ndarray) -> np.ndarra
 
 def _is_noisy_derivative(derived: np.ndarray, recorded: np.ndarray) -> bool:
     """Is the reading the derivative plus noise? (else the column means something else, and stays)"""
-    return bool(np.corrcoef(derived, recorded)[0, 1] > 0.98)
+    return bool(min(np.ptp(derived), np.ptp(recorded)) > 0 and np.corrcoef(derived, recorded)[0, 1] > 0.98)
 
 
 def derivative(t: np.ndarray, x: np.ndarray, run: np.ndarray, order: int = 1) -> np.ndarray:

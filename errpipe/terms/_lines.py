@@ -22,15 +22,17 @@ NEAR = 0.35  # turns over the positions covered by which a line may miss a multi
 NEAR_KNOWN = 0.12  # and of a base that is known, for it may make few turns
 MISSING_BASE = 4  # the base itself may be absent down to this share of the lowest line (cogging: slots and poles)
 FEW_PLACES = 40  # up to so many a repeated profile of chance looks like a wave: see `waves_of_few_places`
+SCATTER = 0.02  # of the longest way between neighbouring places: actual positions nearer than that are of one target
 FALSE_ALARMS = 0.01  # chance that the strongest wave of a profile of chance is taken for one
 MAX_WAVES_PER_STEP = 2.0  # waves within the mean step between places, the most that uneven places are asked about
+BOWED = 0.5  # share of a wave at the places that a cubic must leave: one that even places fold down to a bow is a bow
 FOLDED = 0.5  # share of the residual of longer waves that one shorter than two steps, an alias else, must go below
 CLEARLY = 1.1  # factor by which a longer base must explain more power than a shorter one
 
 
 def periods(at: np.ndarray, signals: tuple[np.ndarray, ...]) -> tuple[float, ...]:
     """Lengths of the strongest waves of each signal along `at`, each with neighbours an eighth of a turn apart."""
-    span = float(np.ptp(at)) if at.size else 0.0
+    span, at = float(np.ptp(at)) if at.size else 0.0, at_targets(at)
     strongest: set[float] = set()
     few = np.unique(at).size <= FEW_PLACES
     for signal in signals:
@@ -38,6 +40,22 @@ def periods(at: np.ndarray, signals: tuple[np.ndarray, ...]) -> tuple[float, ...
             for shift in (-0.25, -0.125, 0.0, 0.125, 0.25):
                 strongest.add(float(1.0 / max(f + shift / span, 0.5 / span)))
     return tuple(sorted(strongest))
+
+
+def at_targets(at: np.ndarray) -> np.ndarray:
+    """The positions, or where they are actual ones that scatter about targets the mean of each target's, shape (rows,).
+
+    Rows of one target share its error, and the ways between targets limit the waves that they show, not the scatter.
+    """
+    order = np.argsort(at, kind="stable")
+    ways = np.diff(at[order])
+    scatter = SCATTER * float(ways.max(initial=0.0))
+    target = np.empty(at.size, dtype=int)
+    target[order] = np.r_[0, np.cumsum(ways > scatter)][: at.size]
+    first, last = (np.flatnonzero(np.diff(target[order], **end)) for end in ({"prepend": -1}, {"append": -1}))
+    if np.any(at[order][last] - at[order][first] > scatter):
+        return at  # a scan, or stretches that are scanned
+    return (np.bincount(target, at) / np.bincount(target))[target]
 
 
 def peaks(at: np.ndarray, signal: np.ndarray, most: int) -> np.ndarray:
@@ -76,7 +94,7 @@ def waves_of_few_places(at: np.ndarray, signal: np.ndarray) -> np.ndarray:
     the share q of the sum of squares, chance leaves as little with q^((P - 6) / 2) times the number of frequencies
     (F test; Lomb-Scargle false-alarm probability). From MIN_TURNS_OF_WAVE to half the mean step between places: uneven
     places distinguish waves that even places alias. A wave shorter than two steps must leave less than FOLDED of what
-    longer ones do.
+    longer ones do, and one about as long as a step between even places is a slope or a bow there (BOWED).
     """
     places, index = np.unique(at, return_inverse=True)
     free = places.size - 6
@@ -88,7 +106,9 @@ def waves_of_few_places(at: np.ndarray, signal: np.ndarray) -> np.ndarray:
     frequency = np.arange(MIN_TURNS_OF_WAVE / span, highest * (1 + 1e-9), 0.125 / span)
     cubic = np.polynomial.chebyshev.chebvander(2 * (places - places[0]) / span - 1, 3)
     rest = _residual(cubic, mean)
-    left = np.array([_squares(_residual(_residual(cubic, waves(places, f)), rest)) for f in frequency])
+    beside = [_residual(cubic, waves(places, f)) for f in frequency]
+    bowed = np.array([np.sum(wave**2) < BOWED * places.size for wave in beside])  # sine and cosine: places.size in all
+    left = np.where(bowed, np.inf, [_squares(_residual(wave, rest)) for wave in beside])
     if not left.size or _squares(rest) <= 0:
         return np.zeros(0)
     chance = max(highest * span, 1.0) * (left / _squares(rest)) ** (free / 2)

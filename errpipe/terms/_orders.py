@@ -12,7 +12,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import is_rotary, position
 from errpipe.terms._base import Parameter
-from errpipe.terms._lines import FEW_PLACES, combs, lines, waves
+from errpipe.terms._lines import FEW_PLACES, at_targets, combs, lines, waves
 from errpipe.terms._search import Signals
 from errpipe.terms._slack import Slack, higher_harmonics, uneven_waves
 from errpipe.yamlfile import quantity
@@ -76,7 +76,7 @@ def seen(
 
     The first order is the strongest. known: periods stated; one turn of a rotary axis always is.
     """
-    x = position(recording, axis)[signals.rows]
+    x = at_targets(position(recording, axis)[signals.rows])
     if not signals.values or not np.isfinite(x).all() or np.unique(x).size <= FEW_PLACES:
         return
     span, turned = float(np.ptp(x)), (*known, *turn(recording, axis, NEARLY))

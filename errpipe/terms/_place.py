@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from errpipe.domain.components import is_deviation, is_force
+from errpipe.domain.components import is_deviation, is_force, positioning
 from errpipe.domain.recording import Constant, Recording
 from errpipe.drivers.motion import axes
+
+LINEAR = tuple("XYZUVWPQR")  # ISO 841: U, V, W and P, Q, R are parallel to X, Y, Z
 
 
 def own_axis(component: str) -> str | None:
@@ -21,8 +23,14 @@ def own_axis(component: str) -> str | None:
 
 
 def direction_of(component: str) -> str | None:
-    """The direction a linear deviation points in: Y of EYX, X of E_X; None for angles, E_R, E_D and forces."""
+    """The direction a linear deviation points in: Y of EYX, X of E_X; None for angles, E_R, E_D and forces.
+
+    The positioning deviation of an axis points along that axis: U of EXU, though U is parallel to X.
+    """
     if len(component) == 3 and is_deviation(component):
+        own = own_axis(component)
+        if own is not None and own in LINEAR and component == positioning(own):
+            return own
         letter = component[2] if component[1] == "_" else component[1]
         return letter if letter in "XYZUVW" else None
     return None

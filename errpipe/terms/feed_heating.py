@@ -83,10 +83,12 @@ class FeedHeating(Term):
             step_speed = np.where(logged[1:] & ~logged[:-1], recording.array(feed)[1:] / 60.0, step_speed)
         return np.nan_to_num(np.r_[step_speed, 0.0])
 
+    def _warming(self, recording: Recording, tau: float) -> np.ndarray:
+        return responses.lag(sessions(recording), recording.time(), self.speed(recording) / 100.0, tau, tau, False)
+
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        (tau,) = nonlinear
-        warming = responses.lag(sessions(recording), recording.time(), self.speed(recording) / 100.0, tau, tau, False)
-        return (warming * (position(recording, self.axis) - self.fixed_end) * 1e-3)[:, None]
+        reach = (position(recording, self.axis) - self.fixed_end) * 1e-3
+        return (self._warming(recording, *nonlinear) * reach)[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         x = position(recording, self.axis)
@@ -95,9 +97,7 @@ class FeedHeating(Term):
         yield x, 0.2
         yield from bent(base[:, 0], x)
         # the position of the fixed end is unknown
-        reach = x - self.fixed_end
-        level = base[:, 0] / np.where(np.abs(reach) > 1e-9, reach, 1e-9) * (np.nanmax(x) - np.nanmin(x))
-        yield np.where(np.abs(reach) > 1e-6, level, 0.0), 0.3
+        yield self._warming(recording, *nonlinear) * 1e-3 * (np.nanmax(x) - np.nanmin(x)), 0.3
         for factor in (0.3, 3.0):
             yield self.basis(recording, nonlinear[0] * factor)[:, 0], 0.25
 

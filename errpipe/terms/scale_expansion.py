@@ -35,7 +35,7 @@ class ScaleExpansion(Term):
     radial: Radial = False
     reports_as = "scale_expansion"
     family = "thermal"
-    form = "any reference"
+    form = "any reference and end"
     rowwise = True
     gains = (Parameter("coefficient", "um/m/K", (5.0, 20.0), (-100.0, 100.0), "growth per metre and kelvin"),)
 
@@ -60,8 +60,7 @@ class ScaleExpansion(Term):
         x = position(recording, self.axis)
         yield x, 0.7
         # the growth is counted from the fixed end, wherever that is
-        level = base[:, 0] / np.where(np.abs(x) > 1e-9, x, 1e-9) * (np.nanmax(x) - np.nanmin(x))
-        yield np.where(np.abs(x) > 1e-6, level, 0.0), 0.3
+        yield drive(rise_driver(self.sensor, self.reference), recording) * 1e-3 * (np.nanmax(x) - np.nanmin(x)), 0.3
         yield from bent(base[:, 0], x)
         rise = recording.array(self.sensor)
         for tau, most in ((400.0, 0.05), (1500.0, 0.2)):

@@ -14,6 +14,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import axes, position, position_name, share
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
+from errpipe.terms._lines import at_targets
 from errpipe.terms._place import direction_of, is_radial, own_axis
 from errpipe.terms._slack import Slack, chebyshev
 from errpipe.yamlfile import quantity
@@ -72,8 +73,8 @@ class Straightness(Term):
                 continue
             x = position(recording, axis)
             low, high = float(np.nanmin(x)), float(np.nanmax(x))
-            if high > low:
-                yield cls(axis=axis, low=low, high=high)
+            if (degree := np.unique(at_targets(x[~np.isnan(x)])).size - 1) >= 2:  # what few places determine
+                yield cls(axis=axis, low=low, high=high, order=min(degree, 4))
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         curve = bows(position(recording, self.axis), self.low, self.high, self.order)

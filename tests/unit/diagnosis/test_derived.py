@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from errpipe.diagnosis import derived, prepare
 from errpipe.domain.recording import Manifest, Recording
@@ -40,3 +41,15 @@ def test_a_drive_force_that_names_its_component_is_a_response() -> None:
     values = {"x": X, "F": 10.0 + ERROR, "cutting": ERROR**2, "sim": 0.1 * ERROR}
     accepted, refused = prepare.pairs(derived.with_responses(recording(columns, values)))
     assert [pair.error for pair in accepted] == ["F"] and not refused
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_pass_at_one_speed_is_conditioned_without_a_warning():
+    t = 0.01 * np.arange(400)
+    columns = {"t": t, "x": 3.0 * t, "v": np.full(t.size, 3.0)}
+    kinds = {
+        "t": {"role": "time", "unit": "s"},
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "v": {"role": "velocity", "axis": "X", "unit": "mm/s"},
+    }
+    assert np.array_equal(prepare.condition(recording(kinds, columns)).array("v"), columns["v"])

@@ -103,8 +103,27 @@ def test_one_column_that_an_effect_follows_is_no_unknown_mechanism(column, known
     term = EmpiricalTerm(column=name, coefficient=1.0, unit="um/K", ci95=(0.9, 1.1), rms_um=1.0)
     law = Empirical(terms=(term,), constant=0.0, unit="um", share=0.9, p=0.01, scheme="", says="")
     case = SimpleNamespace(recording=made, library=hypotheses.build(made, "E_Z", rows), pair=SimpleNamespace(rows=rows))
-    case.explanation = SimpleNamespace(accepted=())
-    assert empirical.has_a_name(case, law) == known  # type: ignore[arg-type]
+    case.explanation, case.simulated = SimpleNamespace(accepted=()), np.zeros(rows.size)
+    assert empirical.has_a_name(case, law, np.zeros(rows.size)) == known  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("further", "known"), [(0.2, True), (3.0, False)])
+def test_a_term_that_explains_little_beside_a_name_makes_no_unknown_mechanism(further, known):
+    """What is left of the simulated signal by a gain that played the name is no further term."""
+    from errpipe.diagnosis import hypotheses
+
+    made = spindle()
+    rows, room = np.arange(len(made)), made.array("T_room") - made.array("T_room").mean()
+    other = np.random.default_rng(4).normal(size=rows.size) * np.std(room)
+    name = f"(T_room - {made.array('T_room').mean():.5g})"
+    terms = [
+        EmpiricalTerm(column=c, coefficient=1.0, unit="um/K", ci95=(0.9, 1.1), rms_um=1.0) for c in (name, "other")
+    ]
+    law = Empirical(terms=tuple(terms), constant=0.0, unit="um", share=0.95, p=0.01, scheme="", says="")
+    case = SimpleNamespace(recording=made, library=hypotheses.build(made, "E_Z", rows), pair=SimpleNamespace(rows=rows))
+    case.explanation, case.simulated = SimpleNamespace(accepted=()), np.sin(rows / 7.0)
+    whole = 3 * room + further * other - 4 * np.std(room) * case.simulated
+    assert empirical.has_a_name(case, law, whole) == known  # type: ignore[arg-type]
 
 
 def test_an_equation_that_is_the_named_effect_is_no_unknown_mechanism():
@@ -119,11 +138,13 @@ def test_an_equation_that_is_the_named_effect_is_no_unknown_mechanism():
     ][-1]
     term = EmpiricalTerm(column=column, coefficient=1.0, unit="um/K", ci95=(0.9, 1.1), rms_um=1.0)
     law = Empirical(terms=(term,), constant=0.0, unit="um", share=0.9, p=0.01, scheme="", says="")
-    case = SimpleNamespace(recording=made, library=library, pair=SimpleNamespace(rows=rows))
+    case = SimpleNamespace(
+        recording=made, library=library, pair=SimpleNamespace(rows=rows), simulated=np.zeros(rows.size)
+    )
     lag = next(h for h in library.hypotheses if h.effect == "thermal_lag")
     for accepted, known in (((), False), ((SimpleNamespace(hypothesis=lag),), True)):
         case.explanation = SimpleNamespace(accepted=accepted)
-        assert empirical.has_a_name(case, law) == known  # type: ignore[arg-type]
+        assert empirical.has_a_name(case, law, np.zeros(rows.size)) == known  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("low", "high", "no_such_size"), [(7.0, 9.0, True), (4.0, 9.0, False), (-9.0, -7.0, True)])

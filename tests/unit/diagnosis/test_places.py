@@ -6,6 +6,11 @@ import numpy as np
 import pytest
 
 from errpipe.diagnosis import diagnose
+from errpipe.terms._lines import at_targets, periods
+from errpipe.terms._place import direction_of
+from errpipe.terms.scale_error import ScaleError
+from errpipe.terms.squareness import Squareness
+from errpipe.terms.straightness import Straightness
 
 from .machines import recording
 
@@ -141,3 +146,42 @@ def test_wear_is_no_drift_where_the_clock_starts_anew_with_each_tool():
     }
     first = diagnose(recording(columns, kinds))[0].responses[0].findings[0]
     assert first.effect == "tool_wear" and "sensor_drift" in first.indistinguishable_from
+
+
+def test_a_slope_at_even_places_is_no_wave_about_as_long_as_their_step():
+    x = np.tile(np.linspace(-290, 290, 30), 4)
+    bow = np.sin(3.1 * (x + 300) / 600) + 0.01 * np.random.default_rng(1).normal(size=x.size)
+    assert not [p for p in periods(x, (bow,)) if abs(1 / p - 1 / 20) * 580 < 1 or abs(1 / p - 1 / 10) * 580 < 1]
+
+
+@pytest.mark.parametrize(("places", "order"), [(2, None), (3, 2), (4, 3), (9, 4)])
+def test_a_bow_has_as_many_degrees_as_its_places_determine(places, order):
+    x = np.tile(np.linspace(0, 900, places), 3)
+    kinds = {"x": {"role": "position", "axis": "X", "unit": "mm"}}
+    bound = list(Straightness.bind(recording({"x": x}, kinds), "E_Y"))
+    assert [term.order for term in bound] == ([] if order is None else [order])
+    for term in bound:
+        assert (
+            np.linalg.matrix_rank(np.column_stack([np.ones(x.size), x, term.basis(recording({"x": x}, kinds))]))
+            == order + 1
+        )
+
+
+def test_rows_of_one_target_are_one_place_wherever_the_axis_really_stood():
+    rng, targets = np.random.default_rng(3), np.tile(np.linspace(22, 978, 25), 10)
+    at = targets + 1e-3 * rng.normal(size=targets.size)
+    wave = np.sin(2 * np.pi * targets / 149) + 0.1 * rng.normal(size=targets.size)
+    assert all(140 < p < 160 for p in periods(at, (wave,)))
+    assert np.unique(at_targets(at)).size == 25
+    scanned = np.concatenate([90.0 * k + np.linspace(0, 10, 41) for k in range(5)])
+    assert np.array_equal(at_targets(scanned), scanned)
+
+
+@pytest.mark.parametrize(("axis", "component"), [("U", "EXU"), ("V", "EYV"), ("R", "EZR")])
+def test_the_positioning_of_an_axis_parallel_to_another_is_its_own(axis, component):
+    """ISO 841: U runs along X, so EXU is how far U goes, and no straightness."""
+    made = recording({"u": np.linspace(0, 900, 31)}, {"u": {"role": "position", "axis": axis, "unit": "mm"}})
+    assert [term.axis for term in ScaleError.bind(made, component)] == [axis]
+    assert not list(Straightness.bind(made, component)) and not list(Squareness.bind(made, component))
+    assert list(Straightness.bind(made, f"E{'Y' if component[1] == 'X' else 'X'}{axis}"))
+    assert [direction_of(c) for c in ("EXX", "EYX", "ECC", "E_R", "E_D", "F_X")] == ["X", "Y", None, None, None, None]

@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from errpipe.diagnosis import hypotheses
 from errpipe.drivers.evaluation import drive
 from errpipe.terms.angular_abbe import AngularAbbe
 from errpipe.terms.coolant_effect import CoolantEffect
+from errpipe.terms.feed_heating import FeedHeating
+from errpipe.terms.scale_expansion import ScaleExpansion
 from tests.unit.diagnosis.machines import recording
 
 
@@ -55,3 +58,31 @@ def test_an_angle_may_be_zero_at_one_end():
     design = np.column_stack([base, *strong])
     left = hidden - design @ np.linalg.lstsq(design, hidden, rcond=None)[0]
     assert np.std(left) < 1e-9 * np.std(hidden)
+
+
+def test_a_screw_that_is_held_elsewhere_moves_at_its_fixed_end_too():
+    t, x = 60.0 * np.arange(200), np.tile(np.linspace(0, 600, 10), 20)
+    kinds = {"t": {"role": "time", "unit": "s"}, "x": {"role": "position", "axis": "X", "unit": "mm"}}
+    made, term = recording({"t": t, "x": x}, kinds), FeedHeating(axis="X")
+    elsewhere = FeedHeating(axis="X", fixed_end=600.0).basis(made, 3000.0)[:, 0]
+    columns = np.column_stack([base := term.basis(made, 3000.0), *(c for c, _ in term.slack(made, base, 3000.0))])
+    rest = elsewhere - columns @ np.linalg.lstsq(columns, elsewhere, rcond=None)[0]
+    assert np.std(rest) < 1e-6 * np.std(elsewhere)
+
+
+def test_an_expansion_may_grow_from_either_end_and_be_counted_from_any_temperature():
+    """A screw held at -300 mm: that end and that temperature are part of its form, what bends it is not."""
+    rng, x = np.random.default_rng(1), np.tile(np.linspace(-300.0, 300, 21), 20)
+    warm = np.repeat(rng.uniform(21, 27, 20), 21)
+    kinds = {
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "T": {"role": "temperature", "unit": "degC", "location": "screw"},
+    }
+    made = recording({"x": x, "T": warm}, kinds)
+    library = hypotheses.build(made, "EXX", np.arange(x.size), made, (np.zeros(x.size), np.zeros(x.size)))
+    (i,) = (k for k, h in enumerate(library.hypotheses) if isinstance(h.terms[0], ScaleExpansion))
+    form = library.block(i, made, np.arange(x.size))[:, : library.textbook(i)]
+    form = np.column_stack([np.ones(x.size), form])
+    for hidden, left in ((11e-3 * (x + 300) * (warm - 18), 0.0), (1e-5 * x**2 * (warm - 18), 1.0)):
+        rest = hidden - form @ np.linalg.lstsq(form, hidden, rcond=None)[0]
+        assert (np.std(rest) > 0.05) == bool(left), np.std(rest)

@@ -1,0 +1,53 @@
+"""Sensors that are read less often than the rows: straight lines between their readings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from errpipe.domain.recording import Recording
+from errpipe.drivers.sessions import sessions
+
+SLOW_ROLES = ("temperature", "pressure", "humidity")
+FEWEST_READINGS = 5  # by judgement: fewer show no course
+MOST_ROWS = 0.5  # share of rows with a reading, from which the other rows are failures
+LONGEST_GAP = 10.0  # over the mean one; a sensor that is silent for longer failed (chosen: rows lost at random reach 6)
+FEWEST_HELD = 3.0  # rows from one reading to the next, from which the rows between hold it
+
+
+def between_readings(recording: Recording) -> Recording:
+    """The recording with slow sensors that are read now and then, in fewer than half of the rows, filled in.
+
+    In the other rows they are empty or hold the last reading. Gaps of a sensor that is read in most rows, or that is
+    silent for long, are failures and stay.
+    """
+    filled = {}
+    for name in (n for role in SLOW_ROLES for n in recording.names(role)):
+        values = recording.array(name)
+        read = np.isfinite(values)
+        fresh = np.flatnonzero(read & np.r_[True, values[1:] != values[:-1]])
+        good = fresh if _held(values[fresh], np.diff(fresh)) else np.flatnonzero(read)
+        gaps = np.diff(np.r_[-1, good, values.size])
+        regular = gaps.max() * good.size < LONGEST_GAP * values.size
+        if regular and FEWEST_READINGS <= good.size < MOST_ROWS * values.size:
+            filled[name] = _lines(recording, values, good)
+    return replace(recording, frame=recording.frame.assign(**filled)) if filled else recording
+
+
+def _held(fresh: np.ndarray, ways: np.ndarray) -> bool:
+    """Does a reading change every few rows? A coarse one changes when it must. ways: rows from change to change."""
+    if fresh.size < FEWEST_READINGS:
+        return False
+    steps = np.abs(np.diff(fresh))
+    often = np.quantile(ways, 0.1) < max(FEWEST_HELD, 0.5 * float(np.median(ways)))
+    return not often and bool(np.ptp(steps) > 0.5 * np.median(steps))
+
+
+def _lines(recording: Recording, values: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """Straight lines in time between the good rows of each session; a session without any is left empty."""
+    t, session, out = recording.time(), sessions(recording), np.full(values.size, np.nan)
+    for s in np.unique(session[good]):
+        rows, known = np.flatnonzero(session == s), good[session[good] == s]
+        out[rows] = np.interp(t[rows], t[known], values[known])
+    return out
