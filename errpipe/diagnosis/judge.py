@@ -186,8 +186,12 @@ def _held(case: Case) -> holdout.HeldOut:
 
 
 def _found_again(case: Case) -> bool:
-    """Do folds find names again that bring little, or others in their place that bring held-out rows as much?"""
-    if not case.chosen() or (gain := case.explanation.accepted[0].gain) > WEAK:
+    """Do folds find names again that bring little, or others in their place that bring held-out rows as much?
+
+    What acts in part was chosen on all rows: held-out rows must bear it out whatever it brings.
+    """
+    in_part = any(f.hypothesis.mask for f in case.explanation.accepted)
+    if not case.chosen() or ((gain := case.explanation.accepted[0].gain) > WEAK and not in_part):
         return True
     return _held(case).confirms(gain, case.search.rows or case.run.size)
 
