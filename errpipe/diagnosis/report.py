@@ -39,8 +39,6 @@ UNSIZED = 0.6  # upper limit of the confidence of a finding whose size is not si
 PREDICTED = 0.5  # of the mismatch left on held-out rows, up to which names predict well (a gantry's bed leaves 0.14)
 BESIDE_FAR_OFF = 0.75  # upper limit of the confidence of a name that stands beside a gain far off: two things are said
 # to be wrong, and other names may do without one of them
-CLOSE_IN_PART = 7.0  # log Bayes factor below which a rival of what acts in part may as well be true: the ends of the part
-# suit the name that was tried first (first 96101, second 96102: 8 of 14 such names are right, 46 of 48 others)
 UNPROVED = 0.45  # upper limit of the confidence of a finding that held-out rows do not bear out, or that noise may play
 
 
@@ -112,8 +110,6 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
             most[k] = UNPROVED
         elif plausible.no_size(m):
             most[k] = UNSIZED
-        elif m.hypothesis.mask and s.margin < CLOSE_IN_PART:
-            most[k] = min(most[k], BESIDE_FAR_OFF)
     return most
 
 
