@@ -21,8 +21,8 @@ SLOW_ROLES = ("temperature", "pressure", "humidity")
 STEPWISE = ("direction", "spindle_speed", "feed", "coolant", "load", "overhang", "depth_of_cut")  # or held
 SAME = 1e-9  # share of the recorded rms below which a difference is the rounding of numbers in a file
 REVERSED = 0.25  # threshold: share of the recorded variance that the simulated value of the opposite sign leaves
-SLOPE_OFF, WHITE = 0.02, 0.05  # thresholds: slope less 1, and lag-one correlation, of a reading that is white noise about
-# the derivative (both within 0.006 where trials/first draws such a reading; 11,000 rows have 0.01 by chance)
+SLOPE_OFF, WHITE = 0.02, 0.05  # thresholds: slope less 1, and lag-one correlation, of a reading that is the derivative
+# and white noise (trials/first draws such readings: both within 0.006 of eleven, but for 0.04 of one)
 FOLLOWED = 6.0  # standard errors: threshold for the noise of a reading in the mismatch
 
 
