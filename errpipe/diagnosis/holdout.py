@@ -57,10 +57,7 @@ class HeldOut:
         return (self.bare**2 - self.textbook**2) / max(self.bare**2 - self.named**2, 1e-300)
 
     def confirms(self, gain: float, rows: float) -> bool:
-        """Do folds find a name again, or names that bring so many held-out rows the log likelihood that it promises?
-
-        Beside a recalibration, which reduces held-out rows as well.
-        """
+        """Do folds find a name again, or do names bring held-out rows, beside recalibration, what its gain promises?"""
         brought = rows * float(np.log(max(self.bare, 1e-300) / max(self.named, 1e-300)))
         return (self.again and max(self.agreement, default=0.0) >= AGAIN) or brought >= KEPT * gain
 

@@ -21,8 +21,6 @@ SLOW_ROLES = ("temperature", "pressure", "humidity")
 STEPWISE = ("direction", "spindle_speed", "feed", "coolant", "load", "overhang", "depth_of_cut")  # or held
 SAME = 1e-9  # share of the recorded rms below which a difference is the rounding of numbers in a file
 REVERSED = 0.25  # threshold: share of the recorded variance that the simulated value of the opposite sign leaves
-SLOPE_OFF, WHITE = 0.02, 0.05  # thresholds: slope less 1, and lag-one correlation, of a reading that is the derivative
-# and white noise (trials/first draws such readings: both within 0.006 of eleven, but for 0.04 of one)
 FOLLOWED = 6.0  # standard errors: threshold for the noise of a reading in the mismatch
 
 
@@ -318,14 +316,8 @@ def _without_edge_errors(derived: np.ndarray, recorded: np.ndarray) -> np.ndarra
 
 
 def _is_noisy_derivative(derived: np.ndarray, recorded: np.ndarray) -> bool:
-    """Is the reading the derivative plus noise? (else the column means something else, and stays)
-
-    Plus much noise it correlates less: then its slope on the derivative is 1, and what is left of it is white.
-    """
-    left = recorded - derived
-    steady = abs(float(recorded @ derived) / max(float(derived @ derived), 1e-300) - 1.0) < SLOPE_OFF
-    white = abs(np.corrcoef(left[1:], left[:-1])[0, 1]) < WHITE
-    return bool(np.corrcoef(derived, recorded)[0, 1] > 0.98 or (steady and white))
+    """Is the reading the derivative plus noise? (else the column means something else, and stays)"""
+    return bool(np.corrcoef(derived, recorded)[0, 1] > 0.98)
 
 
 def derivative(t: np.ndarray, x: np.ndarray, run: np.ndarray, order: int = 1) -> np.ndarray:

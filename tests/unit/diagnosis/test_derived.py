@@ -40,15 +40,3 @@ def test_a_drive_force_that_names_its_component_is_a_response() -> None:
     values = {"x": X, "F": 10.0 + ERROR, "cutting": ERROR**2, "sim": 0.1 * ERROR}
     accepted, refused = prepare.pairs(derived.with_responses(recording(columns, values)))
     assert [pair.error for pair in accepted] == ["F"] and not refused
-
-
-def test_a_noisy_reading_of_an_acceleration_is_the_derivative_whatever_its_noise():
-    """It correlates with it by 0.93 only; one that is filtered, or of another scale, means something else."""
-    rng = np.random.default_rng(3)
-    derived_one = 100.0 * np.convolve(rng.normal(size=5000), np.ones(40) / 6.3, "same")
-    reading = derived_one + rng.normal(0.0, 40.0, derived_one.size)
-    filtered = np.convolve(derived_one, np.ones(30) / 30, "same")
-    assert np.corrcoef(reading, derived_one)[0, 1] < 0.95
-    assert prepare._is_noisy_derivative(derived_one, reading)
-    assert not prepare._is_noisy_derivative(derived_one, filtered)
-    assert not prepare._is_noisy_derivative(derived_one, 0.8 * reading)
