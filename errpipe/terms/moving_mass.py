@@ -13,7 +13,6 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._equations import times
-from errpipe.terms._slack import Slack
 
 
 class MovingMass(Term):
@@ -42,12 +41,6 @@ class MovingMass(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return (1e-3 * recording.array(self.column))[:, None]
-
-    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
-        # force and motion are read a fraction of a step apart: up to one step's change of the acceleration
-        run = recording.run_codes()
-        change = np.where(np.diff(run, prepend=run[0]) == 0, np.diff(base[:, 0], prepend=base[0, 0]), 0.0)
-        yield change, float(np.std(change) / max(np.std(base[:, 0]), 1e-12))
 
     def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         return (Lowered(times(Input(name=self.column), 1e-3 * parameters["mass"])),)

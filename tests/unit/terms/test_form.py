@@ -6,7 +6,6 @@ import pytest
 from errpipe.drivers.evaluation import drive
 from errpipe.terms.angular_abbe import AngularAbbe
 from errpipe.terms.coolant_effect import CoolantEffect
-from errpipe.terms.moving_mass import MovingMass
 from errpipe.terms.reversal_spike import ReversalSpike
 from tests.unit.diagnosis.machines import recording
 
@@ -68,10 +67,9 @@ def to_and_fro(pause: float):
         "t": {"role": "time", "unit": "s"},
         "x": {"role": "position", "axis": "X", "unit": "mm"},
         "v": {"role": "velocity", "axis": "X", "unit": "mm/s"},
-        "a": {"role": "acceleration", "axis": "X", "unit": "mm/s2"},
     }
     values = {"run": np.repeat(list("12345"), 600), "t": t, "x": 10 * np.cos(phase), "v": -10 * np.pi * np.sin(phase)}
-    return recording({**values, "a": -10 * np.pi**2 * np.cos(phase)}, kinds)
+    return recording(values, kinds)
 
 
 @pytest.mark.parametrize("pause", [0.0, 40.0])
@@ -80,13 +78,3 @@ def test_a_spike_dies_away_between_two_turns_of_the_same_run(pause):
     term = ReversalSpike(axis="X")
     (tau,) = (p for p in term.nonlinear() if p.name == "tau")
     assert tau.search.limits(term, to_and_fro(pause))[1] == pytest.approx(1.0 / 3.0, rel=0.05)
-
-
-def test_a_force_that_is_read_half_a_step_later_is_still_a_mass():
-    made = to_and_fro(1.0)
-    term = MovingMass(column="a")
-    base, run = term.basis(made), made.run_codes()
-    late = np.where(np.diff(run, prepend=run[0]) == 0, 0.5 * (base[:, 0] + np.roll(base[:, 0], 1)), base[:, 0])
-    columns = np.column_stack([base, *(column for column, _ in term.slack(made, base))])
-    left = late - columns @ np.linalg.lstsq(columns, late, rcond=None)[0]
-    assert np.std(left) < 1e-4 * np.std(late) < np.std(late - base[:, 0])
