@@ -160,7 +160,7 @@ class Search:
                 inside, fewer = set(other.drivers) <= set(h.drivers), len(h.nonlinear[0]) - len(other.nonlinear[0])
                 within = AS_LIKELY if fewer > 0 else TIED
                 simpler = fewer > 0 or (fewer == 0 and len(other.drivers) < len(h.drivers))
-                if effect not in taken and lost < within and not (other.mask or h.mask) and inside and simpler:
+                if effect not in taken and lost < within and other.mask == h.mask and inside and simpler:
                     chosen = [(g.index, g.size) for g in accepted]
                     return self.accepted(self.tune([*chosen[:k], (i, f.size), *chosen[k + 1 :]]))
         return accepted
