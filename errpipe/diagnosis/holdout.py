@@ -29,7 +29,7 @@ class HeldOut:
 
     named: whitened residual rms of the findings; shaped: of findings and shapes over inputs together; names: as
     `after`, of the findings alone; bare, textbook: as `named`, without findings, and of their textbook forms alone;
-    often: effects that at least half of the folds chose.
+    often: effects that at least half of the folds chose; again: were they searched for again? What acts in part is not.
     """
 
     scheme: str
@@ -42,6 +42,7 @@ class HeldOut:
     bare: float
     textbook: float
     often: tuple[str, ...] = ()
+    again: bool = True
 
     def shape_share(self) -> float:
         """Share of the held-out variance beyond the names that shapes over inputs predict, negative where they harm."""
@@ -56,12 +57,9 @@ class HeldOut:
         return (self.bare**2 - self.textbook**2) / max(self.bare**2 - self.named**2, 1e-300)
 
     def confirms(self, gain: float, rows: float) -> bool:
-        """Do folds find a name again, or names that bring so many held-out rows the log likelihood that it promises?
-
-        Beside a recalibration, which reduces held-out rows as well.
-        """
+        """Do folds find a name again, or do names bring held-out rows, beside recalibration, what its gain promises?"""
         brought = rows * float(np.log(max(self.bare, 1e-300) / max(self.named, 1e-300)))
-        return max(self.agreement, default=0.0) >= AGAIN or brought >= KEPT * gain
+        return (self.again and max(self.agreement, default=0.0) >= AGAIN) or brought >= KEPT * gain
 
     def predicts_whole_runs(self) -> bool:
         """Do names predict whole runs that were held out? Noise does not, however slow it is."""
@@ -126,7 +124,7 @@ def held_out(case: Case) -> HeldOut:
     return HeldOut(
         scheme, rms(before), rms(after), tuple(np.mean(same, axis=0).tolist()), rms(named), rms(with_inputs),
         rms(alone), rms(bare), rms(textbook),
-        tuple(sorted(e for e, count in found.items() if count >= AGAIN * len(same))),
+        tuple(sorted(e for e, count in found.items() if count >= AGAIN * len(same))), not in_part,
     )  # fmt: skip
 
 

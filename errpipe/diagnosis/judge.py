@@ -186,10 +186,10 @@ def _held(case: Case) -> holdout.HeldOut:
 
 
 def _found_again(case: Case) -> bool:
-    """Do folds find names again that bring little, or others in their place that bring held-out rows as much?"""
-    if not case.chosen() or (gain := case.explanation.accepted[0].gain) > WEAK:
-        return True
-    return _held(case).confirms(gain, case.search.rows or case.run.size)
+    """Do folds find names again that bring little, or act in part, or bring held-out rows as much?"""
+    gain = max((f.gain for f in case.explanation.accepted), default=np.inf)
+    strong = gain > WEAK and not any(f.hypothesis.mask for f in case.explanation.accepted)
+    return not case.chosen() or strong or _held(case).confirms(gain, case.search.rows or case.run.size)
 
 
 def _nothing_named(made: SetUp) -> Case:

@@ -29,17 +29,17 @@ AT_REST = 0.1  # of the highest speed of a run: slower, it begins where the axis
 
 @dataclass(frozen=True)
 class DecayBeforeNextReversal(Times):
-    """A time constant, from the sampling step to a third of the longer times between two turns of the axis."""
+    """A time constant, from the sampling step to a third of the time between two turns of the axis within a run."""
 
     def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
         """Smallest and largest value that the recording resolves."""
         low, high = super().limits(term, recording)
-        turns = recording.time()[1:][np.diff(direction(recording, term.axis)) != 0]
-        gaps = np.diff(turns)
-        gaps = gaps[gaps > 0]
-        if not gaps.size:
-            return low, high
-        return low, min(high, MAX_SHARE_OF_TURN * float(np.quantile(gaps, 0.9)))  # at rest the sign may alternate
+        t, run = recording.time(), recording.run_codes()
+        turns = np.r_[True, (np.diff(direction(recording, term.axis)) != 0) | (np.diff(run) != 0)]
+        first = np.flatnonzero(turns)
+        between = (t[np.r_[first[1:], t.size] - 1] - t[first])[np.cumsum(turns) - 1]
+        # of the median row: at rest the sign may alternate, and what passes between runs is no travel
+        return low, max(low, min(high, MAX_SHARE_OF_TURN * float(np.median(between))))
 
 
 class ReversalSpike(Term):

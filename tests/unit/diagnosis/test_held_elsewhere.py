@@ -66,13 +66,24 @@ def test_names_are_judged_by_what_they_leave_beyond_the_noise_of_a_row(after, no
 
 
 @pytest.mark.parametrize(
-    ("gain", "again", "named", "found"),
-    [(30.0, 0.2, 1.09, False), (30.0, 0.6, 1.09, True), (80.0, 0.2, 1.09, True), (30.0, 0.2, 1.0, True)],
+    ("gain", "again", "named", "mask", "found"),
+    [
+        (30.0, 0.2, 1.09, (), False),
+        (30.0, 0.6, 1.09, (), True),
+        (80.0, 0.2, 1.09, (), True),
+        (30.0, 0.2, 1.0, (), True),
+        (80.0, 1.0, 1.0, ("runs", ("2",)), False),
+        (30.0, 1.0, 1.0, ("runs", ("2",)), True),
+    ],
 )
-def test_a_weak_name_must_be_found_again_without_a_fold(gain, again, named, found):
-    """Or another one that brings held-out rows as much: look-alikes take each other's place."""
-    held = HeldOut("40 blocks", 1.23, named, (again,), named, named, named, 1.1, named)
-    explanation, search = SimpleNamespace(accepted=[SimpleNamespace(gain=gain)]), SimpleNamespace(rows=None)
+def test_a_weak_name_must_be_found_again_without_a_fold(gain, again, named, mask, found):
+    """Or another one that brings held-out rows as much: look-alikes take each other's place.
+
+    What acts in part was chosen on all rows: no fold could but find it again, so it must bring them what it promises.
+    """
+    held = HeldOut("40 blocks", 1.23, named, (again,), named, named, named, 1.1, named, again=not mask)
+    accepted = [SimpleNamespace(gain=gain, hypothesis=SimpleNamespace(mask=mask))]
+    explanation, search = SimpleNamespace(accepted=accepted), SimpleNamespace(rows=None)
     case = SimpleNamespace(chosen=lambda: [(0, 1.0)], explanation=explanation, held=held, run=np.zeros(200))
     case.search = search
     assert judge._found_again(case) is found

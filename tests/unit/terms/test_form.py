@@ -8,6 +8,7 @@ from errpipe.drivers.evaluation import drive
 from errpipe.terms.angular_abbe import AngularAbbe
 from errpipe.terms.coolant_effect import CoolantEffect
 from errpipe.terms.feed_heating import FeedHeating
+from errpipe.terms.reversal_spike import ReversalSpike
 from errpipe.terms.scale_expansion import ScaleExpansion
 from tests.unit.diagnosis.machines import recording
 
@@ -86,3 +87,25 @@ def test_an_expansion_may_grow_from_either_end_and_be_counted_from_any_temperatu
     for hidden, left in ((11e-3 * (x + 300) * (warm - 18), 0.0), (1e-5 * x**2 * (warm - 18), 1.0)):
         rest = hidden - form @ np.linalg.lstsq(form, hidden, rcond=None)[0]
         assert (np.std(rest) > 0.05) == bool(left), np.std(rest)
+
+
+def to_and_fro(pause: float):
+    """An axis that swings once in 2 s, logged at 100 Hz in five runs with a pause between them."""
+    t = np.tile(0.01 * np.arange(600), 5) + np.repeat(np.arange(5) * (6.0 + pause), 600)
+    phase = np.pi * np.tile(0.01 * np.arange(600), 5)
+    kinds = {
+        "run": {"role": "run"},
+        "t": {"role": "time", "unit": "s"},
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "v": {"role": "velocity", "axis": "X", "unit": "mm/s"},
+    }
+    values = {"run": np.repeat(list("12345"), 600), "t": t, "x": 10 * np.cos(phase), "v": -10 * np.pi * np.sin(phase)}
+    return recording(values, kinds)
+
+
+@pytest.mark.parametrize("pause", [0.0, 40.0])
+def test_a_spike_dies_away_between_two_turns_of_the_same_run(pause):
+    """With the pauses between runs counted as travel it could last 13 s, which is dry friction."""
+    term = ReversalSpike(axis="X")
+    (tau,) = (p for p in term.nonlinear() if p.name == "tau")
+    assert tau.search.limits(term, to_and_fro(pause))[1] == pytest.approx(1.0 / 3.0, rel=0.05)
