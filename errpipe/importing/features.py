@@ -167,7 +167,7 @@ def _readings(rows: list[list[Cell]]) -> Iterator[_Reading]:
         if beside:
             found = [(axis, "", numbers) for axis, numbers in _beside_words(cells, comma)]
         elif per_axis:
-            found = _columns_per_axis(header, row, comma)
+            found = _columns_per_axis(header, row, r, comma)
         else:
             found = _below(header, row, comma)
         whole = [one for one in found if NOMINAL in one[2] and {ACTUAL, DEVIATION} & {*one[2]}]
@@ -228,7 +228,9 @@ def _below(header: list[str], row: list[Cell], comma: bool) -> list[tuple[str, s
     return [(str(_axis(row[at[-1]])), " ".join(filter(None, words)), numbers)]
 
 
-def _columns_per_axis(header: list[str], row: list[Cell], comma: bool) -> list[tuple[str, str, dict[str, float]]]:
+def _columns_per_axis(
+    header: list[str], row: list[Cell], r: int, comma: bool
+) -> list[tuple[str, str, dict[str, float]]]:
     """Coordinates of a row of a table of features: `Feature;Nominal X;Actual X;Nominal Y;...`."""
     names = [i for i, text in enumerate(header) if _NAME_OF_FEATURE.search(plain(text)) and not _kind(text)]
     if not names or len(row) != len(header) or not row[names[0]]:
@@ -238,7 +240,7 @@ def _columns_per_axis(header: list[str], row: list[Cell], comma: bool) -> list[t
         axis, kind, value = _axis(text), _kind(text), number(cell, comma)
         if axis and kind and value is not None:
             found.setdefault(axis, {}).setdefault(kind, value)
-    return [(axis, f"{label(row[names[0]])} {id(row)}", numbers) for axis, numbers in found.items()]
+    return [(axis, f"{label(row[names[0]])} (line {r + 1})", numbers) for axis, numbers in found.items()]
 
 
 def _features(readings: list[_Reading]) -> list[dict[str, _Reading]]:
