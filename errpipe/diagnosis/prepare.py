@@ -13,7 +13,7 @@ from errpipe.errors import DataError
 
 LEAST_ROWS = 30  # fewer rows cannot carry a finding and a hold-out
 MOST_SLOW, MOST_FAST, STRETCHES = 4000, 20000, 40  # rows judged; more cost time and change the result little
-MOST_MISSING = 0.5  # share of gaps above which a sensor is left out
+MOST_MISSING = 0.75  # share of gaps above which a sensor is left out; one that failed for half of the time is a finding
 AT_ONCE = 100_000  # rows whose neighbours are in memory at once
 WINDOWS = (0.7, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0)  # smoothing widths tried, in rows
 BETWEEN = ("position", "command", "cut_length", "velocity", "acceleration")  # roles whose gaps are interpolated,
@@ -156,7 +156,9 @@ def condition(recording: Recording) -> Recording:
                 dropped.append(name)
                 continue
             filled = fill(t, values, session)
-            columns[name] = filled if role == "force" else smooth(filled, segments(filled, run))
+            columns[name] = (
+                filled if role == "force" else smooth(filled, segments(filled, run, _long(~np.isfinite(values))))
+            )
     for role in (*BETWEEN, *STEPWISE):
         for name in recording.names(role):
             values = recording.array(name)
@@ -208,12 +210,12 @@ class Conditioned(Recording):
         return self._arrays[name]
 
 
-def segments(values: np.ndarray, run: np.ndarray) -> np.ndarray:
-    """Run codes, split further where a reading jumps: nothing is smoothed across a jump."""
+def segments(values: np.ndarray, run: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """Run codes, split further where a reading jumps or begins or ends to be held: nothing is smoothed across these."""
     step = np.abs(np.diff(values))
     jump = step > np.maximum(12 * np.median(step) + 1e-9, 0.35)
     usual_step = np.convolve(step, np.ones(9) / 9, mode="same") - step / 9 if step.size >= 9 else step
-    return run * 1000 + np.r_[0, np.cumsum(jump & (step > 8 * usual_step))]
+    return run * 1000 + np.r_[0, np.cumsum((jump & (step > 8 * usual_step)) | (held[1:] != held[:-1]))]
 
 
 def usable(values: np.ndarray) -> bool:

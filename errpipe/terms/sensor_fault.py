@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PrivateAttr
 
 from errpipe.domain.components import is_deviation
 from errpipe.domain.recording import Recording
@@ -21,6 +21,10 @@ from errpipe.terms._warm import sensors
 
 ROWS_EACH_SIDE = 5  # rows on either side of a jump whose medians give its step
 ALIKE = 2.0  # factor between a jump off and the jump back
+DRAWN = (
+    0.3  # of the fault: prior standard deviation of what the reading drawn through the gap misses (chosen on 40 faults)
+)
+BENDS = 4  # half waves along the stretch, from which that may be made
 STILL = 0.05  # of a jump, within which a reading stands still before it
 
 
@@ -49,6 +53,10 @@ class SensorFault(Term):
     misread = True
     in_part = "never"
     prior_log_odds = -3.0
+    _silent: bool = PrivateAttr(False)  # did it read nothing? Then that it failed is seen, and no choice among jumps
+
+    def log_prior_odds(self) -> float:
+        return 0.0 if self._silent else self.prior_log_odds
 
     def linear(self) -> tuple[Parameter, ...]:
         unit = "um/m/K" if self.axis else "um/K"
@@ -61,10 +69,13 @@ class SensorFault(Term):
     def bind(cls, recording: Recording, component: str) -> Iterator[SensorFault]:
         if is_deviation(component):
             for sensor in recording.names("temperature"):
+                gaps = set(silent(recording.array(sensor)))
                 for first, last in suspicious(recording.array(sensor), recording.time()):
                     stepped = (False, True) if step_of(recording.array(sensor), first, last) else (False,)
                     for axis, how in itertools.product((None, *linear_axes_acting(recording, component)), stepped):
-                        yield cls(sensor=sensor, first=first, last=last, axis=axis, stepped=how)
+                        term = cls(sensor=sensor, first=first, last=last, axis=axis, stepped=how)
+                        term._silent = (first, last) in gaps
+                        yield term
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         read = recording.array(self.sensor)
@@ -85,9 +96,14 @@ class SensorFault(Term):
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         rows = np.arange(len(recording))
         inside = ((rows >= self.first) & (rows <= self.last)) * self._reach(recording)
-        if not self.stepped:
-            yield inside, 0.3
-        yield inside * (rows - self.first) / max(self.last - self.first, 1), 0.3
+        along = (rows - self.first) / max(self.last - self.first, 1)
+        if self.stepped:
+            yield inside * along, DRAWN
+            return
+        yield inside, DRAWN
+        yield inside * along, DRAWN
+        for wave in range(1, BENDS + 1):
+            yield inside * np.sin(np.pi * wave * along), DRAWN / wave
 
     def acts_where(self, recording: Recording, *nonlinear: float) -> dict[str, tuple[float, float]]:
         clock, t = recording.name("time"), recording.time()
@@ -112,7 +128,8 @@ def step_of(values: np.ndarray, first: int, last: int) -> float:
 def reconstructed(recording: Recording, sensor: str, first: int, last: int) -> np.ndarray:
     """What a sensor should have read: from the others, now and late, as they went together outside rows first..last.
 
-    How they went together is kept: the fault is tried on every axis and response.
+    What they miss of the readings on either side is drawn on between them. How they went together is kept: the fault
+    is tried on every axis and response.
     """
     read = recording.array(sensor)
     if ("others", sensor) not in recording.derived:
@@ -122,7 +139,17 @@ def reconstructed(recording: Recording, sensor: str, first: int, last: int) -> n
         good[first : last + 1] = False
         recording.derived["others", sensor, first, last] = _together(recording.derived["others", sensor], read, good)
     size, weights = recording.derived["others", sensor, first, last]
-    return recording.derived["others", sensor] / size @ weights if weights.size else read
+    if not weights.size:
+        return read
+    drawn = recording.derived["others", sensor] / size @ weights
+    sides = [(max(first - ROWS_EACH_SIDE, 0), first), (last + 1, last + 1 + ROWS_EACH_SIDE)]
+    missed = [
+        (row, np.nanmedian(gap))
+        for (a, b), row in zip(sides, (first, last + 1), strict=True)
+        if np.isfinite(gap := (read - drawn)[a:b]).any()
+    ]
+    rows = np.arange(len(read))
+    return drawn + np.interp(rows, *zip(*missed, strict=True)) if missed else drawn
 
 
 def _together(others: np.ndarray, read: np.ndarray, good: np.ndarray) -> np.ndarray:
@@ -163,7 +190,7 @@ def suspicious(values: np.ndarray, t: np.ndarray, least: int = 8) -> list[tuple[
     finite = np.isfinite(values)
     if finite.sum() < 30:
         return []
-    out = [ab for ab in _stretches(~finite) if ab[1] - ab[0] + 1 >= max(least, n // 100)]
+    out = silent(values, least)
     filled = np.interp(np.arange(n), np.flatnonzero(finite), values[finite])
     step = np.abs(np.diff(filled))
     usual = np.median(step) + 1e-9
@@ -179,16 +206,22 @@ def suspicious(values: np.ndarray, t: np.ndarray, least: int = 8) -> list[tuple[
     stuck_stretches = [ab for ab in _stretches(stuck & finite) if ab[1] - ab[0] + 1 >= max(4 * least, n // 30)]
     paused = pause[jumps - 1] > 2.0 * beside[jumps - 1]  # bodies cool by themselves then: such jumps come last
     strongest = jumps[np.lexsort((-step[jumps - 1], paused))][:5]
-    edges, calm = np.sort(strongest), _rolling_median(filled, 9)
+    edges = np.sort(strongest)
     for i, a in enumerate(edges):
         out += [(int(a), int(b) - 1) for b in edges[i + 1 :] if b - a >= least]
         out += [(int(a), n - 1)] if n - a >= least else []
-        off = np.abs(calm[:a] - np.median(filled[max(a - ROWS_EACH_SIDE, 0) : a]))
+        off = np.abs(_rolling_median(filled[:a], 9) - np.median(filled[max(a - ROWS_EACH_SIDE, 0) : a]))
         away = np.flatnonzero(off > usual + STILL * step[a - 1])
         start = int(away[-1]) + 1 if away.size else 0  # stood still until it jumped
         out += [(start, int(a) - 1)] if a - start >= max(4 * least, n // 30) else []
     out += stuck_stretches[:3]
     return sorted(set(out))[:24]
+
+
+def silent(values: np.ndarray, least: int = 8) -> list[tuple[int, int]]:
+    """First and last row of stretches where a sensor reads nothing."""
+    least = max(least, values.size // 100)
+    return [ab for ab in _stretches(~np.isfinite(values)) if ab[1] - ab[0] + 1 >= least]
 
 
 def _stretches(flags: np.ndarray) -> list[tuple[int, int]]:

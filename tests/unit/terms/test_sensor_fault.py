@@ -6,7 +6,7 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.terms import sensor_fault
-from errpipe.terms.sensor_fault import SensorFault
+from errpipe.terms.sensor_fault import SensorFault, reconstructed, suspicious
 from tests.unit.diagnosis.machines import recording
 
 ROWS = 200
@@ -30,3 +30,35 @@ def test_lags_of_the_other_sensors_are_worked_out_once_for_all_suspected_stretch
     assert [b.tobytes() for b in bases] == [b.tobytes() for b in alone]
     rows = np.arange(ROWS)
     assert all(not b[(rows < f) | (rows > f + 20)].any() for b, f in zip(bases, (50, 90, 130), strict=True))
+
+
+def test_a_reading_is_drawn_on_between_the_readings_on_either_side() -> None:
+    """A body of its own, warmed by what no other sensor sees, is off by little at the ends of the gap."""
+    made = _recording()
+    own = made.array("a") + 1e-4 * made.time()
+    made = recording(
+        {n: made.array(n) for n in "tbc"} | {"a": own},
+        {n: {"role": "temperature", "unit": "degC"} for n in "abc"} | {"t": {"role": "time", "unit": "s"}},
+    )
+    drawn = reconstructed(made, "a", 80, 140)
+    assert np.abs(drawn - own)[[80, 140]].max() < 0.02 < np.std(own)
+
+
+def test_a_stretch_that_stands_still_until_it_jumps_ends_at_the_jump() -> None:
+    rng = np.random.default_rng(3)
+    read = np.r_[18.6 - 0.01 * np.arange(80), np.full(140, 17.65), np.full(200, 15.7)]
+    read = np.round(read + 0.03 * rng.standard_normal(read.size), 1)
+    ((first, last),) = [ab for ab in suspicious(read, 180.0 * np.arange(read.size)) if ab[1] == 219]
+    assert 60 <= first <= 90 and last == 219
+
+
+def test_a_sensor_that_reads_nothing_is_seen_to_have_failed() -> None:
+    made = _recording()
+    read = np.where((np.arange(ROWS) > 80) & (np.arange(ROWS) < 140), np.nan, made.array("b"))
+    made = recording(
+        {n: made.array(n) for n in "tac"} | {"b": read},
+        {n: {"role": "temperature", "unit": "degC"} for n in "abc"} | {"t": {"role": "time", "unit": "s"}},
+    )
+    odds = {(h.sensor, h.first, h.last): h.log_prior_odds() for h in SensorFault.bind(made, "EXX")}
+    assert odds.pop(("b", 81, 139)) == 0.0
+    assert all(o == SensorFault.prior_log_odds for o in odds.values())
