@@ -143,13 +143,9 @@ def reconstructed(recording: Recording, sensor: str, first: int, last: int) -> n
         return read
     drawn = recording.derived["others", sensor] / size @ weights
     sides = [(max(first - ROWS_EACH_SIDE, 0), first), (last + 1, last + 1 + ROWS_EACH_SIDE)]
-    missed = [
-        (row, np.nanmedian(gap))
-        for (a, b), row in zip(sides, (first, last + 1), strict=True)
-        if np.isfinite(gap := (read - drawn)[a:b]).any()
-    ]
-    rows = np.arange(len(read))
-    return drawn + np.interp(rows, *zip(*missed, strict=True)) if missed else drawn
+    ends = [(row, read[a:b] - drawn[a:b]) for (a, b), row in zip(sides, (first, last + 1), strict=True)]
+    missed = {row: float(np.nanmedian(gap)) for row, gap in ends if np.isfinite(gap).any()}
+    return drawn + np.interp(np.arange(len(read)), [*missed], [*missed.values()]) if missed else drawn
 
 
 def _together(others: np.ndarray, read: np.ndarray, good: np.ndarray) -> np.ndarray:
