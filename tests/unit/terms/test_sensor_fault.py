@@ -46,7 +46,7 @@ def test_a_reading_is_drawn_on_between_the_readings_on_either_side() -> None:
 
 def test_a_stretch_that_stands_still_until_it_jumps_ends_at_the_jump() -> None:
     still = np.where(np.arange(140) % 10 == 5, 17.6, 17.7)
-    read = np.r_[np.round(18.6 - 0.01 * np.arange(80), 1), still, np.full(200, 15.7)]
+    read = np.r_[np.round(18.6 - 0.01 * np.arange(80), 1), still, np.full(200, 15.9)]
     ((first, last),) = [ab for ab in suspicious(read, 180.0 * np.arange(read.size)) if ab[1] == 219]
     assert 60 <= first <= 90 and last == 219
 
