@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +22,7 @@ MOVES = 1.0  # K between medians of runs: several times the noise and the calibr
 FEWEST = 3  # groups; two cannot tell heat from whatever else differs between them
 LEAST = 0.05  # share of the held-out rms that a step must take away (by judgement)
 MOST_FOLDS = 12  # more cost time: three dozen models are judged
+SEEN = 0.9  # share of the rows of every group in which a temperature that is proposed was read
 TIE = 0.01  # of the held-out rms: fewer terms win within it
 MOST_ROWS = 6000  # judged: rows of a run resemble each other, and a laser test has fewer
 
@@ -48,11 +49,12 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
 
     lines = text.splitlines()
     candidates = [line for line in lines if WARM in line]
-    sensors = moving(recording) if candidates and recording is not None else []
+    cleaned = _cleaned(recording) if candidates and recording is not None and moving(recording) else None
+    sensors = moving(cleaned) if cleaned is not None else []
     filled = [line.replace(WARM, as_word(name)) for line in candidates for name in sensors]
-    steps = [(k,) for k in range(len(filled))]
+    steps: list[tuple[int, ...]] = [(k,) for k in range(len(filled))]
     steps += [tuple(range(k, len(filled), len(sensors))) for k in range(len(sensors))]  # all terms of one sensor
-    scheme = scheme_of(recording) if filled else None
+    scheme = scheme_of(cleaned) if cleaned is not None and filled else None
 
     def written(chosen: Sequence[int]) -> str:
         out: list[str] = []
@@ -71,13 +73,23 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
         made: Family = FAMILIES[DEFAULT].model_validate(entry)
         return made
 
-    heat = helpful(recording, scheme, family, steps, len(sensors)) if scheme is not None else None
-    if heat is None:
+    heat = cleaned is not None and scheme is not None and helpful(cleaned, scheme, family, steps, len(sensors))
+    if not heat:
         return written(()), []
-    groups = holdout.name(heat.scheme)
-    why = f"with heat: {groups} leaves {heat.after:.3g} um, {heat.before:.3g} um by the same model without temperatures"
-    spec = re.sub(r"(?m)^( +holdout: ).*", rf"\g<1>{_flow(heat.scheme)}   # {why}", written(heat.terms))
-    return spec, [why]
+    what = holdout.name(heat.scheme)
+    why = f"terms of heat: {what} leaves {heat.after:.3g} um with them, {heat.before:.3g} um without temperatures"
+    said = f"{_flow(heat.scheme)}   # {why}"
+    return re.sub(r"(?m)^( +holdout: ).*", lambda found: found[1] + said, written(heat.terms)), [why]
+
+
+def _cleaned(recording: Recording) -> Recording | None:
+    """The recording as the pipeline cleans it: a sensor that is set aside is no candidate. None where it is refused."""
+    from errpipe.cleaning import clean
+    from errpipe.errors import DataError
+
+    with suppress(DataError):
+        return clean(recording)[0]
+    return None
 
 
 def as_word(name: str) -> str:
@@ -116,13 +128,13 @@ def scheme_of(recording: Recording) -> HoldOut | None:
         count = np.unique(label).size
         if count >= FEWEST and np.unique(np.stack([run, label]), axis=1).shape[1] == np.unique(run).size:
             known[of] = count
-    of = min(known, key=lambda name: known[name], default=None)
-    count = known[of] if of else np.unique(run).size
+    coarsest = min(known, key=lambda name: known[name]) if known else None
+    count = known[coarsest] if coarsest else np.unique(run).size
     if count < FEWEST:
         return None
     if count > MOST_FOLDS:
-        return holdout.HoldOut(scheme="batches", of=of, blocks=MOST_FOLDS)
-    return holdout.HoldOut(scheme="leave-one-group-out" if of else "leave-one-run-out", of=of)
+        return holdout.HoldOut(scheme="batches", of=coarsest, blocks=MOST_FOLDS)
+    return holdout.HoldOut(scheme="leave-one-group-out" if coarsest else "leave-one-run-out", of=coarsest)
 
 
 def helpful(
@@ -141,12 +153,12 @@ def helpful(
     from errpipe.validation import significance
 
     recording = recording.take(np.arange(len(recording)) % -(-len(recording) // MOST_ROWS) == 0)
-    judged, chosen = _judged(recording, scheme, family(())), ()
-    first = judged
+    chosen: tuple[int, ...] = ()
+    first = judged = _judged(recording, scheme, family(chosen))
     while judged is not None:
         wider = {tuple(sorted({*chosen, *step})) for step in steps} - {chosen}
         tried = {terms: _judged(recording, scheme, family(terms)) for terms in sorted(wider)}
-        able = {terms: left for terms, left in tried.items() if left is not None and _pairs(judged, left)}
+        able = {terms: left for terms, left in tried.items() if left is not None and _comparable(judged, left)}
         best = min((_rms(left) for left in able.values()), default=np.inf)
         if best > (1.0 - LEAST) * _rms(judged):
             break
@@ -183,13 +195,11 @@ def _judged(recording: Recording, scheme: HoldOut, family: Family) -> list[HeldO
         return None
 
 
-def _pairs(without: Sequence[HeldOut], having: Sequence[HeldOut]) -> list[HeldOut]:
-    """Residuals without (before) and with (after) a term; empty where it cannot be evaluated on the same rows."""
-    if len(without) != len(having):
-        return []
-    if any(not np.array_equal(w.rows, h.rows) for w, h in zip(without, having, strict=True)):
-        return []
-    return [replace(h, before=w.after) for w, h in zip(without, having, strict=True)]
+def _comparable(without: Sequence[HeldOut], having: Sequence[HeldOut]) -> bool:
+    """Whether more terms are judged on the same rows, but for the few where a temperature is missing."""
+    return len(without) == len(having) and all(
+        h.rows.size > SEEN * w.rows.size for w, h in zip(without, having, strict=True)
+    )
 
 
 def _rms(folds: Sequence[HeldOut]) -> float:

@@ -142,10 +142,11 @@ def _filled(
     )
     for word, value in words.items():
         text = text.replace(f"@{word}@", value)
+    kept = [line for line in text.splitlines() if backlash or "term: backlash" not in line]
+    text, why = _init_heat.proposed("\n".join([*kept, ""]), facts["recording"] if recording is not None else None)
     if targets:
         text = re.sub(r"(?m)^(\s*targets: ).*", rf"\g<1>[{', '.join(targets)}]", text)
-    kept = [line for line in text.splitlines() if backlash or "term: backlash" not in line]
-    return _init_heat.proposed("\n".join([*kept, ""]), facts["recording"] if recording is not None else None)
+    return text, why
 
 
 def _facts(folder: Path) -> dict[str, Any]:
@@ -176,7 +177,7 @@ def _facts(folder: Path) -> dict[str, Any]:
         "sensors": recording.names("temperature"),
         "roles": roles,
         "others": [c for c in recorded if c != component],
-        "recording": recording,
+        "recording": recording if place is not None and recording.manifest.columns[place].unit == "mm" else None,
     }
 
 
