@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -159,10 +159,12 @@ def helpful(
         wider = {tuple(sorted({*chosen, *step})) for step in steps} - {chosen}
         tried = {terms: _judged(recording, scheme, family(terms)) for terms in sorted(wider)}
         able = {terms: left for terms, left in tried.items() if left is not None and _comparable(judged, left)}
-        best = min((_rms(left) for left in able.values()), default=np.inf)
-        if best > (1.0 - LEAST) * _rms(judged):
+        able = {terms: left for terms, left in able.items() if _rms(left) <= (1.0 - LEAST) * _rms(judged)}
+        while able and not _identifiable(recording, family(_best(able))):
+            del able[_best(able)]
+        if not able:
             break
-        terms = min((t for t, left in able.items() if _rms(left) <= (1.0 + TIE) * best), key=len)
+        terms = _best(able)
         runs = significance.independent_runs(recording, judged)
         if _chance(_rms(judged), _rms(able[terms]), runs, len(terms)) > significance.LEVEL / sensors:
             break
@@ -193,6 +195,23 @@ def _judged(recording: Recording, scheme: HoldOut, family: Family) -> list[HeldO
         return [left for fold in folds for left in family.judge(dated, fold).values()]
     except DataError:
         return None
+
+
+def _identifiable(recording: Recording, family: Family) -> bool:
+    """Whether the fit on all rows is not refused, such as for two sensors that rise together."""
+    from errpipe.errors import DataError
+
+    try:
+        family.fit(recording)
+    except DataError:
+        return False
+    return True
+
+
+def _best(able: Mapping[tuple[int, ...], Sequence[HeldOut]]) -> tuple[int, ...]:
+    """The fewest terms within TIE of the least held-out rms."""
+    least = min(map(_rms, able.values()))
+    return min((terms for terms, left in able.items() if _rms(left) <= (1.0 + TIE) * least), key=len)
 
 
 def _comparable(without: Sequence[HeldOut], having: Sequence[HeldOut]) -> bool:
