@@ -13,6 +13,7 @@ from errpipe.cli.app import main
 from errpipe.domain.recording import Column, Recording
 from errpipe.simulation import folder as recording_folder
 from errpipe.simulation import sample_recordings
+from errpipe.stages import _init_heat
 
 STATES = (17.0, 19.0, 20.0, 23.0, 26.0)  # degC of the screw, one for each run of the sample
 GROWTH = 11.0  # um/m/K
@@ -81,3 +82,14 @@ def test_seasons_are_left_out_whole(tmp_path: Path) -> None:
 def test_targets_of_the_user_are_the_only_ones(tmp_path: Path) -> None:
     text = _pipeline(tmp_path, _axis(GROWTH), "--target", "c_runtime")
     assert "term: scale_expansion" in text and text.count("targets: ") == 1 and "targets: [c_runtime]\n" in text
+
+
+def test_sensors_that_rise_together_are_not_both_proposed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The screw has a third of one and two thirds of the other: a fit of both is refused, and the run ended there."""
+    monkeypatch.setattr(_init_heat, "_chance", lambda *figures: 0.0)  # as of many runs
+    made = _axis(6.0 * GROWTH)
+    warm = np.asarray(STATES)[made.run_codes()]
+    part = 0.3 * np.asarray([0.5, -0.5, 0.6, -0.4, -0.2])[made.run_codes()]  # K by which they part
+    _pipeline(tmp_path, made.with_columns({"T 1": warm + part, "T_2": warm - part / 2.0}, {}))
+    pipeline = str(tmp_path / "work" / "pipeline.yaml")
+    assert main(["run", pipeline, "--out", str(tmp_path / "out"), "--to", "fit"]) == 0
