@@ -60,7 +60,7 @@ def init(folder: Path, name: str, recording: Path | None = None, targets: Sequen
     template, folder = TEMPLATES[name], Path(folder)
     if recording is not None and template.sample is None and template.own is None:
         raise UsageError(f"template {name} simulates its recording; replace that stage in {PIPELINE} (no --recording)")
-    texts = _texts(name, template, folder, recording, targets)
+    texts, why = _texts(name, template, folder, recording, targets)
     existing = [n for n in texts if (folder / n).exists()]
     if existing:
         raise UsageError(f"{folder}: {', '.join(existing)} is there already; nothing was written")
@@ -75,7 +75,7 @@ def init(folder: Path, name: str, recording: Path | None = None, targets: Sequen
         jsonfile.write_text(own / "recording.yaml", _as_written.marked(manifest, table))  # `import` may replace it
     for file, text in texts.items():
         jsonfile.write_text(folder / file, text)
-    says = [f"{folder / file}" for file in texts]
+    says = [*(f"{folder / file}" for file in texts), *why]
     return {
         "template": name,
         "files": sorted(texts),
@@ -85,16 +85,17 @@ def init(folder: Path, name: str, recording: Path | None = None, targets: Sequen
 
 def _texts(
     name: str, template: Template, folder: Path, recording: Path | None, targets: Sequence[str]
-) -> dict[str, str]:
+) -> tuple[dict[str, str], list[str]]:
+    """File -> text, and what else there is to say."""
     from errpipe import jsonfile
     from errpipe.pipeline.schema import json_schema
     from errpipe.pipeline.spec import pipeline_model
     from errpipe.stages import STAGES
 
+    pattern = _data(f"{(template.own if recording else None) or name}.txt")
+    pipeline, why = _filled(name, pattern, folder, recording, targets)
     texts = {
-        PIPELINE: _filled(
-            name, _data(f"{(template.own if recording else None) or name}.txt"), folder, recording, targets
-        ),
+        PIPELINE: pipeline,
         "Makefile": _data("Makefile.txt"),
         ".gitignore": _data("gitignore.txt"),
         ".github/workflows/errpipe.yml": _data("workflow.txt"),
@@ -104,15 +105,19 @@ def _texts(
     }
     if template.machine is not None:
         texts["machine.yaml"] = _data(template.machine)
-    return texts
+    return texts, why
 
 
 def _data(file: str) -> str:
     return (resources.files("errpipe.stages") / "templates" / file).read_text(encoding="utf-8")
 
 
-def _filled(name: str, text: str, folder: Path, recording: Path | None, targets: Sequence[str]) -> str:
-    """The pipeline with the recording's own axis, component and numbers in place of the @WORDS@."""
+def _filled(
+    name: str, text: str, folder: Path, recording: Path | None, targets: Sequence[str]
+) -> tuple[str, list[str]]:
+    """The pipeline with the recording's own axis, component and numbers in place of the @WORDS@; why heat is in it."""
+    from errpipe.stages import _init_heat
+
     words = {"AXIS": "X", "COMPONENT": "EXX", "RECORDING": "recording", "DEGREE": "10", "ISO": "true"}
     words["HOLDOUT"] = "{scheme: leave-one-run-out}"
     backlash, sensors = True, ["frame_t", "bed_t"]
@@ -130,17 +135,18 @@ def _filled(name: str, text: str, folder: Path, recording: Path | None, targets:
             text = re.sub(r"(?m)^( +component: @COMPONENT@)$", rf"\g<1>{also}", text)
         words["RECORDING"] = json.dumps(Path(os.path.relpath(recording, folder)).as_posix(), ensure_ascii=False)
     words["METHOD"] = "ridge" if recording is not None and len(sensors) > 1 else "linear"
-    text = re.sub(r"(?m)^.*@SENSOR@.*\n", lambda line: "".join(_with_sensor(line[0], s) for s in sensors), text)
+    text = re.sub(
+        r"(?m)^.*@SENSOR@.*\n",
+        lambda line: "".join(line[0].replace("@SENSOR@", _init_heat.as_word(s)) for s in sensors),
+        text,
+    )
     for word, value in words.items():
         text = text.replace(f"@{word}@", value)
+    kept = [line for line in text.splitlines() if backlash or "term: backlash" not in line]
+    text, why = _init_heat.proposed("\n".join([*kept, ""]), facts["recording"] if recording is not None else None)
     if targets:
         text = re.sub(r"(?m)^(\s*targets: ).*", rf"\g<1>[{', '.join(targets)}]", text)
-    kept = [line for line in text.splitlines() if backlash or "term: backlash" not in line]
-    return "\n".join([*kept, ""])
-
-
-def _with_sensor(line: str, sensor: str) -> str:
-    return line.replace("@SENSOR@", json.dumps(sensor, ensure_ascii=False) if not sensor.isidentifier() else sensor)
+    return text, why
 
 
 def _facts(folder: Path) -> dict[str, Any]:
@@ -171,6 +177,7 @@ def _facts(folder: Path) -> dict[str, Any]:
         "sensors": recording.names("temperature"),
         "roles": roles,
         "others": [c for c in recorded if c != component],
+        "recording": recording if place is not None and recording.manifest.columns[place].unit == "mm" else None,
     }
 
 
