@@ -131,6 +131,8 @@ def _stuck(values: np.ndarray, others: list[np.ndarray]) -> tuple[np.ndarray, st
         inside = np.zeros(y.size, dtype=bool)
         for k in chosen:
             inside[starts[k] : ends[k]] = True
+        if inside.all():  # one reading a run: by nature it stands still
+            continue
         comparable, moved = _should_have_moved(y, [o[rows] for o in others], inside, starts[chosen], ends[chosen])
         if comparable and not moved.all():
             continue

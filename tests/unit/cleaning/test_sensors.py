@@ -71,6 +71,15 @@ def test_a_broken_sensors_mark_is_blanked(mark):
     assert report.rules[0].done[0].reason == f"shows {mark:g}, a broken sensor's mark"
 
 
+@pytest.mark.filterwarnings("error")
+def test_one_reading_for_each_run_is_no_sensor_that_stands_still():
+    """A thermometer noted once a run: not one row outside these stretches."""
+    source = warm_up(4)
+    readings = np.repeat([20.0, 21.5, 23.0], [300, 300, len(source) - 600])
+    others = {name: readings + k for k, name in enumerate(source.names("temperature"))}
+    assert touched(clean(changed(source, **others), (StuckSensors(),))[1], "stuck_sensors") == []
+
+
 def test_a_workshop_in_winter_may_be_at_zero():
     source = warm_up()
     cold = np.round(source.array("T_room") - 20, 1)
