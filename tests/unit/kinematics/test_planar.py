@@ -103,7 +103,7 @@ def test_intervals_cover_and_residual_is_the_propagated_noise():
     inside, ratio, square = [], [], []
     for seed in range(200):
         recording, truth = plate(seed, holes=300)
-        model = planar.fit_plate(recording, robust=False)
+        model = planar.fit_plate(recording)
         rng = np.random.default_rng(seed + 10_000)
         x, y = rng.uniform(-310, 310, 60), rng.uniform(-280, 280, 60)
         # shift and rotation of the true map are set-up: compare after taking the best ones out of the difference
