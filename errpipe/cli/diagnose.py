@@ -32,9 +32,9 @@ def command(
 
     \b
     Example:
-      errpipe diagnose examples/vmc-1 --out out/diagnosis
-      errpipe diagnose examples/vmc-1 --out out/diagnosis --apply out/corrected
-      errpipe diagnose examples/vmc-1 --out out/later --against out/diagnosis/diagnosis.json
+      errpipe diagnose recording --out out/diagnosis
+      errpipe diagnose recording --out out/diagnosis --apply out/corrected
+      errpipe diagnose recording --out out/later --against out/diagnosis/diagnosis.json
     """
     from errpipe.cli.progress import ProgressReporter
 

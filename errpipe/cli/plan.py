@@ -23,7 +23,7 @@ def command(
 
     \b
     Example:
-      errpipe plan pipelines/drilled-plates.yaml --set fit.robust=true
+      errpipe plan pipelines/drilled-plates.yaml --set fit.modes=6
       errpipe plan pipelines/drilled-plates.yaml --exit-code
     """
     from errpipe.cli._arguments import output_folder

@@ -31,6 +31,6 @@ def command(
 
     \b
     Example:
-      errpipe predict out/axis/fit/error_model.json examples/vmc-1 --out predicted.csv
+      errpipe predict out/axis/fit/error_model.json recording --out predicted.csv
     """
     print_answer("predict", stage_module("predict").predict(source, recording, out, readings), as_json=json)

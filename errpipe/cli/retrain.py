@@ -35,7 +35,7 @@ def command(
 
     \b
     Example:
-      errpipe retrain pipelines/axis.yaml --champion out/champion --out out/retrain
+      errpipe retrain axis/pipeline.yaml --champion out/champion --out out/retrain
     """
     from errpipe.cli._pipeline import load_pipeline_file
     from errpipe.cli.output import print_result, stage_module

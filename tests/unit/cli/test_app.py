@@ -19,6 +19,8 @@ from errpipe.cli.app import VERBS, main
 from errpipe.errors import ConfigError, DataError, GateError, Problem, VerifyError
 from tests.unit.pipeline.stages_for_tests import STAGES, lay_out
 
+ROOT = Path(__file__).parents[3]
+
 HEAVY = ("pandas", "numba", "sklearn", "scipy", "matplotlib", "pyarrow", "pint", "cryptography")
 
 
@@ -59,6 +61,13 @@ def test_every_verb_says_what_it_does_and_shows_an_example_that_parses(name: str
     assert examples and all(words[:2] == ["errpipe", name] for words in examples)
     for words in examples:
         command.make_context(name, words[2:])
+        assert all((ROOT / w).exists() for w in words if w.startswith(("examples/", "pipelines/"))), words
+
+
+def test_the_example_with_a_setting_sets_what_there_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    help_text = next(line.strip() for line in (verb("plan").help or "").splitlines() if "--set" in line)
+    words = [str(ROOT / w) if w.startswith("pipelines/") else w for w in shlex.split(help_text)[1:]]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 0, capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", VERBS)
