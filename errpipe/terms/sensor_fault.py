@@ -201,7 +201,7 @@ def suspicious(values: np.ndarray, t: np.ndarray, least: int = 8) -> list[tuple[
     stuck = _rolling_range(filled, 9) <= 0.3 * np.median(_rolling_range(filled, 9)) + 1e-12
     stuck_stretches = [ab for ab in _stretches(stuck & finite) if ab[1] - ab[0] + 1 >= max(4 * least, n // 30)]
     paused = pause[jumps - 1] > 2.0 * beside[jumps - 1]  # bodies cool by themselves then: such jumps come last
-    strongest = jumps[np.lexsort((-step[jumps - 1], paused))][:5]
+    strongest = jumps[np.lexsort((-step[jumps - 1], paused))][:4]
     edges = np.sort(strongest)
     for i, a in enumerate(edges):
         out += [(int(a), int(b) - 1) for b in edges[i + 1 :] if b - a >= least]
