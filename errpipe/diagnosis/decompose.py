@@ -290,7 +290,7 @@ class _Work:
             columns = self.library.block(i, self.recording, self.rows)
             own_columns = slice(start, start + columns.shape[1])
             weights, start = b[own_columns], own_columns.stop
-            counted = self.library.hypotheses[i].terms[0].form.startswith("any reference")
+            counted = self.library.hypotheses[i].terms[0].counts_from_any_reference()
             form = min((1 + counted) * self.library.cores[i], columns.shape[1])
             core, slack = columns[:, :form] @ weights[:form], columns[:, form:] @ weights[form:]
             total = total + core + slack

@@ -299,7 +299,7 @@ def columns_of(h: Hypothesis, recording: Recording) -> tuple[np.ndarray, np.ndar
 
 def has_level(h: Hypothesis, kind: str) -> bool:
     """Has a thermal effect in part a level of its own? The datum holds that of all rows; runs are set anew anyway."""
-    return kind != "runs" and h.terms[0].family == "thermal" and not h.terms[0].form.startswith("any reference")
+    return kind != "runs" and h.terms[0].family == "thermal" and not h.terms[0].counts_from_any_reference()
 
 
 def mask_of(mask: tuple, recording: Recording) -> np.ndarray:

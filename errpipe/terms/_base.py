@@ -199,6 +199,10 @@ class Term(Frozen, ABC):
         """
         return iter(())
 
+    def counts_from_any_reference(self) -> bool:
+        """Whether the value that a rise is counted from is part of its form."""
+        return self.form in ("any reference", "any reference and end")
+
     def log_prior_odds(self) -> float:
         """Log prior odds of this binding beside other effects."""
         return self.prior_log_odds
