@@ -16,8 +16,8 @@ import numpy as np
 
 from bench.bench_tables import machine
 from bench.figure import Figure, main, seconds, spread
-from errpipe.stages.correct import correct
 from errpipe.tables import ect
+from errpipe.verbs.correct import correct
 
 SIZE, LARGE = 2_000_000, 50_000_000  # bytes of a program
 ROUNDS = 5

@@ -16,7 +16,7 @@ from time import perf_counter
 import numpy as np
 
 from bench.figure import Figure, main
-from errpipe.stages.fleet import TIMES
+from errpipe.verbs.fleet import TIMES
 
 MACHINES = 200
 LONGER = 180  # runs of a machine, of half a year

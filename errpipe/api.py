@@ -223,7 +223,7 @@ class Table:
         """The correction of the first axes as text, for a terminal."""
         import tempfile
 
-        from errpipe.stages.show import show
+        from errpipe.verbs.show import show
 
         with tempfile.TemporaryDirectory() as folder:
             self.write(Path(folder) / "table.ect")

@@ -20,9 +20,9 @@ import numpy as np
 import pandas as pd
 
 from errpipe.domain.recording import Recording
-from errpipe.fitting.duty_cycles import DutyCycles
 from errpipe.fitting.noise_floor import noise_floor
 from errpipe.formats import manifest_folder
+from errpipe.thermal.duty_cycles import DutyCycles
 
 from . import folder
 from .thermal.seasons import recordings

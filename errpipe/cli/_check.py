@@ -37,7 +37,7 @@ def check(files: list[Path], data: bool, style: str, as_json: bool) -> int:
 def _check(path: Path, data: bool) -> str:
     """What a file is. Raises ConfigError."""
     from errpipe import yamlfile
-    from errpipe.cli.output import stage_module
+    from errpipe.cli.output import module_of
 
     document = yamlfile.read(path)
     keys = document.value if isinstance(document.value, dict) else {}
@@ -45,7 +45,7 @@ def _check(path: Path, data: bool) -> str:
         from errpipe.domain.written_manifest import WrittenManifest
 
         if data:
-            stage_module("check").header_of(path)
+            module_of("verbs.check").header_of(path)
         else:
             document.validate(WrittenManifest)
         return "recording manifest"
@@ -59,9 +59,9 @@ def _check(path: Path, data: bool) -> str:
 
 def _check_pipeline(path: Path, data: bool) -> str:
     from errpipe.cli._pipeline import load_pipeline_file
-    from errpipe.cli.output import stage_module
+    from errpipe.cli.output import module_of
 
-    check, pipeline = stage_module("check"), load_pipeline_file(path, [])
+    check, pipeline = module_of("verbs.check"), load_pipeline_file(path, [])
     problems = sorted({*check.problems(pipeline, data), *check.unjudged(pipeline)})
     if problems:
         raise ConfigError(problems)

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_result, stage_module
+from errpipe.cli.output import module_of, print_result
 
 
 def command(
@@ -30,7 +30,7 @@ def command(
       errpipe compare out/champion out/retrain/run --max-um 5
       errpipe compare before.ect out/export/table.ect --figure change.svg
     """
-    comparison = stage_module("compare").compare(old, new, max_um, figure)
+    comparison = module_of("verbs.compare").compare(old, new, max_um, figure)
     says = comparison.pop("says")
     code = 4 if comparison["within"] is False else 0
     print_result("compare", comparison, says, as_json=json, code=code)

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -20,4 +20,4 @@ def command(
     Example:
       errpipe compare-targets out/axis/export/table.ect
     """
-    print_answer("compare-targets", stage_module("targets").compare_targets(table), as_json=json)
+    print_answer("compare-targets", module_of("stages.targets").compare_targets(table), as_json=json)

@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import At, Json, input_values
-from errpipe.cli.output import folded, print_answer, short_value, stage_module
+from errpipe.cli.output import folded, module_of, print_answer, short_value
 
 
 def command(
@@ -40,7 +40,7 @@ def command(
     Example:
       errpipe correct part.ngc --table out/axis/export/table.ect --start 0,0,0 --out part-corrected.ngc
     """
-    done = stage_module("correct").correct(
+    done = module_of("verbs.correct").correct(
         program,
         table,
         out,

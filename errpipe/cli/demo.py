@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -23,4 +23,4 @@ def command(
     """
     from errpipe.cli.progress import ProgressReporter
 
-    print_answer("demo", stage_module("demo").demo(out, ProgressReporter(str(out)).callbacks()), as_json=json)
+    print_answer("demo", module_of("verbs.demo").demo(out, ProgressReporter(str(out)).callbacks()), as_json=json)

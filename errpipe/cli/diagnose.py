@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_answer, print_result, stage_module
+from errpipe.cli.output import module_of, print_answer, print_result
 from errpipe.errors import UsageError
 
 
@@ -41,14 +41,14 @@ def command(
     if against is not None:
         if apply is not None:
             raise UsageError("--apply and --against: one of the two")
-        held = stage_module("diagnose").against(recording, against, out, simulation)
+        held = module_of("stages.diagnose").against(recording, against, out, simulation)
         code = 4 if held["changed"] else 0
         says = held.pop("says")
         print_result("diagnose", held, says, as_json=json, code=code)
         raise typer.Exit(code)
     reporter = ProgressReporter(str(out))
     try:
-        diagnosis = stage_module("diagnose").diagnose(
+        diagnosis = module_of("stages.diagnose").diagnose(
             recording, out, reporter.progress_of("diagnose"), simulation, apply
         )
     finally:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(json: bool = Json) -> None:
@@ -13,4 +13,4 @@ def command(json: bool = Json) -> None:
     Example:
       errpipe doctor
     """
-    print_answer("doctor", stage_module("doctor").doctor(), as_json=json)
+    print_answer("doctor", module_of("verbs.doctor").doctor(), as_json=json)

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import At, Json, input_values
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -21,4 +21,4 @@ def command(
     Example:
       errpipe eval out/axis/export/table.ect --at x=100 --at T_nut=25
     """
-    print_answer("eval", stage_module("evaluate").evaluate(table, input_values(at)), as_json=json)
+    print_answer("eval", module_of("verbs.evaluate").evaluate(table, input_values(at)), as_json=json)

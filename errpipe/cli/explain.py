@@ -5,7 +5,7 @@ from __future__ import annotations
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -19,4 +19,4 @@ def command(
       errpipe explain absolute-readings
       errpipe explain 4
     """
-    print_answer("explain", stage_module("catalogue").explain(code), as_json=json)
+    print_answer("explain", module_of("verbs.catalogue").explain(code), as_json=json)

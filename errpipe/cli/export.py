@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -35,4 +35,6 @@ def command(
     Example:
       errpipe export out/axis/export/table.ect --target linuxcnc_screw --out out/linuxcnc
     """
-    print_answer("export", stage_module("targets").export(table, target, out, allow, limit, public_key), as_json=json)
+    print_answer(
+        "export", module_of("stages.targets").export(table, target, out, allow, limit, public_key), as_json=json
+    )

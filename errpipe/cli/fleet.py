@@ -27,12 +27,12 @@ def command(
       errpipe fleet fleet.yaml --out out/fleet --jobs 4
       errpipe fleet fleet.yaml --out out/fleet --scheduler tcp://10.0.0.5:8786
     """
-    from errpipe.cli.output import print_result, stage_module
+    from errpipe.cli.output import module_of, print_result
     from errpipe.cli.progress import ProgressReporter
 
     reporter = ProgressReporter(str(out))
     try:
-        summary = stage_module("fleet").fleet(fleet, out, jobs, scheduler, reporter.progress_of("fleet"))
+        summary = module_of("verbs.fleet").fleet(fleet, out, jobs, scheduler, reporter.progress_of("fleet"))
     finally:
         reporter.clear()
     rows = summary["machines"]

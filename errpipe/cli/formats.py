@@ -5,7 +5,7 @@ from __future__ import annotations
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -18,4 +18,4 @@ def command(
       errpipe formats
       errpipe formats ecmc_dat
     """
-    print_answer("formats", stage_module("catalogue").formats(name), as_json=json)
+    print_answer("formats", module_of("verbs.catalogue").formats(name), as_json=json)

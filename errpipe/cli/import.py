@@ -11,7 +11,7 @@ from typing import Literal
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import folded, print_result, stage_module
+from errpipe.cli.output import folded, module_of, print_result
 from errpipe.errors import DataError
 
 
@@ -55,7 +55,7 @@ def command(
       errpipe import positions.csv --out recording --yes
       errpipe import log.txt --out recording --names x_cmd,x_fb --period 0.001 --yes
     """
-    work = stage_module("import_files")
+    work = module_of("verbs.import_files")
     from errpipe.importing.sheet import DoorOptions
 
     said = {"axis": axis, "component": component, "unit": unit, "sign": sign, "title": title, "machine": machine}

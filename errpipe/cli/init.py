@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 NAMES = "laser-iso230, dial-gauge, diagnose-log, spindle-drift, gantry, drilled-plate, five-axis"
 
@@ -30,4 +30,4 @@ def command(
       errpipe init --template laser-iso230 axis
       errpipe init --template dial-gauge mill --recording recording --target linuxcnc_screw
     """
-    print_answer("init", stage_module("init").init(folder, template, recording, target), as_json=json)
+    print_answer("init", module_of("verbs.init").init(folder, template, recording, target), as_json=json)

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -22,4 +22,4 @@ def command(
     Example:
       errpipe keygen keys
     """
-    print_answer("keygen", stage_module("signing").keygen(folder), as_json=json)
+    print_answer("keygen", module_of("stages.signing").keygen(folder), as_json=json)

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json, PublicKey
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -27,4 +27,4 @@ def command(
       errpipe log registry 7 --at 2026-03-03 --public-key keys/errpipe.pub
       errpipe log registry --file found-on-the-controller.ect --public-key keys/errpipe.pub
     """
-    print_answer("log", stage_module("signing").log(registry, machine, at, file, public_key), as_json=json)
+    print_answer("log", module_of("stages.signing").log(registry, machine, at, file, public_key), as_json=json)

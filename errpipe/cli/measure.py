@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -27,4 +27,4 @@ def command(
     Example:
       errpipe measure examples/machines/vertical-centre.yaml --out plan.ngc
     """
-    print_answer("measure", stage_module("measure").measure(machine, out, without, positions), as_json=json)
+    print_answer("measure", module_of("stages.measure").measure(machine, out, without, positions), as_json=json)

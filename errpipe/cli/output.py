@@ -18,7 +18,7 @@ from importlib import import_module
 from typing import Any
 
 from errpipe import jsonfile
-from errpipe.errors import ConfigError, UsageError
+from errpipe.errors import ConfigError
 
 DOCUMENT = 1  # version of the JSON document around every result
 WIDTH = 80  # columns of the narrowest terminal that people use
@@ -120,12 +120,6 @@ def print_error(command: str, message: str, code: int, as_json: bool, err: Excep
     return code
 
 
-def stage_module(module: str) -> Any:
-    """The stage module behind a verb, imported only now."""
-    name = f"errpipe.stages.{module}"
-    try:
-        return import_module(name)
-    except ModuleNotFoundError as err:
-        if err.name in (name, "errpipe.stages"):
-            raise UsageError("this verb is not part of this version of errpipe") from None
-        raise
+def module_of(name: str) -> Any:
+    """The module that does the work of a command (such as verbs.check), imported only now."""
+    return import_module(f"errpipe.{name}")

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_result, stage_module
+from errpipe.cli.output import module_of, print_result
 
 
 def command(
@@ -31,6 +31,6 @@ def command(
 
     if (field is None) == (bar is None):
         raise UsageError("place: give either a file or --bar LOSS")
-    stage = stage_module("place")
+    stage = module_of("verbs.place")
     document, lines = stage.place(field, error, group, time, most) if bar is None else stage.bar(bar, most)
     print_result("place", document, lines, as_json=json)

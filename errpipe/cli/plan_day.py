@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_result, stage_module
+from errpipe.cli.output import module_of, print_result
 
 _By = typer.Option([], "--by", metavar="GROUP", help="Its labels name a duty cycle; default: duty_cycle. Repeatable.")
 
@@ -37,7 +37,7 @@ def command(
       errpipe plan-day recording
       errpipe plan-day --speed 6000 --hours 4
     """
-    stage = stage_module("plan_day")
+    stage = module_of("verbs.plan_day")
     if speed is None and recording is not None and stage.has_errors(recording):
         document, lines = stage.from_errors(recording, log, component, by, least)
     else:

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -33,4 +33,4 @@ def command(
     Example:
       errpipe predict out/axis/fit/error_model.json recording --out predicted.csv
     """
-    print_answer("predict", stage_module("predict").predict(source, recording, out, readings), as_json=json)
+    print_answer("predict", module_of("stages.predict").predict(source, recording, out, readings), as_json=json)

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json, PublicKey, SecretKey, Time, Why
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -34,5 +34,5 @@ def command(
     Example:
       errpipe promote registry 7 table.ect --why "new spindle" --key keys/errpipe.key --public-key keys/errpipe.pub
     """
-    done = stage_module("signing").promote(registry, machine, table, why, key, public_key, time, other_outputs)
+    done = module_of("stages.signing").promote(registry, machine, table, why, key, public_key, time, other_outputs)
     print_answer("promote", done, as_json=json)

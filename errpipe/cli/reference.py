@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from errpipe.cli.output import stage_module
+from errpipe.cli.output import module_of
 
 
 def command(
@@ -21,7 +21,7 @@ def command(
       errpipe reference terms backlash
       errpipe reference stages
     """
-    reference = stage_module("reference")
+    reference = module_of("verbs.reference")
     if write is not None:
         reference.write(write)
         return

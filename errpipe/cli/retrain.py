@@ -38,7 +38,7 @@ def command(
       errpipe retrain axis/pipeline.yaml --champion out/champion --out out/retrain
     """
     from errpipe.cli._pipeline import load_pipeline_file
-    from errpipe.cli.output import print_result, stage_module
+    from errpipe.cli.output import module_of, print_result
     from errpipe.cli.progress import ProgressReporter
     from errpipe.errors import UsageError
 
@@ -47,7 +47,7 @@ def command(
     spec = load_pipeline_file(pipeline, sets)
     reporter = ProgressReporter(str(out))
     try:
-        document = stage_module("retrain").retrain(
+        document = module_of("verbs.retrain").retrain(
             spec,
             champion,
             out,
@@ -60,10 +60,10 @@ def command(
     finally:
         reporter.clear()
     promoted = document["decision"] == "promote"
-    lines = stage_module("retrain").in_words(document)
+    lines = module_of("verbs.retrain").in_words(document)
     lines.append(str(out / "retrain.md"))
     if annotations == "github":
-        lines = [*stage_module("retrain").github_annotations(document), *lines]
+        lines = [*module_of("verbs.retrain").github_annotations(document), *lines]
     print_result("retrain", document, lines, as_json=json, code=0 if promoted else 4)
     if not promoted:
         raise typer.Exit(4)

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json, PublicKey, SecretKey, Time, Why
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -32,5 +32,5 @@ def command(
     Example:
       errpipe rollback registry 7 --out table.ect --why "worse in the cold" --key errpipe.key --public-key errpipe.pub
     """
-    done = stage_module("signing").rollback(registry, machine, to, out, why, key, public_key, time)
+    done = module_of("stages.signing").rollback(registry, machine, to, out, why, key, public_key, time)
     print_answer("rollback", done, as_json=json)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from errpipe.cli._arguments import Force, Json, Out, PipelineFile, Sets, To
-from errpipe.cli.output import print_result, short_value, stage_module
+from errpipe.cli.output import module_of, print_result, short_value
 
 if TYPE_CHECKING:
     from errpipe.cli.progress import ProgressReporter
@@ -91,7 +91,7 @@ def _run(
         return spec, runner.run(spec, folder, to=to, force=force, jobs=jobs, callbacks=reporter.callbacks())
     except GateError as err:
         _refuse_names(spec, err)
-        page = stage_module("refusal").write_report(spec, folder, str(err))
+        page = module_of("verbs.refusal").write_report(spec, folder, str(err))
         if page is not None:
             reporter.clear()
             sys.stderr.write(f"{page}: the report, with the reason\n")
@@ -107,7 +107,7 @@ def _refuse_names(spec: Pipeline, err: Exception) -> None:
     """Raise ConfigError where the cause of a refusal stands in the pipeline file: say where, all at once."""
     from errpipe.errors import ConfigError
 
-    problems = [p for p in stage_module("check").problems(spec) if p.file == spec.document.file]
+    problems = [p for p in module_of("verbs.check").problems(spec) if p.file == spec.document.file]
     if problems:
         raise ConfigError(problems) from err
 

@@ -13,7 +13,7 @@ MODELS = {
     "pipeline": ("errpipe pipeline, version 1", "errpipe.stages:STAGES"),
     "recording": ("errpipe recording manifest, version 1", "errpipe.domain.recording:Manifest"),
     "machine": ("errpipe machine, version 1", "errpipe.domain.machine:Machine"),
-    "fleet": ("errpipe fleet, version 1", "errpipe.stages.fleet:Fleet"),
+    "fleet": ("errpipe fleet, version 1", "errpipe.verbs.fleet:Fleet"),
     "error_model": ("errpipe error model, version 1", "errpipe.domain.error_model:ErrorModel"),
     "table": ("errpipe compensation table, version 1", "errpipe.domain.table:CompensationTable"),
 }

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -21,4 +21,4 @@ def command(
       errpipe show recording
       errpipe show out/export/table.ect
     """
-    print_answer("show", stage_module("show").show(file), as_json=json)
+    print_answer("show", module_of("verbs.show").show(file), as_json=json)

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json, SecretKey
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -22,4 +22,4 @@ def command(
     Example:
       errpipe sign out/axis/export/table.ect --key keys/errpipe.key --comment "machine 7"
     """
-    print_answer("sign", stage_module("signing").sign(file, key, comment), as_json=json)
+    print_answer("sign", module_of("stages.signing").sign(file, key, comment), as_json=json)

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_result, stage_module
+from errpipe.cli.output import module_of, print_result
 
 
 def command(
@@ -22,5 +22,5 @@ def command(
     Example:
       errpipe synthesis examples/machines/horizontal-centre-ni-1997.yaml
     """
-    document, lines = stage_module("synthesis").synthesis(machine)
+    document, lines = module_of("verbs.synthesis").synthesis(machine)
     print_result("synthesis", document, lines, as_json=json)

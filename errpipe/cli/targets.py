@@ -5,7 +5,7 @@ from __future__ import annotations
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -20,7 +20,7 @@ def command(
       errpipe targets --json
     """
     if name:
-        page = stage_module("reference").entry("targets", name)
+        page = module_of("verbs.reference").entry("targets", name)
         print_answer("targets", {"target": name, "says": [page.rstrip()]}, as_json=json)
         return
-    print_answer("targets", stage_module("targets").targets(), as_json=json)
+    print_answer("targets", module_of("stages.targets").targets(), as_json=json)

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -26,5 +26,5 @@ def command(
       errpipe verify out/axis/export
     """
     if public_key is not None:
-        stage_module("signing").verify_signature(folder if folder.is_file() else folder / "table.ect", public_key)
-    print_answer("verify", stage_module("verify").verify(folder), as_json=json)
+        module_of("stages.signing").verify_signature(folder if folder.is_file() else folder / "table.ect", public_key)
+    print_answer("verify", module_of("verbs.verify").verify(folder), as_json=json)

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json, PublicKey
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -21,4 +21,4 @@ def command(
     Example:
       errpipe verify-signature out/axis/export/table.ect --public-key keys/errpipe.pub
     """
-    print_answer("verify-signature", stage_module("signing").verify_signature(file, public_key), as_json=json)
+    print_answer("verify-signature", module_of("stages.signing").verify_signature(file, public_key), as_json=json)

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json
-from errpipe.cli.output import print_answer, stage_module
+from errpipe.cli.output import module_of, print_answer
 
 
 def command(
@@ -19,4 +19,4 @@ def command(
     Example:
       errpipe whatis out/axis/export/table.ect
     """
-    print_answer("whatis", stage_module("whatis").whatis(file), as_json=json)
+    print_answer("whatis", module_of("verbs.whatis").whatis(file), as_json=json)

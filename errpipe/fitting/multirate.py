@@ -40,7 +40,7 @@ class _Sensor:
 
 
 def held(source: Source) -> Source:
-    """The source with multirate temperatures held as `thermal_arithmetic.short_gaps_held` holds them in memory."""
+    """The source with multirate temperatures held as `thermal.arithmetic.short_gaps_held` holds them in memory."""
     sensors = _surveyed(source, [n for n in source.ends.names("temperature") if n not in source.complete])
     limits = {n: LONGEST_HELD * s.rows_between() for n, s in sensors.items() if s.rows_between() > 1}
     if not limits:

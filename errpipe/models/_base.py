@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from errpipe.fitting.batches import Source
     from errpipe.fitting.holdout import Fold, HoldOut
     from errpipe.fitting.judging import HeldOut
-    from errpipe.fitting.thermal_competition import Entrant
-    from errpipe.fitting.thermal_linear import LinearProblem
+    from errpipe.thermal.competition import Entrant
+    from errpipe.thermal.linear import LinearProblem
 
 Progress = Callable[[float, str], None]
 

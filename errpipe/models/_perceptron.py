@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from errpipe.domain import driver as d
-    from errpipe.fitting.thermal_competition import Entrant
-    from errpipe.fitting.thermal_linear import LinearProblem
+    from errpipe.thermal.competition import Entrant
+    from errpipe.thermal.linear import LinearProblem
 
 MOST_ROWS = 1500  # training rows, evenly thinned: neighbours are correlated
 MOST_STEPS = 150  # iterations of L-BFGS (early stopping): more fit the noise
@@ -62,9 +62,9 @@ def entrant(family: str, name: str, problem: LinearProblem, layer: Layer) -> Ent
     import numpy as np
 
     from errpipe.domain import driver as d
-    from errpipe.fitting.thermal_arithmetic import ridge_gains
-    from errpipe.fitting.thermal_causes import columns
-    from errpipe.fitting.thermal_competition import Entrant
+    from errpipe.thermal.arithmetic import ridge_gains
+    from errpipe.thermal.causes import columns
+    from errpipe.thermal.competition import Entrant
 
     width = len(problem.drivers)
     values = np.nan_to_num(columns(problem.recording, layer.nodes) - layer.centre)

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import Fold, HoldOut
     from errpipe.fitting.judging import HeldOut
-    from errpipe.fitting.thermal_competition import Entrant, Outcome
-    from errpipe.fitting.thermal_linear import LinearProblem
-    from errpipe.fitting.thermal_model import ThermalModel
+    from errpipe.thermal.competition import Entrant, Outcome
+    from errpipe.thermal.linear import LinearProblem
+    from errpipe.thermal.model import ThermalModel
 
 COMPETITION = "competition.json"
 MOST_OPERANDS = 48  # of one sum; a table takes 64
@@ -72,7 +72,7 @@ class ThermalFamily(Family):
 
         from errpipe.errors import DataError
         from errpipe.fitting import holdout
-        from errpipe.fitting.thermal_arithmetic import FEWEST_RUNS, all_known, living_sensors
+        from errpipe.thermal.arithmetic import FEWEST_RUNS, all_known, living_sensors
 
         known = holdout.measured(recording) & all_known(living_sensors(recording, self.component))
         try:
@@ -95,7 +95,7 @@ class ThermalFamily(Family):
 
     def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Fit on every row. Raises DataError without a temperature or with one run only."""
-        from errpipe.fitting.thermal_arithmetic import changes_with_place, few_rows_fitted, held_readings
+        from errpipe.thermal.arithmetic import changes_with_place, few_rows_fitted, held_readings
 
         fitted, outcome = self._compete(recording, None)
         model = fitted.error_model(recording)
@@ -120,8 +120,8 @@ class ThermalFamily(Family):
         import numpy as np
 
         from errpipe.fitting import holdout
-        from errpipe.fitting.thermal_arithmetic import all_known, living_sensors, predicted_since_start, since_start_of
         from errpipe.fitting.validity import distance
+        from errpipe.thermal.arithmetic import all_known, living_sensors, predicted_since_start, since_start_of
 
         holdout.check(fold)
         recording = living_sensors(recording, self.component)
@@ -134,7 +134,7 @@ class ThermalFamily(Family):
 
     def grids(self, documents: Mapping[str, Any]) -> list[Grid]:
         """The competition: rms of every family on groups left out, beside no compensation and the noise floor."""
-        from errpipe.fitting.thermal_competition import MIXTURE, NOTHING
+        from errpipe.thermal.competition import MIXTURE, NOTHING
 
         document = documents[COMPETITION]
         weights = {w["setting"]: w["weight"] for w in document["weights"]}
@@ -158,9 +158,10 @@ class ThermalFamily(Family):
 
     def _compete(self, recording: Recording, rows: np.ndarray | None) -> tuple[ThermalModel, Outcome]:
         from errpipe.errors import DataError
-        from errpipe.fitting import thermal_competition, thermal_linear
         from errpipe.fitting.solve import one_thread
-        from errpipe.fitting.thermal_arithmetic import living_sensors
+        from errpipe.thermal import competition
+        from errpipe.thermal import linear as thermal_linear
+        from errpipe.thermal.arithmetic import living_sensors
 
         if lacking := self.missing_input(recording):
             raise DataError(lacking)
@@ -168,13 +169,13 @@ class ThermalFamily(Family):
         with one_thread():
             problem = thermal_linear.problem(recording, self.component, rows, self.datum_rows)
             recording = problem.recording
-            groupings = thermal_competition.groupings(recording, problem.group, problem.groups, self.environment)
+            groupings = competition.groupings(recording, problem.group, problem.groups, self.environment)
             if problem.blocks and len(problem.groups) > 1:
-                groupings = (*groupings, thermal_competition.halves(problem.groups))
+                groupings = (*groupings, competition.halves(problem.groups))
             entrants = self.entrants(problem)
             if self.one_environment(problem):
                 entrants = [e for e in entrants if e.physical] or entrants
-            outcome = thermal_competition.compete(
+            outcome = competition.compete(
                 entrants, groupings, problem.response, problem.rows, problem.group, problem.one_run
             )
             return _model(self, problem, outcome), outcome
@@ -198,7 +199,7 @@ class ThermalFamily(Family):
 
 def _said(outcome: Outcome) -> str:
     """A few words on the outcome: what the mixture leaves of groups left out, and what it is made of."""
-    from errpipe.fitting.thermal_competition import HALF, MIXTURE, NOTHING
+    from errpipe.thermal.competition import HALF, MIXTURE, NOTHING
 
     way = HALF if HALF in outcome.left else next(iter(outcome.left))
     left = outcome.left[way]
@@ -212,7 +213,7 @@ def _said(outcome: Outcome) -> str:
 
 def _left(recording: Recording, family: ThermalFamily, outcome: Outcome) -> np.ndarray:
     """What the mixture leaves of groups left out, um, (rows,); NaN where nothing is judged."""
-    from errpipe.fitting.thermal_arithmetic import since_start_of
+    from errpipe.thermal.arithmetic import since_start_of
 
     predicted = next(iter(outcome.predictions.values()))[: len(recording)]
     return since_start_of(recording, family.component, family.datum_rows) - predicted
@@ -233,7 +234,7 @@ def _pooled(grouping: str) -> str:
 
 
 def _remark(name: str, weights: Mapping[str, float], chance: Mapping[str, float]) -> str:
-    from errpipe.fitting.thermal_competition import MIXTURE
+    from errpipe.thermal.competition import MIXTURE
 
     if name == MIXTURE:
         return "exported"
@@ -244,7 +245,7 @@ def _remark(name: str, weights: Mapping[str, float], chance: Mapping[str, float]
 
 def linear(family: str, name: str, problem: LinearProblem, gains: Callable[[tuple[int, ...]], np.ndarray]) -> Entrant:
     """An entrant that is gains (of the first drivers of a problem) from groups."""
-    from errpipe.fitting.thermal_competition import Entrant
+    from errpipe.thermal.competition import Entrant
 
     known = lru_cache(maxsize=None)(gains)
 
@@ -263,19 +264,19 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
     import numpy as np
 
     from errpipe.domain import driver as d
-    from errpipe.fitting import thermal_interval
-    from errpipe.fitting.season_options import SeasonOptions
     from errpipe.fitting.statistics import rms
-    from errpipe.fitting.thermal_arithmetic import limits
-    from errpipe.fitting.thermal_model import ThermalModel
     from errpipe.fitting.validity import box
+    from errpipe.thermal import interval
+    from errpipe.thermal.arithmetic import limits
+    from errpipe.thermal.model import ThermalModel
+    from errpipe.thermal.season_options import SeasonOptions
 
     y, rows, groups = problem.response, problem.rows, tuple(problem.groups)
     limit = limits(y[rows])
     total = _sum_of(outcome, groups)
     factor, half = _interval(family, problem, outcome)
     alone = problem.run_count == 1
-    growth = thermal_interval.growth_of_one_day(half, family.coverage) if alone else thermal_interval.GROWTH
+    growth = interval.growth_of_one_day(half, family.coverage) if alone else interval.GROWTH
     roles = ("position", "command") if problem.plain else ("position", "command", "spindle_speed")
     places = {name for role in roles for name in problem.recording.names(role)}
     read = [n for n in d.inputs(total) if n in places]
@@ -285,7 +286,7 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
         options=SeasonOptions(),
         parts=tuple((name, w * g, n) for e, w in outcome.weights for name, g, n in e.parts(groups)),
         terms=((1.0, d.Clip(of=total, low=limit[0], high=limit[1])),),
-        intervals=thermal_interval.Intervals(half, half, 0.0, growth),
+        intervals=interval.Intervals(half, half, 0.0, growth),
         factor=factor,
         validity=validity.model_copy(update={"fades": False}),
         fade=1.0,
@@ -323,16 +324,17 @@ def _interval(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -
     """Factor of the interval, and its half width at a prediction of zero among the fitted rows, um.
 
     The variance of a prediction is that left on runs left out, plus the spread of fits without a run
-    (`thermal_spread`): a row far outside in a direction in which they disagree has a wide interval.
+    (`thermal.spread`): a row far outside in a direction in which they disagree has a wide interval.
     Turning centre, winter predicted from spring: covered 0.95 with, 0.82 without.
     """
     from errpipe.drivers.evaluation import drive
-    from errpipe.fitting import thermal_competition, thermal_spread
+    from errpipe.thermal import competition
+    from errpipe.thermal import spread as thermal_spread
 
     groups = tuple(problem.groups)
-    way = thermal_competition.groupings(problem.recording, problem.group, groups, family.environment)[0]
+    way = competition.groupings(problem.recording, problem.group, groups, family.environment)[0]
     spread = thermal_spread.directions(outcome, groups, way.folds, problem.recording, problem.rows)
-    left = outcome.left.get(way.name, {}).get(thermal_competition.MIXTURE, 0.0)
+    left = outcome.left.get(way.name, {}).get(competition.MIXTURE, 0.0)
     factor = thermal_spread.factor(spread, left)
     return factor, _half_width(family, problem, outcome, drive(factor, problem.recording))
 
@@ -348,18 +350,18 @@ def _half_width(family: ThermalFamily, problem: LinearProblem, outcome: Outcome,
     """
     import numpy as np
 
-    from errpipe.fitting import thermal_interval
-    from errpipe.fitting.thermal_competition import HALF, RUN, WARMTH
+    from errpipe.thermal import interval
+    from errpipe.thermal.competition import HALF, RUN, WARMTH
 
     y, rows = problem.response, problem.rows
     if HALF in outcome.predictions:
         p = outcome.predictions[HALF]
-        left = thermal_interval.LeftOut((y - p)[rows], p[rows])
-        return thermal_interval.of_next_run(left, problem.group[rows], family.coverage, factor[rows], problem.one_day)
+        left = interval.LeftOut((y - p)[rows], p[rows])
+        return interval.of_next_run(left, problem.group[rows], family.coverage, factor[rows], problem.one_day)
     only_one = family.one_environment(problem)
     environment = family.environment if family.environment in outcome.predictions else WARMTH
     half = [
-        thermal_interval.LeftOut((y - p)[rows], p[rows]).half_width(
+        interval.LeftOut((y - p)[rows], p[rows]).half_width(
             problem.group[rows], family.coverage, problem.run_count, only_one, factor[rows]
         )
         for name, p in outcome.predictions.items()

@@ -10,9 +10,9 @@ from pydantic import Field, field_validator
 from errpipe.models._thermal import ThermalFamily
 
 if TYPE_CHECKING:
-    from errpipe.fitting.thermal_competition import Entrant
-    from errpipe.fitting.thermal_linear import LinearProblem
     from errpipe.models._base import Family
+    from errpipe.thermal.competition import Entrant
+    from errpipe.thermal.linear import LinearProblem
 
 
 class Auto(ThermalFamily):

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from errpipe.domain import driver as d
-    from errpipe.fitting.thermal_competition import Entrant
-    from errpipe.fitting.thermal_linear import LinearProblem
+    from errpipe.thermal.competition import Entrant
+    from errpipe.thermal.linear import LinearProblem
 
 # Of columns of unit rms, and how many times less a product of unit rms may do. The competition chooses both.
 RIDGE = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
@@ -47,7 +47,7 @@ class Bilinear(ThermalFamily):
         """
         import numpy as np
 
-        from errpipe.fitting import thermal_linear as t
+        from errpipe.thermal import linear as t
 
         taus = t.time_constants(problem.recording, problem.plain)
         if problem.one_run or not 0 < problem.plain <= MOST_SENSORS or not taus:

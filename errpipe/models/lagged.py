@@ -13,8 +13,8 @@ from errpipe.models._thermal import ThermalFamily, linear
 if TYPE_CHECKING:
     import numpy as np
 
-    from errpipe.fitting.thermal_competition import Entrant
-    from errpipe.fitting.thermal_linear import LinearProblem
+    from errpipe.thermal.competition import Entrant
+    from errpipe.thermal.linear import LinearProblem
 
 # Shares of the least lasso penalty at which all gains are zero; the competition chooses.
 LASSO = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
@@ -28,7 +28,7 @@ class Lagged(ThermalFamily):
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """Every setting; the best of lasso and the best of ridge may join the mixture."""
-        from errpipe.fitting import thermal_linear as t
+        from errpipe.thermal import linear as t
 
         width, family = len(problem.drivers), self.family_name()
 

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
-from errpipe.fitting.season_options import SeasonOptions
 from errpipe.models._thermal import ThermalFamily
+from errpipe.thermal.season_options import SeasonOptions
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from errpipe.fitting.thermal_competition import Entrant
-    from errpipe.fitting.thermal_linear import LinearProblem
+    from errpipe.thermal.competition import Entrant
+    from errpipe.thermal.linear import LinearProblem
 
 
 class Network(ThermalFamily):
-    """Causes of known sign (`thermal_causes`) without a learnt correction and without fading."""
+    """Causes of known sign (`thermal.causes`) without a learnt correction and without fading."""
 
     family: Literal["network"] = Field("network", description="Model family.")
     options: SeasonOptions = Field(SeasonOptions(), description="Causes and how they are weighed.")
@@ -27,8 +27,8 @@ class Network(ThermalFamily):
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """One setting; none where no sensor is on the machine."""
         from errpipe.errors import DataError
-        from errpipe.fitting.thermal_competition import Entrant
-        from errpipe.fitting.thermal_season import Problem
+        from errpipe.thermal.competition import Entrant
+        from errpipe.thermal.season import Problem
 
         try:
             core = Problem(problem.recording, self.component, self.options, problem.rows, problem.group)

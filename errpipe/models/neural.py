@@ -12,8 +12,8 @@ from errpipe.models._thermal import ThermalFamily
 
 if TYPE_CHECKING:
     from errpipe.domain import driver as d
-    from errpipe.fitting.thermal_competition import Entrant
-    from errpipe.fitting.thermal_linear import LinearProblem
+    from errpipe.thermal.competition import Entrant
+    from errpipe.thermal.linear import LinearProblem
 
 UNITS = 4  # of the hidden layer; a network of few units extrapolates by few bends
 # Of squared weights, on standardised columns: of a network alone, and of one beside a ridge on all lagged rises. Chosen
@@ -31,7 +31,7 @@ class Neural(ThermalFamily):
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """A network alone, and one beside a ridge on the rates too; none without a temperature."""
-        from errpipe.fitting.thermal_linear import rates
+        from errpipe.thermal.linear import rates
 
         if not problem.plain:
             return []

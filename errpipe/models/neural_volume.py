@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import Fold
     from errpipe.fitting.judging import HeldOut
-    from errpipe.fitting.thermal_competition import Entrant
-    from errpipe.fitting.thermal_linear import LinearProblem
+    from errpipe.thermal.competition import Entrant
+    from errpipe.thermal.linear import LinearProblem
 
 PENALTIES = (1e-3, 1e-2, 1e-1, 1.0)  # of squared weights, on standardised columns; groups left out choose
 MOST_ROWS = 3000  # training rows, evenly thinned

@@ -10,8 +10,8 @@ from pydantic import Field
 from errpipe.models._thermal import ThermalFamily
 
 if TYPE_CHECKING:
-    from errpipe.fitting.thermal_competition import Entrant
-    from errpipe.fitting.thermal_linear import LinearProblem
+    from errpipe.thermal.competition import Entrant
+    from errpipe.thermal.linear import LinearProblem
 
 
 class Nothing(ThermalFamily):

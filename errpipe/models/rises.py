@@ -13,8 +13,8 @@ from errpipe.models._thermal import ThermalFamily, linear
 if TYPE_CHECKING:
     import numpy as np
 
-    from errpipe.fitting.thermal_competition import Entrant
-    from errpipe.fitting.thermal_linear import LinearProblem
+    from errpipe.thermal.competition import Entrant
+    from errpipe.thermal.linear import LinearProblem
 
 STRENGTHS = (0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)  # of the ridge, on columns of unit rms; the competition chooses
 # Sensors for each block of one run from which on their mean goes before gains of their own, which so few blocks cannot
@@ -22,7 +22,7 @@ STRENGTHS = (0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)  # of the ridge, on columns of un
 # of 4 to 6 sensors the mean is worse (165 single days: 0.112 to 0.245 of uncompensated, 0.127 to 0.275 with it).
 MANY = 2.0
 LEAST_RIDGE = 1e-5  # keeps the normal equations of collinear sensors well conditioned
-FREEDOMS = (0.1, 1.0, 10.0)  # of each run's own gains beside the common ones (`thermal_linear.common_gains`)
+FREEDOMS = (0.1, 1.0, 10.0)  # of each run's own gains beside the common ones (`thermal.linear.common_gains`)
 
 
 class Rises(ThermalFamily):
@@ -32,8 +32,8 @@ class Rises(ThermalFamily):
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """Every strength of the ridge, and every freedom of the runs; of one day the mean of sensors taken alone."""
-        from errpipe.fitting import thermal_linear as t
-        from errpipe.fitting.thermal_arithmetic import ridge_gains
+        from errpipe.thermal import linear as t
+        from errpipe.thermal.arithmetic import ridge_gains
 
         family, width = self.family_name(), problem.plain
         if not width:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from errpipe.fitting.season_options import SeasonOptions
 from errpipe.models._base import Family, Fitted, Progress, Table, held_out, no_progress
+from errpipe.thermal.season_options import SeasonOptions
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import Fold, HoldOut
     from errpipe.fitting.judging import HeldOut
-    from errpipe.fitting.thermal_competition import Entrant
-    from errpipe.fitting.thermal_linear import LinearProblem
-    from errpipe.fitting.thermal_model import ThermalModel
+    from errpipe.thermal.competition import Entrant
+    from errpipe.thermal.linear import LinearProblem
+    from errpipe.thermal.model import ThermalModel
 
 CAUSES = "season.json"
 
@@ -48,10 +48,10 @@ class Season(Family):
 
     def train(self, recording: Recording, rows: np.ndarray | None = None) -> ThermalModel:
         """The model of the rows of a mask (all where None); it predicts the deviation since the start of each run."""
-        from errpipe.fitting import thermal_season
-        from errpipe.fitting.thermal_arithmetic import living_sensors
+        from errpipe.thermal import season
+        from errpipe.thermal.arithmetic import living_sensors
 
-        return thermal_season.fit(living_sensors(recording, self.component), self.component, self.options, rows)
+        return season.fit(living_sensors(recording, self.component), self.component, self.options, rows)
 
     @classmethod
     def competitor(cls, shared: Mapping[str, Any]) -> Season:
@@ -64,9 +64,9 @@ class Season(Family):
         import numpy as np
 
         from errpipe.errors import DataError
-        from errpipe.fitting.thermal_arithmetic import predicted_since_start
-        from errpipe.fitting.thermal_competition import Entrant
-        from errpipe.fitting.thermal_season import Problem
+        from errpipe.thermal.arithmetic import predicted_since_start
+        from errpipe.thermal.competition import Entrant
+        from errpipe.thermal.season import Problem
 
         recording, run = problem.recording, problem.recording.run_codes()
         try:
@@ -110,8 +110,8 @@ class Season(Family):
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Fit on one side of a fold, judge on the other; deviations count from the start of each run."""
         from errpipe.fitting import holdout
-        from errpipe.fitting.thermal_arithmetic import held_readings, predicted_since_start, since_start_of
         from errpipe.fitting.validity import distance
+        from errpipe.thermal.arithmetic import held_readings, predicted_since_start, since_start_of
 
         holdout.check(fold)
         recording = held_readings(recording)

@@ -118,7 +118,7 @@ def _as_read(recording: Recording) -> Recording:
 
     Where every tenth row holds one, nine of ten rows of production are of that kind; single empty cells stay empty.
     """
-    from errpipe.fitting.thermal_arithmetic import sampled_less_often, short_gaps_held
+    from errpipe.thermal.arithmetic import sampled_less_often, short_gaps_held
 
     return short_gaps_held(recording, sampled_less_often(recording, recording.names("temperature")))
 

@@ -69,8 +69,8 @@ def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingR
 
     A controller sees a reading that comes every ten minutes as one step from one cycle to the next.
     """
-    from errpipe.fitting.thermal_arithmetic import longest_silence, short_gaps_held
     from errpipe.guard import rates
+    from errpipe.thermal.arithmetic import longest_silence, short_gaps_held
 
     names = [n for role in rates.ROLES for n in recording.names(role)]
     return rates.learn(short_gaps_held(recording, names)), longest_silence(recording, names)

@@ -30,9 +30,9 @@ def compare(table: CompensationTable, model: ErrorModel, recording: Recording) -
     from errpipe.fitting.components import evaluate
     from errpipe.fitting.lowering import compensable, uncompensated_terms
     from errpipe.fitting.statistics import rms
-    from errpipe.fitting.thermal_arithmetic import held_readings
     from errpipe.stages.predict import table_values
     from errpipe.tables import bounds
+    from errpipe.thermal.arithmetic import held_readings
 
     allowed = {c.name: c.gridding for c in bounds.components(table)}
     recording = held_readings(recording)

@@ -98,8 +98,8 @@ def _gate(model: ErrorModel, options: Export, context: Context) -> Passed:
 
 def _guard(context: Context, recording: Recording) -> SensorGuard:
     """Sensor guard: each sensor predicted from the others, learnt on the recording; written beside the table."""
-    from errpipe.fitting.thermal_arithmetic import short_gaps_held
     from errpipe.guard import learn
+    from errpipe.thermal.arithmetic import short_gaps_held
 
     context.progress(0.1, "regressing each temperature on the others")
     guard = learn.learn(short_gaps_held(recording))

@@ -25,8 +25,8 @@ from errpipe.errors import DataError
 from errpipe.fitting import holdout
 from errpipe.fitting.holdout import Fold
 from errpipe.fitting.statistics import rms
-from errpipe.fitting.thermal_arithmetic import since_start_of
 from errpipe.models import Family
+from errpipe.thermal.arithmetic import since_start_of
 
 # Recording, component, mask of the rows to fit -> a model with `values`, and `predict` where it has an interval.
 Fitter = Callable[[Recording, str, np.ndarray], Any]

@@ -16,7 +16,7 @@ from errpipe.errors import DataError
 from errpipe.fitting import holdout
 from errpipe.fitting.holdout import Fold
 from errpipe.fitting.statistics import rms
-from errpipe.fitting.thermal_arithmetic import since_start_of
+from errpipe.thermal.arithmetic import since_start_of
 from errpipe.validation.seasons import Fitter
 
 

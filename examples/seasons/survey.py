@@ -18,10 +18,12 @@ from learning_curve import curve
 
 from errpipe import jsonfile
 from errpipe.domain.recording import Recording
-from errpipe.fitting import holdout, recalibration, thermal_arithmetic, thermal_season
+from errpipe.fitting import holdout, recalibration
 from errpipe.fitting.statistics import rms
 from errpipe.formats import manifest_folder
 from errpipe.reporting import run_figures, svg
+from errpipe.thermal import arithmetic
+from errpipe.thermal import season as thermal_season
 from errpipe.validation import seasons
 
 SEASON = "leave-one-group-out:season"
@@ -114,7 +116,7 @@ def cycles(recording: Recording, component: str) -> tuple[Any, str]:
 def hotter(recording: Recording, component: str) -> tuple[Any, str]:
     """A summer that never was: every day again with all temperatures shifted, as if the deviation stayed the same."""
     model = thermal_season.fit(recording, component)
-    y, run = thermal_arithmetic.since_start_of(recording, component), recording.run_codes()
+    y, run = arithmetic.since_start_of(recording, component), recording.run_codes()
     told = []
     for shift in (-8.0, -4.0, 0.0, 2.0, 4.0, 6.0, 10.0, 15.0):
         moved = {n: recording.array(n) + shift for n in recording.names("temperature")}
@@ -142,7 +144,7 @@ def hotter(recording: Recording, component: str) -> tuple[Any, str]:
 
 def readings(recording: Recording, component: str) -> tuple[Any, str]:
     """Residual against the number of probe readings in eight hours, the season left out whole."""
-    y, folds = thermal_arithmetic.since_start_of(recording, component), holdout.groups(recording, SEASON)
+    y, folds = arithmetic.since_start_of(recording, component), holdout.groups(recording, SEASON)
     left = [y - thermal_season.fit(recording, component, rows=f.train).values(recording) for f in folds]
     rows = [np.flatnonzero(f.test & np.isfinite(y)) for f in folds]
     told = recalibration.by_readings(
@@ -170,7 +172,7 @@ def hours(recording: Recording, component: str) -> tuple[Any, str]:
 def failures(recording: Recording, component: str) -> tuple[Any, str]:
     """Each sensor failed in five ways two hours into every run of a season left out: healthy, failed, recovered."""
     told = []
-    y = thermal_arithmetic.since_start_of(recording, component)
+    y = arithmetic.since_start_of(recording, component)
     run, t = recording.run_codes(), recording.time()
     for fold in holdout.groups(recording, SEASON):
         model = thermal_season.fit(recording, component, rows=fold.train)

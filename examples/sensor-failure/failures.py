@@ -22,10 +22,11 @@ import sensor_failures
 import sensor_watch
 
 from errpipe.domain.recording import Recording
-from errpipe.fitting import holdout, thermal_arithmetic
+from errpipe.fitting import holdout
 from errpipe.formats import manifest_folder
 from errpipe.guard import learn
 from errpipe.models import FAMILIES
+from errpipe.thermal import arithmetic
 
 SCHEMES = ("season", "run")
 
@@ -59,7 +60,7 @@ def judge(
     for learnt_from, rows in pairs:
         model = FAMILIES[family](component=component).train(learnt_from)
         guard = learn.learn(learnt_from)
-        truth = thermal_arithmetic.since_start_of(rows, component)
+        truth = arithmetic.since_start_of(rows, component)
         run = rows.run_codes()
         season = rows.frame["season"].to_numpy()
         labels = {code: season[run == code][0] for code in np.unique(run)}

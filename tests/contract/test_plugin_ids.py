@@ -82,7 +82,7 @@ KINDS = (
 
 
 # Files whose texts give examples to people: help and pages of the documentation.
-EXAMPLES = ("cli/formats.py", "cli/targets.py", "stages/reference.py")
+EXAMPLES = ("cli/formats.py", "cli/targets.py", "verbs/reference.py")
 
 
 @cache

@@ -13,7 +13,8 @@ from errpipe import yamlfile
 from errpipe.domain.recording import Manifest
 from errpipe.errors import UsageError
 from errpipe.pipeline.spec import load_pipeline
-from errpipe.stages import STAGES, reference
+from errpipe.stages import STAGES
+from errpipe.verbs import reference
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -47,11 +47,16 @@ def test_every_file_is_registered_and_nothing_else(package: str) -> None:
     assert registered <= files, f"in {registry}, and no file: {sorted(registered - files)}"
 
 
-def test_every_stage_file_is_a_stage_or_the_work_of_a_verb() -> None:
-    files = {path.stem for path in (TOP / "stages").glob("*.py") if not path.stem.startswith("_")}
-    stages = {home(stage) for stage in import_module("errpipe.stages").STAGES}
+def test_every_stage_file_is_a_stage_and_every_verb_is_asked() -> None:
+    files = {
+        f"{room}.{path.stem}"
+        for room in ("stages", "verbs")
+        for path in (TOP / room).glob("*.py")
+        if not path.stem.startswith("_")
+    }
+    stages = {f"stages.{home(stage)}" for stage in import_module("errpipe.stages").STAGES}
     asked = {
-        name for verb in (TOP / "cli").glob("*.py") for name in re.findall(r'stage_module\("(\w+)"', verb.read_text())
+        name for verb in (TOP / "cli").glob("*.py") for name in re.findall(r'module_of\("([\w.]+)"', verb.read_text())
     }
     assert stages <= files
     assert files <= stages | asked, f"no stage of the registry and no work of a verb: {sorted(files - stages - asked)}"

@@ -18,7 +18,7 @@ from errpipe.errors import GateError, UsageError
 from errpipe.pipeline import runner
 from errpipe.pipeline.spec import load_pipeline
 from errpipe.stages import STAGES, _acceptance
-from errpipe.stages.evaluate import evaluate
+from errpipe.verbs.evaluate import evaluate
 
 ROOT = Path(__file__).parents[2]
 DATA = Path(os.environ.get("ERRPIPE_REAL_DATA", ROOT / "../shared/real-data"))

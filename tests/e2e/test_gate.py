@@ -163,7 +163,7 @@ def test_three_rows_of_60_degrees_do_not_widen_validity(tmp_path: Path) -> None:
     assert any("3 of 1770 rows (60 to 60 degC)" in note and "leverage" in note for note in model.notes)
     more = "  - {kind: export, ungated: true}"
     assert run(tmp_path, hot, more) == 0
-    from errpipe.stages.evaluate import evaluate as ask
+    from errpipe.verbs.evaluate import evaluate as ask
 
     at = ask(tmp_path / "out/export/table.ect", {"x": 500.0, "T": 58.0})["deviation"]["EXX"]
     inside = ask(tmp_path / "out/export/table.ect", {"x": 500.0, "T": 25.0})["deviation"]["EXX"]

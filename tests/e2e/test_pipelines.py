@@ -214,7 +214,7 @@ class TestReal:
 
         The table knows these runs, so that the healthy residual is small. What the room does no other sensor tells.
         """
-        from errpipe.fitting.thermal_arithmetic import since_start
+        from errpipe.thermal.arithmetic import since_start
 
         recording = manifest_folder.read(REAL / "turning-centre-thermal")
         recording = recording.take(recording.run_codes() % 4 == 1)

@@ -10,7 +10,7 @@ from errpipe import jsonfile
 from errpipe.cli import init as verb
 from errpipe.cli.app import main
 from errpipe.domain.recording import Recording
-from errpipe.stages.init import TEMPLATES
+from errpipe.verbs.init import TEMPLATES
 
 
 def test_the_help_lists_every_template() -> None:

@@ -20,7 +20,7 @@ import pytest
 
 from errpipe.cli.app import main
 from errpipe.domain.error_model import ErrorModel
-from errpipe.stages import fleet as fleet_stage
+from errpipe.verbs import fleet as fleet_stage
 from tests.e2e.retrain.test_retrain import PIPELINE, record
 from tests.unit.fitting.test_history import two_years
 

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 from errpipe.cli.app import main
-from errpipe.stages.retrain import _since
+from errpipe.verbs.retrain import _since
 
 MANIFEST = """recording: 1
 title: X axis, one run a day

@@ -10,9 +10,9 @@ import pytest
 
 from errpipe.cli.app import main
 from errpipe.simulation import folder, sample_recordings
-from errpipe.stages import show
 from errpipe.tables import ect
 from errpipe.validation.codes import Code
+from errpipe.verbs import show
 from tests.unit.targets.machines import too_long_at_plus_x
 
 

@@ -17,10 +17,11 @@ from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.shared import drive_all
 from errpipe.errors import DataError
-from errpipe.fitting import thermal_arithmetic, thermal_season
 from errpipe.guard import description as g
 from errpipe.guard import detect, learn, replace, rows
 from errpipe.tables import ComponentSource, batch, compile_table
+from errpipe.thermal import arithmetic
+from errpipe.thermal import season as thermal_season
 from tests.unit.guard import simulated_sensors
 
 REAL = Path(os.environ.get("ERRPIPE_REAL_DATA", Path(__file__).parents[4] / "shared/real-data"))
@@ -249,7 +250,7 @@ def test_no_failure_costs_more_than_a_third_where_a_season_is_left_out(season):
     model = thermal_season.fit(recording, "E_D", rows=~judged)
     learnt_from, fresh = recording.take(~judged), recording.take(judged)
     guard = learn.learn(learnt_from)
-    names = list(trials.trials(fresh, guard, model.values, thermal_arithmetic.since_start_of(fresh, "E_D")))
+    names = list(trials.trials(fresh, guard, model.values, arithmetic.since_start_of(fresh, "E_D")))
     assert len(names) == 30
     for f in names:
         assert f.ratio <= 1.3, f

@@ -14,7 +14,7 @@ from errpipe.errors import DataError
 from errpipe.formats import manifest_folder
 from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.sheet import DoorOptions
-from errpipe.stages import import_files
+from errpipe.verbs import import_files
 
 TARGETS = np.linspace(0, 600, 13)
 

@@ -12,7 +12,7 @@ import pytest
 from errpipe.cli.app import main
 from errpipe.errors import DataError, ErrpipeError, UsageError
 from errpipe.importing.sheet import DoorOptions
-from errpipe.stages import import_files
+from errpipe.verbs import import_files
 from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows, number
 
 WORDS = {"sign": ("+", "-"), "english": ("up", "down"), "german": ("auf", "ab"), "number": ("1", "-1")}

@@ -12,7 +12,7 @@ from errpipe.cli.app import main
 from errpipe.errors import DataError
 from errpipe.importing.controller_files import ECT
 from errpipe.importing.sheet import DoorOptions
-from errpipe.stages import import_files
+from errpipe.verbs import import_files
 from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 
 Row = tuple[str, float, float, float]

@@ -16,7 +16,7 @@ from errpipe.importing.other_tests import TESTS
 from errpipe.importing.proposed import ImportOptions
 from errpipe.importing.resolve import unit_by_size
 from errpipe.importing.sheet import Cell, DoorOptions
-from errpipe.stages import import_files
+from errpipe.verbs import import_files
 from tests.unit.importing.known_test import imported, prepared
 
 TARGETS = np.linspace(0, 600, 11)

@@ -9,12 +9,12 @@ from numpy.testing import assert_allclose
 
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.drivers.shared import drive_all
-from errpipe.fitting import thermal_linear
-from errpipe.fitting.thermal_arithmetic import since_start
 from errpipe.models._perceptron import Start, _trained
 from errpipe.models.bilinear import MOST_SENSORS, Bilinear
 from errpipe.models.lagged import Lagged
 from errpipe.models.neural import Neural
+from errpipe.thermal import linear
+from errpipe.thermal.arithmetic import since_start
 
 STEP, ROWS = 300.0, 72  # s, six hours a day
 
@@ -56,7 +56,7 @@ def test_products_of_rate_and_rise_are_learnt() -> None:
 def test_what_competes_is_what_a_table_is_given(family, within: float) -> None:
     """The machine warms while its zero is read; a table of tanh is within 0.0015 of it."""
     recording = bent_machine(3, 6)
-    problem = thermal_linear.problem(recording, "E_Z", None, 3)
+    problem = linear.problem(recording, "E_Z", None, 3)
     groups = tuple(problem.groups)
     for entrant in family.entrants(problem):
         parts = entrant.parts(groups)
@@ -68,7 +68,7 @@ def test_what_competes_is_what_a_table_is_given(family, within: float) -> None:
 
 def test_products_of_many_sensors_or_of_one_run_do_not_compete() -> None:
     for recording in (bent_machine(1, 3, MOST_SENSORS + 1), bent_machine(1, 1)):
-        problem = thermal_linear.problem(recording, "E_Z", None, 3)
+        problem = linear.problem(recording, "E_Z", None, 3)
         assert not Bilinear(component="E_Z").entrants(problem)
 
 

@@ -13,9 +13,7 @@ from sklearn.linear_model import Lasso
 
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError, GateError
-from errpipe.fitting import thermal_competition, thermal_linear
 from errpipe.fitting.statistics import rms
-from errpipe.fitting.thermal_arithmetic import held_readings, since_start
 from errpipe.models import FAMILIES, family_of, procedure
 from errpipe.models.auto import Auto, competitors
 from errpipe.models.lagged import Lagged
@@ -26,6 +24,8 @@ from errpipe.models.rises import Rises
 from errpipe.models.season import Season
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages.predict import table_values
+from errpipe.thermal import competition, linear
+from errpipe.thermal.arithmetic import held_readings, since_start
 from errpipe.validation.gate import pass_gate
 from tests.validation_document import held_out
 
@@ -159,9 +159,9 @@ def test_of_one_labelled_season_only_gains_with_a_sign_are_used() -> None:
 def test_time_constants_follow_the_recording() -> None:
     recording = machine(1, runs=2)
     slower = recording.with_columns({"t": 10.0 * recording.time()}, {})
-    taus = thermal_linear.time_constants(recording)
-    assert taus[-1] == pytest.approx(STEP * (ROWS - 1), rel=0.01) and taus[0] >= thermal_linear.SAMPLES * STEP
-    assert_allclose(thermal_linear.time_constants(slower), 10.0 * np.array(taus), rtol=0.01)
+    taus = linear.time_constants(recording)
+    assert taus[-1] == pytest.approx(STEP * (ROWS - 1), rel=0.01) and taus[0] >= linear.SAMPLES * STEP
+    assert_allclose(linear.time_constants(slower), 10.0 * np.array(taus), rtol=0.01)
 
 
 def test_lasso_on_a_triangle_is_lasso_on_the_rows() -> None:
@@ -169,7 +169,7 @@ def test_lasso_on_a_triangle_is_lasso_on_the_rows() -> None:
     x = rng.normal(size=(400, 6)) * [1, 2, 3, 1, 1, 5]
     y = x @ [1.0, 0, -0.5, 0, 0, 0.2] + rng.normal(0, 0.3, 400)
     triangle = np.linalg.qr(np.column_stack([x, y]), mode="r")
-    (gains,) = thermal_linear.lasso_path(triangle[:, :-1], triangle[:, -1], 400.0, [0.1])
+    (gains,) = linear.lasso_path(triangle[:, :-1], triangle[:, -1], 400.0, [0.1])
     size = np.sqrt(np.mean(x**2, axis=0))
     alpha = 0.1 * np.abs((x / size).T @ y).max() / 400
     assert_allclose(gains, Lasso(alpha, fit_intercept=False, tol=1e-8).fit(x / size, y).coef_ / size, atol=2e-3)
@@ -184,10 +184,10 @@ def test_common_gains_are_least_squares_where_groups_may_not_differ_and_their_me
         parts.append((x, x @ g, float(n)))
         whole.append((x, x @ g))
     pooled = np.linalg.lstsq(np.vstack([x for x, _ in whole]), np.concatenate([y for _, y in whole]), rcond=None)[0]
-    assert_allclose(thermal_linear.common_gains(parts, 0.0, 1e-9), pooled, atol=1e-4)
-    assert_allclose(thermal_linear.common_gains(parts, 0.0, 1e6), gains.mean(axis=0), atol=1e-3)
+    assert_allclose(linear.common_gains(parts, 0.0, 1e-9), pooled, atol=1e-4)
+    assert_allclose(linear.common_gains(parts, 0.0, 1e6), gains.mean(axis=0), atol=1e-3)
     still = [(np.zeros_like(x), y, n) for x, y, n in parts]
-    assert_allclose(thermal_linear.common_gains(still, 1e-5, 1.0), 0.0)
+    assert_allclose(linear.common_gains(still, 1e-5, 1.0), 0.0)
 
 
 def test_empty_cells_hold_the_reading_before_and_a_start_takes_the_first() -> None:
@@ -216,11 +216,11 @@ def test_one_run_without_temperatures_is_a_clear_message() -> None:
     with pytest.raises(DataError, match="has no temperature"):
         Auto(component="E_Z").fit(bare)
     with pytest.raises(DataError, match="only one group"):
-        thermal_competition.compete([], [], np.zeros(3), np.ones(3, dtype=bool), np.zeros(3, dtype=int))
+        competition.compete([], [], np.zeros(3), np.ones(3, dtype=bool), np.zeros(3, dtype=int))
 
 
-def entrant(family: str, values: np.ndarray) -> thermal_competition.Entrant:
-    return thermal_competition.Entrant(family, family, lambda groups: values, lambda groups: ())
+def entrant(family: str, values: np.ndarray) -> competition.Entrant:
+    return competition.Entrant(family, family, lambda groups: values, lambda groups: ())
 
 
 def test_an_entrant_that_does_not_carry_over_to_another_season_is_out() -> None:
@@ -228,16 +228,16 @@ def test_an_entrant_that_does_not_carry_over_to_another_season_is_out() -> None:
     rng = np.random.default_rng(5)
     group = np.repeat(np.arange(8), 50)
     truth = np.tile(np.linspace(0, 20, 50), 8) + rng.normal(0, 0.3, 400)
-    runs = thermal_competition.Grouping("run", tuple((g,) for g in range(8)))
-    seasons = thermal_competition.Grouping("season", ((0, 1, 2, 3), (4, 5, 6, 7)))
+    runs = competition.Grouping("run", tuple((g,) for g in range(8)))
+    seasons = competition.Grouping("season", ((0, 1, 2, 3), (4, 5, 6, 7)))
     good = truth + rng.normal(0, 1.0, 400)
 
     def fickle(groups):
         return truth + rng.normal(0, 0.5 if len(groups) == 7 else 3.0, 400)
 
     def mixture(predict, ways):
-        rival = thermal_competition.Entrant("fickle", "fickle", predict, lambda groups: ())
-        outcome = thermal_competition.compete([rival, entrant("good", good)], ways, truth, np.ones(400, bool), group)
+        rival = competition.Entrant("fickle", "fickle", predict, lambda groups: ())
+        outcome = competition.compete([rival, entrant("good", good)], ways, truth, np.ones(400, bool), group)
         return {e.family for e, _ in outcome.weights}
 
     assert "fickle" in mixture(fickle, (runs,))
@@ -250,19 +250,19 @@ def test_surroundings_that_contradict_each_other_leave_the_least_regretted() -> 
     group = np.repeat(np.arange(8), 50)
     truth = np.tile(np.linspace(0, 20, 50), 8)
     noise = rng.normal(0, 1.0, 400)
-    runs = thermal_competition.Grouping("run", tuple((g,) for g in range(8)))
-    seasons = thermal_competition.Grouping("season", ((0, 1, 2, 3), (4, 5, 6, 7)))
-    warmth = thermal_competition.Grouping("warmth", ((0, 2, 4, 6), (1, 3, 5, 7)))
+    runs = competition.Grouping("run", tuple((g,) for g in range(8)))
+    seasons = competition.Grouping("season", ((0, 1, 2, 3), (4, 5, 6, 7)))
+    warmth = competition.Grouping("warmth", ((0, 2, 4, 6), (1, 3, 5, 7)))
 
     def by(in_season: float, in_warmth: float):
         def predict(groups):
             size = 1.0 if len(groups) == 7 else in_season if set(groups) in ({0, 1, 2, 3}, {4, 5, 6, 7}) else in_warmth
             return truth + size * noise
 
-        return thermal_competition.Entrant(f"{in_season}", f"{in_season}", predict, lambda groups: ())
+        return competition.Entrant(f"{in_season}", f"{in_season}", predict, lambda groups: ())
 
     rivals = [by(1.0, 4.0), by(2.5, 1.0)]
-    outcome = thermal_competition.compete(rivals, (runs, seasons, warmth), truth, np.ones(400, bool), group)
+    outcome = competition.compete(rivals, (runs, seasons, warmth), truth, np.ones(400, bool), group)
     assert [e.family for e, _ in outcome.weights] == ["2.5"]
 
 
@@ -271,9 +271,9 @@ def test_an_entrant_that_helps_by_chance_does_not_join() -> None:
     rng = np.random.default_rng(6)
     group = np.repeat(np.arange(8), 50)
     truth = rng.normal(0, 5.0, 400)
-    runs = thermal_competition.Grouping("run", tuple((g,) for g in range(8)))
+    runs = competition.Grouping("run", tuple((g,) for g in range(8)))
     noise = [entrant(str(k % 6), rng.normal(0, 5.0, 400)) for k in range(30)]
-    outcome = thermal_competition.compete(noise, (runs,), truth, np.ones(400, bool), group)
+    outcome = competition.compete(noise, (runs,), truth, np.ones(400, bool), group)
     assert sum(w for _, w in outcome.weights) < 0.3
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 
 from errpipe.domain.recording import Column, Manifest, Recording
-from errpipe.fitting.thermal_arithmetic import since_start
 from errpipe.models.lagged import Lagged
+from errpipe.thermal.arithmetic import since_start
 
 STEP, ROWS = 300.0, 72  # s, six hours a day
 

@@ -11,12 +11,13 @@ from errpipe.domain import driver as d
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.drivers.shared import drive_all
 from errpipe.errors import DataError
-from errpipe.fitting import holdout, thermal_linear
-from errpipe.fitting.thermal_arithmetic import since_start
+from errpipe.fitting import holdout
 from errpipe.models.auto import Auto
 from errpipe.models.neural_volume import NeuralVolume
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages.predict import table_values
+from errpipe.thermal import linear
+from errpipe.thermal.arithmetic import since_start
 from tests.validation_document import held_out
 
 NOISE = 0.3  # um
@@ -132,7 +133,7 @@ def test_in_a_competition_its_table_is_what_was_judged():
     values = since_start(BESIDE.train(measured).values(measured), run, 1)[0]
     of_table = table_values(compile_model(model, CompileOptions()), model, measured)["E_Z"]
     assert of_table == pytest.approx(values, abs=1e-3)
-    problem = thermal_linear.problem(measured, "E_Z", None, 3)
+    problem = linear.problem(measured, "E_Z", None, 3)
     for entrant in NeuralVolume.competitor({"component": "E_Z"}).entrants(problem):
         parts = entrant.parts(tuple(problem.groups))
         compiled = drive_all([node for _, _, node in parts], measured) @ [gain for _, gain, _ in parts]
@@ -150,5 +151,5 @@ def test_without_a_position_it_does_not_compete():
     measured = recording()
     columns = {n: c for n, c in measured.manifest.columns.items() if c.role != "position"}
     manifest = measured.manifest.model_copy(update={"columns": columns})
-    problem = thermal_linear.problem(Recording(manifest, measured.frame.drop(columns=["x", "y"])), "E_Z", None, 3)
+    problem = linear.problem(Recording(manifest, measured.frame.drop(columns=["x", "y"])), "E_Z", None, 3)
     assert not NeuralVolume.competitor({"component": "E_Z"}).entrants(problem)

@@ -10,13 +10,13 @@ import pytest
 
 from errpipe.domain.error_model import Validity
 from errpipe.domain.recording import Column, Manifest, Recording
-from errpipe.fitting import thermal_competition, thermal_linear
 from errpipe.fitting.statistics import rms
-from errpipe.fitting.thermal_arithmetic import limits, ridge_gains, since_start
-from errpipe.fitting.thermal_interval import GAIN_SPREAD, GROWTH, growth_of_one_day, independent_runs
 from errpipe.models.auto import Auto
 from errpipe.models.lagged import Lagged
 from errpipe.models.rises import Rises
+from errpipe.thermal import competition, linear
+from errpipe.thermal.arithmetic import limits, ridge_gains, since_start
+from errpipe.thermal.interval import GAIN_SPREAD, GROWTH, growth_of_one_day, independent_runs
 from tests.validation_document import held_out
 
 STEP = 120.0  # s
@@ -104,12 +104,12 @@ def test_half_of_the_duty_cycles_that_cannot_teach_the_others_excludes_nobody() 
     def predict(groups):
         return truth if set(groups) & {0, 1} and set(groups) & {4, 5} else -truth
 
-    rival = thermal_competition.Entrant("rival", "rival", predict, lambda groups: ())
-    runs = thermal_competition.Grouping("run", tuple((g,) for g in range(8)))
+    rival = competition.Entrant("rival", "rival", predict, lambda groups: ())
+    runs = competition.Grouping("run", tuple((g,) for g in range(8)))
 
     def weights(decides: bool) -> float:
-        cycles = thermal_competition.Grouping("duty", ((0, 1, 2, 3), (4, 5, 6, 7)), ("A", "B"), decides)
-        outcome = thermal_competition.compete([rival], (runs, cycles), truth, np.ones(400, bool), group)
+        cycles = competition.Grouping("duty", ((0, 1, 2, 3), (4, 5, 6, 7)), ("A", "B"), decides)
+        outcome = competition.compete([rival], (runs, cycles), truth, np.ones(400, bool), group)
         return sum(w for _, w in outcome.weights)
 
     assert weights(False) > 0.99 and weights(True) == 0.0
@@ -124,13 +124,13 @@ def test_of_one_run_what_is_right_ahead_is_taken_and_not_what_is_right_between()
         return np.where(np.isin(group, [g + k for g in groups for k in (-1, 0, 1)]), truth, -truth)
 
     entrants = [
-        thermal_competition.Entrant("between", "between", between, lambda g: ()),
-        thermal_competition.Entrant("ahead", "ahead", lambda g: 0.95 * truth, lambda g: ()),
+        competition.Entrant("between", "between", between, lambda g: ()),
+        competition.Entrant("ahead", "ahead", lambda g: 0.95 * truth, lambda g: ()),
     ]
-    blocks = (thermal_competition.Grouping("run", tuple((g,) for g in range(5))),)
+    blocks = (competition.Grouping("run", tuple((g,) for g in range(5))),)
 
     def most(ahead: bool) -> str:
-        outcome = thermal_competition.compete(entrants, blocks, truth, np.ones(500, bool), group, ahead)
+        outcome = competition.compete(entrants, blocks, truth, np.ones(500, bool), group, ahead)
         return max(outcome.weights, key=lambda pair: pair[1])[0].name
 
     assert most(False) == "between" and most(True) == "ahead"
@@ -173,8 +173,8 @@ def test_what_was_proved_on_warming_is_predicted_of_cooling() -> None:
 def test_the_error_of_a_runs_zero_moves_the_gain_less_than_it_would_in_plain_least_squares(monkeypatch) -> None:
     """Eight runs that are exact but for their first reading, from which all others count; 20 draws."""
     errors: dict[float, list[float]] = {}
-    for share in (0.0, thermal_linear.ZERO_SHARE):
-        monkeypatch.setattr(thermal_linear, "ZERO_SHARE", share)
+    for share in (0.0, linear.ZERO_SHARE):
+        monkeypatch.setattr(linear, "ZERO_SHARE", share)
         errors[share] = []
         for seed in range(20):
             rng, frames = np.random.default_rng(seed), []
@@ -182,7 +182,7 @@ def test_the_error_of_a_runs_zero_moves_the_gain_less_than_it_would_in_plain_lea
                 warm = rng.uniform(2, 10) * (1 - np.exp(-STEP * np.arange(60) / rng.uniform(1000, 6000)))
                 y = 2 * warm + rng.normal(0, 1.0) * (np.arange(60) == 0)
                 frames.append(pd.DataFrame({"run": str(k), "t": STEP * np.arange(60), "T_1": 20 + warm, "E_Z": y}))
-            problem = thermal_linear.problem(recording(pd.concat(frames, ignore_index=True)), "E_Z", None, 1)
+            problem = linear.problem(recording(pd.concat(frames, ignore_index=True)), "E_Z", None, 1)
             gain = ridge_gains(*problem.stacked(problem.groups, 1), 0.0)
             errors[share].append(float(gain[0]) - 2.0)
     plain, shared = (rms(np.array(e)) for e in errors.values())
@@ -200,7 +200,7 @@ def test_a_log_of_days_in_one_run_counts_as_its_days() -> None:
     log = recording(pd.concat(frames, ignore_index=True))
     everything = np.ones(len(log), dtype=bool)
     assert independent_runs(log, everything) == 5 + 2  # whole days between the first and the last reading
-    problem = thermal_linear.problem(log, "E_Z", None, 3)
+    problem = linear.problem(log, "E_Z", None, 3)
     assert not problem.one_day and problem.own == len(log) < len(problem.recording)
     assert problem.run_count == 5 + 2
     told = Auto(component="E_Z", among=("rises",)).train(log).predict(log)

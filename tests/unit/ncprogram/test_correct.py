@@ -188,7 +188,7 @@ def test_outside_the_table_is_refused():
 
 def test_two_outputs_of_an_axis_and_both_directions_are_counted():
     """Outputs that share an axis add up; lost motion counts with the mean of its two sides, and that is said."""
-    from errpipe.stages.correct import depends_on_direction, deviation_of
+    from errpipe.verbs.correct import depends_on_direction, deviation_of
     from tests.unit.targets import machines
 
     at_500 = np.array([[500.0, 0.0, 0.0]])
@@ -203,7 +203,7 @@ def test_two_outputs_of_an_axis_and_both_directions_are_counted():
 def test_a_table_that_moves_no_linear_axis_corrects_no_program(axis, told):
     """The program came back as it was, without a word."""
     from errpipe.errors import GateError
-    from errpipe.stages.correct import deviation_of
+    from errpipe.verbs.correct import deviation_of
     from tests.unit.targets import machines
 
     table = machines.too_long_at_plus_x()
@@ -213,8 +213,8 @@ def test_a_table_that_moves_no_linear_axis_corrects_no_program(axis, told):
 
 
 def test_what_a_program_cannot_correct_is_said(tmp_path):
-    from errpipe.stages.correct import correct as correct_file
     from errpipe.tables import ect
+    from errpipe.verbs.correct import correct as correct_file
     from tests.unit.targets import machines
 
     table = machines.two_outputs()
@@ -274,8 +274,8 @@ def test_an_input_that_is_given_twice_is_refused(tmp_path, capsys):
 
 def test_places_beyond_the_table_and_a_zero_that_was_not_stated_are_named(tmp_path):
     """Where the ends of a table hold, a wrong offset, inches or least increments would pass unseen."""
-    from errpipe.stages.correct import correct as correct_file
     from errpipe.tables import ect
+    from errpipe.verbs.correct import correct as correct_file
     from tests.unit.targets import machines
 
     ect.write(machines.too_long_at_plus_x(), tmp_path / "t.ect")  # measured from X = 0 to 500
@@ -383,7 +383,7 @@ def test_a_printed_program_is_the_written_one_to_the_byte_and_its_remarks_go_to_
 )
 def test_lengths_without_a_point_are_named(line, found):
     """On a Fanuc that counts them in thousandths the corrected program, which has points, goes 1000 times further."""
-    from errpipe.stages.correct import whole_numbers
+    from errpipe.verbs.correct import whole_numbers
 
     says = whole_numbers(f"G21 G90 G54\n{line}\n")
     assert says.startswith(f"line 2: {found} has no decimal point") if found else says == ""
@@ -391,7 +391,7 @@ def test_lengths_without_a_point_are_named(line, found):
 
 @pytest.mark.parametrize("line", ["G96 S200 M3", "G50 S2000", "N5 g92 s1800", "T0101", "T1212 M6"])
 def test_a_turning_program_says_that_x_was_taken_as_a_radius(line):
-    from errpipe.stages.correct import diameters
+    from errpipe.verbs.correct import diameters
 
     assert "do not use the corrected program" in diameters(f"G21 G18 G99 G54\n{line}\nG0 X50.")
     assert diameters("G21 G90 G54 (G96 is a lathe's)\nT12 M6\nT1234\nT0100\nG97 S1000 M3\nG0 X50.") == ""

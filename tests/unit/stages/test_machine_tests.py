@@ -9,7 +9,8 @@ import pytest
 from errpipe.domain.protocols import PROTOCOLS
 from errpipe.kinematics.protocols import READERS
 from errpipe.pipeline.spec import load_pipeline
-from errpipe.stages import STAGES, check
+from errpipe.stages import STAGES
+from errpipe.verbs import check
 
 MANIFEST = """\
 recording: 1

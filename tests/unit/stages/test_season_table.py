@@ -9,20 +9,20 @@ from numpy.testing import assert_allclose
 
 from errpipe import jsonfile
 from errpipe.domain.recording import Recording
-from errpipe.fitting import thermal_season
 from errpipe.formats import manifest_folder
 from errpipe.stages import _artefacts
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages.predict import predict, table_values
 from errpipe.tables import ect
-from tests.unit.fitting.test_thermal_season import machine
+from errpipe.thermal import season
+from tests.unit.thermal.test_season import machine
 
 SENSORS = ("T_room", "T_spindle", "T_bed")
 
 
 @pytest.fixture(scope="module")
 def fitted():
-    return thermal_season.fit(machine(6), "E_D")
+    return season.fit(machine(6), "E_D")
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ import pytest
 from errpipe.cli.app import main
 from errpipe.domain.recording import Recording
 from errpipe.errors import GateError, VerifyError
-from errpipe.fitting.thermal_arithmetic import short_gaps_held, since_start
 from errpipe.formats import manifest_folder
 from errpipe.models.rises import Rises
 from errpipe.models.season import Season
@@ -19,6 +18,7 @@ from errpipe.simulation import spindle_drift
 from errpipe.stages import _proof
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.tables import batch, by_component, ect
+from errpipe.thermal.arithmetic import short_gaps_held, since_start
 
 SENSORS = ("T_front", "T_rear", "T_room")
 DAYS = spindle_drift.DAYS[:1] + spindle_drift.DAYS[3:6]

@@ -13,9 +13,9 @@ import pytest
 
 from errpipe.domain import driver as d
 from errpipe.ncprogram.modal import Setup
-from errpipe.stages.correct import deviation_of
 from errpipe.tables import batch, reference
 from errpipe.targets import TARGETS
+from errpipe.verbs.correct import deviation_of
 from tests.nc import correct
 from tests.unit.targets import machines
 

@@ -11,9 +11,9 @@ from errpipe.domain.table import CompensationTable
 from errpipe.drivers.lowered import Lowered
 from errpipe.errors import VerifyError
 from errpipe.stages import targets as stage
-from errpipe.stages.verify import verify
 from errpipe.tables import ect
 from errpipe.targets import TARGETS, _loss, _sample
+from errpipe.verbs.verify import verify
 from tests.unit.targets import machines
 
 BY_NAME = {t.name: t for t in TARGETS}

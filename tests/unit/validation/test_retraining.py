@@ -9,7 +9,6 @@ import pytest
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.fitting.holdout import Fold
 from errpipe.fitting.judging import HeldOut
-from errpipe.stages.retrain import _name_gate
 from errpipe.validation.input_drift import cusum, drifting_sensors, other_unit, sensor_drift
 from errpipe.validation.retraining import (
     Gate,
@@ -21,6 +20,7 @@ from errpipe.validation.retraining import (
     run_keys,
     score_new_runs,
 )
+from errpipe.verbs.retrain import _name_gate
 
 
 def score(run: int, champion: float, challenger: float, nothing: float = 100.0, season: str = "winter") -> RunScore:

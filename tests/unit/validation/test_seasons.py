@@ -11,9 +11,10 @@ from numpy.testing import assert_allclose
 
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError
-from errpipe.fitting import holdout, thermal_arithmetic
-from errpipe.fitting.thermal_season import SeasonOptions
+from errpipe.fitting import holdout
 from errpipe.models.season import Season
+from errpipe.thermal import arithmetic
+from errpipe.thermal.season import SeasonOptions
 from errpipe.validation import seasons
 
 COLUMNS = {
@@ -55,11 +56,11 @@ class Slope:
 
     def __init__(self, recording: Recording, component: str, rows: np.ndarray, name: str = "T_a"):
         self.name = name
-        x, y = self.rise(recording)[rows], thermal_arithmetic.since_start_of(recording, component)[rows]
+        x, y = self.rise(recording)[rows], arithmetic.since_start_of(recording, component)[rows]
         self.slope = float(x @ y / (x @ x))
 
     def rise(self, recording: Recording) -> np.ndarray:
-        return thermal_arithmetic.since_start(recording.array(self.name), recording.run_codes(), 1)[0]
+        return arithmetic.since_start(recording.array(self.name), recording.run_codes(), 1)[0]
 
     def values(self, recording: Recording) -> np.ndarray:
         return self.slope * self.rise(recording)
@@ -119,7 +120,7 @@ def test_a_season_model_is_judged_like_every_other_model(recording):
     fold = holdout.groups(recording, "leave-one-group-out:season")[1]
     told = Season(component="E_D", options=SeasonOptions(correction=False)).judge(recording, fold)["E_D"]
     assert told.label == "spring" and (np.sort(told.rows) == np.flatnonzero(fold.test)).all()
-    assert_allclose(told.before, thermal_arithmetic.since_start_of(recording, "E_D")[told.rows])
+    assert_allclose(told.before, arithmetic.since_start_of(recording, "E_D")[told.rows])
     assert told.rms(told.after) < told.rms(told.before) and (told.outside >= 0).all()
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from errpipe.domain import driver as d
-from errpipe.fitting import thermal_network
-from errpipe.fitting.thermal_arithmetic import ridge_gains
+from errpipe.thermal import network
+from errpipe.thermal.arithmetic import ridge_gains
 
 MOST_KNOTS = 24  # start temperatures between which gains are interpolated
 
@@ -67,7 +67,7 @@ def fit(
         if not near:  # no run with a similar start temperature: gains stay zero
             gains.append(np.zeros(next(iter(left.values())).shape[1] - 1))
             continue
-        triangle = thermal_network.stack(near, sorted(near))
+        triangle = network.stack(near, sorted(near))
         effective = sum(float(w) * rows[g] for g, w in zip(groups, weight, strict=True))
         gains.append(ridge_gains(triangle[:, :-1], triangle[:, -1], effective, strength))
     return Local(knots, np.array(gains))
@@ -76,4 +76,4 @@ def fit(
 def _left_by(core: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Triangle of the further columns and of what the core leaves of the response: a few of hundreds of columns."""
     residual = part[:, -1] - part[:, : core.size] @ core
-    return thermal_network.stack({0: np.column_stack([part[:, core.size : -1], residual])}, [0])
+    return network.stack({0: np.column_stack([part[:, core.size : -1], residual])}, [0])

@@ -18,7 +18,7 @@ import numpy as np
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
 from errpipe.drivers.shared import drive_all
-from errpipe.fitting.thermal_competition import Groups, Outcome
+from errpipe.thermal.competition import Groups, Outcome
 
 DIRECTIONS = 3  # principal ones that are kept: a table of fits without a run has few large ones (chosen, not measured)
 

@@ -26,8 +26,8 @@ from errpipe.importing.long_form import unstacked
 from errpipe.importing.proposal import propose
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.units import unit_of
-from errpipe.stages import _as_written
 from errpipe.validation import plausibility
+from errpipe.verbs import _as_written
 
 if TYPE_CHECKING:
     from errpipe.importing.sheet import DoorOptions

@@ -19,8 +19,8 @@ EXIT_CODES = {
 
 def terms(name: str) -> dict[str, Any]:
     """Every term with its first line, or the whole page of one."""
-    from errpipe.stages import reference
     from errpipe.terms import TERMS
+    from errpipe.verbs import reference
 
     if name:
         return {"term": name, "says": [reference.entry("terms", name).rstrip()]}
@@ -35,7 +35,7 @@ def formats(name: str) -> dict[str, Any]:
     from errpipe.formats import FORMATS
     from errpipe.importing.doors import DOORS
     from errpipe.importing.other_tests import TESTS
-    from errpipe.stages import reference
+    from errpipe.verbs import reference
 
     if name:
         return {"format": name, "says": [reference.entry("formats", name).rstrip()]}

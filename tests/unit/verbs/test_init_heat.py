@@ -13,7 +13,7 @@ from errpipe.cli.app import main
 from errpipe.domain.recording import Column, Recording
 from errpipe.simulation import folder as recording_folder
 from errpipe.simulation import sample_recordings
-from errpipe.stages import _init_heat
+from errpipe.verbs import _init_heat
 
 STATES = (17.0, 19.0, 20.0, 23.0, 26.0)  # degC of the screw, one for each run of the sample
 GROWTH = 11.0  # um/m/K

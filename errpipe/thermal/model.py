@@ -14,11 +14,11 @@ from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParamet
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.shared import drive_all
-from errpipe.fitting.season_options import SeasonOptions
-from errpipe.fitting.thermal_interval import Intervals
 from errpipe.fitting.validity import distance
 from errpipe.terms import plain
 from errpipe.terms.profile_driver import ProfileDriver
+from errpipe.thermal.interval import Intervals
+from errpipe.thermal.season_options import SeasonOptions
 
 Part = tuple[str, float, d.Driver]  # a cause: its name, its gain in um/K, its driver in K
 
@@ -38,7 +38,7 @@ class ThermalModel:
     """A fitted model. `terms` is what a table compiles: their sum is the deviation since the start of the run.
 
     parts: the same, cause by cause and without fade and limit, for a person to read. factor: of the interval
-    (`thermal_interval`). fade: K, see the options.
+    (`thermal.interval`). fade: K, see the options.
     datum: mean and standard deviation of the runs' zeros, um: how far the start of a new run is unknown.
     """
 

@@ -22,10 +22,10 @@ from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
 from errpipe.fitting.design import response_name
 from errpipe.fitting.solve import one_thread
-from errpipe.fitting.thermal_arithmetic import FEWEST_RUNS, centred, inner_groups, no_usable_row, since_start
-from errpipe.fitting.thermal_causes import columns
-from errpipe.fitting.thermal_network import stack, triangles
-from errpipe.fitting.thermal_starts import started
+from errpipe.thermal.arithmetic import FEWEST_RUNS, centred, inner_groups, no_usable_row, since_start
+from errpipe.thermal.causes import columns
+from errpipe.thermal.network import stack, triangles
+from errpipe.thermal.starts import started
 
 SAMPLES = 1.0  # shortest time constant in sampling steps: a faster lag is over before the next reading
 # Of neighbouring time constants. Chosen on seeds 1 to 3 of `trials.thermal`: 2.5 leaves 2 % more, 4 leaves 8 % more.
@@ -52,7 +52,7 @@ class LinearProblem:
     coolant, on the same lags; values: (rows, drivers), K, counted from the first rows of each run as the response is;
     response: deviation since the start of the run, um; group: run of each row; rows: mask of usable rows; datum_rows:
     first rows of a run whose mean is its zero. own: number of the recording's rows, behind which the same rows may
-    stand again from later starts (`thermal_starts`); run_count: number of independent runs.
+    stand again from later starts (`thermal.starts`); run_count: number of independent runs.
     """
 
     recording: Recording

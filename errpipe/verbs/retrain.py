@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 from errpipe import jsonfile
 from errpipe.errors import DataError, GateError, UsageError, VerifyError
 from errpipe.pipeline.step import NO_CALLBACKS, Callbacks
-from errpipe.stages import _artefacts, _retrain_drift
-from errpipe.stages._retrain_drift import predictions
-from errpipe.stages._retrain_pages import github_annotations, in_words, write_pages
+from errpipe.stages import _artefacts
+from errpipe.verbs import _retrain_drift
+from errpipe.verbs._retrain_drift import predictions
+from errpipe.verbs._retrain_pages import github_annotations, in_words, write_pages
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel

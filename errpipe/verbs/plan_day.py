@@ -12,9 +12,9 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, did_you_mean
 from errpipe.fitting import experiment_design as design
 from errpipe.fitting import holdout
-from errpipe.fitting.duty_cycles import DutyCycles
 from errpipe.fitting.noise_floor import noise_floor
 from errpipe.formats import manifest_folder
+from errpipe.thermal.duty_cycles import DutyCycles
 
 NOISE = 1.0  # um, of a reading, where nothing was measured that shows it
 MIN_GAIN = 0.05  # of the uncertainty: smaller gains are not worth another day of eight hours (a judgement)

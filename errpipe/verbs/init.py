@@ -67,7 +67,7 @@ def init(folder: Path, name: str, recording: Path | None = None, targets: Sequen
     if recording is None and template.sample is not None:
         from errpipe.simulation import folder as recording_folder
         from errpipe.simulation import sample_recordings
-        from errpipe.stages import _as_written
+        from errpipe.verbs import _as_written
 
         own = folder / "recording"
         recording_folder.write(own, getattr(sample_recordings, template.sample)())
@@ -116,7 +116,7 @@ def _filled(
     name: str, text: str, folder: Path, recording: Path | None, targets: Sequence[str]
 ) -> tuple[str, list[str]]:
     """The pipeline with the recording's own axis, component and numbers in place of the @WORDS@; why heat is in it."""
-    from errpipe.stages import _init_heat
+    from errpipe.verbs import _init_heat
 
     words = {"AXIS": "X", "COMPONENT": "EXX", "RECORDING": "recording", "DEGREE": "10", "ISO": "true"}
     words["HOLDOUT"] = "{scheme: leave-one-run-out}"

@@ -11,7 +11,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import UsageError
 from errpipe.simulation import folder as recording_folder
 from errpipe.simulation import sample_recordings
-from errpipe.stages.init import init
+from errpipe.verbs.init import init
 
 
 @pytest.mark.parametrize(

@@ -239,7 +239,7 @@ def with_parameters(model: ErrorModel, component: str, values: np.ndarray, covar
 
 def lines(document: Mapping[str, Any]) -> list[str]:
     """The report as Markdown."""
-    from errpipe.stages._retrain_pages import plain_text
+    from errpipe.verbs._retrain_pages import plain_text
 
     rows = document["machines"]
     states = [r["state"] for r in rows]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from errpipe.stages._fleet_report import _copies, _mirrored
+from errpipe.verbs._fleet_report import _copies, _mirrored
 
 
 def test_the_same_readings_under_several_names_are_found() -> None:

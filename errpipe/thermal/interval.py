@@ -22,7 +22,7 @@ import numpy as np
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
 from errpipe.fitting.statistics import normal_quantile
-from errpipe.fitting.thermal_arithmetic import conformal_half_width
+from errpipe.thermal.arithmetic import conformal_half_width
 
 GROWTH = 1.0 / 50.0  # 1/um
 DAY = 86400.0  # s: the next day shares of one day's warmth what it starts with; neighbouring hours share nearly all

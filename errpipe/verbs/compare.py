@@ -61,7 +61,7 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
         seen = "no figure of the difference" if result.largest is None else f"at most {result.largest:.4g}"
         result.says.append(f"limit {max_um:g}: {seen}: {'within' if within else 'NOT within the limit'}")
     if figure is not None:
-        from errpipe.stages._compare_page import draw
+        from errpipe.verbs._compare_page import draw
 
         jsonfile.write_text(figure, draw(result.changes))
         result.says.append(str(figure))

@@ -2,9 +2,9 @@
 
     deviation since the start of the run = clip( share x fade x core + gate x correction )
 
-core         causes of known sign (`thermal_causes`), gains by averaged signed networks (`thermal_network`)
+core         causes of known sign (`thermal.causes`), gains by averaged signed networks (`thermal.network`)
 correction   ridge on lagged differences to the room, fitted to the residual of the core, weighted to runs with a
-             similar start temperature (`thermal_local`). It improves such runs by micrometres and makes an
+             similar start temperature (`thermal.local`). It improves such runs by micrometres and makes an
              unseen season worse, so `gate` scales it by its improvement on held-out runs with a similar start,
              down to zero where a run starts outside the temperatures seen
 share        1 inside; outside it fades to the slope that the core had on environments left out (at most 1)
@@ -30,15 +30,16 @@ from errpipe.domain.error_model import Validity
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.errors import DataError
-from errpipe.fitting import holdout, thermal_causes, thermal_interval, thermal_local, thermal_network
+from errpipe.fitting import holdout
 from errpipe.fitting.design import response_name
-from errpipe.fitting.season_options import SeasonOptions
 from errpipe.fitting.solve import one_thread
 from errpipe.fitting.statistics import rms
-from errpipe.fitting.thermal_arithmetic import centred, inner_groups, limits, no_usable_row, since_start, slope
-from errpipe.fitting.thermal_interval import Intervals, LeftOut
-from errpipe.fitting.thermal_model import Part, ThermalModel
 from errpipe.fitting.validity import box
+from errpipe.thermal import causes, interval, local, network
+from errpipe.thermal.arithmetic import centred, inner_groups, limits, no_usable_row, since_start, slope
+from errpipe.thermal.interval import Intervals, LeftOut
+from errpipe.thermal.model import Part, ThermalModel
+from errpipe.thermal.season_options import SeasonOptions
 
 Rows = np.ndarray | None  # a mask or label of each row; None: all of them, grouped by run
 CAUSE_BEYOND = 1.0  # of the span seen of each cause
@@ -72,7 +73,7 @@ class _Gains:
     """Fit to one set of groups: gains, correction, the box of starts it saw, and the balance of its days."""
 
     core: np.ndarray
-    correction: thermal_local.Local | None
+    correction: local.Local | None
     low: np.ndarray
     high: np.ndarray
     balance: tuple[float, float]
@@ -83,17 +84,17 @@ class Problem:
 
     def __init__(self, recording: Recording, component: str, options: SeasonOptions, rows: Rows, group: Rows = None):
         self.recording, self.component, self.options = recording, component, options
-        self.sensors = thermal_causes.sensors(
+        self.sensors = causes.sensors(
             recording, room=options.room, spindle=options.spindle, bed=options.bed, use=options.sensors
         )
-        self.causes = thermal_causes.causes(
+        self.causes = causes.causes(
             recording, self.sensors, options.late, options.slow, options.mixes, options.thinning, rows
         )
         self.further = _correction_drivers(recording, self.sensors, options, rows) if options.correction else ()
-        self.core = thermal_causes.columns(recording, [c.driver for c in self.causes])
-        self.extra = thermal_causes.columns(recording, self.further)
+        self.core = causes.columns(recording, [c.driver for c in self.causes])
+        self.extra = causes.columns(recording, self.further)
         names = self.sensors.all()
-        self.starts = thermal_causes.columns(recording, [d.at_start(n) for n in names])
+        self.starts = causes.columns(recording, [d.at_start(n) for n in names])
         self.balance = np.nan_to_num(drive(_balance(self.sensors), recording))
         deviation = recording.array(response_name(recording, component))
         run = recording.run_codes()
@@ -111,12 +112,12 @@ class Problem:
         self.groups = [int(g) for g in np.unique(self.group[good])]
         self.count = {g: int(np.count_nonzero(good & (self.group == g))) for g in self.groups}
         design = np.column_stack([core, extra])[good]
-        self.triangles = thermal_network.triangles(design, self.response[good], self.group[good])
+        self.triangles = network.triangles(design, self.response[good], self.group[good])
         of_core = [*range(len(self.causes)), -1]
-        self.core_triangles = {g: thermal_network.stack({0: t[:, of_core]}, [0]) for g, t in self.triangles.items()}
+        self.core_triangles = {g: network.stack({0: t[:, of_core]}, [0]) for g, t in self.triangles.items()}
         self.signs = np.array([c.sign for c in self.causes])
         self.rounds = 0  # while gain signs are chosen the weights stay uniform
-        self.members = thermal_network.networks([c.kind for c in self.causes], [c.start for c in self.causes])
+        self.members = network.networks([c.kind for c in self.causes], [c.start for c in self.causes])
         self.core_centred, self.extra_centred = core, extra
 
     def restricted(self, groups: Sequence[int]) -> Problem:
@@ -148,7 +149,7 @@ class Problem:
         weight = dict.fromkeys(groups, 1.0)
         core = self._core(weight)
         for _ in range(self.rounds):
-            weight = thermal_network.reweighted(weight, self.triangles, self.count, core)
+            weight = network.reweighted(weight, self.triangles, self.count, core)
             core = self._core(weight)
         correction = self._local(groups, core) if self.further and corrected else None
         mask = self.rows & np.isin(self.group, list(groups))
@@ -157,15 +158,15 @@ class Problem:
 
     def _core(self, weight: dict[int, float]) -> np.ndarray:
         """Gains of the core from some groups with their weights."""
-        triangle = thermal_network.stack({g: w * self.core_triangles[g] for g, w in weight.items()}, list(weight))
+        triangle = network.stack({g: w * self.core_triangles[g] for g, w in weight.items()}, list(weight))
         rows = sum(self.count[g] for g in weight)
-        return thermal_network.signed_gains(triangle, rows, self.members, self.signs, self.options.penalty)
+        return network.signed_gains(triangle, rows, self.members, self.signs, self.options.penalty)
 
-    def _local(self, groups: Sequence[int], core: np.ndarray) -> thermal_local.Local:
+    def _local(self, groups: Sequence[int], core: np.ndarray) -> local.Local:
         warmth = self.warmth()
         warmth_of = {g: float(warmth[self.rows & (self.group == g)][0]) for g in groups}
         parts = {g: self.triangles[g] for g in groups}
-        return thermal_local.fit(
+        return local.fit(
             parts, self.count, warmth_of, core, self.options.correction_width, self.options.correction_penalty
         )
 
@@ -306,9 +307,9 @@ class Problem:
 
     def _intervals(self, near: np.ndarray, afar: np.ndarray) -> Intervals:
         """From predictions of rows left out with their run, and with their environment; um."""
-        runs = thermal_interval.independent_runs(self.recording, self.rows)
+        runs = interval.independent_runs(self.recording, self.rows)
         left, far = (LeftOut((self.response - p)[self.rows], p[self.rows]) for p in (near, afar))
-        return thermal_interval.calibrate(left, far, self.group[self.rows], self.options.coverage, runs)
+        return interval.calibrate(left, far, self.group[self.rows], self.options.coverage, runs)
 
     def _parts(self, gains: _Gains, correction_slope) -> tuple[tuple[Part, ...], d.Driver | None, d.Driver]:
         """The core cause by cause, the gated correction, and how well the season of a run is known (0..1)."""
@@ -368,7 +369,7 @@ class Problem:
         return float(np.mean(levels)), float(np.std(levels))
 
 
-def _balance(sensors: thermal_causes.Sensors) -> d.Driver:
+def _balance(sensors: causes.Sensors) -> d.Driver:
     """Rise of the machine, mean over its sensors, minus the rise of the room, K."""
     rises = tuple(d.rise(n) for n in sensors.bodies)
     weights = (1.0 / len(rises),) * len(rises)
@@ -384,13 +385,13 @@ def _sum(parts: Sequence[Part]) -> d.Driver:
 
 
 def _correction_drivers(
-    recording: Recording, sensors: thermal_causes.Sensors, options: SeasonOptions, rows: np.ndarray | None
+    recording: Recording, sensors: causes.Sensors, options: SeasonOptions, rows: np.ndarray | None
 ) -> tuple[d.Driver, ...]:
     nodes: list[d.Driver] = [d.rise(n) for n in sensors.all()]
     reference = sensors.room or sensors.bodies[0]
     others = [n for n in sensors.all() if n != reference]
-    nodes += [thermal_causes.lagged_difference(n, reference, tau) for n in others for tau in options.correction_lags]
-    state = thermal_causes.running(recording, sensors, rows)
+    nodes += [causes.lagged_difference(n, reference, tau) for n in others for tau in options.correction_lags]
+    state = causes.running(recording, sensors, rows)
     if state is not None:
         nodes += [d.Lag(of=state, tau_up=tau, tau_down=tau, start="zero") for tau in options.correction_lags[:2]]
     return tuple(nodes)

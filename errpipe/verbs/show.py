@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from errpipe.stages.whatis import controller_curves, whatis
+from errpipe.verbs.whatis import controller_curves, whatis
 
 WIDTH, HEIGHT = 64, 12  # characters: fits 80 columns with its labels
 

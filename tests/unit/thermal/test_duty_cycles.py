@@ -8,7 +8,7 @@ import pytest
 
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError
-from errpipe.fitting.duty_cycles import DutyCycles
+from errpipe.thermal.duty_cycles import DutyCycles
 
 ROWS = 60
 GAINS = np.array([4.0, -3.0])  # um/K of head and table

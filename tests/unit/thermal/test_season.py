@@ -14,8 +14,9 @@ from errpipe.domain import driver as d
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.errors import DataError
-from errpipe.fitting import thermal_arithmetic, thermal_causes, thermal_network, thermal_season
 from errpipe.fitting.statistics import rms
+from errpipe.thermal import arithmetic, causes, network
+from errpipe.thermal import season as thermal_season
 
 REAL = Path(os.environ.get("ERRPIPE_REAL_DATA", Path(__file__).parents[4] / "shared" / "real-data"))
 STEP = 140.0
@@ -71,16 +72,16 @@ def truth(recording: Recording) -> np.ndarray:
 
 
 def test_sensors_are_told_apart_by_where_they_sit():
-    sensors = thermal_causes.sensors(machine(1))
+    sensors = causes.sensors(machine(1))
     assert (sensors.room, sensors.spindles, sensors.bed) == ("T_room", ("T_spindle",), "T_bed")
     assert sensors.starts == ("T_bed",)
     with pytest.raises(DataError, match=r"'T_rom' is not a temperature.*Did you mean T_room"):
-        thermal_causes.sensors(machine(1), room="T_rom")
+        causes.sensors(machine(1), room="T_rom")
 
 
 def test_running_is_read_from_the_bearing_alone():
     recording = machine(2)
-    state = drive(thermal_causes.running(recording, thermal_causes.sensors(recording)), recording)
+    state = drive(causes.running(recording, causes.sensors(recording)), recording)
     t = recording.time() % 86400.0
     last = t.max()
     settled_on = (t > 900) & ((t < 0.4 * last) | (t > 0.55 * last + 900))
@@ -101,7 +102,7 @@ def two_bearings(recording: Recording) -> Recording:
 
 def running_differs(healthy: Recording, drift: float) -> float:
     """Share of the rows in which a spindle sensor that drifts, K/h, changes whether the spindle runs."""
-    state = thermal_causes.running(healthy, thermal_causes.sensors(healthy))
+    state = causes.running(healthy, causes.sensors(healthy))
     day = healthy.time() % 86400.0
     spoilt = healthy.frame.assign(T_spindle=healthy.array("T_spindle") + drift * day / 3600)
     return float(np.mean(drive(state, Recording(healthy.manifest, spoilt)) != drive(state, healthy)))
@@ -109,27 +110,27 @@ def running_differs(healthy: Recording, drift: float) -> float:
 
 def test_running_is_read_off_all_bearings_so_that_one_that_drifts_changes_it_little():
     alone, both_of_them = machine(8), two_bearings(machine(8))
-    assert thermal_causes.sensors(both_of_them).spindles == ("T_spindle", "T_front")
+    assert causes.sensors(both_of_them).spindles == ("T_spindle", "T_front")
     for drift in (-2.0, 3.0):
         assert running_differs(both_of_them, drift) < 0.06 < 0.15 < running_differs(alone, drift), drift
 
 
 def test_the_levels_of_running_come_from_the_rows_that_may_be_looked_at():
     recording = machine(4)
-    sensors = thermal_causes.sensors(recording)
+    sensors = causes.sensors(recording)
     rows = recording.run_codes() < 2
     wild = recording.frame.assign(T_spindle=np.where(rows, recording.array("T_spindle"), 1e3 * np.arange(rows.size)))
-    switch = thermal_causes.running(recording, sensors, rows)
-    assert thermal_causes.running(Recording(recording.manifest, wild), sensors, rows) == switch
+    switch = causes.running(recording, sensors, rows)
+    assert causes.running(Recording(recording.manifest, wild), sensors, rows) == switch
     assert 0.0 < switch.off < switch.on < 12.0 * 3600 / 5400  # K/h: standing, and the heat this spindle makes
 
 
 def test_one_kind_of_heat_or_two_speeds_tell_no_level():
     heat = np.random.default_rng(0).normal(1.0, 0.2, 2000)
-    assert thermal_causes._levels(heat) == thermal_causes.HEATED
-    assert thermal_causes._levels(np.r_[heat + 5.0, heat + 8.0]) == thermal_causes.HEATED
-    assert thermal_causes._levels(np.r_[heat[:50], heat[:50] + 3.0]) == thermal_causes.HEATED  # too few to tell
-    on, off = thermal_causes._levels(np.r_[heat, heat + 3.0])
+    assert causes._levels(heat) == causes.HEATED
+    assert causes._levels(np.r_[heat + 5.0, heat + 8.0]) == causes.HEATED
+    assert causes._levels(np.r_[heat[:50], heat[:50] + 3.0]) == causes.HEATED  # too few to tell
+    on, off = causes._levels(np.r_[heat, heat + 3.0])
     assert 1.0 < off < 2.5 < on < 4.0
 
 
@@ -216,17 +217,17 @@ def test_far_outside_only_a_share_is_used_and_the_interval_is_as_much_wider():
 
 def test_warm_oil_rubs_less():
     recording = machine(2)
-    sensors = thermal_causes.sensors(recording)
-    friction = drive(thermal_causes.oil(sensors, 0.05), recording)
+    sensors = causes.sensors(recording)
+    friction = drive(causes.oil(sensors, 0.05), recording)
     level = recording.frame.groupby("run")[["T_spindle", "T_bed"]].transform("first").mean(axis=1).to_numpy()
     assert_allclose(friction, np.exp(-0.05 * (level - 20.0)), rtol=3e-3)
-    assert thermal_causes.oil(sensors, 0.0) is None
+    assert causes.oil(sensors, 0.0) is None
 
 
 def test_a_follower_may_begin_some_of_the_way_to_the_room():
     recording = machine(1, room_early=2.0)
     machine_s, room_s, half = (
-        drive(thermal_causes.follower("T_room", "T_bed", 7200.0, mix), recording) for mix in (0.0, 1.0, 0.5)
+        drive(causes.follower("T_room", "T_bed", 7200.0, mix), recording) for mix in (0.0, 1.0, 0.5)
     )
     assert_allclose(half, 0.5 * (machine_s + room_s), atol=1e-9)
     assert half[-1] < machine_s[-1] - 0.3
@@ -255,8 +256,8 @@ def test_signed_gains_keep_their_sign():
     x = rng.normal(size=(200, 2))
     x[:, 1] = x[:, 0] + 0.01 * x[:, 1]
     y = 3.0 * x[:, 0] + rng.normal(0, 0.5, 200)
-    triangle = thermal_network.stack(thermal_network.triangles(x, y, np.zeros(200, int)), [0])
-    gains = thermal_network.signed_gains(triangle, 200, [np.array([0, 1])], np.array([1.0, -1.0]), 1e-6)
+    triangle = network.stack(network.triangles(x, y, np.zeros(200, int)), [0])
+    gains = network.signed_gains(triangle, 200, [np.array([0, 1])], np.array([1.0, -1.0]), 1e-6)
     assert gains[0] >= 0.0 and gains[1] <= 0.0
     assert_allclose(gains.sum(), 3.0, atol=0.15)
 
@@ -265,9 +266,9 @@ def test_conformal_half_width_counts_every_group_once():
     error = np.r_[np.full(900, 1.0), np.full(10, 9.0)]
     group = np.r_[np.zeros(900), np.ones(10)]
     student = 6.313752 / 1.644854  # two groups: one degree of freedom
-    assert_allclose(thermal_arithmetic.conformal_half_width(error, group, 0.9), 9.0 * student, rtol=1e-6)
+    assert_allclose(arithmetic.conformal_half_width(error, group, 0.9), 9.0 * student, rtol=1e-6)
     uniform = np.random.default_rng(1).uniform(size=20000)
-    width = thermal_arithmetic.conformal_half_width(uniform, np.arange(20000) % 100, 0.9)
+    width = arithmetic.conformal_half_width(uniform, np.arange(20000) % 100, 0.9)
     assert_allclose(width, 0.909 * 1.0095, atol=0.01)
 
 
@@ -292,9 +293,9 @@ def test_a_day_that_fits_badly_counts_more():
     x = rng.normal(size=(400, 1))
     group = np.repeat(np.arange(4), 100)
     y = x[:, 0] * np.where(group == 3, 2.0, 1.0)
-    parts = thermal_network.triangles(x, y, group)
+    parts = network.triangles(x, y, group)
     rows = dict.fromkeys(range(4), 100)
     gains = np.array([1.25])
-    weight = thermal_network.reweighted(dict.fromkeys(range(4), 1.0), parts, rows, gains)
+    weight = network.reweighted(dict.fromkeys(range(4), 1.0), parts, rows, gains)
     assert weight[3] > 1.3 * weight[0]
     assert_allclose(sum(100 * w**2 for w in weight.values()) / 400, 1.0)

@@ -24,7 +24,7 @@ from errpipe.errors import ErrpipeError, UsageError
 from errpipe.yamlfile import Options
 
 MACHINES, TIMES = "machines", "times.csv"
-WORKER = "errpipe.stages._fleet_worker"
+WORKER = "errpipe.verbs._fleet_worker"
 ATTEMPTS = 3  # of a machine whose worker dies; the last one alone in its pool, so that no other can be the cause
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 Progress = Callable[[float, str], None]
@@ -73,7 +73,7 @@ def fleet(
         _start_imports()
     from errpipe.pipeline.spec import load_pipeline
     from errpipe.stages import STAGES
-    from errpipe.stages._fleet_report import model_of, write_report
+    from errpipe.verbs._fleet_report import model_of, write_report
 
     spec: Fleet = yamlfile.load(Path(file), Fleet)
     root = Path(file).parent.absolute()
@@ -150,7 +150,7 @@ def run_machine(pipeline: str, name: str, sets: Sequence[str], out: str) -> dict
     from errpipe.pipeline import runner
     from errpipe.pipeline.spec import load_pipeline
     from errpipe.stages import STAGES
-    from errpipe.stages._fleet_report import facts
+    from errpipe.verbs._fleet_report import facts
 
     begin, state, message = time.perf_counter(), "done", ""
     figures: dict[str, Any] = {"responses": {}, "drift": [], "model": ""}

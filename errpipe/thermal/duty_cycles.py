@@ -4,7 +4,7 @@ The deviation since the start of run r, um, is a regression with random coeffici
 
     y = X (b + d_r) + e,    b ~ N(0, gain^2 I),  d_r ~ N(0, own^2 I),  e ~ N(0, noise^2 I)
 
-X: principal components of the thermal states (causes of `thermal_causes`, else rises) over every run, of unit rms.
+X: principal components of the thermal states (causes of `thermal.causes`, else rises) over every run, of unit rms.
 b holds in every run, d_r is one run's departure from it, which no other run can teach. The information on b
 depends on a run's temperatures alone, so it is known for a run that was logged without a measured deviation: the
 posterior covariance of b after it, and the expected square of a prediction's error over all logged states,
@@ -24,11 +24,11 @@ from scipy.optimize import minimize
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
-from errpipe.fitting import thermal_causes
-from errpipe.fitting.season_options import SeasonOptions
 from errpipe.fitting.solve import one_thread
 from errpipe.fitting.statistics import rms
-from errpipe.fitting.thermal_arithmetic import centred, held_readings, since_start_of
+from errpipe.thermal import causes as thermal_causes
+from errpipe.thermal.arithmetic import centred, held_readings, since_start_of
+from errpipe.thermal.season_options import SeasonOptions
 
 # Least variance of a principal component over that of the first. Chosen on simulated machines (trials.duty_cycles, seed
 # 7, 9 machines): geometric mean of what three chosen runs leave of a third season 3.9 um, 5.0 with 1e-2, 9.6 with 3e-2.

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from errpipe.domain.recording import Column, Recording
-from errpipe.fitting.thermal_arithmetic import BLOCKS, FEWEST_RUNS, inner_groups
-from errpipe.fitting.thermal_interval import DAY, independent_runs
+from errpipe.thermal.arithmetic import BLOCKS, FEWEST_RUNS, inner_groups
+from errpipe.thermal.interval import DAY, independent_runs
 
 # Blocks of a run (one a day), and how many a start is followed for. Chosen on logs of 5, 8 and 21 days of six simulated
 # gantries, the next two weeks judged: rms over uncompensated 0.39, 0.21, 0.29 without later starts, 0.13, 0.16, 0.11
