@@ -19,6 +19,7 @@ from errpipe.fitting.statistics import chi2_quantile
 
 STEPS = 200  # of EM, which converges slowly where machines hardly differ
 CONVERGED = 1e-5  # convergence threshold: relative change of the spread per step
+REGULAR = 1e-5  # smallest over largest diagonal element of a Cholesky factor: the inverse keeps six digits
 LEAST_MACHINES = 4  # fewer give no estimate of the spread between machines
 
 
@@ -32,7 +33,7 @@ class Pool:
 
     def shrunk(self, estimate: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Posterior mean and covariance of one machine's parameters, (p,) and (p, p)."""
-        gain = self.spread @ np.linalg.pinv(self.spread + covariance, hermitian=True)
+        gain = self.spread @ _inverse(self.spread + covariance)
         return self.mean + gain @ (estimate - self.mean), _symmetric(self.spread - gain @ self.spread)
 
 
@@ -50,7 +51,7 @@ def pooled(estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray]) -
     mean, spread = values.mean(axis=0), np.cov(values.T).reshape(len(unit), len(unit)) + 1e-9 * np.eye(len(unit))
     for _ in range(STEPS):
         before = spread
-        gains = spread @ np.linalg.pinv(spread + errors, hermitian=True)  # (machines, p, p)
+        gains = spread @ _inverse(spread + errors)  # (machines, p, p)
         means = mean + np.einsum("ijk,ik->ij", gains, values - mean)
         mean = means.mean(axis=0)
         around = means - mean
@@ -58,6 +59,16 @@ def pooled(estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray]) -
         if np.abs(spread - before).max() < CONVERGED * float(np.trace(before)):
             break
     return Pool(mean * unit, spread * np.outer(unit, unit), len(values))
+
+
+def _inverse(covariances: np.ndarray) -> np.ndarray:
+    """Inverses of covariances (..., p, p); pseudo-inverses, six times as slow, where one is singular or nearly so."""
+    try:
+        root = np.diagonal(np.linalg.cholesky(covariances), axis1=-2, axis2=-1)
+    except np.linalg.LinAlgError:
+        return np.linalg.pinv(covariances, hermitian=True)
+    regular = bool((root.min(axis=-1) > REGULAR * root.max(axis=-1)).all())
+    return np.linalg.inv(covariances) if regular else np.linalg.pinv(covariances, hermitian=True)
 
 
 def _symmetric(matrix: np.ndarray) -> np.ndarray:
@@ -72,7 +83,7 @@ def distances(estimates: np.ndarray, covariances: np.ndarray) -> np.ndarray:
     out = []
     for i in range(len(estimates) - 1):
         gaps = estimates[i + 1 :] - estimates[i]
-        precisions = np.linalg.pinv(covariances[i + 1 :] + covariances[i], hermitian=True)
+        precisions = _inverse(covariances[i + 1 :] + covariances[i])
         out.append(np.einsum("ij,ijk,ik->i", gaps, precisions, gaps))
     return np.concatenate(out)
 

@@ -200,9 +200,9 @@ def _estimates(
     import numpy as np
 
     parts = {n: c for n, m in models.items() for c in m.components if c.component == component and c.parameter_names}
-    commonest = Counter(_keys(c) for c in parts.values()).most_common(1)
-    keys = commonest[0][0] if commonest else ()
-    same = {n: c for n, c in parts.items() if keys and _keys(c) == keys}
+    keys_of = {n: _keys(c) for n, c in parts.items()}
+    keys = Counter(keys_of.values()).most_common(1)[0][0] if parts else ()
+    same = {n: c for n, c in parts.items() if keys_of[n] == keys}
     values = [np.array([p.value for t in c.terms for p in t.parameters]) for c in same.values()]
     errors = [np.array(c.covariance)[: v.size, : v.size] for v, c in zip(values, same.values(), strict=True)]
     return list(same), keys, values, errors

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from html import escape  # xml.sax.saxutils, with the same, imports an HTTP client
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape, quoteattr
 
 from errpipe import jsonfile
 
@@ -124,9 +124,9 @@ def junit(document: Mapping[str, Any]) -> str:
         f'<testsuite name="errpipe retrain" tests="{len(gates)}" failures="{failed}" errors="0" skipped="0">',
     ]
     for gate in gates:
-        lines.append(f'  <testcase classname="retrain" name={quoteattr(gate["name"])}>')
-        if not gate["passed"]:
-            lines.append(f"    <failure message={quoteattr(gate['says'])}>{escape(gate['says'])}</failure>")
+        name, says = escape(gate["name"]), escape(gate["says"])
+        lines.append(f'  <testcase classname="retrain" name="{name}">')
+        lines += [] if gate["passed"] else [f'    <failure message="{says}">{says}</failure>']
         lines.append("  </testcase>")
     return "\n".join([*lines, "</testsuite>"]) + "\n"
 
