@@ -21,9 +21,8 @@ from errpipe.terms._warm import sensors
 
 ROWS_EACH_SIDE = 5  # rows on either side of a jump whose medians give its step
 ALIKE = 2.0  # factor between a jump off and the jump back
-DRAWN = (
-    0.3  # of the fault: prior standard deviation of what the reading drawn through the gap misses (chosen on 40 faults)
-)
+# Of the fault: prior standard deviation of what the reading drawn through the gap misses (chosen on 40 faults)
+DRAWN = 0.3
 BENDS = 4  # half waves along the stretch, from which that may be made
 STILL = 0.05  # of a jump, within which a reading stands still before it
 
@@ -102,6 +101,9 @@ class SensorFault(Term):
             return
         yield inside, DRAWN
         yield inside * along, DRAWN
+        run = sessions(recording)
+        if run[max(self.first - 1, 0)] != run[self.first]:
+            return  # it begins with a session: no reading beside it from which a bend is drawn
         for wave in range(1, BENDS + 1):
             yield inside * np.sin(np.pi * wave * along), DRAWN / wave
 
