@@ -94,7 +94,8 @@ def _comments(line: int, source: str, text: str) -> tuple[str, tuple[str, ...]]:
     """The text without its comments, and these. What follows a semicolon outside brackets is one comment."""
     if not _COMMENT.search(text):
         return text, ()
-    kept, comments, at = [], [], 0
+    kept: list[str] = []
+    comments, at = [], 0
     while at < len(text):
         if text[at] == ";":
             if "".join(kept).strip() and _is_block(text[at + 1 :]):

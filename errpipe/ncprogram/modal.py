@@ -178,7 +178,7 @@ def _no_idle_tool(block: Block) -> None:
 
 
 def _no_turning_cycle(block: Block, state: State) -> None:
-    """Raises DataError for what is a turning cycle on most lathes (Fanuc's G code system A): each piece would be one."""
+    """Raises DataError for a turning cycle of most lathes (Fanuc's G code system A): each piece would be one."""
     codes = set(block.codes("G"))
     ends = block.has("X") and block.has("Z") and not block.has("Y")
     if codes & {"G90", "G94"} and ends and not codes & set(MOTIONS) and not (state.plane_said and state.plane == "G17"):

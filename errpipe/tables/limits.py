@@ -23,7 +23,7 @@ RISE_S = 0.01  # s in which a correction reaches its slew: no step of its rate e
 
 
 def without(table: t.CompensationTable) -> str:
-    """The first output that may go too far or too fast: no magnitude or slew, or more than the most; empty where none."""
+    """The first output without magnitude or slew, or with more than the most of either; empty where there is none."""
     for o in table.outputs:
         if o.magnitude is None or o.slew is None or o.magnitude > MOST_MAGNITUDE or o.slew > MOST_RATE:
             return o.name

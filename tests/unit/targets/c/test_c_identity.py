@@ -97,7 +97,7 @@ int load_how(const void *table, size_t size, const uint8_t *named, int any, doub
 
 @pytest.mark.parametrize("single", [[], ["-DECT_SINGLE"]], ids=["double", "single"])
 def test_a_table_without_a_limit_moves_nothing_unless_it_is_named(tmp_path, single):
-    """A correction that follows the position itself, 1 mm per mm: 100 m if nobody says how much, at once if not how fast."""
+    """A correction that follows the position itself, 1 mm per mm: 100 m where nothing limits it, and all at once."""
     (tmp_path / "loaders.c").write_text(LOADERS)
     sources = [RUNTIME / "ect.c", RUNTIME / "ect_identity.c", tmp_path / "loaders.c"]
     run(COMPILERS[0], *STRICT, *single, "-shared", "-fPIC", f"-I{RUNTIME}", *sources, "-o", tmp_path / "l.so")
