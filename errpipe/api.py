@@ -202,15 +202,17 @@ class Table:
     def cycle(self, unlimited: bool = False) -> Cycle:
         """Function, program and a fresh state for the caller's own njit loop.
 
-        unlimited: also of a table with an output that has no magnitude, or one above 10 mm (10 mrad), as no export of
-        errpipe has; a VerifyError otherwise, as of `ect_load` in C.
+        unlimited: also of a table with an output without magnitude or slew, or beyond 10 mm (10 mrad) or as much in a
+        second, as no export has that does not state it; a VerifyError otherwise, as of `ect_load` in C.
         """
         from errpipe.errors import VerifyError
         from errpipe.kernels import table_codes, table_cycle
         from errpipe.tables import limits, pack
 
         if not unlimited and (wide := limits.without(self.table)):
-            raise VerifyError(f"{wide} is corrected without a limit, or by more than 10 mm (allow it: unlimited=True)")
+            raise VerifyError(
+                f"{wide} is corrected without magnitude or slew, or beyond 10 mm or 10 mm/s (allow it: unlimited=True)"
+            )
 
         program = pack.program(self.table)
         names = tuple(i.name for i in self.table.inputs)

@@ -14,6 +14,10 @@ from typing import Any
 from errpipe import files
 from errpipe.errors import VerifyError
 
+MOST_OBJECTS = (
+    100_000  # in a document, and keys in one of them: a table has at most ten thousand nodes, pairs and terms
+)
+
 
 def dumps(value: Any, *, indent: int | None = 1) -> str:
     """Canonical text of `value`. Raises ValueError for NaN or infinity."""
@@ -60,7 +64,7 @@ def read(path: Path) -> Any:
 def loads(data: bytes, path: Path | str) -> Any:
     """What the bytes of a JSON file hold; path: its name in messages. Raises VerifyError as `read` does."""
     try:
-        return json.loads(data.decode())
+        value = json.loads(data.decode())
     except json.JSONDecodeError as err:
         raise VerifyError(f"{path}:{err.lineno}:{err.colno}  not JSON: {err.msg}") from None
     except UnicodeDecodeError as err:
@@ -69,3 +73,24 @@ def loads(data: bytes, path: Path | str) -> Any:
         raise VerifyError(f"{path}: not JSON that is read here: brackets nested too deep") from None
     except ValueError as err:  # a whole number of more digits than Python turns into a number
         raise VerifyError(f"{path}: not JSON that is read here: {str(err).split(';')[0].lower()}") from None
+    if problem := _too_many(value):
+        raise VerifyError(f"{path}: not JSON that is read here: {problem} (at most {MOST_OBJECTS})")
+    return value
+
+
+def _too_many(value: Any) -> str:
+    """What there is too much of, in words; "" where nothing is. A check of each takes a thousand times its bytes."""
+    objects = 0
+    left: list[Any] = [value]
+    while left:
+        part = left.pop()
+        if isinstance(part, dict):
+            objects += 1
+            if len(part) > MOST_OBJECTS or objects > MOST_OBJECTS:
+                return (
+                    f"more than {MOST_OBJECTS} objects" if objects > MOST_OBJECTS else f"an object of {len(part)} keys"
+                )
+            part = list(part.values())
+        if isinstance(part, list):
+            left += [x for x in part if isinstance(x, dict | list)]
+    return ""

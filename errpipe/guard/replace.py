@@ -5,6 +5,8 @@ The letters are those of `errpipe.guard.description`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from errpipe.domain import driver as d
 from errpipe.guard import composed as c
 from errpipe.guard.description import SensorGuard
@@ -13,15 +15,23 @@ from errpipe.guard.detect import TIE, activity, all_quiet, faults, shared
 LONGEST_S = 1e9  # of a session: the clock that rises beside remembered values has this time constant
 
 
-def guarded(driver: d.Driver, guard: SensorGuard) -> d.Driver:
-    """The driver with every guarded sensor's reading replaced by its guarded one."""
+def guarded(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None = None) -> d.Driver:
+    """The driver with every guarded sensor's reading replaced by its guarded one.
+
+    within: sensor -> range that an estimate may not leave, degC; default: what a healthy sensor can read. Without a
+    range the remembered values, which carry a clock, would leave the correction without a bound.
+    """
     if isinstance(driver, d.Input):
         names = guard.names()
-        return readings(guard)[names.index(driver.name)] if driver.name in names else driver
+        if driver.name not in names:
+            return driver
+        k = names.index(driver.name)
+        low, high = (within or {}).get(driver.name, (guard.sensors[k].low, guard.sensors[k].high))
+        return d.Clip(of=readings(guard)[k], low=low, high=high)
     of = getattr(driver, "of", None)
     if of is None:
         return driver
-    inside = tuple(guarded(child, guard) for child in of) if isinstance(of, tuple) else guarded(of, guard)
+    inside = tuple(guarded(x, guard, within) for x in of) if isinstance(of, tuple) else guarded(of, guard, within)
     return driver.model_copy(update={"of": inside})
 
 

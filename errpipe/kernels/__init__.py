@@ -28,9 +28,10 @@ def _cache_folder() -> str | None:
     """
     from platformdirs import user_cache_dir
 
-    own = Path(tempfile.gettempdir()) / f"errpipe-numba-{os.getuid()}"
-    for folder in (Path(user_cache_dir("errpipe")) / "numba", own):
-        try:
+    for shared in (False, True):
+        try:  # a full disk has no temporary folder either
+            own = Path(tempfile.gettempdir()) / f"errpipe-numba-{os.getuid()}" if shared else None
+            folder = own or Path(user_cache_dir("errpipe")) / "numba"
             folder.parent.mkdir(parents=True, exist_ok=True)
             folder.mkdir(mode=0o700, exist_ok=True)
             if _is_own(folder):

@@ -104,9 +104,21 @@ def _copy(data, at, end, out, used):
 
 
 @bare_kernel
+def _begins_number(c):
+    """Whether a byte begins a number, or stands between a letter and its number."""
+    return 48 <= c <= 57 or c == 43 or c == 45 or c == 46 or c == 32 or c == 9
+
+
+@bare_kernel
 def _comment(data, at, end):
     """Where the comment that begins at `at` ends: -1 where it is not plain or not the last thing of its line."""
     last = end
+    if data[at] == 59:
+        first = at + 1
+        while first < end and (data[first] == 32 or data[first] == 9):
+            first += 1
+        if first + 1 < end and 97 <= data[first] | 32 <= 122 and _begins_number(data[first + 1]):
+            return -1  # may be a block of its own where ';' ends blocks
     if data[at] == 40:
         last = at + 1
         while last < end and data[last] != 41:
@@ -152,7 +164,7 @@ def _words(data, at, end, mode, value, out, used):
             at += 1
             continue
         if c == 40 or c == 59:
-            return used, motion, seen, at, _comment(data, at, end)
+            return used, motion, seen, at, (-1 if groups & 9 == 8 else _comment(data, at, end))
         slot = _SLOT[c] if c < 128 else -1
         if slot < 0 or (seen >> slot & 1 and slot != _G) or (slot == _N and seen):
             return -1, motion, seen, at, at
@@ -174,6 +186,8 @@ def _words(data, at, end, mode, value, out, used):
                 used += 1
             used = _copy(data, at, after, out, used)
         at = after
+    if groups & 9 == 8:  # G90 or G91 without G0 to G3: may be a turning cycle
+        return -1, motion, seen, end, end
     return used, motion, seen, end, end
 
 

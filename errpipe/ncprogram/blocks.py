@@ -84,13 +84,25 @@ def parse(line: int, source: str) -> Block:
     return Block(line, source, tuple(w for w in words if w.letter != "N"), number, comments, delete)
 
 
+def _is_block(text: str) -> bool:
+    """Whether a text is nothing but words, one of a G code or an axis among them."""
+    letters = {m[1].upper() for m in _WORD.finditer(text)}
+    return bool(letters & set("GXYZABC")) and not _WORD.sub("", text).strip(" \t;")
+
+
 def _comments(line: int, source: str, text: str) -> tuple[str, tuple[str, ...]]:
     """The text without its comments, and these. What follows a semicolon outside brackets is one comment."""
     if not _COMMENT.search(text):
         return text, ()
-    kept, comments, at = [], [], 0
+    kept: list[str] = []
+    comments, at = [], 0
     while at < len(text):
         if text[at] == ";":
+            if "".join(kept).strip() and _is_block(text[at + 1 :]):
+                why = (
+                    "a control that ends blocks with ';' takes what follows as a block: one block a line, or (comment)"
+                )
+                raise refuse(line, source, why)
             comments.append(text[at:])
             break
         if text[at] == "(":

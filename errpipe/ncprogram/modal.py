@@ -117,6 +117,7 @@ def advance(block: Block, state: State, setup: Setup) -> tuple[State, Motion | N
     if state.motion not in MOTIONS:
         raise refuse(block.line, block.source, "axes are given but no motion (G0, G1, G2 or G3) is in force")
     _no_idle_tool(block)
+    _no_turning_cycle(block, state)
     if state.motion in ("G0", "G1"):
         for letter in "IJKRPQ":
             if block.value(letter) is not None:
@@ -174,6 +175,18 @@ def _no_idle_tool(block: Block) -> None:
     for letter, code in (("H", "G43"), ("D", "G41 or G42")):
         if block.value(letter) is not None and code not in block.codes("G"):
             raise refuse(block.line, block.source, f"the word {letter} without {code} is not understood")
+
+
+def _no_turning_cycle(block: Block, state: State) -> None:
+    """Raises DataError for a turning cycle of most lathes (Fanuc's G code system A): each piece would be one."""
+    codes = set(block.codes("G"))
+    ends = block.has("X") and block.has("Z") and not block.has("Y")
+    if codes & {"G90", "G94"} and ends and not codes & set(MOTIONS) and not (state.plane_said and state.plane == "G17"):
+        code = "G90" if "G90" in codes else "G94"
+        why = (
+            f"{code} with X and Z is a turning cycle on a lathe: name the motion (G0, G1) in the block, or G17 above it"
+        )
+        raise refuse(block.line, block.source, why)
 
 
 def _turns(block: Block) -> int:

@@ -14,7 +14,7 @@ from errpipe.yamlfile import Options, quantity
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
-    from errpipe.domain.table import CompensationTable
+    from errpipe.domain.table import CompensationTable, TableInput
     from errpipe.drivers.lowered import Lowered
     from errpipe.guard.description import SensorGuard
 
@@ -86,8 +86,9 @@ def _table_of(
     _inputs.unknown_inputs(_inputs.read_by([p.driver for p in followed]), model)
     axes = {p.axis for p in followed if p.axis is not None and p.profile is not None}
     placed = _inputs.with_positions(model, axes.union(*(d.axes(p.driver) for p in followed)), recording)
+    inputs = _inputs.table_inputs(placed, guard, recording)
     if guard is not None:
-        lowered = {name: [_guarded(p, guard) for p in pairs] for name, pairs in lowered.items()}
+        lowered = {name: [_guarded(p, guard, inputs) for p in pairs] for name, pairs in lowered.items()}
     keep = None if model.validity.fades else False  # no box in the table, but it still fades where a sensor is lost
     sources = [
         tables.ComponentSource(c.component, c.unit, tuple(lowered[c.component]), keep)
@@ -98,7 +99,7 @@ def _table_of(
     table = tables.compile_table(
         sources,
         outputs=tables.outputs_of(sources, _acts_on(options.acts_on, recording, [s.name for s in sources])),
-        inputs=_inputs.table_inputs(placed, guard, recording),
+        inputs=inputs,
         travel=_inputs.travel(placed),
         turning=_inputs.turning(placed),
         error_bound=options.error_bound,
@@ -180,9 +181,11 @@ def _acts_on(
     return out
 
 
-def _guarded(pair: Lowered, guard: SensorGuard) -> Lowered:
+def _guarded(pair: Lowered, guard: SensorGuard, inputs: Sequence[TableInput]) -> Lowered:
+    """The pair with guarded readings, which stay where the table keeps those that are read."""
     from dataclasses import replace
 
     from errpipe.guard.replace import guarded
+    from errpipe.tables.bounds import input_span
 
-    return replace(pair, driver=guarded(pair.driver, guard))
+    return replace(pair, driver=guarded(pair.driver, guard, {i.name: input_span(i) for i in inputs}))

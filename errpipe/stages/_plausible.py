@@ -104,7 +104,17 @@ def of_table(table: CompensationTable) -> list[str]:
     from errpipe.targets import _sample
 
     largest = [says for axis in _sample.outputs_by_axis(table) for _, says in [_largest(table, axis)] if says]
-    return [*largest, *not_measured(table)]
+    return [*_jumps(table), *largest, *not_measured(table)]
+
+
+def _jumps(table: CompensationTable) -> list[str]:
+    """A sentence for outputs whose rate nothing limits, as no table is that errpipe compiled of a model."""
+    free = ", ".join(o.name for o in table.outputs if o.slew is None)
+    says = (
+        f"{free}: the table states no slew: where a position, a direction or a sensor jumps, an evaluator of the whole "
+        "table moves the axis as far in one cycle; compile the table again with a slew before it runs"
+    )
+    return [says] if free else []
 
 
 def not_measured(table: CompensationTable) -> list[str]:

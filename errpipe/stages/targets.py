@@ -14,6 +14,7 @@ from errpipe.files import inside
 from errpipe.registry import minisign, signed
 from errpipe.stages import _artefacts, _plausible
 from errpipe.stages._checklist import checklist
+from errpipe.stages._replace import replaced
 from errpipe.tables import ect
 from errpipe.targets import TARGETS, _loss
 from errpipe.targets._base import NothingToAddError
@@ -111,22 +112,25 @@ def export(
     """The files of named targets, beside a copy of the table they come from, in a folder that `verify` reads.
 
     allow, limit: as the options of the export stage (limit in um). public_key: the table must be signed by it, and
-    its signature goes along. Raises GateError for an implausible correction, VerifyError where it is not signed.
+    its signature goes along. Controllers' files of an export before it go, where this one has none of that name.
+    Raises GateError for an implausible correction, VerifyError where it is not signed.
     """
     compensation_table, remarks, signature = (
         _signed(table, public_key) if public_key else (_artefacts.read_table(table), (), "")
     )
     _plausible.refuse_table(compensation_table, allow, limit)
-    files = write_targets(compensation_table, names, Path(out), remarks)
-    ect.write(compensation_table, Path(out) / _artefacts.TABLE)
-    if signature:
-        jsonfile.write_text(Path(out) / f"{_artefacts.TABLE}.minisig", signature)
-    ect.write_json(compensation_table, Path(out) / _artefacts.TWIN)
     consequences = _plausible.of_table(compensation_table)
-    document = {"export": 1, "inputs": compensation_table.fingerprint, "proof": [], "files": files, "left_out": []}
-    document["consequences"] = consequences
-    document["sha256"] = checksums(Path(out), files, [_artefacts.TABLE, _artefacts.TWIN])
-    jsonfile.write(Path(out) / "export.json", document)
+    with replaced(Path(out)) as folder:
+        files = write_targets(compensation_table, names, folder, remarks)
+        ect.write(compensation_table, folder / _artefacts.TABLE)
+        signed_too = [f"{_artefacts.TABLE}.minisig"] if signature else []
+        for name in signed_too:
+            jsonfile.write_text(folder / name, signature)
+        ect.write_json(compensation_table, folder / _artefacts.TWIN)
+        document = {"export": 1, "inputs": compensation_table.fingerprint, "proof": [], "files": files, "left_out": []}
+        document["consequences"] = consequences
+        document["sha256"] = checksums(folder, files, [_artefacts.TABLE, _artefacts.TWIN, *signed_too])
+        jsonfile.write(folder / "export.json", document)
     return {
         "files": files,
         "says": [*(f"{Path(out) / f['file']}: {f['what']}, lost: {f['error']}" for f in files), *consequences],

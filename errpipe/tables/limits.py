@@ -15,6 +15,7 @@ from errpipe.tables.compile import Limits, with_limits
 
 MOST_SLEW = 1000.0  # um/s (urad/s): 1 um/ms, below what a following-error alarm or a surface shows of a single step
 MOST_MAGNITUDE = 10_000.0  # um (urad): more than any machine tool is wrong by; the same as ECT_MOST in ect.h
+MOST_RATE = 10_000.0  # um/s (urad/s): ten times the fastest default; beyond it a failure is a jump; ECT_MOST, too
 LEAST_SLEW = 100.0  # um/s (urad/s): a ramp of 100 um takes a second
 FASTER = 10.0  # times the fastest motion recorded: machines cut and position faster than they are measured
 TURNING_S = 0.01  # s in which a reversal has to be through: at 1 m/min the axis has moved 0.17 mm
@@ -22,9 +23,11 @@ RISE_S = 0.01  # s in which a correction reaches its slew: no step of its rate e
 
 
 def without(table: t.CompensationTable) -> str:
-    """The first output that states no magnitude, or more than MOST_MAGNITUDE; empty where all do."""
-    wide = [o.name for o in table.outputs if o.magnitude is None or o.magnitude > MOST_MAGNITUDE]
-    return wide[0] if wide else ""
+    """The first output without magnitude or slew, or with more than the most of either; empty where there is none."""
+    for o in table.outputs:
+        if o.magnitude is None or o.slew is None or o.magnitude > MOST_MAGNITUDE or o.slew > MOST_RATE:
+            return o.name
+    return ""
 
 
 def limited(

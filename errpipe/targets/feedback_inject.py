@@ -21,7 +21,7 @@ from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.tables import ect
 from errpipe.targets import _sample
-from errpipe.targets._base import ReadBack, Target
+from errpipe.targets._base import HOMED_AT_ONCE, ReadBack, Target
 from errpipe.targets._text import filled, plain
 from errpipe.targets._whole import WholeTable
 
@@ -52,6 +52,7 @@ class FeedbackInject(Target):
         "errpipe-inject.hal: fill in scale (as of the counter), max-velocity, base-period; refused must be FALSE",
         "move by hand: counts must count like the counter's rawcounts, sign included; else scale is wrong",
         "home: found turns TRUE at the index; injected must follow aim; illegal must stay 0",
+        HOMED_AT_ONCE,
         "microcontroller: inject_fits for the largest speed and the step's period; inject_side_fits for its threshold",
     )
 

@@ -21,7 +21,7 @@ from errpipe.domain import table as t
 from errpipe.errors import GateError
 from errpipe.tables import ect
 from errpipe.targets import _sample
-from errpipe.targets._base import ByHand, ReadBack, Target, expect, found
+from errpipe.targets._base import HOMED_AT_ONCE, ByHand, ReadBack, Target, expect, found
 from errpipe.targets._text import filled, plain
 from errpipe.targets._whole import WholeTable
 
@@ -55,6 +55,7 @@ class LinuxcncHal(Target):
         "no COMP_FILE for the same joint: both would be added",
         "halcmd getp errpipe.table-crc is the table's checksum; errpipe.heartbeat grows; errpipe.wrong-rate is FALSE",
         "halcmd getp errpipe.fault-NAME of every sensor is 0 two seconds after the start",
+        HOMED_AT_ONCE,
         "halcmd getp errpipe.tmax (CPU clocks) is small against the period",
     )
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import ByHand, Curve, ReadBack, expect
+from errpipe.targets._base import HOMED_AT_ONCE, ByHand, Curve, ReadBack, expect
 from errpipe.targets._screw_map import ScrewMap
 
 MOST = 256  # points that the motion module keeps of a joint (EMCMOT_COMP_SIZE)
@@ -36,6 +36,7 @@ class LinuxcncScrew(ScrewMap):
         "[JOINT_n] COMP_FILE = <axis>.comp",
         "[JOINT_n] COMP_FILE_TYPE = 1",
         "read back joint.n.backlash-filt after each move: it is the value of the file",
+        HOMED_AT_ONCE,
     )
 
     @classmethod

@@ -1,7 +1,9 @@
 """SINUMERIK cross-error compensation ($AN_CEC): sag, straightness, squareness, and screw errors in both directions.
 
 Value     the ERROR of the output axis in mm, taken to have the sense of the leadscrew table (positive moves minus);
-          the manual's excerpts do not say so: prove it on the machine with the three-point list before cutting.
+          the manual's excerpts do not say so, and a public program writes such files with the other sign, minus the
+          deviation: prove it on the machine with the three-point list before cutting. The base axis counts by its set
+          point; outside MIN..MAX the end values hold (828D manual of 08/2018, p. 299).
 Direction table DIRECTION 1 acts in plus, -1 in minus, 0 in both: a screw error in two directions is two tables.
 Products  a correction that is a curve over one axis times a curve over another (an axis that tilts along its way times
           the height of the tool) is the product of two tables: MULT_BY_TABLE of the first is the second's number, its
@@ -68,10 +70,14 @@ class SinumerikCec(Target):
         "MD18342 points per table; the option for sag compensation, else alarm 8040",
         "MD32710 CEC_ENABLE = 0 while the file is loaded, then 1 for each output axis; SD41300 CEC_TABLE_ENABLE[n] "
         "= 1; reference again",
-        "SD41310 CEC_TABLE_WEIGHT[n] = 1; read the compensation value in the axis' service screen at three points",
+        "SD41310 CEC_TABLE_WEIGHT[n] = 1; read the compensation value in the axis' service screen at three points, and "
+        "measure one of them clear of any part: if an axis is off by twice its error there, this control takes values "
+        "with the other sign: SD41300 = 0, turn the sign of every value of the axis' tables (of a product: of its "
+        "first and third table), load again",
         "MD32720 CEC_MAX_SUM (mm) above the largest value of the list below, MD32730 CEC_MAX_VELO: the control limits "
         "the sum and its rate with an alarm, and goes on",
         "tables with MULT_BY_TABLE (products): enable all four of a product or none; basic system metric (MD10240 = 1)",
+        "MD32711 CEC_SCALING_SYSTEM = 1 (metric) of each output axis: 0 takes the values as inches",
         "to learn how this control reads a product, clear of any part: SD41300 = 0 for the second pair of the four, go "
         "where one table of the first pair is 0 and the other is not; no compensation there means that only products "
         "count. The file holds either way once all four are enabled again",

@@ -30,6 +30,11 @@ MAX_OVERRUN = 1.0  # mm; a program may overrun the ends of what was measured by 
 # Surface speed, its largest rpm, a tool with its offset as Fanuc's lathes call it
 _TURNING = re.compile(r"G(?:96(?!\d)|(?:50|92)[ \t]*S[ \t]*\d+)|T(?:0\d(?!00)\d\d|1([0-6])1\1)(?!\d)", re.IGNORECASE)
 _WHOLE = re.compile(r"[XYZIJKR][ \t]*[+-]?0*[1-9]\d*(?![\d.])", re.IGNORECASE | re.ASCII)
+_LENGTH = re.compile(r"[XYZ][ \t]*[+-]?[\d.]*[1-9]", re.IGNORECASE | re.ASCII)
+_SAID = (
+    (re.compile(r"G0*2[01](?![\d.])", re.IGNORECASE), "G20 or G21 (taken as mm)"),
+    (re.compile(r"G0*9[01](?![\d.])", re.IGNORECASE), "G90 or G91 (taken as absolute)"),
+)
 _COMMENT = re.compile(r"\([^)]*\)?|;.*")
 _HEAD = re.compile(r"%|(?:N\d+\s*)?O\s*\d", re.IGNORECASE | re.ASCII)  # what a control wants first: tape mark, number
 _MARK = "CORRECTED BY ERRPIPE, TABLE "  # in capitals: some controls have no others
@@ -103,6 +108,8 @@ def _remarks(table: CompensationTable, offsets: Sequence[str], beginning: str) -
         result["not_corrected"] = f"{', '.join(left)}: programs are corrected in X, Y and Z only"
     if not any(option.startswith("G54=") for option in offsets):
         result["offsets"] = "no --offset of G54 was given: G54 is taken as 0,0,0, machine coordinates"
+    if missing := unsaid(beginning):
+        result["taken_as"] = missing
     if whole := whole_numbers(beginning):
         result["whole_numbers"] = whole
     if turned := diameters(beginning):
@@ -183,6 +190,14 @@ def whole_numbers(text: str) -> str:
         f"line {number}: {word} has no decimal point and is taken as a whole length, as LinuxCNC does: a control that "
         "counts it in least increments (Fanuc 3401#0 DPI = 0) would go 1000 times further by the corrected program"
     )
+
+
+def unsaid(text: str) -> str:
+    """What a program leaves to the state that its control starts in, in words; '' where it says it all."""
+    number, word = _first_match(_LENGTH, text)
+    above = "\n".join(_COMMENT.sub("", line) for line in text.splitlines()[:number])
+    missing = [says for pattern, says in _SAID if not pattern.search(above)]
+    return "" if not word or not missing else f"line {number}: {word} comes before any {' and any '.join(missing)}"
 
 
 def diameters(text: str) -> str:

@@ -14,6 +14,7 @@ from errpipe.errors import DataError, VerifyError
 from errpipe.files import inside
 from errpipe.fitting.components import evaluate
 from errpipe.stages import _artefacts
+from errpipe.stages._replace import refuse_interrupted
 from errpipe.stages.predict import table_values
 from errpipe.stages.targets import in_words, losses
 from errpipe.tables import bounds, ect
@@ -46,7 +47,9 @@ def verify(folder: Path) -> dict[str, Any]:
         below = sorted(p.parent for depth in ("*", "*/*") for p in folder.glob(f"{depth}/export.json"))
         hint = f". Did you mean {below[0]}?" if below else ""
         raise VerifyError(f"{folder}: holds no export.json, so nothing here was exported by errpipe{hint}")
-    document = _listed(folder / "export.json", jsonfile.read(folder / "export.json"))
+    listed = jsonfile.read(folder / "export.json")
+    refuse_interrupted(folder / "export.json", listed)
+    document = _listed(folder / "export.json", listed)
     table = ect.read(folder / _artefacts.TABLE)
     checks = [f"{_artefacts.TABLE}: checksum, layout and limits hold"]
     if ect.read_json(folder / _artefacts.TWIN) != table:

@@ -82,6 +82,12 @@ def with_magnitude(made: t.CompensationTable, magnitude: float | None) -> t.Comp
     return made.model_copy(update={"outputs": (*others, last.model_copy(update={"magnitude": magnitude}))})
 
 
+def with_slew(made: t.CompensationTable, slew: float | None) -> t.CompensationTable:
+    """The table with the last output's slew (um/s) or without one."""
+    *others, last = made.outputs
+    return made.model_copy(update={"outputs": (*others, last.model_copy(update={"slew": slew}))})
+
+
 @dataclass(frozen=True)
 class Part:
     """Cycles in one mode; begins: "" (goes on), "reset", or "table" with `number`. readings (cycles, inputs)."""

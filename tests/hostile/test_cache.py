@@ -70,6 +70,14 @@ CALL = "import numpy as np; from errpipe.kernels.responses import first_value as
 
 
 @pytest.mark.slow
+def test_where_there_is_no_temporary_folder_nothing_is_kept(where: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full() -> str:
+        raise FileNotFoundError("No usable temporary directory found")
+
+    monkeypatch.setattr(kernels.tempfile, "gettempdir", full)
+    assert kernels._cache_folder() is None
+
+
 def test_a_planted_index_runs_in_no_process(tmp_path: Path) -> None:
     """End to end: read from a folder that is ours alone the planted index runs; from one that others write, never."""
     temporary, ran = tmp_path / "tmp", tmp_path / "ran"

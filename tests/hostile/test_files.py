@@ -246,8 +246,15 @@ def test_standard_output_that_is_full_is_a_message(project: Path) -> None:
 
 @pytest.mark.parametrize(
     "text, word",
-    [("[" * 100_000, "nested"), ("1" * 5000, "exceeds the limit"), ("{", "not JSON"), ("\xff", "UTF-8")],
-    ids=["deep", "digits", "cut", "bytes"],
+    [
+        ("[" * 100_000, "nested"),
+        ("1" * 5000, "exceeds the limit"),
+        ("{", "not JSON"),
+        ("\xff", "UTF-8"),
+        (json.dumps({str(k): 1 for k in range(100_001)}), "an object of 100001 keys"),
+        (json.dumps({"table": 2, "inputs": [{}] * 100_001}), "more than 100000 objects"),
+    ],
+    ids=["deep", "digits", "cut", "bytes", "keys", "objects"],
 )
 def test_hostile_json_is_a_message(tmp_path: Path, text: str, word: str) -> None:
     (tmp_path / "x.json").write_text(text, encoding="latin-1")

@@ -56,15 +56,23 @@ SETUP = Setup(offsets={"G54": (100.0, 50.0, 0.0), "G55": (300.0, 50.0, 0.0)}, to
         ("G1 X5)", "not closed"),
         ("G1 X" + "0" * 5000 + "5", "characters"),
         ("G43 H1.5", "was not given"),
+        ("G90 X40 Z-30", "turning cycle"),
+        ("G94 X40 Z-30 (face)", "turning cycle"),
+        ("G90 G1 X40 Z-30", None),
+        ("G1 X5 ; X6", "ends blocks with ';'"),
+        ("G1 X5 F100; G0 Z5 ;", "ends blocks with ';'"),
+        ("G1 X5 ; T5 first", None),
+        ("; X6", None),
     ],
 )
 def test_refused_at_once_with_its_line(line: str, why: str | None) -> None:
     began = time.process_time()
-    try:
-        correct("G90 G21 G54 G0 X0 Y0 Z0\n" + line + "\n", too_long_at_plus_x, SETUP)
-        assert why is None or "None" in why
-    except DataError as err:
-        assert why is not None and re.search(why, str(err)) and "line 2" in str(err), str(err)
+    for bulk in (True, False):
+        try:
+            correct("G90 G21 G54 G0 X0 Y0 Z0\n" + line + "\n", too_long_at_plus_x, SETUP, bulk=bulk)
+            assert why is None or "None" in why
+        except DataError as err:
+            assert why is not None and re.search(why, str(err)) and "line 2" in str(err), str(err)
     assert time.process_time() - began < 30.0  # against a blow-up; a first call in a worker compiles for seconds
 
 

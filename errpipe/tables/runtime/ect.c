@@ -1013,7 +1013,8 @@ ect_error ect_load(ect *e, const void *table, size_t size, void *work, size_t wo
     uint32_t i;
     for (i = 0; error == ECT_OK && i < e->output_count; i++) {
         const ect_output *o = &e->outputs[i];
-        if (!(o->flags & HAS_MAGNITUDE) || o->magnitude > R(ECT_MOST)) {
+        if (!(o->flags & HAS_MAGNITUDE) || o->magnitude > R(ECT_MOST)
+            || !(o->flags & HAS_SLEW) || o->slew > R(ECT_MOST)) {
             static const ect nothing;
             *e = nothing;
             e->where = i;
@@ -1705,6 +1706,6 @@ const char *ect_says(ect_error error)
         "another format version", "damaged (checksum)", "header: cycles, times, texts or reserved bytes",
         "a section's size or place", "an input", "a substitute", "a node", "an operand", "a lookup value", "a profile",
         "a profile value", "a component", "a pair", "an output", "a term", "work area too small or not aligned",
-        "another table than the one allowed", "an output without a limit, or with one above ECT_MOST"};
+        "another table than the one allowed", "an output without magnitude or slew, or with one above ECT_MOST"};
     return (unsigned)error <= (unsigned)ECT_UNLIMITED ? words[error] : "unknown error";
 }

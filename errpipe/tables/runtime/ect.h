@@ -52,7 +52,7 @@ typedef enum {
     ECT_TERM,
     ECT_WORK,           /* the work area is too small or not aligned to 8 bytes */
     ECT_FOREIGN,        /* another table than the one allowed (ect_load_only in ect_identity.h) */
-    ECT_UNLIMITED       /* ect.where is the number of an output without a magnitude, or with one above ECT_MOST */
+    ECT_UNLIMITED       /* ect.where is the number of an output without magnitude or slew, or with one above ECT_MOST */
 } ect_error;
 
 enum { /* status bits */
@@ -155,14 +155,15 @@ typedef struct {
 /* Bytes of work area a table needs; 0 if its header is refused. */
 size_t ect_work_size(const void *table, size_t size);
 
-/* Largest correction, um or urad, of a table that nobody has named: 10 mm is more than any machine tool is wrong by. */
+/* Largest correction of a table that nobody has named, um or urad, and its largest change in a second: 10 mm is more than any
+ * machine tool is wrong by, and 10 um a millisecond more than any axis asks of its correction: what is faster is a jump. */
 #ifndef ECT_MOST
 #define ECT_MOST 10000
 #endif
 
 /* Check everything and prepare. On any error the table is not used: ect_cycle then gives corrections of 0. Tables whose
- * corrections have no limit, or one above ECT_MOST, are refused; ect_load_any takes those too, for a table that the
- * machine's builder knows, and ect_load_only (ect_identity.h) for one that the site names. */
+ * corrections have no magnitude or no slew, or one above ECT_MOST, are refused; ect_load_any takes those too, for a table
+ * that the machine's builder knows, and ect_load_only (ect_identity.h) for one that the site names. */
 ect_error ect_load(ect *e, const void *table, size_t size, void *work, size_t work_size);
 ect_error ect_load_any(ect *e, const void *table, size_t size, void *work, size_t work_size);
 

@@ -236,15 +236,17 @@ def connections(way: str, made: t.CompensationTable) -> str:
     return "\n".join(lines) + "\n"
 
 
-def ini(way: str, screws: tuple[str, ...]) -> str:
-    """The controller's own file; with the screw files where they are to be used."""
+def ini(way: str, screws: tuple[str, ...], home: float = 0.0) -> str:
+    """The controller's own file; with the screw files where they are to be used. home: of X, where it stands."""
     traj = "DEFAULT_LINEAR_VELOCITY = 500\nMAX_LINEAR_VELOCITY = 1500\nDEFAULT_LINEAR_ACCELERATION = 10000\n"
     parts = [session.ini(AXES, SHIFT if way == "shift" else JOINTS, traj)]
     for n, axis in enumerate(AXES):
         low, high = TRAVEL[axis]
         limits = f"MIN_LIMIT = {low - 1}\nMAX_LIMIT = {high + 1}\nMAX_VELOCITY = 1000\nMAX_ACCELERATION = 10000\n"
         parts.append(f"[AXIS_{axis}]\n{limits}" + ("OFFSET_AV_RATIO = 0.2\n" if way == "shift" else ""))
-        parts.append(f"[JOINT_{n}]\nTYPE = LINEAR\nHOME = 0\nHOME_SEQUENCE = 0\n{limits}FERROR = 0.001\n")
+        parts.append(
+            f"[JOINT_{n}]\nTYPE = LINEAR\nHOME = {0 if n else home}\nHOME_SEQUENCE = 0\n{limits}FERROR = 0.001\n"
+        )
         if f"{axis.lower()}.comp" in screws:
             parts.append(f"COMP_FILE = {axis.lower()}.comp\nCOMP_FILE_TYPE = 1\n")
     return "".join(parts)
@@ -269,12 +271,13 @@ def run(
     least_s: float = 0.0,
     read: tuple[str, ...] = (),
     stops: int = 0,
+    home: float = 0.0,
 ) -> Record:
     """One session: way is off, screw, hal or shift. Raises AssertionError with LinuxCNC's words where it fails."""
     made = made or table()
     screws = LinuxcncScrew.write(made) if way == "screw" else {}
     files = {
-        "sim.ini": ini(way, tuple(screws)),
+        "sim.ini": ini(way, tuple(screws), home),
         "core.hal": CORE + session.IO,
         "connect.hal": connections(way, made),
         "program.ngc": program or lattice(),

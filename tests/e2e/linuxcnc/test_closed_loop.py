@@ -208,3 +208,15 @@ def test_ten_um_too_long_goes_ten_um_less_far(linuxcnc, way):
     assert end.sum() > 50
     moved = 1e3 * (record.motor - record.command)[end]
     np.testing.assert_allclose(moved[-50:], np.tile([-10.0, 0.0, 0.0], (50, 1)), atol=0.01)
+
+
+@pytest.mark.parametrize("way", ["screw", "hal"])
+def test_lost_motion_behind_homing_without_a_move_is_right_from_the_next_move_on(linuxcnc, way):
+    """X is homed where it stands, at 250: the jump from 0 counts as a move up, whatever side it stands on."""
+    down = "G21 G90 G61\nF600\nG4 P1.5\nG1 X249\nG4 P0.3\nM2\n"
+    record = linuxcnc(f"homed-{way}", way, machines.long_with_lost_motion(), program=down, home=250.0)
+    moved = 1e3 * (record.motor - record.command)[:, 0]
+    still = record.command[:, 0] > 249.9999
+    assert moved[still][-60:-10] == pytest.approx(-5.0 + 3.0, abs=0.05), "as after a move up"
+    assert moved[-50:] == pytest.approx(-4.98 - 3.0, abs=0.05), "and down from the first move on"
+    assert "HOME_SEARCH_VEL" in " ".join((LinuxcncScrew if way == "screw" else LinuxcncHal).activation)

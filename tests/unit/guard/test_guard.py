@@ -19,7 +19,7 @@ from errpipe.drivers.shared import drive_all
 from errpipe.errors import DataError
 from errpipe.guard import description as g
 from errpipe.guard import detect, learn, replace, rows
-from errpipe.tables import ComponentSource, batch, compile_table
+from errpipe.tables import ComponentSource, batch, compile_table, limited
 from errpipe.thermal import arithmetic
 from errpipe.thermal import season as thermal_season
 from tests.unit.guard import simulated_sensors
@@ -204,6 +204,16 @@ def test_compiled_into_a_table_it_says_the_same(guard, way):
     start = np.array([bed[run == r][0] for r in run])
     assert seen.fault[:, NAMES.index("T_bed")].any()
     np.testing.assert_allclose(played.deviation["E_Z"], bed - start, atol=2e-3)
+
+
+def test_an_estimate_stays_in_its_range_so_that_the_correction_has_a_bound(guard):
+    """The clock beside remembered values once made the default magnitude of a guarded correction a kilometre."""
+    inputs = [t.TableInput(name=s.name, kind="sensor", low=s.low, high=s.high, default=20.0) for s in guard.sensors]
+    bed = guard.sensors[NAMES.index("T_bed")]
+    for within, most in (({"T_bed": (15.0, 40.0)}, 40.0), (None, max(abs(bed.low), abs(bed.high)))):
+        pair = Lowered(driver=replace.guarded(d.Input(name="T_bed"), guard, within))
+        table = limited(compile_table([ComponentSource("E_Z", "um", (pair,))], inputs=inputs))
+        assert most <= table.outputs[0].magnitude <= 1.1 * most
 
 
 # ---------------------------------------------------------------- a real machine

@@ -395,3 +395,21 @@ def test_a_turning_program_says_that_x_was_taken_as_a_radius(line):
 
     assert "do not use the corrected program" in diameters(f"G21 G18 G99 G54\n{line}\nG0 X50.")
     assert diameters("G21 G90 G54 (G96 is a lathe's)\nT12 M6\nT1234\nT0100\nG97 S1000 M3\nG0 X50.") == ""
+
+
+@pytest.mark.parametrize(
+    ("program", "left"),
+    [
+        ("G90 G54\nG0 X0 Y0.\nX5.", "line 3: X5 comes before any G20 or G21 (taken as mm)"),
+        ("G21\nG0 X0\nY-.5\nG90", "line 3: Y-.5 comes before any G90 or G91 (taken as absolute)"),
+        ("(G21 G90)\nG1 Z5", "line 2: Z5 comes before any G20 or G21 (taken as mm) and any G90 or G91"),
+        ("G91 G28 Z0\nG20 G90 G0 X3", ""),
+        ("g0g021g90x3", ""),
+        ("G54 G0 X0 Y0", ""),
+    ],
+)
+def test_what_a_program_leaves_to_the_state_of_its_control_is_said(program, left):
+    """On a control that starts in inches the corrected program would be wrong by 25.4 times the correction."""
+    from errpipe.verbs.correct import unsaid
+
+    assert unsaid(program).startswith(left) and bool(unsaid(program)) == bool(left)

@@ -66,8 +66,20 @@ def test_a_table_that_nothing_limits_is_refused(tmp_path: Path) -> None:
         ect.write(follower(magnitude), tmp_path / "table.ect")
         with pytest.raises(GateError, match=r"the correction reaches \S+ um, the limit is 500"):
             targets.export(tmp_path / "table.ect", ["linuxcnc_hal", "c_runtime", "iec_st"], tmp_path / "out")
-        with pytest.raises(VerifyError, match="EXX is corrected without a limit, or by more than 10 mm"):
+        with pytest.raises(VerifyError, match="EXX is corrected without magnitude or slew, or beyond 10 mm"):
             Table.read(tmp_path / "table.ect").cycle()
     assert not (tmp_path / "out").exists()
     assert Table(follower(None)).cycle(unlimited=True).outputs == ("EXX",)
     assert Table(follower(10_000.0)).cycle().outputs == ("EXX",)
+
+
+def test_a_table_that_may_jump_says_so_and_runs_only_where_it_is_named(tmp_path: Path) -> None:
+    """A magnitude alone lets an encoder's jump through in one cycle."""
+    ect.write(follower(100.0, None), tmp_path / "table.ect")
+    with pytest.raises(VerifyError, match="EXX is corrected without magnitude or slew"):
+        Table.read(tmp_path / "table.ect").cycle()
+    says = targets.export(tmp_path / "table.ect", ["c_runtime"], tmp_path / "out")["says"]
+    told = [says, [(tmp_path / "out" / "c_runtime" / "CHECKLIST.md").read_text()]]
+    assert all("EXX: the table states no slew" in "".join(lines) for lines in told)
+    ect.write(follower(100.0, 1000.0), tmp_path / "slow.ect")
+    assert "no slew" not in "".join(targets.export(tmp_path / "slow.ect", ["c_runtime"], tmp_path / "out2")["says"])

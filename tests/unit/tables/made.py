@@ -235,13 +235,13 @@ def _output(r: random.Random, n: int, components: tuple[t.Component, ...], nodes
     )
 
 
-def follower(magnitude: float | None) -> t.CompensationTable:
-    """A correction of 1 mm per mm of X, without a profile; its only limit is the magnitude, um."""
+def follower(magnitude: float | None, slew: float | None = 1000.0) -> t.CompensationTable:
+    """A correction of 1 mm per mm of X, without a profile; its only limits: magnitude, um, and slew, um/s."""
     x = t.TableInput(name="x", kind="position", axis="X", unit="mm", low=-1e5, high=1e5, default=0)
     driver = d.Affine(weights=(1e3,), of=(d.Input(name="x"),))
     made = compile_table([ComponentSource("EXX", "um", (Lowered(driver),))], inputs=[x], ramp_s=0.0)
     (only,) = made.outputs
-    return made.model_copy(update={"outputs": (only.model_copy(update={"magnitude": magnitude}),)})
+    return made.model_copy(update={"outputs": (only.model_copy(update={"magnitude": magnitude, "slew": slew}),)})
 
 
 def numba_stream(table, readings, fresh, enable):

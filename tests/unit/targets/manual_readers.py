@@ -216,11 +216,12 @@ def _sinumerik(text: str, table: str) -> Callable[[float], float]:
     return _line([low + step * n for n in sorted(values)], [values[n] for n in sorted(values)])
 
 
-def _from(text: str) -> float:
+def _from(text: str, table: str = "0") -> float:
     """MIN of a table that repeats every 360 deg."""
     low, high = (
-        float(re.search(rf"COMP_{k}\[0[^\]]*\]=(\S+)", text.replace("CEC_", "COMP_"))[1]) for k in ("MIN", "MAX")
-    )  # type: ignore[index]
+        float(re.search(rf"COMP_{k}\[{table}[^\]]*\]=(\S+)", text.replace("CEC_", "COMP_"))[1])  # type: ignore[index]
+        for k in ("MIN", "MAX")
+    )
     assert high - low == 360.0
     return low
 
@@ -229,14 +230,15 @@ def sinumerik_cec(files: Files, axis: str) -> Moved:
     """Errors, taken away, each table in its direction of travel."""
     text = files["NC_CEC.INI"]
     machine_axis = {letter: ax for ax, letter in re.findall(r"^; (AX\d+) = (\w+)$", text, re.M)}[axis]
-    parts = []
+    parts, low = [], None
     for table in dict.fromkeys(re.findall(r"\$AN_CEC\[(\d+),", text)):
         ends = re.findall(rf"CEC_(?:INPUT|OUTPUT)_AXIS\[{table}\]=\((\w+)\)", text)
         if ends == [machine_axis, machine_axis]:
             way = int(re.search(rf"CEC_DIRECTION\[{table}\]=(-?\d)", text)[1])  # type: ignore[index]
             parts.append((way, _sinumerik(text, table)))
+            low = _from(text, table) if f"IS_MODULO[{table}]=1" in text else None
     once = lambda x, side: -sum(error(x) for way, error in parts if way * side >= 0)  # noqa: E731
-    return _turning(once, _from(text)) if "IS_MODULO[0]=1" in text else once
+    return once if low is None else _turning(once, low)
 
 
 def sinumerik_lec(files: Files, axis: str) -> Moved:

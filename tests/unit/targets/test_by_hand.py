@@ -59,6 +59,10 @@ MACHINES = {
         ("Z", -400.0, -20.0, lambda z: 0.03 * z, even(-3)),
     ],
     "rotary axis 0 to 360": [("C", 0.0, 360.0, lambda c: 500.0 * np.sin(np.deg2rad(c)), even(-100))],
+    "a rotary axis that turns on, and X": [
+        ("A", -90.0, 270.0, lambda a: 300.0 * np.sin(np.deg2rad(a)), even(-40)),
+        LONG,
+    ],
     "tilting axis -120 to 30": [("A", -120.0, 30.0, lambda a: 400.0 * (a + 120.0) / 150.0, even(-50))],
 }
 
@@ -86,6 +90,8 @@ def test_read_by_the_manual_the_file_takes_the_deviation_back(target, machine):
         assert any(letter in "ABC" for letter, *_ in axes), err
         return
     for letter, low, high, mean, half in axes:
+        if letter in "ABC" and target.name in LINEAR:  # left out; reported as lost
+            continue
         unit = np.rad2deg(1e-6) if letter in "ABC" else 1e-3
         x = np.linspace(low, high, PLACES)[1:-1]
         want = {side: -unit * (mean(x) + side * half(x)) for side in (1, -1)}

@@ -97,16 +97,24 @@ int load_how(const void *table, size_t size, const uint8_t *named, int any, doub
 
 @pytest.mark.parametrize("single", [[], ["-DECT_SINGLE"]], ids=["double", "single"])
 def test_a_table_without_a_limit_moves_nothing_unless_it_is_named(tmp_path, single):
-    """A correction that follows the position itself, 1 mm per mm: 100 m if nobody says how much."""
+    """A correction that follows the position itself, 1 mm per mm: 100 m where nothing limits it, and all at once."""
     (tmp_path / "loaders.c").write_text(LOADERS)
     sources = [RUNTIME / "ect.c", RUNTIME / "ect_identity.c", tmp_path / "loaders.c"]
     run(COMPILERS[0], *STRICT, *single, "-shared", "-fPIC", f"-I{RUNTIME}", *sources, "-o", tmp_path / "l.so")
     how, moved = ctypes.CDLL(str(tmp_path / "l.so")).load_how, ctypes.c_double()
-    for magnitude, code in ((None, 21), (10_000.5, 21), (10_000.0, 0), (20.0, 0)):
-        data = ect.dumps(follower(magnitude))
+    fast, slow = 10_000.5, 10_000.0
+    for magnitude, slew, code in (
+        (None, slow, 21),
+        (fast, slow, 21),
+        (slow, None, 21),
+        (slow, fast, 21),
+        (slow, slow, 0),
+        (20.0, 1e3, 0),
+    ):
+        data = ect.dumps(follower(magnitude, slew))
         name = hashlib.sha256(data).digest()
         size = ctypes.c_size_t(len(data))
         assert how(data, size, None, 0, ctypes.byref(moved)) == code
-        assert abs(moved.value) == (0.0 if code else pytest.approx(magnitude / 1e3))
+        assert abs(moved.value) == (0.0 if code else pytest.approx(slew * 0.001 / 1e3)), "one cycle at the slew"
         assert how(data, size, name, 0, ctypes.byref(moved)) == how(data, size, None, 1, ctypes.byref(moved)) == 0
         assert moved.value < 0.0

@@ -238,7 +238,8 @@ def test_the_last_good_table_is_there_after_a_loss_of_power(tmp_path, compiled_b
     keep(own, only=name(own))
     assert plc.running() == name(own)
     wide, free = (ect.dumps(sequences.with_magnitude(sequences.table(1), most)) for most in (10000.5, None))
-    for data in (wide, free):
+    jumps, fast = (ect.dumps(sequences.with_slew(sequences.table(1), most)) for most in (None, 10000.5))
+    for data in (wide, free, jumps, fast):
         keep(own)
         assert keep(data, 1) == 102 and plc.running() == name(own), "a correction without a limit, of a table not named"
     keep(own)
