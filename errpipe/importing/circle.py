@@ -15,6 +15,7 @@ from errpipe.importing import resolve, signs
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.sheet import label, number
+from errpipe.importing.units import in_brackets
 from errpipe.importing.units_above import unit_above
 from errpipe.importing.words import kind_by_name, plain
 
@@ -26,7 +27,7 @@ _READING = re.compile(r"\b(radius|radial\w*|d ?r|dev\w*|abw\w*|error|fehler|bar|
 _CCW = re.compile(r"\bccw\b|counter ?-?clock|anti ?-?clock|gegen|\bg0?3\b|\blinks\b|antihor|antior|anti-hor|逆")
 _CW = re.compile(r"\bcw\b|clockwise|uhrzeiger|\bg0?2\b|\brechts\b|horaire|horari|orari|顺|時計")
 _FACT = r"\D{0,12}?[:=;, ]\s*([+-]?\d+(?:[.,]\d+)?)\s*(mm|inch|in)?\b"
-_RADIUS = re.compile(r"\b(?:radius|radio|raggio|rayon|bar length|stangenlaenge|nominal length|半径)\b" + _FACT)
+_RADIUS = re.compile(r"(?:radius|radio|raggio|rayon|bar length|stangenlaenge|nominal length|半径)\b" + _FACT)
 _FEED = re.compile(r"\b(?:feed(?: ?rate)?|vorschub|avance|avanzamento)\b" + _FACT)
 _PLANE = re.compile(
     r"\b([xyz])[ /-]?([xyz])[ -]?(?:plane|ebene|plan\b|piano)|\b(?:plane|ebene|plan|piano)\W+([xyz])\W?([xyz])\b"
@@ -45,6 +46,8 @@ def proposal(layout: Layout, options: ImportOptions) -> Proposal | None:
     angle = next((c for c in layout.columns if c.numeric and _ANGLE.search(plain(c.header))), None)
     if angle is None or angle.unit not in (None, "deg", "rad") or not any(map(_NAMED.search, texts)):
         return None
+    if angle.unit is None and (odd := in_brackets(angle.header)) is not None:
+        raise DataError(f"column {angle.header!r}: {odd!r} is no unit of an angle (allowed: deg, rad)")
     radius, first, second = _radius(texts), *_plane(texts)
     runs = _runs(layout, angle, first + second)
     if not runs:

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.importing.blocks import blocks, sections
+from errpipe.importing.blocks import COMMENT, blocks, sections
 from errpipe.importing.facts import OF_A_FACT
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, filled_cells, label, number, of_one_mark
 from errpipe.importing.units import split_header, unit_of
@@ -38,7 +38,6 @@ _MOMENT = re.compile(
     r"(?=.*\d:\d|.*\d[./-]\d+[./-]\d)\d[\d.:/\-T ,+Z]*( ?[AaPp]\.?[Mm]\.?)?"
     r"|\d{1,2}[-. ]{1,2}[^\W\d_]{3,9}[-. ]{1,2}\d{2,4}( \d.*)?"
 )
-_COMMENT = ("#", "%", "//", ";", "!")
 _DATE_FORM = re.compile(
     r"[yY]{2,4}[./-][mM]{1,2}[./-][dD]{1,2}|[dD]{1,2}[./-][mM]{1,2}[./-][yY]{2,4}|[hH]{1,2}:[mM]{2}(:[sS]{2})?|NO\."
 )
@@ -93,15 +92,14 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     comma = decimal_comma(rows)
     notes = list(sheet.notes) + (["decimal commas"] if comma else [])
     if sheet.header is not None:
-        return _layout(sheet, [*sheet.header], [], rows, comma, [], notes)
+        return _layout(sheet, [*sheet.header], [], rows, comma, [*sheet.above, *_said_by_name(sheet.name)], notes)
     numbers = [[number(c, comma) for c in row] for row in rows]
     start = _first_data_row(sheet.name, rows, numbers)
     _lift_comments(rows, numbers, start)
     head_rows = _header_rows(rows, numbers, start)
     names, units, used = _names(rows, head_rows, max(map(len, rows[start:])))
     above = [" ".join(str(c) for c in row if c not in (None, "")) for row in rows[: start - used]]
-    above += [f"Axis: {letter} ({BY_NAME} {sheet.name!r})" for letter in _axis_of_sheet(sheet.name)]
-    above += [f"Component: {name} ({BY_NAME})" for name in re.findall(COMPONENT, sheet.name.replace("_", " "))]
+    above += [*sheet.above, *_said_by_name(sheet.name)]
     units = [
         u or a or unit_in_cells.get(i)
         for i, (u, a) in enumerate(zip(units, units_of_columns(rows, start - used, names), strict=True))
@@ -141,6 +139,12 @@ def _merged(names: list[str], numbers: list[list[float | None]]) -> list[str]:
             width[last] += 1
             out[i] = f"{names[last]} {width[last] + 1}"
     return out if len(width) > 1 and len(set(width.values())) == 1 else names
+
+
+def _said_by_name(name: str) -> list[str]:
+    """Lines that state the axis, and the component, by which a sheet or file is named."""
+    axis = [f"Axis: {letter} ({BY_NAME} {name!r})" for letter in _axis_of_sheet(name)]
+    return axis + [f"Component: {found} ({BY_NAME})" for found in re.findall(COMPONENT, name.replace("_", " "))]
 
 
 def _axis_of_sheet(name: str) -> list[str]:
@@ -248,7 +252,7 @@ def _lift_comments(rows: list[list[Cell]], numbers: list[list[float | None]], st
         head -= 1
     texts = [label(c) for c in filled_cells(rows[head])]
     wide = len(texts) >= max(2, 0.6 * len(filled_cells(rows[start])))
-    if head == start - 1 or not wide or any(v is not None for v in numbers[head]) or texts[0].startswith(_COMMENT):
+    if head == start - 1 or not wide or any(v is not None for v in numbers[head]) or texts[0].startswith(COMMENT):
         return
     rows[head:start] = [*rows[head + 1 : start], rows[head]]
     numbers[head:start] = [*numbers[head + 1 : start], numbers[head]]
@@ -258,7 +262,7 @@ def _is_comment(row: list[Cell], numbers: list[float | None]) -> bool:
     """Whether a row is a remark: it begins with a mark of comments, or is a text alone that is no unit."""
     texts = [label(c) for c in filled_cells(row)]
     alone = len(texts) == 1 and not any(v is not None for v in numbers) and not _are_units(texts)
-    return bool(texts) and (texts[0].startswith(_COMMENT) or alone)
+    return bool(texts) and (texts[0].startswith(COMMENT) or alone)
 
 
 def _header_rows(rows: list[list[Cell]], numbers: list[list[float | None]], start: int) -> list[int]:
@@ -299,6 +303,7 @@ def _names(rows: list[list[Cell]], head: list[int], width: int) -> tuple[list[st
             (filled < 0.34 * width and not any(texts[0][1:width]))
             or _are_positions(texts[1])
             or _is_preamble(texts[0], texts[1][:width])
+            or any(map(_is_amount, texts[0]))
         ):
             used -= 1
             texts = texts[-1:]
@@ -334,6 +339,12 @@ def _is_preamble(group: list[str], names: list[str]) -> bool:
     complete = len(set(words)) == len(words) and all(_WORD.match(n) for n in words)
     named = len(words) > 2 or re.match(OF_A_FACT, group[0], re.IGNORECASE) is not None
     return complete and named and cells in ([0], [0, 1])
+
+
+def _is_amount(text: str) -> bool:
+    """Whether a cell above the names is a number with its unit, a fact: `100,000 mm`."""
+    match = _NUMBER_AND_UNIT.fullmatch(text)
+    return match is not None and unit_of(match.group(2)) is not None
 
 
 def _are_positions(header: list[str]) -> bool:

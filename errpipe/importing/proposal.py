@@ -19,6 +19,7 @@ from errpipe.importing import (
     dates,
     no_reading,
     order,
+    quality,
     readings,
     resolve,
     rows_of,
@@ -51,6 +52,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         unit = (options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}).get("unit", c.unit)
         c.unit = unit_of(unit or "") or unit
     no_reading.blank(layout)
+    quality.blank(layout)
     if (of_a_ball_bar := circle.proposal(layout, options)) is not None:
         return of_a_ball_bar
     layout = wide.unpivoted(rows_of.one_machine(rows_of.one_axis(layout, options), options))

@@ -17,6 +17,7 @@ from errpipe.importing import ambiguities, dates, order, readings, signs, simula
 from errpipe.importing import columns as guessing
 from errpipe.importing.layout import EMPTY, Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal
+from errpipe.importing.temperatures import START
 from errpipe.importing.units import PER_LENGTH, plain_unit, split_header
 from errpipe.importing.words import axis_above
 
@@ -132,11 +133,24 @@ def unit_by_size(values: np.ndarray) -> str:
     return "um"
 
 
+def _refuse_warm_without_a_unit(p: Proposal) -> None:
+    """Raise DataError where temperatures without a unit are all above what a shop and a cold machine have in degC."""
+    temperatures = [n for n, e in p.entries.items() if e["role"] == "temperature" and np.isfinite(p.data[n]).any()]
+    unstated = [n for n in temperatures if "no unit is stated" in p.guesses.get(n, "")]
+    if unstated and len(unstated) == len(temperatures) and min(np.nanmin(p.data[n]) for n in unstated) > START[1]:
+        sets = " ".join(f"--set {n}.unit=degF" for n in unstated)
+        raise DataError(
+            f"no unit is stated for {', '.join(unstated)}, and no reading is below {START[1]:g}: degF, or degC of a "
+            f"warm machine? Say it, with {sets} (or degC)"
+        )
+
+
 def resolve_units(p: Proposal, layout: Layout) -> None:
     """Raise DataError where a length without a unit may be inches: beside inches, or with no unit in the file.
 
     A temperature without one is not taken as degC beside another in degF.
     """
+    _refuse_warm_without_a_unit(p)
     other_scale = next((n for n, e in p.entries.items() if e.get("unit") == "degF"), None)
     for name in [n for n, e in p.entries.items() if e["role"] == "temperature" and other_scale]:
         if "no unit is stated" in p.guesses.get(name, ""):

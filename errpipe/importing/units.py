@@ -79,10 +79,10 @@ LETTERS = {
     "F": (("temperature", "degF"),),
     "N": (("force", "N"),),
 }
-_LAST_LETTER = re.compile(r"^(.*[^\s_/,.])[\s_/,]+([shKCFN])$")
+_LAST_LETTER = re.compile(r"^(.*[^\s_/,.(\[])[\s_/,(\[]+([shKCFN])[)\]]?$")
 _INLET = re.compile(r"(coolant|oil|water|air|chiller)[\s_]+in$", re.IGNORECASE)  # of a medium, not inches
 _SIGNS = '"°″'
-_AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,9})$")
+_AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,11})$")
 
 
 # Units in words, with their plurals: `micrometres`, `Mikrometern`, `micromètres`, `micras`; parts of them in words.

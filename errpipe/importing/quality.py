@@ -1,0 +1,50 @@
+"""Columns that say whether a value beside them is good: of OPC UA, historians and data loggers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from errpipe.importing.layout import Layout
+from errpipe.importing.sheet import Cell, label
+from errpipe.importing.words import plain
+
+_NAMED = re.compile(r".*\b(quality|qualitaet|qualite|calidad|qualita|status|status ?code|state|valid(ity)?|ok)\b'*")
+_GOOD = re.compile(r"good.*|gut|ok|okay|valid|gueltig|true|192|0x0+|0|normal|bon|buono|buena?")
+_BAD = re.compile(
+    r"(?:bad|uncertain|invalid|ungueltig|schlecht|false|fail|error|fehler|fault|stale|questionable|not connected|no data"
+    r"|comm|mauvais|malo|substitut|last known|0x[48c])\w*.*"
+)
+
+
+def named(header: str) -> bool:
+    """Whether a column is called by a quality or a status."""
+    return _NAMED.fullmatch(plain(header)) is not None
+
+
+def bad(cells: Sequence[Cell]) -> np.ndarray:
+    """Which values are not good, shape (cells,); none where the labels are not those of a quality."""
+    words = [plain(label(c)) for c in cells]
+    out = np.array([_BAD.fullmatch(w) is not None for w in words])
+    known = all(_GOOD.fullmatch(w) or _BAD.fullmatch(w) for w in words if w)
+    return out if known else np.zeros(out.size, dtype=bool)
+
+
+def blank(layout: Layout) -> None:
+    """Empty the values that a column of qualities to the right of them calls bad, with a note.
+
+    A quality is of the columns of numbers before it, up to another quality; of times and positions none is emptied.
+    """
+    begin = 0
+    for k, c in enumerate(layout.columns):
+        if not named(c.header) or c.numeric:
+            continue
+        out = bad(c.cells)
+        for of in layout.columns[begin:k] if out.any() else []:
+            if of.numeric and of.unit not in ("s", "ms", "min", "h", "deg") and np.isfinite(of.values[out]).any():
+                of.cells = [None if o else cell for o, cell in zip(out, of.cells, strict=True)]
+                of.values = np.where(out, np.nan, of.values)
+                layout.notes.append(f"{of.header}: {int(out.sum())} values that {c.header!r} calls bad were left out")
+        begin = k + 1
