@@ -125,9 +125,7 @@ def _repeated(
     return [*names, *labels], out
 
 
-def _above_headers(
-    rows: list[list[Cell]], numbers: list[list[float | None]], start: int, again: list[int]
-) -> set[int]:
+def _above_headers(rows: list[list[Cell]], numbers: list[list[float | None]], start: int, again: list[int]) -> set[int]:
     """Rows that belong to the next header, with the words of its preamble in the first column (`Delta_X;60;60`)."""
     out: set[int] = set()
     for r in again if numbers[start] and numbers[start][0] is not None else []:

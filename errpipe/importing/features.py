@@ -17,13 +17,15 @@ import numpy as np
 
 from errpipe.errors import DataError
 from errpipe.importing import resolve, signs
-from errpipe.importing.layout import Layout, is_moment
+from errpipe.importing.header import is_moment
+from errpipe.importing.layout import Layout
 from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, filled_cells, label, number
 from errpipe.importing.units import split_header
 from errpipe.importing.words import kind_by_name, plain
 
 NOMINAL, ACTUAL, DEVIATION = "command", "actual", "error"
+WHO = "who made what was measured"
 FEWEST = 3  # features
 MOST_ROWS = 20_000  # of a sheet: a thousand features have ten rows each; longer ones are logs
 FARTHEST = 5.0  # mm: as the largest deviation elsewhere; beyond it another number was read
@@ -35,6 +37,7 @@ _NAME_OF_FEATURE = re.compile(
 )
 _GLUED = re.compile(r"([A-Za-z]{1,8})[=:]?([+-]?\d+[.,]\d+)")  # `X50.0000`, `XNOM50.000`
 _TOLERANCE = re.compile(r"((upper|lower|ob|unt|o|u|out)\w*[. ]*|[+-] ?)tol\w*\.?", re.IGNORECASE)
+_LIMIT = re.compile(r"limit|grenz|maxim|minim|mass?\b|toler|height|hoehe")
 _IDENTIFIES = re.compile(r"(?<![\d.,])\d+(?![\d.,])")  # `FEATURE NO 2`, `DIM LOC2=`, not `ERROR TP 0.1311`
 _VERDICT = re.compile(r"\bfail|\bok\b|^$")  # `Pass/Fail` is no run
 _DIFFERENCE = re.compile(r"\b(diff\w*|delta)\b")
@@ -65,6 +68,8 @@ def proposal(sheet: Sheet, options: ImportOptions) -> Proposal | None:
         return None
     units, of_deviation = _units(rows)
     features = _features(list(_readings(rows)))
+    headed = len(features) < FEWEST
+    features = _features(list(_below_headings(rows))) if headed else features
     if len(features) < FEWEST:
         return None
     axes = Counter(tuple(sorted(f)) for f in features).most_common(1)[0][0]
@@ -95,6 +100,8 @@ def proposal(sheet: Sheet, options: ImportOptions) -> Proposal | None:
     made = options.sign == "actual-minus-commanded"
     if len(moved) > 1:
         p.facts["protocol"] = "hole_pattern" if made else "ball_plate"
+    if headed:
+        p.notes.append("reference axis, minor axis, tool axis: taken as X, Y and Z, as where Z is the axis of the tool")
     p.notes.append(f"a print of {len(kept)} features: {'a part that the machine made' if made else 'an artefact'}")
     if any(f[a].numbers.get(DEVIATION, 0.0) * d < 0 for a in measured for f, d in zip(kept, read[a], strict=True)):
         p.notes.append("its column of deviations is nominal less actual: taken from these two")
@@ -108,7 +115,7 @@ def proposal(sheet: Sheet, options: ImportOptions) -> Proposal | None:
 def _ask_who_made_it(count: int, moved: list[str], options: ImportOptions) -> None:
     if options.sign is None:
         raise DataError(
-            f"a print of {count} features in {', '.join(moved)}: who made what was measured? A part that this machine "
+            f"a print of {count} features in {', '.join(moved)}: {WHO}? A part that this machine "
             "made and a CMM measured: --sign actual-minus-commanded; a calibrated artefact (ball plate, step gauge) "
             "that this machine measured with its own probe: --sign commanded-minus-actual"
         )
@@ -149,6 +156,7 @@ def _axis(cell: Cell) -> str | None:
 def _readings(rows: list[list[Cell]]) -> Iterator[_Reading]:
     """Every row, or cell of a table with columns for each axis, that states a coordinate with nominal and result."""
     comma, header, last, breaks, per_axis = decimal_comma(rows), list[str](), "", True, False
+    of_features = False
     for r, row in enumerate(rows):
         if not per_axis and not any(map(_has_letters, row)):
             continue
@@ -160,6 +168,7 @@ def _readings(rows: list[list[Cell]]) -> Iterator[_Reading]:
             texts = _with_groups(rows[r - 1] if r else [], texts)
             named = any(kind_by_name(t) in ("run", "direction") for t in texts if not _VERDICT.search(plain(t)))
             header, last, breaks = [] if named else texts, "", True
+            of_features = any(_NAME_OF_FEATURE.search(plain(t)) and not _kind(t) for t in header)
             per_axis = len({a for t in header if _kind(t) and (a := _axis(t))}) > 1
             continue
         cells = [part for c in row for part in _split(c)]
@@ -173,9 +182,45 @@ def _readings(rows: list[list[Cell]]) -> Iterator[_Reading]:
         whole = [one for one in found if NOMINAL in one[2] and {ACTUAL, DEVIATION} & {*one[2]}]
         for axis, name, numbers in whole:
             last = name or last  # a cell that is merged over the coordinates of a feature
-            yield _Reading(r, axis, last, numbers, breaks, breaks or beside)
+            yield _Reading(r, axis, last, numbers, breaks, breaks or beside or of_features)
             breaks = False
         breaks |= not whole and not found and _IDENTIFIES.search(" ".join(texts)) is not None
+
+
+# Names of the axes of the working plane in the logs of probing cycles (HEIDENHAIN, Touch Probe Cycles: TCHPR421.TXT).
+_OF_A_PLANE = (
+    (r"(reference|main|principal) axis|hauptachse|axe principal|asse principale|eje principal", "X"),
+    (r"(minor|secondary) axis|nebenachse|axe (secondaire|auxiliaire)|asse secondario|eje (secundario|auxiliar)", "Y"),
+    (r"(tool|probe|measuring) axis|(werkzeug|tastsystem)achse|axe (d'|de l')?outil", "Z"),
+)
+_NAMED_VALUE = re.compile(r"([^\d:=]*[^\W\d][^:=]*?)\s*[:=]\s*([+-]?\d+[.,]?\d*)\s*(mm|inch|in)?")
+
+
+def _below_headings(rows: list[list[Cell]]) -> Iterator[_Reading]:
+    """Coordinates of features whose nominal and actual values stand below headings: `ACTUAL VALUES:`, `CENTER IN X: 5`.
+
+    A heading of nominal values after others begins another feature.
+    """
+    kind, feature = None, dict[str, tuple[int, dict[str, float]]]()
+    last: list[Cell] = ["nominal values:"]
+    for r, row in enumerate([*rows, last]):
+        line = plain(" ".join(map(label, filled_cells(row))))
+        match = _NAMED_VALUE.fullmatch(line)
+        if match is None:
+            heading = line.strip(" :*-=") if line.rstrip().endswith(":") or len(line.split()) < 3 else ""
+            if not heading:
+                continue
+            kind = _kind(re.sub(r"(werte|wert|values?)$", r" \1", heading)) if not _TOLERANCE.search(heading) else None
+            if kind == NOMINAL and any({ACTUAL, DEVIATION} & {*numbers} for _, numbers in feature.values()):
+                whole = [(axis, *of) for axis, of in feature.items() if NOMINAL in of[1] and len(of[1]) > 1]
+                for k, (letter, at, numbers) in enumerate(whole):
+                    yield _Reading(at, letter, "", numbers, k == 0, True)
+                feature = {}
+            continue
+        text, value = match[1], number(match[2], "," in match[2])
+        axis = next((a for words, a in _OF_A_PLANE if re.search(words, text)), None) or _axis(text)
+        if kind is not None and axis is not None and value is not None and not _LIMIT.search(text):
+            feature.setdefault(axis, (r, {}))[1].setdefault(kind, value)
 
 
 def _with_groups(above: list[Cell], texts: list[str]) -> list[str]:

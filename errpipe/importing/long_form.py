@@ -8,7 +8,8 @@ import numpy as np
 
 from errpipe.importing import quality
 from errpipe.importing.dates import seconds
-from errpipe.importing.layout import RawColumn, is_moment, is_word
+from errpipe.importing.header import is_moment, is_word
+from errpipe.importing.layout import RawColumn
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number
 from errpipe.importing.words import plain
 

@@ -29,7 +29,8 @@ from errpipe.importing import (
 )
 from errpipe.importing import columns as guessing
 from errpipe.importing.facts import facts
-from errpipe.importing.layout import Layout, RawColumn, is_word
+from errpipe.importing.header import is_word
+from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
 from errpipe.importing.temperatures import with_temperatures
@@ -39,7 +40,7 @@ from errpipe.importing.words import THERE_AND_BACK, axis_above, plain
 
 # What may be a unit that is not known: `um/m`, `pm`, `x 0.05um`, `0.0001`.
 _OTHER_UNIT = re.compile(r"[^\d\s]{1,3}/[^\d\s]{1,3}|[^\W\d_]{1,14}|%|°|[x×*]?\s?\d.*[^\W\d_]|0?[.,]0*\d")
-_NO_UNIT = ("x", "y", "z", "abs", "rel", "raw", "avg", "mean", "inc", "meas", "all")
+_NO_UNIT = ("64 bit", "32 bit", "x", "y", "z", "abs", "rel", "raw", "avg", "mean", "inc", "meas", "all")
 
 
 def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) -> Proposal:

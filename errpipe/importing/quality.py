@@ -14,8 +14,8 @@ from errpipe.importing.words import plain
 _NAMED = re.compile(r".*\b(quality|qualitaet|qualite|calidad|qualita|status|status ?code|state|valid(ity)?|ok)\b'*")
 _GOOD = re.compile(r"good.*|gut|ok|okay|valid|gueltig|true|192|0x0+|0|normal|bon|buono|buena?")
 _BAD = re.compile(
-    r"(?:bad|uncertain|invalid|ungueltig|schlecht|false|fail|error|fehler|fault|stale|questionable|not connected|no data"
-    r"|comm|mauvais|malo|substitut|last known|0x[48c])\w*.*"
+    r"(?:bad|uncertain|invalid|ungueltig|schlecht|false|fail|error|fehler|fault|stale|questionable|not connected"
+    r"|no data|comm|mauvais|malo|substitut|last known|0x[48c])\w*.*"
 )
 
 

@@ -96,8 +96,8 @@ def with_temperatures(
 
 
 def _letter_of_a_unit(c: RawColumn, starts: np.ndarray) -> bool:
-    """Give a column such as `bed_K` or `Bed (F)` the unit of its last letter, where its values are temperatures in it."""
-    letter = re.fullmatch(r"(.*\S)[\s_(\[]([KCF])[)\]]?", c.header)
+    """Give a column such as `bed_K` or `Bed (F)` the unit of its last letter, where its values may be in it."""
+    letter = re.fullmatch(r"(.*[^\s_(\[])[\s_(\[]+([KCF])[)\]]?", c.header)
     if letter is None or not _named(plain(letter[1])) or not np.isfinite(c.values).any():
         return False
     unit, degrees = {"K": ("K", c.values - 273.15), "C": ("degC", c.values), "F": ("degF", (c.values - 32.0) / 1.8)}[

@@ -127,8 +127,9 @@ WORDS: tuple[tuple[str, str], ...] = (
         "actual",
     ),
     (
-        r"(position|\bpos|^[xyzabcuvw]\d?$|^[pxyz] ?i$|weg|^[xyz] ?(axis|achse|-achse)|\b(angle|(dreh|schwenk)?winkel)\b|posizione"
-        r"|posicion|\bquota\b|\bcotas?\b|\bcotes?\b|\bpozyc|\bpozic|\bposicao|位置|позици|положени|координат)",
+        r"(position|\bpos|^[xyzabcuvw]\d?$|^[pxyz] ?i$|weg"
+        r"|^[xyz] ?(axis|achse|-achse)|\b(angle|(dreh|schwenk)?winkel)\b"
+        r"|posizione|posicion|\bquota\b|\bcotas?\b|\bcotes?\b|\bpozyc|\bpozic|\bposicao|位置|позици|положени|координат)",
         "position",
     ),
 )

@@ -1,7 +1,7 @@
 """MATLAB files (.mat): version 5 to 7 by scipy, version 7.3 by h5py (extra `hdf`). Vectors are columns.
 
-Structures of any depth are read: vectors of one length, also of structures within, are the columns of a sheet, called by
-the path to it; elements of an array of structures are sheets; texts stand above the sheets that they are about.
+Structures of any depth are read: vectors of one length, also of structures within, are the columns of a sheet, called
+by the path to it; elements of an array of structures are sheets; texts stand above the sheets that they are about.
 """
 
 from __future__ import annotations
