@@ -84,7 +84,7 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     comma = decimal_comma(rows)
     notes = list(sheet.notes) + (["decimal commas"] if comma else [])
     if sheet.header is not None:
-        header = [*(_stated_names(stated, len(sheet.header), True) if stated else sheet.header)]
+        header = [*(stated if len(stated) == len(sheet.header) else sheet.header)]
         return _layout(sheet, header, [], rows, comma, [*sheet.above, *_said_by_name(sheet.name)], notes)
     numbers = [[number(c, comma) for c in row] for row in rows]
     start = _first_data_row(sheet.name, rows, numbers)

@@ -115,9 +115,8 @@ def _of_any_sheet(
         try:
             proposed = features.proposal(sheet, options)
             if proposed is None:
-                layout = with_period(
-                    lay_out(transposed(unstacked(sheet if door.names else paired(sheet))), door.names), door.period
-                )
+                cells = transposed(unstacked(sheet if door.names else paired(sheet)))
+                layout = with_period(lay_out(cells, door.names), door.period)
                 proposed = propose(layout, options, may_be_log)
             out.append((proposed, sheet.name))
         except DataError as err:
