@@ -142,7 +142,7 @@ def _kind(cell: Cell) -> str | None:
     """command, actual or error of a word; None of any other cell."""
     if not _has_letters(cell) or _TOLERANCE.search(str(cell)):
         return None
-    text = _COORDINATE.sub(" ", plain(cell)).strip()
+    text = _COORDINATE.sub(" ", plain(split_header(str(cell))[0])).strip()
     kind = kind_by_name(text) if text else None
     return DEVIATION if _DIFFERENCE.fullmatch(text) else kind if kind in (NOMINAL, ACTUAL, DEVIATION) else None
 
@@ -163,15 +163,14 @@ def _readings(rows: list[list[Cell]]) -> Iterator[_Reading]:
         if len(alone := filled_cells(row)) == 1:  # a line among columns that blanks part
             row = [*label(alone[0]).split()]
         texts = [label(c) for c in row]
-        kinds = [_kind(c) for c in row]
-        if NOMINAL in kinds and {ACTUAL, DEVIATION} & {*kinds} and not any(number(c, comma) is not None for c in row):
+        kinds, cells = [_kind(c) for c in row], [part for c in row for part in _split(c)]
+        if NOMINAL in kinds and {ACTUAL, DEVIATION} & {*kinds} and not any(number(c, comma) is not None for c in cells):
             texts = _with_groups(rows[r - 1] if r else [], texts)
             named = any(kind_by_name(t) in ("run", "direction") for t in texts if not _VERDICT.search(plain(t)))
             header, last, breaks = [] if named else texts, "", True
             of_features = any(_NAME_OF_FEATURE.search(plain(t)) and not _kind(t) for t in header)
             per_axis = len({a for t in header if _kind(t) and (a := _axis(t))}) > 1
             continue
-        cells = [part for c in row for part in _split(c)]
         beside = not header or any(k in (ACTUAL, DEVIATION) for k in map(_kind, cells))
         if beside:
             found = [(axis, "", numbers) for axis, numbers in _beside_words(cells, comma)]
@@ -241,18 +240,23 @@ def _split(cell: Cell) -> list[Cell]:
 
 
 def _beside_words(cells: list[Cell], comma: bool) -> list[tuple[str, dict[str, float]]]:
-    """The coordinate of a row and its numbers, each behind the word that says what it is."""
-    axis, kind, numbers = None, None, dict[str, float]()
+    """The coordinates of a row and their numbers, each behind the word that says what it is.
+
+    Where such a word begins the row, each stands before all coordinates: `NOM X50.0 Y40.0 ACT X50.1 Y40.0`; elsewhere
+    a row is of one coordinate.
+    """
+    axis, kind, said, found = None, None, None, dict[str, dict[str, float]]()
     for cell in filled_cells(cells):
         value = number(cell, comma)
         if value is None:
             named, kind = _axis(cell), _kind(cell)
-            if named is not None and axis in (None, named):
-                axis, kind = named, kind or NOMINAL
+            said = kind if kind is not None and (axis is None or said is not None) and named is None else said
+            if named is not None and (said is not None or axis in (None, named)):
+                axis, kind = named, kind or said or NOMINAL
         elif axis is not None and kind is not None:
-            numbers.setdefault(kind, value)
+            found.setdefault(axis, {}).setdefault(kind, value)
             kind = None
-    return [(axis, numbers)] if axis is not None and len(numbers) > 1 else []
+    return [(a, numbers) for a, numbers in found.items() if len(numbers) > 1]
 
 
 def _below(header: list[str], row: list[Cell], comma: bool) -> list[tuple[str, str, dict[str, float]]]:
@@ -311,7 +315,7 @@ def _deviations(readings: list[_Reading], unit: str | None, scale: float, option
         both = np.where(np.isnan(both), stated * {"um": 1e-3, "inch": 25.4}.get(unit, 1.0), both)
     else:
         stated = stated * {"um": 1e-3, "inch": 25.4}.get(unit or "", scale)
-        off = np.minimum(np.abs(stated - both), np.abs(stated + both)) > ROUNDING + 0.002 * (
+        off = np.minimum(np.abs(stated - both), np.abs(stated + both)) > scale * ROUNDING + 0.002 * (
             np.abs(both) < 10 * ROUNDING
         )
         off &= np.isfinite(stated)

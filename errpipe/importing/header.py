@@ -122,7 +122,7 @@ def names_of(rows: list[list[Cell]], head: list[int], width: int) -> tuple[list[
             (filled < 0.34 * width and not any(texts[0][1:width]))
             or _are_positions(texts[1])
             or _is_preamble(texts[0], texts[1][:width])
-            or any(map(_is_amount, texts[0]))
+            or (filled <= 2 and any(map(_is_amount, texts[0])))
         ):
             used -= 1
             texts = texts[-1:]
@@ -151,7 +151,9 @@ def named_above(names: list[str], above: list[list[Cell]]) -> list[str]:
     bare = [split_header(n)[0] for n in names]
     numbered = [n for n in bare if re.fullmatch(r"[^\W\d_]{0,8}\W?\d[\d-]*", n) and n in called]
     unique = len({called[n] for n in numbered}) == len(numbered) > 1
-    return [n.replace(b, called[b], 1) if unique and b in numbered else n for n, b in zip(names, bare, strict=True)]
+    return [
+        n.replace(b, f"{b} {called[b]}", 1) if unique and b in numbered else n for n, b in zip(names, bare, strict=True)
+    ]
 
 
 def metres(names: list[str]) -> list[str]:

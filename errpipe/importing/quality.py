@@ -9,14 +9,16 @@ import numpy as np
 
 from errpipe.importing.layout import Layout
 from errpipe.importing.sheet import Cell, label
-from errpipe.importing.words import plain
+from errpipe.importing.words import kind_by_name, plain
 
-_NAMED = re.compile(r".*\b(quality|qualitaet|qualite|calidad|qualita|status|status ?code|state|valid(ity)?|ok)\b'*")
-_GOOD = re.compile(r"good.*|gut|ok|okay|valid|gueltig|true|192|0x0+|0|normal|bon|buono|buena?")
+_NAMED = re.compile(r".*\b(quality|qualitaet|qualite|calidad|qualita|status|status ?code|valid(ity)?)\b'*")
+_GOOD = re.compile(r"good.*|gut|ok|okay|valid|gueltig|192|0x0+|0|normal|bon|buono|buena?")
+# Not `fail` and `nok`: beside deviations they say that a tolerance was left.
 _BAD = re.compile(
-    r"(?:bad|uncertain|invalid|ungueltig|schlecht|false|fail|error|fehler|fault|stale|questionable|not connected"
-    r"|no data|comm|mauvais|malo|substitut|last known|0x[48c])\w*.*"
+    r"(?:bad|uncertain|invalid|ungueltig|schlecht|stale|questionable|not connected|no data|comm|mauvais|malo|substitut"
+    r"|last known|sensor|0x[48c])\w*.*"
 )
+_KEPT = ("time", "run", "group", "direction", "command", "position")
 
 
 def named(header: str) -> bool:
@@ -43,7 +45,7 @@ def blank(layout: Layout) -> None:
             continue
         out = bad(c.cells)
         for of in layout.columns[begin:k] if out.any() else []:
-            if of.numeric and of.unit not in ("s", "ms", "min", "h", "deg") and np.isfinite(of.values[out]).any():
+            if of.numeric and kind_by_name(of.header) not in _KEPT and np.isfinite(of.values[out]).any():
                 of.cells = [None if o else cell for o, cell in zip(out, of.cells, strict=True)]
                 of.values = np.where(out, np.nan, of.values)
                 layout.notes.append(f"{of.header}: {int(out.sum())} values that {c.header!r} calls bad were left out")

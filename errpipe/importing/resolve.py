@@ -21,6 +21,7 @@ from errpipe.importing.temperatures import START
 from errpipe.importing.units import PER_LENGTH, plain_unit, split_header
 from errpipe.importing.words import axis_above
 
+LONGEST_STEP = 0.5  # s: a log of a moving axis with longer ones is seldom; in ms it is usual
 PLACES = ("command", "position", "actual")
 NO_DEVIATION = "no column holds a deviation"
 
@@ -151,6 +152,14 @@ def resolve_units(p: Proposal, layout: Layout) -> None:
     A temperature without one is not taken as degC beside another in degF.
     """
     _refuse_warm_without_a_unit(p)
+    time = p.first("time")
+    if time in p.data and "no unit is stated" in p.guesses.get(time, "") and order.is_log(p):
+        step = float(np.nanmedian(np.abs(np.diff(p.data[time]))))
+        if step > LONGEST_STEP:
+            raise DataError(
+                f"no unit is stated for {time!r}, in which a moving axis is logged every {step:g}: s, or ms? Say it, "
+                f"with --set {time}.unit=ms (or s)"
+            )
     other_scale = next((n for n, e in p.entries.items() if e.get("unit") == "degF"), None)
     for name in [n for n, e in p.entries.items() if e["role"] == "temperature" and other_scale]:
         if "no unit is stated" in p.guesses.get(name, ""):

@@ -202,6 +202,9 @@ def split_header(text: str) -> tuple[str, str | None]:
     metres = re.fullmatch(r"(.*\S)(?:\s*/\s*|,\s+|\s+in\s+)m", text)
     if metres and kind_by_name(metres[1]) in ("command", "position", "actual"):
         return metres[1], "m"  # a quantity over its unit; `Error/m` may be an error per metre
+    remark = re.fullmatch(r"(.*[^\s(])\s*(\([^()]*\))", text)
+    if remark and (before := split_header(remark[1]))[1] is not None:  # `Temp, °F (LBL: spindle)`
+        return f"{before[0]} {remark[2]}", before[1]
     letter = _LAST_LETTER.match(text)
     kinds = {kind_by_name(text), kind_by_name(letter.group(1))} if letter else set()
     if letter and (unit := next((u for k, u in LETTERS.get(letter.group(2), ()) if k in kinds), None)):

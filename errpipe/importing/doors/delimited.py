@@ -15,6 +15,7 @@ from pathlib import Path
 
 from errpipe.errors import DataError, UsageError
 from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
+from errpipe.importing.units import unit_of
 
 name = "delimited text"
 suffixes = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".prn")
@@ -106,11 +107,15 @@ def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
 def _with_prose_quoted(lines: list[str]) -> list[str]:
     """Lines above a header as one cell each where blanks follow all their commas, and none of those of the table."""
     first = next((r for r, line in enumerate(lines) if sum(map(_figure, line.split(","))) > 1), 0)
-    head = next((r for r in range(first - 1, 0, -1) if "," in lines[r]), 0)
+    head = next((r for r in range(first - 1, 0, -1) if "," in lines[r] and not _only_units(lines[r])), 0)
     if not head or any(", " in line for line in lines[head : first + 1]):
         return lines
     prose = [re.search(r",\s", line) and not re.search(r',\S|"', line.strip().rstrip(",")) for line in lines[:head]]
     return ['"' + line + '"' if of_words else line for line, of_words in zip(lines, prose, strict=False)] + lines[head:]
+
+
+def _only_units(line: str) -> bool:
+    return all(unit_of(cell.strip(' "[]()')) for cell in line.split(",") if cell.strip())
 
 
 MOST_SHORT = 0.1  # share of the rows of numbers; more of them are a layout of their own

@@ -50,11 +50,13 @@ class _Tables(HTMLParser):
         super().__init__()
         self.path, self.sheets, self.lines, self.text = path, list[Sheet](), list[str](), ""
         self.rows: list[list[Cell]] | None = None
-        self.span = 1
+        self.span, self.open = 1, False
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag in ("td", "th", "tr"):  # also where the page leaves out the end of the cell before
+            self._end_cell()
         if tag in ("td", "th"):
-            self._close()
+            self.open = True
             span = dict(attrs).get("colspan") or "1"
             self.span = min(int(span), MOST_SPAN) if span.isdecimal() else 1
         elif tag == "tr" and self.rows is not None:
@@ -66,10 +68,10 @@ class _Tables(HTMLParser):
             self._close()
 
     def handle_endtag(self, tag: str) -> None:
-        if tag in ("td", "th") and self.rows:
-            self.rows[-1] += [" ".join(self.text.split()) or None, *[None] * (self.span - 1)]
-            self.text = ""
+        if tag in ("td", "th"):
+            self._end_cell()
         elif tag == "table" and self.rows is not None:
+            self._end_cell()
             if sum(len(row) > 1 for row in self.rows) > FEWEST:
                 self.sheets.append(Sheet(f"{self.path.stem}", self.rows, above=self.lines[-MOST_LINES:]))
             self.lines += [" ".join(str(c) for c in row if c)[:LONGEST_LINE] for row in self.rows[:MOST_LINES]]
@@ -79,6 +81,12 @@ class _Tables(HTMLParser):
 
     def handle_data(self, data: str) -> None:
         self.text += data
+
+    def _end_cell(self) -> None:
+        if self.open and self.rows:
+            self.rows[-1] += [" ".join(self.text.split()) or None, *[None] * (self.span - 1)]
+        if self.rows is not None:
+            self.text, self.open = "", False
 
     def _close(self) -> None:
         text = " ".join(self.text.split())
@@ -162,7 +170,7 @@ def _sheet(name: str, records: list[ElementTree.Element], called: dict[str | Non
     if len(columns) < 2:
         return None
     notes = []
-    if not tags and len(rows[0]) == len(columns) and any(len(row) < len(columns) for row in rows):
+    if not tags and "time" in rows[0] and len(rows[0]) == len(columns) and any(len(row) < len(columns) for row in rows):
         notes.append("values that a record does not repeat are held, as control traces write them")
         for before, row in pairwise(rows):
             row |= {key: before[key] for key in columns if key not in row}

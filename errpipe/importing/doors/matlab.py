@@ -16,6 +16,7 @@ import numpy as np
 from errpipe.errors import DataError
 from errpipe.importing.doors.hdf5 import MOST_COLUMNS, columns_of, refuse_linked_data
 from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable
+from errpipe.importing.units import split_header
 from errpipe.importing.words import kind_by_name
 
 name = "MATLAB"
@@ -146,7 +147,7 @@ def _columns(arrays: dict[str, np.ndarray], of: str, length: int) -> Iterator[tu
     """Vectors of a length, and the columns of matrices beside them; of: what the structure around them is called."""
     for key, array in arrays.items():
         bare = len(arrays) == 1 and key.lower() in VALUES and of
-        text = of if bare else f"{key} {of}".strip()
+        text = of if bare else " ".join(filter(None, (of, key) if split_header(key)[1] else (key, of)))
         if array.ndim == 1 and array.size == length:
             yield text, array
         elif array.ndim == 2:

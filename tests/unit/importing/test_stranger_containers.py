@@ -73,6 +73,9 @@ def test_sheets_of_two_axes_are_told_apart(tmp_path: Path) -> None:
 def page(tag: str) -> str:
     rows = [["Run", "Direction", "Target [mm]", "Error [µm]"]]
     rows += [[r, "+" if s > 0 else "-", f"{x:.3f}", f"{d:g}"] for r, x, s, d in long_rows()]
+    if tag == "page without ends":
+        cells = "".join("<tr>" + "".join(f"<td>{c}" for c in row) + "\n" for row in rows)
+        return f"<!DOCTYPE html><html><table><tr><td>Axis<td>X</table><table>{cells}</table></html>"
     if tag == "html":
         cells = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>\n" for row in rows)
         return f"<html><meta charset='utf-8'><h2>Axis: X</h2><table>{cells}</table></html>"
@@ -87,7 +90,7 @@ def page(tag: str) -> str:
     return f"<?xml version='1.0'?><test><axis>X</axis><points>{cells}</points></test>"
 
 
-@pytest.mark.parametrize("tag", ["html", "workbook", "records"])
+@pytest.mark.parametrize("tag", ["html", "page without ends", "workbook", "records"])
 def test_pages_and_xml(tmp_path: Path, tag: str) -> None:
     file = tmp_path / "a.xls"
     file.write_text(page(tag), encoding="utf-8")
@@ -190,3 +193,21 @@ def test_a_print_along_one_axis_is_asked_about(tmp_path: Path, monkeypatch: pyte
     printed(MADE)
     with pytest.raises(DataError, match="who made what was measured"):
         prepared([Path("a.csv")])
+
+
+PRINTS = {
+    "words before all coordinates": lambda x, y, a, b: [f"NOM X{x:.4f} Y{y:.4f} ACT X{a:.4f} Y{b:.4f}"],
+    "columns per axis": lambda x, y, a, b: [f"B;{x:.4f};{y:.4f};{a:.4f};{b:.4f}"],
+}
+
+
+@pytest.mark.parametrize("form", PRINTS)
+def test_prints_of_other_layouts(tmp_path: Path, form: str) -> None:
+    lines = ["Ball;X calibrated [mm];Y calibrated [mm];X measured [mm];Y measured [mm]"] if "columns" in form else []
+    for x, y in HOLES:
+        lines += PRINTS[form](x, y, x - 0.010 * x / 350, y)
+    (tmp_path / "a.txt").write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(DataError, match="who made what was measured"):
+        prepared([tmp_path / "a.txt"])
+    recording = imported(tmp_path, tmp_path / "a.txt", sign=MEASURED)
+    assert recording.array("E_X") == pytest.approx([10.0 * x / 350 for x, _ in HOLES], abs=0.06)

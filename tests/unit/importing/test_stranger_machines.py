@@ -154,3 +154,32 @@ def test_channels_with_their_own_times(tmp_path: Path) -> None:
     lines[-1] = lines[-1].replace("998;", "999;", 1)
     with pytest.raises(DataError, match="other times"):
         prepared([written(tmp_path, lines)])
+
+
+def test_a_unit_before_a_bracket(tmp_path: Path) -> None:
+    rows = [f"{t:g},{1.8 * w + 32:.3f},{z}" for t, w, z in zip(TIMES, WARM, GROWTH, strict=True)]
+    header = 'time [s],"Temp, °F (LGR S/N: 1, LBL: Spindle)","Z growth, um"'
+    drift(imported(tmp_path, written(tmp_path, [header, *rows])))
+
+
+def test_a_log_whose_clock_has_no_unit_is_asked_about(tmp_path: Path) -> None:
+    """Milliseconds were seconds: velocities and time constants wrong by a thousand."""
+    x = 200 + 100 * np.sin(np.arange(500) / 60)
+    rows = [f"{4 * k};{a:.4f};{a + 0.01:.4f}" for k, a in enumerate(x)]
+    file = written(tmp_path, ["TIME;X SetPos [mm];X ActPos [mm]", *rows])
+    with pytest.raises(DataError, match=r"--set TIME\.unit=ms"):
+        prepared([file])
+    recording = imported(tmp_path, file, sets=["TIME.unit=ms"])
+    assert recording.array(recording.names("time")[0])[-1] == pytest.approx(1.996)
+
+
+def test_a_verdict_beside_a_deviation_empties_nothing(tmp_path: Path) -> None:
+    rows = [f"{r},{x},{d},{s:+g},{'ok' if abs(d) < 6 else 'fail'}" for r, x, s, d in long_rows()]
+    file = written(tmp_path, ["X axis", "run,target [mm],error [um],dir,status", *rows])
+    holds_the_truth(imported(tmp_path, file))
+
+
+def test_units_below_names_of_which_blanks_follow_the_commas(tmp_path: Path) -> None:
+    rows = [f"{r},{x},{d},{s:+g}" for r, x, s, d in long_rows()]
+    file = written(tmp_path, ["Axis: X", "run, target, error, dir", ",mm,um,", *rows])
+    holds_the_truth(imported(tmp_path, file))
