@@ -21,6 +21,7 @@ from errpipe.importing.temperatures import START
 from errpipe.importing.units import PER_LENGTH, plain_unit, split_header
 from errpipe.importing.words import axis_above
 
+COLDEST_K = 200.0  # K: no machine is so cold
 LONGEST_STEP = 0.5  # s: a log of a moving axis with longer ones is seldom; in ms it is usual
 PLACES = ("command", "position", "actual")
 NO_DEVIATION = "no column holds a deviation"
@@ -152,6 +153,12 @@ def resolve_units(p: Proposal, layout: Layout) -> None:
     A temperature without one is not taken as degC beside another in degF.
     """
     _refuse_warm_without_a_unit(p)
+    for n in [n for n, e in p.entries.items() if e["role"] == "temperature" and e.get("unit") == "K"]:
+        if np.nanmax(p.data[n], initial=0.0) < COLDEST_K:
+            raise DataError(
+                f"{n!r} is in K and nowhere above {np.nanmax(p.data[n], initial=0.0):g}: a rise, counted from the "
+                f"start? Where it may stand for a temperature, say --set {n}.unit=degC, else --set {n}.role=ignore"
+            )
     time = p.first("time")
     if time in p.data and "no unit is stated" in p.guesses.get(time, "") and order.is_log(p):
         step = float(np.nanmedian(np.abs(np.diff(p.data[time]))))

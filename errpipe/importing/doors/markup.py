@@ -125,17 +125,22 @@ def _of_xml(path: Path, data: bytes) -> list[Sheet]:
     affordable(data.count(b"<") + data.count(b'="'), path)
     parents = {child: parent for parent in root.iter() for child in parent}
     called = {e.get("id"): _what(e) for e in root.iter() if e.get("id") and _what(e)}
-    above = [f"{_local(e.tag)}: {text}" for e in root.iter() if not len(e) and (text := (e.text or "").strip())]
-    above += [f"{_local(k)}: {v}" for e in root.iter() if not e.get("id") for k, v in e.attrib.items()][:MOST_LINES]
+    groups = [
+        (parent, [child for child in parent if child.tag == tag])
+        for parent in root.iter()
+        for tag, n in Counter(child.tag for child in parent).items()
+        if n >= FEWEST
+    ]
+    inside = {part for _, records in groups for record in records for part in record.iter()}
+    around = [e for e in root.iter() if e not in inside and not e.get("id")]
+    above = [f"{_local(k)}: {v}" for e in around for k, v in e.attrib.items()]
+    above += [f"{_local(e.tag)}: {text}" for e in around if not len(e) and (text := (e.text or "").strip())]
     out = []
-    for parent in root.iter():
-        counts = Counter(child.tag for child in parent)
-        for tag in (t for t, n in counts.items() if n >= FEWEST):
-            records = [child for child in parent if child.tag == tag]
-            sheet = _sheet(_name(parent, parents) or path.stem, records, called)
-            if sheet is not None:
-                sheet.above = [line[:LONGEST_LINE] for line in above[:MOST_LINES]] if sheet.header else []
-                out.append(sheet)
+    for parent, records in groups:
+        sheet = _sheet(_name(parent, parents) or path.stem, records, called)
+        if sheet is not None:
+            sheet.above = [line[:LONGEST_LINE] for line in above[:MOST_LINES]] if sheet.header else []
+            out.append(sheet)
     return sorted(out, key=lambda s: -sum(map(len, s.rows)))
 
 

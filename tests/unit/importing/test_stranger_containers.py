@@ -87,7 +87,7 @@ def page(tag: str) -> str:
         "<point>" + "".join(f"<{n}>{c}</{n}>" for n, c in zip(names, row, strict=True)) + "</point>\n"
         for row in rows[1:]
     )
-    return f"<?xml version='1.0'?><test><axis>X</axis><points>{cells}</points></test>"
+    return f"<?xml version='1.0'?><test Achse='X'><points>{cells}</points></test>"
 
 
 @pytest.mark.parametrize("tag", ["html", "page without ends", "workbook", "records"])

@@ -45,6 +45,15 @@ def test_warm_temperatures_without_a_unit_are_asked_about(tmp_path: Path) -> Non
     drift(imported(tmp_path, file, sets=["T_spindle.unit=degF"]))
 
 
+def test_a_rise_in_kelvin_is_no_temperature(tmp_path: Path) -> None:
+    """It was -273 degC."""
+    rows = [f"{t:g};{w - WARM[0]:.2f};{z}" for t, w, z in zip(TIMES, WARM, GROWTH, strict=True)]
+    file = written(tmp_path, ["time [s];dT spindle [K];Z growth [um]", *rows])
+    with pytest.raises(DataError, match="a rise, counted from the start"):
+        prepared([file])
+    drift(imported(tmp_path, file, sets=["dT_spindle.unit=degC"]), WARM - WARM[0])
+
+
 @pytest.mark.parametrize("broken", [850.0, -999.0, -127.0, -200.0, 1372.0])
 def test_a_temperature_that_no_machine_has_is_no_reading(tmp_path: Path, broken: float) -> None:
     warm = np.where((TIMES > 600) & (TIMES < 900), broken, WARM)
@@ -53,17 +62,18 @@ def test_a_temperature_that_no_machine_has_is_no_reading(tmp_path: Path, broken:
     drift(imported(tmp_path, file), np.where(warm == broken, np.nan, WARM))
 
 
+@pytest.mark.parametrize("good, not_good", [("Good", "Bad"), (192, 0), (0, 2147483648)])
 @pytest.mark.parametrize("layout", ["wide", "long"])
-def test_values_of_bad_quality_are_no_readings(tmp_path: Path, layout: str) -> None:
+def test_values_of_bad_quality_are_no_readings(tmp_path: Path, layout: str, good: object, not_good: object) -> None:
     bad = (TIMES > 600) & (TIMES < 900)
     moments = [f"2025-03-04T08:{t // 60:02d}:00Z" for t in TIMES.astype(int)]
     lines = ["time;T spindle [°C];Quality;Z growth [um];Quality"]
-    cells = list(zip(moments, np.where(bad, 0.0, WARM), np.where(bad, "Bad", "Good"), GROWTH, strict=True))
-    lines += [f"{m};{w};{q};{z};Good" for m, w, q, z in cells]
+    cells = list(zip(moments, np.where(bad, 0.0, WARM), np.where(bad, not_good, good), GROWTH, strict=True))
+    lines += [f"{m};{w};{q};{z};{good}" for m, w, q, z in cells]
     if layout == "long":
         lines = ["NodeId,SourceTimestamp,Value,StatusCode"]
         for m, w, q, z in cells:
-            lines += [f"ns=2;s=T_spindle_degC,{m},{w},{q}", f"ns=2;s=Z_growth_um,{m},{z},Good"]
+            lines += [f"ns=2;s=T_spindle_degC,{m},{w},{q}", f"ns=2;s=Z_growth_um,{m},{z},{good}"]
     drift(imported(tmp_path, written(tmp_path, lines)), np.where(bad, np.nan, WARM))
 
 
@@ -107,7 +117,7 @@ def test_a_remark_with_commas_ends_no_table(tmp_path: Path) -> None:
 
 def test_a_title_with_commas_is_no_row_of_groups(tmp_path: Path) -> None:
     rows = [f"{r},{x},{x + d / 1e3:.4f},{s:+g}" for r, x, s, d in long_rows()]
-    lines = ["Laser check, X axis, with dial in spindle, dry", "run,target [mm],reading [mm],dir"]
+    lines = ["Laser check, X axis, gauge of 5 mm gap, dry", "run,target [mm],reading [mm],dir"]
     holds_the_truth(imported(tmp_path, written(tmp_path, [*lines, *rows])))
 
 
