@@ -9,6 +9,7 @@ from errpipe.importing.sheet import Cell, filled_cells, label
 from errpipe.importing.units import split_header
 from errpipe.importing.words import axis_above, kind_by_name, way_in, way_of
 
+COMMENT = ("#", "%", "//", ";", "!")
 LONGEST_TITLE = 40  # letters of a line that states a side, and nothing else
 
 
@@ -51,7 +52,7 @@ def blocks(
         rows = rows[:other]
     if not again:
         return names, rows[start:]
-    return _repeated(names, rows, start, again, titled, notes)
+    return _repeated(names, rows, numbers, start, again, titled, notes)
 
 
 def sections(
@@ -86,7 +87,13 @@ def sections(
 
 
 def _repeated(
-    names: list[str], rows: list[list[Cell]], start: int, again: list[int], titles: list[str], notes: list[str]
+    names: list[str],
+    rows: list[list[Cell]],
+    numbers: list[list[float | None]],
+    start: int,
+    again: list[int],
+    titles: list[str],
+    notes: list[str],
 ) -> tuple[list[str], list[list[Cell]]]:
     """Names and rows of blocks below one header, with what their titles say of each: axis, run, side."""
     axes = [axis_above([title]) or "" for title in titles]
@@ -109,12 +116,23 @@ def _repeated(
         elif all(titles) and len(set(titles)) == len(titles):
             labels["run"] = [*titles]
     block, out = 0, []
+    between = _above_headers(rows, numbers, start, again)
     for r, row in enumerate(rows[start:], start):
         block += r in again
-        if r not in again:
+        if r not in again and r not in between:
             own = [of_block[block] for of_block in labels.values()]
             out.append([*row, *[None] * (len(names) - len(row)), *own] if labels else row)
     return [*names, *labels], out
+
+
+def _above_headers(rows: list[list[Cell]], numbers: list[list[float | None]], start: int, again: list[int]) -> set[int]:
+    """Rows that belong to the next header, with the words of its preamble in the first column (`Delta_X;60;60`)."""
+    out: set[int] = set()
+    for r in again if numbers[start] and numbers[start][0] is not None else []:
+        while r - 1 > start and rows[r - 1] and numbers[r - 1][0] is None and rows[r - 1][0] not in (None, ""):
+            r -= 1
+            out.add(r)
+    return out
 
 
 def _title(rows: list[list[Cell]], numbers: list[list[float | None]], header: int) -> str:
@@ -133,4 +151,5 @@ def _starts_table(row: list[Cell], numbers: list[float | None], below: list[list
     """Whether a row is words alone, at least two, with numbers in the rows below."""
     words = [c for c in row if isinstance(c, str) and any(map(str.isalpha, c))]
     plain = len(words) >= 2 and not any(v is not None for v in numbers)
-    return plain and any(sum(v is not None for v in row) >= 2 for row in below)
+    remark = label(words[0] if words else "").startswith(COMMENT) and len(words) < max(map(len, below), default=0)
+    return plain and not remark and any(sum(v is not None for v in row) >= 2 for row in below)

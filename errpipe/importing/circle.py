@@ -15,6 +15,7 @@ from errpipe.importing import resolve, signs
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.sheet import label, number
+from errpipe.importing.units import in_brackets
 from errpipe.importing.units_above import unit_above
 from errpipe.importing.words import kind_by_name, plain
 
@@ -26,7 +27,7 @@ _READING = re.compile(r"\b(radius|radial\w*|d ?r|dev\w*|abw\w*|error|fehler|bar|
 _CCW = re.compile(r"\bccw\b|counter ?-?clock|anti ?-?clock|gegen|\bg0?3\b|\blinks\b|antihor|antior|anti-hor|逆")
 _CW = re.compile(r"\bcw\b|clockwise|uhrzeiger|\bg0?2\b|\brechts\b|horaire|horari|orari|顺|時計")
 _FACT = r"\D{0,12}?[:=;, ]\s*([+-]?\d+(?:[.,]\d+)?)\s*(mm|inch|in)?\b"
-_RADIUS = re.compile(r"\b(?:radius|radio|raggio|rayon|bar length|stangenlaenge|nominal length|半径)\b" + _FACT)
+_RADIUS = re.compile(r"(?:radius|radio|raggio|rayon|bar length|stangenlaenge|nominal length|半径)\b" + _FACT)
 _FEED = re.compile(r"\b(?:feed(?: ?rate)?|vorschub|avance|avanzamento)\b" + _FACT)
 _PLANE = re.compile(
     r"\b([xyz])[ /-]?([xyz])[ -]?(?:plane|ebene|plan\b|piano)|\b(?:plane|ebene|plan|piano)\W+([xyz])\W?([xyz])\b"
@@ -45,6 +46,8 @@ def proposal(layout: Layout, options: ImportOptions) -> Proposal | None:
     angle = next((c for c in layout.columns if c.numeric and _ANGLE.search(plain(c.header))), None)
     if angle is None or angle.unit not in (None, "deg", "rad") or not any(map(_NAMED.search, texts)):
         return None
+    if angle.unit is None and (odd := in_brackets(angle.header)) is not None:
+        raise DataError(f"column {angle.header!r}: {odd!r} is no unit of an angle (allowed: deg, rad)")
     radius, first, second = _radius(texts), *_plane(texts)
     runs = _runs(layout, angle, first + second)
     if not runs:
@@ -128,28 +131,39 @@ def _runs(layout: Layout, angle: RawColumn, plane: str) -> list[tuple[str, np.nd
     read = [c for c in layout.columns if _is_reading(c)]
     ways = next((c for c in layout.columns if not c.numeric and any(_way(label(x)) for x in c.cells)), None)
     passes = next((c for c in layout.columns if kind_by_name(c.header) == "run" and c is not ways), None)
+    groups = [label(x) for x in passes.cells] if passes is not None else [""] * turn.size
     found: list[tuple[str, np.ndarray, np.ndarray]] = []
     for k, c in enumerate(read):
         way = _way(c.header)
         if len(read) > 1 and way is None:
             raise DataError(f"column {c.header!r}: clockwise or counterclockwise? Write CW or CCW into its header")
         of_rows = [_way(label(x)) for x in ways.cells] if ways is not None and way is None else [way] * turn.size
-        groups = [label(x) for x in passes.cells] if passes is not None else [""] * turn.size
-        for group in dict.fromkeys(zip(groups, of_rows, strict=True)):
-            rows = np.array([pair == group for pair in zip(groups, of_rows, strict=True)])
+        for group, said in dict.fromkeys(zip(groups, of_rows, strict=True)):
+            rows = np.array([pair == (group, said) for pair in zip(groups, of_rows, strict=True)])
             rows &= np.isfinite(turn) & np.isfinite(c.values)
-            angles, values = turn[rows], c.values[rows]
-            if rows.sum() < FEWEST or np.ptp(angles) < np.pi:
+            if rows.sum() < FEWEST or np.ptp(turn[rows]) < np.pi:
                 continue
-            rises = bool(np.sum(np.diff(np.unwrap(angles))) > 0)
-            stated = group[1] or ("ccw" if rises else "cw")
-            if rises == (stated == "cw"):
-                if way is None or len(read) == 1:
-                    raise DataError(
-                        f"rows that are {stated} have angles that {'rise' if rises else 'fall'}: write the rows in the "
-                        "order of motion, angles counterclockwise (both ways beside one angle may stay)"
-                    )
-                angles, values = angles[::-1], values[::-1]
-            text = " ".join(filter(None, (plane, stated, group[0], str(k // 2 + 1) if len(read) > 2 else "")))
+            way_round, angles, values = _in_order(said, turn[rows], c.values[rows], way is not None and len(read) > 1)
+            text = " ".join(filter(None, (plane, way_round, group, str(k // 2 + 1) if len(read) > 2 else "")))
             found.append((text, angles, values))
     return found
+
+
+def _in_order(
+    said: str | None, angles: np.ndarray, values: np.ndarray, beside_another: bool
+) -> tuple[str, np.ndarray, np.ndarray]:
+    """The way round, and angles and readings in the order of motion; by the rows where nothing states it.
+
+    beside_another: whether readings of both ways stand beside one column of angles. Raises DataError where rows in the
+    order of motion run the other way.
+    """
+    rises = bool(np.sum(np.diff(np.unwrap(angles))) > 0)
+    way = said or ("ccw" if rises else "cw")
+    if rises == (way == "ccw"):
+        return way, angles, values
+    if not beside_another:
+        raise DataError(
+            f"rows that are {way} have angles that {'rise' if rises else 'fall'}: write the rows in the "
+            "order of motion, angles counterclockwise (both ways beside one angle may stay)"
+        )
+    return way, angles[::-1], values[::-1]

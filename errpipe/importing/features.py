@@ -17,13 +17,15 @@ import numpy as np
 
 from errpipe.errors import DataError
 from errpipe.importing import resolve, signs
-from errpipe.importing.layout import Layout, is_moment
+from errpipe.importing.header import is_moment
+from errpipe.importing.layout import Layout
 from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, filled_cells, label, number
 from errpipe.importing.units import split_header
 from errpipe.importing.words import kind_by_name, plain
 
 NOMINAL, ACTUAL, DEVIATION = "command", "actual", "error"
+WHO = "who made what was measured"
 FEWEST = 3  # features
 MOST_ROWS = 20_000  # of a sheet: a thousand features have ten rows each; longer ones are logs
 FARTHEST = 5.0  # mm: as the largest deviation elsewhere; beyond it another number was read
@@ -35,6 +37,7 @@ _NAME_OF_FEATURE = re.compile(
 )
 _GLUED = re.compile(r"([A-Za-z]{1,8})[=:]?([+-]?\d+[.,]\d+)")  # `X50.0000`, `XNOM50.000`
 _TOLERANCE = re.compile(r"((upper|lower|ob|unt|o|u|out)\w*[. ]*|[+-] ?)tol\w*\.?", re.IGNORECASE)
+_LIMIT = re.compile(r"limit|grenz|maxim|minim|mass?\b|toler|height|hoehe")
 _IDENTIFIES = re.compile(r"(?<![\d.,])\d+(?![\d.,])")  # `FEATURE NO 2`, `DIM LOC2=`, not `ERROR TP 0.1311`
 _VERDICT = re.compile(r"\bfail|\bok\b|^$")  # `Pass/Fail` is no run
 _DIFFERENCE = re.compile(r"\b(diff\w*|delta)\b")
@@ -65,6 +68,8 @@ def proposal(sheet: Sheet, options: ImportOptions) -> Proposal | None:
         return None
     units, of_deviation = _units(rows)
     features = _features(list(_readings(rows)))
+    headed = len(features) < FEWEST
+    features = _features(list(_below_headings(rows))) if headed else features
     if len(features) < FEWEST:
         return None
     axes = Counter(tuple(sorted(f)) for f in features).most_common(1)[0][0]
@@ -95,6 +100,8 @@ def proposal(sheet: Sheet, options: ImportOptions) -> Proposal | None:
     made = options.sign == "actual-minus-commanded"
     if len(moved) > 1:
         p.facts["protocol"] = "hole_pattern" if made else "ball_plate"
+    if headed:
+        p.notes.append("reference axis, minor axis, tool axis: taken as X, Y and Z, as where Z is the axis of the tool")
     p.notes.append(f"a print of {len(kept)} features: {'a part that the machine made' if made else 'an artefact'}")
     if any(f[a].numbers.get(DEVIATION, 0.0) * d < 0 for a in measured for f, d in zip(kept, read[a], strict=True)):
         p.notes.append("its column of deviations is nominal less actual: taken from these two")
@@ -108,7 +115,7 @@ def proposal(sheet: Sheet, options: ImportOptions) -> Proposal | None:
 def _ask_who_made_it(count: int, moved: list[str], options: ImportOptions) -> None:
     if options.sign is None:
         raise DataError(
-            f"a print of {count} features in {', '.join(moved)}: who made what was measured? A part that this machine "
+            f"a print of {count} features in {', '.join(moved)}: {WHO}? A part that this machine "
             "made and a CMM measured: --sign actual-minus-commanded; a calibrated artefact (ball plate, step gauge) "
             "that this machine measured with its own probe: --sign commanded-minus-actual"
         )
@@ -135,7 +142,7 @@ def _kind(cell: Cell) -> str | None:
     """command, actual or error of a word; None of any other cell."""
     if not _has_letters(cell) or _TOLERANCE.search(str(cell)):
         return None
-    text = _COORDINATE.sub(" ", plain(cell)).strip()
+    text = _COORDINATE.sub(" ", plain(split_header(str(cell))[0])).strip()
     kind = kind_by_name(text) if text else None
     return DEVIATION if _DIFFERENCE.fullmatch(text) else kind if kind in (NOMINAL, ACTUAL, DEVIATION) else None
 
@@ -149,20 +156,21 @@ def _axis(cell: Cell) -> str | None:
 def _readings(rows: list[list[Cell]]) -> Iterator[_Reading]:
     """Every row, or cell of a table with columns for each axis, that states a coordinate with nominal and result."""
     comma, header, last, breaks, per_axis = decimal_comma(rows), list[str](), "", True, False
+    of_features = False
     for r, row in enumerate(rows):
         if not per_axis and not any(map(_has_letters, row)):
             continue
         if len(alone := filled_cells(row)) == 1:  # a line among columns that blanks part
             row = [*label(alone[0]).split()]
         texts = [label(c) for c in row]
-        kinds = [_kind(c) for c in row]
-        if NOMINAL in kinds and {ACTUAL, DEVIATION} & {*kinds} and not any(number(c, comma) is not None for c in row):
+        kinds, cells = [_kind(c) for c in row], [part for c in row for part in _split(c)]
+        if NOMINAL in kinds and {ACTUAL, DEVIATION} & {*kinds} and not any(number(c, comma) is not None for c in cells):
             texts = _with_groups(rows[r - 1] if r else [], texts)
             named = any(kind_by_name(t) in ("run", "direction") for t in texts if not _VERDICT.search(plain(t)))
             header, last, breaks = [] if named else texts, "", True
+            of_features = any(_NAME_OF_FEATURE.search(plain(t)) and not _kind(t) for t in header)
             per_axis = len({a for t in header if _kind(t) and (a := _axis(t))}) > 1
             continue
-        cells = [part for c in row for part in _split(c)]
         beside = not header or any(k in (ACTUAL, DEVIATION) for k in map(_kind, cells))
         if beside:
             found = [(axis, "", numbers) for axis, numbers in _beside_words(cells, comma)]
@@ -173,9 +181,45 @@ def _readings(rows: list[list[Cell]]) -> Iterator[_Reading]:
         whole = [one for one in found if NOMINAL in one[2] and {ACTUAL, DEVIATION} & {*one[2]}]
         for axis, name, numbers in whole:
             last = name or last  # a cell that is merged over the coordinates of a feature
-            yield _Reading(r, axis, last, numbers, breaks, breaks or beside)
+            yield _Reading(r, axis, last, numbers, breaks, breaks or beside or of_features)
             breaks = False
         breaks |= not whole and not found and _IDENTIFIES.search(" ".join(texts)) is not None
+
+
+# Names of the axes of the working plane in the logs of probing cycles (HEIDENHAIN, Touch Probe Cycles: TCHPR421.TXT).
+_OF_A_PLANE = (
+    (r"(reference|main|principal) axis|hauptachse|axe principal|asse principale|eje principal", "X"),
+    (r"(minor|secondary) axis|nebenachse|axe (secondaire|auxiliaire)|asse secondario|eje (secundario|auxiliar)", "Y"),
+    (r"(tool|probe|measuring) axis|(werkzeug|tastsystem)achse|axe (d'|de l')?outil", "Z"),
+)
+_NAMED_VALUE = re.compile(r"([^\d:=]*[^\W\d][^:=]*?)\s*[:=]\s*([+-]?\d+[.,]?\d*)\s*(mm|inch|in)?")
+
+
+def _below_headings(rows: list[list[Cell]]) -> Iterator[_Reading]:
+    """Coordinates of features whose nominal and actual values stand below headings: `ACTUAL VALUES:`, `CENTER IN X: 5`.
+
+    A heading of nominal values after others begins another feature.
+    """
+    kind, feature = None, dict[str, tuple[int, dict[str, float]]]()
+    last: list[Cell] = ["nominal values:"]
+    for r, row in enumerate([*rows, last]):
+        line = plain(" ".join(map(label, filled_cells(row))))
+        match = _NAMED_VALUE.fullmatch(line)
+        if match is None:
+            heading = line.strip(" :*-=") if line.rstrip().endswith(":") or len(line.split()) < 3 else ""
+            if not heading:
+                continue
+            kind = _kind(re.sub(r"(werte|wert|values?)$", r" \1", heading)) if not _TOLERANCE.search(heading) else None
+            if kind == NOMINAL and any({ACTUAL, DEVIATION} & {*numbers} for _, numbers in feature.values()):
+                whole = [(axis, *of) for axis, of in feature.items() if NOMINAL in of[1] and len(of[1]) > 1]
+                for k, (letter, at, numbers) in enumerate(whole):
+                    yield _Reading(at, letter, "", numbers, k == 0, True)
+                feature = {}
+            continue
+        text, value = match[1], number(match[2], "," in match[2])
+        axis = next((a for words, a in _OF_A_PLANE if re.search(words, text)), None) or _axis(text)
+        if kind is not None and axis is not None and value is not None and not _LIMIT.search(text):
+            feature.setdefault(axis, (r, {}))[1].setdefault(kind, value)
 
 
 def _with_groups(above: list[Cell], texts: list[str]) -> list[str]:
@@ -196,18 +240,23 @@ def _split(cell: Cell) -> list[Cell]:
 
 
 def _beside_words(cells: list[Cell], comma: bool) -> list[tuple[str, dict[str, float]]]:
-    """The coordinate of a row and its numbers, each behind the word that says what it is."""
-    axis, kind, numbers = None, None, dict[str, float]()
+    """The coordinates of a row and their numbers, each behind the word that says what it is.
+
+    Where such a word begins the row, each stands before all coordinates: `NOM X50.0 Y40.0 ACT X50.1 Y40.0`; elsewhere
+    a row is of one coordinate.
+    """
+    axis, kind, said, found = None, None, None, dict[str, dict[str, float]]()
     for cell in filled_cells(cells):
         value = number(cell, comma)
         if value is None:
             named, kind = _axis(cell), _kind(cell)
-            if named is not None and axis in (None, named):
-                axis, kind = named, kind or NOMINAL
+            said = kind if kind is not None and (axis is None or said is not None) and named is None else said
+            if named is not None and (said is not None or axis in (None, named)):
+                axis, kind = named, kind or said or NOMINAL
         elif axis is not None and kind is not None:
-            numbers.setdefault(kind, value)
+            found.setdefault(axis, {}).setdefault(kind, value)
             kind = None
-    return [(axis, numbers)] if axis is not None and len(numbers) > 1 else []
+    return [(a, numbers) for a, numbers in found.items() if len(numbers) > 1]
 
 
 def _below(header: list[str], row: list[Cell], comma: bool) -> list[tuple[str, str, dict[str, float]]]:
@@ -266,7 +315,7 @@ def _deviations(readings: list[_Reading], unit: str | None, scale: float, option
         both = np.where(np.isnan(both), stated * {"um": 1e-3, "inch": 25.4}.get(unit, 1.0), both)
     else:
         stated = stated * {"um": 1e-3, "inch": 25.4}.get(unit or "", scale)
-        off = np.minimum(np.abs(stated - both), np.abs(stated + both)) > ROUNDING + 0.002 * (
+        off = np.minimum(np.abs(stated - both), np.abs(stated + both)) > scale * ROUNDING + 0.002 * (
             np.abs(both) < 10 * ROUNDING
         )
         off &= np.isfinite(stated)

@@ -6,8 +6,10 @@ import re
 
 import numpy as np
 
+from errpipe.importing import quality
 from errpipe.importing.dates import seconds
-from errpipe.importing.layout import RawColumn, is_moment, is_word
+from errpipe.importing.header import is_moment, is_word
+from errpipe.importing.layout import RawColumn
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number
 from errpipe.importing.words import plain
 
@@ -15,12 +17,13 @@ MOST_SIGNALS = 60  # names in one column; more are remarks, not signals
 MOST_COLUMNS = 12  # signal, time, value, unit, quality, and what a database adds
 FEWEST_VALUES = 3  # of each signal
 _SIGNAL = re.compile(
-    r"(signal|tag|var|topic|channel|kanal|name|variable|sensor|field|point|measurement|messstelle|item|path|node"
+    r"(signal|serie|series|tag|var|topic|channel|kanal|name|variable|sensor|field|point|measurement|messstelle|item|path|node"
     r"|data ?item|metric|symbol|display|entity|(sub ?)?type)( ?(name|id))?"
 )
 _VALUE = re.compile(
     r"(?:var ?)?(value|state|payload|wert|reading|messwert|valeur|valore|valor)( ?\(?(float|double|num(ber|eric)?)\)?)?"
 )
+_NODE = re.compile(r"^ns=\d+;[sigb]=")  # of an OPC UA server, before the name
 _UNIT = re.compile(r"(unit|einheit|units|unite|uom)s?")
 
 
@@ -30,7 +33,8 @@ def unstacked(sheet: Sheet) -> Sheet:
     A sheet is of this form where one column names signals, one holds dates and one numbers, or where its header states
     so. Values of one time stand in one row; signals of other times leave empty cells in it.
     """
-    rows = [row for row in sheet.rows if any(c not in (None, "") for c in row)]
+    rows = [r for r in sheet.rows if any(c not in (None, "") for c in r) and not label(r[0]).startswith("#")]
+    rows = [row for k, row in enumerate(rows) if k == 0 or row != rows[0]]
     header = [plain(label(c)).strip() for c in (sheet.header or (rows[0] if rows else []))]
     body = rows if sheet.header is not None or not _is_header(rows) else rows[1:]
     header = header if sheet.header is not None or len(body) < len(rows) else []
@@ -41,18 +45,24 @@ def unstacked(sheet: Sheet) -> Sheet:
     if at is None:
         return sheet
     names, time, value, unit = at
+    qualities = [i for i, text in enumerate(header) if quality.named(text) and i not in (*names, time, value)]
+    wrong = np.any([quality.bad([row[i] for row in body]) for i in qualities], axis=0) if qualities else None
     counts: dict[str, int] = {}
     table: dict[str, dict[str, Cell]] = {}
-    for row in body:
-        signal = " ".join(filter(None, (label(row[i]) for i in names))) + (
+    for k, row in enumerate(body):
+        signal = " ".join(filter(None, (_NODE.sub("", label(row[i])) for i in names))) + (
             f" [{label(row[unit])}]" if unit is not None and row[unit] else ""
         )
         counts[signal] = counts.get(signal, 0) + 1
-        table.setdefault(label(row[time]), {}).setdefault(signal, row[value])
+        table.setdefault(label(row[time]), {}).setdefault(
+            signal, None if wrong is not None and wrong[k] else row[value]
+        )
     few = [s for s, n in counts.items() if n < FEWEST_VALUES]
     if len(counts) > MOST_SIGNALS or len(counts) - len(few) < 2:
         return sheet
     counts = {s: n for s, n in counts.items() if s not in few}
+    if wrong is not None and wrong.any():
+        sheet.notes.append(f"{int(wrong.sum())} values of bad quality were left out")
     left = [f"signals of less than {FEWEST_VALUES} values were left out: {', '.join(few)}"[:160]] if few else []
     note = f"a row per value: {len(counts)} signals became columns"
     out: list[list[Cell]] = [[when, *(values.get(s) for s in counts)] for when, values in table.items()]

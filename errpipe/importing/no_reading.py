@@ -8,7 +8,8 @@ import numpy as np
 
 from errpipe.errors import DataError
 from errpipe.importing.dates import is_date
-from errpipe.importing.layout import Layout
+from errpipe.importing.layout import Layout, RawColumn
+from errpipe.importing.words import kind_by_name
 
 LARGEST = 1e30  # in any unit; SCPI instruments write 9.91e37 where they have no reading
 FILLED_IN = (  # written for none: nines, and the largest of an integer
@@ -17,6 +18,21 @@ FILLED_IN = (  # written for none: nines, and the largest of an integer
 )
 _IN_BRACKETS = re.compile(r"\(\s*\d[\d.,]*\s*\)")
 _MARKED = re.compile(r"[+-]?\d[\d.,' ]*[.,'][\d.,']*")
+
+
+_DEGREES = {None: (1.0, 0.0), "degC": (1.0, 0.0), "degF": (1.0 / 1.8, -32.0 / 1.8), "K": (1.0, -273.15)}
+COLDEST, WARM, HOTTEST = -60.0, 120.0, 300.0  # degC: beyond them a broken or shorted sensor (-200, -127, 850, 1372)
+
+
+def _of_no_machine(c: RawColumn) -> np.ndarray:
+    """Temperatures that no machine has, beside others of which none is hotter than WARM."""
+    factor, shift = _DEGREES.get(c.unit, (0.0, 0.0))
+    if factor == 0.0 or (c.unit is None and kind_by_name(c.header) != "temperature"):
+        return np.zeros(c.values.size, dtype=bool)
+    degrees = factor * c.values + shift
+    beyond = (degrees < COLDEST) | (degrees > HOTTEST)
+    others = degrees[np.isfinite(degrees) & ~beyond]
+    return beyond if others.size > beyond.sum() and others.max(initial=0.0) < WARM else np.zeros(beyond.size, bool)
 
 
 def blank(layout: Layout) -> None:
@@ -31,7 +47,7 @@ def blank(layout: Layout) -> None:
             raise DataError(f"column {c.header!r}: {doubtful!r}: below zero, or doubtful? (write -1.5, or nothing)")
         if odd := next((x for x in texts if _MARKED.fullmatch(x) and not is_date(x)), None):
             raise DataError(f"column {c.header!r}: {odd!r} is no number as the others are (correct or empty it)")
-        beyond = np.abs(c.values) > LARGEST
+        beyond = (np.abs(c.values) > LARGEST) | _of_no_machine(c)
         filled = np.isin(np.abs(c.values), FILLED_IN)
         others = np.abs(c.values[np.isfinite(c.values) & ~filled & ~beyond])
         if filled.any() and others.size and np.abs(c.values[filled]).min() > 10.0 * others.max():

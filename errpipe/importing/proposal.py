@@ -19,6 +19,7 @@ from errpipe.importing import (
     dates,
     no_reading,
     order,
+    quality,
     readings,
     resolve,
     rows_of,
@@ -28,7 +29,8 @@ from errpipe.importing import (
 )
 from errpipe.importing import columns as guessing
 from errpipe.importing.facts import facts
-from errpipe.importing.layout import Layout, RawColumn, is_word
+from errpipe.importing.header import is_word
+from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
 from errpipe.importing.temperatures import with_temperatures
@@ -38,7 +40,7 @@ from errpipe.importing.words import THERE_AND_BACK, axis_above, plain
 
 # What may be a unit that is not known: `um/m`, `pm`, `x 0.05um`, `0.0001`.
 _OTHER_UNIT = re.compile(r"[^\d\s]{1,3}/[^\d\s]{1,3}|[^\W\d_]{1,14}|%|°|[x×*]?\s?\d.*[^\W\d_]|0?[.,]0*\d")
-_NO_UNIT = ("x", "y", "z", "abs", "rel", "raw", "avg", "mean", "inc", "meas", "all")
+_NO_UNIT = ("64 bit", "32 bit", "x", "y", "z", "abs", "rel", "raw", "avg", "mean", "inc", "meas", "all")
 
 
 def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) -> Proposal:
@@ -51,6 +53,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         unit = (options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}).get("unit", c.unit)
         c.unit = unit_of(unit or "") or unit
     no_reading.blank(layout)
+    quality.blank(layout)
     if (of_a_ball_bar := circle.proposal(layout, options)) is not None:
         return of_a_ball_bar
     layout = wide.unpivoted(rows_of.one_machine(rows_of.one_axis(layout, options), options))

@@ -135,6 +135,14 @@ def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
         if p.entries[command]["role"] == "position":
             p.entries[command]["role"] = "command"
         order.refuse_swapped(p, command, actual)
+        if options.sign == "commanded-minus-actual" and not {"command", "actual"} & {
+            keys.get("role") for keys in options.sets.values()
+        }:
+            raise DataError(
+                f"the error is {actual!r} less {command!r}, both of which are recorded: --sign would be ignored. Where "
+                f"the machine read {actual!r} on a gauge or part of known size, say --set {actual}.role=command "
+                f"--set {command}.role=actual instead"
+            )
         _within_half_a_turn(p, command, actual)
         component = options.component or components.positioning(letter)
         unit = components.unit(component)

@@ -35,12 +35,16 @@ class DoorOptions:
 
 @dataclass
 class Sheet:
-    """One table of cells. header: its column names where the file states them apart; notes: remarks of the door."""
+    """One table of cells. header: its column names where the file states them apart; notes: remarks of the door.
+
+    above: lines of text that the file states beside the table.
+    """
 
     name: str
     rows: list[list[Cell]]
     header: list[str] | None = None
     notes: list[str] = field(default_factory=list)
+    above: list[str] = field(default_factory=list)
 
     def limited(self) -> Sheet:
         """The sheet itself. Raises DataError where it holds more cells than MOST_CELLS."""

@@ -76,7 +76,7 @@ def with_temperatures(
         if guess.kind != "ignore" or not guess.why or not c.numeric or c.unit is not None:
             continue  # without a reason: a person stated that it is not used
         if _letter_of_a_unit(c, starts):
-            out[c.header] = ColumnGuess("temperature", None, f"its place and {c.header[-1]} behind it")
+            out[c.header] = ColumnGuess("temperature", None, f"its place and {c.unit} behind it")
             continue
         text, known = plain(c.header), c.values[np.isfinite(c.values)]
         if known.size < FEWEST or _OTHER_QUANTITY.search(text):
@@ -96,8 +96,8 @@ def with_temperatures(
 
 
 def _letter_of_a_unit(c: RawColumn, starts: np.ndarray) -> bool:
-    """Give a column such as `bed_K` the unit of its last letter, where its values are temperatures in it."""
-    letter = re.fullmatch(r"(.*\S)[\s_]([KCF])", c.header)
+    """Give a column such as `bed_K` or `Bed (F)` the unit of its last letter, where its values may be in it."""
+    letter = re.fullmatch(r"(.*[^\s_(\[])[\s_(\[]+([KCF])[)\]]?", c.header)
     if letter is None or not _named(plain(letter[1])) or not np.isfinite(c.values).any():
         return False
     unit, degrees = {"K": ("K", c.values - 273.15), "C": ("degC", c.values), "F": ("degF", (c.values - 32.0) / 1.8)}[

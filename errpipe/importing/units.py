@@ -79,10 +79,10 @@ LETTERS = {
     "F": (("temperature", "degF"),),
     "N": (("force", "N"),),
 }
-_LAST_LETTER = re.compile(r"^(.*[^\s_/,.])[\s_/,]+([shKCFN])$")
+_LAST_LETTER = re.compile(r"^(.*[^\s_/,.(\[])[\s_/,(\[]+([shKCFN])[)\]]?$")
 _INLET = re.compile(r"(coolant|oil|water|air|chiller)[\s_]+in$", re.IGNORECASE)  # of a medium, not inches
 _SIGNS = '"°″'
-_AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,9})$")
+_AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,11})$")
 
 
 # Units in words, with their plurals: `micrometres`, `Mikrometern`, `micromètres`, `micras`; parts of them in words.
@@ -202,6 +202,9 @@ def split_header(text: str) -> tuple[str, str | None]:
     metres = re.fullmatch(r"(.*\S)(?:\s*/\s*|,\s+|\s+in\s+)m", text)
     if metres and kind_by_name(metres[1]) in ("command", "position", "actual"):
         return metres[1], "m"  # a quantity over its unit; `Error/m` may be an error per metre
+    remark = re.fullmatch(r"(.*[^\s(])\s*(\([^()]*\))", text)
+    if remark and (before := split_header(remark[1]))[1] is not None:  # `Temp, °F (LBL: spindle)`
+        return f"{before[0]} {remark[2]}", before[1]
     letter = _LAST_LETTER.match(text)
     kinds = {kind_by_name(text), kind_by_name(letter.group(1))} if letter else set()
     if letter and (unit := next((u for k, u in LETTERS.get(letter.group(2), ()) if k in kinds), None)):

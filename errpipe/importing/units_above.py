@@ -13,7 +13,7 @@ from errpipe.importing.words import kind_by_name, plain
 DEEPEST = 12  # lines above the header in which a line of units is looked for
 LARGEST = {"mm": 5.0, "inch": 0.2}  # reading: no axis that is to be compensated is wrong by more
 UNITS_OF_READINGS = ("um", "mm", "inch", "0.001 inch", "nm", "urad", "arcsec")
-_UNITS = re.compile(r"(?:y_)?unit|einheit|unidad|unità|unité", re.IGNORECASE)
+UNITS = re.compile(r"(?:(?:y_)?unit|einheit|unidad|unità|unité)(?:s|en|es|_label)?", re.IGNORECASE)
 
 
 def units_of_columns(rows: list[list[Cell]], end: int, names: list[str]) -> list[str | None]:
@@ -25,9 +25,9 @@ def units_of_columns(rows: list[list[Cell]], end: int, names: list[str]) -> list
     for row in rows[max(end - DEEPEST, 0) : end]:
         cells = [label(c) for c in row[1:]]
         filled = [label(c) for c in filled_cells(row)]
-        if len(filled) == 1 and _UNITS.match(filled[0]):
+        if len(filled) == 1 and UNITS.match(filled[0]):
             cells = [word for word in re.split(r"[\s:=]+", filled[0])[1:] if word]
-        if not filled or not _UNITS.match(filled[0]) or not all(unit_of(c) for c in cells if c):
+        if not filled or not UNITS.match(filled[0]) or not all(unit_of(c) for c in cells if c):
             continue
         units = [unit_of(c) if c else None for c in cells]
         if [u for u in units if u] == ["inch"] and len([c for c in cells if c]) == 1:

@@ -89,7 +89,8 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     targets = [c for c in places if said[c.header] == (None, None)]
     targets = targets or [c for c in places if said[c.header][0] is None]
     if not targets and numeric and guesses[numeric[0].header].kind != "time" and _rises(numeric[0]):
-        targets = numeric[:1]
+        unsaid = [c for c in numeric[1:] if said[c.header] == (None, None) and _rises(c)]
+        targets = numeric[:1] if not _counts(numeric[0]) else [c for c in unsaid if not _counts(c)][:1]
     if len(targets) > 1 and all(np.array_equal(c.values, targets[0].values, equal_nan=True) for c in targets):
         repeated, targets = targets[1:], targets[:1]  # tables side by side, each with the targets
     if len(targets) != 1:

@@ -103,7 +103,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(humid|feucht)", "humidity"),
     (
         r"(deviation|abweich|\babw|error|err\b|fehler|\bdev\b|residual|lage ?abw|\becart|erreur|scostamento|desviacion"
-        r"|errore|\berros?\b|deviazion|desvio|afwijking|\bfout|odchyl|odchyłk|\bbład|\bchyb|avvik|afvigelse|\bfejl|\bsapma"
+        r"|errore|\berros?\b|deviazion|desvio|afwijking|\bfout|odchyl|odchyłk|\bbład|\bchyb|avvik|\belteres|afvigelse|\bfejl|\bsapma"
         r"|\bhata|偏差|誤差|误差|отклонени|погрешност|ошибк|오차|편차)",
         "error",
     ),
@@ -120,15 +120,16 @@ WORDS: tuple[tuple[str, str], ...] = (
         "command",
     ),
     (
-        r"(actual|\b[xyzabcuvw]?\d?ist\b|istwert|\bfbk\b|measured|\bmeas\b|gemessen|messwert|reading|anzeige|feedback|\bfb\b|\bactl?\b|encoder"
+        r"(actual|\b[xyzabcuvw]?\d?ist\b|ist(wert|mass)|\bprobed\b|\bangetastet|\bfbk\b|measured|\bmeas\b|gemessen|messwert|reading|anzeige|feedback|\bfb\b|\bactl?\b|encoder"
         r"|laser|dial|indicator|uhr|\bmesure|releve|misurat|\bmedid|display|read ?out|\bdro\b|\bgemeten|\bwerkelijk"
         r"|aervaerd|arvard|uppmaett|zmierzon|rzeczywist|skutecn|namer|oelcuelen|olculen|\bgercek|\bmert\b|tenyleg|\breale?\b|\breelle\b|\bmisura\b|lectura|leitura|lettura|実測|实测|測定値|测量|测定|实际"
         r"|измерен|фактич|действит|측정|실제)",
         "actual",
     ),
     (
-        r"(position|\bpos|^[xyzabcuvw]\d?$|weg|^[xyz] ?(axis|achse|-achse)|\b(angle|(dreh|schwenk)?winkel)\b|posizione"
-        r"|posicion|\bquota\b|\bcotas?\b|\bcotes?\b|\bpozyc|\bpozic|\bposicao|位置|позици|положени|координат)",
+        r"(position|\bpos|^[xyzabcuvw]\d?$|^[pxyz] ?i$|weg"
+        r"|^[xyz] ?(axis|achse|-achse)|\b(angle|(dreh|schwenk)?winkel)\b"
+        r"|posizione|posicion|\bquota\b|\bcotas?\b|\bcotes?\b|\bpozyc|\bpozic|\bposicao|位置|позици|положени|координат)",
         "position",
     ),
 )

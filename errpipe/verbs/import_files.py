@@ -23,6 +23,7 @@ from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
 from errpipe.importing.layout import lay_out
 from errpipe.importing.long_form import unstacked
+from errpipe.importing.pairs import paired
 from errpipe.importing.proposal import propose
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.units import unit_of
@@ -114,7 +115,8 @@ def _of_any_sheet(
         try:
             proposed = features.proposal(sheet, options)
             if proposed is None:
-                layout = with_period(lay_out(transposed(unstacked(sheet)), door.names), door.period)
+                cells = transposed(unstacked(sheet if door.names else paired(sheet)))
+                layout = with_period(lay_out(cells, door.names), door.period)
                 proposed = propose(layout, options, may_be_log)
             out.append((proposed, sheet.name))
         except DataError as err:
@@ -122,7 +124,7 @@ def _of_any_sheet(
             question = "--" in str(err) and not str(err).startswith(resolve.NO_DEVIATION)
             asked = asked or (problems[-1] if question and not out else "")
     if not out:
-        hint = other_tests.named(sheets[:MAX_SHEETS])
+        hint = "" if features.WHO in asked else other_tests.named(sheets[:MAX_SHEETS])
         raise DataError(f"{file}: {'; '.join(problems)}{'.' if hint else ''}{hint}")
     if asked:  # the sheet before may be the one that is meant
         raise DataError(f"{file}: {asked}. Or, of the other sheets, --sheet {out[0][1]!r}")

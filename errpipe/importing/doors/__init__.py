@@ -17,10 +17,10 @@ from types import ModuleType
 
 from errpipe.errors import DataError, ErrpipeError, UsageError
 from errpipe.importing import controller_files
-from errpipe.importing.doors import delimited, excel, halsampler, hdf5, matlab, mtconnect, records, tdms
+from errpipe.importing.doors import delimited, excel, halsampler, hdf5, markup, matlab, mtconnect, records, tdms
 from errpipe.importing.sheet import DoorOptions, Sheet
 
-DOORS: tuple[ModuleType, ...] = (excel, tdms, hdf5, matlab, mtconnect, halsampler, records, delimited)
+DOORS: tuple[ModuleType, ...] = (excel, tdms, hdf5, matlab, mtconnect, markup, halsampler, records, delimited)
 
 MOST_BYTES = 256 << 20  # 256 MB: a larger log belongs in Parquet beside a manifest, which is read in blocks
 HEAD_BYTES = 1 << 16  # that a format is recognised by
@@ -63,10 +63,6 @@ def _refuse_known(path: Path, head: bytes) -> None:
         raise DataError(f"{path}: what a spreadsheet leaves beside a file that is open in it: name that file")
     if head.startswith((b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"7z\xbc\xaf")):
         raise DataError(f"{path}: a packed file: unpack it first")
-    if head.lstrip().lower().startswith((b"<html", b"<table", b"<!doctype", b"<?xml")) and not mtconnect.sniff(
-        path, head
-    ):
-        raise DataError(f"{path}: XML or HTML of another kind (only MTConnect's is imported): export it as CSV")
 
 
 def _check_in_child_process(door: ModuleType, path: Path, options: DoorOptions) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from errpipe.errors import DataError, UsageError
 from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
+from errpipe.importing.units import unit_of
 
 name = "delimited text"
 suffixes = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".prn")
@@ -60,6 +61,8 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     if any(len(line) > LONGEST_LINE for line in lines[:SAMPLE_LINES]):
         raise DataError(f"{path}: a line of more than {LONGEST_LINE} characters (no table of measurements)")
     separator = _separator(lines[:SAMPLE_LINES])
+    if separator == ",":
+        lines = _with_prose_quoted(lines)
     if separator == " ":
         cells: Iterable[list[Cell]] = _by_blanks(path, lines)
     else:
@@ -99,6 +102,20 @@ def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
             if r < first and not any(map(_figure, row)):
                 row = _names_with_blanks(line, width)
         yield row
+
+
+def _with_prose_quoted(lines: list[str]) -> list[str]:
+    """Lines above a header as one cell each where blanks follow all their commas, and none of those of the table."""
+    first = next((r for r, line in enumerate(lines) if sum(map(_figure, line.split(","))) > 1), 0)
+    head = next((r for r in range(first - 1, 0, -1) if "," in lines[r] and not _only_units(lines[r])), 0)
+    if not head or any(", " in line for line in lines[head : first + 1]):
+        return lines
+    prose = [re.search(r",\s", line) and not re.search(r',\S|"', line.strip().rstrip(",")) for line in lines[:head]]
+    return ['"' + line + '"' if of_words else line for line, of_words in zip(lines, prose, strict=False)] + lines[head:]
+
+
+def _only_units(line: str) -> bool:
+    return all(unit_of(cell.strip(' "[]()')) for cell in line.split(",") if cell.strip())
 
 
 MOST_SHORT = 0.1  # share of the rows of numbers; more of them are a layout of their own

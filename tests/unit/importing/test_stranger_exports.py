@@ -174,7 +174,7 @@ ASKED = {
     "targets of two tables": ("\n".join(["Target +;R1;R2;Target -;R3;R4", *(f"{TARGETS[i]};1;2;{TARGETS[-1 - i]};3;4" for i in range(len(TARGETS)))]), "both hold command positions"),
     "days of a spreadsheet": (long("Time,target mm,actual mm", lambda r, x, s, d: f"{46112 + ticks(r, x, s, 1) % 9999 / 86400:.6f},{x},{x + d / 1000}"), "days since a date"),
     "a row a signal": ("\n".join(f"Axis.X.{n},2026-03-31T08:00:{i:02d}Z,{i},Good" for i in range(9) for n in ("Cmd", "Act")), "may be inches"),
-    "XML of another kind": ("<?xml version='1.0'?><Trace><rec t='0' v='1'/></Trace>", "only MTConnect"),
+    "XML of another kind": ("<?xml version='1.0'?><Trace><rec t='0' v='1'/></Trace>", "without a table"),
 }  # fmt: skip
 
 

@@ -1,0 +1,187 @@
+"""The rows of a table that name its columns: words, groups above them, units below; remarks among them."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+
+import numpy as np
+
+from errpipe.importing.blocks import COMMENT
+from errpipe.importing.facts import OF_A_FACT
+from errpipe.importing.sheet import Cell, filled_cells, label, number
+from errpipe.importing.units import split_header, unit_of
+from errpipe.importing.units_above import UNITS
+from errpipe.importing.words import kind_by_name
+
+NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
+_WORD = re.compile(
+    r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?|open|burn ?out|over ?(range|flow)|no ?sensor)$).*[^\W\d_]",
+    re.IGNORECASE,
+)  # no missing value
+_MOMENT = re.compile(
+    r"(?=.*\d:\d|.*\d[./-]\d+[./-]\d)\d[\d.:/\-T ,+Z]*( ?[AaPp]\.?[Mm]\.?)?"
+    r"|\d{1,2}[-. ]{1,2}[^\W\d_]{3,9}[-. ]{1,2}\d{2,4}( \d.*)?"
+)
+_DATE_FORM = re.compile(
+    r"[yY]{2,4}[./-][mM]{1,2}[./-][dD]{1,2}|[dD]{1,2}[./-][mM]{1,2}[./-][yY]{2,4}|[hH]{1,2}:[mM]{2}(:[sS]{2})?|NO\."
+)
+
+
+def is_word(cell: Cell) -> bool:
+    """Whether a cell is a word, and not one of those for a missing value."""
+    return isinstance(cell, str) and _WORD.match(cell) is not None and not is_moment(cell)
+
+
+def is_moment(cell: Cell) -> bool:
+    """Whether a cell is a date or a clock time in figures."""
+    return isinstance(cell, str) and _MOMENT.fullmatch(cell.strip()) is not None
+
+
+def is_header(row: list[Cell], numbers: list[list[float | None]], r: int) -> bool:
+    """A row with a word above a column of numbers is a header even where its other cells are numbers (run 1, 2, 3)."""
+    below = numbers[r + 1 : r + 6]
+    alone = len(filled_cells(row)) == 1 and max((sum(v is not None for v in b) for b in below), default=0) > 1
+    for c, cell in enumerate([] if alone else row):
+        word = isinstance(cell, str) and _WORD.match(cell) is not None and numbers[r][c] is None
+        if word and below and sum(len(b) > c and b[c] is not None for b in below) >= 0.8 * len(below):
+            return True
+    return _counts_runs(row, numbers, r, r + 1)
+
+
+def _counts_runs(row: list[Cell], numbers: list[list[float | None]], r: int, start: int) -> bool:
+    """A row of run numbers below names of groups: `;1;2;3;1;2;3`, with nothing above the column of targets.
+
+    start: row of the first data.
+    """
+    counts, below = [v for v in numbers[r] if v is not None], numbers[start : start + 5]
+    gap = not row or row[0] not in (None, "") or not all(b and b[0] is not None for b in below) or not below
+    if gap or len(counts) < 2 or len(counts) < len(filled_cells(row)) or r == 0 or any(numbers[r - 1]):
+        return False
+    return counts[0] == 1 and all(b in (a, a + 1, 1) for a, b in pairwise(counts))
+
+
+def lift_comments(rows: list[list[Cell]], numbers: list[list[float | None]], start: int) -> None:
+    """Put comments between a header and its data above the header, in place. start: row of the first data."""
+    head = start - 1
+    while head > 0 and _is_comment(rows[head], numbers[head]):
+        head -= 1
+    texts = [label(c) for c in filled_cells(rows[head])]
+    wide = len(texts) >= max(2, 0.6 * len(filled_cells(rows[start])))
+    if head == start - 1 or not wide or any(v is not None for v in numbers[head]) or texts[0].startswith(COMMENT):
+        return
+    top = head
+    if _are_units([label(c) for c in rows[head]]):  # the names stand above it
+        top -= head > 0 and sum(map(is_word, rows[head - 1])) >= 2 and not any(v is not None for v in numbers[head - 1])
+    for table in (rows, numbers):
+        table[top:start] = [*table[head + 1 : start], *table[top : head + 1]]
+
+
+def _is_comment(row: list[Cell], numbers: list[float | None]) -> bool:
+    """Whether a row is a remark: it begins with a mark of comments, or is a text alone that is no unit."""
+    texts = [label(c) for c in filled_cells(row)]
+    alone = len(texts) == 1 and not any(v is not None for v in numbers) and not _are_units(texts)
+    return bool(texts) and (texts[0].startswith(COMMENT) or alone)
+
+
+def header_rows(rows: list[list[Cell]], numbers: list[list[float | None]], start: int) -> list[int]:
+    """Up to three rows right above the data that are a header: words, at least two, or as `is_header` decides."""
+    found: list[int] = []
+    for r in range(start - 1, max(start - 4, -1), -1):
+        if found and label(rows[r][0] if rows[r] else None).startswith(("#", "%", "//")):
+            break  # a remark above the header
+        words = [c for c in rows[r] if isinstance(c, str) and c]
+        figures = sum(v is not None for v in numbers[r])
+        above_units = all(_are_units([label(c) for c in rows[k]]) for k in found)  # or none stand there
+        named = above_units and _counts_runs(rows[r], numbers, r, start)
+        named = named or (not found and bool(words) and is_header(rows[r], numbers, r))
+        if (len(words) >= 2 and figures == 0) or named:
+            found.insert(0, r)
+        else:
+            break
+    return found
+
+
+def names_of(rows: list[list[Cell]], head: list[int], width: int) -> tuple[list[str], list[str | None], int]:
+    """Header texts, units, and how many rows they took."""
+    if not head:
+        return [f"column {i + 1}" for i in range(width)], [None] * width, 0
+    texts = [[label(c) for c in rows[r]] + [""] * width for r in head]
+    units: list[str | None] = [None] * width
+    used = len(head)
+    if len(texts) > 1:
+        of_units = next((k for k in range(len(texts) - 1, 0, -1) if _are_units(texts[k][:width])), None)
+        if of_units is not None:
+            units = [unit_of(t.strip("[]() ")) if t else None for t in texts.pop(of_units)[:width]]
+    if len(texts) > 2:  # more than a group row above the names: the rest is a preamble
+        used -= len(texts) - 2
+        texts = texts[-2:]
+    if len(texts) == 2:
+        filled = sum(bool(t) for t in texts[0][:width])
+        if (
+            (filled < 0.34 * width and not any(texts[0][1:width]))
+            or _are_positions(texts[1])
+            or _is_preamble(texts[0], texts[1][:width])
+            or (filled <= 2 and any(map(_is_amount, texts[0])))
+        ):
+            used -= 1
+            texts = texts[-1:]
+    if len(texts) == 2:
+        last = ""
+        group = []
+        for text in texts[0][:width]:
+            last = text or last
+            group.append(last)
+        names = [f"{g} {n}".strip() if g != n else n for g, n in zip(group, texts[1][:width], strict=True)]
+    else:
+        names = texts[0][:width]
+    return [n or f"column {i + 1}" for i, n in enumerate(names)], units, used
+
+
+def _are_units(texts: list[str]) -> bool:
+    """Whether cells are units and nothing else; the first may say so: `Unit;s;µm`."""
+    named = [t for k, t in enumerate(texts) if t and (k or not UNITS.fullmatch(t.strip(" :")))]
+    cells = [t.strip("[]() ") for t in named]
+    return any(map(unit_of, cells)) and all(unit_of(c) or c in ("-", "1") or _DATE_FORM.fullmatch(c) for c in cells)
+
+
+def named_above(names: list[str], above: list[list[Cell]]) -> list[str]:
+    """Names of channels as lines above call them: `CH1` below `CH1,Spindle,TEMP`; as they are where two agree."""
+    called = {label(row[0]): label(row[1]) for row in above if len(row) > 1 and is_word(row[1])}
+    bare = [split_header(n)[0] for n in names]
+    numbered = [n for n in bare if re.fullmatch(r"[^\W\d_]{0,8}\W?\d[\d-]*", n) and n in called]
+    unique = len({called[n] for n in numbered}) == len(numbered) > 1
+    return [
+        n.replace(b, f"{b} {called[b]}", 1) if unique and b in numbered else n for n, b in zip(names, bare, strict=True)
+    ]
+
+
+def metres(names: list[str]) -> list[str]:
+    """`x_m` as `x [m]` where another header ends so too, or it is a target: alone it may be a measured x."""
+    ending = [n for n in names if re.fullmatch(r".*\w[_ ]m", n)]
+    bare = any("[" not in n and "(" not in n and split_header(n)[1] for n in names)  # `Deviation um` beside it
+    metres = ending if len(ending) > 1 else [n for n in ending if bare and kind_by_name(n[:-2]) == "command"]
+    return [f"{n[:-2]} [m]" if n in metres else n for n in names]
+
+
+def _is_preamble(group: list[str], names: list[str]) -> bool:
+    """Whether a row above the names is a fact (`Machine;VMC 3`), not a group of columns."""
+    cells = [i for i, text in enumerate(group) if text]
+    words = [n for n in names if n]
+    complete = len(set(words)) == len(words) and all(_WORD.match(n) for n in words)
+    named = len(words) > 2 or re.match(OF_A_FACT, group[0], re.IGNORECASE) is not None
+    return complete and named and cells in ([0], [0, 1])
+
+
+def _is_amount(text: str) -> bool:
+    """Whether a cell above the names is a number with its unit, a fact: `100,000 mm`."""
+    match = NUMBER_AND_UNIT.fullmatch(text)
+    return match is not None and unit_of(match.group(2)) is not None
+
+
+def _are_positions(header: list[str]) -> bool:
+    """Whether the names of most columns are rising or falling numbers, and no count: a column per target."""
+    values = [v for text in header if text and (v := number(text, "," in text)) is not None]
+    steps = np.diff(values)
+    counted = np.array_equal(values, 1.0 + np.arange(len(values)))
+    return len(values) > 3 and not counted and bool((steps > 0).all() or (steps < 0).all())

@@ -1,0 +1,61 @@
+"""Columns that say whether a value beside them is good: of OPC UA, historians and data loggers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from errpipe.importing.layout import Layout
+from errpipe.importing.sheet import Cell, label
+from errpipe.importing.words import kind_by_name, plain
+
+_NAMED = re.compile(r".*\b(quality|qualitaet|qualite|calidad|qualita|status|status ?code|valid(ity)?)\b'*")
+_GOOD_WORDS = re.compile(r"good.*|gut|ok|okay|valid|gueltig|192|0x0+|0|normal|bon|buono|buena?")
+# Not `fail` and `nok`: beside deviations they say that a tolerance was left.
+_BAD_WORDS = re.compile(
+    r"(?:bad|uncertain|invalid|ungueltig|schlecht|stale|questionable|not connected|no data|comm|mauvais|malo|substitut"
+    r"|last known|sensor|0x[48c])\w*.*"
+)
+GOOD, UNCERTAIN = 192, 0x40000000  # of OPC DA, and of OPC UA (Part 4, StatusCode)
+_KEPT = ("time", "run", "group", "direction", "command", "position")
+
+
+def named(header: str) -> bool:
+    """Whether a column is called by a quality or a status."""
+    return _NAMED.fullmatch(plain(header)) is not None
+
+
+def bad(cells: Sequence[Cell]) -> np.ndarray:
+    """Which values are not good, shape (cells,); none where the labels are not those of a quality.
+
+    As numbers: 192 is good, less is not (OPC DA); 0 is good, 0x40000000 and more are not (OPC UA).
+    """
+    words = [plain(label(c)) for c in cells]
+    codes = [float(w) for w in words if re.fullmatch(r"\d{1,10}(\.0)?", w)]
+    if codes and len(codes) == sum(map(bool, words)):
+        least = GOOD if GOOD in codes and max(codes) < 256 else 0.0
+        most = UNCERTAIN if all(c == 0 or c >= UNCERTAIN for c in codes) else np.inf
+        return np.array([bool(w) and not least <= float(w) < most for w in words])
+    out = np.array([_BAD_WORDS.fullmatch(w) is not None for w in words])
+    known = all(_GOOD_WORDS.fullmatch(w) or _BAD_WORDS.fullmatch(w) for w in words if w)
+    return out if known else np.zeros(out.size, dtype=bool)
+
+
+def blank(layout: Layout) -> None:
+    """Empty the values that a column of qualities to the right of them calls bad, with a note.
+
+    A quality is of the columns of numbers before it, up to another quality; of times and positions none is emptied.
+    """
+    begin = 0
+    for k, c in enumerate(layout.columns):
+        if not named(c.header):
+            continue
+        out = bad(c.cells)
+        for of in layout.columns[begin:k] if out.any() else []:
+            if of.numeric and kind_by_name(of.header) not in _KEPT and np.isfinite(of.values[out]).any():
+                of.cells = [None if o else cell for o, cell in zip(out, of.cells, strict=True)]
+                of.values = np.where(out, np.nan, of.values)
+                layout.notes.append(f"{of.header}: {int(out.sum())} values that {c.header!r} calls bad were left out")
+        begin = k + 1
