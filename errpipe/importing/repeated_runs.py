@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -48,7 +49,7 @@ def _turns(label: np.ndarray, target: np.ndarray) -> np.ndarray:
     turn = np.zeros(label.size, dtype=int)
     edges = np.r_[0, np.flatnonzero(np.diff(label)) + 1, label.size]
     seen: dict[int, tuple[int, set[int]]] = {}
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in itertools.pairwise(edges):
         here = set(target[first:last].tolist())
         count, before = seen.get(int(label[first]), (0, set()))
         if len(here & before) > AGAIN * len(here):
