@@ -16,7 +16,7 @@ from errpipe.stages import _artefacts, _plausible
 from errpipe.stages._checklist import checklist
 from errpipe.tables import ect
 from errpipe.targets import TARGETS, _loss
-from errpipe.targets._base import NothingToAddError
+from errpipe.targets._base import NothingToAddError, ReadBack
 from errpipe.targets._loss import at_most, unit_of
 
 if TYPE_CHECKING:
@@ -163,8 +163,8 @@ def write_targets(
         lost = losses(table, target, files)
         for name, text in files.items():
             jsonfile.write_text(inside(folder, f"{target.name}/{name}", GateError), text)
-        steps = checklist(target, target.read_back(files), lost, table, others) + _companion_text(table, target, others)
-        hint = "" if others else sibling(table, target, lost)
+        steps = checklist(target, target.read_back(files), lost, table, others)
+        hint = _with_companions(table, target, others) if others else sibling(table, target, lost)
         steps += "".join(f"\n{said}\n" for said in (hint, note) if said)
         jsonfile.write_text(folder / target.name / CHECKLIST, steps)
         out += [
@@ -214,14 +214,20 @@ def with_own_content(table: CompensationTable, targets: Sequence[Any]) -> list[A
     return kept
 
 
-def _companion_text(table: CompensationTable, target: Any, others: Sequence[str]) -> str:
-    """What a checklist states of files that are loaded besides; nothing where there are none."""
-    if not others:
-        return ""
-    _, read = write_together(table, [target, *chosen(others)])
+def _with_companions(table: CompensationTable, target: Any, others: Sequence[str]) -> str:
+    """What is to be loaded besides, and what all of it leaves once the numbers are entered."""
+    parts = [target, *chosen(others)]
+    files, read = write_together(table, parts)
+    entered = [
+        number.curve
+        for part, own in zip(parts, files, strict=True)
+        for number in part.by_hand(table, part.read_back(own), [o.name for o in parts if o is not part])
+        if number.curve is not None
+    ]
+    numbers = "Together, with the numbers entered by hand," if entered else "Together"
     return (
-        f"\nLoad these files only together with those of {', '.join(others)}: what they hold is left out here.\n"
-        f"Together they leave {in_words(_loss_rows(table, read))}.\n"
+        f"Load the files of {target.name} only together with those of {', '.join(others)}, whose part they leave out. "
+        f"{numbers} they lack {in_words(_loss_rows(table, read + ReadBack(curves=tuple(entered))))}."
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -92,6 +94,22 @@ def test_an_export_of_companions_writes_them_beside_each_other(tmp_path):
     assert {(c.axis, c.over) for c in curves} == {("X", "Y"), ("Y", "X")}
     told = (tmp_path / "sinumerik_cec" / "CHECKLIST.md").read_text()
     assert "only together with those of sinumerik_lec" in told
+
+
+def test_what_is_left_together_counts_the_numbers_entered_by_hand(tmp_path):
+    """9 um of lost motion are MD32450, in no file: as a loss of both files they would look lost for good."""
+    lost_motion = Lowered(d.Direction(axis="X"), "X", lambda x: np.full(np.shape(x), -4.5))
+    parts = (machines.straight("X", 10.0), machines.straight("X", 5.5, driver=d.above("T", 20.0)), lost_motion)
+    sources = [tables.ComponentSource("EXX", "um", parts)]
+    outputs, travel = tables.outputs_of(sources), machines.AXES
+    table = tables.compile_table(
+        sources, outputs=outputs, inputs=machines.INPUTS, travel=travel, error_bound=0.002, machine="test"
+    )
+    rows = stage.write_targets(table, ["sinumerik_lec", "sinumerik_temperature"], tmp_path)
+    for row in rows:
+        left = re.search(r"with the numbers entered by hand, they lack X ([\d.e-]+) rms", row["sibling"])
+        assert left and float(left[1]) < 0.1
+        assert row["sibling"] in (tmp_path / row["file"]).with_name("CHECKLIST.md").read_text()
 
 
 @pytest.mark.parametrize("name", ["sinumerik_cec", "beckhoff_crosscomp", "heidenhain_com"])
