@@ -15,6 +15,7 @@ from errpipe.registry import minisign, signed
 from errpipe.stages import _artefacts, _plausible
 from errpipe.stages._checklist import checklist
 from errpipe.tables import ect
+from errpipe.tables.joined import joined
 from errpipe.targets import TARGETS, _loss
 from errpipe.targets._base import NothingToAddError, ReadBack
 from errpipe.targets._loss import at_most, unit_of
@@ -101,7 +102,7 @@ def _best_combinations(table: CompensationTable) -> list[tuple[tuple[str, ...], 
 
 
 def export(
-    table: Path,
+    table: Path | Sequence[Path],
     names: Sequence[str],
     out: Path,
     allow: Sequence[str] = (),
@@ -110,26 +111,32 @@ def export(
 ) -> dict[str, Any]:
     """The files of named targets, beside a copy of the table they come from, in a folder that `verify` reads.
 
-    allow, limit: as the options of the export stage (limit in um). public_key: the table must be signed by it, and
-    its signature goes along. Raises GateError for an implausible correction, VerifyError where it is not signed.
+    table: tables of several axes are exported as one. allow, limit: as the options of the export stage (limit in um).
+    public_key: the table must be signed by it, and its signature goes along. Raises GateError for an implausible
+    correction, VerifyError where it is not signed, UsageError where tables do not join.
     """
+    files = [table] if isinstance(table, Path) else list(table)
+    if public_key and len(files) > 1:
+        raise UsageError(
+            "--public-key: several tables become one that nobody signed (export them, then `errpipe sign`)"
+        )
     compensation_table, remarks, signature = (
-        _signed(table, public_key) if public_key else (_artefacts.read_table(table), (), "")
+        _signed(files[0], public_key) if public_key else (joined([_artefacts.read_table(f) for f in files]), (), "")
     )
     _plausible.refuse_table(compensation_table, allow, limit)
-    files = write_targets(compensation_table, names, Path(out), remarks)
+    rows = write_targets(compensation_table, names, Path(out), remarks)
     ect.write(compensation_table, Path(out) / _artefacts.TABLE)
     if signature:
         jsonfile.write_text(Path(out) / f"{_artefacts.TABLE}.minisig", signature)
     ect.write_json(compensation_table, Path(out) / _artefacts.TWIN)
     consequences = _plausible.of_table(compensation_table)
-    document = {"export": 1, "inputs": compensation_table.fingerprint, "proof": [], "files": files, "left_out": []}
+    document = {"export": 1, "inputs": compensation_table.fingerprint, "proof": [], "files": rows, "left_out": []}
     document["consequences"] = consequences
-    document["sha256"] = checksums(Path(out), files, [_artefacts.TABLE, _artefacts.TWIN])
+    document["sha256"] = checksums(Path(out), rows, [_artefacts.TABLE, _artefacts.TWIN])
     jsonfile.write(Path(out) / "export.json", document)
     return {
-        "files": files,
-        "says": [*(f"{Path(out) / f['file']}: {f['what']}, lost: {f['error']}" for f in files), *consequences],
+        "files": rows,
+        "says": [*(f"{Path(out) / r['file']}: {r['what']}, lost: {r['error']}" for r in rows), *consequences],
     }
 
 

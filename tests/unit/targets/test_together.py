@@ -174,3 +174,11 @@ def test_the_move_list_says_what_the_axis_does_in_all(tmp_path):
         row = next(line for line in told.splitlines() if line.startswith(f"| X | X and Z | {x:.3f}, {z:.3f} |"))
         assert float(row.split("|")[4]) == pytest.approx(want, abs=0.02)
     assert "products" in told and "SD41300 = 0" in told
+
+
+def test_files_of_one_axis_say_that_others_are_exported_with_them(tmp_path):
+    """Made apart, points and tables of X and of Y have the same numbers."""
+    stage.write_targets(machines.too_long_at_plus_x(), ["fanuc_pitch"], tmp_path)
+    assert "the files hold X alone" in (tmp_path / "fanuc_pitch" / "CHECKLIST.md").read_text()
+    stage.write_targets(bent_and_warm(), ["sinumerik_cec"], tmp_path)
+    assert "alone" not in (tmp_path / "sinumerik_cec" / "CHECKLIST.md").read_text()
