@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -11,6 +10,7 @@ from pydantic import Field
 
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
+from errpipe.stages._docstrings import equation
 from errpipe.stages.validate import HELD_OUT
 
 
@@ -191,10 +191,8 @@ def _terms(component: Any) -> list[dict[str, Any]]:
 
 
 def _term(term: Any, fitted: Any) -> dict[str, Any]:
-    equation = re.search(r"Equation\s+(.*)", type(term).__doc__ or "")
     parameters = [{"name": p.name, "value": p.value, "ci95": p.ci95, "unit": p.unit} for p in fitted.parameters]
-    formula = equation[1].strip() if equation else ""
-    return {"says": term.says(fitted.values()), "equation": formula, "parameters": parameters}
+    return {"says": term.says(fitted.values()), "equation": equation(type(term)), "parameters": parameters}
 
 
 def _group(figures: Mapping[str, Any]) -> dict[str, Any]:
