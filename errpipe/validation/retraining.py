@@ -20,6 +20,7 @@ from errpipe.fitting.judging import FIRST_READINGS, HeldOut
 from errpipe.fitting.statistics import student_tail
 from errpipe.models import Family
 
+EVIDENCE = "evidence"  # the gate that has not failed while it does not hold: runs have yet to come
 ALPHA = 0.05  # chance of ever promoting a challenger that is no better than the champion
 # Shares of the stake; the mean over them needs no guess of the size of the gain
 STAKE_SHARES = (0.1, 0.25, 0.5, 0.75, 0.9)
@@ -207,7 +208,7 @@ def decide(scores: Sequence[RunScore], others: Sequence[Gate] = (), *, alpha: fl
     value = e_value(per_run(scores))
     runs = len({s.key for s in scores})
     evidence = Gate(
-        "evidence",
+        EVIDENCE,
         value >= needed,
         f"e-value {value:.3g} over {runs} new run{'' if runs == 1 else 's'}, {needed:.3g} needed (alpha {alpha:g})",
     )

@@ -289,7 +289,10 @@ def _table_gates(change: Mapping[str, Mapping[str, float]], limits) -> list[Gate
         for key, unit, limit in zip(("largest_um", "largest_um_per_k"), ("um", "um/K"), limits, strict=True):
             within = limit is None or figures[key] <= limit
             allowed = "" if limit is None else f" ({limit:g} {unit} allowed)"
-            out.append(Gate(f"change of {component}", within, f"at most {figures[key]:.3g} {unit}{allowed}"))
+            per_kelvin = " per kelvin" if unit == "um/K" else ""
+            out.append(
+                Gate(f"change of {component}{per_kelvin}", within, f"at most {figures[key]:.3g} {unit}{allowed}")
+            )
     return out
 
 
