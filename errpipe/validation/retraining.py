@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.fitting.holdout import Fold, measured
-from errpipe.fitting.judging import FIRST_READINGS, HeldOut
+from errpipe.fitting.judging import FIRST_READINGS, HeldOut, NothingJudged
 from errpipe.fitting.statistics import student_tail
 from errpipe.models import Family
 
@@ -136,8 +137,9 @@ def score_new_runs(
         if not (train & seen).any():  # nothing before them: these runs fit the first model and are not scored
             train = train | test
             continue
-        for component, judged in family.judge(recording, Fold("new runs", train, test)).items():
-            out += _scores(recording, component, judged, champion[component], keys, contents)
+        with suppress(NothingJudged):  # a sensor was silent in all of them: no evidence for either
+            for component, judged in family.judge(recording, Fold("new runs", train, test)).items():
+                out += _scores(recording, component, judged, champion[component], keys, contents)
         train = train | test
     return out
 

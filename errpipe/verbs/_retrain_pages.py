@@ -22,6 +22,21 @@ def write_pages(document: Mapping[str, Any], out: Path) -> None:
         jsonfile.write_text(out / FIGURE, figure(document))
 
 
+def write_failure(title: str, why: str, out: Path) -> None:
+    """Write the pages of a look that judged nothing, in the place of those of the look before."""
+    heading = f"# {plain_text(title or 'Retraining')}: not judged"
+    jsonfile.write_text(out / MARKDOWN, f"{heading}\n\n{plain_text(why)}\n\nThe champion stays.\n")
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        '<testsuite name="errpipe retrain" tests="1" failures="0" errors="1" skipped="0">',
+        f'  <testcase classname="retrain" name="judged"><error message={quoteattr(why)}/></testcase>',
+        "</testsuite>",
+    ]
+    jsonfile.write_text(out / JUNIT, "\n".join(lines) + "\n")
+    jsonfile.write(out / GITLAB, [_quality("not judged", why, "blocker")])
+    (out / FIGURE).unlink(missing_ok=True)
+
+
 def plain_text(text: object) -> str:
     """Text with Markdown markup escaped: labels come from the recording."""
     return "".join(f"\\{c}" if c in "\\`*_{}[]<>#|!" else c for c in " ".join(str(text).split()))
@@ -141,17 +156,18 @@ def _waits(gate: Mapping[str, Any]) -> bool:
 
 def code_quality(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Failed gates as GitLab's code quality report."""
-    return [
-        {
-            "description": f"{g['name']}: {g['says']}",
-            "check_name": "errpipe retrain",
-            "fingerprint": jsonfile.fingerprint([g["name"], g["says"]])[:32],
-            "severity": "info" if _waits(g) else "major",
-            "location": {"path": "retrain.md", "lines": {"begin": 1}},
-        }
-        for g in document["gates"]
-        if not g["passed"]
-    ]
+    failed = [g for g in document["gates"] if not g["passed"]]
+    return [_quality(g["name"], g["says"], "info" if _waits(g) else "major") for g in failed]
+
+
+def _quality(name: str, says: str, severity: str) -> dict[str, Any]:
+    return {
+        "description": f"{name}: {says}",
+        "check_name": "errpipe retrain",
+        "fingerprint": jsonfile.fingerprint([name, says])[:32],
+        "severity": severity,
+        "location": {"path": MARKDOWN, "lines": {"begin": 1}},
+    }
 
 
 def github_annotations(document: Mapping[str, Any]) -> list[str]:

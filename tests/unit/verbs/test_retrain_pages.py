@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -34,3 +35,13 @@ def test_an_odd_run_is_annotated() -> None:
     odd = {"run": "night 45", "what": "screw and hall", "says": "read as if exchanged"}
     (said,) = pages.github_annotations(document(("inputs", True), runs=[odd]))
     assert said == "::warning title=drift::Run night 45, screw and hall: read as if exchanged"
+
+
+def test_a_look_that_judged_nothing_leaves_no_page_of_the_look_before(tmp_path: Path) -> None:
+    """A file that was torn in the night: yesterday's pages would pass for today's."""
+    for name in (pages.MARKDOWN, pages.JUNIT, pages.FIGURE):
+        (tmp_path / name).write_text("promote", encoding="utf-8")
+    pages.write_failure("axis", "night.csv:13  not UTF-8 text", tmp_path)
+    assert ElementTree.fromstring((tmp_path / pages.JUNIT).read_text(encoding="utf-8")).attrib["errors"] == "1"
+    assert "night.csv:13" in (tmp_path / pages.MARKDOWN).read_text(encoding="utf-8")
+    assert not (tmp_path / pages.FIGURE).exists()
