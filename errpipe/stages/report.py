@@ -192,7 +192,21 @@ def _terms(component: Any) -> list[dict[str, Any]]:
 
 def _term(term: Any, fitted: Any) -> dict[str, Any]:
     parameters = [{"name": p.name, "value": p.value, "ci95": p.ci95, "unit": p.unit} for p in fitted.parameters]
-    return {"says": term.says(fitted.values()), "equation": equation(type(term)), "parameters": parameters}
+    return {
+        "says": term.says(fitted.values()),
+        "equation": equation(type(term)),
+        "of": _of_what(term),
+        "parameters": parameters,
+    }
+
+
+def _of_what(term: Any) -> str:
+    """What a term is bound to (axis, sensor, column), and the reference that its equation counts from."""
+    from errpipe.terms import plain
+
+    bound = plain(term) | ({"reference": term.reference} if hasattr(term, "reference") else {})
+    said = {key: f"{v:g}" if isinstance(v, float) else v for key, v in bound.items() if key != "term"}
+    return ", ".join(f"{key.replace('_', ' ')} {v}" for key, v in said.items() if isinstance(v, str))
 
 
 def _group(figures: Mapping[str, Any]) -> dict[str, Any]:
