@@ -54,6 +54,13 @@ def _check(path: Path, data: bool) -> str:
 
         document.validate(Machine)
         return "machine"
+    if "fleet" in keys:
+        fleet = module_of("verbs.fleet")
+        spec = document.validate(fleet.Fleet)
+        if data:
+            fleet.machines_of(spec, path.parent)
+        _check_pipeline(path.parent / spec.pipeline, data=False)  # whose recording each machine replaces by its own
+        return "fleet"
     return _check_pipeline(path, data)
 
 

@@ -11,7 +11,7 @@ from errpipe.cli._arguments import Json
 
 
 def command(
-    files: list[Path] = typer.Argument(metavar="FILE...", help="Pipelines, machines, manifests or their folders."),
+    files: list[Path] = typer.Argument(metavar="FILE...", help="Pipelines, fleets, machines, manifests or folders."),
     data: bool = typer.Option(True, "--data/--no-data", help="Whether the inputs must be there."),
     style: Literal["text", "github"] = typer.Option("text", "--format", help="How problems are printed."),
     json: bool = Json,

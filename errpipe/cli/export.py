@@ -11,7 +11,9 @@ from errpipe.cli.output import module_of, print_answer
 
 
 def command(
-    table: Path = typer.Argument(metavar="TABLE", help="A compensation table (.ect or its JSON twin)."),
+    table: list[Path] = typer.Argument(
+        metavar="TABLE...", help="A compensation table (.ect or its JSON twin); tables of several axes become one."
+    ),
     target: list[str] = typer.Option(..., "--target", metavar="NAME", help="Controller format. Repeatable."),
     out: Path = typer.Option(..., "--out", metavar="DIR", help="Folder for the controller's files."),
     limit: float | None = typer.Option(
@@ -34,6 +36,7 @@ def command(
     \b
     Example:
       errpipe export out/axis/export/table.ect --target linuxcnc_screw --out out/linuxcnc
+      errpipe export x/out/export/table.ect y/out/export/table.ect --target fanuc_pitch --out machine
     """
     print_answer(
         "export", module_of("stages.targets").export(table, target, out, allow, limit, public_key), as_json=json

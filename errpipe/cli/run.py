@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from errpipe.pipeline.spec import Pipeline
     from errpipe.pipeline.step import Step
 
+FOR_PEOPLE = (".html", "CHECKLIST.md")  # ends of files that are named at the end: what to look at, and to do next
+
 
 def command(
     pipeline: Path = PipelineFile,
@@ -64,12 +66,18 @@ def command(
     title, steps = known
     result = {"title": title, "out": str(folder), "stages": [_plain(step) for step in steps]}
     lines = [
-        f"{s.name}: {', '.join(f'{k} {short_value(v)}' for k, v in sorted(s.summary.items()))}"
+        f"{s.name}: {', '.join(_said(key, short_value(value)) for key, value in sorted(s.summary.items()))}"
         for s in steps
         if s.summary
     ]
-    pages = [f"{folder / s.name / file}" for s in steps for file in s.outputs if file.endswith(".html")]
+    pages = [f"{folder / s.name / file}" for s in steps for file in s.outputs if file.endswith(FOR_PEOPLE)]
     print_result("run", result, [*lines, *pages], as_json=json)
+
+
+def _said(key: str, value: str) -> str:
+    """An entry of a stage's summary in words: a key that ends in `_um` brings its unit."""
+    name = key.removesuffix("_um")
+    return f"{key} {value}" if name == key else f"{name.replace('_', ' ')} {value} um"
 
 
 def _run(

@@ -24,11 +24,15 @@ def component_of_force(header: str, unit: str | None, axis: str) -> str | None:
 
 
 def forces_as_responses(p: Proposal) -> None:
-    """The force beside a simulated one is the response. Raises DataError where several are, or a unit is another's."""
+    """The force beside a simulated one is the response, unless a deviation has a simulation of its own.
+
+    Raises DataError where several forces are, or a unit is another's.
+    """
     for name in [n for n, e in p.entries.items() if e["role"] == "simulated" and e["component"].startswith("F_")]:
         component = p.entries[name]["component"]
         measured = [n for n, e in p.entries.items() if e["role"] in ("force", "torque")]
-        if any(e["role"] == "error" for e in p.entries.values()) or not measured:
+        twins = {e["component"] for e in p.entries.values() if e["role"] == "simulated"}
+        if any(e["role"] == "error" and e["component"] in twins for e in p.entries.values()) or not measured:
             continue
         if len(measured) > 1:
             raise DataError(

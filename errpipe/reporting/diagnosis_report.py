@@ -52,9 +52,16 @@ class Trace:
         return f"{column} in {unit}" if unit else column
 
 
-def render(diagnosis: Diagnosis, traces: Sequence[Trace], *, machine: str = "", version: str = "") -> str:
-    """The whole page as HTML text; equal input gives equal bytes."""
-    blocks = [_block(r, t) for r, t in zip(diagnosis.responses, traces, strict=True)]
+def render(
+    diagnosis: Diagnosis,
+    traces: Sequence[Trace],
+    *,
+    machine: str = "",
+    version: str = "",
+    equations: Mapping[str, str] | None = None,
+) -> str:
+    """The whole page as HTML text; equal input gives equal bytes. equations: id of a term -> its equation."""
+    blocks = [_block(r, t, equations or {}) for r, t in zip(diagnosis.responses, traces, strict=True)]
     data = {
         "title": diagnosis.recording or "Diagnosis",
         "machine": machine,
@@ -72,17 +79,20 @@ def _next(diagnosis: Diagnosis) -> str:
             if f.would_separate and f.indistinguishable_from:
                 return f"Measure next: {f.would_separate}."
     if any(r.verdict == "missing_physics" for r in diagnosis.responses):
-        return "Next: add the findings to the error model, fit it, and diagnose again."
+        return (
+            "Next: errpipe diagnose RECORDING --out DIR --apply FOLDER writes the simulation with what it lacks, as "
+            "equations to add (patch.py, patch.fmu), and diagnoses again."
+        )
     if any(r.verdict == "unexplained" for r in diagnosis.responses):
         return "Next: look at the machine where and when the residual is largest; the data alone do not name the cause."
     return "Nothing more to do for this recording."
 
 
-def _block(r: ResponseDiagnosis, trace: Trace) -> dict[str, Any]:
+def _block(r: ResponseDiagnosis, trace: Trace, equations: Mapping[str, str]) -> dict[str, Any]:
     return {
         "d": r,
         "verdict": VERDICTS[r.verdict],
-        "findings": [_finding(f) for f in r.findings],
+        "findings": [_finding(f, equations) for f in r.findings],
         "overview": _overview(r, trace),
         "shape": _shape(r, trace),
         "rivals": _rivals(r),
@@ -94,7 +104,7 @@ def _block(r: ResponseDiagnosis, trace: Trace) -> dict[str, Any]:
     }
 
 
-def _finding(f: Finding) -> dict[str, Any]:
+def _finding(f: Finding, equations: Mapping[str, str]) -> dict[str, Any]:
     where = [f"runs {', '.join(f.where.runs)}"] if f.where.runs else []
     where += [f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in f.where.ranges.items()]
     others = " or ".join(e.replace("_", " ") for e in f.indistinguishable_from)
@@ -106,6 +116,7 @@ def _finding(f: Finding) -> dict[str, Any]:
         "name": f.effect.replace("_", " "),
         "where": "; ".join(where) or "everywhere",
         "others": others,
+        "equations": list(dict.fromkeys(e for t in f.all_terms() if (e := equations.get(str(t["term"]))))),
         "parameters": shown,
         "hidden": len(f.parameters) - len(shown),
     }

@@ -70,7 +70,6 @@ class RunReport:
     next_step: str = ""
     refusal: str = ""  # why a gate refused the export; empty where it did not
     consequences: Sequence[str] = ()  # what the exported correction does, one sentence an axis
-    iso230: Sequence[Mapping[str, Any]] = field(default_factory=tuple)
 
 
 def render(report: RunReport) -> str:

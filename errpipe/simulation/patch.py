@@ -7,6 +7,7 @@ Each finding is a sum of profile(position) times driver(state) (`drivers.lowered
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -374,7 +375,9 @@ def _python(s: Statement) -> str:
             values, start, step = s["values"], s["start"], s["step"]
             place = f"np.mod({of[0]}, {s['period']!r})" if s["period"] else of[0]
             grid = f"{start!r} + {step!r} * np.arange({len(values)})"  # type: ignore[arg-type]
-            return f"np.interp({place}, {grid}, [{', '.join(f'{v:.9g}' for v in values)}])"  # type: ignore[attr-defined]
+            numbers = ", ".join(f"{v:.9g}" for v in values)  # type: ignore[attr-defined]
+            table = textwrap.fill(numbers, 112, initial_indent=" " * 8, subsequent_indent=" " * 8)
+            return f"np.interp({place}, {grid}, [\n{table}\n    ])"
         case "lag":
             rest = f"{s['up']!r}, {s['down']!r}, {s['start'] == 'input'}, {s['straight']}"
             return f"lag(session, t, {of[0]}, {rest})"

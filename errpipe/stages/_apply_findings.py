@@ -25,6 +25,7 @@ from errpipe.formats import manifest_folder
 from errpipe.formats.manifest_folder import flow
 from errpipe.simulation import patch, patch_fmu
 from errpipe.simulation.patch import Piece, value
+from errpipe.stages._docstrings import equation
 from errpipe.terms import plain
 
 if TYPE_CHECKING:
@@ -181,7 +182,8 @@ def _piece(c: Corrected, part: Part, read: Recording) -> Piece | str:
         return NO_EQUATION
     all_pairs = tuple(pair for p in pairs for pair in p or ())
     numbers = [f"{n} = {v:.6g}" for values in part.values for n, v in values.items()]
-    says = f"{effect.replace('_', ' ')} of {c.component} in {c.unit}: {', '.join(numbers)}"
+    equations = dict.fromkeys(e for t in part.terms if (e := equation(type(t))))
+    says = ". ".join([f"{effect.replace('_', ' ')} of {c.component} in {c.unit}: {', '.join(numbers)}", *equations])
     name = "".join(ch if ch.isalnum() else "_" for ch in f"{c.component}_{effect}")
     piece = Piece(name, c.component, c.unit, says, all_pairs, dict(f.where.ranges))
     off = np.nanmax(np.abs(value(piece, read) - part.contribution))

@@ -22,6 +22,11 @@ AS_MEASURED = (
     "the files and numbers hold for axes that were measured with the control's own compensation and backlash off, and "
     "take their place: what was on then must be added to them, or measured again with it off"
 )
+ALONE = (
+    "the files hold {0} alone: points, tables and files of another axis may have the same numbers and names, and would "
+    "take their place. Axes of one machine are exported together: "
+    "errpipe export {0}/table.ect OTHER/table.ect --target {1} --out DIR"
+)
 MIN_ZERO_SHIFT = 5e-5  # mm (deg): a smaller shift of a zero is not listed
 
 
@@ -44,7 +49,12 @@ def checklist(
     if happens:
         lines += ["## What will happen", "", *(f"- {says}." for says in dict.fromkeys(happens)), ""]
     lines += ["## Switch it on", ""]
-    lines += [f"{n}. {step}" for n, step in enumerate((AS_MEASURED, *_numbered(target, table), *target.activation), 1)]
+    lines += [
+        f"{n}. {step}"
+        for n, step in enumerate(
+            (AS_MEASURED, *_numbered(target, table), *_alone(target, table), *target.activation), 1
+        )
+    ]
     if numbers:
         lines += ["", "## Enter by hand", "", *(f"- {number.says}." for number in numbers)]
     lines += ["", "## Three-point check", ""]
@@ -70,6 +80,12 @@ def checklist(
         seen = lost[0]["states"]
         lines += ["", f"At most: in any settled state inside travel and validity. Rms: of {seen} random ones."]
     return "\n".join([*lines, ""])
+
+
+def _alone(target: Any, table: CompensationTable) -> list[str]:
+    """That files of one axis and those of another may take the same numbers and names on one control."""
+    moved = list(_sample.outputs_by_axis(table))
+    return [ALONE.format(moved[0], target.name)] if len(moved) == 1 else []
 
 
 def _numbered(target: Any, table: CompensationTable) -> list[str]:

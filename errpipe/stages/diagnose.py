@@ -17,6 +17,8 @@ from errpipe.formats.manifest_folder import MANIFEST
 from errpipe.reporting.diagnosis_report import Trace, render
 from errpipe.simulation import external
 from errpipe.stages import _apply_findings, _artefacts, _twin_sign_and_unit
+from errpipe.stages._docstrings import equation
+from errpipe.terms import TERMS
 
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
@@ -56,7 +58,11 @@ def diagnose(
     if apply is not None:
         later = lambda share, text: progress(0.5 + 0.5 * share, f"once more: {text}")  # noqa: E731
         applied = _apply_findings.apply_findings(read, diagnosis, Path(apply), held, parameters, later)
-        summary |= {"says": [*says, *_apply_findings.in_words(applied)], "apply": applied}
+        says += [*_apply_findings.in_words(applied), *(str(f) for f in sorted(Path(apply).iterdir()))]
+        summary |= {"apply": applied}
+    elif any(r.verdict == "missing_physics" for r in diagnosis.responses):
+        says.append("--apply DIR writes the simulation with what it lacks: recording, terms, patch.py, patch.fmu")
+    says.append(str(Path(out) / "report.html"))
     return summary
 
 
@@ -116,7 +122,9 @@ def judged(
         )
         for r in rows
     ]
-    page = render(diagnosis, traces, machine=recording.manifest.machine, version=__version__)
+    terms = {str(t["term"]) for r in diagnosis.responses for f in r.findings for t in f.all_terms()}
+    equations = {name: equation(TERMS[name]) for name in sorted(terms)}
+    page = render(diagnosis, traces, machine=recording.manifest.machine, version=__version__, equations=equations)
     return diagnosis.document(), page, diagnosis, [r.simulated_parts for r in rows]
 
 

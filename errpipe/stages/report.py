@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -11,15 +10,8 @@ from pydantic import Field
 
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
+from errpipe.stages._docstrings import equation
 from errpipe.stages.validate import HELD_OUT
-
-ISO230_2 = {
-    "A": "bidirectional accuracy",
-    "R": "bidirectional repeatability",
-    "E": "bidirectional systematic deviation",
-    "B": "reversal value",
-    "M": "range of the mean bidirectional deviation",
-}
 
 
 class Report(Stage):
@@ -43,6 +35,7 @@ class Report(Stage):
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe import __version__, jsonfile
         from errpipe.reporting.run_report import RunReport, render
+        from errpipe.stages import _iso230_page
 
         *_, ingestion = context.every("ingestions").values()
         facts = jsonfile.read(ingestion / "ingest.json")
@@ -50,7 +43,9 @@ class Report(Stage):
         recording = _artefacts.recording_in(context.needed("recording"))
         exported = {name: jsonfile.read(f / "export.json") for name, f in context.every("tables").items()}
         model = _artefacts.read_model(context.needed("error_model") / _artefacts.MODEL)
-        responses = _responses(recording, model, validation, context.needed("validation") / HELD_OUT)
+        held_out = context.needed("validation") / HELD_OUT
+        responses = _responses(recording, model, validation, held_out)
+        positioning, positioning_chart = _iso230_page.table_and_chart(recording, validation, held_out)
         page = RunReport(
             title=context.title or facts["title"],
             machine=facts["machine"],
@@ -62,15 +57,10 @@ class Report(Stage):
             responses=responses,
             refusal=self.refusal,
             consequences=[says for document in exported.values() for says in document.get("consequences", ())],
-            extra_figures=[
-                *_iso230_chart(recording, validation, context.needed("validation") / HELD_OUT),
-                *_family_grids(context.needed("error_model")),
-                *_readings(validation),
-            ],
+            extra_figures=[*positioning_chart, *_family_grids(context.needed("error_model")), *_readings(validation)],
             validity=_validity(model),
             exported=_exported(exported),
-            iso230=_iso230(validation),
-            tables=[*_family_tables(context.needed("error_model"), validation), *_seasons(validation)],
+            tables=[*positioning, *_family_tables(context.needed("error_model"), validation), *_seasons(validation)],
             notes=[*_left_out(exported), *(c for d in exported.values() for c in d.get("checks", ()))],
             next_step=_next_step(exported, self.refusal),
         )
@@ -99,33 +89,6 @@ def _who_and_when(recording: Any) -> list[dict[str, Any]]:
     known = ("date", "serial_number", "operator", "instrument")
     constants = {n: recording.manifest.constants.get(n) for n in known}
     return [{"what": n.replace("_", " "), "value": c.value} for n, c in constants.items() if c is not None]
-
-
-def _iso230_chart(recording: Any, validation: Mapping[str, Any], rows: Path) -> list[tuple[str, str, str]]:
-    """The chart of ISO 230-2 before, and after as the held-out residuals would measure it."""
-    figures = validation.get("iso230_2")
-    if not figures:
-        return []
-    import numpy as np
-    import pandas as pd
-
-    from errpipe.errors import DataError
-    from errpipe.reporting.iso230_chart import chart
-    from errpipe.validation import iso230_2
-
-    held_out = pd.read_parquet(rows)
-    rows_of_component = held_out[held_out["component"] == figures["component"]]
-    residual = np.full(len(recording), np.nan)
-    residual[rows_of_component["row"].to_numpy()] = rows_of_component["after"].to_numpy()
-    column = recording.names("error", component=figures["component"])[0]
-    try:
-        after = iso230_2.figures(recording.with_columns({column: residual}, {})).model_dump(mode="json")
-    except DataError:
-        after = None
-    caption = "Mean deviation of each direction with bands of 2 s. A spans the bands, B is the largest reversal."
-    if after is not None and after.get("A") is not None and figures.get("A") is not None:
-        caption += f" A {figures['A']:.3g} becomes {after['A']:.3g} {figures['unit']} on runs the model has not seen."
-    return [("ISO 230-2 chart", chart(figures, after), caption)]
 
 
 def _readings(validation: Mapping[str, Any]) -> list[tuple[str, str, str]]:
@@ -228,10 +191,22 @@ def _terms(component: Any) -> list[dict[str, Any]]:
 
 
 def _term(term: Any, fitted: Any) -> dict[str, Any]:
-    equation = re.search(r"Equation\s+(.*)", type(term).__doc__ or "")
     parameters = [{"name": p.name, "value": p.value, "ci95": p.ci95, "unit": p.unit} for p in fitted.parameters]
-    formula = equation[1].strip() if equation else ""
-    return {"says": term.says(fitted.values()), "equation": formula, "parameters": parameters}
+    return {
+        "says": term.says(fitted.values()),
+        "equation": equation(type(term)),
+        "of": _of_what(term),
+        "parameters": parameters,
+    }
+
+
+def _of_what(term: Any) -> str:
+    """What a term is bound to (axis, sensor, column), and the reference that its equation counts from."""
+    from errpipe.terms import plain
+
+    bound = plain(term) | ({"reference": term.reference} if hasattr(term, "reference") else {})
+    said = {key: f"{v:g}" if isinstance(v, float) else v for key, v in bound.items() if key != "term"}
+    return ", ".join(f"{key.replace('_', ' ')} {v}" for key, v in said.items() if isinstance(v, str))
 
 
 def _group(figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -273,8 +248,8 @@ def _validity(model: Any) -> list[dict[str, Any]]:
 def _outside(model: Any, name: str) -> str:
     if not model.validity.fades:
         return "fades by itself, never to a jump"
-    margin = model.validity.margins.get(name)
-    return "held at the end" if margin is None else f"fades to nothing over {margin:.3g}"
+    margin, unit = model.validity.margins.get(name), model.columns.get(name, {}).get("unit") or ""
+    return "held at the end" if margin is None else f"fades to nothing over {margin:.3g} {unit}".rstrip()
 
 
 def _exported(exported: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -287,7 +262,7 @@ def _exported(exported: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]
 
 
 def _left_out(exported: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """What the gate left out, cut down, or never saw."""
+    """What the gate left out, cut down, or never saw; what is to be loaded besides."""
     out = []
     for document in exported.values():
         out += (
@@ -305,13 +280,8 @@ def _left_out(exported: Mapping[str, Mapping[str, Any]]) -> list[str]:
             if 0.0 < j["gain"] < 1.0
         ]
         out += [f"{document['ungated']}."] if document.get("ungated") else []
+        out += dict.fromkeys(row["sibling"] for row in document["files"] if row.get("sibling"))
     return out
-
-
-def _iso230(validation: Mapping[str, Any]) -> list[dict[str, Any]]:
-    figures = validation.get("iso230_2", {})
-    rows = [{"figure": k, "meaning": m, "value": figures.get(k)} for k, m in ISO230_2.items()]
-    return [row for row in rows if row["value"] is not None]
 
 
 def _family_tables(folder: Path, validation: Mapping[str, Any]) -> list[Any]:

@@ -16,8 +16,9 @@ from errpipe.stages import _artefacts, _plausible
 from errpipe.stages._checklist import checklist
 from errpipe.stages._replace import replaced
 from errpipe.tables import ect
+from errpipe.tables.joined import joined
 from errpipe.targets import TARGETS, _loss
-from errpipe.targets._base import NothingToAddError
+from errpipe.targets._base import NothingToAddError, ReadBack
 from errpipe.targets._loss import at_most, unit_of
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ def _best_combinations(table: CompensationTable) -> list[tuple[tuple[str, ...], 
 
 
 def export(
-    table: Path,
+    table: Path | Sequence[Path],
     names: Sequence[str],
     out: Path,
     allow: Sequence[str] = (),
@@ -111,29 +112,35 @@ def export(
 ) -> dict[str, Any]:
     """The files of named targets, beside a copy of the table they come from, in a folder that `verify` reads.
 
-    allow, limit: as the options of the export stage (limit in um). public_key: the table must be signed by it, and
-    its signature goes along. Controllers' files of an export before it go, where this one has none of that name.
-    Raises GateError for an implausible correction, VerifyError where it is not signed.
+    table: tables of several axes are exported as one. allow, limit: as the options of the export stage (limit in um).
+    public_key: the table must be signed by it, and its signature goes along. Controllers' files of an export before it
+    go, where this one has none of that name. Raises GateError for an implausible correction, VerifyError where it is
+    not signed, UsageError where tables do not join.
     """
+    files = [table] if isinstance(table, Path) else list(table)
+    if public_key and len(files) > 1:
+        raise UsageError(
+            "--public-key: several tables become one that nobody signed (export them, then `errpipe sign`)"
+        )
     compensation_table, remarks, signature = (
-        _signed(table, public_key) if public_key else (_artefacts.read_table(table), (), "")
+        _signed(files[0], public_key) if public_key else (joined([_artefacts.read_table(f) for f in files]), (), "")
     )
     _plausible.refuse_table(compensation_table, allow, limit)
     consequences = _plausible.of_table(compensation_table)
     with replaced(Path(out)) as folder:
-        files = write_targets(compensation_table, names, folder, remarks)
+        rows = write_targets(compensation_table, names, folder, remarks)
         ect.write(compensation_table, folder / _artefacts.TABLE)
         signed_too = [f"{_artefacts.TABLE}.minisig"] if signature else []
         for name in signed_too:
             jsonfile.write_text(folder / name, signature)
         ect.write_json(compensation_table, folder / _artefacts.TWIN)
-        document = {"export": 1, "inputs": compensation_table.fingerprint, "proof": [], "files": files, "left_out": []}
+        document = {"export": 1, "inputs": compensation_table.fingerprint, "proof": [], "files": rows, "left_out": []}
         document["consequences"] = consequences
-        document["sha256"] = checksums(folder, files, [_artefacts.TABLE, _artefacts.TWIN, *signed_too])
+        document["sha256"] = checksums(folder, rows, [_artefacts.TABLE, _artefacts.TWIN, *signed_too])
         jsonfile.write(folder / "export.json", document)
     return {
-        "files": files,
-        "says": [*(f"{Path(out) / f['file']}: {f['what']}, lost: {f['error']}" for f in files), *consequences],
+        "files": rows,
+        "says": [*(f"{Path(out) / r['file']}: {r['what']}, lost: {r['error']}" for r in rows), *consequences],
     }
 
 
@@ -167,8 +174,8 @@ def write_targets(
         lost = losses(table, target, files)
         for name, text in files.items():
             jsonfile.write_text(inside(folder, f"{target.name}/{name}", GateError), text)
-        steps = checklist(target, target.read_back(files), lost, table, others) + _companion_text(table, target, others)
-        hint = "" if others else sibling(table, target, lost)
+        steps = checklist(target, target.read_back(files), lost, table, others)
+        hint = _with_companions(table, target, others) if others else sibling(table, target, lost)
         steps += "".join(f"\n{said}\n" for said in (hint, note) if said)
         jsonfile.write_text(folder / target.name / CHECKLIST, steps)
         out += [
@@ -218,14 +225,20 @@ def with_own_content(table: CompensationTable, targets: Sequence[Any]) -> list[A
     return kept
 
 
-def _companion_text(table: CompensationTable, target: Any, others: Sequence[str]) -> str:
-    """What a checklist states of files that are loaded besides; nothing where there are none."""
-    if not others:
-        return ""
-    _, read = write_together(table, [target, *chosen(others)])
+def _with_companions(table: CompensationTable, target: Any, others: Sequence[str]) -> str:
+    """What is to be loaded besides, and what all of it leaves once the numbers are entered."""
+    parts = [target, *chosen(others)]
+    files, read = write_together(table, parts)
+    entered = [
+        number.curve
+        for part, own in zip(parts, files, strict=True)
+        for number in part.by_hand(table, part.read_back(own), [o.name for o in parts if o is not part])
+        if number.curve is not None
+    ]
+    numbers = "Together, with the numbers entered by hand," if entered else "Together"
     return (
-        f"\nLoad these files only together with those of {', '.join(others)}: what they hold is left out here.\n"
-        f"Together they leave {in_words(_loss_rows(table, read))}.\n"
+        f"Load the files of {target.name} only together with those of {', '.join(others)}, whose part they leave out. "
+        f"{numbers} they lack {in_words(_loss_rows(table, read + ReadBack(curves=tuple(entered))))}."
     )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypedDict, Unpack
 
 import numpy as np
 
@@ -67,6 +68,17 @@ class Limits:
     acceleration: float | None = None
 
 
+class Stated(TypedDict, total=False):
+    """Fields of the table that are taken as they are; machine and title are shortened to what it holds."""
+
+    machine: str
+    title: str
+    version: str
+    fingerprint: str
+    ramp_s: float
+    fade_s: float
+
+
 def compile_table(
     components: Sequence[ComponentSource],
     *,
@@ -78,21 +90,16 @@ def compile_table(
     error_bound: float = 0.01,
     position_cycle_s: float = 0.001,
     thermal_cycle_s: float = 1.0,
-    ramp_s: float = 1.0,
-    fade_s: float = 1.0,
-    machine: str = "",
-    title: str = "",
-    version: str = "",
-    fingerprint: str = "",
     most_intervals: int = 16384,
+    **stated: Unpack[Stated],
 ) -> t.CompensationTable:
     """Compile components into a table.
 
     inputs: every input that drivers and profiles read (positions by axis; inputs nobody reads are left out);
     outputs: None gives one output per component; travel: axis -> range of its profiles (default: the position
     input's validity, else its plausible range); turning: rotary axes that turn on, besides those whose travel is one
-    turn; error_bound: largest interpolation error of each pair at its driver's largest value, um or urad. Raises
-    GateError where a component cannot be compiled.
+    turn; error_bound: largest interpolation error of each pair at its driver's largest value, um or urad; stated: what
+    the table says of itself. Raises GateError where a component cannot be compiled.
     """
     slow_every = _cycles(thermal_cycle_s, position_cycle_s)
     build = Nodes({i.name: i for i in inputs}, slow_every * position_cycle_s)
@@ -109,15 +116,11 @@ def compile_table(
     profiles = {p: n for n, p in enumerate(sorted(dict.fromkeys(made), key=_grid_order(made)))}
     pairs = _pairs(build, components, groups, [profiles[p] for p in made])
     used |= {s.input for i in inputs if i.name in used for s in i.substitute}
+    stated["machine"], stated["title"] = _short(stated.get("machine", ""), 63), _short(stated.get("title", ""), 127)
     table = t.CompensationTable(
-        machine=_short(machine, 63),
-        title=_short(title, 127),
-        version=version,
-        fingerprint=fingerprint,
+        **stated,
         position_cycle_s=position_cycle_s,
         slow_every=slow_every,
-        ramp_s=ramp_s,
-        fade_s=fade_s,
         inputs=tuple(i for i in inputs if i.name in used),
         nodes=tuple(build.nodes),
         profiles=tuple(profiles),

@@ -51,7 +51,7 @@ def _text(line: Line) -> str:
     return (
         f"# {line.axis} {line.sensor} T0={line.reference:.4f} offset_per_K={offset:.6f} "
         f"coefficient_per_K={coefficient:.6f} position_0={zero}\n"
-        f"lr_param.temp_comp {1}\nlr_param.temp_comp_position_0 {zero}\n"
+        f"lr_param.temp_comp 1\nlr_param.temp_comp_position_0 {zero}\n"
         f"# PLC: add to temp_comp_offset_0: {offset:.6f}*({line.sensor}-{line.reference:.4f})\n"
         f"# PLC: add to temp_comp_coefficient: {coefficient:.6f}*({line.sensor}-{line.reference:.4f})\n"
     )

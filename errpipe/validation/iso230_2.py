@@ -23,6 +23,7 @@ from errpipe.errors import DataError
 MIN_CYCLES = 2  # of one target and direction: below, s is not defined. The standard wants 5.
 SAME_TARGET = 1e-3  # mm or deg: readings that close were sent to the same target
 NAMES = {1: "up", -1: "down"}
+ONE_STATE = 2.0  # K between medians of runs: 12 um over a metre of steel and scale, more than most R_i (by judgement)
 
 
 class Direction(Frozen):
@@ -81,7 +82,7 @@ def figures(recording: Recording, axis: str | None = None, component: str | None
         "unit": components.unit(component),
         "targets": tuple(targets.tolist()),
         "cycles": cycles,
-        "notes": _notes(targets, cycles),
+        "notes": (*_notes(targets, cycles), *_warmed(recording)),
     }
     facts |= {NAMES[d]: direction for d, direction in directions.items()}
     if len(directions) == 2:
@@ -182,3 +183,20 @@ def _notes(targets: np.ndarray, cycles: int) -> tuple[str, ...]:
     if steps.size > 1 and np.ptp(steps) < 1e-3 * steps.mean():
         notes.append("equal steps between targets: a periodic error of that length, or a part of it, stays unseen")
     return tuple(notes)
+
+
+def _warmed(recording: Recording) -> list[str]:
+    """That the runs were made in several thermal states, whose spread then counts as repeatability."""
+    run, names = recording.run_codes(), recording.names("temperature")
+    medians = {
+        n: [np.nanmedian(v) for k in np.unique(run) if np.isfinite(v := recording.array(n)[run == k]).any()]
+        for n in names
+    }
+    span = {n: float(np.ptp(values)) for n, values in medians.items() if values}
+    widest = max(span, key=lambda n: span[n], default=None)
+    if widest is None or span[widest] <= ONE_STATE:
+        return []
+    return [
+        f"{widest} differs by {span[widest]:.2g} K between runs: R and A hold what that moves; "
+        "ISO 230-2 takes the runs of one thermal state"
+    ]

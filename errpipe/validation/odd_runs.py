@@ -144,7 +144,12 @@ def odd_responses(
 
 
 def _factor(measured: np.ndarray, predicted: np.ndarray, usual: float) -> float | None:
-    """The factor by which a run was read, where that leaves of it what is left of others; None where none does."""
+    """The factor by which a run was read, where that leaves of it what is left of others; None where none does.
+
+    A prediction that is no larger than what is left says nothing of a factor: times 1000 it would fit any run.
+    """
+    if rms(predicted) <= AS_BEFORE * usual:
+        return None
     for factor in (-1.0, *UNITS):
         if rms(measured - factor * predicted) <= AS_BEFORE * usual * abs(factor):
             return factor

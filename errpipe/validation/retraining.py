@@ -10,16 +10,18 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.fitting.holdout import Fold, measured
-from errpipe.fitting.judging import FIRST_READINGS, HeldOut
+from errpipe.fitting.judging import FIRST_READINGS, HeldOut, NothingJudged
 from errpipe.fitting.statistics import student_tail
 from errpipe.models import Family
 
+EVIDENCE = "evidence"  # the gate that has not failed while it does not hold: runs have yet to come
 ALPHA = 0.05  # chance of ever promoting a challenger that is no better than the champion
 # Shares of the stake; the mean over them needs no guess of the size of the gain
 STAKE_SHARES = (0.1, 0.25, 0.5, 0.75, 0.9)
@@ -135,8 +137,9 @@ def score_new_runs(
         if not (train & seen).any():  # nothing before them: these runs fit the first model and are not scored
             train = train | test
             continue
-        for component, judged in family.judge(recording, Fold("new runs", train, test)).items():
-            out += _scores(recording, component, judged, champion[component], keys, contents)
+        with suppress(NothingJudged):  # a sensor was silent in all of them: no evidence for either
+            for component, judged in family.judge(recording, Fold("new runs", train, test)).items():
+                out += _scores(recording, component, judged, champion[component], keys, contents)
         train = train | test
     return out
 
@@ -207,7 +210,7 @@ def decide(scores: Sequence[RunScore], others: Sequence[Gate] = (), *, alpha: fl
     value = e_value(per_run(scores))
     runs = len({s.key for s in scores})
     evidence = Gate(
-        "evidence",
+        EVIDENCE,
         value >= needed,
         f"e-value {value:.3g} over {runs} new run{'' if runs == 1 else 's'}, {needed:.3g} needed (alpha {alpha:g})",
     )

@@ -258,7 +258,7 @@ def lines(document: Mapping[str, Any]) -> list[str]:
         for name, c in r["responses"].items():
             floor = "unknown" if c["noise_floor"] is None else f"{c['noise_floor']:.3g}"
             out.append(f"{head}| {name} | {c['rms_before']:.3g} | {c['rms_after']:.3g} {c['unit']} | {floor} |")
-    out += ["", "rms on held-out rows; the worst first.", "", "## What went wrong", ""]
+    out += ["", "rms on held-out rows, in the unit beside `after`; the worst first.", "", "## What went wrong", ""]
     wrong = [*(f"{r['name']}: {r['message']}" for r in rows if r["message"]), *document["suspicious"]]
     out += [f"- {plain_text(text)}" for text in wrong] or ["Nothing."]
     out += ["", "## Machines that drift", ""]
@@ -267,10 +267,10 @@ def lines(document: Mapping[str, Any]) -> list[str]:
             f"- {d['name']}: {plain_text(d['what'])} since run {plain_text(d['since'])}: {d['size']:+.3g} {d['unit']}"
         )
     out += [] if document["drifting"] else ["None."]
-    out += ["", "## Machines alike", "", "Of these the data do not distinguish the parameters (95 %).", ""]
+    out += ["", "## Machines alike", "", "Machines whose parameters the data do not tell apart (95 %).", ""]
     for kind in document["types"]:
         for component, response in kind["responses"].items():
             groups = [", ".join(group) for group in response["alike"]]
-            name = plain_text(kind["type"] or "machines")
-            out += [f"- {name}, {component}: {group}" for group in groups] or [f"- {name}, {component}: none"]
+            name = plain_text(", ".join(filter(None, (kind["type"], component))))
+            out += [f"- {name}: {group}" for group in groups] or [f"- {name}: none"]
     return out

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 LEAST_SLOPE = 1.0  # 1/K2: a run tells a sensor's error to 1 K (a standard error of 1/sqrt(slope)), or does not count
 
+MOST_NAMED = 6  # runs that a gate names
+
 
 def predictions(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
     """Component -> the model's deviation on every row, um; last inputs are held over gaps, 0 where nothing is known."""
@@ -83,6 +85,34 @@ def odd_run_gates(drift: Mapping[str, Any]) -> list[Gate]:
     ]
 
 
+def silent(model: ErrorModel, recording: Recording) -> dict[str, list[str]]:
+    """Column that a model reads -> labels of the runs in which it holds no reading; only such columns."""
+    import numpy as np
+
+    run, labels, out = recording.run_codes(), recording.run_labels(), {}
+    for name in (n for n in model.columns if n in recording.frame and recording.manifest.columns[n].unit):
+        heard = set(run[np.isfinite(recording.array(name))].tolist())
+        if runs := [label for code, label in enumerate(labels) if code not in heard]:
+            out[name] = runs
+    return out
+
+
+def silent_gates(model: ErrorModel, recording: Recording) -> list[Gate]:
+    """Which runs are no evidence, as a sensor was silent; no promotion of a model of one that is silent still."""
+    from errpipe.validation.retraining import Gate
+
+    last = recording.run_labels()[-1]
+    return [
+        Gate(
+            f"readings of {name}",
+            last not in runs,
+            f"none in run {', '.join(runs[-MOST_NAMED:])}{' and earlier ones' if len(runs) > MOST_NAMED else ''}: "
+            "no evidence" + (", and none in the last run: repair it, or fit without it" if last in runs else ""),
+        )
+        for name, runs in silent(model, recording).items()
+    ]
+
+
 def unit_gates(old: Recording, recording: Recording, known: frozenset[str]) -> list[Gate]:
     """No promotion of a challenger whose new temperatures are in another unit: the controller's are not."""
     from errpipe.validation.input_drift import other_unit
@@ -105,6 +135,10 @@ def drift(model: ErrorModel, old: Recording, recording: Recording, known: frozen
     from errpipe.validation import input_drift, response_drift
 
     both, reference = _with_new_runs(old, recording, known)
+    if both is not None:  # where a sensor is silent nothing is predicted: what is left is no change of the machine
+        unheard = {label for runs in silent(model, both).values() for label in runs}
+        heard = ~np.isin(np.asarray(both.run_labels())[both.run_codes()], list(unheard))
+        both, reference = (both.take(heard), reference[heard]) if (heard & ~reference).any() else (None, reference)
     if both is None:
         return {"inputs": [], "residuals": [], "sizes": [], "rms": [], "changes": [], "runs": []}
     odd, lone = _odd_runs(model, both, reference)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from errpipe import jsonfile
+from errpipe.validation.retraining import EVIDENCE
 
 MARKDOWN, JUNIT, GITLAB, FIGURE = "retrain.md", "retrain.junit.xml", "retrain.codequality.json", "retrain.svg"
 
@@ -19,6 +20,21 @@ def write_pages(document: Mapping[str, Any], out: Path) -> None:
     jsonfile.write(out / GITLAB, code_quality(document))
     if document["runs"]:
         jsonfile.write_text(out / FIGURE, figure(document))
+
+
+def write_failure(title: str, why: str, out: Path) -> None:
+    """Write the pages of a look that judged nothing, in the place of those of the look before."""
+    heading = f"# {plain_text(title or 'Retraining')}: not judged"
+    jsonfile.write_text(out / MARKDOWN, f"{heading}\n\n{plain_text(why)}\n\nThe champion stays.\n")
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        '<testsuite name="errpipe retrain" tests="1" failures="0" errors="1" skipped="0">',
+        f'  <testcase classname="retrain" name="judged"><error message={quoteattr(why)}/></testcase>',
+        "</testsuite>",
+    ]
+    jsonfile.write_text(out / JUNIT, "\n".join(lines) + "\n")
+    jsonfile.write(out / GITLAB, [_quality("not judged", why, "blocker")])
+    (out / FIGURE).unlink(missing_ok=True)
 
 
 def plain_text(text: object) -> str:
@@ -116,45 +132,53 @@ def _sentences(drift: Mapping[str, Any]) -> list[str]:
 
 
 def junit(document: Mapping[str, Any]) -> str:
-    """One test case per gate, as CI systems read them."""
+    """One test case per gate, as CI systems read them; evidence that has yet to come is skipped, not failed."""
     gates = document["gates"]
-    failed = sum(not g["passed"] for g in gates)
+    waiting = sum(_waits(g) for g in gates)
+    failed = sum(not g["passed"] for g in gates) - waiting
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
-        f'<testsuite name="errpipe retrain" tests="{len(gates)}" failures="{failed}" errors="0" skipped="0">',
+        f'<testsuite name="errpipe retrain" tests="{len(gates)}" failures="{failed}" errors="0" skipped="{waiting}">',
     ]
     for gate in gates:
-        name, says = escape(gate["name"]), escape(gate["says"])
+        name, says, kind = escape(gate["name"]), escape(gate["says"]), "skipped" if _waits(gate) else "failure"
         lines.append(f'  <testcase classname="retrain" name="{name}">')
-        lines += [] if gate["passed"] else [f'    <failure message="{says}">{says}</failure>']
+        lines += [] if gate["passed"] else [f'    <{kind} message="{says}">{says}</{kind}>']
         lines.append("  </testcase>")
     return "\n".join([*lines, "</testsuite>"]) + "\n"
 
 
+def _waits(gate: Mapping[str, Any]) -> bool:
+    """Whether a gate does not hold because runs have yet to come: on a quiet night nothing is wrong."""
+    return not gate["passed"] and gate["name"] == EVIDENCE
+
+
 def code_quality(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Failed gates as GitLab's code quality report."""
-    return [
-        {
-            "description": f"{g['name']}: {g['says']}",
-            "check_name": "errpipe retrain",
-            "fingerprint": jsonfile.fingerprint([g["name"], g["says"]])[:32],
-            "severity": "major",
-            "location": {"path": "retrain.md", "lines": {"begin": 1}},
-        }
-        for g in document["gates"]
-        if not g["passed"]
-    ]
+    failed = [g for g in document["gates"] if not g["passed"]]
+    return [_quality(g["name"], g["says"], "info" if _waits(g) else "major") for g in failed]
+
+
+def _quality(name: str, says: str, severity: str) -> dict[str, Any]:
+    return {
+        "description": f"{name}: {says}",
+        "check_name": "errpipe retrain",
+        "fingerprint": jsonfile.fingerprint([name, says])[:32],
+        "severity": severity,
+        "location": {"path": MARKDOWN, "lines": {"begin": 1}},
+    }
 
 
 def github_annotations(document: Mapping[str, Any]) -> list[str]:
-    """Workflow commands, one line per failed gate and drift; data are escaped as the runner asks."""
+    """Workflow commands, a line for each failed gate and all that drifted; data are escaped as the runner asks."""
     out = []
     for gate in document["gates"]:
         if not gate["passed"]:
-            out.append(f"::error title={_property(gate['name'])}::{_data(gate['says'])}")
+            kind = "notice" if _waits(gate) else "error"
+            out.append(f"::{kind} title={_property(gate['name'])}::{_data(gate['says'])}")
     for d in document["drift"]["inputs"]:
         out.append(f"::warning title=sensor drift::{_data(d['column'])} since run {_data(d['since'])}")
-    return out
+    return [*out, *(f"::warning title=drift::{_data(sentence)}" for sentence in _sentences(document["drift"]))]
 
 
 def _data(text: object) -> str:

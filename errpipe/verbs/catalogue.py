@@ -18,16 +18,17 @@ EXIT_CODES = {
 
 
 def terms(name: str) -> dict[str, Any]:
-    """Every term with its first line, or the whole page of one."""
+    """Every term with what it is, or the whole page of one."""
+    from errpipe.stages._docstrings import sections
     from errpipe.terms import TERMS
     from errpipe.verbs import reference
 
     if name:
         return {"term": name, "says": [reference.entry("terms", name).rstrip()]}
-    rows = [{"term": t.model_fields["term"].default, "about": _first_line(t.__doc__)} for t in TERMS]
+    rows = [{"term": t.model_fields["term"].default, "about": sections(t.__doc__ or "")[0]} for t in TERMS]
     rows.sort(key=lambda row: str(row["term"]))
     width = max(len(str(row["term"])) for row in rows)
-    return {"terms": rows, "says": [f"{row['term']:<{width}}  {row['about']}"[:100] for row in rows]}
+    return {"terms": rows, "says": [f"{row['term']:<{width}}  {row['about']}" for row in rows]}
 
 
 def formats(name: str) -> dict[str, Any]:

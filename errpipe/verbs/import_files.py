@@ -17,7 +17,7 @@ from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError, ErrpipeError, UsageError, did_you_mean
 from errpipe.files import missing
 from errpipe.formats import _derived, manifest_folder
-from errpipe.importing import features, order, other_tests, resolve, signs, together
+from errpipe.importing import features, order, other_tests, repeated_runs, resolve, signs, together
 from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
@@ -62,6 +62,7 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
     runs = together.sides_of_names([*measured.values()], [file.stem for file in measured])
     complete = together.one_after_another([*measured.values()], runs)
     order.sides_of_falling_runs(complete)
+    repeated_runs.told_apart(complete)
     layouts = list(dict.fromkeys(tuple(parts[file].entries) for file in logs))
     for layout in layouts:  # a logger writes a file a day: those of one layout are one log
         alike = [file for file in logs if tuple(parts[file].entries) == layout]

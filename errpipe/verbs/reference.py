@@ -18,27 +18,10 @@ from errpipe import jsonfile
 from errpipe.domain.protocols import PROTOCOLS
 from errpipe.domain.recording import ROLE_UNITS, Column, Constant, Manifest
 from errpipe.errors import UsageError, did_you_mean
+from errpipe.stages._docstrings import sections
 from errpipe.terms import example_of
 
-# The docstring sections of a plug-in: `Equation   text`, two spaces or more after the word, continued by indentation.
-_SECTION = re.compile(r"^([A-Z][A-Za-z-]+) {2,}(\S.*)$")
 _LEFT_OUT = {"kind", "term", "rule", "family", "format"}  # the discriminators: they are the heading
-
-
-def sections(docstring: str) -> tuple[str, list[tuple[str, str]]]:
-    """First paragraph of a docstring, and its sections (heading, text with its own line breaks)."""
-    lines = inspect.cleandoc(docstring).splitlines()
-    head: list[str] = []
-    parts: list[tuple[str, list[str]]] = []
-    for line in lines:
-        match = _SECTION.match(line)
-        if match:
-            parts.append((match.group(1), [match.group(2)]))
-        elif parts and line.startswith("   "):
-            parts[-1][1].append(line.strip())
-        elif not parts:
-            head.append(line)
-    return " ".join(" ".join(head).split()), [(word, "\n".join(text)) for word, text in parts]
 
 
 def _cell(text: object) -> str:

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from errpipe import jsonfile
-from errpipe.errors import DataError, GateError, UsageError, VerifyError
+from errpipe.errors import DataError, ErrpipeError, GateError, UsageError, VerifyError
 from errpipe.pipeline.step import NO_CALLBACKS, Callbacks
 from errpipe.stages import _artefacts
 from errpipe.verbs import _retrain_drift
 from errpipe.verbs._retrain_drift import predictions
-from errpipe.verbs._retrain_pages import github_annotations, in_words, write_pages
+from errpipe.verbs._retrain_pages import github_annotations, in_words, write_failure, write_pages
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
@@ -44,16 +44,33 @@ def retrain(
     """Run the pipeline into OUT/run and decide whether its model replaces the champion's.
 
     champion: folder of the earlier run that made the champion (of the same pipeline). Returns the document of
-    `retrain.json`: decision, evidence, gates, runs, drift. Raises DataError where the champion's folder lacks its
+    `retrain.json`: decision, evidence, gates, runs, drift. What cannot be judged stands on the pages, too; retrain.json
+    then stays that of the look before. Raises DataError where the champion's folder lacks its
     model or recording, VerifyError where they are damaged, UsageError where the challenger would be written over it.
     """
     if champion.resolve().is_relative_to((out / RUN).resolve()):
         raise UsageError(f"{champion}: the challenger is written there, and would replace it before it is judged")
+    limits = (max_change_um, max_change_um_per_k)
+    try:
+        return _decided(pipeline, champion, out, alpha, limits, allowed_sensors, callbacks or NO_CALLBACKS)
+    except ErrpipeError as err:
+        write_failure(pipeline.title, str(err), out)
+        raise
 
+
+def _decided(
+    pipeline: Pipeline,
+    champion: Path,
+    out: Path,
+    alpha: float,
+    limits: tuple[float | None, float | None],
+    allowed: Sequence[str],
+    callbacks: Callbacks,
+) -> dict[str, Any]:
     old_model, old_recording, fingerprint = _champion(pipeline, champion)
     earlier = _earlier_document(out / DOCUMENT)
     kept_from, dates = _since(earlier, fingerprint)
-    refused, since, on_all = _run(pipeline, out, dates, callbacks or NO_CALLBACKS)
+    refused, since, on_all = _run(pipeline, out, dates, callbacks)
     recording = _artefacts.recording_in(out / RUN / _last_stage_with(pipeline, "recording"))
     _same_machine(champion, old_model, old_recording, recording)
     document = _judged(
@@ -64,8 +81,8 @@ def retrain(
         _scores_of(earlier, out / DOCUMENT, fingerprint),
         refused,
         alpha=alpha,
-        limits=(max_change_um, max_change_um_per_k),
-        allowed=allowed_sensors,
+        limits=limits,
+        allowed=allowed,
     )
     document |= {"kept_from": kept_from, "fitted_since": since, "fitted_on_all": on_all}
     jsonfile.write(out / DOCUMENT, document)
@@ -133,6 +150,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     gates = [
         *_retrain_drift.response_gates(drift),
         *_retrain_drift.odd_run_gates(drift),
+        *_retrain_drift.silent_gates(old_model, recording),
         *_retrain_drift.unit_gates(old_recording, recording, known),
     ]
     if refused:
@@ -289,7 +307,10 @@ def _table_gates(change: Mapping[str, Mapping[str, float]], limits) -> list[Gate
         for key, unit, limit in zip(("largest_um", "largest_um_per_k"), ("um", "um/K"), limits, strict=True):
             within = limit is None or figures[key] <= limit
             allowed = "" if limit is None else f" ({limit:g} {unit} allowed)"
-            out.append(Gate(f"change of {component}", within, f"at most {figures[key]:.3g} {unit}{allowed}"))
+            per_kelvin = " per kelvin" if unit == "um/K" else ""
+            out.append(
+                Gate(f"change of {component}{per_kelvin}", within, f"at most {figures[key]:.3g} {unit}{allowed}")
+            )
     return out
 
 

@@ -213,6 +213,10 @@ def test_applied_findings_leave_nothing_for_a_pipeline_to_find(tmp_path: Path) -
     assert result["responses"][0]["verdict"] == "missing_physics"
     written = {p.name for p in (tmp_path / "better").iterdir()}
     assert written >= {"recording.yaml", "recording.parquet", "terms.yaml", "patch.py", "patch.fmu", "apply.json"}
+    assert "better/patch.py" in done.stdout and "report.html" in done.stdout
+    equation = "deviation(d) = -lost_motion / 2 * d"
+    assert equation in (tmp_path / "better/patch.py").read_text()
+    assert equation in next(tmp_path.glob("*/report.html")).read_text()
     stages = [{"kind": "ingest", "recording": "better"}, {"kind": "diagnose"}]
     (tmp_path / "p.yaml").write_text(json.dumps({"pipeline": 1, "title": "again", "stages": stages}))
     runner.run(load_pipeline(tmp_path / "p.yaml", STAGES), tmp_path / "pipeline")

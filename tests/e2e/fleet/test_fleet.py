@@ -186,6 +186,15 @@ def test_a_fleet_file_says_what_is_wrong(tmp_path: Path, capsys: Any) -> None:
     assert "no name of a machine: Fräse 3, machine 7 (allowed" in capsys.readouterr().err
 
 
+def test_a_fleet_file_is_checked_with_its_pipeline(tmp_path: Path, capsys: Any) -> None:
+    fleet = site(tmp_path, 2)
+    assert main(["check", str(fleet)]) == 0
+    assert capsys.readouterr().out == f"{fleet}: fleet, fine\n"
+    (tmp_path / "axis.yaml").write_text(PIPELINE.replace("kind: validate", "kind: validat"), encoding="utf-8")
+    assert main(["check", str(fleet)]) == 2
+    assert "axis.yaml:" in capsys.readouterr().err
+
+
 def test_names_and_folders_that_would_be_two_machines_are_refused(tmp_path: Path, capsys: Any) -> None:
     file = site(tmp_path, 2)
     assert main(["fleet", str(file), "--out", str(tmp_path / "recordings/out")]) == 2

@@ -248,7 +248,7 @@ def test_nightly_looks_score_each_run_once_and_end_where_one_look_ends(site: Pat
 def test_a_limit_on_the_change_keeps_the_champion(site: Path) -> None:
     record(site / "recording", 44, first=12, changed_from=12)
     code, document = retrain(site, "--max-change-um-per-k", "1")
-    assert code == 4 and failed(document) == ["change of EXX"]
+    assert code == 4 and failed(document) == ["change of EXX per kelvin"]
 
 
 def test_a_sensor_that_drifts_is_named_beside_the_decision(site: Path, capsys: pytest.CaptureFixture) -> None:

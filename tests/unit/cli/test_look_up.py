@@ -22,7 +22,9 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 
 def test_terms_and_one_term(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "backlash " in said(capsys, "terms")
+    page = said(capsys, "terms")
+    assert "backlash " in page and page.rstrip().endswith(".")  # whole sentences
+    assert all(word in page for word in ("the larger the shift", "gone as soon as it stops"))
     page = said(capsys, "terms", "backlash")
     assert "deviation(d) = -lost_motion / 2 * d" in page and "2 … 20" in page
     assert main(["terms", "backlsh"]) == 2

@@ -106,3 +106,12 @@ def test_a_simulation_without_a_component_is_of_the_only_response(tmp_path: Path
     recording = imported(tmp_path, ["t_s,tool,cut_length_m,diameter_error_um,simulated_um", *rows])
     assert recording.names("simulated", component="E_D")
     assert recording.names("cut_length") and recording.manifest.columns["tool"].of == "tool"
+
+
+def test_a_following_error_does_not_keep_a_force_from_its_simulation(tmp_path: Path) -> None:
+    """A log of a drive has command and actual position too: their difference has no simulation, the force has one."""
+    rows = [line.split(",") for line in forces("")[1:]]
+    lines = [f"{t},{x},{float(x) + 0.01},{force},{model}" for t, x, _, force, model in rows]
+    head = "t [s],X command [mm],X actual [mm],motor force [N],simulated motor force [N]"
+    recording = imported(tmp_path, [head, *lines])
+    assert np.ptp(np.abs(mismatch(recording, "F_X"))) < 80.0 + 1e-3 and recording.names("error", component="EXX")

@@ -26,7 +26,7 @@ def report() -> RunReport:
         rms_before=14.1,
         rms_after=1.01,
         noise_floor=0.98,
-        terms=[{"says": "lead <error>", "equation": "k x", "parameters": [slope]}],
+        terms=[{"says": "lead <error>", "equation": "k x", "of": "axis X", "parameters": [slope]}],
         table=[{"group": "1", "coverage90": 0.91, **row}, {"group": "2", "coverage90": None, **row}],
         scheme="leave one run out",
     )
@@ -51,6 +51,7 @@ def test_page_says_the_three_numbers_and_escapes_text(report):
         assert f"<b>{figure}</b>" in text
     assert "lead &lt;error&gt;" in text
     assert "lead <error>" not in text
+    assert "(axis X)" in text and "noise floor 0.98 um" in text
 
 
 @pytest.mark.parametrize(

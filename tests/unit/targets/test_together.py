@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -94,6 +96,22 @@ def test_an_export_of_companions_writes_them_beside_each_other(tmp_path):
     assert "only together with those of sinumerik_lec" in told
 
 
+def test_what_is_left_together_counts_the_numbers_entered_by_hand(tmp_path):
+    """9 um of lost motion are MD32450, in no file: as a loss of both files they would look lost for good."""
+    lost_motion = Lowered(d.Direction(axis="X"), "X", lambda x: np.full(np.shape(x), -4.5))
+    parts = (machines.straight("X", 10.0), machines.straight("X", 5.5, driver=d.above("T", 20.0)), lost_motion)
+    sources = [tables.ComponentSource("EXX", "um", parts)]
+    outputs, travel = tables.outputs_of(sources), machines.AXES
+    table = tables.compile_table(
+        sources, outputs=outputs, inputs=machines.INPUTS, travel=travel, error_bound=0.002, machine="test"
+    )
+    rows = stage.write_targets(table, ["sinumerik_lec", "sinumerik_temperature"], tmp_path)
+    for row in rows:
+        left = re.search(r"with the numbers entered by hand, they lack X ([\d.e-]+) rms", row["sibling"])
+        assert left and float(left[1]) < 0.1
+        assert row["sibling"] in (tmp_path / row["file"]).with_name("CHECKLIST.md").read_text()
+
+
 @pytest.mark.parametrize("name", ["sinumerik_cec", "beckhoff_crosscomp", "heidenhain_com"])
 def test_a_cross_curve_that_stands_alone_holds_its_constant(name):
     """Y moves over X only: nothing else would hold the height of the bow in the middle of X."""
@@ -156,3 +174,11 @@ def test_the_move_list_says_what_the_axis_does_in_all(tmp_path):
         row = next(line for line in told.splitlines() if line.startswith(f"| X | X and Z | {x:.3f}, {z:.3f} |"))
         assert float(row.split("|")[4]) == pytest.approx(want, abs=0.02)
     assert "products" in told and "SD41300 = 0" in told
+
+
+def test_files_of_one_axis_say_that_others_are_exported_with_them(tmp_path):
+    """Made apart, points and tables of X and of Y have the same numbers."""
+    stage.write_targets(machines.too_long_at_plus_x(), ["fanuc_pitch"], tmp_path)
+    assert "the files hold X alone" in (tmp_path / "fanuc_pitch" / "CHECKLIST.md").read_text()
+    stage.write_targets(bent_and_warm(), ["sinumerik_cec"], tmp_path)
+    assert "alone" not in (tmp_path / "sinumerik_cec" / "CHECKLIST.md").read_text()

@@ -126,7 +126,7 @@ def test_two_files_of_one_control_ask_for_no_backlash_value(tmp_path: Path) -> N
     out = exported(tmp_path, np.linspace(0, 600, 13), "sinumerik_lec", "sinumerik_cec")
     text = (out / "sinumerik_lec/CHECKLIST.md").read_text()
     assert "MD32450 BACKLASH = 0.0000 mm" in text and "leaves behind; with both" not in text
-    assert "Together they leave X 0" in text
+    assert "they lack X 0" in text
 
 
 def test_targets_at_uneven_places_are_met_within_the_error_of_the_format(tmp_path: Path) -> None:

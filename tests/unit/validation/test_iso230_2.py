@@ -160,3 +160,20 @@ def test_how_far_the_departures_go():
     ess, psi = (iso230_2.figures(ecmc_dat.read(REAL / f"{n}.dat")) for n in ("ess", "psi"))
     np.testing.assert_allclose((ess.R, ess.E, ess.A), (204.76, 74.77, 204.76), atol=0.006)  # the report: E 65.14
     np.testing.assert_allclose((psi.R, psi.E), (0.06882, 0.0368), atol=2e-5)  # the report: R 0.06290, E 0.0246
+
+
+def test_runs_of_two_thermal_states_are_named():
+    """Their spread would pass for repeatability."""
+    columns = {
+        "run": Column(role="run"),
+        "x": Column(role="position", axis="X", unit="mm"),
+        "dir": Column(role="direction", axis="X"),
+        "EXX": Column(role="error", component="EXX", unit="um"),
+        "screw": Column(role="temperature", unit="degC"),
+    }
+    rows = [(str(r), x, s, 0.1 * r, 20.0 + 2.5 * (r > 2)) for r in range(5) for s in (1, -1) for x in (0.0, 50.0)]
+    frame = pd.DataFrame(rows, columns=list(columns))
+    manifest = Manifest(recording=1, tables=("t.csv",), columns=columns)
+    assert "screw differs by 2.5 K between runs" in iso230_2.figures(Recording(manifest, frame)).notes[-1]
+    cool = frame.assign(screw=20.0 + frame["run"].astype(float) / 4)
+    assert not any("between runs" in note for note in iso230_2.figures(Recording(manifest, cool)).notes)

@@ -152,3 +152,12 @@ def test_a_change_without_a_term_is_said_to_be_one() -> None:
     wave = 9.0 * np.sin(2 * np.pi * columns["x"] / 20.8)
     changes = what_changed(model, model.components[0], recorded(columns, error), wave, 0.5)
     assert [c.term for c in changes][-1] == "" and "no term" in changes[-1].says
+
+
+def test_a_run_of_which_nothing_is_predicted_is_in_no_other_unit() -> None:
+    """A silent sensor: nothing is predicted, and 1000 times nothing, with 1000 times the noise, fits any deviation."""
+    columns, error = machine(6)
+    noise = np.random.default_rng(7).normal(0.0, 0.5, RUN.size)
+    predicted = np.where(RUN == WRONG, 0.0, error)
+    found = odd_responses(recorded(columns, error + noise), REFERENCE, {"EXX": predicted})
+    assert not [odd for odd in found if odd.wrong]

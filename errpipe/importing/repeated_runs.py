@@ -1,0 +1,71 @@
+"""Runs whose numbers begin again, on another day or in another state of the machine, are runs of their own."""
+
+from __future__ import annotations
+
+import itertools
+from datetime import datetime, timedelta
+
+import numpy as np
+
+from errpipe.domain import units
+from errpipe.importing.proposed import Proposal
+
+SAME_TARGET = 1e-3  # of the range of a position: closer ones are one target, as `measured_points` takes them
+AGAIN = 0.5  # of the targets of a stretch, measured before from the same side: a target or two are a reading repeated
+
+
+def told_apart(p: Proposal) -> None:
+    """Give a run another label where its targets are measured again, from the same side, after other runs."""
+    run = p.first("run")
+    names = [n for role in ("command", "position") for n, e in p.entries.items() if e["role"] == role and n in p.data]
+    if run is None or run not in p.data or not names:
+        return
+    label = np.unique(np.asarray(p.data[run], dtype=str), return_inverse=True)[1]
+    places = [p.data[n] for n in names[: 1 if p.first("command") else None]]
+    places = [np.round(x / max(SAME_TARGET * float(np.ptp(x)), 1e-9)) for x in places]
+    places += [p.data[n] for n, e in p.entries.items() if e["role"] == "direction" and n in p.data]
+    target = np.unique(np.stack(places, axis=1), axis=0, return_inverse=True)[1].ravel()
+    turn = _turns(label, target)
+    if not turn.any():
+        return
+    days = _days(p)
+    labels = [str(v) for v in p.data[run]]
+    dated = days is not None and len({*zip(labels, days, strict=True)}) == len({*zip(labels, turn, strict=True)})
+    p.data[run] = [
+        f"{day} {v}" if dated else v if t == 0 else f"{v} ({t + 1})"
+        for v, t, day in zip(labels, turn.tolist(), days if days is not None else labels, strict=True)
+    ]
+    p.notes.append(
+        f"the runs of {run!r} begin again with the same targets: taken as other runs, "
+        f"{', '.join(dict.fromkeys(p.data[run]))}"
+    )
+
+
+def _turns(label: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """How often the run of a row had been made before, (rows,): a stretch of rows that repeats its targets is one more.
+
+    A stretch ends where another run follows: rows sorted by target come back to a run with other targets.
+    """
+    turn = np.zeros(label.size, dtype=int)
+    edges = np.r_[0, np.flatnonzero(np.diff(label)) + 1, label.size]
+    seen: dict[int, tuple[int, set[int]]] = {}
+    for first, last in itertools.pairwise(edges):
+        here = set(target[first:last].tolist())
+        count, before = seen.get(int(label[first]), (0, set()))
+        if len(here & before) > AGAIN * len(here):
+            count, before = count + 1, set()
+        seen[int(label[first])] = (count, before | here)
+        turn[first:last] = count
+    return turn
+
+
+def _days(p: Proposal) -> list[str] | None:
+    """The date of every row; None where the file has none."""
+    time = p.first("time")
+    epoch = p.entries[time].get("epoch") if time is not None else None
+    if time is None or epoch is None or not np.isfinite(p.data[time]).all():
+        return None
+    scale = units.conversion("time", p.entries[time].get("unit"))
+    seconds = p.data[time] if scale is None else scale(p.data[time])
+    start = datetime.fromisoformat(epoch)
+    return [f"{start + timedelta(seconds=float(s)):%Y-%m-%d}" for s in seconds]

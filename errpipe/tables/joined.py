@@ -1,0 +1,113 @@
+"""Tables of single axes as one: a control's files number points, tables and drivers for all axes of a machine."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+
+from errpipe.domain.table import CompensationTable, InputNode
+from errpipe.domain.table import Output as TableOutput
+from errpipe.errors import UsageError
+
+LONGEST_NAME = 31  # bytes of an input's name (schemas/ect-2.md)
+SHARED = (
+    "table",
+    "position_cycle_s",
+    "slow_every",
+    "ramp_s",
+    "fade_s",
+)  # facts that tables run together have in common
+
+
+def joined(tables: Sequence[CompensationTable]) -> CompensationTable:
+    """One table that moves the axes of all of them; inputs of one name get their axis behind it, each stays its own.
+
+    Raises UsageError where two move or read the same axis, or run in different cycles.
+    """
+    first = tables[0]
+    if len(tables) == 1:
+        return first
+    _refuse_same_axis(tables)
+    for fact in SHARED:
+        if len(values := {getattr(table, fact) for table in tables}) > 1:
+            raise UsageError(f"tables of different {fact} ({', '.join(map(str, sorted(values)))}) do not run as one")
+    count = Counter(i.name for table in tables for i in table.inputs)
+    parts: dict[str, list[object]] = {
+        key: [] for key in ("inputs", "nodes", "profiles", "components", "pairs", "outputs")
+    }
+    for table in tables:
+        own = "".join(sorted(_moved(table)))
+        names = {i.name: _renamed(i.name, own) if count[i.name] > 1 else i.name for i in table.inputs}
+        for key, behind in _shifted(table, names, len(parts["nodes"]), len(parts["profiles"])).items():
+            parts[key] += behind
+    machines = {table.machine for table in tables}
+    return CompensationTable.model_validate(
+        {
+            **{fact: getattr(first, fact) for fact in (*SHARED, "version")},
+            "machine": first.machine if len(machines) == 1 else "",
+            "title": ", ".join(dict.fromkeys(table.title for table in tables))[:127],
+            "fingerprint": hashlib.sha256("".join(t.fingerprint for t in tables).encode()).hexdigest(),
+            **parts,
+        }
+    )
+
+
+def _moved(table: CompensationTable) -> set[str]:
+    return {output.axis or output.name for output in table.outputs}
+
+
+def _refuse_same_axis(tables: Sequence[CompensationTable]) -> None:
+    """Raise UsageError where an axis is moved or read by two: which of its ranges counts is not known."""
+    checks: tuple[tuple[str, Callable[[CompensationTable], set[str]]], ...] = (
+        ("move", _moved),
+        ("read the position of", lambda table: {i.axis for i in table.inputs if i.kind == "position"}),
+    )
+    for what, of in checks:
+        twice = [axis for axis, n in Counter(a for table in tables for a in of(table)).items() if n > 1]
+        if twice:
+            raise UsageError(f"two of the tables {what} {', '.join(twice)} (allowed: tables of different axes)")
+
+
+def _renamed(name: str, axis: str) -> str:
+    """A name with its axis behind it, as long as a controller can print it."""
+    end = f"_{axis}"
+    kept = name.encode()[: LONGEST_NAME - len(end.encode())].decode(errors="ignore")
+    return kept + end
+
+
+def _shifted(
+    table: CompensationTable, names: Mapping[str, str], nodes: int, profiles: int
+) -> dict[str, Sequence[object]]:
+    """The parts of a table behind so many nodes and profiles, its inputs called by other names."""
+    return {
+        "inputs": [
+            i.model_copy(
+                update={
+                    "name": names[i.name],
+                    "substitute": tuple(s.model_copy(update={"input": names[s.input]}) for s in i.substitute),
+                }
+            )
+            for i in table.inputs
+        ],
+        "nodes": [
+            n.model_copy(
+                update={
+                    "of": tuple(k + nodes for k in n.of),
+                    **({"input": names[n.input]} if isinstance(n, InputNode) else {}),
+                }
+            )
+            for n in table.nodes
+        ],
+        "profiles": [p.model_copy(update={"input": names.get(p.input or "", p.input)}) for p in table.profiles],
+        "components": table.components,
+        "pairs": [
+            p.model_copy(update={"profile": p.profile + profiles, "driver": p.driver + nodes}) for p in table.pairs
+        ],
+        "outputs": [_output(o, nodes) for o in table.outputs],
+    }
+
+
+def _output(output: TableOutput, nodes: int) -> TableOutput:
+    terms = (t.model_copy(update={"factors": tuple(k + nodes for k in t.factors)}) for t in output.terms)
+    return output.model_copy(update={"terms": tuple(terms)})

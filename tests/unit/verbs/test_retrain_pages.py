@@ -1,0 +1,47 @@
+"""Pages of a retraining for CI."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from errpipe.verbs import _retrain_pages as pages
+
+EMPTY: dict[str, list[Any]] = {key: [] for key in ("inputs", "residuals", "rms", "sizes", "changes", "runs")}
+
+
+def document(*gates: tuple[str, bool], **drift: list[Any]) -> dict[str, Any]:
+    return {"gates": [{"name": n, "passed": p, "says": f"{n} says"} for n, p in gates], "drift": EMPTY | drift}
+
+
+def test_a_quiet_night_is_no_failure() -> None:
+    """Evidence that has yet to come is red on no page; another gate that fails is."""
+    quiet = document(("evidence", False), ("inputs", True))
+    assert ElementTree.fromstring(pages.junit(quiet)).attrib | {"name": ""} == {
+        "name": "",
+        "tests": "2",
+        "failures": "0",
+        "errors": "0",
+        "skipped": "1",
+    }
+    assert pages.github_annotations(quiet) == ["::notice title=evidence::evidence says"]
+    worse = document(("evidence", False), ("inputs", False))
+    assert ElementTree.fromstring(pages.junit(worse)).attrib["failures"] == "1"
+    assert [q["severity"] for q in pages.code_quality(worse)] == ["info", "major"]
+
+
+def test_an_odd_run_is_annotated() -> None:
+    odd = {"run": "night 45", "what": "screw and hall", "says": "read as if exchanged"}
+    (said,) = pages.github_annotations(document(("inputs", True), runs=[odd]))
+    assert said == "::warning title=drift::Run night 45, screw and hall: read as if exchanged"
+
+
+def test_a_look_that_judged_nothing_leaves_no_page_of_the_look_before(tmp_path: Path) -> None:
+    """A file that was torn in the night: yesterday's pages would pass for today's."""
+    for name in (pages.MARKDOWN, pages.JUNIT, pages.FIGURE):
+        (tmp_path / name).write_text("promote", encoding="utf-8")
+    pages.write_failure("axis", "night.csv:13  not UTF-8 text", tmp_path)
+    assert ElementTree.fromstring((tmp_path / pages.JUNIT).read_text(encoding="utf-8")).attrib["errors"] == "1"
+    assert "night.csv:13" in (tmp_path / pages.MARKDOWN).read_text(encoding="utf-8")
+    assert not (tmp_path / pages.FIGURE).exists()
