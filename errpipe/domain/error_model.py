@@ -6,6 +6,7 @@ layer names physics, it does not know any.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 from pydantic import Field, field_validator
@@ -171,3 +172,49 @@ class ErrorModel(Frozen):
         "absolute", description="What zero means: the machine's own zero, or each run's first readings."
     )
     notes: tuple[str, ...] = Field((), description="What a user should know.")
+
+
+def joined(models: Sequence[ErrorModel]) -> ErrorModel:
+    """One model of the components of several fits of one machine, valid where all of them are.
+
+    Raises DataError where several have a component, or where they do not agree on what all have in common.
+    """
+    first, *others = models
+    if not others:
+        return first
+    names = [c.component for m in models for c in m.components]
+    if twice := sorted({n for n in names if names.count(n) > 1}):
+        raise DataError(f"several fits have {', '.join(twice)}: name the one that counts, from: {{error_model: NAME}}")
+    columns = {name: entry for m in models for name, entry in m.columns.items()}
+    for other in others:
+        agree = {
+            "machine": other.machine == first.machine,
+            "zero": other.datum == first.datum,
+            "columns": all(columns[name] == entry for m in models for name, entry in m.columns.items()),
+            "constants": other.constants == first.constants,
+            "validity": other.validity == first.validity
+            or not (other.validity.fades or first.validity.fades or _apart(other.validity, first.validity)),
+        }
+        if differ := [what for what, same in agree.items() if not same]:
+            of = " and ".join(c.component for m in (first, other) for c in m.components)
+            raise DataError(f"models of {of} differ in {', '.join(differ)}: no common table; export each by itself")
+    seen = [m.validity.ranges for m in models]
+    ranges = {
+        name: (max(r[name][0] for r in seen if name in r), min(r[name][1] for r in seen if name in r))
+        for name in dict.fromkeys(name for r in seen for name in r)
+    }
+    return first.model_copy(
+        update={
+            "inputs": {f"{what} of {m.components[0].component}": f for m in models for what, f in m.inputs.items()},
+            "columns": columns,
+            "components": tuple(c for m in models for c in m.components),
+            "validity": first.validity.model_copy(update={"ranges": ranges}),
+            "notes": tuple(f"{m.components[0].component}: {note}" for m in models for note in m.notes),
+        }
+    )
+
+
+def _apart(one: Validity, other: Validity) -> bool:
+    """Whether two boxes have no place in common."""
+    both = set(one.ranges) & set(other.ranges)
+    return any(max(v.ranges[n][0] for v in (one, other)) > min(v.ranges[n][1] for v in (one, other)) for n in both)
