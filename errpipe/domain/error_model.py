@@ -6,12 +6,13 @@ layer names physics, it does not know any.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 from pydantic import Field, field_validator
 
 from errpipe.domain.recording import Frozen
-from errpipe.errors import DataError
+from errpipe.errors import DataError, UsageError
 
 
 class FittedParameter(Frozen):
@@ -171,3 +172,52 @@ class ErrorModel(Frozen):
         "absolute", description="What zero means: the machine's own zero, or each run's first readings."
     )
     notes: tuple[str, ...] = Field((), description="What a user should know.")
+
+
+def joined(models: Sequence[ErrorModel]) -> ErrorModel:
+    """One model of the components of several fits of one machine, valid where all of them are.
+
+    Raises UsageError where several have a component, DataError where they do not agree on what all have in common.
+    """
+    first, *others = models
+    if not others:
+        return first
+    names = [c.component for m in models for c in m.components]
+    if twice := sorted({n for n in names if names.count(n) > 1}):
+        raise UsageError(f"several fits have {', '.join(twice)}: name the one that counts, from: {{error_model: NAME}}")
+    columns = {name: entry for m in models for name, entry in m.columns.items()}
+    validity = _common([m.validity for m in models])
+    for other in others:
+        agree = {
+            "machine": other.machine == first.machine,
+            "zero": other.datum == first.datum,
+            "columns": all(columns[name] == entry for m in models for name, entry in m.columns.items()),
+            "constants": other.constants == first.constants,
+            "fading": other.validity.fades == first.validity.fades,
+            "validity": all(low <= high for low, high in validity.ranges.values()),
+        }
+        if differ := [what for what, same in agree.items() if not same]:
+            of = " and ".join(c.component for m in (first, other) for c in m.components)
+            raise DataError(f"models of {of} differ in {', '.join(differ)}: no common table; export each by itself")
+    return first.model_copy(
+        update={
+            "inputs": {f"{what} of {m.components[0].component}": f for m in models for what, f in m.inputs.items()},
+            "columns": columns,
+            "components": tuple(c for m in models for c in m.components),
+            "validity": validity,
+            "notes": tuple(f"{m.components[0].component}: {note}" for m in models for note in m.notes),
+        }
+    )
+
+
+def _common(boxes: Sequence[Validity]) -> Validity:
+    """The place that boxes have in common; empty (lowest above highest) where there is none."""
+    ranges: dict[str, tuple[float, float]] = {}
+    margins: dict[str, float] = {}
+    for box in boxes:
+        for name, (low, high) in box.ranges.items():
+            seen = ranges.get(name, (low, high))
+            ranges[name] = (max(low, seen[0]), min(high, seen[1]))
+        for name, margin in box.margins.items():
+            margins[name] = min(margin, margins.get(name, margin))
+    return boxes[0].model_copy(update={"ranges": ranges, "margins": margins})

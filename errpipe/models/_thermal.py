@@ -172,11 +172,11 @@ class ThermalFamily(Family):
             groupings = competition.groupings(recording, problem.group, problem.groups, self.environment)
             if problem.blocks and len(problem.groups) > 1:
                 groupings = (*groupings, competition.halves(problem.groups))
-            entrants = self.entrants(problem)
-            if self.one_environment(problem):
+            entrants, alone = self.entrants(problem), self.one_environment(problem)
+            if alone and problem.one_run:
                 entrants = [e for e in entrants if e.physical] or entrants
             outcome = competition.compete(
-                entrants, groupings, problem.response, problem.rows, problem.group, problem.one_run
+                entrants, groupings, problem.response, problem.rows, problem.group, problem.one_run, alone
             )
             return _model(self, problem, outcome), outcome
 
@@ -185,6 +185,7 @@ class ThermalFamily(Family):
 
         Nothing then shows which gains hold in another one, and gains without a known sign fail first: fitted to
         the winter of a turning centre, lagged gains left 3.7 um of a run left out and 17 um in spring, where 8.7 were.
+        So these compete there only where gains of known sign are behind already (`competition.PHYSICAL_REGRET`).
         """
         import numpy as np
 

@@ -33,16 +33,18 @@ class Auto(ThermalFamily):
         return among
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """The entrants of every family that competes; of one run, those that bend only where they are named.
+        """The entrants of every family that competes; of one run or season, those that bend only where they are named.
 
         Single days of 108 simulated machines (seed 901 of `trials.thermal --log-days 1` and formulas): with a neural
         network later days were left 0.112 to 0.245 of what they were, one worse than nothing; 0.109 to 0.230 without.
+        A turning centre's winter, fitted on spring with one: 8.7 um left instead of 6.9.
         """
+        little = problem.one_run or self.one_environment(problem)
         shared = {name: getattr(self, name) for name in ThermalFamily.model_fields}
         chosen = [
             kind
             for kind in competitors()
-            if (kind.family_name() in self.among if self.among else not (problem.one_run and kind.nonlinear))
+            if (kind.family_name() in self.among if self.among else not (little and kind.nonlinear))
         ]
         return [entrant for kind in chosen for entrant in kind.competitor(shared).entrants(problem)]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Export(CompileOptions, SignOptions, Stage):
-    """Compile the model into a compensation table and the files of controllers."""
+    """Compile the models of all fits into one compensation table and the files of controllers."""
 
     kind: Literal["export"]
     guard: bool = Field(
@@ -44,19 +44,21 @@ class Export(CompileOptions, SignOptions, Stage):
     )
     takes: ClassVar[Mapping[str, Need]] = {
         "recording": Need("recording"),
-        "error_model": Need("error_model"),
+        "error_model": Need("error_model", every=True),
         "validation": Need("validation", optional=True, every=True),
     }
     gives: ClassVar[tuple[str, ...]] = ("table",)
     writes: ClassVar[tuple[str, ...]] = (_artefacts.TABLE, _artefacts.TWIN, _artefacts.MODEL, "export.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:
+        from errpipe.domain.error_model import joined
         from errpipe.stages import _plausible, _proof
 
-        model = _artefacts.read_model(context.needed("error_model") / _artefacts.MODEL)
+        models = _artefacts.models_in(context)
+        model = joined(models)
         recording = _artefacts.recording_in(context.needed("recording"))
         checks = _plausible.refuse(recording, model, self.allow, self.limit)
-        passed = _gate(model, self, context)
+        passed = _gate(model, models, self, context)
         model = passed.model
         guard = _guard(context, recording) if self.guard else None
         context.progress(0.2, "compiling")
@@ -78,14 +80,23 @@ class Export(CompileOptions, SignOptions, Stage):
         return summary | ({"rows_held_back": ", ".join(f"{n} {rows}" for n, rows in held.items())} if held else {})
 
 
-def _gate(model: ErrorModel, options: Export, context: Context) -> Passed:
-    """The model at the gain that was judged; the whole of it, marked in its title, where it is exported ungated."""
+def _gate(model: ErrorModel, fits: Sequence[ErrorModel], options: Export, context: Context) -> Passed:
+    """The model at the gain that was judged; the whole of it, marked in its title, where it is exported ungated.
+
+    fits: the models that it is joined of, each with validations of its own.
+    """
     from dataclasses import replace
 
     from errpipe.fitting.recalibration import with_readings
-    from errpipe.validation.gate import Passed, pass_gate
+    from errpipe.validation.gate import Passed, not_judged, pass_gate
 
-    validations = _artefacts.validations_of(model, context.every("validation").values())
+    folders = context.every("validation").values()
+    validations: list[dict[str, Any]] = []
+    for fit in fits:
+        own = _artefacts.validations_of(fit, folders)
+        if not own and not options.ungated:
+            raise not_judged(fit)
+        validations += own
     if options.ungated:
         title = _artefacts.ungated_title(model.title)
         passed = Passed(model.model_copy(update={"title": title}), (), ())

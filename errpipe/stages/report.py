@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
+from errpipe.errors import DataError
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
 from errpipe.stages._docstrings import equation
 from errpipe.stages.validate import HELD_OUT
+
+if TYPE_CHECKING:
+    from errpipe.domain.error_model import ErrorModel
 
 
 class Report(Stage):
@@ -25,8 +29,8 @@ class Report(Stage):
         "recording": Need("recording"),
         "ingestions": Need("ingestion", every=True),
         "cleanings": Need("cleaning", optional=True, every=True),
-        "error_model": Need("error_model"),
-        "validation": Need("validation"),
+        "error_model": Need("error_model", every=True),
+        "validation": Need("validation", every=True),
         "tables": Need("table", optional=True, every=True),
     }
     gives: ClassVar[tuple[str, ...]] = ("report",)
@@ -34,38 +38,69 @@ class Report(Stage):
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe import __version__, jsonfile
+        from errpipe.domain.error_model import joined
         from errpipe.reporting.run_report import RunReport, render
         from errpipe.stages import _iso230_page
 
         *_, ingestion = context.every("ingestions").values()
         facts = jsonfile.read(ingestion / "ingest.json")
-        validation = jsonfile.read(context.needed("validation") / "validation.json")
         recording = _artefacts.recording_in(context.needed("recording"))
         exported = {name: jsonfile.read(f / "export.json") for name, f in context.every("tables").items()}
-        model = _artefacts.read_model(context.needed("error_model") / _artefacts.MODEL)
-        held_out = context.needed("validation") / HELD_OUT
-        responses = _responses(recording, model, validation, held_out)
-        positioning, positioning_chart = _iso230_page.table_and_chart(recording, validation, held_out)
+        fits = _fits(context)
+        positioning = [_iso230_page.table_and_chart(recording, fit.validation, fit.held_out) for fit in fits]
         page = RunReport(
             title=context.title or facts["title"],
             machine=facts["machine"],
             set_up=[f"{row['what'].capitalize()} {row['value']}" for row in _who_and_when(recording)],
             version=__version__,
             fingerprint=context.fingerprint[:16],
-            sources=_sources(facts, recording, validation),
+            sources=_sources(facts, recording, fits[-1].validation),
             removed=[row for folder in context.every("cleanings").values() for row in _removed(folder)],
-            responses=responses,
+            responses=[one for fit in fits for one in _responses(recording, fit)],
             refusal=self.refusal,
             consequences=[says for document in exported.values() for says in document.get("consequences", ())],
-            extra_figures=[*positioning_chart, *_family_grids(context.needed("error_model")), *_readings(validation)],
-            validity=_validity(model),
+            extra_figures=[
+                figure
+                for fit, (_, chart) in zip(fits, positioning, strict=True)
+                for figure in (*chart, *_family_grids(fit.folder), *_readings(fit.validation))
+            ],
+            validity=_validity(joined([fit.model for fit in fits])),
             exported=_exported(exported),
-            tables=[*positioning, *_family_tables(context.needed("error_model"), validation), *_seasons(validation)],
+            tables=[
+                table
+                for fit, (figures, _) in zip(fits, positioning, strict=True)
+                for table in (*figures, *_family_tables(fit.folder, fit.validation), *_seasons(fit.validation))
+            ],
             notes=[*_left_out(exported), *(c for d in exported.values() for c in d.get("checks", ()))],
             next_step=_next_step(exported, self.refusal),
         )
         context.write_text("report.html", render(page))
         return {"report": "report.html"}
+
+
+class _Fit(NamedTuple):
+    """A fit, its folder, the last validation of it, and the rows that were held out."""
+
+    folder: Path
+    model: ErrorModel
+    validation: Mapping[str, Any]
+    held_out: Path
+
+
+def _fits(context: Context) -> list[_Fit]:
+    """Every fit that was judged. Raises DataError where several were not."""
+    from errpipe import jsonfile
+
+    validations = {at: jsonfile.read(at / _artefacts.VALIDATION) for at in context.every("validation").values()}
+    models = {at: _artefacts.read_model(at / _artefacts.MODEL) for at in context.every("error_model").values()}
+    fits = []
+    for folder, model in models.items():
+        of = _artefacts.fingerprint_of(model)
+        judged = [at for at, v in validations.items() if len(models) == 1 or v.get("model") == of]
+        if not judged:
+            raise DataError(f"report: no validation judged {', '.join(c.component for c in model.components)}")
+        fits.append(_Fit(folder, model, validations[judged[-1]], judged[-1] / HELD_OUT))
+    return fits
 
 
 def _sources(facts: Mapping[str, Any], recording: Any, validation: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -123,16 +158,16 @@ def _removed(folder: Path) -> list[dict[str, Any]]:
     ]
 
 
-def _responses(recording: Any, model: Any, validation: Mapping[str, Any], rows: Path) -> list[Any]:
+def _responses(recording: Any, fit: _Fit) -> list[Any]:
     import pandas as pd
 
     from errpipe.fitting.recalibration import is_thermal
     from errpipe.reporting.run_report import Response
 
-    held_out = pd.read_parquet(rows)
+    held_out = pd.read_parquet(fit.held_out)
     out = []
-    for figures in validation["components"]:
-        component = next(c for c in model.components if c.component == figures["component"])
+    for figures in fit.validation["components"]:
+        component = next(c for c in fit.model.components if c.component == figures["component"])
         rows_of_component = held_out[held_out["component"] == component.component].sort_values("row", kind="stable")
         index = rows_of_component["row"].to_numpy()
         out.append(
@@ -142,13 +177,13 @@ def _responses(recording: Any, model: Any, validation: Mapping[str, Any], rows: 
                 deviation=rows_of_component["before"].to_numpy(),
                 predicted=(rows_of_component["before"] - rows_of_component["after"]).to_numpy(),
                 groups=rows_of_component["group"].tolist(),
-                inputs=_columns(recording, model, index),
+                inputs=_columns(recording, fit.model, index),
                 rms_before=figures["rms_before"],
                 rms_after=figures["rms_after"],
                 noise_floor=figures["noise_floor"],
                 terms=_terms(component),
                 table=[_group(g) for g in figures["groups"]],
-                scheme=validation["scheme"],
+                scheme=fit.validation["scheme"],
                 notes=_notes(component, figures),
                 time=recording.time()[index] if is_thermal(recording) else None,
                 band=figures.get("half_width90"),

@@ -27,10 +27,7 @@ def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> Pa
     validation judged the model, or no component is left.
     """
     if not validations:
-        raise GateError(
-            "export: no validation judged this model on held-out rows (add a `validate` stage after the fit, or say "
-            "`ungated: true` to export it all the same)"
-        )
+        raise not_judged(model)
     kept, left_out, judged = [], [], []
     for component in model.components:
         figures = [c for v in validations for c in v["components"] if c["component"] == component.component]
@@ -46,6 +43,15 @@ def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> Pa
         more = " One run shows too little of the next one: measure further days, each as a run." if halves else ""
         raise GateError(f"export: not better than nothing on held-out rows ({reasons}). Nothing was exported.{more}")
     return Passed(model.model_copy(update={"components": tuple(kept)}), tuple(left_out), tuple(judged))
+
+
+def not_judged(model: ErrorModel) -> GateError:
+    """What to raise for a model that no validation judged."""
+    names = ", ".join(c.component for c in model.components)
+    return GateError(
+        f"export: no validation judged this model ({names}) on held-out rows (add a `validate` stage after the fit, or "
+        "say `ungated: true` to export it all the same)"
+    )
 
 
 def _at_gain(component: ComponentModel, gain: float, figures: Sequence[Mapping[str, Any]]) -> ComponentModel:

@@ -29,7 +29,7 @@ def write_failure(title: str, why: str, out: Path) -> None:
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         '<testsuite name="errpipe retrain" tests="1" failures="0" errors="1" skipped="0">',
-        f'  <testcase classname="retrain" name="judged"><error message={quoteattr(why)}/></testcase>',
+        f'  <testcase classname="retrain" name="judged"><error message="{escape(why)}"/></testcase>',
         "</testsuite>",
     ]
     jsonfile.write_text(out / JUNIT, "\n".join(lines) + "\n")

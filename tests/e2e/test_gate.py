@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from errpipe import jsonfile
 from errpipe.cli.app import main
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.errors import GateError
@@ -132,9 +133,41 @@ def test_the_judgement_of_another_model_does_not_count(tmp_path: Path, capsys: p
   - kind: fit
     name: other
     components: [{component: EXX, terms: [{term: offset}]}]
-  - {kind: export}"""
-    assert run(tmp_path, axis(1), other) == 4
-    assert "no validation judged this model" in capsys.readouterr().err
+  - {kind: export%s}"""
+    assert run(tmp_path, axis(1), other % ", from: {error_model: other}") == 4
+    assert "no validation judged this model (EXX)" in capsys.readouterr().err
+    assert run(tmp_path, axis(1), other % "") == 2
+    assert "several fits have EXX" in capsys.readouterr().err
+
+
+STRAIGHT = """  - {{kind: validate}}
+  - kind: fit
+    name: across
+    components:
+      - {{component: EYX, terms: [{{term: offset}}, {{term: straightness, axis: X, low: 0, high: 500, order: 6}}]}}
+  - {{kind: validate, name: second{of}}}
+  - {{kind: export}}
+  - {{kind: report}}"""
+
+
+def test_components_of_several_fits_are_exported_and_reported_together(tmp_path, capsys) -> None:
+    both = axis(1)
+    across = 3.0 * np.sin(np.pi * both.array("x") / 500) + 0.1 * both.array("EXX")
+    both = both.with_columns({"EYX": across}, {"EYX": Column(role="error", component="EYX", unit="um")})
+    assert run(tmp_path, both, STRAIGHT.format(of="")) == 0
+    out = tmp_path / "out"
+    assert [c["component"] for c in jsonfile.read(out / "export" / "error_model.json")["components"]] == ["EXX", "EYX"]
+    page = (out / "report" / "report.html").read_text()
+    assert page.count("EYX") > 3 < page.count("EXX")
+    assert (
+        main(["predict", str(out / "export" / "table.ect"), str(tmp_path / "recording"), "--out", f"{out}/p.csv"]) == 0
+    )
+    predicted = pd.read_csv(out / "p.csv")
+    for stage, name in (("fit", "EXX"), ("across", "EYX")):
+        model = _artefacts.read_model(out / stage / "error_model.json")
+        assert np.allclose(predicted[f"{name}_predicted"], evaluate(model, both)[name], atol=0.02)
+    assert run(tmp_path, both, STRAIGHT.format(of=", from: {error_model: fit}")) == 4
+    assert "no validation judged this model (EYX)" in capsys.readouterr().err
 
 
 def test_an_ungated_export_says_so_in_table_report_and_checklist(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -145,14 +146,31 @@ def test_where_temperatures_say_nothing_nothing_is_exported() -> None:
             pass_gate(family.fit(quiet).model, [held_out(quiet, family)])
 
 
-def test_of_one_labelled_season_only_gains_with_a_sign_are_used() -> None:
-    """Nothing says that they hold in another one; without a label every family competes."""
+@pytest.mark.parametrize(("behind", "expected"), [(1.1, "signed"), (1.5, "free")])
+def test_of_one_season_gains_with_a_sign_are_used_unless_they_are_behind_already_there(behind, expected) -> None:
+    rng = np.random.default_rng(5)
+    group = np.repeat(np.arange(8), 50)
+    truth = np.tile(np.linspace(0, 20, 50), 8)
+    runs = competition.Grouping("run", tuple((g,) for g in range(8)))
+    signed = replace(entrant("signed", truth + rng.normal(0, behind, 400)), physical=True)
+    both = [signed, entrant("free", truth + rng.normal(0, 1.0, 400))]
+
+    def mixture(one_environment: bool) -> set[str]:
+        arguments = (both, (runs,), truth, np.ones(400, bool), group, False, one_environment)
+        return {e.family for e, _ in competition.compete(*arguments).weights}
+
+    assert expected in mixture(True) and (behind > 1.2 or mixture(True) == {"signed"})
+    assert "free" in mixture(False)
+
+
+def test_of_one_labelled_season_what_bends_does_not_compete() -> None:
+    """Nothing says that it holds in another one; without a label every family competes."""
     one = machine(6, seasons=("winter",), runs=6)
-    signed = {"network", "season"}
-    assert {e.family for e, _ in Auto(component="E_Z")._compete(one, None)[1].weights} <= signed
+    competed = Auto(component="E_Z")._compete(one, None)[1].left["run"]
+    assert not [name for name in competed if name.startswith(("neural", "bilinear"))]
     kinds = {n: c for n, c in one.manifest.columns.items() if n != "season"}
     bare = Recording(one.manifest.model_copy(update={"columns": kinds}), one.frame.drop(columns="season"))
-    assert {e.family for e, _ in Auto(component="E_Z")._compete(bare, None)[1].weights} - signed
+    assert any(name.startswith("bilinear") for name in Auto(component="E_Z")._compete(bare, None)[1].left["run"])
     assert Auto(component="E_Z").folds(bare, None)[0] == "leave-one-run-out"
 
 
