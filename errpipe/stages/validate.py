@@ -40,9 +40,11 @@ class Validate(Stage):
         summary: dict[str, Any] = {}
         folder = context.maybe("error_model")
         if folder is not None:
+            from errpipe.validation import held_out
+
             document |= self._of_model(context, folder)
             remark = MORE_RUNS if document["scheme"] == HALVES else ""
-            remark += "".join(f"; {why}" for why in document.get("not_judged", ()))
+            remark += "".join(f"; {why}" for why in held_out.in_short(document.get("not_judged", ())))
             summary |= {c["component"]: headline(c) + remark for c in document["components"]}
         machine = context.maybe("identified_machine")
         if machine is not None:

@@ -154,6 +154,19 @@ def _cover(document: dict[str, Any], table: Mapping[str, Any]) -> None:
             component["coverage90"] = float(np.mean(covered))
 
 
+def in_short(not_judged: Sequence[str]) -> list[str]:
+    """Why hold-outs were not judged, a sentence for each cause: a sensor that died is no sentence for every night."""
+    labels: dict[str, list[str]] = {}
+    for sentence in not_judged:
+        label, _, why = sentence.partition(": ")
+        labels.setdefault(why, []).append(label)
+    more = {
+        why: f" to {own[-1].removeprefix('hold-out ')} ({len(own)})" if len(own) > 1 else ""
+        for why, own in labels.items()
+    }
+    return [f"{own[0]}{more[why]}: {why}" for why, own in labels.items()]
+
+
 def component_figures(
     recording: Recording,
     component: str,

@@ -30,13 +30,16 @@ def facts(pipeline: Pipeline, out: Path) -> dict[str, Any]:
 
     OUT may be a folder of the machine that ran it, which no other machine can read.
     """
+    from errpipe.validation.held_out import in_short
+
     folders = {kind: out / stage.label for stage in pipeline.stages for kind in stage.gives}
-    figures: dict[str, Any] = {"responses": {}, "drift": [], "model": "", "readings": ""}
+    figures: dict[str, Any] = {"responses": {}, "drift": [], "model": "", "readings": "", "not_judged": []}
     if "validation" in folders:
         document = jsonfile.read(folders["validation"] / _artefacts.VALIDATION)
         for c in document["components"]:
             keys = ("rms_before", "rms_after", "noise_floor", "unit")
             figures["responses"][c["component"]] = {key: c[key] for key in keys}
+        figures["not_judged"] = in_short(document.get("not_judged", ()))
     if "error_model" in folders:
         figures["model"] = f"{folders['error_model'].name}/{_artefacts.MODEL}"
         figures["parameters"] = jsonfile.read(folders["error_model"] / _artefacts.MODEL)
@@ -110,7 +113,10 @@ def write_report(
         "title": title,
         "machines": sorted(rows, key=_sort_key),
         "drifting": [{"name": r["name"], **d} for r in rows for d in r["drift"]],
-        "suspicious": _suspicious(results, types_of),
+        "suspicious": [
+            *(f"{r['name']}: {why}" for r in results for why in r.get("not_judged", ())),
+            *_suspicious(results, types_of),
+        ],
         "types": types_of,
     }
     jsonfile.write(out / DOCUMENT, document)

@@ -323,13 +323,14 @@ def _sensor_gate(old: ErrorModel, new: ErrorModel, allowed: Sequence[str]) -> Ga
 
 
 def _coverage_gates(pipeline: Pipeline, folder: Path) -> list[Gate]:
+    from errpipe.validation.held_out import in_short
     from errpipe.validation.retraining import LEAST_COVERAGE, Gate
 
     names = [stage.label for stage in pipeline.stages if "validation" in stage.gives]
     if not names:
         return [Gate("validation", False, "the pipeline has no validate stage, so its held-out figures are unknown")]
     validation = jsonfile.read(folder / names[-1] / "validation.json")
-    out = [Gate("held-out runs", True, why) for why in validation.get("not_judged", ())]
+    out = [Gate("held-out runs", True, why) for why in in_short(validation.get("not_judged", ()))]
     for component in validation["components"]:
         covered = component["coverage90"]
         name = f"coverage of {component['component']}"

@@ -5,6 +5,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.models.terms import Terms
 from errpipe.simulation import spindle_drift
+from errpipe.validation.held_out import in_short
 from tests.validation_document import held_out
 
 
@@ -77,3 +78,10 @@ def test_the_document_is_plain_json(drift):
     from errpipe import jsonfile
 
     assert jsonfile.dumps(held_out(drift, spec(*GOOD))) == jsonfile.dumps(held_out(drift, spec(*GOOD)))
+
+
+def test_a_sensor_that_died_is_one_sentence() -> None:
+    """Not one for every night since: that of a year of nights would bury all else."""
+    why = "no judged row has a value (empty in all of them: screw)"
+    said = in_short([f"hold-out night {n}: {why}" for n in range(45, 84)] + ["hold-out day 3: another"])
+    assert said == [f"hold-out night 45 to night 83 (39): {why}", "hold-out day 3: another"]
