@@ -25,6 +25,7 @@ KNOWN = {
     "kernels.table_cycle.stream": "a controller's cycles in a loop: every other evaluator is compared with it",
     "cli._verbs.list_commands": "click calls it",
     "cli._verbs.format_commands": "click calls it",
+    **{f"importing.doors.markup.handle_{event}": "HTMLParser calls it" for event in ("starttag", "endtag", "data")},
 }
 LOADED_BY_NAME = (
     *("api", "cleaning", "cli", "formats", "importing.doors"),

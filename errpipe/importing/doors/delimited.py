@@ -18,7 +18,7 @@ from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
 from errpipe.importing.units import unit_of
 
 name = "delimited text"
-suffixes = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".prn")
+suffixes = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".prn", ".lvm", ".xls")
 
 SEPARATORS = (";", "\t", "|", ",")
 LONGEST_LINE = 1 << 16  # characters: beyond it a file is no table
