@@ -220,13 +220,14 @@ def enumerate_all(recording: Recording, component: str, raw: Recording, signals:
         groups: list[tuple[Term, ...]] = [(t,) for t in bound]
         if component == "E_R" and kind.on_both_axes:
             groups += [tuple(bound)] if len(bound) == 2 else both_axes(bound)
-        for group in groups:
+        log_odds = np.array([group[0].log_prior_odds() for group in groups])
+        for group, log_odd in zip(groups, log_odds, strict=True):
             drivers = tuple(dict.fromkeys(n for t in group for n in t.drivers(recording)))
             points = grid(group[0], recording, signals)
-            # every effect has the same odds: its bindings share them, and (half, for neighbours agree) its grid
-            shared = -np.log(max(len(groups), 1)) - 0.5 * np.log(max(len(points), 1))
+            # an effect's bindings share its odds with all as likely or likelier, and (half, neighbours agree) its grid
+            shared = -np.log(np.sum(log_odds >= log_odd)) - 0.5 * np.log(max(len(points), 1))
             alone = TIME_ALONE if by_time and set(drivers) == by_time else 0.0
-            odds = group[0].log_prior_odds() + float(shared) + alone
+            odds = float(log_odd + shared) + alone
             for values in points:
                 own = odds + sizes(group[0], values)
                 yield Hypothesis(group[0].reports_as, group, (values,) * len(group), drivers, own)

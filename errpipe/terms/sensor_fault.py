@@ -51,6 +51,7 @@ class SensorFault(Term):
     simulated_log_odds = NEVER
     misread = True
     in_part = "never"
+    form = "any shape"  # what it would have read is drawn from the other sensors
     prior_log_odds = -3.0
     _silent: bool = PrivateAttr(False)  # did it read nothing? Then that it failed is seen, and no choice among jumps
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from errpipe.diagnosis import hypotheses
 from errpipe.domain.recording import Recording
 from errpipe.terms import sensor_fault
 from errpipe.terms.sensor_fault import SensorFault, reconstructed, suspicious
@@ -61,3 +62,30 @@ def test_a_sensor_that_reads_nothing_is_seen_to_have_failed() -> None:
     odds = {(h.sensor, h.first, h.last): h.log_prior_odds() for h in SensorFault.bind(made, "EXX")}
     assert odds.pop(("b", 81, 139)) == 0.0
     assert all(o == SensorFault.prior_log_odds for o in odds.values())
+
+
+def _with_failures() -> Recording:
+    """Sensor b reads nothing for a while, sensor c jumps three times."""
+    made, rows = _recording(), np.arange(ROWS)
+    silent = np.where((rows > 80) & (rows < 140), np.nan, made.array("b"))
+    jumping = made.array("c") + 5.0 * ((rows > 30) & (rows < 70)) - 4.0 * (rows > 150)
+    return recording(
+        {n: made.array(n) for n in "ta"} | {"b": silent, "c": jumping},
+        {n: {"role": "temperature", "unit": "degC"} for n in "abc"} | {"t": {"role": "time", "unit": "s"}},
+    )
+
+
+def test_a_failure_that_is_seen_shares_its_odds_with_no_jump_of_another_sensor(monkeypatch) -> None:
+    made = _with_failures()
+    monkeypatch.setattr(hypotheses, "TERMS", (SensorFault,))
+    odds = {(h.terms[0].sensor, h.terms[0].first): h.prior for h in hypotheses.enumerate_all(made, "E_Z", made, None)}
+    assert len(odds) > 3 and odds.pop(("b", 81)) == 0.0
+    assert all(o <= SensorFault.prior_log_odds - np.log(len(odds)) for o in odds.values())
+
+
+def test_what_it_should_have_read_is_no_departure(monkeypatch) -> None:
+    """Drawn from other sensors it has any shape: all columns are its form."""
+    monkeypatch.setattr(hypotheses, "TERMS", (SensorFault,))
+    made = _with_failures()
+    library = hypotheses.build(made, "E_Z", np.arange(ROWS), made)
+    assert all(library.textbook(i) == library.places[i].size > 1 for i in range(len(library.hypotheses)))
