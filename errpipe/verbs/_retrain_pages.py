@@ -50,7 +50,7 @@ def markdown(document: Mapping[str, Any]) -> str:
         "",
         f"Evidence for the challenger: e-value {document['e_value']:.3g}, {document['e_value_needed']:.3g} needed. "
         + ("Every gate holds." if promoted else "What failed is listed first."),
-        *([plain_text(fitted)] if (fitted := _fitted(document)) else []),
+        *map(plain_text, _fitted(document)),
         "",
         "| gate | holds | why |",
         "| --- | --- | --- |",
@@ -63,11 +63,12 @@ def markdown(document: Mapping[str, Any]) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _fitted(document: Mapping[str, Any]) -> str:
-    """On which runs the challenger is fitted, where the machine changed at one of them."""
+def _fitted(document: Mapping[str, Any]) -> list[str]:
+    """On which runs the challenger is fitted, where the machine changed at one of them; inputs it knows less of."""
+    says = str(document["fitted_on_all"])
     if document["fitted_since"]:
-        return f"Fitted on the runs since {document['fitted_since']} alone: those before are another machine's."
-    return str(document["fitted_on_all"])
+        says = f"Fitted on the runs since {document['fitted_since']} alone: those before are another machine's."
+    return [*([says] if says else []), *document["narrower"]]
 
 
 def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
@@ -112,7 +113,7 @@ def in_words(document: Mapping[str, Any]) -> list[str]:
     lines = [document["decision"], *(f"{g['name']}: {g['says']}" for g in document["gates"] if not g["passed"])]
     for d in (d for d in document["drift"]["inputs"] if d["suspected"] or d["cleared"]):
         lines.append(f"sensor {d['column']} {_word(d)} since run {d['since']}")
-    return [*lines, *([fitted] if (fitted := _fitted(document)) else []), *_sentences(document["drift"])]
+    return [*lines, *_fitted(document), *_sentences(document["drift"])]
 
 
 def _sentences(drift: Mapping[str, Any]) -> list[str]:
@@ -178,6 +179,7 @@ def github_annotations(document: Mapping[str, Any]) -> list[str]:
             out.append(f"::{kind} title={_property(gate['name'])}::{_data(gate['says'])}")
     for d in document["drift"]["inputs"]:
         out.append(f"::warning title=sensor drift::{_data(d['column'])} since run {_data(d['since'])}")
+    out += [f"::warning title=narrower validity::{_data(says)}" for says in document["narrower"]]
     return [*out, *(f"::warning title=drift::{_data(sentence)}" for sentence in _sentences(document["drift"]))]
 
 

@@ -26,6 +26,7 @@ __all__ = ["github_annotations", "in_words", "retrain"]
 
 VERSION = 1  # of the document's layout
 LEAST_SINCE = 5  # runs since a change of the machine, from which a challenger is fitted on these alone
+HELD_AT_THE_END = ("position", "command", "velocity")  # beyond these inputs' ranges a table does not fade
 RUN = "run"  # folder of the challenger's pipeline run, below OUT
 DOCUMENT = "retrain.json"
 
@@ -188,6 +189,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         "runs": [asdict(s) for s in scores],
         "drift": drift,
         "change": {} if refused else change,
+        "narrower": [] if refused else _narrower(old_model, model),
     }
 
 
@@ -310,6 +312,23 @@ def _table_gates(change: Mapping[str, Mapping[str, float]], limits) -> list[Gate
             per_kelvin = " per kelvin" if unit == "um/K" else ""
             out.append(
                 Gate(f"change of {component}{per_kelvin}", within, f"at most {figures[key]:.3g} {unit}{allowed}")
+            )
+    return out
+
+
+def _narrower(old: ErrorModel, new: ErrorModel) -> list[str]:
+    """Inputs of which the challenger's table corrects nothing where the champion was fitted, a sentence each."""
+    out = []
+    for name, (low, high) in new.validity.ranges.items() if new.validity.fades else ():
+        if new.columns.get(name, {}).get("role") in HELD_AT_THE_END:
+            continue
+        margin, fitted = new.validity.margins.get(name, 0.0), old.validity.ranges.get(name, (low, high))
+        unit = new.columns.get(name, {}).get("unit") or ""
+        if fitted[0] < low - margin or fitted[1] > high + margin:
+            out.append(
+                f"{name}: the challenger is fitted from {low:.4g} to {high:.4g} {unit}, the champion from "
+                f"{fitted[0]:.4g} to {fitted[1]:.4g} {unit}; below {low - margin:.4g} and above {high + margin:.4g} "
+                f"{unit} the challenger corrects nothing."
             )
     return out
 

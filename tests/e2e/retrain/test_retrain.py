@@ -14,7 +14,8 @@ import pandas as pd
 import pytest
 
 from errpipe.cli.app import main
-from errpipe.verbs.retrain import _since
+from errpipe.domain.error_model import ErrorModel, Validity
+from errpipe.verbs.retrain import _narrower, _since
 
 MANIFEST = """recording: 1
 title: X axis, one run a day
@@ -171,6 +172,17 @@ def test_after_a_change_that_an_earlier_look_dated_the_challenger_is_fitted_on_t
     shutil.copytree(site / "out/run", site / "champion")
     code, document = retrain(site)  # days before the change are no new ones of the champion that was promoted
     assert code == 4 and document["runs"] == [] and document["fitted_since"] == document["kept_from"]
+
+
+def test_where_the_challenger_corrects_nothing_is_said() -> None:
+    def model(low: float, high: float) -> ErrorModel:
+        columns = {"T_nut": {"role": "temperature", "unit": "degC"}, "x": {"role": "position", "unit": "mm"}}
+        box = Validity(ranges={"T_nut": (low, high), "x": (low, high)}, margins={"T_nut": 3.0, "x": 3.0})
+        return ErrorModel(components=(), columns=columns, validity=box)
+
+    (says,) = _narrower(model(12.0, 31.0), model(19.0, 25.0))
+    assert says.startswith("T_nut") and "below 16 and above 28 degC the challenger corrects nothing" in says
+    assert _narrower(model(17.0, 27.0), model(19.0, 25.0)) == []  # the margin fades, and covers them
 
 
 def test_of_two_changes_in_a_week_the_second_dates_the_challenger(site: Path) -> None:
