@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterator
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
@@ -21,6 +22,8 @@ suffixes = (".xml", ".html", ".htm", ".xls")
 FEWEST = 3  # records
 MOST_LINES = 60  # of text beside a table
 LONGEST_LINE = 200
+MOST_SHEETS = 32  # groups of records, the largest; smaller ones are settings
+NEAREST = 8  # elements around records whose name may be that of the sheet
 MOST_SPAN = 64  # columns of one cell
 _CALLED = ("description", "label", "title", "name")  # attributes that say what a column, or a table, holds
 
@@ -112,7 +115,7 @@ def _of_html(path: Path, data: bytes) -> list[Sheet]:
     parser.close()
     for k, sheet in enumerate(parser.sheets if len(parser.sheets) > 1 else [], 1):
         sheet.name = f"{sheet.name} table {k}"
-    return parser.sheets
+    return parser.sheets[:MOST_SHEETS]
 
 
 def _of_xml(path: Path, data: bytes) -> list[Sheet]:
@@ -131,8 +134,7 @@ def _of_xml(path: Path, data: bytes) -> list[Sheet]:
         for tag, n in Counter(child.tag for child in parent).items()
         if n >= FEWEST
     ]
-    inside = {part for _, records in groups for record in records for part in record.iter()}
-    around = [e for e in root.iter() if e not in inside and not e.get("id")]
+    around = [e for e in _outside(root, {r for _, records in groups for r in records}) if not e.get("id")]
     above = [f"{_local(k)}: {v}" for e in around for k, v in e.attrib.items()]
     above += [f"{_local(e.tag)}: {text}" for e in around if not len(e) and (text := (e.text or "").strip())]
     out = []
@@ -141,7 +143,17 @@ def _of_xml(path: Path, data: bytes) -> list[Sheet]:
         if sheet is not None:
             sheet.above = [line[:LONGEST_LINE] for line in above[:MOST_LINES]] if sheet.header else []
             out.append(sheet)
-    return sorted(out, key=lambda s: -sum(map(len, s.rows)))
+    return sorted(out, key=lambda s: -sum(map(len, s.rows)))[:MOST_SHEETS]
+
+
+def _outside(root: ElementTree.Element, records: set[ElementTree.Element]) -> Iterator[ElementTree.Element]:
+    """The elements that are no records, nor within one."""
+    left = [root]
+    while left:
+        element = left.pop()
+        if element not in records:
+            yield element
+            left += reversed(element)
 
 
 def _local(tag: str) -> str:
@@ -156,8 +168,10 @@ def _what(element: ElementTree.Element) -> str:
 
 
 def _name(element: ElementTree.Element | None, parents: dict[ElementTree.Element, ElementTree.Element]) -> str:
-    """The nearest name of the elements around records."""
-    while element is not None:
+    """The nearest name of the elements around records, at most NEAREST of them."""
+    for _ in range(NEAREST):
+        if element is None:
+            break
         for key, value in element.attrib.items():
             if _local(key).lower() in ("name", "title", "axis"):
                 return f"{_local(key)} {value}" if _local(key).lower() == "axis" else value
