@@ -12,7 +12,8 @@ EMPTY: dict[str, list[Any]] = {key: [] for key in ("inputs", "residuals", "rms",
 
 
 def document(*gates: tuple[str, bool], **drift: list[Any]) -> dict[str, Any]:
-    return {"gates": [{"name": n, "passed": p, "says": f"{n} says"} for n, p in gates], "drift": EMPTY | drift}
+    judged = [{"name": n, "passed": p, "says": f"{n} says"} for n, p in gates]
+    return {"gates": judged, "drift": EMPTY | drift, "narrower": []}
 
 
 def test_a_quiet_night_is_no_failure() -> None:
@@ -35,6 +36,11 @@ def test_an_odd_run_is_annotated() -> None:
     odd = {"run": "night 45", "what": "screw and hall", "says": "read as if exchanged"}
     (said,) = pages.github_annotations(document(("inputs", True), runs=[odd]))
     assert said == "::warning title=drift::Run night 45, screw and hall: read as if exchanged"
+
+
+def test_a_narrower_challenger_is_annotated() -> None:
+    narrower = document(("inputs", True)) | {"narrower": ["T_nut: 19 to 25 degC"]}
+    assert pages.github_annotations(narrower) == ["::warning title=narrower validity::T_nut: 19 to 25 degC"]
 
 
 def test_a_look_that_judged_nothing_leaves_no_page_of_the_look_before(tmp_path: Path) -> None:
