@@ -30,6 +30,7 @@ from errpipe.terms import resolved_times
 
 MOST_TERMS = 3  # of an equation: more are neither readable nor held out
 MOST_ROWS = 6000  # rows that take part, chosen at random: further rows change the result little
+SEED = 0  # of these rows and of the surrogates: equal input gives an equal equation
 MOST_BASE = 40  # columns and lags whose products are tried
 LEAST_SHARE = 0.1  # of the held-out variance, as for a shape without a name; and beyond what names predict
 ALIKE = 0.985  # correlation with the form of an effect: 97 % of its variance
@@ -91,9 +92,10 @@ def has_a_name(case: Case, empirical: Empirical, whole: np.ndarray) -> bool:
     Further terms count where they explain `LEAST_SHARE` more of the mismatch (rows,). It is no mechanism outside of the
     vocabulary, then, but that name, or an effect that noise which wanders may play.
     """
-    library, rows = case.library, case.pair.rows
+    library, part = case.library, _drawn(whole.size, np.random.default_rng(SEED))
+    rows, whole = case.pair.rows[part], whole[part]
     (values,) = (c.values for c in candidates(case.recording, rows) if c.name == empirical.terms[0].column)
-    alone = np.column_stack([np.ones(whole.size), case.simulated, values])  # the simulation's gain may have played it
+    alone = np.column_stack([np.ones(part.size), case.simulated[part], values])  # whose gain may have played it
     left = whole - alone @ np.linalg.lstsq(alone, whole, rcond=None)[0]
     if len(empirical.terms) > 1 and 1.0 - np.var(left) / np.var(whole) < empirical.share - LEAST_SHARE:
         return False
@@ -113,15 +115,18 @@ def _unknown_first(case: Case, response: ResponseDiagnosis, p: float, empirical:
     return response.model_copy(update={"findings": findings, "verdict": "unexplained"})
 
 
-def equation(recording: Recording, rows: np.ndarray, y: np.ndarray, unit: str, seed: int = 0) -> Empirical | None:
+def _drawn(size: int, rng: np.random.Generator) -> np.ndarray:
+    """Indices of the rows that take part, sorted: all, or `MOST_ROWS` of them."""
+    return np.arange(size) if size <= MOST_ROWS else np.sort(rng.choice(size, MOST_ROWS, replace=False))
+
+
+def equation(recording: Recording, rows: np.ndarray, y: np.ndarray, unit: str) -> Empirical | None:
     """The equation of a residual y on some rows of a recording, or None where none holds.
 
     recording: conditioned (columns without gaps); y: shape (rows,), in `unit`. Equal input gives an equal equation.
     """
-    rng = np.random.default_rng(seed)
-    part = np.arange(rows.size)
-    if rows.size > MOST_ROWS:
-        part = np.sort(rng.choice(rows.size, MOST_ROWS, replace=False))
+    rng = np.random.default_rng(SEED)
+    part = _drawn(rows.size, rng)
     library = candidates(recording, rows[part])
     if len(library) < 2 or part.size < 60:
         return None

@@ -107,6 +107,20 @@ def test_one_column_that_an_effect_follows_is_no_unknown_mechanism(column, known
     assert empirical.has_a_name(case, law, np.zeros(rows.size)) == known  # type: ignore[arg-type]
 
 
+def test_of_many_rows_the_same_ones_are_asked_for_a_name(monkeypatch):
+    """The mean in a column's name is that of the rows that took part in the equation."""
+    from errpipe.diagnosis import hypotheses
+
+    monkeypatch.setattr(empirical, "MOST_ROWS", 100)
+    made = spindle()
+    rows, room = np.arange(len(made)), made.array("T_room")
+    whole = 3 * (room - room.mean()) + 0.01 * np.random.default_rng(5).normal(size=rows.size)
+    law = empirical.equation(made, rows, whole, "um")
+    case = SimpleNamespace(recording=made, library=hypotheses.build(made, "E_Z", rows), pair=SimpleNamespace(rows=rows))
+    case.explanation, case.simulated = SimpleNamespace(accepted=()), np.zeros(rows.size)
+    assert law is not None and empirical.has_a_name(case, law, whole)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(("further", "known"), [(0.2, True), (3.0, False)])
 def test_a_term_that_explains_little_beside_a_name_makes_no_unknown_mechanism(further, known):
     """What is left of the simulated signal by a gain that played the name is no further term."""
