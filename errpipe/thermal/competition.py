@@ -259,7 +259,7 @@ def _admitted(judged: Mapping[str, _Judged], deciding: set[str]) -> np.ndarray:
 
 
 def _physical_first(entrants: Sequence[Entrant], score: np.ndarray, judged: _Judged) -> np.ndarray:
-    """Scores, those of entrants without physically possible signs infinite unless these are behind by more than chance."""
+    """Scores, infinite without physically possible signs unless those with them are behind by more than chance."""
     signed = np.where([e.physical for e in entrants], score, np.inf)
     if not np.isfinite(signed).any():
         return score
