@@ -40,10 +40,11 @@ REGRET = 2.0
 # Times the rms of the best entrant on blocks of one run, up to which a plain one is taken. Chosen on seeds 111, 112 of
 # `trials.thermal`; stretches of a spindle's run (16 sensors) are within it (1.2 to 2.6) but one.
 PLAIN_REGRET = 3.0
-# Times the rms of the best entrant on runs of one season, up to which those of possible signs are taken alone. Chosen
-# on 12 simulated machines of four kinds (seeds 1 to 3), one of two seasons fitted: 1.05 to 1.2 leave 0.061 of the
-# deviation in the other one, 1.5 0.065, 1e9 0.087 (up to 1.12 times it). A turning centre is within 1.1.
-PHYSICAL_REGRET = 1.2
+# Times the rms of the best entrant on runs of one season, and one-sided p over runs (two-sided 0.05), above and below
+# which those of possible signs are not taken alone. Chosen on 12 simulated machines (seeds 1 to 3), one of two seasons
+# fitted: 1.2 leaves 0.061 of the deviation in the other one, 1.5 0.065, 1e9 0.087; and on 12 draws of 3 to 6 days of a
+# turning centre: 1.2 without p leaves 12.3 and 26.4 um where these alone leave 7.0 and 19.0, 1.5 with p is never worse.
+PHYSICAL_REGRET, PHYSICAL_LEVEL = 1.5, 0.025
 EXACT = 1e-9  # um2: below it a mean square is rounding
 WHOLE = 1e3  # weight of the row that holds the sum of weights at one, beside rows of unit mean square
 
@@ -178,7 +179,7 @@ def compete(
     left_by = chooser.mean_square()
     score = np.where(_admitted(judged, {w.name for w in ways if w.decides}), left_by, np.inf)
     if one_environment:
-        score = _physical_first(entrants, score)
+        score = _physical_first(entrants, score, chooser)
     best: dict[str, int] = {}
     for k, entrant in enumerate(entrants):
         so_far = best.setdefault(entrant.family, k)
@@ -257,13 +258,14 @@ def _admitted(judged: Mapping[str, _Judged], deciding: set[str]) -> np.ndarray:
     return useful & (regret <= max(REGRET, regret[useful].min(initial=np.inf)))
 
 
-def _physical_first(entrants: Sequence[Entrant], score: np.ndarray) -> np.ndarray:
-    """Scores, those of entrants without physically possible signs infinite where one with them is nearly as good."""
-    physical = np.array([e.physical for e in entrants], dtype=bool)
-    least = score[physical].min(initial=np.inf)
-    if not np.isfinite(least) or least > PHYSICAL_REGRET**2 * score.min(initial=np.inf):
+def _physical_first(entrants: Sequence[Entrant], score: np.ndarray, judged: _Judged) -> np.ndarray:
+    """Scores, infinite without physically possible signs unless those with them are behind by more than chance."""
+    signed = np.where([e.physical for e in entrants], score, np.inf)
+    if not np.isfinite(signed).any():
         return score
-    return np.where(physical, score, np.inf)
+    ahead, best = judged.by_group({int(np.argmin(score)): 1.0}), judged.by_group({int(np.argmin(signed)): 1.0})
+    behind = signed.min() > PHYSICAL_REGRET**2 * score.min() and _chance(best - ahead) < PHYSICAL_LEVEL
+    return score if behind else signed
 
 
 def _plain(entrants: Sequence[Entrant], judged: Mapping[str, _Judged]) -> dict[int, float]:
