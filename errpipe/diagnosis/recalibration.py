@@ -43,9 +43,8 @@ def no_gain(
     held, rows = gains.totals(nuisances, sizes)
     chosen = lambda e: [(f.index, f.size) for f in e.accepted]  # noqa: E731
     scene = search.scene(chosen(explanation))
-    known = rows.shape[1]
-    at = rows @ scene.coefficients()[:known]
-    variance = np.diag(rows @ scene.covariance()[:known, :known] @ rows.T)
+    at = rows @ scene.coefficients()[: rows.shape[1]]
+    variance = np.diag(rows @ scene.covariance()[: rows.shape[1], : rows.shape[1]] @ rows.T)
     odds = 0.5 * (np.log1p(GAIN_SD**2 / variance) - at**2 / variance + at**2 / (GAIN_SD**2 + variance))
     off = int(np.argmin(odds))
     one = odds[off] <= -OFF and odds.sum() - odds[off] >= ALL_ONE
@@ -120,16 +119,16 @@ def recalibration(
 
 
 def together(separate: tuple[parts.Part, ...]) -> list[parts.Part]:
-    """Parts that nearly cancel, two or more, are merged: their gains could play almost anything."""
-    out = list(separate)
-    while len(out) > 1:
-        alike = np.corrcoef([p.contribution for p in out])
-        k, j = sorted(np.unravel_index(np.argmin(alike), alike.shape))
-        if not alike[k, j] < -0.9:
-            break
-        kept, part = out[k], out.pop(j)
-        core, slack = kept.core + part.core, kept.slack + part.slack
-        out[k] = replace(kept, core=core, slack=slack, doubt=part.doubt[:, :0])  # if one holds less, the other more
+    """Parts that nearly cancel are merged: with gains of their own they could reproduce almost anything."""
+    out: list[parts.Part] = []
+    for part in separate:
+        for k, other in enumerate(out):
+            if np.corrcoef(part.contribution, other.contribution)[0, 1] < -0.9:
+                sums = {name: getattr(other, name) + getattr(part, name) for name in ("core", "slack")}
+                out[k] = replace(other, **sums, doubt=part.doubt[:, :0])  # what one holds less the other holds more
+                break
+        else:
+            out.append(part)
     return out
 
 

@@ -5,10 +5,8 @@ import pandas as pd
 import pytest
 
 from errpipe.diagnosis import diagnose, gains
-from errpipe.diagnosis.decompose import Part
 from errpipe.diagnosis.evidence import Active, Data, Scene, Table
 from errpipe.diagnosis.gains import DATUM, WHOLE, Nuisance
-from errpipe.diagnosis.recalibration import together
 
 from .machines import axis, recording
 
@@ -57,20 +55,6 @@ def test_slack_and_doubt_are_no_parts_of_their_own():
     parts, rows = gains.totals([DATUM, WHOLE, PARTS[0], *beside, PARTS[1]], np.ones(6))
     assert parts == PARTS
     assert rows.tolist() == [[0, 1, 1, 0, 0, 0], [0, 1, 0, 0, 0, 1]]
-
-
-@pytest.mark.parametrize("order", [(0, 1, 2, 3), (3, 2, 1, 0), (2, 0, 3, 1)])
-def test_parts_of_which_two_together_cancel_a_third_have_one_gain(order):
-    rng = np.random.default_rng(1)
-    apart = rng.standard_normal((4, 200))
-    one, two = 4.0 * apart[0], -7.0 * apart[0] + 2.5 * apart[1]
-    kinds = [one, two, 3.0 * apart[0] - 2.5 * apart[1] + 0.4 * apart[2], apart[3]]
-    empty = np.zeros((200, 1))
-    made = [Part(None, k, kinds[k], np.zeros(200), 50.0, empty, np.zeros(200)) for k in order]
-    merged = together(tuple(made))
-    assert sorted(round(float(np.std(p.contribution)), 2) for p in merged) == sorted(
-        round(float(np.std(v)), 2) for v in (apart[3], one + two + kinds[2])
-    )
 
 
 def test_a_step_is_missing_and_no_gain_of_minus_one():
