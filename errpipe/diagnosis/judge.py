@@ -284,14 +284,14 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
         search, explanation = in_its_own_noise(made, search, explanation)
     search, explanation, nuisance = _with_dependent_rows(made, search, explanation)
     held = made.decomposition
-    exact = recalibration.exact_but_for_one(search, explanation, held, made.nuisances, made.sizes, made.noise_estimate)
+    judged, known = made.judged(), (made.nuisances, made.sizes, made.noise_estimate)
+    exact = recalibration.no_gain(search, explanation, judged, held, *known)
     if exact:
         (search, explanation), nuisance, held = exact, exact[0].nuisance, replace(held, parts=())
     named = worth_naming(search, explanation, made.recording, rows, held)
     if 0 < len(named.accepted) < len(explanation.accepted):  # alone another name may be likelier
         named = replace(named, accepted=search.accepted(search.exchanged(chosen_of(named))))
     explanation = named
-    judged = made.judged()
     kept = supported_by_held_out(search, chosen_of(explanation), judged)
     if len(kept) < len(explanation.accepted):
         explanation = replace(explanation, accepted=search.accepted(kept))
@@ -302,8 +302,8 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     remainder = admit.remainder(search, chosen, made.free_shapes, made.places)
     if made.session is not None and not predicts_held_out(search, chosen, remainder, judged):
         remainder = admit.remainder(search, chosen, [], [])
-    known = {f.name: getattr(made, f.name) for f in fields(SetUp)} | {"nuisance": nuisance}
-    return Case(**known, search=search, explanation=explanation, sigma=sigma, remainder=remainder)
+    whole = {f.name: getattr(made, f.name) for f in fields(SetUp)} | {"nuisance": nuisance}
+    return Case(**whole, search=search, explanation=explanation, sigma=sigma, remainder=remainder)
 
 
 def _with_dependent_rows(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation, Active]:

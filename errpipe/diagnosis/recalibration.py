@@ -11,6 +11,7 @@ from errpipe.diagnosis import gains, hypotheses
 from errpipe.diagnosis.coloured import whiten
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.gains import DATUM, WHOLE, Nuisance
+from errpipe.diagnosis.left_out import LeftOut
 from errpipe.diagnosis.search import MISSING, Explanation, Search, settled
 from errpipe.terms import NEVER
 
@@ -30,40 +31,37 @@ TRUST = 0.3  # weight of the decomposition's evidence: its residual is misfit, n
 EXACT_SD = 0.03  # prior standard deviation of such gains, relative to the usual
 
 
-def _worth(search: Search, explanation: Explanation, rows: np.ndarray) -> float:
-    """Log evidence less what findings and gains beyond the limits cost."""
-    chosen = [(f.index, f.size) for f in explanation.accepted]
-    gain_penalty, _ = gains.excess(search.scene(chosen), rows, search.rows)
-    return search.evidence(chosen) - MISSING * len(chosen) - min(gain_penalty, MAX_GAIN_PENALTY)
-
-
-def exact_but_for_one(
-    search: Search, explanation: Explanation, d: parts.Decomposition, nuisances: list[Nuisance], sizes, noise: float
+def no_gain(
+    search: Search, explanation: Explanation, judged: LeftOut, d: parts.Decomposition, nuisances, sizes, noise: float
 ) -> tuple[Search, Explanation] | None:
-    """A simulation that holds every effect but one exactly lacks, or has too much, of that one: it is named.
+    """What is missing where a gain of a part may be that, if it is likelier; None elsewhere.
 
-    The gains of the others are known to be 1 by log odds of `ALL_ONE` (Savage-Dickey ratio), and that all of them are
-    and something is missing is likelier than that one is off. None elsewhere.
+    A simulation that holds every effect but one exactly lacks, or has too much of, that one: the gains of the others
+    are known to be 1 by log odds of `ALL_ONE` (Savage-Dickey ratio). Elsewhere a part with a gain beyond the limits
+    may play another effect: without that gain something is missing, and held-out rows agree.
     """
     held, rows = gains.totals(nuisances, sizes)
     chosen = lambda e: [(f.index, f.size) for f in e.accepted]  # noqa: E731
     scene = search.scene(chosen(explanation))
-    known = rows.shape[1]
-    at = rows @ scene.coefficients()[:known]
-    variance = np.diag(rows @ scene.covariance()[:known, :known] @ rows.T)
+    at = rows @ scene.coefficients()[: rows.shape[1]]
+    variance = np.diag(rows @ scene.covariance()[: rows.shape[1], : rows.shape[1]] @ rows.T)
     odds = 0.5 * (np.log1p(GAIN_SD**2 / variance) - at**2 / variance + at**2 / (GAIN_SD**2 + variance))
     off = int(np.argmin(odds))
-    if len(held) < 2 or odds[off] > -OFF or odds.sum() - odds[off] < ALL_ONE:
+    one = odds[off] <= -OFF and odds.sum() - odds[off] >= ALL_ONE
+    suspect = [held[off]] if one else [n for n, far in zip(held, gains.excess(scene, rows)[1], strict=False) if far]
+    if len(held) < 2 or not suspect or not (one or search.weighed):  # wide gains are proved by held-out rows
         return None
-    prior, datums = search.prior.copy(), np.array([n.is_datum for n in nuisances])
-    own = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.hypothesis.effect == held[off].effect}
-    for i, h in enumerate(search.library.hypotheses):
-        if (h.effect, h.drivers) in own and prior[i] > 0.5 * NEVER:
-            prior[i] = h.prior
-    exact = Active(search.nuisance.index, search.nuisance.sd * np.where(datums, 1.0, EXACT_SD))
+    effects, labels = {n.effect for n in suspect}, {n.part for n in suspect}
+    own = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.hypothesis.effect in effects}
+    each = zip(search.library.hypotheses, search.prior, strict=True)
+    prior = np.array([h.prior if (h.effect, h.drivers) in own and p > 0.5 * NEVER else p for h, p in each])
+    exactly = np.array([not n.is_datum and (one or n.part in labels) for n in nuisances])
+    exact = Active(search.nuisance.index, search.nuisance.sd * np.where(exactly, EXACT_SD, 1.0))
     other, named = settled(search.library, search.data, exact, prior, noise, search.rows)
-    likelier = other.evidence(chosen(named)) > search.evidence(chosen(explanation))
-    return (other, named) if named.accepted and likelier else None
+    if not named.accepted or other.evidence(chosen(named)) <= search.evidence(chosen(explanation)):
+        return None
+    left = [judged.of_explanation(s, chosen(e)) for s, e in ((other, named), (search, explanation))]
+    return (other, named) if one or left[0] < left[1] else None
 
 
 def likeliest(
@@ -78,8 +76,10 @@ def likeliest(
     def scored(d: parts.Decomposition):
         nuisance, kinds, columns, sizes = recalibration(simulated, d, library)
         search, e = settled(library, data, nuisance, log_prior(library, d), noise)
-        worth = TRUST * d.worth + _worth(search, e, gains.totals(kinds, sizes)[1])
-        return worth, (d, (nuisance, kinds, columns, sizes)), e.accepted
+        chosen = [(f.index, f.size) for f in e.accepted]
+        too_far = gains.excess(search.scene(chosen), gains.totals(kinds, sizes)[1], search.rows)[0]
+        cost = MISSING * len(chosen) + min(too_far, MAX_GAIN_PENALTY)
+        return TRUST * d.worth + search.evidence(chosen) - cost, (d, (nuisance, kinds, columns, sizes)), e.accepted
 
     if holding is None and len(alternatives) == 1:
         return alternatives[0], recalibration(simulated, alternatives[0], library)

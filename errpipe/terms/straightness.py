@@ -83,8 +83,7 @@ class Straightness(Term):
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         polynomials = chebyshev(position(recording, self.axis), 8)
         across = share(recording, self.across, True) if self.across else 1.0
-        # whichever line, and of a circle whichever centre, it is counted from
-        for k in (0, 1) if self.across else (1,):
+        for k in (0, 1):  # whichever line, and of a circle whichever centre, it is counted from
             yield polynomials[:, k] * across, 0.4
         for k in range(self.order + 1, 9):
             yield polynomials[:, k] * across, 0.3

@@ -1,13 +1,14 @@
 """Gains beyond what simulations are off by cost evidence, and give way to another explanation."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from errpipe.diagnosis import diagnose, gains
 from errpipe.diagnosis.evidence import Active, Data, Scene, Table
 from errpipe.diagnosis.gains import DATUM, WHOLE, Nuisance
 
-from .machines import axis
+from .machines import axis, recording
 
 PARTS = [Nuisance("part", name, name, name) for name in "ab"]
 
@@ -63,3 +64,29 @@ def test_a_step_is_missing_and_no_gain_of_minus_one():
     response = diagnose(small)[0].responses[0]
     assert response.verdict == "missing_physics"
     assert {"backlash", "friction_hysteresis"} & {response.findings[0].effect}
+
+
+def test_what_the_gain_of_a_small_part_would_play_is_missing():
+    """A slow drift of the spindle that goes with the room as a part of the simulation does, only faster."""
+    rng = np.random.default_rng(1)
+    t = np.arange(900) * 60.0
+    lagged = lambda v, tau: pd.Series(v).ewm(alpha=1 - np.exp(-60.0 / tau), adjust=False).mean().to_numpy()  # noqa: E731
+    speed = np.repeat(rng.choice([0.0, 4000.0, 8000.0, 12000.0], 30), 30)
+    room = 2 * np.sin(t / 9000 + 1) + 0.8 * np.sin(t / 3100)
+    housing = lagged(room, 2000.0) + lagged(6 * speed / 12000, 1500.0)
+    simulated = 2.0 * housing + 0.3 * lagged(room, 14000.0)
+    error = 1.06 * simulated - 0.2 * lagged(room, 10000.0) + 0.3 * rng.standard_normal(t.size)
+    kinds = {"t": {"role": "time", "unit": "s"}, "rpm": {"role": "spindle_speed", "unit": "rpm"}}
+    for name, where in (("T_housing", "spindle housing"), ("T_room", "room")):
+        kinds[name] = {"role": "temperature", "unit": "degC", "location": where}
+    kinds["E_Z"] = {"role": "error", "component": "E_Z", "unit": "um"}
+    kinds["E_Z_sim"] = {"role": "simulated", "component": "E_Z", "unit": "um"}
+    columns = {"t": t, "rpm": speed, "T_housing": 20 + housing, "T_room": 20 + room}
+    made = recording(columns | {"E_Z": error, "E_Z_sim": simulated}, kinds)
+    found = diagnose(made)[0].responses[0].findings[0]
+    assert found.effect in ("ambient_drift", "thermal_lag")
+    assert found.drivers == ("T_room",)
+
+
+def test_a_gain_far_off_is_a_gain_where_nothing_else_plays_it():
+    assert diagnose(axis(7, gains=(1.0, 0.6)))[0].responses[0].verdict == "recalibrate"

@@ -155,6 +155,20 @@ def test_a_guideway_of_any_shape_acts_in_some_runs():
     assert (found.hypothesis.effect, found.hypothesis.mask) == ("straightness", ("runs", ("4", "5")))
 
 
+def test_a_bow_in_some_runs_is_counted_from_any_height():
+    """Each run bears another mass on the table, which in these runs plays bow and height together."""
+    rng = np.random.default_rng(2)
+    run, u = np.repeat(np.arange(5), 144), rng.uniform(-1, 1, 5 * 144)
+    columns = {"run": (run + 1).astype(str), "t": np.arange(run.size) * 20.0, "x": rng.uniform(0, 500, run.size)}
+    columns |= {"y": 250 * (1 + u), "m": np.array([0.0, 145.0, 196.0, 140.0, 107.0])[run]}
+    kinds = {a: {"role": "position", "axis": a.upper(), "unit": "mm"} for a in "xy"}
+    kinds |= {"m": {"role": "load", "unit": "kg"}}
+    simulated, bow = 20e-3 * columns["x"], 8.0 * (1 - u**2 + 0.3 * (u**3 - u)) * (run >= 3)
+    case = judged(columns, kinds, "E_X", simulated + bow + 2.5 * rng.standard_normal(run.size), simulated)
+    (found,) = case.explanation.accepted
+    assert (found.hypothesis.effect, found.hypothesis.mask) == ("straightness", ("runs", ("4", "5")))
+
+
 def test_a_body_that_acts_for_a_while_is_counted_from_any_temperature():
     columns, kinds, noise = positioning(runs=3)
     case = judged(columns, kinds, "EXX", 0.5 * noise, 20e-3 * columns["x"])
