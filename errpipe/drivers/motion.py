@@ -9,6 +9,9 @@ from errpipe.drivers.sessions import hold, sessions
 from errpipe.errors import MissingColumn
 from errpipe.kernels import responses
 
+AT_REST = 5.0  # noise rms of a velocity that an axis at rest does not pass (Gaussian: once in two million readings)
+RESOLVED = 0.1  # of the highest speed: where that many rms are more, rows do not follow the motion from one to the next
+
 
 def axes(recording: Recording, kind: str = "linear") -> tuple[str, ...]:
     """Axes whose position (or command) is recorded, in manifest order."""
@@ -53,11 +56,33 @@ def direction(recording: Recording, axis: str, threshold: float = 0.001, start: 
         return recording.array(name)
     name = recording.name("velocity", axis=axis)
     if name is not None:
-        moving = np.sign(recording.array(name))
-        moving[moving == 0] = np.nan
-        held = hold(recording.run_codes(), moving)
+        way = moving(recording, name)
+        held = hold(recording.run_codes(), np.where(way == 0, np.nan, way))
         return np.where(np.isnan(held), float(start), held)
     return responses.direction_of_travel(sessions(recording), position(recording, axis), threshold, start)
+
+
+def moving(recording: Recording, column: str) -> np.ndarray:
+    """Sign of a velocity, shape (rows,); 0 where the axis rests, also where noise then changes the sign.
+
+    Rows of one sign in succession are a move where one of them exceeds `AT_REST` times the noise. That noise is the
+    median of the fourth differences, to which even fast moves add next to nothing.
+    """
+    if ("moving", column) not in recording.derived:
+        recording.derived["moving", column] = _moving(recording.array(column), recording.run_codes())
+    return recording.derived["moving", column]
+
+
+def _moving(v: np.ndarray, run: np.ndarray) -> np.ndarray:
+    sign = np.sign(v)
+    speed = np.abs(np.nan_to_num(v))
+    rough = np.abs(np.diff(v, 4)) if v.size > 4 else np.zeros(1)
+    limit = AT_REST * float(np.nanmedian(rough)) / (0.6745 * np.sqrt(70.0)) if np.isfinite(rough).any() else 0.0
+    if not 0 < limit < RESOLVED * speed.max(initial=0.0):
+        return sign
+    start = np.flatnonzero(np.r_[True, (sign[1:] != sign[:-1]) | (run[1:] != run[:-1])])
+    fastest = np.repeat(np.maximum.reduceat(speed, start), np.diff(np.r_[start, v.size]))
+    return np.where(fastest > limit, sign, 0.0)
 
 
 def position_name(recording: Recording, axis: str) -> str:

@@ -11,15 +11,16 @@ from pydantic import Field
 from errpipe.domain.components import is_force
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import position
+from errpipe.drivers.motion import direction, moving, position
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._equations import curve, sign, times
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import driven_axes
 from errpipe.terms._search import Speeds
-from errpipe.terms._slack import Slack, chebyshev
+from errpipe.terms._slack import Slack, chebyshev, gradual_reversal
 
 GROWS = 0.3  # freedom of friction that grows along the travel (guides and covers; chosen, not measured)
+AT_STANDSTILL = 1.0  # freedom of the force held at rest: a loop with an integrator keeps any force that friction bears
 
 
 class CoulombFriction(Term):
@@ -38,6 +39,7 @@ class CoulombFriction(Term):
     reports_as = "coulomb_friction"
     family = "friction"
     compensable = False
+    form = "any shape"
     friction_part = "dry"
     gains = (Parameter("force", "N", (5.0, 300.0), (-5000.0, 5000.0), "friction force"),)
     searched = (
@@ -61,15 +63,19 @@ class CoulombFriction(Term):
                     yield cls(axis=axis, column=column, fixed={"sharpness": 0.0})
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        side = direction(recording, self.axis)
+        yield side - base[:, 0], AT_STANDSTILL
         if recording.name("position", axis=self.axis) is None:
             return
+        yield from gradual_reversal(side, recording, self.axis)  # bristles bend before they slide
         place = chebyshev(position(recording, self.axis), 2)
         yield base[:, 0] * place[:, 1], GROWS  # friction of guides and seals varies along the travel
         yield base[:, 0] * place[:, 2], 0.5 * GROWS
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        v = recording.array(self.column)
-        return (np.sign(v) if nonlinear[0] <= 0 else np.tanh(v / nonlinear[0]))[:, None]
+        if nonlinear[0] <= 0:
+            return moving(recording, self.column)[:, None]
+        return np.tanh(recording.array(self.column) / nonlinear[0])[:, None]
 
     def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (sharpness,) = self.nonlinear_values(parameters)

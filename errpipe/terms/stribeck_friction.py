@@ -11,6 +11,7 @@ from pydantic import Field
 from errpipe.domain.driver import Product
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
+from errpipe.drivers.motion import moving
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._equations import curve, sign, times
 from errpipe.terms._fields import Axis
@@ -45,13 +46,13 @@ class StribeckFriction(Term):
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         v = recording.array(self.column)
-        return (np.sign(v) * np.exp(-((v / nonlinear[0]) ** 2)))[:, None]
+        return (moving(recording, self.column) * np.exp(-((v / nonlinear[0]) ** 2)))[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         v = recording.array(self.column)
         # as Tustin's and Armstrong-Helouvry's: it falls more steeply at first, then more slowly
         for power in (1.0, 0.5):
-            slower = np.sign(v) * np.exp(-(np.abs(v / nonlinear[0]) ** power))
+            slower = moving(recording, self.column) * np.exp(-(np.abs(v / nonlinear[0]) ** power))
             yield difference_of_shape(slower, base[:, 0]), 0.5
 
     def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:

@@ -34,6 +34,7 @@ class ViscousFriction(Term):
     reports_as = "viscous_friction"
     family = "friction"
     compensable = False
+    form = "any shape"
     friction_part = "viscous"
     gains = (Parameter("damping", "N s/m", (50.0, 3000.0), (-50000.0, 50000.0), "force per speed"),)
 
