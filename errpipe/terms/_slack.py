@@ -20,6 +20,8 @@ Slack = Iterator["tuple[np.ndarray, float]"]  # column, shape (rows,), and its f
 
 BENT = 0.07  # freedom of each smooth deformation along an axis; chosen on both trial generators
 DEGREES = range(1, 8)  # Chebyshev degrees of these deformations
+# Of friction, the force held at rest: a loop with an integrator keeps any force that friction bears
+AT_STANDSTILL = 1.0
 MANY_STARTS = 5  # sessions from which start states share one column, whole sessions are held out, each may have a datum
 
 

@@ -17,10 +17,9 @@ from errpipe.terms._equations import curve, sign, times
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import driven_axes
 from errpipe.terms._search import Speeds
-from errpipe.terms._slack import Slack, chebyshev, gradual_reversal
+from errpipe.terms._slack import AT_STANDSTILL, Slack, chebyshev, gradual_reversal
 
 GROWS = 0.3  # freedom of friction that grows along the travel (guides and covers; chosen, not measured)
-AT_STANDSTILL = 1.0  # freedom of the force held at rest: a loop with an integrator keeps any force that friction bears
 
 
 class CoulombFriction(Term):

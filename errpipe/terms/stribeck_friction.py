@@ -11,12 +11,12 @@ from pydantic import Field
 from errpipe.domain.driver import Product
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import moving
+from errpipe.drivers.motion import direction, moving
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._equations import curve, sign, times
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import velocities
-from errpipe.terms._slack import Slack, difference_of_shape
+from errpipe.terms._slack import AT_STANDSTILL, Slack, difference_of_shape, gradual_reversal
 
 
 class StribeckFriction(Term):
@@ -35,6 +35,7 @@ class StribeckFriction(Term):
     reports_as = "stribeck_friction"
     family = "friction"
     compensable = False
+    form = "any shape"
     friction_part = "falling"
     gains = (Parameter("extra", "N", (5.0, 150.0), (-5000.0, 5000.0), "force at creep above that at speed"),)
     searched = (Parameter("v_s", "mm/s", (0.5, 20.0), (0.1, 100.0), "speed at which the dry part has gone"),)
@@ -54,6 +55,10 @@ class StribeckFriction(Term):
         for power in (1.0, 0.5):
             slower = moving(recording, self.column) * np.exp(-(np.abs(v / nonlinear[0]) ** power))
             yield difference_of_shape(slower, base[:, 0]), 0.5
+        side = direction(recording, self.axis)
+        yield side * np.exp(-((v / nonlinear[0]) ** 2)) - base[:, 0], AT_STANDSTILL
+        if recording.name("position", axis=self.axis) is not None:
+            yield from gradual_reversal(base[:, 0], recording, self.axis)  # bristles bend before they slide
 
     def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (v_s,) = self.nonlinear_values(parameters)
