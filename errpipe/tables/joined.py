@@ -5,25 +5,21 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from errpipe.domain.table import CompensationTable, InputNode
 from errpipe.domain.table import Output as TableOutput
 from errpipe.errors import UsageError
 
 LONGEST_NAME = 31  # bytes of an input's name (schemas/ect-2.md)
-SHARED = (
-    "table",
-    "position_cycle_s",
-    "slow_every",
-    "ramp_s",
-    "fade_s",
-)  # facts that tables run together have in common
+# What tables that run together have in common
+SHARED = ("table", "position_cycle_s", "slow_every", "ramp_s", "fade_s")
 
 
 def joined(tables: Sequence[CompensationTable]) -> CompensationTable:
     """One table that moves the axes of all of them; inputs of one name get their axis behind it, each stays its own.
 
-    Raises UsageError where two move or read the same axis, or run in different cycles.
+    Raises UsageError where two move or read the same axis, run in different cycles, or have inputs of one long name.
     """
     first = tables[0]
     if len(tables) == 1:
@@ -33,14 +29,14 @@ def joined(tables: Sequence[CompensationTable]) -> CompensationTable:
         if len(values := {getattr(table, fact) for table in tables}) > 1:
             raise UsageError(f"tables of different {fact} ({', '.join(map(str, sorted(values)))}) do not run as one")
     count = Counter(i.name for table in tables for i in table.inputs)
-    parts: dict[str, list[object]] = {
-        key: [] for key in ("inputs", "nodes", "profiles", "components", "pairs", "outputs")
-    }
+    parts: dict[str, list[Any]] = {key: [] for key in ("inputs", "nodes", "profiles", "components", "pairs", "outputs")}
     for table in tables:
         own = "".join(sorted(_moved(table)))
         names = {i.name: _renamed(i.name, own) if count[i.name] > 1 else i.name for i in table.inputs}
         for key, behind in _shifted(table, names, len(parts["nodes"]), len(parts["profiles"])).items():
             parts[key] += behind
+    if twice := [name for name, n in Counter(i.name for i in parts["inputs"]).items() if n > 1]:
+        raise UsageError(f"inputs of several tables would be called {', '.join(twice)}: give them shorter names")
     machines = {table.machine for table in tables}
     return CompensationTable.model_validate(
         {

@@ -54,3 +54,15 @@ def test_the_type_is_found_and_its_units_do_not_matter() -> None:
 def test_machines_alike_are_those_that_the_data_do_not_tell_apart() -> None:
     estimates = [np.array([v, 0.0]) for v in (0.0, 0.1, 5.0, 5.1, 20.0)]
     assert homogeneous_groups(estimates, [0.01 * np.eye(2)] * 5) == [[0, 1], [2, 3]]
+
+
+def test_a_parameter_that_is_the_same_everywhere_changes_no_other() -> None:
+    """Covariances with a row of zeros have no inverse: the pseudo-inverse stands in."""
+    _, estimates, covariances = machines(np.random.default_rng(5), 12, np.array([2.0, 1.0]), 0.5)
+    wide = [np.append(e, 7.0) for e in estimates]
+    singular = [np.pad(c, (0, 1)) for c in covariances]
+    two, three = pooled(estimates, covariances), pooled(wide, singular)
+    assert two is not None and three is not None
+    np.testing.assert_allclose(three.mean, [*two.mean, 7.0], rtol=1e-3)
+    shrunk, _ = three.shrunk(wide[0], singular[0])
+    np.testing.assert_allclose(shrunk, [*two.shrunk(estimates[0], covariances[0])[0], 7.0], rtol=1e-3)

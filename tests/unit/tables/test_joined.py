@@ -52,3 +52,14 @@ def test_what_does_not_join_is_refused() -> None:
         joined([table("X", 10.0), table("X", 3.0)])
     with pytest.raises(UsageError, match="position_cycle_s"):
         joined([table("X", 10.0), table("Y", 3.0, position_cycle_s=0.002)])
+    long = {"place": "p" * 30 + "1", "screw": "p" * 30 + "2"}
+    with pytest.raises(UsageError, match="shorter names"):
+        joined([_called(table("X", 10.0), long), _called(table("Y", 3.0), long)])
+
+
+def _called(made: CompensationTable, names: dict[str, str]) -> CompensationTable:
+    """The table with its inputs called by other names."""
+    text = made.model_dump_json()
+    for name, other in names.items():
+        text = text.replace(f'"{name}"', f'"{other}"')
+    return CompensationTable.model_validate_json(text)
