@@ -14,6 +14,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from errpipe.errors import DataError
+from errpipe.importing.doors._xml import root_of
 from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable
 from errpipe.importing.units import unit_of
 
@@ -30,14 +31,18 @@ _CALLED = ("description", "label", "title", "name")  # attributes that say what 
 
 def sniff(path: Path, head: bytes) -> bool:
     """Text that begins as XML or HTML does."""
-    text = head.lstrip(b"\xef\xbb\xbf\xff\xfe").replace(b"\0", b"").lstrip().lower()
-    return text.startswith((b"<?xml", b"<html", b"<!doctype html", b"<table", b"<head", b"<body"))
+    return _beginning(head).startswith((b"<?xml", b"<html", b"<!doctype html", b"<table", b"<head", b"<body"))
+
+
+def _beginning(data: bytes) -> bytes:
+    """The first bytes in small letters, without mark of the byte order, blanks, and the zeros of UTF-16."""
+    return data[:4096].lstrip(b"\xef\xbb\xbf\xff\xfe").replace(b"\0", b"").lstrip().lower()
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
     """Every table. Raises DataError."""
     data = path.read_bytes()
-    if b"<html" in data[:4096].lower() or not data.lstrip(b"\xef\xbb\xbf\xff\xfe").lstrip().startswith(b"<?xml"):
+    if b"<html" in _beginning(data) or not _beginning(data).startswith(b"<?xml"):
         sheets = _of_html(path, data)
     else:
         sheets = _of_xml(path, data)
@@ -119,12 +124,7 @@ def _of_html(path: Path, data: bytes) -> list[Sheet]:
 
 
 def _of_xml(path: Path, data: bytes) -> list[Sheet]:
-    if re.search(rb"<!(DOCTYPE|ENTITY)", data):
-        raise DataError(f"{path}: an XML file with its own entities is not read")
-    try:
-        root = ElementTree.fromstring(data)
-    except (ElementTree.ParseError, ValueError, LookupError) as err:
-        raise DataError(f"{path}: not XML that can be read ({err}): save it anew, or export it as CSV") from None
+    root = root_of(path, data)
     affordable(data.count(b"<") + data.count(b'="'), path)
     parents = {child: parent for parent in root.iter() for child in parent}
     called = {e.get("id"): _what(e) for e in root.iter() if e.get("id") and _what(e)}

@@ -10,9 +10,9 @@ import re
 from collections import Counter
 from datetime import UTC, datetime
 from pathlib import Path
-from xml.etree import ElementTree
 
 from errpipe.errors import DataError
+from errpipe.importing.doors._xml import root_of
 from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
 
 name = "MTConnect"
@@ -35,15 +35,7 @@ def _moment(path: Path, stamp: str) -> datetime:
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
     """All numeric samples in order of time. Raises DataError."""
-    data = path.read_bytes()
-    if re.search(rb"<!(DOCTYPE|ENTITY)", data):
-        raise DataError(f"{path}: an XML file with its own entities is not read")
-    try:
-        root = ElementTree.fromstring(data)
-    except ElementTree.ParseError as err:
-        raise DataError(
-            f"{path}:{err.position[0]}  not XML that can be read: save it anew, or export it as CSV"
-        ) from None
+    root = root_of(path, path.read_bytes())
     samples: list[tuple[str, str, float | None]] = []
     labels: dict[str, tuple[str, str]] = {}  # by data item: component and label
     component = ""

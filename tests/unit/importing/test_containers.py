@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from errpipe.errors import DataError, UsageError
+from errpipe.importing.doors import markup
 from errpipe.importing.sheet import DoorOptions
 from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 
@@ -93,6 +94,18 @@ def test_mtconnect(tmp_path: Path) -> None:
     (tmp_path / "bomb.xml").write_text('<!DOCTYPE x [<!ENTITY a "b">]>' + text + "</Streams></MTConnectStreams>")
     with pytest.raises(DataError, match="entities"):
         imported(tmp_path, tmp_path / "bomb.xml")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_records_of_xml_in_any_encoding_and_no_entities(tmp_path: Path, encoding: str) -> None:
+    records = "".join(f'<r t="{k}" x="{10 * k}" e="7"/>' for k in range(9))
+    begin = f'<?xml version="1.0" encoding="{encoding}"?>'
+    (tmp_path / "log.xml").write_text(f"{begin}<a>{records}</a>", encoding=encoding)
+    (sheet,) = markup.read(tmp_path / "log.xml", DoorOptions())
+    assert sheet.header == ["t", "x", "e"] and len(sheet.rows) == 9
+    (tmp_path / "bomb.xml").write_text(f'{begin}<!DOCTYPE a [<!ENTITY b "7">]><a>{records}</a>', encoding=encoding)
+    with pytest.raises(DataError, match="its own entities"):
+        markup.read(tmp_path / "bomb.xml", DoorOptions())
 
 
 def test_halsampler_with_and_without_counter(tmp_path: Path) -> None:
