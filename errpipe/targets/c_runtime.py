@@ -31,7 +31,7 @@ class CRuntime(Target):
     controller = "any with a C99 compiler"
     confidence = "verified"
     sign = "a positive correction is added to the command: it moves the axis in plus"
-    limits = "whole table; single precision loses a few nanometres (micrometres while a guarded sensor has failed)"
+    limits = "whole table; single precision loses a few nanometres"
     unit = "as table.h names each input and output: mm (deg) unless the table says otherwise"
     holds = ("screw", "both directions", "cross", "temperature")
     remark = {"table.h": "/* {} */"}

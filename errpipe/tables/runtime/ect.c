@@ -633,6 +633,23 @@ static void list_fast(ect *e, uint32_t count)
     }
 }
 
+#ifdef ECT_SINGLE
+/* What is left of the way after x time constants, 1 - (1 - e^-x), of a slow lag as minus the share that is gone: what is
+   left is 1 in single precision after 1e-8 of them, and the lag would stand still. */
+static ect_real slow(ect_real left, ect_real x)
+{
+    return x < R(0.0625) ? -x * (R(1) - x * R(0.5) * (R(1) - x / R(3) * (R(1) - x * R(0.25)))) : left;
+}
+
+/* A cycle of a slow lag. What rounding leaves out is carried on, or it would stop short of its operand. */
+static ect_real creep(ect_node *n, ect_real goal, ect_real share)
+{
+    ect_real y = n->value, step = n->kept_value + (goal - y - n->kept_value) * share, next = y + step;
+    n->kept_value = step - (next - y);
+    return next;
+}
+#endif
+
 static ect_error load_nodes(ect *e, const sections *s)
 {
     uint32_t i, k, used = 0, values = 0;
@@ -664,6 +681,13 @@ static ect_error load_nodes(ect *e, const sections *s)
             }
         }
         used += n->count;
+#ifdef ECT_SINGLE
+        if (n->op == LAG) {
+            ect_real dt = n->flags & SLOW ? e->cycle * (ect_real)e->slow_every : e->cycle;
+            n->c = slow(n->c, dt / n->a);
+            n->d = slow(n->d, dt / n->b);
+        }
+#endif
         if (n->op == LOOKUP) {
             if (n->other != values || n->others > s->count[LOOKUPS] - values) {
                 return ECT_NODE;
@@ -1354,9 +1378,16 @@ static ect_real run_node(ect *e, ect_node *n, int started)
         before = n->memory;
         n->memory = u;
         if (!started) {
+            n->kept_value = R(0);
             return n->flags & START_ZERO ? R(0) : u;
         }
-        return before + (y - before) * (before >= y ? n->c : n->d);
+        way = before >= y ? n->c : n->d;
+#ifdef ECT_SINGLE
+        if (way < R(0)) {
+            return creep(n, before, -way);
+        }
+#endif
+        return before + (y - before) * way;
     case PRODUCT:
         for (k = 1; k < n->count; k++) {
             u = u * nodes[of[k].number].value;

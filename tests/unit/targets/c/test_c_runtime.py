@@ -18,6 +18,9 @@ import pytest
 from bench import bench_cortex
 from bench.bench_tables import machine
 from errpipe import tables
+from errpipe.domain import driver as d
+from errpipe.domain.table import TableInput
+from errpipe.drivers.lowered import Lowered
 from errpipe.errors import VerifyError
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.tables import bounds, ect
@@ -146,6 +149,21 @@ def test_single_precision_stays_within_a_few_nanometres(tmp_path):
     assert np.max(np.abs(correction - exact[1])[there]) < 5e-6
     assert np.max(np.abs(deviation - exact[0])) < 0.05
     assert np.mean(status == exact[2]) > 0.999
+
+
+@pytest.mark.parametrize(("tau", "cycle"), [(36_000.0, 0.01), (5400.0, 0.1), (600.0, 1.0), (1e9, 1.0)])
+def test_a_slow_lag_is_as_fast_in_single_precision(tmp_path, library, tau, cycle):
+    """What is left of its way after a cycle is 1 in single precision: the first stood still, as did a guard's clock."""
+    single = Library(build(tmp_path, "-DECT_SINGLE"), np.float32)
+    rise = d.Affine(weights=(tau / 1000.0,), of=(d.above("T", 20.0),))  # so that 1000 s move as much in every case
+    lag = Lowered(d.Lag(of=rise, tau_up=tau, tau_down=tau, start="zero"))
+    sensor = TableInput(name="T", kind="sensor", low=-40, high=100, default=20)
+    cycles = {"position_cycle_s": cycle, "thermal_cycle_s": cycle}
+    table = tables.compile_table([tables.ComponentSource("EZZ", "um", (lag,))], inputs=[sensor], **cycles)
+    readings = 20.0 + 7.0 * np.sin(np.arange(20_000) / 4000.0)[:, None] ** 2
+    fresh, enable = np.ones(readings.shape, np.uint8), np.ones(len(readings), np.uint8)
+    precise, rounded = (one.stream(table, readings, fresh, enable)[0] for one in (library, single))
+    assert np.ptp(precise) > 0.1 and np.abs(rounded - precise).max() < 2e-6 * np.ptp(precise)
 
 
 def test_a_machine_ten_um_too_long_is_moved_back(library):
