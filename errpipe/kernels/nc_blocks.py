@@ -18,6 +18,7 @@ from errpipe.kernels.nc_paths import (
     centre_from_radius,
     chord_error_of,
     distance,
+    is_long_way_round,
     radii_agree,
     straight_pieces,
     straight_points,
@@ -229,12 +230,20 @@ def _centre(value, seen, here, goal, mode, clockwise):
 
 
 @bare_kernel
-def _from_unknown_angle(seen, here):
-    """Whether a rotary axis is named of which nobody knows where it stands."""
-    nowhere = False
+def _turns_unknown(seen, here, goal):
+    """Whether a rotary axis is named of which nobody knows where it stands, or which way round it goes."""
+    unknown = False
     for n in range(_ROTARY, here.size):
-        nowhere |= bool(seen >> n & 1 and here[n] != here[n])
-    return nowhere
+        unknown |= bool(seen >> n & 1 and (here[n] != here[n] or is_long_way_round(here[n], goal[n])))
+    return unknown
+
+
+@bare_kernel
+def _may_be_drawing(seen, motion, here, mode):
+    """Whether A or C may be an angle or a chamfer of a lathe's drawing: not where it stands somewhere, or on a mill."""
+    mill = seen >> 1 & 1 or (mode.named and mode.through == 2)
+    unknown = (seen >> 3 & 1 and here[3] != here[3]) or (seen >> 5 & 1 and here[5] != here[5])
+    return bool(motion == 1 and unknown and not mill)
 
 
 @bare_kernel
@@ -250,7 +259,7 @@ def _path(value, seen, motion, here, goal, mode, points):
         shape = arc_shape(here, goal, x, y, mode.first, mode.second, motion == 3, 1, mode.chord_error, mode.longest)
         error = chord_error_of(shape)
     pieces = straight_pieces(here, goal, mode.longest) if motion == 1 else shape[4]
-    if pieces > mode.segments or (pieces > 1 and _from_unknown_angle(seen, here)):
+    if pieces > mode.segments or (pieces > 1 and _turns_unknown(seen, here, goal)):
         return 0, error
     if pieces > points.shape[0]:
         return -1, error
@@ -285,7 +294,7 @@ def read(data, cursor, here, mode, rows, value, goal):
         if used < 0 or remark_end < 0 or not seen & _AXES:
             break
         motion = motion if motion >= 0 else cursor[MOTION]
-        if motion < 0 or not _goal(value, seen, here, mode, goal):
+        if motion < 0 or _may_be_drawing(seen, motion, here, mode) or not _goal(value, seen, here, mode, goal):
             break
         pieces, error = _path(value, seen, motion, here, goal, mode, rows.points[row:])
         if pieces <= 0:

@@ -32,6 +32,12 @@ def centre_from_radius(x0, y0, x1, y1, radius, clockwise):
 
 
 @bare_kernel
+def is_long_way_round(start, end):
+    """Whether angles of one turn, deg, lie further apart than half of it: a control may go the other way."""
+    return 0.0 <= start < 360.0 and 0.0 <= end < 360.0 and abs(end - start) > 180.0
+
+
+@bare_kernel
 def radii_agree(at_start, at_end):
     """Whether the radii of an arc's two ends, mm, are the same: within 0.0254 mm or 0.1 % (LinuxCNC)."""
     return abs(at_start - at_end) <= max(0.0254, 1e-3 * at_start)

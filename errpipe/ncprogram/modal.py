@@ -118,6 +118,7 @@ def advance(block: Block, state: State, setup: Setup) -> tuple[State, Motion | N
         raise refuse(block.line, block.source, "axes are given but no motion (G0, G1, G2 or G3) is in force")
     _no_idle_tool(block)
     _no_turning_cycle(block, state)
+    _no_drawing_angle(block, state)
     if state.motion in ("G0", "G1"):
         for letter in "IJKRPQ":
             if block.value(letter) is not None:
@@ -187,6 +188,24 @@ def _no_turning_cycle(block: Block, state: State) -> None:
             f"{code} with X and Z is a turning cycle on a lathe: name the motion (G0, G1) in the block, or G17 above it"
         )
         raise refuse(block.line, block.source, why)
+
+
+def _no_drawing_angle(block: Block, state: State) -> None:
+    """Raises DataError for an angle or a chamfer of the drawing on a lathe (Fanuc: X20 A45, X20 C2).
+
+    It sets where a cut ends, or takes a corner off behind it: each piece of the cut would do so. A control that knows
+    these has no axis of that letter, so none stands anywhere.
+    """
+    if state.motion != "G1" or block.has("Y") or (state.plane_said and state.plane == "G17"):
+        return
+    places = dict(zip(LINEAR + ROTARY, state.position, strict=True))
+    for word in block.words:
+        if word.letter in "AC" and places[word.letter] is None:
+            why = (
+                f"{word.text} may be an angle or a chamfer of the drawing, as on a lathe: is {word.letter} a rotary "
+                "axis, move it with G0 first, or name G17 above it"
+            )
+            raise refuse(block.line, block.source, why)
 
 
 def _turns(block: Block) -> int:

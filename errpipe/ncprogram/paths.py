@@ -16,7 +16,8 @@ MAX_SEGMENTS = 200_000  # of one block; an arc of 1 m radius within 0.001 mm has
 def segments(block: Block, motion: Motion, chord_error: float, longest: float) -> tuple[np.ndarray, float]:
     """Ends of the segments after the start, shape (n, 6), mm and deg, NaN where unknown; the chord error, mm.
 
-    Raises DataError for a path of too many segments, and for a rotary axis that would turn in the last one only.
+    Raises DataError for a path of too many segments, for a rotary axis that would turn in the last one only, and for
+    one of which it is not known which way round it goes.
     """
     start, end = _row(motion.start), _row(motion.end)
     if motion.centre is not None:
@@ -30,6 +31,12 @@ def segments(block: Block, motion: Motion, chord_error: float, longest: float) -
     for n, letter in enumerate(ROTARY, len(LINEAR)):
         if len(points) > 1 and np.isnan(start[n]) and block.value(letter) is not None:
             raise refuse(block.line, block.source, f"where {letter} stands is not known yet (move it with G0 first)")
+        if len(points) > 1 and nc_paths.is_long_way_round(start[n], end[n]):
+            why = (
+                f"{letter} from {start[n]:g} to {end[n]:g} is the long way round: an axis that counts on goes it, one "
+                "that takes the shorter way does not, but would in parts (give it two blocks of at most 180 deg)"
+            )
+            raise refuse(block.line, block.source, why)
     return points, error
 
 

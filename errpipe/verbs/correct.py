@@ -31,6 +31,7 @@ MAX_OVERRUN = 1.0  # mm; a program may overrun the ends of what was measured by 
 _TURNING = re.compile(r"G(?:96(?!\d)|(?:50|92)[ \t]*S[ \t]*\d+)|T(?:0\d(?!00)\d\d|1([0-6])1\1)(?!\d)", re.IGNORECASE)
 _WHOLE = re.compile(r"[XYZIJKR][ \t]*[+-]?0*[1-9]\d*(?![\d.])", re.IGNORECASE | re.ASCII)
 _LENGTH = re.compile(r"[XYZ][ \t]*[+-]?[\d.]*[1-9]", re.IGNORECASE | re.ASCII)
+_ROTARY = re.compile(r"[ABC][ \t]*[+-]?\.?\d+", re.IGNORECASE | re.ASCII)
 _SAID = (
     (re.compile(r"G0*2[01](?![\d.])", re.IGNORECASE), "G20 or G21 (taken as mm)"),
     (re.compile(r"G0*9[01](?![\d.])", re.IGNORECASE), "G90 or G91 (taken as absolute)"),
@@ -114,6 +115,8 @@ def _remarks(table: CompensationTable, offsets: Sequence[str], beginning: str) -
         result["whole_numbers"] = whole
     if turned := diameters(beginning):
         result["diameters"] = turned
+    if rotary := rotary_words(beginning):
+        result["rotary"] = rotary
     return result
 
 
@@ -207,6 +210,15 @@ def diameters(text: str) -> str:
         f"line {number}: {word} is a lathe's, and X was taken as a radius and no tool offset but that of G43, as "
         "LinuxCNC does: where the control counts X in diameters (Fanuc 1006#3 DIA, Siemens DIAMON), do not use the "
         "corrected program; where T sets an offset, the correction is that of a place so far away"
+    )
+
+
+def rotary_words(text: str) -> str:
+    """The first word of a rotary axis, in words; '' where there is none."""
+    number, word = _first_match(_ROTARY, text)
+    return word and (
+        f"line {number}: {word} is taken as of an axis that counts on, and not corrected: where the sign of an angle "
+        "says which way round (LinuxCNC WRAPPED_ROTARY, Fanuc 1008#1 RAB = 1), do not use the corrected program"
     )
 
 

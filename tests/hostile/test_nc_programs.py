@@ -47,7 +47,7 @@ SETUP = Setup(offsets={"G54": (100.0, 50.0, 0.0), "G55": (300.0, 50.0, 0.0)}, to
         ("G1 X9999999999", "beyond any machine"),
         ("G0 X1e5", "is not a word|not understood"),
         ("G1 X99999 Y99999", None),
-        ("G1 X5 A90", "where A stands is not known|None"),
+        ("G1 X5 A90", "angle or a chamfer of the drawing"),
         ("G1 X50 %", "is not a word"),
         ("G1 X١", "is not a word"),
         ("; was\x0cG0 X5", "control character"),

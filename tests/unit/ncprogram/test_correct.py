@@ -240,6 +240,45 @@ def test_an_arc_of_no_y_before_a_plane_was_named_is_refused(arc, bulk):
         correct(f"G90 G21 G54 G0 X20 Y0 Z0\n{mill}\n", no_deviation, SETUP, bulk=bulk)
 
 
+@pytest.mark.parametrize("bulk", [True, False])
+@pytest.mark.parametrize(
+    "cut", ["G1 X20 A45", "z-30 c2", "N7 G1 X20 Z-5 A170 F.2", "G91 G1 X20 C-1", "A45\nX20 Z-5 A30"]
+)
+def test_an_angle_or_chamfer_of_the_drawing_is_no_rotary_axis(cut, bulk):
+    """On a lathe X20 A45 says where the cut ends: in a cut of several parts each would have ended so."""
+    head = "G21 G90 G18 G54 G0 X0 Y0 Z0\nG1 X5 F100\n"
+    for plane in ("G18", "G19", ""):
+        with pytest.raises(DataError, match=r"line 3: .* may be an angle or a chamfer of the drawing"):
+            correct(f"{head.replace('G18', plane)}{cut}\n", no_deviation, SETUP, bulk=bulk)
+    correct(f"{head}G0 A0 C0\n{cut}\n", no_deviation, SETUP, bulk=bulk)
+    for mill in ("G17\nG1 X20 A45", "G1 X20 Y5 A45", "G0 X20 A45"):
+        correct(f"{head}{mill}\n", no_deviation, SETUP, bulk=bulk)
+
+
+@pytest.mark.parametrize("bulk", [True, False])
+def test_a_cut_that_turns_an_axis_the_long_way_round_is_refused_where_it_is_split(bulk):
+    """From C350 to C10 a control goes 20 deg forwards, or 340 back: in four parts it always went back."""
+    head = "G21 G90 G17 G54 G0 X0 Y0 Z0 C350\n"
+    with pytest.raises(DataError, match=r"line 2: C from 350 to 10 is the long way round"):
+        correct(f"{head}G1 X100 C10 F100\n", no_deviation, SETUP, bulk=bulk)
+    for clear in (
+        "G1 X100 C370",
+        "G1 X20 C10",
+        "G0 X100 C10",
+        "G1 X100 C180\nX200 C10",
+        "G1 X100 C-3600",
+        "G91 G1 X99 C20",
+    ):
+        correct(f"{head}{clear}\n", no_deviation, SETUP, bulk=bulk)
+
+
+def test_a_program_with_a_rotary_axis_says_how_it_was_taken():
+    from errpipe.verbs.correct import rotary_words
+
+    assert rotary_words("(C1)\nG0 X1 c-90\n").startswith("line 2: c-90 is taken as of an axis that counts on")
+    assert rotary_words("(C1)\nG0 X1 ; A2\n") == ""
+
+
 @pytest.mark.parametrize("skipped", ["/X0 Y0 I5 J0", "/G0 X0", "/G1"])
 def test_a_motion_that_may_be_skipped_is_refused_though_it_ends_where_it_began(skipped):
     """A full circle behind a block delete mark was cut whatever the switch said."""
@@ -357,7 +396,7 @@ def test_a_printed_program_is_the_written_one_to_the_byte_and_its_remarks_go_to_
 
     ect.write(machines.too_long_at_plus_x(), tmp_path / "t.ect")
     (tmp_path / "p.ngc").write_text(
-        f"%\nG90 G21 G54  (two  blanks)\nG0 X0 Y0 Z0 A0 B0 C0\n\n{LONG}\nG1 X800\nM30\n%\n\n"
+        f"%\nG90 G21 G54  (two  blanks)\nG0 X0 Y0 Z0 A0 B0 C300\n\n{LONG}\nG1 X800\nM30\n%\n\n"
     )
     words = ["correct", str(tmp_path / "p.ngc"), "--table", str(tmp_path / "t.ect")]
     assert main([*words, "--out", str(tmp_path / "o.ngc")]) == 0
