@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import filecmp
+import glob
 import os
 import re
 import stat
@@ -133,6 +134,33 @@ def scratch() -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def _temporary(path: Path) -> Iterator[tuple[int, str]]:
+    """A new hidden file beside `path`, and its name. What killed processes left of the same file is removed.
+
+    It is locked in this block, however the process ends: so those that are still written are told from those left.
+    """
+    prefix = f".{path.name[:100]}."
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        yield tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=".tmp")
+        return
+    for left in path.parent.glob(f"{glob.escape(prefix)}????????.tmp"):
+        with contextlib.suppress(OSError), open_regular(left, follow=False) as stream:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            left.unlink()
+    while True:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=".tmp")
+        with contextlib.suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        if os.path.lexists(temporary):  # else another process took it for one that was left
+            break
+        os.close(handle)
+    with os.fdopen(os.dup(handle), "wb"):  # which holds the lock when `handle` is closed
+        yield handle, temporary
+
+
+@contextlib.contextmanager
 def whole(path: Path) -> Iterator[IO[bytes]]:
     """A stream whose bytes become the file `path`, at once and on disk, when the block ends without an error.
 
@@ -140,20 +168,20 @@ def whole(path: Path) -> Iterator[IO[bytes]]:
     with the file's name, also where the disk is full; what was there before then stays.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:100]}.", suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            yield stream
-            stream.flush()
-            if _to_disk.get():
-                os.fsync(stream.fileno())
-        if path.is_file() and filecmp.cmp(temporary, path, shallow=False):
-            os.unlink(temporary)
-            return
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException as err:
-        Path(temporary).unlink(missing_ok=True)
-        if isinstance(err, OSError) and err.filename is None and err.errno:
-            raise OSError(err.errno, err.strerror, str(path)) from None
-        raise
+    with _temporary(path) as (handle, temporary):
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                yield stream
+                stream.flush()
+                if _to_disk.get():
+                    os.fsync(stream.fileno())
+            if path.is_file() and filecmp.cmp(temporary, path, shallow=False):
+                os.unlink(temporary)
+                return
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        except BaseException as err:
+            Path(temporary).unlink(missing_ok=True)
+            if isinstance(err, OSError) and err.filename is None and err.errno:
+                raise OSError(err.errno, err.strerror, str(path)) from None
+            raise

@@ -7,6 +7,8 @@ import os
 import resource
 import signal
 import socket
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -233,6 +235,22 @@ def test_a_full_disk_is_a_message_and_keeps_what_was_there(project: Path, capsys
     assert {p: p.read_bytes() for p in before} == before
     assert not list((project / "out").rglob("*.tmp"))
     assert command("run", "p.yaml", "--out", "out", capsys=capsys)[0] == 0
+
+
+def test_what_a_killed_process_left_of_a_file_goes_with_the_next_one(tmp_path: Path) -> None:
+    """Killed runs of `correct` left a hidden file each, as long as the program, for ever."""
+    lines = "import os, pathlib, signal, sys", "from errpipe import files"
+    lines += ("with files.whole(pathlib.Path(sys.argv[1])) as stream:", "    os.kill(os.getpid(), signal.SIGKILL)")
+    for name in ("p [1].ngc", "p [1].ngc", "q.ngc"):
+        subprocess.run([sys.executable, "-c", "\n".join(lines), str(tmp_path / name)], check=False)
+    assert len(list(tmp_path.glob(".*.tmp"))) == 2
+    with files.whole(tmp_path / "p [1].ngc") as first:
+        with files.whole(tmp_path / "p [1].ngc") as second:
+            assert len(list(tmp_path.glob(".p*.tmp"))) == 2  # the other one is being written
+            second.write(b"second")
+        first.write(b"first")
+    assert (tmp_path / "p [1].ngc").read_bytes() == b"first"
+    assert [p.name[:6] for p in tmp_path.glob(".*.tmp")] == [".q.ngc"]
 
 
 def test_standard_output_that_is_full_is_a_message(project: Path) -> None:
