@@ -11,7 +11,7 @@ from records_played import ABBE, AIR, COSINE, WAVELENGTH, largest_gap, of_axis, 
 
 from errpipe.domain.machine import Machine
 from errpipe.domain.recording import Column, Manifest, Recording
-from errpipe.errors import DataError
+from errpipe.errors import DataError, GateError
 from errpipe.kinematics import direct, identify, observability, protocols, readings, records, summary, synthesis
 from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import compile_chain
@@ -19,6 +19,7 @@ from errpipe.models import direct as direct_family
 from errpipe.simulation import direct_records as played
 from errpipe.simulation import measuring_runs, metrology
 from errpipe.stages.export_volumetric import curve_misfit
+from errpipe.targets import TARGETS
 
 SEEDS = 200
 
@@ -258,14 +259,9 @@ AGAINST = {"direction": [-1.0, 0.0, 0.0]}
 DEFINITIONS = [{}, {"errors_of": "carriage"}, AGAINST, {**AGAINST, "errors_of": "carriage"}]
 
 
-@pytest.mark.parametrize("moved", AXES)
-@pytest.mark.parametrize("definition", DEFINITIONS, ids=str)
-def test_a_machine_too_long_is_told_to_go_less_far_by_every_export(moved, definition):
-    """20 um too long at X = 500, approached from above 4 um more: both tables of an identification say so."""
-    from errpipe.kinematics import direct_model
-    from errpipe.validation.predict import predict
-
-    axes = {a: {"kind": "linear", "travel": [0, 500]} for a in "XYZ"}
+def too_long(moved, definition, low):
+    """20 um too long where X is 500 above `low`, approached from above 4 um more: chain, recording, identification."""
+    axes = {a: {"kind": "linear", "travel": [low, low + 500]} for a in "XYZ"}
     axes["X"] |= definition
     given = {"machine": 1, "name": "m", "chain": AXES[moved], "axes": axes}
     chain = compile_chain(Machine.model_validate(given))
@@ -278,19 +274,56 @@ def test_a_machine_too_long_is_told_to_go_less_far_by_every_export(moved, defini
         "EXX": Column(role="error", component="EXX", unit="um"),
     }
     run = np.repeat(["1", "2"], 22).astype(object)
-    frame = pd.DataFrame({"run": run, "x": x, "dir": side, "EXX": 20.0 * x / 500.0 - 2.0 * side})
+    frame = pd.DataFrame({"run": run, "x": x + low, "dir": side, "EXX": 20.0 * x / 500.0 - 2.0 * side})
     recording = Recording(Manifest(recording=1, tables=("t.csv",), columns=columns), frame)
-    solution = solve(chain, recording)
+    return chain, recording, solve(chain, recording)
+
+
+@pytest.mark.parametrize("moved", AXES)
+@pytest.mark.parametrize("definition", DEFINITIONS, ids=str)
+def test_a_machine_too_long_is_told_to_go_less_far_by_every_export(moved, definition):
+    """Both tables of an identification say so."""
+    from errpipe.kinematics import direct_model
+    from errpipe.validation.predict import predict
+
+    chain, recording, solution = too_long(moved, definition, 0.0)
     document = summary.document(solution, records.observations(chain, {"": recording}), extra=False)
     document["reversal"] = records.reversals(chain, solution.setup)
     model = direct_model.error_model(chain, recording, document, {"EXX": 0.1})
-    left = predict(model, recording)["EXX_predicted"].to_numpy() - frame["EXX"].to_numpy()
+    left = predict(model, recording)["EXX_predicted"].to_numpy() - recording.array("EXX")
     assert np.ptp(left) < 0.2
     q = np.zeros((2, 3))
     q[:, chain.axes.index("X")] = 0.0, 500.0
     deviation = synthesis.first_order(chain, q, solution.errors().at(q))
     moved_to = corrected(chain, q, deviation)[:, chain.axes.index("X")] - q[:, chain.axes.index("X")]
     assert 1e3 * (moved_to[1] - moved_to[0]) == pytest.approx(-20.0, abs=0.1)
+
+
+@pytest.mark.parametrize("low", [-500.0, 40.0, -180.0], ids=["home at +X", "home beyond -X", "home in between"])
+@pytest.mark.parametrize("moved", AXES)
+@pytest.mark.parametrize("definition", DEFINITIONS, ids=str)
+def test_a_machine_too_long_is_told_to_go_less_far_by_every_file(moved, definition, low):
+    """From the machine file to what each control makes of its file, read by its manual alone."""
+    from errpipe.stages.export_volumetric import compile_machine, reversals
+    from tests.unit.targets import manual_readers
+
+    chain, _, solution = too_long(moved, definition, low)
+    lines = reversals({"reversal": records.reversals(chain, solution.setup)})
+    table = compile_machine(chain, solution.errors(), "0" * 64, "too long", 0.01, lines, ("X",))
+    read = 0
+    for target in (t for t in TARGETS if hasattr(manual_readers, t.name)):
+        try:
+            by_control = getattr(manual_readers, target.name)(target.write(table), "X")
+        except GateError as err:
+            assert target.name == "beckhoff_volumetric" and "counts against the motion" in str(err)
+            continue
+        read += 1
+        ends = np.array([[by_control(x, side) for x in (low + 5.0, low + 495.0)] for side in (1, -1)]) * 1e3
+        if "screw" in target.holds:
+            assert np.diff(ends.mean(axis=0)) == pytest.approx(-19.6, abs=0.2 + target.rounding_um), target.name
+        if {"both directions", "reversal"} & set(target.holds):
+            assert np.diff(ends.mean(axis=1)) == pytest.approx(-4.0, abs=0.2 + target.rounding_um), target.name
+    assert read >= 18
 
 
 def test_an_axis_inclined_to_its_letter_is_not_measured_component_by_component():
