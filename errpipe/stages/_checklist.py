@@ -12,6 +12,7 @@ from errpipe.stages import _artefacts, _plausible
 from errpipe.targets import _sample
 from errpipe.targets._base import TURN, ByHand, Curve, ReadBack
 from errpipe.targets._loss import at_most, losses, unit_of
+from errpipe.targets._whole import WholeTable
 
 if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
@@ -135,6 +136,14 @@ def _one_turn(read: ReadBack, table: CompensationTable) -> list[ByHand]:
     for over in dict.fromkeys(over for over, x in parts if x[-1] - x[0] < 2 * TURN):
         if over in known and _sample.turns(table, over):
             low, high = _sample.span(table, over)
+            if isinstance(read, WholeTable):
+                place = table.inputs[table.input_index(known[over])]
+                out.append(
+                    f"{over}: the table repeats with every turn; its position must count on, from {place.low:g} to "
+                    f"{place.high:g} deg at most: one that falls from {high:g} to {low:g} deg is a reversal, and what a "
+                    "reversal changes stands wrong behind it"
+                )
+                continue
             out.append(
                 f"{over}: the file holds one turn, {low:g} to {high:g} deg, and its ends beyond: the control must "
                 f"count {over} so, every turn anew; counted on, or from another place, the error can double"

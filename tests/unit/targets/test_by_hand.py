@@ -16,6 +16,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.errors import GateError, VerifyError
 from errpipe.stages import targets as stage
 from errpipe.stages._checklist import checklist
+from errpipe.tables import reference
 from errpipe.targets import TARGETS, _sample
 from errpipe.targets._base import AS_THE_AXIS
 from errpipe.targets.fanuc_pitch import FanucPitch
@@ -315,6 +316,25 @@ def test_a_file_that_ends_after_a_turn_says_how_the_control_must_count(target, e
     low = TURNS[ends][0]
     counts_on = all(abs(moved(low + x + 360.0, 1) - moved(low + x, 1)) < 1e-9 for x in (40.0, 130.0, 290.0))
     assert (f"C: the file holds one turn, {low:g} to {low + 360:g} deg" in text) == (not counts_on), text
+
+
+@pytest.mark.parametrize("name", ["c_runtime", "iec_st", "linuxcnc_hal", "feedback_inject"])
+def test_a_whole_table_asks_for_a_position_that_counts_on_through_turns(name):
+    """Its checklist asked for one that begins anew: from 359.99 to 0 deg, a reversal that none was."""
+    table = turning(0.0, 360.0).model_copy(update={"ramp_s": 0.0})
+    (target,) = [t for t in TARGETS if t.name == name]
+    text = checklist(target, target.read_back(target.write(table)), [], table)
+    assert "C: the table repeats with every turn; its position must count on, from -50 to 410 deg at most" in text
+    assert "the file holds one turn" not in text
+    wide = table.inputs[0].model_copy(update={"low": -1e5, "high": 1e5})
+    moved = {}
+    for way in ("counts on", "begins anew"):
+        evaluator = reference.Evaluator(table.model_copy(update={"inputs": (wide,)}))
+        for x in np.r_[np.arange(350.0, 360.0, 0.01), np.full(500, 360.0005)]:
+            cycle = evaluator.cycle({"c": x if way == "counts on" else x % 360.0})
+        moved[way] = cycle.correction[table.outputs[0].name]
+    lost = np.rad2deg(200e-6)
+    assert moved["counts on"] - moved["begins anew"] == pytest.approx(lost, rel=0.01)
 
 
 @pytest.mark.parametrize("target", [t for t in READ if t.name not in LINEAR], ids=lambda t: t.name)
