@@ -140,8 +140,8 @@ def _one_turn(read: ReadBack, table: CompensationTable) -> list[ByHand]:
                 place = table.inputs[table.input_index(known[over])]
                 out.append(
                     f"{over}: the table repeats with every turn; its position must count on, from {place.low:g} to "
-                    f"{place.high:g} deg at most: one that falls from {high:g} to {low:g} deg is a reversal, and what a "
-                    "reversal changes stands wrong behind it"
+                    f"{place.high:g} deg at most: one that falls from {high:g} to {low:g} deg is a reversal, and what "
+                    "a reversal changes stands wrong behind it"
                 )
                 continue
             out.append(
