@@ -45,6 +45,7 @@ def checklist(
         ]
     lines += [f"Source: {target.source}. Confidence: {target.confidence}.", ""]
     numbers = (*target.by_hand(table, read, others), *_zeros(target, read, table, others), *_one_turn(read, table))
+    numbers += tuple(_from_the_start(read, table))
     read = _within_travel(read, table)
     happens = (*_plausible.of_files(read), *_plausible.not_measured(table), *_at_the_axis(table), *_of_force(table))
     if happens:
@@ -149,6 +150,20 @@ def _one_turn(read: ReadBack, table: CompensationTable) -> list[ByHand]:
                 f"count {over} so, every turn anew; counted on, or from another place, the error can double"
             )
     return [ByHand(says) for says in out]
+
+
+def _from_the_start(read: ReadBack, table: CompensationTable) -> list[ByHand]:
+    """Of lines per kelvin whose table counts from the reading at its start: a file has a fixed reference instead."""
+    lines = [] if isinstance(read, WholeTable) else read.lines
+    return [
+        ByHand(
+            f"{x.axis}: the table counts {x.sensor} from its reading at the start of the machine; the file counts from "
+            f"{x.reference:g} degC: put the reading at each start in its place, else a machine that starts at another "
+            "temperature is corrected by the difference"
+        )
+        for x in lines
+        if _sample.counts_from_start(table, x.axis, x.sensor)
+    ]
 
 
 def _with_numbers(table: CompensationTable, read: Any, numbers: Sequence[Any]) -> list[str]:

@@ -326,6 +326,20 @@ def line(table: CompensationTable, axis: str, sensor: str) -> Line:
     return Line(axis, sensor, base, float(level), float(slope), zero)
 
 
+def counts_from_start(table: CompensationTable, axis: str, sensor: str) -> bool:
+    """Whether the correction of an axis counts a sensor, in part at least, from its reading at the start of a run."""
+    warm = middle(table)[sensor] + PER_KELVIN
+    inputs = tuple(i.model_copy(update={"default": warm}) if i.name == sensor else i for i in table.inputs)
+    low, high = reach(table, axis)
+    states = {sensor: np.full(2, warm)}
+    if axis in positions_of(table):
+        states[positions_of(table)[axis]] = np.array([low, high])
+    cold_start, warm_start = (
+        corrections(one, axis, states, np.ones(2)) for one in (table, table.model_copy(update={"inputs": inputs}))
+    )
+    return float(np.abs(warm_start - cold_start).max()) * 1e3 >= LEAST_WARM_UM * PER_KELVIN
+
+
 def warm_lines(table: CompensationTable, target: str) -> list[Line]:
     """The line of every axis and sensor that move together. Raises GateError of the target where none do."""
     lines = []

@@ -1,9 +1,14 @@
 """Every target moves a machine that is 10 um too long at +X the right way, says its sign in words, and is read back."""
 
+import re
+
 import numpy as np
 import pytest
 
+from errpipe.domain import driver as d
+from errpipe.drivers.lowered import Lowered
 from errpipe.errors import GateError, VerifyError
+from errpipe.stages._checklist import checklist
 from errpipe.targets import TARGETS, _loss, _sample
 from tests.faults.test_random_machines import machine as any_machine
 from tests.unit.targets import machines
@@ -193,3 +198,16 @@ def test_a_component_that_counts_against_its_axis_is_not_given_to_the_control_as
     assert "EXX" in target.write(table)["volumetric.csv"]
     with pytest.raises(GateError, match="EXX of this machine file counts against the motion of X"):
         target.write(table.model_copy(update={"outputs": (turned,)}))
+
+
+@pytest.mark.parametrize(
+    "target", [t for t in TARGETS if "per kelvin" in t.limits or "sensor" in t.limits], ids=lambda t: t.name
+)
+def test_a_file_per_kelvin_says_where_its_table_counts_from_the_start(target):
+    """Started at 28 degC, where the table is 0, the file's fixed 20 degC moved Z by 16 um, and nothing said so."""
+    for driver, said in ((d.rise("T"), ["Z"]), (d.above("T", 20.0), [])):
+        drift = Lowered(d.Affine(weights=(2.0,), of=(driver,)))
+        growth = machines.straight("X", 5.5, driver=d.above("T", 20.0))
+        table = machines.compile_(("EXX", [growth]), ("EZZ", [drift]))
+        text = checklist(target, read(target, table), [], table)
+        assert re.findall(r"- (\w): the table counts T from its reading at the start", text) == said
