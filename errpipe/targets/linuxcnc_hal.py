@@ -7,7 +7,8 @@ Pins      one `in-NAME` per input of the table, `fault-NAME` and `rejected-NAME`
           `enable` (FALSE holds the corrections: emergency stop), `homed`, `off`, `status`, `heartbeat`, `wrong-rate`;
           the sums are made inside (no sum2, which a machine's own HAL file may have loaded: that works only once).
 Traps     an unconnected pin reads 1e31, which is a missing reading, not 0; a thread at another rate than the table's
-          raises wrong-rate and leaves the corrections at 0; machine units are mm (LINEAR_UNITS = mm).
+          raises wrong-rate and leaves the corrections at 0; machine units are mm (LINEAR_UNITS = mm), else
+          LinuxCNC does not start with these HAL files: "program 'expr' failed".
 """
 
 from __future__ import annotations

@@ -101,3 +101,16 @@ def test_halcompile_takes_any_title(tmp_path):
     )
     assert run.returncode == 0, run.stdout + run.stderr
     assert "warning" not in run.stdout + run.stderr
+
+
+@pytest.mark.parametrize(
+    ("units", "starts"), [("mm", True), ("metric", True), ("inch", False), ("in", False), ("1", False)]
+)
+@pytest.mark.parametrize("name", [JOINTS, SHIFT])
+def test_a_machine_in_inches_does_not_start(name, units, starts):
+    """It took corrections in mm as inches, at positions in inches: 25.4 times too far, at the wrong place."""
+    text = LinuxcncHal.write(machines.too_long_at_plus_x())[name]
+    waited, loaded = re.search(r"^loadusr -w (.*)\n(.*)$", text, re.M).groups()
+    assert loaded == "loadrt errpipe"  # halcmd ends at a program that fails; nothing is loaded yet
+    done = subprocess.run(waited.replace("[TRAJ]LINEAR_UNITS", units).split(), capture_output=True, check=False)
+    assert (done.returncode == 0) == starts
