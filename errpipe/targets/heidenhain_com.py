@@ -2,7 +2,10 @@
 
 Value     the ERROR in mm along each compensated axis (MP720: positive when the travel is too long); the sense of the
           .COM columns and the text frame are from experience: prove both on the control before use.
-Columns   AXISPOS, BACKLASH (value measured in negative traverse), then one column per compensated axis.
+Columns   AXISPOS, BACKLASH, then one column per compensated axis. BACKLASH is taken to be what comes on top in negative
+          traverse; the manual has "the compensation values measured in the negative direction", which may be the whole.
+Turns     "with an axis of rotation, the system only recognizes corrections of entries from 0 to 360" (TNC 407 technical
+          manual p. 156): the table of an axis that turns on begins at 0, and is taken to repeat.
 Mark      the first line of each file says that it is experimental: it is to be taken out once the sense is proved.
 Spacing   a power of two times 0.1 um, as TNC 407 to iTNC 530 ask for (TNC 407 technical manual p. 153: 7 mm wanted,
           2^16 x 0.1 um = 6.5536 mm taken); newer controls take any.
@@ -13,13 +16,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, KEPT_BACKLASH, ByHand, Curve, Points, ReadBack, Target, expect
+from errpipe.targets._base import (
+    CAUTION,
+    KEPT_BACKLASH,
+    TURN,
+    ByHand,
+    Curve,
+    Points,
+    ReadBack,
+    Target,
+    every_turn,
+    expect,
+)
 
 MOST = 256  # points of an axis' table
 MARK = f"; {CAUTION}; then take this line out\n"
@@ -44,6 +59,8 @@ class HeidenhainCom(Target):
         "take the first line of each file out: it says what this list says",
         "copy the .COM files and config.CMA to the control's table folder; one line ACTIVE *",
         "MP730 axis error compensation active; compare the position display at three points with a gauge",
+        "compare them from above too: if an axis that is right from below is off there by its error, this control takes "
+        "BACKLASH as the whole value: put the sum of BACKLASH and the axis' own column in its place",
     )
 
     @classmethod
@@ -66,12 +83,21 @@ class HeidenhainCom(Target):
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
         own = dict.fromkeys(c.axis for c in read.curves if c.axis == c.over)
         says = {True: "= 0, else lost motion acts twice", False: KEPT_BACKLASH}
-        return tuple(
+        out = [
             ByHand(
                 f"{axis}: the control's own backlash (iTNC: MP710) {says[_sample.depends_on_direction(table, axis)]}"
             )
             for axis in own
-        )
+        ]
+        for over, (low, high) in read.spans().items():
+            if over[0] in "ABC" and not _sample.turns(table, over) and (low < 0.0 or high > TURN):
+                out.append(
+                    ByHand(
+                        f"{over}: its table runs from {low:g} to {high:g} deg; a control that takes those of a rotary "
+                        "axis from 0 to 360 deg only (TNC 407) leaves the rest uncorrected"
+                    )
+                )
+        return tuple(out)
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
@@ -86,7 +112,8 @@ class HeidenhainCom(Target):
 
 
 def _com(table: CompensationTable, over: str, own: list[str], whole: Mapping[str, str]) -> str:
-    x = _power_of_two(min((_sample.uniform(table, a, over, MOST, ERROR_UM)[0] for a in own), key=lambda p: p.step))
+    points = min((_sample.uniform(table, a, over, MOST, ERROR_UM)[0] for a in own), key=lambda p: p.step)
+    x = _power_of_two(replace(points, start=0.0) if _sample.turns(table, over) else points)
     count = x.size
     curves = {axis: _sample.at_nodes(table, axis, over, x, relative=whole[axis] != over) for axis in own}
     reversal = curves[over].up - curves[over].down if over in curves else np.zeros(count)
@@ -123,5 +150,7 @@ def _read(over: str, text: str) -> list[Curve]:
     curves = []
     for column, axis in enumerate(names, 3):
         up = -rows[:, column]
-        curves.append(Curve(axis, over, rows[:, 1], up, up - rows[:, 2] if axis == over else up))
+        curve = Curve(axis, over, rows[:, 1], up, up - rows[:, 2] if axis == over else up)
+        turns = over[0] in "ABC" and rows[0, 1] == 0.0 and rows[-2, 1] < TURN <= rows[-1, 1]
+        curves.append(every_turn(curve) if turns else curve)
     return curves

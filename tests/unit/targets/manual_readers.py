@@ -139,12 +139,13 @@ def haas_pitch(files: Files, axis: str) -> Moved:
 
 
 def heidenhain_com(files: Files, axis: str) -> Moved:
-    """Errors, taken away; on the way down the axis goes further in minus by the reversal value."""
+    """Errors, taken away; on the way down the axis goes further in minus by the reversal value. Turns: 0 to 360 deg."""
     text = files[f"{axis}.COM"]
     names = re.search(r"^NR AXISPOS BACKLASH (.*)$", text, re.M)[1].split()  # type: ignore[index]
     _, x, gap, *errors = zip(*_rows(text.replace("+", ""), 3 + len(names)), strict=True)
     error = errors[names.index(axis)]
-    return _both(_line(x, error), _line(x, np.add(error, gap)), sign=-1.0)
+    once = _both(_line(x, error), _line(x, np.add(error, gap)), sign=-1.0)
+    return _turning(once) if axis in "ABC" and x[0] == 0.0 and x[-1] >= 360.0 else once
 
 
 def linuxcnc_screw(files: Files, axis: str) -> Moved:

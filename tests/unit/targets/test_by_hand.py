@@ -114,6 +114,7 @@ REPEAT = {
     "beckhoff_ssfk",
     "fagor_lscrw",
     "fanuc_pitch",
+    "heidenhain_com",
     "pmac_comp",
     "sinumerik_cec",
     "sinumerik_lec",
@@ -375,3 +376,15 @@ def test_a_table_without_lost_motion_does_not_take_the_control_s_backlash_away(t
         assert "stays as it was while measuring" in says or "measure both directions" in says, says
     text = checklist(target, read, [], table)
     assert "measured with the control's own compensation and backlash off" in text
+
+
+def test_a_control_that_takes_turns_from_0_to_360_deg_gets_them_so():
+    """TNC 407, p. 156: entries outside are not recognized. A table from -180 to 180 deg was half lost."""
+    (target,) = [t for t in TARGETS if t.name == "heidenhain_com"]
+    for ends in TURNS.values():
+        text = target.write(turning(*ends))["C.COM"]
+        x = [float(row.split()[1]) for row in text.splitlines() if row[:1].isdigit()]
+        assert x[0] == 0.0 and x[-2] < 360.0 <= x[-1]
+    table = table_of("tilting axis -120 to 30")
+    text = checklist(target, target.read_back(target.write(table)), [], table)
+    assert "A: its table runs from -120 to" in text and "from 0 to 360 deg only (TNC 407)" in text
