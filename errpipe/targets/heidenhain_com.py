@@ -59,7 +59,7 @@ class HeidenhainCom(Target):
         "take the first line of each file out: it says what this list says",
         "copy the .COM files and config.CMA to the control's table folder; one line ACTIVE *",
         "MP730 axis error compensation active; compare the position display at three points with a gauge",
-        "compare them from above too: if an axis that is right from below is off there by its error, this control takes "
+        "compare them from above too: if an axis that is right from below is off by its error there, the control takes "
         "BACKLASH as the whole value: put the sum of BACKLASH and the axis' own column in its place",
     )
 
