@@ -23,7 +23,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
-from errpipe.errors import VerifyError
+from errpipe.errors import GateError, VerifyError
 from errpipe.targets import _sample
 from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, Points, ReadBack, every_turn, expect, too_many
 from errpipe.targets._screw_map import ScrewMap
@@ -105,8 +105,10 @@ def _whole_steps(table: CompensationTable, axis: str, points: Points, most: int,
         if largest <= 1 or count >= most - SPARE:
             break
         count = min(most - SPARE, count + max(1, count // 4))
+    if best is None and x.size <= most:
+        raise GateError(f"fanuc_pitch: {axis} changes by more than {LARGEST} pulses from point to point of {most}")
     if best is None:
-        raise too_many("fanuc_pitch", max(count + 1, x.size), most, left)
+        raise too_many("fanuc_pitch", x.size, most, left)
     return best
 
 

@@ -169,3 +169,11 @@ def test_a_travel_of_one_place_is_a_message():
         tables.compile_table(
             [tables.ComponentSource("EXX", "um", (curve,))], inputs=[place], travel={"X": (250.0, 250.0)}
         )
+
+
+def test_a_curve_too_steep_for_pulses_is_refused_for_that():
+    """It said that 511 points were needed where 512 fit."""
+    with pytest.raises(GateError, match="Z changes by more than 7 pulses from point to point of 512"):
+        BY_NAME["fanuc_pitch"].write(over(-20.0, 0.0, um=9000.0))
+    with pytest.raises(GateError, match=r"fanuc_pitch: \d+ points are needed, 512 fit"):
+        BY_NAME["fanuc_pitch"].write(over(5000.0, 5001.0))
