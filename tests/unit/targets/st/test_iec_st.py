@@ -359,6 +359,13 @@ def test_the_library_project_lists_every_type_and_block_and_its_version(tmp_path
 
 
 @pytest.mark.slow
+def test_the_example_takes_no_reading_for_that_of_another_table():
+    """A temperature that the program does not bring stood where the table before had X: it was X, in degC."""
+    example = iec_st.IecSt.write(ten_um_too_long())["example_twincat.st"]
+    exchanged = example.partition("IF fbStore.nActive <> nActive THEN")[2].partition("fbFind(")[0]
+    assert "abFresh := abNone;" in exchanged and example.count("abNone") == 2  # declared, and never written
+
+
 def test_the_example_and_the_calls_of_nc_tables_parse():
     parse = pytest.importorskip("blark.parse").parse_source_code
     example = iec_st.IecSt.write(ten_um_too_long())["example_twincat.st"]
