@@ -358,7 +358,6 @@ def test_the_library_project_lists_every_type_and_block_and_its_version(tmp_path
     assert f'version="{iec_st.LIBRARY_VERSION}"' in files["ect.plcopen.xml"]
 
 
-@pytest.mark.slow
 def test_the_example_takes_no_reading_for_that_of_another_table():
     """A temperature that the program does not bring stood where the table before had X: it was X, in degC."""
     example = iec_st.IecSt.write(ten_um_too_long())["example_twincat.st"]
@@ -366,6 +365,7 @@ def test_the_example_takes_no_reading_for_that_of_another_table():
     assert "abFresh := abNone;" in exchanged and example.count("abNone") == 2  # declared, and never written
 
 
+@pytest.mark.slow
 def test_the_example_and_the_calls_of_nc_tables_parse():
     parse = pytest.importorskip("blark.parse").parse_source_code
     example = iec_st.IecSt.write(ten_um_too_long())["example_twincat.st"]
