@@ -38,7 +38,8 @@ class KlipperSections(Target):
     remark = {"": "# {}"}
     source = "Klipper: docs/Config_Reference.md; klippy/extras bed_mesh, skew_correction, z_thermal_adjust"
     activation = (
-        "[include errpipe.cfg]; BED_MESH_PROFILE LOAD=errpipe; SKEW_PROFILE LOAD=errpipe",
+        "[include errpipe.cfg]; BED_MESH_PROFILE LOAD=errpipe; SKEW_PROFILE LOAD=errpipe; no fade_end in [bed_mesh] of "
+        "printer.cfg, which lets the mesh fade out with height",
         "[z_thermal_adjust] of printer.cfg names the sensor and its limits; SET_Z_THERMAL_ADJUST REF_TEMP=<the file's "
         "reference>: homing Z sets it to the temperature of that moment",
         "G1 to three points and GET_POSITION: toolhead against commanded",

@@ -1,7 +1,8 @@
 """Marlin: bed mesh (`M421`) and backlash (`M425`) as a G-code file.
 
 Mesh      the bed's height in mm at grid point I (X), J (Y): Z is lifted by it, so the correction of Z. The points lie
-          where the firmware was built to have them: 5 x 5 (GRID_MAX_POINTS) over the range named in the file.
+          where the firmware was built to have them: 5 x 5 (GRID_MAX_POINTS) over the range named in the file. Z0: at
+          every height, else the firmware lets the mesh fade out over its first 10 mm (DEFAULT_LEVELING_FADE_HEIGHT).
 Value     of M425: lost motion in mm; steps are added to the first segments after a reversal (feature/backlash.cpp),
           so against each other the direction upwards is pushed by it; F1 takes all of it.
 Limits    Z over X and Y, lost motion; no screw errors, no temperature; what is negative at a reversal cannot be said.
@@ -39,7 +40,8 @@ class MarlinGcode(Target):
         "MESH_BED_LEVELING or AUTO_BED_LEVELING_UBL with 5 x 5 points over the range that the file names; "
         "BACKLASH_GCODE for M425",
         "run the file, M420 V: the mesh must be the one of the file; M500 keeps it",
-        "home, then compare Z over three points of the bed with a gauge",
+        "home, M420 S1 (homing switches the mesh off unless built with RESTORE_LEVELING_AFTER_G28), then compare Z over "
+        "three points of the bed with a gauge, low and 50 mm higher",
     )
 
     @classmethod
@@ -71,7 +73,7 @@ def _mesh(plane: Plane) -> list[str]:
     x, y = plane.first, plane.second
     lines = [f"; mesh of {x.size} x {y.size}: X {x[0]:.6f} to {x[-1]:.6f}, Y {y[0]:.6f} to {y[-1]:.6f}", "M420 S0"]
     lines += [f"M421 I{i} J{j} Z{v + 0.0:.6f}" for (i, j), v in np.ndenumerate(plane.values)]
-    return [*lines, "M420 S1"]
+    return [*lines, "M420 S1 Z0"]
 
 
 def _read_mesh(text: str) -> tuple[Plane, ...]:
@@ -79,6 +81,8 @@ def _read_mesh(text: str) -> tuple[Plane, ...]:
     if head is None:
         return ()
     counts = int(head[1]), int(head[2])
+    fades = r"^M420 S1(?! Z0$)"
+    expect(re.search(fades, text, re.M) is None, FILE, "lets the mesh fade out with height (M420 S1 without Z0)")
     rows = re.findall(r"^M421 I(\d+) J(\d+) Z(-?[\d.]+)$", text, re.M)
     expect(len(rows) == counts[0] * counts[1], FILE, f"{len(rows)} points in a mesh of {counts[0]} x {counts[1]}")
     values = np.full(counts, np.nan)

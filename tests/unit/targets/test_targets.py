@@ -211,3 +211,13 @@ def test_a_file_per_kelvin_says_where_its_table_counts_from_the_start(target):
         table = machines.compile_(("EXX", [growth]), ("EZZ", [drift]))
         text = checklist(target, read(target, table), [], table)
         assert re.findall(r"- (\w): the table counts T from its reading at the start", text) == said
+
+
+def test_a_mesh_that_fades_out_with_height_is_no_compensation():
+    """Marlin keeps the fade height it was built with, 10 mm, unless told 0: above, nothing was corrected."""
+    (target,) = [t for t in TARGETS if t.name == "marlin_gcode"]
+    files = target.write(machines.bent())
+    (name,) = files
+    assert "\nM420 S1 Z0\n" in files[name]
+    with pytest.raises(VerifyError, match="fade out with height"):
+        target.read_back({name: files[name].replace("M420 S1 Z0", "M420 S1")})
