@@ -40,7 +40,7 @@ class MarlinGcode(Target):
         "MESH_BED_LEVELING or AUTO_BED_LEVELING_UBL with 5 x 5 points over the range that the file names; "
         "BACKLASH_GCODE for M425",
         "run the file, M420 V: the mesh must be the one of the file; M500 keeps it",
-        "home, M420 S1 (homing switches the mesh off unless built with RESTORE_LEVELING_AFTER_G28), then compare Z over "
+        "home, M420 S1 (homing switches the mesh off, without RESTORE_LEVELING_AFTER_G28), then compare Z over "
         "three points of the bed with a gauge, low and 50 mm higher",
     )
 
