@@ -1,8 +1,9 @@
 """Smoothieware / Carvera pitch compensation, `pitch_compensation.dat`: a local pitch MULTIPLIER at each position.
 
 Value     motor travel per commanded travel, 0.5..1.5: 1 + d(correction)/d(position). The controller integrates it
-          by trapezoids from zero, so the correction is zero at position 0 and the table's own level is lost.
-Limits    one curve for both directions; no temperature.
+          by trapezoids from zero, so the correction is zero at position 0 and the table's own level is lost. Beyond
+          the first and last point it goes on with their multipliers: these are 1, so that the correction stays.
+Limits    X, Y and Z (other lines are skipped); one curve for both directions; no temperature.
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
+from errpipe.errors import GateError
 from errpipe.targets import _sample
 from errpipe.targets._base import Curve, ReadBack, expect
 from errpipe.targets._screw_map import ScrewMap
 
 POINTS = 201  # of an axis
 FILE = "pitch_compensation.dat"
+OUTSIDE = 0.01  # mm from an end of travel to the point of multiplier 1; single precision keeps them apart up to 80 m
 
 
 class SmoothiePitch(ScrewMap):
@@ -27,7 +30,7 @@ class SmoothiePitch(ScrewMap):
     controller = "Smoothieware, Carvera"
     confidence = "documented"
     sign = "a multiplier above 1 moves the axis further per commanded travel"
-    limits = "multipliers 0.5 to 1.5; both directions alike; zero at position 0; no temperature"
+    limits = "X, Y and Z; multipliers 0.5 to 1.5; both directions alike; zero at position 0; no temperature"
     unit = "mm, and motor travel per commanded travel"
     holds = ("screw",)
     keeps_level = False
@@ -36,6 +39,13 @@ class SmoothiePitch(ScrewMap):
         "copy the file to the SD card; in config: pitch_compensation.enable true; reset",
         "home, then compare three points with a gauge: without that line the file is not read, and nothing says so",
     )
+
+    @classmethod
+    def own_axes(cls, table: CompensationTable) -> list[tuple[int, str]]:
+        axes = [(number, axis) for number, axis in super().own_axes(table) if axis in ("X", "Y", "Z")]
+        if not axes:
+            raise GateError(f"{cls.name}: X, Y and Z only (the firmware skips lines of other axes)")
+        return axes
 
     @classmethod
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
@@ -50,6 +60,7 @@ class SmoothiePitch(ScrewMap):
         rows: dict[str, list[tuple[float, float]]] = {}
         for line in files[FILE].splitlines():
             axis, position, factor = line.split()
+            expect(axis in ("X", "Y", "Z"), FILE, f"a line of {axis}, which is skipped")
             expect(0.5 <= float(factor) <= 1.5, FILE, f"a multiplier of {factor}")
             rows.setdefault(axis, []).append((float(position), float(factor)))
         return ReadBack(curves=tuple(_integrated(axis, np.array(r)) for axis, r in rows.items()))
@@ -63,11 +74,13 @@ def _rows(curve: Curve) -> list[str]:
     # The trapezoid rule of these slopes misses the curve by a little; one correction step takes that away.
     missed = np.diff(mean) - (slope[1:] + slope[:-1]) / 2 * np.diff(x)
     slope += np.interp(x, (x[1:] + x[:-1]) / 2, missed / np.diff(x))
+    x, slope = np.r_[x[0] - OUTSIDE, x, x[-1] + OUTSIDE], np.r_[0.0, slope, 0.0]
     return [f"{curve.axis} {p:.6f} {1.0 + s:.9f}\n" for p, s in zip(x.tolist(), slope.tolist(), strict=True)]
 
 
 def _integrated(axis: str, rows: np.ndarray) -> Curve:
     x, extra = rows[:, 0], rows[:, 1] - 1.0
+    expect(extra[0] == 0.0 == extra[-1], FILE, f"{axis} goes on beyond its ends")
     sums = np.r_[0.0, np.cumsum((extra[1:] + extra[:-1]) / 2 * np.diff(x))]
     value = sums - np.interp(0.0, x, sums)
     return Curve(axis, axis, x, value, value)

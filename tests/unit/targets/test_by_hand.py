@@ -108,7 +108,7 @@ def test_read_by_the_manual_the_file_takes_the_deviation_back(target, machine):
         assert 1e3 * np.abs(gap - level).max() < max(1.05 * target.rounding_um, 0.3), letter
 
 
-LINEAR = {"haas_pitch", "marlin_gcode", "mitsubishi_pitch", "reprap_heightmap"}  # no rotary axis
+LINEAR = {"haas_pitch", "marlin_gcode", "mitsubishi_pitch", "reprap_heightmap", "smoothie_pitch"}  # no rotary axis
 TURNS = {"0 to 360": (0.0, 360.0), "-180 to 180": (-180.0, 180.0), "0 to 330 of a turn": (0.0, 330.0)}
 REPEAT = {
     "beckhoff_ssfk",
@@ -388,3 +388,16 @@ def test_a_control_that_takes_turns_from_0_to_360_deg_gets_them_so():
     table = table_of("tilting axis -120 to 30")
     text = checklist(target, target.read_back(target.write(table)), [], table)
     assert "A: its table runs from -120 to" in text and "from 0 to 360 deg only (TNC 407)" in text
+
+
+def test_beyond_its_points_a_multiplier_goes_on():
+    """As the firmware integrates (PitchCompensation::integrate): 100 mm beyond travel the correction was 2 um more."""
+    (target,) = [t for t in TARGETS if t.name == "smoothie_pitch"]
+    table = of(("X", 100.0, 400.0, lambda x: 0.02 * (x - 100.0), even(0.0)))
+    files = target.write(table)
+    moved = manual_readers.smoothie_pitch(files, "X")
+    assert moved(700.0, 1) == pytest.approx(moved(400.0, 1), abs=1e-5)
+    assert moved(-200.0, 1) == pytest.approx(moved(100.0, 1), abs=1e-5)
+    assert moved(400.0, 1) == pytest.approx(-6e-3, abs=2e-5)
+    with pytest.raises(GateError, match="X, Y and Z only"):
+        target.write(table_of("rotary axis 0 to 360"))

@@ -111,7 +111,7 @@ def test_the_positioning_of_a_second_axis_along_x_moves_that_axis_and_not_x(axis
         machine="test",
     )
     assert [o.axis for o in table.outputs] == [axis]
-    for target in (t for t in TARGETS if "screw" in t.holds):
+    for target in (t for t in TARGETS if "screw" in t.holds and not t.limits.startswith("X, Y and Z;")):
         read = target.read_back(target.write(table))
         assert read.axes() == (axis,), target.name
         moved = np.diff(read.correction(axis, {axis: np.array([0.0, 500.0])}, np.ones(2), {}))
