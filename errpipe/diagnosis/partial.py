@@ -88,21 +88,14 @@ class Groups:
         order = np.argsort(self.code, kind="stable")
         return order, np.searchsorted(self.code[order], np.arange(self.count + 1))
 
-    @cached_property
-    def priced(self) -> tuple[list[tuple[int, ...]], np.ndarray, np.ndarray]:
-        """Unions tried, with what `weighed` says of them."""
-        return (choices := self.choices()), *self.weighed(choices)
-
     def weighed(self, choices: list[tuple[int, ...]]) -> tuple[np.ndarray, np.ndarray]:
         """1 where a group is in a union, shape (unions, groups), and the unions' prices."""
         inside = [np.bincount(c, minlength=self.count) for c in choices]
         return np.array(inside, dtype=float), np.array([self.price(c) for c in choices])
 
-    def neighbours(self, members: tuple[int, ...]) -> list[tuple[int, ...]]:
-        """Of runs, the unions that differ in one run: not all that there are can be tried."""
-        if self.kind != "runs":
-            return []
-        ways = (tuple(sorted({*members} ^ {group})) for group in range(self.count))
+    def beside(self, members: tuple[int, ...]) -> list[tuple[int, ...]]:
+        """Unions of runs that differ in one run, for not all of them can be tried; of ranges none."""
+        ways = (tuple(sorted({*members} ^ {run})) for run in range(self.count if self.kind == "runs" else 0))
         return [way for way in ways if 0 < len(way) < self.count]
 
     def price(self, members: tuple[int, ...]) -> float:
@@ -252,22 +245,19 @@ def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, 
     S, B, s = (np.array(of_each_group) for of_each_group in zip(*products, strict=True))
     S, B, s = S * freedom * freedom[:, None], B * freedom, s * freedom
     elsewhere = groups.kind not in ("runs", clock) and not on_a_stretch(library.hypotheses[index], groups.kind)
-
-    def best_of(choices: list[tuple[int, ...]], member: np.ndarray, price: np.ndarray) -> Part:
+    best, choices = Part(-np.inf, index, groups, (), 0.0), groups.choices()
+    while choices:
+        member, price = groups.weighed(choices)
         Bc = np.tensordot(member, B, 1)
         Sc = np.tensordot(member, S, 1) - Bc.transpose(0, 2, 1) @ Bc
         sc = member @ s - np.einsum("cmk,m->ck", Bc, scene.half)
         price = price + (ELSEWHERE if elsewhere else 0.0)
         gain = averaged(Sc, sc[:, :, None], np.array([scene.Q]), scene.n)[:, 0] - price
-        best = int(np.argmax(gain))
-        return Part(float(gain[best]), index, groups, choices[best], float(price[best]))
-
-    best = best_of(*groups.priced)
-    while more := groups.neighbours(best.members):
-        other = best_of(more, *groups.weighed(more))
-        if other.gain <= best.gain:
+        k = int(np.argmax(gain))
+        if gain[k] <= best.gain:
             break
-        best = other
+        best = Part(float(gain[k]), index, groups, choices[k], float(price[k]))
+        choices = groups.beside(best.members)
     return best
 
 

@@ -108,7 +108,7 @@ class FeedHeating(Term):
         # viscous friction warms with the square of the speed, and the nut warms the screw where it works
         along = unit_interval(x)
         for more, freedom in ((self.speed(recording) / 100.0, VISCOUS), (along, WHERE_IT_WORKS)):
-            warmed = self._warming(recording, *nonlinear, more) * self._reach(recording)
+            warmed = self._warming(recording, nonlinear[0], more) * self._reach(recording)
             yield warmed, freedom
             yield warmed * along, freedom
 
