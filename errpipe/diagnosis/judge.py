@@ -162,11 +162,11 @@ def _possible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
 
 
 def _found_by_folds(made: SetUp, case: Case) -> Case:
-    """The case, or what most folds find in the place of names that few of them find, if it is nearly as likely.
+    """The case, or what most folds find in the place of two names that few of them find, if it is nearly as likely.
 
-    Two look-alikes may fit all rows better than the one effect that they stand for, and a simpler effect as well as it.
+    Two look-alikes may fit all rows better than the one effect that they stand for.
     """
-    if made.plain or not case.chosen() or max(_held(case).agreement) >= holdout.AGAIN or not case.held.often:
+    if made.plain or len(case.chosen()) < 2 or max(_held(case).agreement) >= holdout.AGAIN or not case.held.often:
         return case
     prior = made.prior
     made.prior = np.where([h.effect in case.held.often for h in made.library.hypotheses], prior, NEVER)
