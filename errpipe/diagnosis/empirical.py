@@ -87,14 +87,20 @@ def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
 
 
 def has_a_name(case: Case, empirical: Empirical, whole: np.ndarray) -> bool:
-    """Is the equation one column that is the form of an effect without non-linear parameters, or of one that is named?
+    """Is the equation one column that is the form of an effect without non-linear parameters, or what names hold?
 
     Further terms count where they explain `LEAST_SHARE` more of the mismatch (rows,). It is no mechanism outside of the
-    vocabulary, then, but that name, or an effect that noise which wanders may play.
+    vocabulary, then, but those names, or an effect that noise which wanders may play.
     """
     library, part = case.library, _drawn(whole.size, np.random.default_rng(SEED))
     rows, whole = case.pair.rows[part], whole[part]
-    (values,) = (c.values for c in candidates(case.recording, rows) if c.name == empirical.terms[0].column)
+    listed = {c.name: c.values for c in candidates(case.recording, rows)}
+    said = np.sum([term.coefficient * listed[term.column] for term in empirical.terms], axis=0)
+    names = [library.block(i, case.recording, rows)[:, : library.cores[i]] for i, _ in case.chosen()]
+    known = np.column_stack([case.recal[part], *names])
+    if np.var(said - known @ np.linalg.lstsq(known, said, rcond=None)[0]) < (1.0 - ALIKE**2) * np.var(said):
+        return True
+    values = listed[empirical.terms[0].column]
     alone = np.column_stack([np.ones(part.size), case.simulated[part], values])  # whose gain may have played it
     left = whole - alone @ np.linalg.lstsq(alone, whole, rcond=None)[0]
     if len(empirical.terms) > 1 and 1.0 - np.var(left) / np.var(whole) < empirical.share - LEAST_SHARE:

@@ -158,7 +158,7 @@ class Search:
             for effect, lost, i in self.rivals(accepted, k):
                 other = self.library.hypotheses[i]
                 inside, fewer = set(other.drivers) <= set(h.drivers), len(h.nonlinear[0]) - len(other.nonlinear[0])
-                within = AS_LIKELY if fewer > 0 else TIED
+                within = AS_LIKELY if fewer > 0 and len(other.drivers) == len(h.drivers) else TIED
                 simpler = fewer > 0 or (fewer == 0 and len(other.drivers) < len(h.drivers))
                 if effect not in taken and lost < within and other.mask == h.mask and inside and simpler:
                     chosen = [(g.index, g.size) for g in accepted]

@@ -20,10 +20,12 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._equations import magnitude, times
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import linear_axes_acting
-from errpipe.terms._slack import Slack, bent, start_states
+from errpipe.terms._slack import Slack, bent, start_states, unit_interval
 from errpipe.yamlfile import quantity
 
 PER_MINUTE = 1.0 / 60.0  # mm/s in a feed of 1 mm/min
+VISCOUS = 0.5  # prior standard deviation of the heat of viscous friction over that of dry friction: as much as it
+WHERE_IT_WORKS = 0.2  # and of what a screw that is warm in one half grows more there
 
 
 class FeedHeating(Term):
@@ -83,12 +85,15 @@ class FeedHeating(Term):
             step_speed = np.where(logged[1:] & ~logged[:-1], recording.array(feed)[1:] / 60.0, step_speed)
         return np.nan_to_num(np.r_[step_speed, 0.0])
 
-    def _warming(self, recording: Recording, tau: float) -> np.ndarray:
-        return responses.lag(sessions(recording), recording.time(), self.speed(recording) / 100.0, tau, tau, False)
+    def _warming(self, recording: Recording, tau: float, more: float | np.ndarray = 1.0) -> np.ndarray:
+        heat = self.speed(recording) / 100.0 * more
+        return responses.lag(sessions(recording), recording.time(), heat, tau, tau, False)
+
+    def _reach(self, recording: Recording) -> np.ndarray:
+        return (position(recording, self.axis) - self.fixed_end) * 1e-3
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        reach = (position(recording, self.axis) - self.fixed_end) * 1e-3
-        return (self._warming(recording, *nonlinear) * reach)[:, None]
+        return (self._warming(recording, *nonlinear) * self._reach(recording))[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         x = position(recording, self.axis)
@@ -100,6 +105,12 @@ class FeedHeating(Term):
         yield self._warming(recording, *nonlinear) * 1e-3 * (np.nanmax(x) - np.nanmin(x)), 0.3
         for factor in (0.3, 3.0):
             yield self.basis(recording, nonlinear[0] * factor)[:, 0], 0.25
+        # viscous friction warms with the square of the speed, and the nut warms the screw where it works
+        along = unit_interval(x)
+        for more, freedom in ((self.speed(recording) / 100.0, VISCOUS), (along, WHERE_IT_WORKS)):
+            warmed = self._warming(recording, nonlinear[0], more) * self._reach(recording)
+            yield warmed, freedom
+            yield warmed * along, freedom
 
     def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
         if self.column is None:

@@ -15,8 +15,12 @@ from errpipe.drivers.motion import axes, position_name
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._place import direction_of, own_axis
 from errpipe.terms._search import Listed
+from errpipe.terms._slack import Slack, difference_of_shape
 from errpipe.terms._warm import scaled
 from errpipe.yamlfile import quantity
+
+LOADS = (2.0, 3.0, 4.0)  # exponents of a cantilever's deflection: moment, load at the end, own weight (beam tables)
+TOGETHER = 0.3  # prior standard deviation of the share of each: any may be as large as a third of the others
 
 
 class GravitySag(Term):
@@ -74,6 +78,11 @@ class GravitySag(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         reach = np.clip(self.sign * (recording.array(self.column) - self.start), 0, None) / self.length
         return (reach ** nonlinear[0])[:, None]
+
+    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
+        """A moment, a load at the end and the beam's own weight bend it together, in shares that nobody states."""
+        for exponent in LOADS:
+            yield difference_of_shape(self.basis(recording, exponent)[:, 0], base[:, 0]), TOGETHER
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
         (exponent,) = self.nonlinear_values(parameters)

@@ -8,6 +8,7 @@ from errpipe.drivers.evaluation import drive
 from errpipe.terms.angular_abbe import AngularAbbe
 from errpipe.terms.coolant_effect import CoolantEffect
 from errpipe.terms.feed_heating import FeedHeating
+from errpipe.terms.gravity_sag import GravitySag
 from errpipe.terms.reversal_spike import ReversalSpike
 from errpipe.terms.scale_expansion import ScaleExpansion
 from tests.unit.diagnosis.machines import recording
@@ -109,3 +110,36 @@ def test_a_spike_dies_away_between_two_turns_of_the_same_run(pause):
     term = ReversalSpike(axis="X")
     (tau,) = (p for p in term.nonlinear() if p.name == "tau")
     assert tau.search.limits(term, to_and_fro(pause))[1] == pytest.approx(1.0 / 3.0, rel=0.05)
+
+
+def test_a_ram_bends_under_its_own_weight_and_the_spindles():
+    x = np.linspace(0.0, 600.0, 80)
+    made = recording({"x": x}, {"x": {"role": "position", "axis": "X", "unit": "mm"}})
+    term = GravitySag(column="x", length=600.0)
+    base = term.basis(made, 3.0)
+    columns = np.column_stack([base, *(c for c, _ in term.slack(made, base, 3.0))])
+    hidden = -12.0 * (x / 600.0) ** 3 - 8.0 * (x / 600.0) ** 4  # load at the end, line load
+    left = hidden - columns @ np.linalg.lstsq(columns, hidden, rcond=None)[0]
+    assert np.std(left) < 1e-6 * np.std(hidden)
+
+
+def test_a_screw_is_warmed_by_viscous_friction_where_the_nut_works():
+    rng = np.random.default_rng(3)
+    t, feed = 20.0 * np.arange(400), np.repeat(rng.choice([0.0, 6000.0, 24000.0], 20), 20)
+    x = rng.uniform(0.0, 500.0, t.size)
+    kinds = {
+        "t": {"role": "time", "unit": "s"},
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "feed": {"role": "feed", "axis": "X", "unit": "mm/min"},
+    }
+    made = recording({"t": t, "x": x, "feed": feed}, kinds)
+    term = FeedHeating(axis="X", column="feed", cycled=True)
+    base = term.basis(made, 2000.0)
+    columns = np.column_stack([base, *(c for c, _ in term.slack(made, base, 2000.0))])
+    keep, v = np.exp(-20.0 / 2000.0), feed / 6000.0
+    for heat in (v**2, v * (x / 250.0 - 1.0)):
+        warm = np.zeros(t.size)
+        for k in range(1, t.size):
+            warm[k] = keep * warm[k - 1] + (1.0 - keep) * heat[k - 1]
+        left = warm * x - columns @ np.linalg.lstsq(columns, warm * x, rcond=None)[0]
+        assert np.std(left) < 0.05 * np.std(warm * x)
