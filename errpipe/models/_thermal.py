@@ -56,7 +56,10 @@ class ThermalFamily(Family):
         """A temperature or a spindle speed is needed."""
         if recording.names("temperature") or recording.name("spindle_speed") is not None:
             return ""
-        return f"thermal model of {self.component}: the recording has no temperature, nor a spindle speed"
+        return (
+            f"thermal model of {self.component}: the recording has no temperature, nor a spindle speed (`clean` sets "
+            "sensors aside that show one value in every row: its cleaning.json names them)"
+        )
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
         """Without a scheme: each environment in turn, or each run where the recording names less than two.
