@@ -56,7 +56,10 @@ class ThermalFamily(Family):
         """A temperature or a spindle speed is needed."""
         if recording.names("temperature") or recording.name("spindle_speed") is not None:
             return ""
-        return f"thermal model of {self.component}: the recording has no temperature, nor a spindle speed"
+        return (
+            f"thermal model of {self.component}: the recording has no temperature, nor a spindle speed (`clean` sets "
+            "sensors aside that show one value in every row: its cleaning.json names them)"
+        )
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
         """Without a scheme: each environment in turn, or each run where the recording names less than two.
@@ -267,7 +270,7 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
     from errpipe.domain import driver as d
     from errpipe.fitting.statistics import rms
     from errpipe.fitting.validity import box
-    from errpipe.thermal import interval
+    from errpipe.thermal import calibration
     from errpipe.thermal.arithmetic import limits
     from errpipe.thermal.model import ThermalModel
     from errpipe.thermal.season_options import SeasonOptions
@@ -275,9 +278,11 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
     y, rows, groups = problem.response, problem.rows, tuple(problem.groups)
     limit = limits(y[rows])
     total = _sum_of(outcome, groups)
-    factor, half = _interval(family, problem, outcome)
-    alone = problem.run_count == 1
-    growth = interval.growth_of_one_day(half, family.coverage) if alone else interval.GROWTH
+    noise = _noise_floor(problem.recording, family, outcome) or 0.0
+    one_environment = family.one_environment(problem)
+    factor, intervals = calibration.interval(
+        problem, outcome, total, family.coverage, family.environment, one_environment, noise
+    )
     roles = ("position", "command") if problem.plain else ("position", "command", "spindle_speed")
     places = {name for role in roles for name in problem.recording.names(role)}
     read = [n for n in d.inputs(total) if n in places]
@@ -287,7 +292,7 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
         options=SeasonOptions(),
         parts=tuple((name, w * g, n) for e, w in outcome.weights for name, g, n in e.parts(groups)),
         terms=((1.0, d.Clip(of=total, low=limit[0], high=limit[1])),),
-        intervals=interval.Intervals(half, half, 0.0, growth),
+        intervals=intervals,
         factor=factor,
         validity=validity.model_copy(update={"fades": False}),
         fade=1.0,
@@ -319,58 +324,6 @@ def _sum_of(outcome: Outcome, groups: tuple[int, ...]) -> Any:
         for some in (parts[k : k + MOST_OPERANDS] for k in range(0, len(parts), MOST_OPERANDS))
     ]
     return sums[0] if len(sums) == 1 else d.Affine(weights=(1.0,) * len(sums), of=tuple(sums))
-
-
-def _interval(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> tuple[d.Driver, float]:
-    """Factor of the interval, and its half width at a prediction of zero among the fitted rows, um.
-
-    The variance of a prediction is that left on runs left out, plus the spread of fits without a run
-    (`thermal.spread`): a row far outside in a direction in which they disagree has a wide interval.
-    Turning centre, winter predicted from spring: covered 0.95 with, 0.82 without.
-    """
-    from errpipe.drivers.evaluation import drive
-    from errpipe.thermal import competition
-    from errpipe.thermal import spread as thermal_spread
-
-    groups = tuple(problem.groups)
-    way = competition.groupings(problem.recording, problem.group, groups, family.environment)[0]
-    spread = thermal_spread.directions(outcome, groups, way.folds, problem.recording, problem.rows)
-    left = outcome.left.get(way.name, {}).get(competition.MIXTURE, 0.0)
-    factor = thermal_spread.factor(spread, left)
-    return factor, _half_width(family, problem, outcome, drive(factor, problem.recording))
-
-
-def _half_width(family: ThermalFamily, problem: LinearProblem, outcome: Outcome, factor: np.ndarray) -> float:
-    """Half width of the interval of a prediction of zero, um, from groups left out; factor: of each row, (rows,).
-
-    A left-out run is predicted by a fit that has its environment, a left-out environment by a fit on the others alone.
-    The next environment is predicted by a fit on all of them, between the two: their geometric mean is taken. Where all
-    rows are of one environment nothing is known of the next one: the widest of all groupings is taken, with the
-    level raised as for few groups. Chosen on seeds 1 to 3 of `trials.thermal`: 94 % of rows are covered at 1.26 times
-    the width needed (runs alone: 92 % and 1.08, and less where seasons differ).
-    """
-    import numpy as np
-
-    from errpipe.thermal import interval
-    from errpipe.thermal.competition import HALF, RUN, WARMTH
-
-    y, rows = problem.response, problem.rows
-    if HALF in outcome.predictions:
-        p = outcome.predictions[HALF]
-        left = interval.LeftOut((y - p)[rows], p[rows])
-        return interval.of_next_run(left, problem.group[rows], family.coverage, factor[rows], problem.one_day)
-    only_one = family.one_environment(problem)
-    environment = family.environment if family.environment in outcome.predictions else WARMTH
-    half = [
-        interval.LeftOut((y - p)[rows], p[rows]).half_width(
-            problem.group[rows], family.coverage, problem.run_count, only_one, factor[rows]
-        )
-        for name, p in outcome.predictions.items()
-        if only_one or name in (RUN, environment)
-    ]
-    if only_one:
-        return max(half)
-    return float(np.exp(np.mean(np.log(np.maximum(half, 1e-9)))))
 
 
 def _zeros(family: ThermalFamily, problem: LinearProblem) -> tuple[float, float]:

@@ -28,6 +28,11 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
     from errpipe.validation.predict import Begin, Evaluate, Predictor
 
+SILENT = (
+    "no reading for too long in {} of {} rows: the last one is held there, without an interval unless the model widens "
+    "it, and before a first one nothing is predicted; a table with `guard: true` (export) stands in for a temperature "
+    "that the others tell"
+)
 ADDED_TO_PREDICTION = "added to the prediction: the table has no input for readings (readings_per_shift of its export)"
 
 
@@ -48,15 +53,19 @@ def predict(source: Path, recording: Path, out: Path, readings: Path | None = No
         _of_model(compensation) if isinstance(compensation, ErrorModel) else _of_table(compensation, Path(source))
     )
     said: dict[str, Any] = {}
+    silent: dict[str, int] = {}
     if readings is not None:
         read = _artefacts.recording_in(Path(recording))
-        frame, said = _with_readings(compensation, source_of, read, rows.predict(source_of, read), Path(readings))
+        plain = rows.predict(source_of, read, silent)
+        frame, said = _with_readings(compensation, source_of, read, plain, Path(readings))
         frames = iter([frame])
     elif source_of.in_parts:
-        frames = rows.predict_parts(source_of, manifest_folder.iter_chunks(Path(recording)))
+        frames = rows.predict_parts(source_of, manifest_folder.iter_chunks(Path(recording)), silent)
     else:
-        frames = iter([rows.predict(source_of, _artefacts.recording_in(Path(recording)))])
+        frames = iter([rows.predict(source_of, _artefacts.recording_in(Path(recording)), silent)])
     answer = {"written": str(out)} | _rows_out.write(Path(out), frames) | said
+    if silent:
+        answer["silent"] = {name: SILENT.format(count, answer["rows"]) for name, count in silent.items()}
     without = [c for c in source_of.components if c not in source_of.half_width90]
     return answer | ({"intervals": _why_empty(compensation, without)} if without else {})
 

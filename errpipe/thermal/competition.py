@@ -90,7 +90,8 @@ class Outcome:
 
     predictions: grouping -> prediction of the mixture on held-out groups, um, (rows,), NaN where nothing is judged.
     by_group: grouping -> label of the group left out -> name -> rms, um. chance: name -> probability that the mixture
-    leaves less of the runs left out by chance alone (paired t test).
+    leaves less of the runs left out by chance alone (paired t test). rivals: the best setting of each family that
+    was admitted; apart: variance between what they predict of the first grouping's groups left out, um2, (rows,).
     """
 
     weights: tuple[tuple[Entrant, float], ...]
@@ -98,6 +99,8 @@ class Outcome:
     predictions: Mapping[str, np.ndarray] = field(default_factory=dict)
     by_group: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
     chance: Mapping[str, float] = field(default_factory=dict)
+    rivals: tuple[Entrant, ...] = ()
+    apart: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 def groupings(recording: Recording, group: np.ndarray, groups: Sequence[int], environment: str) -> tuple[Grouping, ...]:
@@ -187,7 +190,8 @@ def compete(
             best[entrant.family] = k
     ranked = sorted(best.values(), key=lambda k: score[k])
     weights = _plain(entrants, judged) if ahead else {}
-    weights = weights or _stacked([k for k in ranked if np.isfinite(score[k])], chooser)
+    admitted = [k for k in ranked if np.isfinite(score[k])]
+    weights = weights or _stacked(admitted, chooser)
     named: dict[str, dict[int, float]] = (
         {NOTHING: {}} | {entrants[k].name: {k: 1.0} for k in ranked} | {MIXTURE: weights}
     )
@@ -203,7 +207,11 @@ def compete(
     mixed = chooser.by_group(weights)
     chance = {name: _chance(chooser.by_group(w) - mixed) for name, w in named.items() if name != MIXTURE}
     predictions = {name: judge.mixture(weights) for name, judge in judged.items()}
-    return Outcome(tuple((entrants[k], w) for k, w in weights.items()), left, predictions, by_group, chance)
+    rivals, apart = tuple(entrants[k] for k in admitted), np.zeros(rows.size)
+    if rivals:
+        apart = next(iter(judged.values())).predicted[admitted].var(axis=0)
+    mixture = tuple((entrants[k], w) for k, w in weights.items())
+    return Outcome(mixture, left, predictions, by_group, chance, rivals, apart)
 
 
 @dataclass(frozen=True)

@@ -74,17 +74,23 @@ class LeftOut:
     predicted: np.ndarray
 
     def half_width(
-        self, group: np.ndarray, level: float, runs: int, raised: bool = True, factor: np.ndarray | float = 1.0
+        self,
+        group: np.ndarray,
+        level: float,
+        runs: int,
+        raised: bool = True,
+        factor: np.ndarray | float = 1.0,
+        growth: float = GROWTH,
     ) -> float:
         """Half width of a prediction of zero that covers a row of a new group, um; 0 where nothing was judged.
 
-        factor: what the half width of each row is multiplied by, (rows,).
+        factor: what the half width of each row is multiplied by, (rows,); growth: 1/um, of `Intervals`.
         """
         finite = np.isfinite(self.error)
         if not finite.any():
             return 0.0
         wider = np.broadcast_to(factor, self.error.shape)[finite]
-        scaled = np.abs(self.error[finite]) / (1.0 + GROWTH * np.abs(self.predicted[finite])) / wider
+        scaled = np.abs(self.error[finite]) / (1.0 + growth * np.abs(self.predicted[finite])) / wider
         return conformal_half_width(scaled, group[finite], level, runs, raised)
 
 

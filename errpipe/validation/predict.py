@@ -7,7 +7,7 @@ interval).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -99,19 +99,25 @@ def of_evaluator(evaluator: Evaluate, model: ErrorModel, begin: Begin | None = N
     )
 
 
-def predict(model: ErrorModel | Predictor, recording: Recording) -> pd.DataFrame:
+def predict(
+    model: ErrorModel | Predictor, recording: Recording, silent: MutableMapping[str, int] | None = None
+) -> pd.DataFrame:
     """One row per row of the recording, in order: run, time, and four columns per response.
 
-    NAME_predicted, NAME_lower, NAME_upper (90 %, empty where nothing is predicted), in the response's unit, and
-    NAME_outside (1 outside the validity box). NAME is the response's column, or the component where the recording has
-    no such response. Raises DataError where the recording lacks a column that the model reads.
+    NAME_predicted, NAME_lower, NAME_upper (90 %, empty where nothing is predicted, and where an input of a model that
+    does not widen it outside the box is silent), in the response's unit, and NAME_outside (1 outside the validity
+    box). NAME is the response's column, or the component where the recording has no such response. silent: takes the
+    number of rows without a reading, or with one too old, of each input of the box that has any. Raises DataError
+    where the recording lacks a column that the model reads.
     """
     source = of_model(model) if isinstance(model, ErrorModel) else model
-    (frame,) = _frames(source, [recording], lambda _: source.evaluate)
+    (frame,) = _frames(source, [recording], lambda _: source.evaluate, silent)
     return frame
 
 
-def predict_parts(source: Predictor, parts: Iterable[Recording]) -> Iterator[pd.DataFrame]:
+def predict_parts(
+    source: Predictor, parts: Iterable[Recording], silent: MutableMapping[str, int] | None = None
+) -> Iterator[pd.DataFrame]:
     """The same of a recording that comes in parts, part by part: equal to the bit, however it is cut.
 
     Runs may be cut anywhere and may alternate. Memory: a part, and a few kB per run. Raises ValueError where the
@@ -119,7 +125,7 @@ def predict_parts(source: Predictor, parts: Iterable[Recording]) -> Iterator[pd.
     """
     if source.begin is None or not source.in_parts:
         raise ValueError("the predictor takes whole runs only")
-    return _frames(source, parts, source.begin)
+    return _frames(source, parts, source.begin, silent)
 
 
 class _Run:
@@ -133,7 +139,10 @@ class _Run:
         self.read: dict[str, tuple[int, int]] = {}
 
 
-def _frames(source: Predictor, parts: Iterable[Recording], begin: Begin) -> Iterator[pd.DataFrame]:
+def _frames(
+    source: Predictor, parts: Iterable[Recording], begin: Begin, silent: MutableMapping[str, int] | None
+) -> Iterator[pd.DataFrame]:
+    silent = {} if silent is None else silent
     runs: dict[str, _Run] = {}
     before = 0
     for part in parts:
@@ -147,13 +156,18 @@ def _frames(source: Predictor, parts: Iterable[Recording], begin: Begin) -> Iter
             run = runs[label] = runs.get(label) or _Run(begin(len(part)))
             alone = part.take(rows)
             kept = held(alone, run.last)
-            far[rows] = distance(source.validity, _without_old(alone, kept, source.validity, run.read))
-            known = _inputs_known(source, kept)
+            lately = _without_old(alone, kept, source.validity, run.read)
+            far[rows] = distance(source.validity, lately)
+            for name in source.validity.ranges:
+                if missing := int(np.count_nonzero(np.isnan(lately.array(name)))):
+                    silent[name] = silent.get(name, 0) + missing
+            ever, now = _inputs_known(source, kept), _inputs_known(source, lately)
             for component, match in run.evaluate(kept).items():
                 values[component][rows] = match
                 if component in source.half_width90:
                     predicted = np.where(np.isfinite(match), match, 0.0)
                     width = source.half_width(component, kept, predicted, far[rows])
+                    known = ever if source.widening90.get(component) else now
                     # a table gives 0 where an input was never there, which is no prediction
                     half[component][rows] = np.where(known & np.isfinite(match), width, np.nan)
         frame = _frame(source, part, values, half, far)

@@ -47,9 +47,10 @@ def p_value(recording: Recording, folds: Sequence[HeldOut], gain: float) -> floa
 def p_between_halves(folds: Sequence[HeldOut], gain: float) -> tuple[float, int]:
     """p of a correction at a gain on halves of one run that predict each other, and the effective number of rows.
 
-    Prediction and deviation are correlated as they stand (drift) and less their mean in each half (shape), with the
+    Prediction and deviation are correlated less their mean over the run (drift) and in each half (shape), with the
     effective number of rows of two autocorrelated series (Quenouille 1952; Bretherton et al. 1999, J. Climate 12:1990),
-    and both one-sided p combined by Fisher's method. folds: blocks of the first half, then as many of the second.
+    and both one-sided p combined by Fisher's method. The zero of a run is the mean of a few readings: its error stands
+    in both halves and would predict itself. folds: blocks of the first half, then as many of the second.
     """
     before, after = (
         [
@@ -59,7 +60,8 @@ def p_between_halves(folds: Sequence[HeldOut], gain: float) -> tuple[float, int]
         for name in ("before", "after")
     )
     predicted = [gain * (b - a) for b, a in zip(before, after, strict=True)]
-    drift, worth = _correlated(predicted, before)
+    whole = ([x - np.concatenate(series).mean() for x in series] for series in (predicted, before))
+    drift, worth = _correlated(*whole)
     shape, _ = _correlated(*([x - x.mean() for x in series] for series in (predicted, before)))
     return chi2_tail(-2.0 * float(np.log(drift) + np.log(shape)), 4), int(worth)
 

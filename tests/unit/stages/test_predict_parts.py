@@ -111,6 +111,29 @@ def test_the_files_hold_what_the_whole_prediction_says(model, tmp_path, monkeypa
     assert (tmp_path / "p.csv").read_text() == whole.to_csv(index=False, lineterminator="\n")
 
 
+@pytest.mark.parametrize("in_parts", [True, False])
+def test_a_sensor_that_falls_silent_is_named_and_its_rows_have_no_interval(model, tmp_path, in_parts):
+    """Held for ever, it left 0.21 instead of 0.01 of the deviation inside an interval that had not widened."""
+    drift = spindle_drift.simulate(1)[0]
+    frame, first = drift.frame.copy(), np.flatnonzero(drift.run_codes() == 0)
+    frame.loc[first[20:], "T_front"] = np.nan
+    manifest_folder.write(Recording(drift.manifest, frame), tmp_path / "recording")
+    stated = model.components[0].model_copy(update={"half_width90": 2.0, "widening90": 0.0})
+    factor = {} if in_parts else {"factor90": rise("T_front").model_dump(mode="json")}
+    component = stated.model_copy(update=factor)
+    file = tmp_path / "error_model.json"
+    file.write_text(jsonfile.dumps(_artefacts.model_json(model.model_copy(update={"components": (component,)}))))
+    said = stage.predict(file, tmp_path / "recording", tmp_path / "out.csv")
+    assert (
+        list(said["silent"]) == ["T_front"]
+        and f"in {first.size - 23} of {len(frame)} rows" in said["silent"]["T_front"]
+    )
+    told = pd.read_csv(tmp_path / "out.csv")
+    assert told["E_Z_upper"].isna().to_numpy().nonzero()[0].tolist() == first[23:].tolist()
+    manifest_folder.write(drift, tmp_path / "healthy")
+    assert "silent" not in stage.predict(file, tmp_path / "healthy", tmp_path / "out.csv")
+
+
 def test_a_model_whose_numbers_no_table_holds_is_refused(model):
     """A file that was changed by hand: a message, not pydantic's."""
     (part,) = model.components

@@ -7,10 +7,12 @@ import pytest
 
 from errpipe.errors import GateError
 from errpipe.fitting import holdout
+from errpipe.fitting.judging import HeldOut
 from errpipe.formats import manifest_folder
 from errpipe.models.auto import Auto
 from errpipe.validation import significance
 from errpipe.validation.gate import pass_gate
+from errpipe.validation.held_out import component_figures
 from errpipe.validation.predict import predict
 from tests.unit.models.test_competition import machine
 from tests.validation_document import held_out
@@ -105,6 +107,20 @@ def test_a_log_of_one_day_that_helps_is_exported_and_one_that_wanders_is_not() -
     wanders = one.with_columns({"E_Z": walk}, {})
     with pytest.raises(GateError, match=r"independent rows.*measure further days"):
         pass_gate(FAMILY.fit(wanders).model, [held_out(wanders, FAMILY)])
+
+
+@pytest.mark.parametrize(("blocks", "gain"), [(1.0, 1.0), (1.3, 0.75)])
+def test_halves_that_go_too_far_do_not_alone_take_a_share_of_the_correction(blocks: float, gain: float) -> None:
+    """Halves predict 1.3 times what is there, blocks between fitted rows once or as often; the next run is between."""
+    one = machine(2, seasons=("winter",), runs=1)
+    deviation = since(one.array("E_Z"), one)
+
+    def folds(times: float) -> list[HeldOut]:
+        parts = np.array_split(np.arange(len(one)), 6)
+        return [HeldOut("", k, deviation[k], (1.0 - times) * deviation[k], np.zeros(k.size), 0.0) for k in parts]
+
+    figures = component_figures(one, "E_Z", folds(1.3), halves=lambda: {"E_Z": folds(blocks)})
+    assert figures["rms_by_gain"]["0.75"] < figures["rms_by_gain"]["1"] and figures["gain"] == gain
 
 
 def test_a_day_that_warms_one_way_is_exported_by_its_blocks(tmp_path) -> None:

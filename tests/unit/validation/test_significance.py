@@ -108,6 +108,16 @@ def test_two_series_that_wander_on_their_own_seldom_pass_as_halves_of_one_run() 
     assert passed <= 9
 
 
+def test_the_error_of_a_runs_zero_does_not_pass_as_halves_of_one_run() -> None:
+    """White noise counted from the mean of three readings, beside what rises: p was 7e-20, and it was exported."""
+    rng, passed = np.random.default_rng(6), 0
+    for _ in range(200):
+        noise = rng.normal(0, 0.3, 2400)
+        folds = halves(noise - noise[:3].mean(), 1.0 - np.exp(-np.linspace(0.01, 9.0, 2400)))
+        passed += significance.p_between_halves(folds, 1.0)[0] <= significance.HALVES_LEVEL
+    assert passed == 0
+
+
 def test_a_sensor_that_shows_the_deviation_passes_as_halves_of_one_run() -> None:
     rng = np.random.default_rng(5)
     t = np.linspace(0.0, 1.0, 400)

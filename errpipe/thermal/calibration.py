@@ -1,0 +1,106 @@
+"""The interval of a mixture of families: its factor and its half width, from what it leaves of groups left out.
+
+The variance of a prediction is that of the noise, and what else is left of runs left out in shares (`spread`): one
+constant, one as fits without a run disagree, one as families disagree. A row far outside in a direction in which these
+disagree has a wide interval, whatever the scale of the machine.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from errpipe.domain import driver as d
+from errpipe.thermal import spread
+from errpipe.thermal.competition import HALF, MIXTURE, RUN, WARMTH, Outcome, groupings
+from errpipe.thermal.interval import GROWTH, Intervals, LeftOut, growth_of_one_day, of_next_run
+from errpipe.thermal.linear import LinearProblem
+
+
+def interval(
+    problem: LinearProblem,
+    outcome: Outcome,
+    total: d.Driver,
+    coverage: float,
+    environment: str,
+    one_environment: bool,
+    noise: float,
+) -> tuple[d.Driver, Intervals]:
+    """Factor of the interval, and its half widths. total: the mixture; one_environment: all rows are of one; noise: um.
+
+    Of blocks of runs too few to be left out, each of which lies between fitted ones, the variance is what is left and
+    the spread of fits, and what halves of a run leave of each other sets the half width.
+    """
+    groups, rows = tuple(problem.groups), problem.rows
+    way = groupings(problem.recording, problem.group, groups, environment)[0]
+    fits = spread.between_fits(outcome, groups, way.folds, problem.recording, rows)
+    left = outcome.left.get(way.name, {}).get(MIXTURE, 0.0) ** 2
+    if HALF in outcome.predictions:
+        offset, shares = 1.0, [(1.0 / left, fits, spread.squared(fits, problem.recording))] if left > 0.0 else []
+    else:
+        offset, shares = _shares(problem, outcome, total, fits, left, noise)
+    factor = np.sqrt(offset + sum((weight * variance for weight, _, variance in shares), np.zeros(rows.size)))
+    driver = spread.root(offset, [(weight, directions) for weight, directions, _ in shares])
+    if HALF in outcome.predictions:
+        p = outcome.predictions[HALF]
+        halves = LeftOut((problem.response - p)[rows], p[rows])
+        half = of_next_run(halves, problem.group[rows], coverage, factor[rows], problem.one_day)
+        growth = growth_of_one_day(half, coverage) if problem.run_count == 1 else GROWTH
+        return driver, Intervals(half, half, 0.0, growth)
+    half = _half_width(problem, outcome, coverage, environment, one_environment, factor)
+    return driver, Intervals(half, half, 0.0, 0.0)
+
+
+def _shares(
+    problem: LinearProblem, outcome: Outcome, total: d.Driver, fits: spread.Directions, left: float, noise: float
+) -> tuple[float, list[tuple[float, spread.Directions, np.ndarray]]]:
+    """Constant share of the variance, and of each spread its weight (1/um2), directions and values, um2, (rows,).
+
+    Together they have a mean of one on the fitted rows, or more: no spread counts less than it is, however little is
+    left beyond noise there. left: of runs left out, um2; noise: um. A family that reads what the mixture does not is
+    left out: a prediction needs no further column for its interval.
+    """
+    if left <= 0.0:
+        return 1.0, []
+    beyond = 1.0 - min(noise**2 / left, 1.0)
+    groups, recording, rows = tuple(problem.groups), problem.recording, problem.rows
+    known = {*recording.names("temperature"), *d.inputs(total)}
+    rivals = [e for e in outcome.rivals if all(known.issuperset(d.inputs(n)) for _, _, n in e.parts(groups))]
+    families = spread.between_families(rivals, groups, recording, rows)
+    offset, shares = 1.0, []
+    for share, directions, variance in (
+        (spread.FITS, fits, spread.squared(fits, recording)),
+        (spread.FAMILIES, families, outcome.apart),
+    ):
+        mean = float(np.nanmean(variance[rows])) if directions else 0.0
+        if mean > 0.0:
+            offset -= beyond * share
+            shares.append((max(beyond * share / mean, 1.0 / left), directions, variance))
+    return offset, shares
+
+
+def _half_width(
+    problem: LinearProblem,
+    outcome: Outcome,
+    coverage: float,
+    environment: str,
+    one_environment: bool,
+    factor: np.ndarray,
+) -> float:
+    """Half width of the interval at a factor of one, um, from groups left out; factor: of each row, (rows,).
+
+    A left-out run is predicted by a fit that has its environment, a left-out environment by a fit on the others alone.
+    The next environment is predicted by a fit on all of them, between the two: their geometric mean is taken. Where all
+    rows are of one environment nothing is known of the next one: the widest of all groupings is taken, with the
+    level raised as for few groups. Chosen on seeds 1 to 3 of `trials.thermal`: 94 % of rows are covered at 1.26 times
+    the width needed (runs alone: 92 % and 1.08, and less where seasons differ).
+    """
+    y, rows = problem.response, problem.rows
+    environment = environment if environment in outcome.predictions else WARMTH
+    half = [
+        LeftOut((y - p)[rows], p[rows]).half_width(
+            problem.group[rows], coverage, problem.run_count, one_environment, factor[rows], growth=0.0
+        )
+        for name, p in outcome.predictions.items()
+        if one_environment or name in (RUN, environment)
+    ]
+    return max(half) if one_environment else float(np.exp(np.mean(np.log(np.maximum(half, 1e-9)))))
