@@ -8,8 +8,10 @@ from errpipe.domain.driver import Approach
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.motion import direction, moving, unbroken
+from errpipe.kernels import responses
 from errpipe.terms.backlash import Backlash
 from errpipe.terms.coulomb_friction import CoulombFriction
+from errpipe.terms.reversal_spike import ReversalSpike
 
 NOISE = 0.05  # mm/s
 STEP = 0.001  # s
@@ -116,3 +118,15 @@ def test_a_gap_plays_no_hysteresis_of_long_travel(travel, least, most):
     left = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
     beside = y - base[:, 0] * (base[:, 0] @ y) / (base[:, 0] @ base[:, 0])
     assert least < left.std() / beside.std() < most
+
+
+def test_a_spike_rises_over_travel_whatever_the_feed():
+    angle = np.linspace(0.1, 6 * np.pi + 0.1, 3000)
+    recording = in_runs([-10.0 * np.cos(angle), -60.0 * np.cos(angle)])
+    z = drive(Approach(axis="X", length=0.02), recording)  # bristles bend, and the loop pulls the axis back
+    y = z - responses.lag(recording.run_codes(), recording.time(), z, 0.04, 0.04, True)
+    term = ReversalSpike(axis="X")
+    base = term.basis(recording, 0.04)
+    columns = np.column_stack([base, *(column for column, _ in term.slack(recording, base, 0.04))][:4])
+    left = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
+    assert left.std() < 0.1 * y.std()
