@@ -94,17 +94,13 @@ def lagged(recording: Recording, values: np.ndarray, tau: float, most: float = 1
     return responses.lag(sessions(recording), recording.time(), values, tau, tau, True)
 
 
-CLOSED = (1.0, 4.0, 16.0)  # travels over which a gap closes, in those of the first row after a turn
-
-
 def of_reversal(column: np.ndarray, recording: Recording, axis: str, radial: bool) -> Slack:
-    """A step between the directions of an axis that is closed within a few rows, and differs along the axis.
+    """A step between the directions of an axis that is closed within a few rows of a turn, and differs along the axis.
 
     What is closed later is no gap: it would play `friction_hysteresis`.
     """
     if recording.name("direction", axis=axis) is None:  # no contact changes sides at once
-        first = first_travel(recording, axis)
-        yield from gradual_reversal(column, recording, axis, tuple(first * k for k in CLOSED))
+        yield from gradual_reversal(column, recording, axis, first_travel(recording, axis))
     if not radial:
         yield from bent(column, position(recording, axis))
 
@@ -116,13 +112,13 @@ def first_travel(recording: Recording, axis: str) -> float:
     return float(np.median(way[turned])) if turned.any() else resolved_lengths(recording, axis)[0]
 
 
-def gradual_reversal(step: np.ndarray, recording: Recording, axis: str, lengths: tuple[float, ...] = ()) -> Slack:
+def gradual_reversal(step: np.ndarray, recording: Recording, axis: str, move: float | None = None) -> Slack:
     """A step between the directions of an axis that is closed over some travel after each reversal.
 
-    lengths: of that travel, in mm (deg); without: at once, as seen, or over a few rows under way.
+    move: that of a row in mm (deg); none: the usual one.
     """
     side, x = direction(recording, axis), position(recording, axis)
-    move, _ = resolved_lengths(recording, axis)
-    for length in lengths or (0.25 * move, move, 4.0 * move):
+    move = resolved_lengths(recording, axis)[0] if move is None else move
+    for length in (0.25 * move, move, 4.0 * move):  # closed at once, as seen, or over a few rows
         lagging = responses.approach(unbroken(recording), x, side, length) - side
         yield step * side * lagging, 0.6
