@@ -9,7 +9,7 @@ import numpy as np
 
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Past, Recording
-from errpipe.drivers.motion import direction, position
+from errpipe.drivers.motion import direction, position, unbroken
 from errpipe.drivers.sessions import LONGEST_PAUSE, sessions
 from errpipe.kernels import responses
 
@@ -19,7 +19,8 @@ Respond = Callable[["np.ndarray", "np.ndarray", "np.ndarray", bool], "np.ndarray
 def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
     """Evaluate a driver causally over a recording, shape (rows,). Missing inputs give NaN.
 
-    States (first value, lag, switch, direction, approach) live as long as a session: see `sessions`.
+    States (first value, lag, switch, direction, approach) live as long as a session: see `sessions`; an approach
+    where motion is recorded without a break: see `unbroken`.
     """
     match driver:
         case d.Constant():
@@ -53,7 +54,7 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
             return direction(recording, driver.axis, driver.threshold, driver.start)
         case d.Approach():
             side = direction(recording, driver.axis, driver.threshold, driver.start)
-            return responses.approach(sessions(recording), position(recording, driver.axis), side, driver.length)
+            return responses.approach(unbroken(recording), position(recording, driver.axis), side, driver.length)
         case d.Lookup():
             values = np.asarray(driver.values)
             return responses.lookup(drive(driver.of, recording), driver.start, driver.step, values)

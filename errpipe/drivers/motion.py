@@ -10,6 +10,7 @@ from errpipe.errors import MissingColumn
 from errpipe.kernels import responses
 
 AT_REST = 5.0  # noise rms of a velocity that an axis at rest does not pass (Gaussian: once in two million readings)
+UNDER_WAY = 0.1  # of a run's largest step from row to row: its first step, beyond which it begins under way
 RESOLVED = 0.1  # of the highest speed: where that many rms are more, rows do not follow the motion from one to the next
 
 
@@ -83,6 +84,25 @@ def _moving(v: np.ndarray, run: np.ndarray) -> np.ndarray:
     start = np.flatnonzero(np.r_[True, (sign[1:] != sign[:-1]) | (run[1:] != run[:-1])])
     fastest = np.repeat(np.maximum.reduceat(speed, start), np.diff(np.r_[start, v.size]))
     return np.where(fastest > limit, sign, 0.0)
+
+
+def unbroken(recording: Recording) -> np.ndarray:
+    """Integer per row, shape (rows,): sessions, cut where a run begins under way.
+
+    What led up to such a run no row shows (the feed-in of a circular test, ISO 230-4): an axis then comes from the side
+    that it moves away from. A run that begins at rest goes on from where the one before it stopped.
+    """
+    if "unbroken" not in recording.derived:
+        run, session = recording.run_codes(), sessions(recording)
+        names = recording.names("position") or recording.names("command")
+        cut = np.r_[True, session[1:] != session[:-1]]
+        first = np.flatnonzero(np.r_[True, run[1:] != run[:-1]])
+        steps = sum((np.abs(np.nan_to_num(np.diff(recording.array(n)))) for n in names), np.zeros(run.size - 1))
+        for start, end in zip(first, [*first[1:], run.size], strict=True):
+            own = steps[start : end - 1]  # from row to row of this run
+            cut[start] |= own.size > 0 and own[0] > UNDER_WAY * own.max()
+        recording.derived["unbroken"] = np.cumsum(cut)
+    return recording.derived["unbroken"]
 
 
 def position_name(recording: Recording, axis: str) -> str:

@@ -95,9 +95,9 @@ class Term(Frozen, ABC):
     in_part: ClassVar[Literal["anywhere", "runs", "never"]] = "anywhere"  # may it act on a part: of an axis, or in runs
     on_both_axes: ClassVar[bool] = True  # does it act on both axes of a circular test alike?
     rowwise: ClassVar[bool] = False  # of a row's basis: that row's columns and what `drive` makes of them, nothing else
-    # what of its slack is no departure: the first column (the value that a rise is counted from, how a spike rises),
-    # the first two (and the end that a length grows from), the first ones (the state of a body at the start of each
-    # session), or all; "any rate": one of each tool, which says nothing of others
+    # what of its slack is no departure: the first column (the value that a rise is counted from), the first two (and
+    # the end that a length grows from), the first three (how a spike rises), the first ones (the state of a body at
+    # the start of each session), or all; "any rate": one of each tool, which says nothing of others
     form: ClassVar[
         Literal["textbook", "any reference", "any reference and end", "any start", "any shape", "any rate", "any rise"]
     ] = "textbook"

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.drivers.motion import direction, position
+from errpipe.drivers.motion import direction, position, unbroken
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.terms._search import resolved_lengths, resolved_times
@@ -95,17 +95,30 @@ def lagged(recording: Recording, values: np.ndarray, tau: float, most: float = 1
 
 
 def of_reversal(column: np.ndarray, recording: Recording, axis: str, radial: bool) -> Slack:
-    """A step between the directions of an axis that is closed gradually, and differs along the axis."""
+    """A step between the directions of an axis that is closed within a few rows of a turn, and differs along the axis.
+
+    What is closed later is no gap: it would play `friction_hysteresis`.
+    """
     if recording.name("direction", axis=axis) is None:  # no contact changes sides at once
-        yield from gradual_reversal(column, recording, axis)
+        yield from gradual_reversal(column, recording, axis, first_travel(recording, axis))
     if not radial:
         yield from bent(column, position(recording, axis))
 
 
-def gradual_reversal(step: np.ndarray, recording: Recording, axis: str) -> Slack:
-    """A step between the directions of an axis that is closed over some travel after each reversal."""
+def first_travel(recording: Recording, axis: str) -> float:
+    """Usual travel of an axis to the first row after a turn, in mm (deg); from row to row where it never turns."""
+    side, way = direction(recording, axis), np.abs(np.diff(position(recording, axis)))
+    turned = (np.diff(side) != 0) & (np.diff(unbroken(recording)) == 0) & (way > 0)
+    return float(np.median(way[turned])) if turned.any() else resolved_lengths(recording, axis)[0]
+
+
+def gradual_reversal(step: np.ndarray, recording: Recording, axis: str, move: float | None = None) -> Slack:
+    """A step between the directions of an axis that is closed over some travel after each reversal.
+
+    move: that of a row in mm (deg); none: the usual one.
+    """
     side, x = direction(recording, axis), position(recording, axis)
-    move, _ = resolved_lengths(recording, axis)
+    move = resolved_lengths(recording, axis)[0] if move is None else move
     for length in (0.25 * move, move, 4.0 * move):  # closed at once, as seen, or over a few rows
-        lagging = responses.approach(sessions(recording), x, side, length) - side
+        lagging = responses.approach(unbroken(recording), x, side, length) - side
         yield step * side * lagging, 0.6

@@ -12,7 +12,7 @@ from pydantic import Field
 from errpipe.domain.driver import Affine, Direction, Driver, Input, Lag, Power, Product
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import direction, direction_column, share
+from errpipe.drivers.motion import direction, direction_column, position, share
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels.events import since_turn
 from errpipe.terms._base import Example, Parameter, Term
@@ -25,6 +25,12 @@ from errpipe.terms._slack import Slack
 
 MAX_SHARE_OF_TURN = 1 / 3  # of the time between turns: a longer one is a step between directions
 AT_REST = 0.1  # of the highest speed of a run: slower, it begins where the axis turns
+RISES = (
+    0.05,
+    0.3,
+)  # travels over which bristles bend and the spike rises, in those within its time constant (chosen on
+# a two-mass drive with LuGre friction and trials/first 71101)
+NEAR = 0.3  # of the time constant: rows from which that travel is taken
 
 
 @dataclass(frozen=True)
@@ -115,10 +121,20 @@ class ReversalSpike(Term):
         return (-size * share(recording, self.axis, self.radial))[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
-        # a real spike has a rise time and rings: Laguerre functions
-        since = np.minimum(self.since_turn(recording) / nonlinear[0], 1e3)
-        for k in (1, 2, 3):
-            yield base[:, 0] * since**k, 0.4
+        tau, since = nonlinear[0], self.since_turn(recording)
+        if recording.name("position", axis=self.axis) or recording.name("command", axis=self.axis):
+            travel = self._since_turn_travelled(recording, since)
+            near = travel[np.abs(since - tau) < NEAR * tau]
+            for share_of_travel in RISES if near.size and np.median(near) > 0 else ():
+                yield base[:, 0] * np.exp(-travel / (share_of_travel * np.median(near))), 1.0
+        for k in (1, 2, 3):  # the loop takes its time and rings: Laguerre functions
+            yield base[:, 0] * np.minimum(since / tau, 1e3) ** k, 0.4
+
+    def _since_turn_travelled(self, recording: Recording, since: np.ndarray) -> np.ndarray:
+        """Travel since the last reversal in mm (deg), shape (rows,); since: time, infinite before the first."""
+        way = np.cumsum(np.abs(np.nan_to_num(np.diff(position(recording, self.axis), prepend=np.nan))))
+        began = np.isfinite(since) & ~(since > np.r_[np.inf, since[:-1]])
+        return np.where(np.isfinite(since), way - np.maximum.accumulate(np.where(began, way, 0.0)), 1e9)
 
     def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
         if self.radial or self.from_start:

@@ -4,9 +4,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from errpipe.domain.driver import Approach
 from errpipe.domain.recording import Column, Manifest, Recording
-from errpipe.drivers.motion import direction, moving
+from errpipe.drivers.evaluation import drive
+from errpipe.drivers.motion import direction, moving, unbroken
+from errpipe.kernels import responses
+from errpipe.terms.backlash import Backlash
 from errpipe.terms.coulomb_friction import CoulombFriction
+from errpipe.terms.reversal_spike import ReversalSpike
 
 NOISE = 0.05  # mm/s
 STEP = 0.001  # s
@@ -66,3 +71,62 @@ def test_dry_friction_holds_at_rest_and_builds_up_over_some_travel(there_and_bac
     columns = np.column_stack([base, *(column for column, _ in term.slack(recording, base, 0.0))])
     left = force - columns @ np.linalg.lstsq(columns, force, rcond=None)[0]
     assert left.std() < 0.02 * force.std()
+
+
+def in_runs(positions: list[np.ndarray]) -> Recording:
+    """Runs of an axis at 1 kHz with pauses of 20 s between them."""
+    columns = {
+        "run": Column(role="run"),
+        "t": Column(role="time", unit="s"),
+        "x": Column(role="position", axis="X", unit="mm"),
+        "v": Column(role="velocity", axis="X", unit="mm/s"),
+        "EXX": Column(role="error", component="EXX", unit="um"),
+    }
+    parts = [
+        {"run": k, "t": 20.0 * k + np.arange(x.size) * STEP, "x": x, "v": np.gradient(x, STEP), "EXX": 0.0}
+        for k, x in enumerate(positions)
+    ]
+    frame = pd.concat([pd.DataFrame(p) for p in parts], ignore_index=True)
+    return Recording(Manifest(recording=1, title="t", machine="m", tables=("t.csv",), columns=columns), frame)
+
+
+def test_a_run_that_begins_under_way_comes_from_the_side_it_leaves():
+    there = np.linspace(0.0, 1.0, 500)
+    recording = in_runs([there, there[::-1]])  # a circle each way: the second begins where the first one ends
+    assert unbroken(recording)[-1] > unbroken(recording)[0]
+    z = drive(Approach(axis="X", length=0.2), recording)
+    assert np.array_equal(z, np.repeat([1.0, -1.0], 500))
+
+
+def test_a_run_that_begins_at_rest_goes_on():
+    there = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 500))
+    recording = in_runs([there, there[::-1]])
+    assert np.ptp(unbroken(recording)) == 0
+    z = drive(Approach(axis="X", length=0.2), recording)
+    assert z[500] > 0.99 and z[-1] < -0.95
+
+
+@pytest.mark.parametrize(("travel", "least", "most"), [(0.002, 0.0, 0.2), (0.5, 0.4, 1.0)])
+def test_a_gap_plays_no_hysteresis_of_long_travel(travel, least, most):
+    x = 20.0 * np.cos(np.linspace(0.1, 6 * np.pi + 0.1, 2400))
+    recording = in_runs([x])
+    y = drive(Approach(axis="X", length=travel), recording)
+    term = Backlash(axis="X")
+    base = term.basis(recording)
+    slack = [column for column, freedom in term.slack(recording, base) if freedom > 0.5]
+    columns = np.column_stack([base, *slack])
+    left = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
+    beside = y - base[:, 0] * (base[:, 0] @ y) / (base[:, 0] @ base[:, 0])
+    assert least < left.std() / beside.std() < most
+
+
+def test_a_spike_rises_over_travel_whatever_the_feed():
+    angle = np.linspace(0.1, 6 * np.pi + 0.1, 3000)
+    recording = in_runs([-10.0 * np.cos(angle), -60.0 * np.cos(angle)])
+    z = drive(Approach(axis="X", length=0.02), recording)  # bristles bend, and the loop pulls the axis back
+    y = z - responses.lag(recording.run_codes(), recording.time(), z, 0.04, 0.04, True)
+    term = ReversalSpike(axis="X")
+    base = term.basis(recording, 0.04)
+    columns = np.column_stack([base, *(column for column, _ in term.slack(recording, base, 0.04))][:4])
+    left = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
+    assert left.std() < 0.1 * y.std()
