@@ -48,7 +48,7 @@ class NodeState:
     def __init__(self) -> None:
         self.y = self.m = 0.0
         self.ready = self.started = False
-        self.x1 = self.x2 = self.y0 = self.m0 = 0.0
+        self.x1 = self.x2 = self.y0 = self.m0 = self.rest = 0.0
         self.v = 0
         self.stands = self.doubt = self.news = False
 
@@ -246,10 +246,18 @@ class Evaluator:
                 return _between(values, (u[0] - node.a) * node.c)
 
     def _lag(self, node: Node, s: NodeState, u: float) -> float:
-        """Section 6, lag."""
+        """Section 6, lag; section 9."""
         before, s.m = s.m, u
         if not s.started:
+            s.rest = 0.0
             return 0.0 if node.flags & 2 else u
+        cycle = self.table.thermal_cycle if node.slow else self.table.position_cycle
+        x = cycle / (node.a if before >= s.y else node.b)
+        if self.number is not float and x < 0.0625:
+            step = s.rest + (before - s.y - s.rest) * (x * (1 - x * 0.5 * (1 - x / 3 * (1 - x * 0.25))))
+            y = s.y + step
+            s.rest = step - (y - s.y)
+            return y
         alpha = node.c if before >= s.y else node.d
         return before + (s.y - before) * alpha
 

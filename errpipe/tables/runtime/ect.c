@@ -683,7 +683,7 @@ static ect_error load_nodes(ect *e, const sections *s)
         used += n->count;
 #ifdef ECT_SINGLE
         if (n->op == LAG) {
-            ect_real dt = n->flags & SLOW ? e->cycle * (ect_real)e->slow_every : e->cycle;
+            ect_real dt = n->flags & SLOW ? e->thermal : e->cycle;
             n->c = slow(n->c, dt / n->a);
             n->d = slow(n->d, dt / n->b);
         }

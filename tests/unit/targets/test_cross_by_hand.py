@@ -72,13 +72,17 @@ def beckhoff_crosscomp(files, axis, over):
 
 
 def heidenhain_com(files, axis, over):
-    """Column of the compensated axis in the table of the axis it depends on, which config.CMA names in that column."""
+    """Column of the compensated axis in the table of the axis it depends on, which config.CMA names in that column.
+
+    Of an axis of rotation entries from 0 to 360 deg.
+    """
     names, line = (row.split() for row in files["CONFIG.CMA"].splitlines() if row.startswith(("NR", "0 *")))
     assert line[names.index(over)] == over
     head = re.search(r"^NR (.*)$", files[f"{over}.COM"], re.M)[1].split()
     rows = [row.split()[1:] for row in files[f"{over}.COM"].splitlines() if row[:1].isdigit()]
     x, v = ([float(row[head.index(k)]) for row in rows] for k in ("AXISPOS", axis))
-    return lambda at, side: -np.interp(at, x, v)
+    turns = over in "ABC" and x[0] == 0.0 and x[-1] >= 360.0
+    return lambda at, side: -np.interp(at % 360.0 if turns else at, x, v)
 
 
 CROSS = [sinumerik_cec, beckhoff_crosscomp, heidenhain_com]
