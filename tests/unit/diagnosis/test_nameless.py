@@ -140,6 +140,37 @@ def test_a_term_that_explains_little_beside_a_name_makes_no_unknown_mechanism(fu
     assert empirical.has_a_name(case, law, whole) == known  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(
+    ("column", "known"), [("(T_bed - {bed:.5g})", True), ("(T_room - {room:.5g}) (T_bed - {bed:.5g})", False)]
+)
+def test_an_equation_that_two_names_hold_together_is_no_unknown_mechanism(column, known):
+    from errpipe.diagnosis import hypotheses
+
+    made = spindle()
+    rows = np.arange(len(made))
+    library = hypotheses.build(made, "E_Z", rows)
+    mean = {"room": made.array("T_room").mean(), "bed": made.array("T_bed").mean()}
+    columns = [c.format(**mean) for c in ("(T_room - {room:.5g})", column)]
+    named = {c.name for c in empirical.candidates(made, rows)}
+    columns[1] = (
+        columns[1] if columns[1] in named else " ".join(reversed([f"{c})" for c in columns[1][:-1].split(") ")]))
+    )
+    terms = [EmpiricalTerm(column=c, coefficient=1.0, unit="um/K", ci95=(0.9, 1.1), rms_um=1.0) for c in columns]
+    law = Empirical(terms=tuple(terms), constant=0.0, unit="um", share=0.9, p=0.01, scheme="", says="")
+    drifts = [
+        (i, h)
+        for i, h in enumerate(library.hypotheses)
+        if h.effect == "thermal_drift" and h.drivers[0] in ("T_room", "T_bed")
+    ]
+    accepted = tuple(SimpleNamespace(index=i, hypothesis=h) for i, h in drifts)
+    case = SimpleNamespace(recording=made, library=library, pair=SimpleNamespace(rows=rows))
+    case.explanation, case.simulated = SimpleNamespace(accepted=accepted), np.zeros(rows.size)
+    case.recal = np.ones((rows.size, 1))
+    values = {c.name: c.values for c in empirical.candidates(made, rows)}
+    assert len(drifts) == 2
+    assert empirical.has_a_name(case, law, sum(values[c] for c in columns)) == known  # type: ignore[arg-type]
+
+
 def test_an_equation_that_is_the_named_effect_is_no_unknown_mechanism():
     """A lagged temperature beside a name that follows it late."""
     from errpipe.diagnosis import hypotheses
@@ -156,7 +187,8 @@ def test_an_equation_that_is_the_named_effect_is_no_unknown_mechanism():
         recording=made, library=library, pair=SimpleNamespace(rows=rows), simulated=np.zeros(rows.size)
     )
     lag = next(h for h in library.hypotheses if h.effect == "thermal_lag")
-    for accepted, known in (((), False), ((SimpleNamespace(hypothesis=lag),), True)):
+    case.recal, index = np.ones((rows.size, 1)), library.hypotheses.index(lag)
+    for accepted, known in (((), False), ((SimpleNamespace(hypothesis=lag, index=index),), True)):
         case.explanation = SimpleNamespace(accepted=accepted)
         assert empirical.has_a_name(case, law, np.zeros(rows.size)) == known  # type: ignore[arg-type]
 

@@ -95,6 +95,20 @@ def test_a_slope_that_no_temperature_moves_is_no_expansion(lost, drivers, simple
     assert Search.simplest(search, (found,)) == (("scale_error",) if simpler else (found,))
 
 
+@pytest.mark.parametrize(("lost", "simpler"), [(1.0, True), (3.0, False)])
+def test_a_drift_with_the_coolant_stands_for_its_flow_only_where_they_are_tied(lost, simpler):
+    """It has fewer non-linear parameters, but other inputs as well."""
+    known = [
+        SimpleNamespace(effect=e, drivers=d, nonlinear=(nl,), mask=())
+        for e, d, nl in (("coolant_effect", ("flow", "T"), (500.0,)), ("thermal_drift", ("T",), ()))
+    ]
+    found = Accepted(0, known[0], 2.0, 90.0)
+    search = SimpleNamespace(library=SimpleNamespace(hypotheses=known), tune=lambda chosen: chosen)
+    search.rivals = lambda accepted, k: [("thermal_drift", lost, 1)]
+    search.accepted = lambda chosen: tuple(known[i].effect for i, _ in chosen)
+    assert Search.simplest(search, (found,)) == (("thermal_drift",) if simpler else (found,))
+
+
 @pytest.mark.parametrize(
     ("joint", "agreement", "taken"), [(490.0, 0.2, True), (470.0, 0.2, False), (490.0, 0.6, False)]
 )
