@@ -37,7 +37,9 @@ class Outliers(Rule):
     threshold: float = quantity(
         "1", "Multiple of the robust scatter; 5 is reached by chance in large clean recordings.", 6.0, ge=3
     )
-    most: float = quantity("1", "Refuse to blank more than this share of a column's cells.", 0.02, gt=0, le=1)
+    most: float = quantity(
+        "1", "Refuse to blank more than this share of a column's cells, and more than one.", 0.02, gt=0, le=1
+    )
 
     def find(self, recording: Recording) -> list[Action]:
         """Cells to blank. Raises DataError beyond the stated share."""
@@ -59,7 +61,8 @@ class Outliers(Rule):
             rows = rows[~protected[rows]]
         if not rows.size:
             return None
-        self.refuse_beyond(self.most, rows, int(np.isfinite(values).sum()), f"cells of {name}", recording)
+        if rows.size > 1:  # one of twenty readings is 5 %, and no more than one
+            self.refuse_beyond(self.most, rows, int(np.isfinite(values).sum()), f"cells of {name}", recording)
         reason = f"more than {self.threshold:g} times the run's scatter off the readings before and after it{beside}"
         return Action("blank cells", reason, column=name, rows=rows)
 

@@ -15,6 +15,8 @@ from errpipe.thermal.competition import HALF, MIXTURE, RUN, WARMTH, Outcome, gro
 from errpipe.thermal.interval import GROWTH, Intervals, LeftOut, growth_of_one_day, of_next_run
 from errpipe.thermal.linear import LinearProblem
 
+LEAST = 0.01  # of what is left: a smaller variance between fits or families explains none of it (by judgement)
+
 
 def interval(
     problem: LinearProblem,
@@ -27,14 +29,16 @@ def interval(
 ) -> tuple[d.Driver, Intervals]:
     """Factor of the interval, and its half widths. total: the mixture; one_environment: all rows are of one; noise: um.
 
-    Of blocks of runs too few to be left out, each of which lies between fitted ones, the variance is what is left and
-    the spread of fits, and what halves of a run leave of each other sets the half width.
+    Of one environment, and of blocks of runs too few to be left out, each of which lies between fitted ones, nothing
+    left out goes as far as a prediction may: the variance is what is left and the spread of fits, more by `GROWTH`. Of
+    blocks, what halves of a run leave of each other sets the half width.
     """
     groups, rows = tuple(problem.groups), problem.rows
     way = groupings(problem.recording, problem.group, groups, environment)[0]
     fits = spread.between_fits(outcome, groups, way.folds, problem.recording, rows)
     left = outcome.left.get(way.name, {}).get(MIXTURE, 0.0) ** 2
-    if HALF in outcome.predictions:
+    near = HALF in outcome.predictions or one_environment
+    if near:
         offset, shares = 1.0, [(1.0 / left, fits, spread.squared(fits, problem.recording))] if left > 0.0 else []
     else:
         offset, shares = _shares(problem, outcome, total, fits, left, noise)
@@ -46,8 +50,9 @@ def interval(
         half = of_next_run(halves, problem.group[rows], coverage, factor[rows], problem.one_day)
         growth = growth_of_one_day(half, coverage) if problem.run_count == 1 else GROWTH
         return driver, Intervals(half, half, 0.0, growth)
-    half = _half_width(problem, outcome, coverage, environment, one_environment, factor)
-    return driver, Intervals(half, half, 0.0, 0.0)
+    growth = GROWTH if near else 0.0
+    half = _half_width(problem, outcome, coverage, environment, one_environment, factor, growth)
+    return driver, Intervals(half, half, 0.0, growth)
 
 
 def _shares(
@@ -71,8 +76,8 @@ def _shares(
         (spread.FITS, fits, spread.squared(fits, recording)),
         (spread.FAMILIES, families, outcome.apart),
     ):
-        mean = float(np.nanmean(variance[rows])) if directions else 0.0
-        if mean > 0.0:
+        if directions:
+            mean = max(float(np.nanmean(variance[rows])), LEAST * left)
             offset -= beyond * share
             shares.append((max(beyond * share / mean, 1.0 / left), directions, variance))
     return offset, shares
@@ -85,6 +90,7 @@ def _half_width(
     environment: str,
     one_environment: bool,
     factor: np.ndarray,
+    growth: float,
 ) -> float:
     """Half width of the interval at a factor of one, um, from groups left out; factor: of each row, (rows,).
 
@@ -98,7 +104,7 @@ def _half_width(
     environment = environment if environment in outcome.predictions else WARMTH
     half = [
         LeftOut((y - p)[rows], p[rows]).half_width(
-            problem.group[rows], coverage, problem.run_count, one_environment, factor[rows], growth=0.0
+            problem.group[rows], coverage, problem.run_count, one_environment, factor[rows], growth
         )
         for name, p in outcome.predictions.items()
         if one_environment or name in (RUN, environment)

@@ -196,20 +196,12 @@ def compete(
         {NOTHING: {}} | {entrants[k].name: {k: 1.0} for k in ranked} | {MIXTURE: weights}
     )
     left = {way: {name: judge.rms(w) for name, w in named.items()} for way, judge in judged.items()}
-    by_group = {
-        w.name: {
-            label: {name: judged[w.name].rms(share, np.isin(group, fold)) for name, share in named.items()}
-            for label, fold in zip(w.labels, w.folds, strict=True)
-        }
-        for w in ways
-        if w.labels and w.name in judged
-    }
+    by_group = {w.name: _by_label(w, judged[w.name], named, group) for w in ways if w.labels and w.name in judged}
     mixed = chooser.by_group(weights)
     chance = {name: _chance(chooser.by_group(w) - mixed) for name, w in named.items() if name != MIXTURE}
     predictions = {name: judge.mixture(weights) for name, judge in judged.items()}
-    rivals, apart = tuple(entrants[k] for k in admitted), np.zeros(rows.size)
-    if rivals:
-        apart = next(iter(judged.values())).predicted[admitted].var(axis=0)
+    apart = next(iter(judged.values())).predicted[admitted].var(axis=0) if admitted else np.zeros(rows.size)
+    rivals = tuple(entrants[k] for k in admitted)
     mixture = tuple((entrants[k], w) for k, w in weights.items())
     return Outcome(mixture, left, predictions, by_group, chance, rivals, apart)
 
@@ -247,6 +239,16 @@ class _Judged:
         """Residual rms of a mixture on all judged rows, or on those of a mask, um."""
         residual = (self.response - self.mixture(weights))[self.seen & among]
         return float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0
+
+
+def _by_label(
+    way: Grouping, judge: _Judged, named: Mapping[str, Mapping[int, float]], group: np.ndarray
+) -> dict[str, dict[str, float]]:
+    """Label of each group left out -> name -> rms, um."""
+    return {
+        label: {name: judge.rms(share, np.isin(group, fold)) for name, share in named.items()}
+        for label, fold in zip(way.labels, way.folds, strict=True)
+    }
 
 
 def _admitted(judged: Mapping[str, _Judged], deciding: set[str]) -> np.ndarray:

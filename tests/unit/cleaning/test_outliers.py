@@ -127,6 +127,14 @@ def test_more_outliers_than_the_share_are_refused():
     assert len(touched(clean(changed(source, E_Z=error), (Outliers(most=0.1),))[1], "outliers")) > 60
 
 
+def test_one_outlier_of_few_readings_is_blanked() -> None:
+    """One of twenty is 5 %: a log of twenty readings was refused for it."""
+    values = np.random.default_rng(3).normal(0.0, 0.1, 20)
+    values[9] += 20.0
+    cleaned, _ = clean(changed(warm_up().take(np.arange(20)), E_Z=values), (Outliers(),))
+    assert np.isnan(cleaned.array("E_Z")).nonzero()[0].tolist() == [9]
+
+
 def test_a_coarse_dial_gauge_has_no_outliers_for_its_rounding():
     """Noise of a third of the step, read in 0.01 mm: a reading one step off its neighbours is rounding."""
     for seed in range(8):
