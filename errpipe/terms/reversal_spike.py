@@ -127,8 +127,7 @@ class ReversalSpike(Term):
             near = travel[np.abs(since - tau) < NEAR * tau]
             for share_of_travel in RISES if near.size and np.median(near) > 0 else ():
                 yield base[:, 0] * np.exp(-travel / (share_of_travel * np.median(near))), 1.0
-        for k in (1, 2, 3):  # the loop takes its time and rings: Laguerre functions
-            yield base[:, 0] * np.minimum(since / tau, 1e3) ** k, 0.4
+        yield base[:, 0] * np.minimum(since / tau, 1e3), 0.4  # the loop takes its time: a Laguerre function
 
     def _since_turn_travelled(self, recording: Recording, since: np.ndarray) -> np.ndarray:
         """Travel since the last reversal in mm (deg), shape (rows,); since: time, infinite before the first."""
