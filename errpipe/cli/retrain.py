@@ -40,11 +40,16 @@ def command(
     from errpipe.cli._pipeline import load_pipeline_file
     from errpipe.cli.output import module_of, print_result
     from errpipe.cli.progress import ProgressReporter
-    from errpipe.errors import UsageError
+    from errpipe.errors import ErrpipeError, UsageError
 
     if annotations not in ("none", "github"):
         raise UsageError(f"--annotations: {annotations!r} is not known (allowed: none, github)")
-    spec = load_pipeline_file(pipeline, sets)
+    try:
+        spec = load_pipeline_file(pipeline, sets)
+    except ErrpipeError as err:  # the pages of the look before would say that this one went well
+        if (out / "retrain.json").is_file():
+            module_of("verbs.retrain").write_failure("", str(err), out)
+        raise
     reporter = ProgressReporter(str(out))
     try:
         document = module_of("verbs.retrain").retrain(

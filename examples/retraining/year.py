@@ -95,16 +95,17 @@ def write(folder: Path, nights: dict[int, dict[str, np.ndarray]]) -> None:
 
 
 def residual(model: Path, nights: list[dict[str, np.ndarray]]) -> float:
-    """rms of what a model leaves of the true deviation of some nights, um: what the report cannot know."""
-    document = json.loads(model.read_text(encoding="utf-8"))
+    """rms of what a model's table leaves of the true deviation of some nights, um: what the report cannot know."""
     from errpipe.domain.error_model import ErrorModel
+    from errpipe.fitting.validity import as_in_a_table
+    from errpipe.formats import manifest_folder
     from errpipe.validation.predict import predict
 
+    document = ErrorModel.model_validate_json(model.read_text(encoding="utf-8"))
     folder = model.parent / "judge"
     write(folder, dict(enumerate(nights)))
-    from errpipe.formats import manifest_folder
-
-    predicted = predict(ErrorModel.model_validate(document), manifest_folder.read(folder))["EXX_predicted"].to_numpy()
+    recording, left = as_in_a_table(manifest_folder.read(folder), document.validity)
+    predicted = left * predict(document, recording)["EXX_predicted"].to_numpy()
     shutil.rmtree(folder)
     return float(np.sqrt(np.mean((np.concatenate([n["true"] for n in nights]) - predicted) ** 2)))
 
@@ -135,6 +136,8 @@ def year(out: Path, seed: int, every: int, until: int = 365, drift: float = DRIF
             state["promotions"].append({"night": today, "um_rms_before": before, "um_rms_after": after})
             shutil.rmtree(out / "champion")
             shutil.copytree(out / "retrain/run", out / "champion")
+        tonight = residual(out / "champion/fit/error_model.json", nights[today : today + 1])
+        state["um_rms_in_use"].append(round(tonight, 3))
         state["next"] = today + every
         jsonfile.write(out / STATE, state)
     return state
@@ -148,6 +151,7 @@ def _begun(out: Path, asked: dict[str, Any], nights: list[dict[str, np.ndarray]]
             return state
     _first_champion(out, dict(enumerate(nights[:FIRST])))
     by_name: dict[str, Any] = {"promotions": [], "worse_promotions": 0, "sensors_named": {}, "alarms": {}}
+    by_name["um_rms_in_use"] = []  # of the table that was on the machine, by night
     return by_name | asked | {"next": FIRST + asked["every"]}
 
 
