@@ -22,6 +22,7 @@ import pandas as pd
 
 from errpipe import jsonfile
 from errpipe.cli.app import main as errpipe
+from errpipe.fitting.validity import MARGIN
 from errpipe.validation.retraining import ALPHA, RunScore, decide, e_value
 
 KEPT = 60  # nights of recordings that the shop keeps
@@ -178,7 +179,7 @@ def nights_until_named(out: Path, seed: int, drift: float, most: int = 14) -> in
 
 
 def quiet_year(seed: int) -> bool:
-    """A year in which nothing changes, with the same decision and a plain refit: was a worse model ever promoted?"""
+    """A year in which nothing changes, with the same decision and a plain refit: was a worse table ever promoted?"""
     rng = np.random.default_rng(seed)
     nights = [night(k, rng, quiet=True) for k in range(365)]
 
@@ -186,15 +187,22 @@ def quiet_year(seed: int) -> bool:
         x, t = (np.concatenate([n[name] for n in some]) for name in ("x", "T_nut"))
         return np.column_stack([np.ones_like(x), x, x**2, x * (t - 20.0)])
 
-    def fit(some: list[dict[str, np.ndarray]]) -> np.ndarray:
-        return np.linalg.lstsq(design(some), np.concatenate([n["EXX"] for n in some]), rcond=None)[0]
+    Table = tuple[np.ndarray, float, float]  # gains, lowest and highest temperature of the nut
 
-    def left(gains: np.ndarray, one: dict[str, np.ndarray], name: str) -> float:
-        return float(np.mean((one[name] - design([one]) @ gains) ** 2))
+    def fit(some: list[dict[str, np.ndarray]], lowest: float = np.inf, highest: float = -np.inf) -> Table:
+        nut = np.concatenate([n["T_nut"] for n in some])
+        gains = np.linalg.lstsq(design(some), np.concatenate([n["EXX"] for n in some]), rcond=None)[0]
+        return gains, min(nut.min(), lowest), max(nut.max(), highest)
+
+    def left(table: Table, one: dict[str, np.ndarray], name: str) -> float:
+        gains, lowest, highest = table
+        held = np.clip(one["T_nut"], lowest, highest)
+        share = np.maximum(1.0 - np.abs(one["T_nut"] - held) / max(MARGIN * (highest - lowest), 2.0), 0.0)
+        return float(np.mean((one[name] - share * (design([one | {"T_nut": held}]) @ gains)) ** 2))
 
     champion, scores = fit(nights[:FIRST]), []
     for today in range(FIRST, 365):
-        challenger, one = fit(nights[max(0, today - KEPT) : today]), nights[today]
+        challenger, one = fit(nights[max(0, today - KEPT) : today], *champion[1:]), nights[today]
         squares = (float(np.mean(one["EXX"] ** 2)), left(champion, one, "EXX"), left(challenger, one, "EXX"))
         scores.append(RunScore(str(today), str(today), "EXX", {}, *squares, rows=PLACES.size))
         if e_value([s.score for s in scores]) >= 1 / ALPHA and decide(scores).promote:
