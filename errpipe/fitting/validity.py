@@ -68,7 +68,8 @@ def as_in_a_table(recording: Recording, validity: Validity) -> tuple[Recording, 
     for name, (low, high) in fading(validity, recording).items():
         values = recording.array(name)
         held[name] = np.clip(values, low, high)
-        left = np.fmin(left, 1.0 - np.abs(values - held[name]) / (validity.margins.get(name) or 1.0))
+        margin = validity.margins.get(name) or MARGIN * max(high - low, 1e-3)
+        left = np.fmin(left, 1.0 - np.abs(values - held[name]) / margin)
     return recording.with_columns(held, {}), np.maximum(left, 0.0)
 
 

@@ -242,13 +242,15 @@ def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, 
             raise DataError(
                 f"{folder}: no champion here ({path.relative_to(folder)} is missing; run the pipeline first)"
             )
-    pair, rows = _artefacts.read_model(model), _artefacts.recording_in(recording)
+    hint = f"(a champion of another version? Run the pipeline into {folder} anew)"
+    try:
+        pair, rows = _artefacts.read_model(model), _artefacts.recording_in(recording)
+    except (DataError, VerifyError) as why:
+        raise type(why)(f"{why} {hint}") from None
     try:
         predictions(pair, rows.take([0]))
     except DataError as why:
-        raise DataError(
-            f"{model}: {why} (a champion of another version? Run the pipeline into {folder} anew)"
-        ) from None
+        raise DataError(f"{model}: {why} {hint}") from None
     return pair, rows, jsonfile.fingerprint_bytes(model.read_bytes())
 
 

@@ -213,6 +213,15 @@ def test_a_pipeline_file_that_cannot_be_read_leaves_no_pages_of_the_look_before(
     assert "not judged" in (site / "out/retrain.md").read_text(encoding="utf-8")
 
 
+def test_a_champion_of_another_version_says_what_to_do(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = site / "champion/fit/error_model.json"
+    model.write_text(
+        model.read_text(encoding="utf-8").replace('"error_model": 1', '"error_model": 0'), encoding="utf-8"
+    )
+    code = main(["retrain", str(site / "axis.yaml"), "--champion", str(site / "champion"), "--out", str(site / "out")])
+    assert code == 6 and "of another version? Run the pipeline into" in capsys.readouterr().err
+
+
 def test_of_two_looks_at_once_one_waits_for_the_other(site: Path) -> None:
     record(site / "recording", 14)
     pipeline, waits = load_pipeline_file(site / "axis.yaml", []), threading.Event()
