@@ -3,10 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import typer
 
 from errpipe.cli._arguments import Json, PipelineFile, Sets
+
+
+def _read(file: Path, sets: list[str], out: Path) -> Any:
+    """The pipeline; where it cannot be read, pages say so in the place of those of the look before."""
+    from errpipe.cli._pipeline import load_pipeline_file
+    from errpipe.cli.output import module_of
+    from errpipe.errors import ErrpipeError
+
+    try:
+        return load_pipeline_file(file, sets)
+    except ErrpipeError as err:
+        if (out / "retrain.json").is_file():
+            module_of("verbs.retrain").write_failure("", str(err), out)
+        raise
 
 
 def command(
@@ -37,14 +52,13 @@ def command(
     Example:
       errpipe retrain axis/pipeline.yaml --champion out/champion --out out/retrain
     """
-    from errpipe.cli._pipeline import load_pipeline_file
     from errpipe.cli.output import module_of, print_result
     from errpipe.cli.progress import ProgressReporter
     from errpipe.errors import UsageError
 
     if annotations not in ("none", "github"):
         raise UsageError(f"--annotations: {annotations!r} is not known (allowed: none, github)")
-    spec = load_pipeline_file(pipeline, sets)
+    spec = _read(pipeline, sets, out)
     reporter = ProgressReporter(str(out))
     try:
         document = module_of("verbs.retrain").retrain(

@@ -19,9 +19,7 @@ separate    which rival explains nearly as well, and which measurement separates
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,14 +58,15 @@ def diagnose(
     BLAS in one thread: thousands of small matrices gain nothing from more, and results then do not depend on the cores.
     Two responses at a time, each as if it were alone.
     """
-    from threadpoolctl import threadpool_limits
+    from errpipe.fitting.solve import one_thread
 
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         return _diagnose(recording, progress)
 
 
 def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> tuple[Diagnosis, list[Rows]]:
     from errpipe.diagnosis import derived, empirical, judge, prepare, report, thinning
+    from errpipe.fitting.side_by_side import side_by_side
 
     progress(0.0, "reading the recording")
     recording, source = derived.with_motion(between_readings(in_order_of_time(recording)))
@@ -90,12 +89,8 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
         parts = tuple(one for h in held for one in zip(h.terms, h.nonlinear, strict=True))
         return response, Rows(case.y, residual, case.run, contribution, inputs, parts)
 
-    at_once = min(SIDE_BY_SIDE if len(recording) <= MANY_ROWS else 1, len(pairs), os.cpu_count() or 1)
-    if at_once == 1:
-        made = [judged(k, pair) for k, pair in enumerate(pairs)]
-    else:
-        with ThreadPoolExecutor(at_once) as pool:
-            made = list(pool.map(judged, range(len(pairs)), pairs))
+    at_once = SIDE_BY_SIDE if len(recording) <= MANY_ROWS else 1
+    made = side_by_side(judged, range(len(pairs)), pairs, at_once=at_once, worth=0.0)
     responses, rows = zip(*made, strict=True)
     diagnosis = Diagnosis(recording=recording.manifest.title, responses=responses, notes=(*short.notes, *notes))
     return derived.named_by_source(diagnosis, source), list(rows)

@@ -146,7 +146,12 @@ class Validity(Frozen):
     """The box of what the fit has seen: column -> (lowest, highest); `margin` -> the fade outside it."""
 
     ranges: dict[str, tuple[float, float]] = Field(
-        {}, description="Column -> lowest and highest value seen.", json_schema_extra={"unit": "of the column"}
+        {}, description="Column -> lowest and highest value it holds for.", json_schema_extra={"unit": "of the column"}
+    )
+    seen: dict[str, tuple[float, float]] = Field(
+        {},
+        description="Column -> lowest and highest value seen, where an earlier model's range is wider.",
+        json_schema_extra={"unit": "of the column"},
     )
     margins: dict[str, float] = Field(
         {}, description="Column -> distance outside over which it fades.", json_schema_extra={"unit": "of the column"}
@@ -213,11 +218,15 @@ def joined(models: Sequence[ErrorModel]) -> ErrorModel:
 def _common(boxes: Sequence[Validity]) -> Validity:
     """The place that boxes have in common; empty (lowest above highest) where there is none."""
     ranges: dict[str, tuple[float, float]] = {}
+    seen: dict[str, tuple[float, float]] = {}
     margins: dict[str, float] = {}
     for box in boxes:
+        for name, (low, high) in box.seen.items():
+            own = seen.get(name, (low, high))
+            seen[name] = (max(low, own[0]), min(high, own[1]))
         for name, (low, high) in box.ranges.items():
-            seen = ranges.get(name, (low, high))
-            ranges[name] = (max(low, seen[0]), min(high, seen[1]))
+            own = ranges.get(name, (low, high))
+            ranges[name] = (max(low, own[0]), min(high, own[1]))
         for name, margin in box.margins.items():
             margins[name] = min(margin, margins.get(name, margin))
-    return boxes[0].model_copy(update={"ranges": ranges, "margins": margins})
+    return boxes[0].model_copy(update={"ranges": ranges, "seen": seen, "margins": margins})

@@ -19,7 +19,7 @@ from errpipe.fitting.solve import one_thread
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
 from errpipe.fitting.statistics import rms
 from errpipe.fitting.uncertainty import half_width
-from errpipe.fitting.validity import box, few_rows_outside
+from errpipe.fitting.validity import box, extended, few_rows_outside
 from errpipe.terms import TERMS, Term, plain
 from errpipe.terms.run_offset import RunOffset
 
@@ -268,7 +268,7 @@ def whole_model(recording: Recording, spec: ModelSpec, mask, models: Sequence[Co
         columns={n: recording.manifest.columns[n].model_dump(exclude_none=True) for n in names},
         constants={k: c.model_dump(mode="json", exclude_none=True) for k, c in kept.items()},
         components=tuple(models),
-        validity=validity,
+        validity=extended(validity, spec.also_valid, recording),
         datum=spec.datum,
         notes=tuple(few_rows_outside(recording, validity, mask)),
     )

@@ -23,7 +23,7 @@ from errpipe.fitting.estimate import Estimate
 from errpipe.fitting.judging import HeldOut, calibrated
 from errpipe.fitting.model import without_interval
 from errpipe.fitting.spec import ModelSpec
-from errpipe.fitting.validity import GAP, box, distance
+from errpipe.fitting.validity import GAP, box, distance, extended
 from errpipe.kernels import whitening
 
 CUT = "cell_group"  # name of the column of cells' groups
@@ -73,7 +73,7 @@ def fitted(source: Source, spec: ModelSpec, prepare: Prepare) -> ErrorModel:
     histories = batches.gather(source, spec, layout, prepare)
     models, sample = [_component(source, h, spec, prepare) for h in histories], histories[0].sample(source.manifest)
     model = whole_model(sample, spec, np.ones(len(sample), dtype=bool), models)
-    model = _widened(model, source, sample)
+    model = _widened(model, spec, source, sample)
     try:
         folds = all_left_out(histories, source.manifest)
     except DataError as why:
@@ -158,16 +158,17 @@ def _coloured(source: Source, history: History, noise: uncertainty.Noise, prepar
     return total
 
 
-def _widened(model: ErrorModel, source: Source, sample: Recording) -> ErrorModel:
+def _widened(model: ErrorModel, spec: ModelSpec, source: Source, sample: Recording) -> ErrorModel:
     """The validity box out to the smallest and largest value of all rows, unless these lie beyond a gap."""
-    ranges = dict(model.validity.ranges)
+    ranges = model.validity.ranges | model.validity.seen
     for name, (low, high) in ranges.items():
         seen, (least, most) = sample.array(name), source.ends.array(name)
         reach = GAP * (high - low)
         low = float(least) if low == np.nanmin(seen) and low - least <= reach else low
         high = float(most) if high == np.nanmax(seen) and most - high <= reach else high
         ranges[name] = (low, high)
-    return model.model_copy(update={"validity": model.validity.model_copy(update={"ranges": ranges})})
+    validity = extended(model.validity.model_copy(update={"ranges": ranges}), spec.also_valid, sample)
+    return model.model_copy(update={"validity": validity})
 
 
 def all_left_out(histories: list[History], manifest: Manifest) -> list[list[Fold]]:

@@ -17,6 +17,7 @@ from errpipe.errors import DataError
 from errpipe.fitting.components import evaluate, folds_of, groups_of, solved_without_intervals, without_nuisance
 from errpipe.fitting.design import Problem, assemble, response_name
 from errpipe.fitting.holdout import Fold, check
+from errpipe.fitting.side_by_side import side_by_side
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
 from errpipe.fitting.validity import distance
 
@@ -127,12 +128,19 @@ def every_judged(
     """
     out: dict[str, list[HeldOut]] = {c: [] for c in components}
     empty: list[str] = []
-    for fold in folds:
+
+    def judged(fold: Fold) -> Mapping[str, HeldOut] | NothingJudged:
         try:
-            for component, left in judge_one(fold).items():
-                out[component].append(left)
+            return judge_one(fold)
         except NothingJudged as why:
-            empty.append(str(why))
+            return why
+
+    for one in side_by_side(judged, folds):
+        if isinstance(one, NothingJudged):
+            empty.append(str(one))
+            continue
+        for component, left in one.items():
+            out[component].append(left)
     if empty and not all(out.values()):
         raise NothingJudged(empty[0])
     return out, empty

@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache
+from threading import Lock
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -23,6 +25,8 @@ MAD = 1.4826  # median absolute deviation -> standard deviation of normal noise
 LOWEST_RANK = 1e-11  # of the largest scaled pivot; below it a direction is rounding
 
 _held: ContextVar[bool] = ContextVar("linear_algebra_on_one_thread", default=False)
+_lock = Lock()
+_limits: list[Any] = []  # of the threads that are inside now, the first one at its begin
 
 
 @dataclass(frozen=True)
@@ -54,11 +58,16 @@ def one_thread() -> Iterator[None]:
         yield
         return
     token = _held.set(True)
+    with _lock:
+        _limits.append(_controller().limit(limits=1, user_api="blas"))
     try:
-        with _controller().limit(limits=1, user_api="blas"):
-            yield
+        yield
     finally:
         _held.reset(token)
+        with _lock:  # the limit is the process': who leaves first may not lift it for those that are still inside
+            last = _limits.pop()
+            if not _limits:
+                last.restore_original_limits()
 
 
 @cache

@@ -54,6 +54,12 @@ class ModelSpec(Frozen):
         "1", "Refuse a parameter whose variance the other columns inflate by more than this.", 200.0, gt=1
     )
 
+    also_valid: dict[str, tuple[float, float]] = quantity(
+        "of the column",
+        "Column -> range that an earlier model of this machine held for: a table does not fade there either.",
+        {},
+    )
+
     @model_validator(mode="after")
     def _each_once(self) -> ModelSpec:
         names = [c.component for c in self.components]

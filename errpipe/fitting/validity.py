@@ -6,7 +6,7 @@ The box is where the recording has rows enough, not where its extremes lie: a fe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -18,6 +18,7 @@ LEAST_MARGIN = {"temperature": 2.0}  # K
 FEW = 0.01  # of the rows: at most so many beyond a gap are ignored; chosen on: a thermal state of a day fills more
 GAP = 0.25  # of the range of the other rows; chosen on: the targets of a test after ISO 230-2 (five or more) lie closer
 LONGEST_HELD = 3  # readings of a sensor, at its usual rate: an empty cell or two; silent for longer it is not known
+HELD_AT_THE_END = ("position", "command", "velocity", "force")  # beyond these inputs' ranges a table does not fade
 UNBOXED = ("run", "group", "time", "direction", "coolant", "ignore", "error", "simulated")
 
 
@@ -31,10 +32,52 @@ def box(recording: Recording, names: Sequence[str], rows: np.ndarray) -> Validit
         values = recording.array(name)[rows]
         values = values[np.isfinite(values)]
         if values.size:
-            low, high = covered(values)
-            ranges[name] = (low, high)
-            margins[name] = max(MARGIN * (high - low), LEAST_MARGIN.get(column.role, 1e-6))
+            ranges[name] = covered(values)
+            margins[name] = _margin(column.role, ranges[name])
     return Validity(ranges=ranges, margins=margins)
+
+
+def _margin(role: str, ends: tuple[float, float]) -> float:
+    return max(MARGIN * (ends[1] - ends[0]), LEAST_MARGIN.get(role, 1e-6))
+
+
+def extended(validity: Validity, earlier: Mapping[str, tuple[float, float]], recording: Recording) -> Validity:
+    """The box out to the ranges of an earlier model of the machine; `seen` keeps what the rows themselves covered."""
+    wider = {
+        n: (min(low, earlier[n][0]), max(high, earlier[n][1]))
+        for n, (low, high) in validity.ranges.items()
+        if n in earlier
+    }
+    wider = {n: ends for n, ends in wider.items() if ends != validity.ranges[n]}
+    columns = recording.manifest.columns
+    return validity.model_copy(
+        update={
+            "ranges": validity.ranges | wider,
+            "seen": {n: validity.ranges[n] for n in wider},
+            "margins": validity.margins | {n: _margin(columns[n].role, ends) for n, ends in wider.items()},
+        }
+    )
+
+
+def as_in_a_table(recording: Recording, validity: Validity) -> tuple[Recording, np.ndarray]:
+    """The recording with the inputs over which a table fades held in their ranges, and what is left there, (rows,).
+
+    As a table does in a settled state; a missing reading leaves all.
+    """
+    held, left = {}, np.ones(len(recording))
+    for name, (low, high) in fading(validity, recording).items():
+        values = recording.array(name)
+        held[name] = np.clip(values, low, high)
+        margin = validity.margins.get(name) or MARGIN * max(high - low, 1e-3)
+        left = np.fmin(left, 1.0 - np.abs(values - held[name]) / margin)
+    return recording.with_columns(held, {}), np.maximum(left, 0.0)
+
+
+def fading(validity: Validity, recording: Recording) -> dict[str, tuple[float, float]]:
+    """The ranges beyond which a table fades: not those of positions, at whose ends it holds its profiles."""
+    columns = recording.manifest.columns
+    kept = (n for n in validity.ranges if n in columns and columns[n].role not in HELD_AT_THE_END)
+    return {n: validity.ranges[n] for n in kept} if validity.fades else {}
 
 
 def covered(values: np.ndarray) -> tuple[float, float]:
@@ -82,7 +125,7 @@ def distance(validity: Validity, recording: Recording) -> np.ndarray:
     A missing value counts as a whole range outside.
     """
     total = np.zeros(len(recording))
-    for name, (low, high) in validity.ranges.items():
+    for name, (low, high) in (validity.ranges | validity.seen).items():
         width = max(high - low, validity.margins.get(name, 0.0), 1e-12)
         values = recording.array(name) if name in recording else np.full(len(recording), np.nan)
         excess = np.maximum(np.maximum(low - values, values - high), 0.0) / width

@@ -284,7 +284,9 @@ def _outside(model: Any, name: str) -> str:
     if not model.validity.fades:
         return "fades by itself, never to a jump"
     margin, unit = model.validity.margins.get(name), model.columns.get(name, {}).get("unit") or ""
-    return "held at the end" if margin is None else f"fades to nothing over {margin:.3g} {unit}".rstrip()
+    seen = model.validity.seen.get(name)
+    fitted = f"; fitted from {seen[0]:.4g} to {seen[1]:.4g} only, the rest is an earlier model's range" if seen else ""
+    return "held at the end" if margin is None else f"fades to nothing over {margin:.3g} {unit}".rstrip() + fitted
 
 
 def _exported(exported: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -54,10 +54,12 @@ def signed_gains(
     """
     total = np.zeros(signs.size)
     root = np.sqrt(penalty * rows)
+    height, signed = len(triangle), triangle[:, :-1] * signs
     for member in members:
         size = member.size
-        system = np.vstack([triangle[:, member] * signs[member], root * np.eye(size)])
-        right = np.r_[triangle[:, -1], np.zeros(size)]
+        system, right = np.zeros((height + size, size)), np.zeros(height + size)
+        system[:height], right[:height] = signed[:, member], triangle[:, -1]
+        np.fill_diagonal(system[height:], root)
         magnitudes, _ = nnls(system, right)
         total[member] += magnitudes * signs[member]
     return total / max(len(members), 1)

@@ -9,16 +9,18 @@ better. However often it is evaluated, the probability that the evidence ever re
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from errpipe.domain.error_model import Validity
 from errpipe.domain.recording import Recording
 from errpipe.fitting.holdout import Fold, measured
 from errpipe.fitting.judging import FIRST_READINGS, HeldOut, NothingJudged
 from errpipe.fitting.statistics import student_tail
+from errpipe.fitting.validity import as_in_a_table, box, extended, fading
 from errpipe.models import Family
 
 EVIDENCE = "evidence"  # the gate that has not failed while it does not hold: runs have yet to come
@@ -28,6 +30,7 @@ STAKE_SHARES = (0.1, 0.25, 0.5, 0.75, 0.9)
 BATCHES = 10  # fits at most for the new runs of one look
 TOLERANCE = 1.02  # a group may be this much worse than no compensation: rounding of small groups, not a real loss
 LEAST_COVERAGE = 0.8  # of the 90 % interval; ISO/IEC Guide 98-3 asks for the stated one, ten groups scatter by 0.1
+NO_BOX = Validity()
 LEAST_RUNS = 3  # of a group, from which a paired test has any power
 
 
@@ -101,6 +104,13 @@ def run_contents(recording: Recording) -> list[str]:
     return out
 
 
+def among(recording: Recording, keys: Iterable[str], contents: Iterable[str]) -> frozenset[str]:
+    """Keys of the runs that are among `keys`, or whose readings are among `contents`, whatever they are called now."""
+    known, read = frozenset(keys), frozenset(contents)
+    both = zip(run_keys(recording), run_contents(recording), strict=True)
+    return frozenset(key for key, content in both if key in known or content in read)
+
+
 def reused_names(old: Recording, new: Recording) -> list[str]:
     """Labels of runs that are known by name, groups and time, and hold other readings: another run of an old name."""
     before = dict(zip(run_keys(old), run_contents(old), strict=True))
@@ -114,21 +124,23 @@ def score_new_runs(
     champion: Mapping[str, np.ndarray],
     known: frozenset[str],
     scored: frozenset[str],
-    copied: frozenset[str] = frozenset(),
+    validity: Validity = NO_BOX,
 ) -> list[RunScore]:
     """Score every run that is neither known to the champion nor scored already, in order of appearance.
 
-    champion: component -> its prediction, (rows,). known: keys of the runs that fitted it; scored: of runs scored on
-    earlier looks; copied: contents of either, whatever a run of the same readings is called now. Each batch of new
-    runs is judged by a fit on the known runs and the new ones before it; a copy fits nothing and is not scored, for a
-    challenger that has seen a run leaves less of it. Raises DataError, NotIdentifiable as the family does.
+    champion: component -> its prediction, (rows,), as its table gives it. known: keys of the runs that fitted it;
+    scored: of runs scored on earlier looks (`among`). Each batch of new runs is judged by a fit on the known runs and
+    the new ones before it; of runs with the same readings the first is scored, for a challenger that has seen a run
+    leaves less of it. validity: of the champion; a challenger's table fades beyond it and beyond its own rows. Raises
+    DataError, NotIdentifiable as the family does.
     """
     keys, run, contents = run_keys(recording), recording.run_codes(), run_contents(recording)
     first = [c for c, digest in enumerate(contents) if contents.index(digest) == c]
     seen = measured(recording)
     has_rows = [bool(seen[run == code].any()) for code in range(len(keys))]
-    new = [c for c in first if keys[c] not in known | scored and contents[c] not in copied and has_rows[c]]
+    new = [c for c in first if keys[c] not in known | scored and has_rows[c]]
     train = np.isin(run, [c for c, key in enumerate(keys) if key in known or key in scored])
+    ends = fading(validity, recording)
     out: list[RunScore] = []
     for batch in np.array_split(np.array(new, dtype=int), min(BATCHES, len(new)) or 1):
         if batch.size == 0:
@@ -138,7 +150,11 @@ def score_new_runs(
             train = train | test
             continue
         with suppress(NothingJudged):  # a sensor was silent in all of them: no evidence for either
-            for component, judged in family.judge(recording, Fold("new runs", train, test)).items():
+            own = extended(box(recording, [*ends], train), ends, recording)
+            held, left = as_in_a_table(recording, own)
+            for component, judged in family.judge(held, Fold("new runs", train, test)).items():
+                after = judged.before + left[judged.rows] * (judged.after - judged.before)
+                judged = replace(judged, after=after)
                 out += _scores(recording, component, judged, champion[component], keys, contents)
         train = train | test
     return out

@@ -24,6 +24,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout
 from errpipe.fitting.holdout import Fold
+from errpipe.fitting.side_by_side import side_by_side
 from errpipe.fitting.statistics import rms
 from errpipe.models import Family
 from errpipe.thermal.arithmetic import since_start_of
@@ -99,7 +100,8 @@ def optimism(
 def _left_out(recording, component: str, fit: Fitter, folds: Sequence[Fold], y: np.ndarray):
     """Residual of each judged row, whether its interval covered it, its half width (NaN where the model has none)."""
     residual, covered, half = (np.full(y.size, np.nan) for _ in range(3))
-    for fold in folds:
+
+    def judged(fold: Fold) -> None:
         holdout.check(fold)
         model = fit(recording, component, fold.train)
         if hasattr(model, "predict"):
@@ -111,6 +113,8 @@ def _left_out(recording, component: str, fit: Fitter, folds: Sequence[Fold], y: 
         else:
             value = model.values(recording)
         residual[fold.test] = (y - value)[fold.test]
+
+    side_by_side(judged, folds)
     return residual, covered, half
 
 

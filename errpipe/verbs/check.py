@@ -148,7 +148,9 @@ def _sample(file: Path) -> _Sample:
 def _table(file: Path, sample: _Sample, manifest: Manifest) -> Iterator[tuple[Place, str]]:
     """What a CSV table's header and first rows say against the manifest."""
     header = sample.header
-    if not header and not sample.whole:
+    if sample.whole and not sample.rows:
+        yield ("tables",), f"{file.name} has no rows (a header row and at least one row are needed; half written?)"
+    if not header:
         return
     stored = {n: c for n, c in manifest.columns.items() if c.derived is None}
     for name, column in stored.items():

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from errpipe import jsonfile
 from errpipe.errors import DataError, ErrpipeError, GateError, UsageError, VerifyError
+from errpipe.pipeline.lock import exclusive_lock
 from errpipe.pipeline.step import NO_CALLBACKS, Callbacks
 from errpipe.stages import _artefacts
 from errpipe.verbs import _retrain_drift
@@ -22,11 +23,10 @@ if TYPE_CHECKING:
     from errpipe.pipeline.spec import Pipeline
     from errpipe.validation.retraining import Gate, RunScore
 
-__all__ = ["github_annotations", "in_words", "retrain"]
+__all__ = ["github_annotations", "in_words", "retrain", "write_failure"]
 
 VERSION = 1  # of the document's layout
 LEAST_SINCE = 5  # runs since a change of the machine, from which a challenger is fitted on these alone
-HELD_AT_THE_END = ("position", "command", "velocity")  # beyond these inputs' ranges a table does not fade
 RUN = "run"  # folder of the challenger's pipeline run, below OUT
 DOCUMENT = "retrain.json"
 
@@ -51,12 +51,13 @@ def retrain(
     """
     if champion.resolve().is_relative_to((out / RUN).resolve()):
         raise UsageError(f"{champion}: the challenger is written there, and would replace it before it is judged")
-    limits = (max_change_um, max_change_um_per_k)
-    try:
-        return _decided(pipeline, champion, out, alpha, limits, allowed_sensors, callbacks or NO_CALLBACKS)
-    except ErrpipeError as err:
-        write_failure(pipeline.title, str(err), out)
-        raise
+    limits, callbacks = (max_change_um, max_change_um_per_k), callbacks or NO_CALLBACKS
+    with exclusive_lock(out, callbacks.waiting):  # of two at once one waits: they are one look after the other
+        try:
+            return _decided(pipeline, champion, out, alpha, limits, allowed_sensors, callbacks)
+        except ErrpipeError as err:
+            write_failure(pipeline.title, str(err), out)
+            raise
 
 
 def _decided(
@@ -71,9 +72,11 @@ def _decided(
     old_model, old_recording, fingerprint = _champion(pipeline, champion)
     earlier = _earlier_document(out / DOCUMENT)
     kept_from, dates = _since(earlier, fingerprint)
-    refused, since, on_all = _run(pipeline, out, dates, callbacks)
+    refused, since, on_all = _run(_also_valid(pipeline, old_model, old_recording), out, dates, callbacks)
     recording = _artefacts.recording_in(out / RUN / _last_stage_with(pipeline, "recording"))
     _same_machine(champion, old_model, old_recording, recording)
+    if on_all and _no_longer_kept(dates[0], old_recording, recording):
+        on_all = ""
     document = _judged(
         pipeline,
         out,
@@ -139,11 +142,20 @@ def _run(pipeline: Pipeline, out: Path, dates: Sequence[str], callbacks: Callbac
     return "", by_hand, on_all
 
 
+def _no_longer_kept(run: str, old: Recording, new: Recording) -> bool:
+    """Whether a run of the champion has left the recording, and with it what was before: nothing is amiss then."""
+    from errpipe.validation.retraining import run_contents
+
+    labels = old.run_labels()
+    return run in labels and run_contents(old)[labels.index(run)] not in run_contents(new)
+
+
 def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limits, allowed) -> dict[str, Any]:
+    from errpipe.fitting.validity import as_in_a_table
     from errpipe.validation import retraining
 
     old_model, old_recording, fingerprint = champion
-    known = frozenset(retraining.run_keys(old_recording))
+    known = retraining.among(recording, retraining.run_keys(old_recording), retraining.run_contents(old_recording))
     prediction = predictions(old_model, recording)
     drift = _retrain_drift.drift(old_model, old_recording, recording, known)
     wrong = {o["run"] for o in drift["runs"] if o["wrong"]} | _without_runs(pipeline)
@@ -167,9 +179,10 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
                 " pipeline into its folder anew."
             )
         family = _artefacts.family_in(model_folder)
-        already_scored = frozenset(s.key for s in scores)
-        copied = frozenset([*retraining.run_contents(old_recording), *(s.content for s in scores)])
-        new = retraining.score_new_runs(recording, family, prediction, known, already_scored, copied)
+        already_scored = retraining.among(recording, (s.key for s in scores), (s.content for s in scores))
+        held, left = as_in_a_table(recording, old_model.validity)
+        in_its_table = {component: left * values for component, values in predictions(old_model, held).items()}
+        new = retraining.score_new_runs(recording, family, in_its_table, known, already_scored, old_model.validity)
         scores += [s for s in new if s.run not in wrong]
         gates += _name_gate(retraining.reused_names(old_recording, recording), any_new=bool(scores))
         change = _change(old_model, model, recording)
@@ -189,7 +202,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         "runs": [asdict(s) for s in scores],
         "drift": drift,
         "change": {} if refused else change,
-        "narrower": [] if refused else _narrower(old_model, model),
+        "narrower": [] if refused else _narrower(model),
     }
 
 
@@ -229,13 +242,15 @@ def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, 
             raise DataError(
                 f"{folder}: no champion here ({path.relative_to(folder)} is missing; run the pipeline first)"
             )
-    pair, rows = _artefacts.read_model(model), _artefacts.recording_in(recording)
+    hint = f"(a champion of another version? Run the pipeline into {folder} anew)"
+    try:
+        pair, rows = _artefacts.read_model(model), _artefacts.recording_in(recording)
+    except (DataError, VerifyError) as why:
+        raise type(why)(f"{why} {hint}") from None
     try:
         predictions(pair, rows.take([0]))
     except DataError as why:
-        raise DataError(
-            f"{model}: {why} (a champion of another version? Run the pipeline into {folder} anew)"
-        ) from None
+        raise DataError(f"{model}: {why} {hint}") from None
     return pair, rows, jsonfile.fingerprint_bytes(model.read_bytes())
 
 
@@ -316,20 +331,31 @@ def _table_gates(change: Mapping[str, Mapping[str, float]], limits) -> list[Gate
     return out
 
 
-def _narrower(old: ErrorModel, new: ErrorModel) -> list[str]:
-    """Inputs of which the challenger's table corrects nothing where the champion was fitted, a sentence each."""
+def _also_valid(pipeline: Pipeline, champion: ErrorModel, recording: Recording) -> Pipeline:
+    """The pipeline whose fit holds for the inputs that the champion holds for, where its file does not say which.
+
+    A challenger of a few runs would correct nothing in the temperatures of another season, which its terms describe.
+    """
+    from errpipe.fitting.validity import fading
+
+    ends = fading(champion.validity, recording)
+    stages = tuple(
+        s.model_copy(update={"also_valid": ends}) if getattr(s, "also_valid", None) == {} else s
+        for s in pipeline.stages
+    )
+    return replace(pipeline, stages=stages)
+
+
+def _narrower(model: ErrorModel) -> list[str]:
+    """Inputs of which the challenger is fitted on a part of the range that it holds for, a sentence each."""
     out = []
-    for name, (low, high) in new.validity.ranges.items() if new.validity.fades else ():
-        if new.columns.get(name, {}).get("role") in HELD_AT_THE_END:
-            continue
-        margin, fitted = new.validity.margins.get(name, 0.0), old.validity.ranges.get(name, (low, high))
-        unit = new.columns.get(name, {}).get("unit") or ""
-        if fitted[0] < low - margin or fitted[1] > high + margin:
-            out.append(
-                f"{name}: the challenger is fitted from {low:.4g} to {high:.4g} {unit}, the champion from "
-                f"{fitted[0]:.4g} to {fitted[1]:.4g} {unit}; below {low - margin:.4g} and above {high + margin:.4g} "
-                f"{unit} the challenger corrects nothing."
-            )
+    for name, (low, high) in model.validity.seen.items():
+        unit = model.columns.get(name, {}).get("unit") or ""
+        least, most = model.validity.ranges[name]
+        out.append(
+            f"{name}: the challenger is fitted from {low:.4g} to {high:.4g} {unit}, and corrects from {least:.4g} to"
+            f" {most:.4g} {unit}, as the champion does."
+        )
     return out
 
 

@@ -22,6 +22,7 @@ import pandas as pd
 
 from errpipe import jsonfile
 from errpipe.cli.app import main as errpipe
+from errpipe.fitting.validity import MARGIN
 from errpipe.validation.retraining import ALPHA, RunScore, decide, e_value
 
 KEPT = 60  # nights of recordings that the shop keeps
@@ -95,16 +96,17 @@ def write(folder: Path, nights: dict[int, dict[str, np.ndarray]]) -> None:
 
 
 def residual(model: Path, nights: list[dict[str, np.ndarray]]) -> float:
-    """rms of what a model leaves of the true deviation of some nights, um: what the report cannot know."""
-    document = json.loads(model.read_text(encoding="utf-8"))
+    """rms of what a model's table leaves of the true deviation of some nights, um: what the report cannot know."""
     from errpipe.domain.error_model import ErrorModel
+    from errpipe.fitting.validity import as_in_a_table
+    from errpipe.formats import manifest_folder
     from errpipe.validation.predict import predict
 
+    document = ErrorModel.model_validate_json(model.read_text(encoding="utf-8"))
     folder = model.parent / "judge"
     write(folder, dict(enumerate(nights)))
-    from errpipe.formats import manifest_folder
-
-    predicted = predict(ErrorModel.model_validate(document), manifest_folder.read(folder))["EXX_predicted"].to_numpy()
+    recording, left = as_in_a_table(manifest_folder.read(folder), document.validity)
+    predicted = left * predict(document, recording)["EXX_predicted"].to_numpy()
     shutil.rmtree(folder)
     return float(np.sqrt(np.mean((np.concatenate([n["true"] for n in nights]) - predicted) ** 2)))
 
@@ -135,6 +137,8 @@ def year(out: Path, seed: int, every: int, until: int = 365, drift: float = DRIF
             state["promotions"].append({"night": today, "um_rms_before": before, "um_rms_after": after})
             shutil.rmtree(out / "champion")
             shutil.copytree(out / "retrain/run", out / "champion")
+        tonight = residual(out / "champion/fit/error_model.json", nights[today : today + 1])
+        state["um_rms_in_use"].append(round(tonight, 3))
         state["next"] = today + every
         jsonfile.write(out / STATE, state)
     return state
@@ -148,6 +152,7 @@ def _begun(out: Path, asked: dict[str, Any], nights: list[dict[str, np.ndarray]]
             return state
     _first_champion(out, dict(enumerate(nights[:FIRST])))
     by_name: dict[str, Any] = {"promotions": [], "worse_promotions": 0, "sensors_named": {}, "alarms": {}}
+    by_name["um_rms_in_use"] = []  # of the table that was on the machine, by night
     return by_name | asked | {"next": FIRST + asked["every"]}
 
 
@@ -174,7 +179,7 @@ def nights_until_named(out: Path, seed: int, drift: float, most: int = 14) -> in
 
 
 def quiet_year(seed: int) -> bool:
-    """A year in which nothing changes, with the same decision and a plain refit: was a worse model ever promoted?"""
+    """A year in which nothing changes, with the same decision and a plain refit: was a worse table ever promoted?"""
     rng = np.random.default_rng(seed)
     nights = [night(k, rng, quiet=True) for k in range(365)]
 
@@ -182,15 +187,22 @@ def quiet_year(seed: int) -> bool:
         x, t = (np.concatenate([n[name] for n in some]) for name in ("x", "T_nut"))
         return np.column_stack([np.ones_like(x), x, x**2, x * (t - 20.0)])
 
-    def fit(some: list[dict[str, np.ndarray]]) -> np.ndarray:
-        return np.linalg.lstsq(design(some), np.concatenate([n["EXX"] for n in some]), rcond=None)[0]
+    Table = tuple[np.ndarray, float, float]  # gains, lowest and highest temperature of the nut
 
-    def left(gains: np.ndarray, one: dict[str, np.ndarray], name: str) -> float:
-        return float(np.mean((one[name] - design([one]) @ gains) ** 2))
+    def fit(some: list[dict[str, np.ndarray]], lowest: float = np.inf, highest: float = -np.inf) -> Table:
+        nut = np.concatenate([n["T_nut"] for n in some])
+        gains = np.linalg.lstsq(design(some), np.concatenate([n["EXX"] for n in some]), rcond=None)[0]
+        return gains, min(nut.min(), lowest), max(nut.max(), highest)
+
+    def left(table: Table, one: dict[str, np.ndarray], name: str) -> float:
+        gains, lowest, highest = table
+        held = np.clip(one["T_nut"], lowest, highest)
+        share = np.maximum(1.0 - np.abs(one["T_nut"] - held) / max(MARGIN * (highest - lowest), 2.0), 0.0)
+        return float(np.mean((one[name] - share * (design([one | {"T_nut": held}]) @ gains)) ** 2))
 
     champion, scores = fit(nights[:FIRST]), []
     for today in range(FIRST, 365):
-        challenger, one = fit(nights[max(0, today - KEPT) : today]), nights[today]
+        challenger, one = fit(nights[max(0, today - KEPT) : today], *champion[1:]), nights[today]
         squares = (float(np.mean(one["EXX"] ** 2)), left(champion, one, "EXX"), left(challenger, one, "EXX"))
         scores.append(RunScore(str(today), str(today), "EXX", {}, *squares, rows=PLACES.size))
         if e_value([s.score for s in scores]) >= 1 / ALPHA and decide(scores).promote:

@@ -174,6 +174,14 @@ def test_the_pipeline_itself_is_fine(where: Path) -> None:
     assert main(["check", "p.yaml", "rec"]) == 0
 
 
+@pytest.mark.parametrize("rows", [0, 1], ids=["empty", "header only"])
+def test_a_table_that_is_just_being_written(rows: int, where: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = where / "rec/t.csv"
+    table.write_text("".join(table.read_text().splitlines(keepends=True)[:rows]))
+    assert main(["check", "p.yaml"]) == 2
+    assert capsys.readouterr().err.count("t.csv has no rows") == 1
+
+
 CASES = [("p.yaml", name) for name in PIPELINE_FAULTS] + [("rec/recording.yaml", name) for name in MANIFEST_FAULTS]
 
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import shutil
+import threading
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +16,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from errpipe.cli._pipeline import load_pipeline_file
 from errpipe.cli.app import main
-from errpipe.domain.error_model import ErrorModel, Validity
-from errpipe.verbs.retrain import _narrower, _since
+from errpipe.pipeline.lock import exclusive_lock
+from errpipe.pipeline.step import NO_CALLBACKS
+from errpipe.verbs.retrain import _since
+from errpipe.verbs.retrain import retrain as one_look
 
 MANIFEST = """recording: 1
 title: X axis, one run a day
@@ -161,8 +167,11 @@ def test_what_changed_is_said_in_the_terms_of_the_model(site: Path) -> None:
 
 
 def test_after_a_change_that_an_earlier_look_dated_the_challenger_is_fitted_on_the_runs_since(site: Path) -> None:
-    """Fitted on all 22 days it leaves half of the change, and the evidence was 2.4 of the 20 that are needed."""
-    for days in (13, 17, 20, 23, 26):
+    """Fitted on all 22 days it leaves half of the change, and the evidence was 2.4 of the 20 that are needed.
+
+    Days as cold as no run of the champion are no evidence: both tables correct next to nothing there.
+    """
+    for days in (13, 17, 20, 23, 26, 29, 32):
         record(site / "recording", days, changed_from=12)
         code, document = retrain(site)
         if code == 0:
@@ -174,15 +183,57 @@ def test_after_a_change_that_an_earlier_look_dated_the_challenger_is_fitted_on_t
     assert code == 4 and document["runs"] == [] and document["fitted_since"] == document["kept_from"]
 
 
-def test_where_the_challenger_corrects_nothing_is_said() -> None:
-    def model(low: float, high: float) -> ErrorModel:
-        columns = {"T_nut": {"role": "temperature", "unit": "degC"}, "x": {"role": "position", "unit": "mm"}}
-        box = Validity(ranges={"T_nut": (low, high), "x": (low, high)}, margins={"T_nut": 3.0, "x": 3.0})
-        return ErrorModel(components=(), columns=columns, validity=box)
+def test_a_challenger_of_few_runs_corrects_where_the_champion_did(site: Path) -> None:
+    """Nine days since the change are of other temperatures: in those of the champion the new table may not fade."""
+    champion = json.loads((site / "champion/fit/error_model.json").read_text(encoding="utf-8"))["validity"]
+    record(site / "recording", 23, first=12, changed_from=12)
+    assert retrain(site)[0] == 4
+    _, document = retrain(site)
+    new = json.loads((site / "out/run/fit/error_model.json").read_text(encoding="utf-8"))["validity"]
+    (low, high), (least, most) = champion["ranges"]["T_nut"], new["ranges"]["T_nut"]
+    assert least <= low and most >= high and new["seen"]["T_nut"] != [least, most]
+    assert new["margins"]["T_nut"] == pytest.approx(0.5 * (most - least)) and list(new["seen"]) == ["T_nut"]
+    (says,) = document["narrower"]
+    assert says.endswith("degC, as the champion does.")
 
-    (says,) = _narrower(model(12.0, 31.0), model(19.0, 25.0))
-    assert says.startswith("T_nut") and "below 16 and above 28 degC the challenger corrects nothing" in says
-    assert _narrower(model(17.0, 27.0), model(19.0, 25.0)) == []  # the margin fades, and covers them
+
+def test_a_date_whose_run_the_shop_no_longer_keeps_is_nothing_to_tell(site: Path) -> None:
+    for days in (23, 24, 30):
+        record(site / "recording", days, first=12, changed_from=12)
+        retrain(site)
+    shutil.rmtree(site / "champion")
+    shutil.copytree(site / "out/run", site / "champion")
+    record(site / "recording", 42, first=25, changed_from=12)
+    _, document = retrain(site)
+    assert document["kept_from"] and document["fitted_on_all"] == "", document["fitted_on_all"]
+
+
+def test_a_pipeline_file_that_cannot_be_read_leaves_no_pages_of_the_look_before(site: Path) -> None:
+    record(site / "recording", 14)
+    retrain(site)
+    (site / "axis.yaml").write_text("pipeline: 1\nstages: [{kind: ingst}]\n", encoding="utf-8")
+    assert retrain(site)[0] == 2
+    assert "not judged" in (site / "out/retrain.md").read_text(encoding="utf-8")
+
+
+def test_a_champion_of_another_version_says_what_to_do(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = site / "champion/fit/error_model.json"
+    model.write_text(
+        model.read_text(encoding="utf-8").replace('"error_model": 1', '"error_model": 0'), encoding="utf-8"
+    )
+    code = main(["retrain", str(site / "axis.yaml"), "--champion", str(site / "champion"), "--out", str(site / "out")])
+    assert code == 6 and "of another version? Run the pipeline into" in capsys.readouterr().err
+
+
+def test_of_two_looks_at_once_one_waits_for_the_other(site: Path) -> None:
+    record(site / "recording", 14)
+    pipeline, waits = load_pipeline_file(site / "axis.yaml", []), threading.Event()
+    callbacks = replace(NO_CALLBACKS, waiting=waits.set)
+    with ThreadPoolExecutor(1) as pool:
+        with exclusive_lock(site / "out"):
+            look = pool.submit(one_look, pipeline, site / "champion", site / "out", callbacks=callbacks)
+            assert waits.wait(60) and not (site / "out/run").exists()
+        assert look.result(120)["decision"] == "keep the champion"
 
 
 def test_of_two_changes_in_a_week_the_second_dates_the_challenger(site: Path) -> None:

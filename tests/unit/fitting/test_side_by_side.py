@@ -1,0 +1,61 @@
+"""Work in two threads: the same results in the same order, and linear algebra on one thread until the last is done."""
+
+from __future__ import annotations
+
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from errpipe.fitting import side_by_side as module
+from errpipe.fitting.side_by_side import side_by_side
+from errpipe.fitting.solve import one_thread
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+def test_results_stand_in_order_and_the_first_failure_is_raised(cores: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module.os, "cpu_count", lambda: cores)
+
+    def slow(k: int, name: str) -> str:
+        time.sleep(0.02 if k % 2 else 0.0)
+        if k > 5:
+            raise ValueError(name)
+        return f"{k}{name}"
+
+    assert side_by_side(slow, range(5), "abcde", worth=0.0) == ["0a", "1b", "2c", "3d", "4e"]
+    with pytest.raises(ValueError, match="g"):
+        side_by_side(slow, range(8), "abcdefgh", worth=0.0)
+
+
+def test_short_pieces_and_pieces_of_pieces_stay_in_their_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module.os, "cpu_count", lambda: 2)
+
+    def names(_: object) -> set[str]:
+        return set(side_by_side(lambda _: threading.current_thread().name, range(3), worth=0.0))
+
+    assert len(set.union(*side_by_side(lambda _: {threading.current_thread().name}, range(9)))) == 1
+    for inner in side_by_side(names, range(4), worth=0.0):
+        assert len(inner) == 1 and threading.main_thread().name not in inner
+
+
+def test_a_thread_that_leaves_does_not_lift_the_limit_for_one_that_is_still_inside() -> None:
+    entered, left = threading.Event(), threading.Event()
+
+    def threads() -> set[int]:
+        return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+    def longer() -> set[int]:
+        with one_thread():
+            entered.set()
+            assert left.wait(10)
+            return threads()
+
+    with threadpool_limits(2, "blas"), ThreadPoolExecutor(1) as pool:
+        before = threads()
+        with one_thread():
+            future = pool.submit(longer)
+            assert entered.wait(10)
+        left.set()
+        assert (before, future.result(10)) == ({2}, {1})
