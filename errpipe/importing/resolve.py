@@ -13,7 +13,7 @@ import numpy as np
 
 from errpipe.domain import components
 from errpipe.errors import DataError
-from errpipe.importing import ambiguities, dates, order, readings, signs, simulated
+from errpipe.importing import ambiguities, dates, order, readings, signs, simulated, speeds
 from errpipe.importing import columns as guessing
 from errpipe.importing.layout import EMPTY, Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal
@@ -79,8 +79,13 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
         raise DataError(
             f"no unit is stated for the angles of {component}: say it with --unit (arcsec, urad, mrad, mdeg, deg)"
         )
+    if unit is None and standard in ("N", "N m"):
+        raise DataError(
+            f"no unit is stated for {component}, and drives log torques in % or in A as well: say it with --set "
+            f"COLUMN.unit={standard!r} (or kN, N mm), after a conversion where it is neither"
+        )
     if unit is None:
-        unit = unit_by_size(values) if standard == "um" else standard
+        unit = unit_by_size(values)
         why += f"; no unit is stated, taken as {unit} by the size of the readings (--unit says it)"
     return values, unit, why
 
@@ -219,7 +224,7 @@ def one_position_per_axis(p: Proposal) -> None:
             for name in [n for n in names if n != kept]:
                 if not beside and not np.array_equal(p.data[name], p.data[kept], equal_nan=True):
                     raise DataError(
-                        f"columns {kept!r} and {name!r} both hold {role} positions of {letter}: say which is meant, "
+                        f"columns {kept!r} and {name!r} both hold {'' if role == 'position' else f'{role} '}positions of {letter}: say which is meant, "
                         f"with --set {name}.role=ignore (or command, actual)"
                     )
                 p.entries[name] = {"role": "ignore"}
@@ -285,6 +290,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     signs.change(p, layout, options)
     readings.readings_as_errors(p, axis)
     readings.derive_error(p, axis, options)
+    speeds.units_by_positions(p)
     simulated.forces_as_responses(p)
     simulated.of_the_only_response(p)
     simulated.change_signs(p, simulated.positions_as_deviations(p))
@@ -293,6 +299,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
         raise DataError(
             f"{NO_DEVIATION}, and no two hold an actual and a commanded position (found: {have}). "
             "Say it with --set COLUMN.role=error, or --set COLUMN.role=actual"
+            + _of_a_drive(p, axis)
             + "".join(f"; {note}" for note in layout.notes if "--names" in note or note.startswith(EMPTY))
         )
     ambiguities.refuse(p, layout, options)
@@ -323,6 +330,14 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
             )
     order.resolve_order(p, axis)
     p.entries = dict(sorted(p.entries.items(), key=lambda item: item[1]["role"] not in ("run", "time")))
+
+
+def _of_a_drive(p: Proposal, axis: str) -> str:
+    """How a force or torque that is there becomes what is diagnosed; empty where none is."""
+    found = p.first("torque") or p.first("force") or p.first("current")
+    return (
+        f"; the load of a drive is one with --set {found}.role=error --set {found}.component=F_{axis}" if found else ""
+    )
 
 
 def _refuse_one_of_several_axes(p: Proposal, layout: Layout, options: ImportOptions) -> None:

@@ -80,7 +80,7 @@ LETTERS = {
     "N": (("force", "N"),),
 }
 _LAST_LETTER = re.compile(r"^(.*[^\s_/,.(\[])[\s_/,(\[]+([shKCFN])[)\]]?$")
-_INLET = re.compile(r"(coolant|oil|water|air|chiller)[\s_]+in$", re.IGNORECASE)  # of a medium, not inches
+_INLET = re.compile(r"((coolant|oil|water|air|chiller)[\s_]+|\b[^\W\dxyz]_)in$", re.IGNORECASE)  # no inches; `u_in`
 _SIGNS = '"°″'
 _AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,11})$")
 

@@ -95,7 +95,12 @@ WORDS: tuple[tuple[str, str], ...] = (
         "coolant",
     ),
     (r"(torque|drehmoment|moment)", "torque"),
-    (r"(current|strom|\biq\b|\bi q\b|ampere)", "current"),
+    (r"\b(current|aktuelle?) ?pos(ition)?\b", "actual"),
+    (
+        r"(current(?! ?(program|feed|line|block|seq|tool|vel|speed|temp|time|stat|mode|step|cycle|no\b|num))"
+        r"|strom|\biq\b|\bi q\b|ampere)",
+        "current",
+    ),
     (r"(force|kraft)|^f ?[xyz]$", "force"),
     (r"(spindle ?speed|drehzahl|rpm|\bs act\b)", "spindle_speed"),
     (r"(feed ?rate|vorschub|\bfeed\b)", "feed"),
@@ -115,7 +120,8 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(accel|beschl)", "acceleration"),
     (
         r"(target|soll|ziel|nominal|\bnom\b|nenn(wert|mass|laenge)|calibrated( (value|length|position))?$"
-        r"|kalibrier(wert|ter wert|te laenge|t)$|command|\bcmd|\bnoml\b|setpoint|demand|ref(erence)?\b|consign[ea]"
+        r"|kalibrier(wert|ter wert|te laenge|t)$"
+        r"|command|\bcmd|\bnoml\b|set ?(point|pos)|demand|ref(erence)?\b|consign[ea]"
         r"|theorique|cible|teoric|objetivo|\balvo\b|doelpos|malpos|zadan|cilov|hedef|gewenst|boervaerd|borvard|celpoz|目標|目标|指令|задан|целев|목표)",
         "command",
     ),
