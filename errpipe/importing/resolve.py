@@ -200,6 +200,7 @@ def resolve_units(p: Proposal, layout: Layout) -> None:
 
 
 _EXTERNAL_INSTRUMENT = re.compile(r"laser|interferom|dial|indicator|messuhr", re.IGNORECASE)
+_MEASURED = re.compile(rf"{_EXTERNAL_INSTRUMENT.pattern}|meas|mess|gauge|probe|taster|reading|mesur|misur|medid", re.I)
 _OWN_SCALE = re.compile(r"encoder|(?<![a-z])enc(?![a-z])|display|read_?out|(?<![a-z])dro(?![a-z])|scale", re.IGNORECASE)
 
 
@@ -215,16 +216,17 @@ def one_position_per_axis(p: Proposal) -> None:
             if len(names) < 2:
                 continue
             own = [n for n in names if _OWN_SCALE.search(n) and n not in measured]
-            if role == "actual" and len(own) == 1 and len(names) == 2 and not _commanded(p, letter):
+            other = next((n for n in names if n not in own and _MEASURED.search(n)), None)
+            if role == "actual" and len(own) == 1 and len(names) == 2 and other and not _commanded(p, letter):
                 p.entries[own[0]]["role"] = "command"
                 p.guesses[own[0]] = "the machine's own reading beside a measured one: it stands for the command"
                 continue
             beside = role == "actual" and len(measured) == 1
-            kept = measured[0] if beside else names[0]
+            kept, kind = measured[0] if beside else names[0], f"{role} ".removeprefix("position ")
             for name in [n for n in names if n != kept]:
                 if not beside and not np.array_equal(p.data[name], p.data[kept], equal_nan=True):
                     raise DataError(
-                        f"columns {kept!r} and {name!r} both hold {'' if role == 'position' else f'{role} '}positions of {letter}: say which is meant, "
+                        f"columns {kept!r} and {name!r} both hold {kind}positions of {letter}: say which is meant, "
                         f"with --set {name}.role=ignore (or command, actual)"
                     )
                 p.entries[name] = {"role": "ignore"}

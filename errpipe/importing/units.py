@@ -280,7 +280,7 @@ _UNIT_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]{1,14}?)\s*[\])]")
 def in_brackets(header: str) -> str | None:
     """What stands in brackets in a header, unit or not."""
     bracket = _UNIT_IN_BRACKETS.search(header)
-    return bracket.group(1) if bracket else None
+    return bracket.group(1) if bracket and not bracket.group(1).isdigit() else None  # `speed (5)`: of channel 5
 
 
 def in_role(
@@ -300,7 +300,7 @@ def in_role(
     for key in (f"{word} {role.partition('_')[0]}", word):
         of, factor = OTHER_UNITS.get(key, ("", 1.0))
         if of in allowed:
-            return values * factor, of, f"{why}; {said} written as {of}"
+            return values * factor, of, f"{why}; {said} written as {of}".strip("; ")
         if of == "m" and "mm" in allowed:
             return values * factor * 1e3, "mm", f"{why}; {said} written as mm"
         if of == "mm" and "m" in allowed:

@@ -97,7 +97,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(torque|drehmoment|moment)", "torque"),
     (r"\b(current|aktuelle?) ?pos(ition)?\b", "actual"),
     (
-        r"(current(?! ?(program|feed|line|block|seq|tool|vel|speed|temp|time|stat|mode|step|cycle|no\b|num))"
+        r"(current(?! ?(program|feed(?!b)|line|block|seq|tool|vel|speed|temp|time|stat|mode|step|cycle|no\b|num))"
         r"|strom|\biq\b|\bi q\b|ampere)",
         "current",
     ),
@@ -107,7 +107,8 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(press|druck|baro)", "pressure"),
     (r"(humid|feucht)", "humidity"),
     (
-        r"(deviation|abweich|\babw|error|err\b|fehler|\bdev\b|residual|lage ?abw|\becart|erreur|scostamento|desviacion"
+        r"(deviation|abweich|\babw|error(?! ?(code|id|stat|flag|n[ou]|bit|m|word|text))|err\b"
+        r"|fehler(?! ?(code|nr|nummer|text))|\bdev\b|residual|lage ?abw|\becart|erreur|scostamento|desviacion"
         r"|errore|\berros?\b|deviazion|desvio|afwijking|\bfout|odchyl|odchyłk|\bbład|\bchyb|avvik|\belteres|afvigelse|\bfejl|\bsapma"
         r"|\bhata|偏差|誤差|误差|отклонени|погрешност|ошибк|오차|편차)",
         "error",
