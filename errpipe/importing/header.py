@@ -83,7 +83,7 @@ def _is_comment(row: list[Cell], numbers: list[float | None], width: int) -> boo
     width: filled cells of a row of data. An event of a log has a comma as well: `INFO: SETTLING, started`.
     """
     texts = [label(c) for c in filled_cells(row)]
-    alone = len(texts) <= max(1, width // 6) and not any(v is not None for v in numbers) and not _are_units(texts)
+    alone = len(texts) <= max(1, width // 3) and not any(v is not None for v in numbers) and not _are_units(texts)
     return bool(texts) and (texts[0].startswith(COMMENT) or alone)
 
 

@@ -301,7 +301,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
         raise DataError(
             f"{NO_DEVIATION}, and no two hold an actual and a commanded position (found: {have}). "
             "Say it with --set COLUMN.role=error, or --set COLUMN.role=actual"
-            + _of_a_drive(p, axis)
+            + simulated.as_a_load(p, axis)
             + "".join(f"; {note}" for note in layout.notes if "--names" in note or note.startswith(EMPTY))
         )
     ambiguities.refuse(p, layout, options)
@@ -332,14 +332,6 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
             )
     order.resolve_order(p, axis)
     p.entries = dict(sorted(p.entries.items(), key=lambda item: item[1]["role"] not in ("run", "time")))
-
-
-def _of_a_drive(p: Proposal, axis: str) -> str:
-    """How a force or torque that is there becomes what is diagnosed; empty where none is."""
-    found = p.first("torque") or p.first("force") or p.first("current")
-    return (
-        f"; the load of a drive is one with --set {found}.role=error --set {found}.component=F_{axis}" if found else ""
-    )
 
 
 def _refuse_one_of_several_axes(p: Proposal, layout: Layout, options: ImportOptions) -> None:
