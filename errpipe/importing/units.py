@@ -48,6 +48,8 @@ UNITS = {
     ),
     **dict.fromkeys(("a", "amp", "amps", "ampere"), "A"),
     **dict.fromkeys(("ma",), "mA"),
+    **dict.fromkeys(("v", "volt", "volts"), "V"),  # of a sensor: no unit of any role before it is scaled
+    "mv": "mV",
     **dict.fromkeys(("nm.", "n·m", "n.m", "n*m", "newtonmeter"), "N m"),
     **dict.fromkeys(("n", "newton"), "N"),
     **dict.fromkeys(("kn",), "kN"),

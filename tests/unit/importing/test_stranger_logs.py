@@ -208,3 +208,18 @@ def test_two_positions_of_which_none_is_measured_are_asked_about(tmp_path: Path)
 def test_unknown_option_of_a_component_is_refused_before_the_file_is_read() -> None:
     with pytest.raises(UsageError, match="--component 'QQ'"):
         import_files.options_of(component="QQ", sets=[])
+
+
+def test_joints_of_a_robot_are_no_runs(tmp_path: Path) -> None:
+    """`j2` to `j6` were five runs of deviations in um over the targets `j1` in mm."""
+    joints = {f"j{k}": 10 * k + 30 * np.sin(T[:40] + k) for k in range(2, 7)}
+    with pytest.raises(DataError, match="no column holds a deviation"):
+        prepared(log(tmp_path, j1=np.linspace(-90, 20, 40), **joints), axis="X")
+
+
+def test_a_sensor_in_volts_is_no_force(tmp_path: Path) -> None:
+    """The unit in a row of its own was not known, and the force taken as N."""
+    head = "Timestamp,A,Timestamp,A\nChannel name,Force,Channel name,Dial\nUnit,V,Unit,um\n"
+    path = tmp_path / "card.csv"
+    path.write_text(head + "".join(f"{t:.3f},{0.1 * t:.4f},{t:.3f},{t % 0.7:.4f}\n" for t in T[:60]), "utf-8")
+    assert roles(path, component="E_X", sign="actual-minus-commanded")["Force"]["role"] == "ignore"
