@@ -222,4 +222,4 @@ def test_a_sensor_in_volts_is_no_force(tmp_path: Path) -> None:
     head = "Timestamp,A,Timestamp,A\nChannel name,Force,Channel name,Dial\nUnit,V,Unit,um\n"
     path = tmp_path / "card.csv"
     path.write_text(head + "".join(f"{t:.3f},{0.1 * t:.4f},{t:.3f},{t % 0.7:.4f}\n" for t in T[:60]), "utf-8")
-    assert roles(path, component="E_X", sign="actual-minus-commanded")["Force"]["role"] == "ignore"
+    assert roles(path, component="E_X", sets={"Dial": {"role": "error"}})["Force"]["role"] == "ignore"
