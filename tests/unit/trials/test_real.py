@@ -119,7 +119,7 @@ def test_additions_of_a_torque_are_those_of_a_drive() -> None:
     del sheet.columns["F_X"]
     sheet.table = sheet.table.rename(columns={"F_X": "F_C"})
     names = {a[0] for twin in twins("robot", sheet) for a in additions(np.random.default_rng(3), twin)}
-    assert {"coulomb_friction", "stribeck_friction"} <= names
+    assert {"stribeck_friction", "torque_ripple"} <= names
     assert not names & {"backlash", "following_error", "pitch_cyclic", "scale_error"}
 
 
