@@ -25,7 +25,7 @@ def component_of_force(header: str, unit: str | None, axis: str) -> str | None:
 
 def as_a_load(p: Proposal, axis: str) -> str:
     """How a force or torque that is there becomes what is diagnosed; empty where none is."""
-    found = p.first("torque") or p.first("force") or p.first("current")
+    found = p.first("torque") or p.first("force")
     return (
         f"; the load of a drive is one with --set {found}.role=error --set {found}.component=F_{axis}" if found else ""
     )

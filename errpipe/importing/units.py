@@ -48,8 +48,6 @@ UNITS = {
     ),
     **dict.fromkeys(("a", "amp", "amps", "ampere"), "A"),
     **dict.fromkeys(("ma",), "mA"),
-    **dict.fromkeys(("v", "volt", "volts"), "V"),  # of a sensor: no unit of any role before it is scaled
-    "mv": "mV",
     **dict.fromkeys(("nm.", "n·m", "n.m", "n*m", "newtonmeter"), "N m"),
     **dict.fromkeys(("n", "newton"), "N"),
     **dict.fromkeys(("kn",), "kN"),
@@ -279,6 +277,9 @@ OTHER_UNITS = {
 _UNIT_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]{1,14}?)\s*[\])]")
 
 
+_OF_A_SENSOR = ("v", "mv", "volt", "volts")  # before it is scaled
+
+
 def in_brackets(header: str) -> str | None:
     """What stands in brackets in a header, unit or not."""
     bracket = _UNIT_IN_BRACKETS.search(header)
@@ -307,7 +308,7 @@ def in_role(
             return values * factor * 1e3, "mm", f"{why}; {said} written as mm"
         if of == "mm" and "m" in allowed:
             return values * factor * 1e-3, "m", f"{why}; {said} written as m"
-    if unit is None and word not in OTHER_UNITS and not re.search(r"[/%°\d]", said):
+    if unit is None and word not in (*OTHER_UNITS, *_OF_A_SENSOR) and not re.search(r"[/%°\d]", said):
         return values, None, why  # a word in brackets: `force (filtered)`
     return None
 
