@@ -81,7 +81,8 @@ def run_and_side(header: str) -> tuple[str | None, float | None]:
 
 def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | None:
     """The wide layout of a table, or None where a row is one reading."""
-    numeric, repeated = [c for c in layout.columns if c.numeric], []
+    left_out = [header for header, g in guesses.items() if g.kind == "ignore" and not g.why]  # by a person
+    numeric, repeated = [c for c in layout.columns if c.numeric and c.header not in left_out], []
     headers = {c.header.lower() for c in numeric}
     said = {c.header: run_and_side(_positive_side(c.header, headers)) for c in numeric}
     places = [c for c in numeric if guesses[c.header].kind in ("command", "position")]

@@ -122,7 +122,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (
         r"(target|soll|ziel|nominal|\bnom\b|nenn(wert|mass|laenge)|calibrated( (value|length|position))?$"
         r"|kalibrier(wert|ter wert|te laenge|t)$"
-        r"|command|\bcmd|\bnoml\b|set ?(point|pos)|demand|ref(erence)?\b|consign[ea]"
+        r"|command|\bcmd|\bnoml\b|set ?(point|pos)|\bpos ?set\b|demand|ref(erence)?\b|consign[ea]"
         r"|theorique|cible|teoric|objetivo|\balvo\b|doelpos|malpos|zadan|cilov|hedef|gewenst|boervaerd|borvard|celpoz|目標|目标|指令|задан|целев|목표)",
         "command",
     ),

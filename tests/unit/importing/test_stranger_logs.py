@@ -233,3 +233,11 @@ def test_a_log_without_header_keeps_its_own_times(tmp_path: Path) -> None:
     path.write_text("".join(f"{t:.6f} {x:.4f} {x + 0.01:.4f}\n" for t, x in zip(1.7 * T, X, strict=True)), "utf-8")
     proposal = prepared_files([path], DoorOptions(names=("time", "x_cmd", "x_fb")))[0]
     assert proposal.data["time"] == pytest.approx(1.7 * T)
+
+
+def test_columns_that_a_person_left_out_are_no_runs(tmp_path: Path) -> None:
+    """`temp_1` to `temp_3`, ignored with --set, were three runs of deviations over the position."""
+    sensors = {f"temp_{k}": 190 + np.round(3 * np.sin(T[:40] + k)) for k in range(1, 4)}
+    path = log(tmp_path, **{"X pos [mm]": np.linspace(0, 40, 40)}, **sensors)
+    with pytest.raises(DataError, match="no column holds a deviation"):
+        prepared(path, sets={name: {"role": "ignore"} for name in sensors})
