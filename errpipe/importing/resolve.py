@@ -195,7 +195,7 @@ def resolve_units(p: Proposal, layout: Layout) -> None:
         if inches or (narrow and not metric):
             raise DataError(
                 f"no unit is stated for {name!r}, and it may be inches: say it, with "
-                f"--set {name}.unit={entry['unit']} (or inch)"
+                f"--set {name}.unit={entry['unit']} (or inch, m)"
             )
 
 
