@@ -9,6 +9,7 @@ import numpy as np
 
 from errpipe.domain import components
 from errpipe.errors import DataError
+from errpipe.importing import values
 from errpipe.importing.dates import seconds
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.words import AXIS_LETTER, CORRECTION, DISPLACEMENT, DOWN, GROUPS, UP, kind_by_name, plain
@@ -86,8 +87,6 @@ _FROM = ("from", "von", "de", "da", "desde")  # behind it a sign states where th
 _SIGNS_IN_WORDS = ("plus", "minus", "positive", "negative", "positiv", "negativ")
 _SIGN = re.compile(r"\+|-|plus|minus|p|n|pos(itive?)?|neg(ative?)?")
 NO_SIDES = "called a direction, but its values are no two signs"
-COLDEST, HOTTEST = -40.0, 250.0  # degC: usual range of sensors in shops and machines
-FARTHEST_UM = 1e4  # um: threshold: no deviation of an axis reaches a centimetre
 
 
 @dataclass(frozen=True)
@@ -113,6 +112,8 @@ def _guess(column: RawColumn, axis: str | None) -> ColumnGuess:
         return ColumnGuess(kind, axis, why or f"its name ({column.header!r})")
     if column.numeric and column.unit in _ANY_ANGLE and names_a_turn(column.header):
         return ColumnGuess("error", axis, f"its name ({column.header!r}) and unit ({column.unit})")
+    if KIND_OF_UNIT.get(column.unit or "") == "error" and values.is_scatter(column):
+        return ColumnGuess("ignore", axis, values.SCATTER)
     if column.unit in KIND_OF_UNIT and column.numeric:
         return ColumnGuess(KIND_OF_UNIT[column.unit], axis, f"its unit ({column.unit})")
     if _side(column) is not None and column.values.size > 3:
@@ -141,7 +142,7 @@ def with_place(columns: list[RawColumn], guesses: dict[str, ColumnGuess]) -> dic
         for c in columns
         if guesses[c.header].kind == "ignore" and axis_in(c.header) and c.unit in ("mm", "m", "inch") and c.numeric
     ]
-    if len(long) != 1 or not _as_long_as_a_travel(long[0]):
+    if len(long) != 1 or not values.as_long_as_a_travel(long[0]):
         return guesses
     axis = axis_in(long[0].header)
     place = ColumnGuess("position", axis, f"its axis ({axis}), unit and size: as long as a travel")
@@ -155,31 +156,35 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return "ignore", "its values are no numbers"
     if kind == "time" and KIND_OF_UNIT.get(unit or "", "time") != "time":
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
-    if kind == "position" and unit in OF_SMALL_LENGTHS and not _too_large_for_a_deviation(column):
+    if kind == "position" and unit in OF_SMALL_LENGTHS and not values.too_large_for_a_deviation(column):
         return "error", f"its unit ({unit}: too small for a position)"
     if kind == "actual" and unit in SMALL_ANGLES:
         return "error", f"its unit ({unit})"
-    if kind == "command" and unit in ("um", "nm") and not _too_large_for_a_deviation(column):
+    if kind == "command" and unit in ("um", "nm") and not values.too_large_for_a_deviation(column):
         return "error", f"its unit ({unit}: too small for a position)"
     if kind == "actual" and unit in OF_DEVIATIONS and component_in(column.header):
         return "error", f"its name ({component_in(column.header)}, a component of ISO 230-1)"
     if kind in ("temperature",) and unit is not None and KIND_OF_UNIT.get(unit) not in ("temperature", None):
         return KIND_OF_UNIT[unit], f"its unit ({unit})"
-    if kind == "temperature" and unit is None and column.numeric and not _like_degrees(column):
+    if kind == "temperature" and unit is None and values.ticks(column):
+        return "time", f"its name ({column.header!r}) and its even steps"
+    if kind == "temperature" and unit is None and column.numeric and not values.like_degrees(column):
         return "ignore", "called like a temperature, but its values are none in degC"
     if kind == "group" and unit in ("mm", "m", "inch", "deg"):
         return ("position" if group_of(column.header) == "machine" else "ignore"), f"its unit ({unit})"
     if kind == "group" and not 1 < len({*_texts(column)}) <= 0.5 * len(column.cells):
         return "ignore", "called like a label of groups, but its values group no rows"
-    if kind == "error" and re.search(DISPLACEMENT, plain(column.header)) and _as_long_as_a_travel(column):
+    if kind == "error" and values.is_scatter(column):
+        return "ignore", values.SCATTER
+    if kind == "error" and re.search(DISPLACEMENT, plain(column.header)) and values.as_long_as_a_travel(column):
         return "actual", "its size: a displacement as long as a travel is a position"
     if kind == "coolant" and KIND_OF_UNIT.get(unit or "") is not None:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
-    if kind == "coolant" and not set(np.unique(_known(column))) <= {0.0, 1.0}:
+    if kind == "coolant" and not set(np.unique(values.known(column))) <= {0.0, 1.0}:
         return "ignore", "called a coolant, but its values are not 0 and 1 (off and on)"
     if kind == "direction" and None in [side(c) for c in column.cells if c not in (None, "")]:
         return "ignore", NO_SIDES
-    if kind == "error" and re.search(CORRECTION, plain(column.header)) and np.unique(_known(column)).size <= 2:
+    if kind == "error" and re.search(CORRECTION, plain(column.header)) and np.unique(values.known(column)).size <= 2:
         return "ignore", "called a compensation, but of two values: it states whether one is on"
     if kind in ("position", "command", "actual") and KIND_OF_UNIT.get(unit or "", "error") not in PLACES:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
@@ -190,32 +195,10 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
     return kind, ""
 
 
-def _too_large_for_a_deviation(column: RawColumn) -> bool:
-    """Whether values in um span more than any deviation does: positions that were logged in um."""
-    known = _known(column)
-    return column.unit == "um" and known.size > 0 and float(np.ptp(known)) > FARTHEST_UM
-
-
-def _like_degrees(column: RawColumn) -> bool:
-    """Whether the middle reading may be one in degC, in a shop or in a machine."""
-    known = _known(column)
-    return known.size == 0 or COLDEST <= float(np.median(known)) <= HOTTEST
-
-
-def _as_long_as_a_travel(column: RawColumn) -> bool:
-    """Whether values in mm (um) span more than any deviation does."""
-    known, unit = _known(column), {"mm": 1e3, "um": 1.0, "m": 1e6, "inch": 25.4e3}.get(column.unit or "mm", 0.0)
-    return known.size > 0 and float(np.ptp(known)) * unit > FARTHEST_UM
-
-
 def group_of(header: str) -> str:
     """What the labels of a column stand for: season, month, ... by its header, else the header itself."""
     text = plain(header)
     return next((name for name, words in GROUPS.items() if re.match(words, text)), text.replace(" ", "_"))
-
-
-def _known(column: RawColumn) -> np.ndarray:
-    return column.values[np.isfinite(column.values)]
 
 
 def axis_in(text: str) -> str | None:

@@ -64,7 +64,7 @@ def _counts_runs(row: list[Cell], numbers: list[list[float | None]], r: int, sta
 def lift_comments(rows: list[list[Cell]], numbers: list[list[float | None]], start: int) -> None:
     """Put comments between a header and its data above the header, in place. start: row of the first data."""
     head = start - 1
-    while head > 0 and _is_comment(rows[head], numbers[head]):
+    while head > 0 and _is_comment(rows[head], numbers[head], len(filled_cells(rows[start]))):
         head -= 1
     texts = [label(c) for c in filled_cells(rows[head])]
     wide = len(texts) >= max(2, 0.6 * len(filled_cells(rows[start])))
@@ -77,10 +77,13 @@ def lift_comments(rows: list[list[Cell]], numbers: list[list[float | None]], sta
         table[top:start] = [*table[head + 1 : start], *table[top : head + 1]]
 
 
-def _is_comment(row: list[Cell], numbers: list[float | None]) -> bool:
-    """Whether a row is a remark: it begins with a mark of comments, or is a text alone that is no unit."""
+def _is_comment(row: list[Cell], numbers: list[float | None], width: int) -> bool:
+    """Whether a row is a remark: it begins with a mark of comments, or is text beside few of the columns and no unit.
+
+    width: filled cells of a row of data. An event of a log has a comma as well: `INFO: SETTLING, started`.
+    """
     texts = [label(c) for c in filled_cells(row)]
-    alone = len(texts) == 1 and not any(v is not None for v in numbers) and not _are_units(texts)
+    alone = len(texts) <= max(1, width // 3) and not any(v is not None for v in numbers) and not _are_units(texts)
     return bool(texts) and (texts[0].startswith(COMMENT) or alone)
 
 

@@ -56,12 +56,12 @@ def is_log(p: Proposal, axis: str | None = None) -> bool:
 def _log_of_an_axis(p: Proposal, axis: str) -> None:
     """Velocity, acceleration and direction from the command, and an ideal axis as the simulation."""
     command, time = p.first("command", axis), p.first("time")
-    if command is None or time is None or p.entries[command].get("unit", "mm") not in ("mm", "deg"):
+    if command is None or time is None:
         return
     scale = {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86400.0}[p.entries[time].get("unit", "s")]
-    t, x = p.data[time] * scale, p.data[command]
+    t, x = p.data[time] * scale, p.canonical(command)
     if np.isfinite(t).all() and np.isfinite(x).all() and np.all(np.diff(t) > 0):
-        unit = p.entries[command].get("unit", "mm")
+        unit = "deg" if p.entries[command].get("unit") in ("deg", "rad") else "mm"
         v = np.gradient(x, t)
         if p.first("velocity", axis) is None:
             p.put(

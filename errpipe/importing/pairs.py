@@ -6,7 +6,7 @@ import re
 
 from errpipe.errors import DataError
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, filled_cells, label, number
-from errpipe.importing.units import split_header, unit_of
+from errpipe.importing.units import split_header
 from errpipe.importing.words import plain
 
 _NAME = re.compile(r"(channel|signal|kanal)? ?name|symbol ?name|signal|channel|kanal")
@@ -43,7 +43,7 @@ def paired(sheet: Sheet) -> Sheet:
     header = [f"time [{ticks}]"]
     for k in channels:
         unit = label(units[k]) if len(units) > k else ""
-        header.append(f"{label(named[k])} [{unit}]" if unit_of(unit) else label(named[k]))
+        header.append(f"{label(named[k])} [{unit}]" if unit else label(named[k]))
     cells: list[list[Cell]] = [[row[0], *(row[k] if len(row) > k else None for k in channels)] for row in data]
     above = [" ".join(map(label, filled_cells(row))) for row in rows[: min(labelled)]]
     notes = [*sheet.notes, f"{len(channels)} channels, each with its own column of times, which are equal"]

@@ -17,8 +17,10 @@ from errpipe.importing import (
     ambiguities,
     circle,
     dates,
+    kept_rows,
     no_reading,
     order,
+    owners,
     quality,
     readings,
     resolve,
@@ -29,7 +31,6 @@ from errpipe.importing import (
 )
 from errpipe.importing import columns as guessing
 from errpipe.importing.facts import facts
-from errpipe.importing.header import is_word
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
@@ -40,6 +41,7 @@ from errpipe.importing.words import THERE_AND_BACK, axis_above, plain
 
 # What may be a unit that is not known: `um/m`, `pm`, `x 0.05um`, `0.0001`.
 _OTHER_UNIT = re.compile(r"[^\d\s]{1,3}/[^\d\s]{1,3}|[^\W\d_]{1,14}|%|°|[x×*]?\s?\d.*[^\W\d_]|0?[.,]0*\d")
+OF_A_COUNT = ", times --resolution"
 _NO_UNIT = ("64 bit", "32 bit", "x", "y", "z", "abs", "rel", "raw", "avg", "mean", "inc", "meas", "all")
 
 
@@ -61,6 +63,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     if not layout.columns:
         raise DataError("no column has a value")
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
+    guesses = owners.only_of_axes(layout.columns, guesses)
     guesses, unsure = with_temperatures(layout.columns, guessing.with_place(layout.columns, guesses))
     unsure += readings.unit_by_positions(layout.columns, guesses) if options.unit is None else []
     ambiguities.refuse_diameters(layout, guesses, options)
@@ -91,6 +94,8 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     else:
         _long(layout, guesses, axis, options, proposal, may_be_log)
     ambiguities.refuse_another_title(proposal, layout, options)
+    if options.resolution is not None and not any(OF_A_COUNT in why for why in proposal.guesses.values()):
+        raise UsageError("--resolution would be ignored: no column holds counts, or whole numbers without a unit")
     return proposal
 
 
@@ -134,7 +139,7 @@ def _long(
     may_be_log: bool,
 ) -> None:
     """One row of the file is one row of the recording."""
-    keep = _measured_rows(layout, guesses) & ~_figures_below(layout, guesses, p) & ~_written_twice(layout, guesses, p)
+    keep = kept_rows.readings(layout, guesses, p)
     dropped = len(keep) - int(keep.sum())
     if dropped:
         p.notes.append(f"{dropped} rows without a position, time or reading were left out (sums, remarks, blank lines)")
@@ -211,45 +216,6 @@ def _wide_readings(
     )
 
 
-def _measured_rows(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> np.ndarray:
-    """Rows in which every position column that has numbers has one."""
-    keep = np.ones(len(layout.columns[0].cells), dtype=bool)
-    for c in layout.columns:
-        if guesses[c.header].kind in ("command", "position") and c.numeric:
-            keep &= np.isfinite(c.values)
-    numbers = [np.isfinite(c.values) for c in layout.columns if c.numeric]
-    return keep & np.any(numbers, axis=0) if numbers else keep & False
-
-
-def _figures_below(layout: Layout, guesses: dict[str, guessing.ColumnGuess], p: Proposal) -> np.ndarray:
-    """Rows of figures over the runs: `Mean;400;8.1`. The column of their names has numbers, or other names, above.
-
-    In a column of runs each such name is one; elsewhere they are few.
-    """
-    rows = len(layout.columns[0].cells)
-    out, begun, texts = np.zeros(rows, dtype=bool), np.zeros(rows, dtype=bool), np.zeros(rows)
-    for c in layout.columns:
-        figure = np.isfinite(c.values)
-        words = {int(i): str(c.cells[i]) for i in np.flatnonzero(~figure) if c.cells[i] not in (None, "")}
-        after = np.flatnonzero(figure)[-1] if c.numeric else rows  # a word below the last number is no run
-        for_all = [i for i, t in words.items() if wide.statistic(t) or (i > after and re.search(r"[^\W\d]", t))]
-        named = [i for i in for_all if not begun[i]]  # in the first filled cell of a row: elsewhere it is a remark
-        out[named] |= len(named) < 0.2 * rows
-        out[[i for i, t in words.items() if guesses[c.header].kind == "run" and wide.is_figure_over_runs(t)]] = True
-        texts[[i for i, t in words.items() if c.numeric and is_word(t)]] += 1
-        begun |= figure
-        begun[list(words)] = True
-    numeric = sum(c.numeric for c in layout.columns)
-    if numeric > 1:  # lines of facts above the numbers, as wide as they are
-        out |= 2 * texts >= numeric
-    if out.any():
-        first = " ".join(label(c.cells[int(np.argmax(out))]) for c in layout.columns).strip()
-        p.notes.append(
-            f"{int(out.sum())} rows are figures over the runs, not readings (the first: {first!r}): left out"
-        )
-    return out
-
-
 def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: ImportOptions, p: Proposal) -> None:
     """One column of the file with the role that was guessed."""
     stated = options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}
@@ -265,8 +231,15 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
         of = stated.get("of") or (guessing.group_of(c.header) if g.kind == "group" else None)
         p.put(c.header, [label(x) for x in _filled_down(c, p).cells], why, role=g.kind, of=of)
     elif g.kind in ("command", "position", "actual"):
-        unit, why = _unit_or(_known_unit(c, unit), "deg" if own[0] in "ABC" else "mm", why)
-        values, unit, why = plain_unit(c.values, unit, why, ROLE_UNITS[g.kind])
+        usual = "deg" if own[0] in "ABC" else "mm"
+        whole = unit is None and np.array_equal(c.values, np.round(c.values), equal_nan=True)
+        factor = options.resolution if whole else None
+        unit, why = (
+            (usual, f"{why}; whole numbers: counts{OF_A_COUNT}")
+            if factor
+            else _unit_or(_known_unit(c, unit), usual, why)
+        )
+        values, unit, why = plain_unit(c.values * (factor or 1.0), unit, why, ROLE_UNITS[g.kind])
         p.put(c.header, values, why, role=g.kind, axis=own, unit=unit)
     elif g.kind == "counts":
         _counts(c, own, why, options, p)
@@ -281,39 +254,24 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
             amps = options.torque_constant * (1e-3 if unit == "mA" else 1.0)
             p.put(f"torque_{own}", None, role="torque", axis=own, unit="N m", derived={"of": name, "factor": amps})
     elif g.kind in ROLE_UNITS and g.kind != "ignore":
-        values, unit = c.values, stated.get("unit")
-        if unit is None and ROLE_UNITS[g.kind]:
+        values = c.values
+        if ROLE_UNITS[g.kind]:
             taken = in_role(c.values, c.header, c.unit, g.kind, why)
             if taken is None:
                 unknown, allowed = c.unit or in_brackets(c.header), ", ".join(ROLE_UNITS[g.kind])
+                if stated.get("unit"):
+                    raise UsageError(f"--set {c.header}.unit={unknown}: no unit of role {g.kind} (allowed: {allowed})")
                 why = f"{why}, but {unknown!r} is no unit of role {g.kind} (allowed: {allowed})"
                 p.put(c.header, c.values, f"{why}: say it with --set '{c.header}.unit=...'", role="ignore")
                 return
             values, unit, why = taken
-            unit, why = _unit_or(unit, ROLE_UNITS[g.kind][0], why)
+            turns = own[0] in "ABC" and g.kind in ("velocity", "acceleration")
+            unit, why = _unit_or(unit, ROLE_UNITS[g.kind][1 if turns else 0], why)
         moving = g.kind in ("velocity", "acceleration", "force", "torque")
         place = stated.get("location") or (c.header if g.kind == "temperature" else None)
         p.put(c.header, values, why, role=g.kind, unit=unit, axis=own if moving else None, location=place)
     else:
         p.put(c.header, c.values if c.numeric else [label(x) for x in c.cells], g.why, role="ignore")
-
-
-def _written_twice(layout: Layout, guesses: dict[str, guessing.ColumnGuess], p: Proposal) -> np.ndarray:
-    """Rows from where time goes back to where it goes on, all of them copies of rows before: parts that overlap."""
-    clock = next((c for c in layout.columns if guesses[c.header].kind == "time" and c.numeric), None)
-    out = np.zeros(len(layout.columns[0].cells), dtype=bool)
-    if clock is None or out.size < 2:
-        return out
-    latest = np.fmax.accumulate(clock.values)
-    again = np.r_[False, clock.values[1:] <= latest[:-1]]
-    if not (clock.values[1:] < latest[:-1]).any():
-        return out
-    rows = list(zip(*(c.cells for c in layout.columns), strict=True))
-    for stretch in np.split(np.flatnonzero(again), np.flatnonzero(np.diff(np.flatnonzero(again)) > 1) + 1):
-        out[stretch] = stretch.size > 1 and set(rows[stretch[0] : stretch[-1] + 1]) <= set(rows[: stretch[0]])
-    if out.any():
-        p.notes.append(f"{int(out.sum())} rows are copies of rows before, where time goes back: left out")
-    return out
 
 
 def _filled_down(c: RawColumn, p: Proposal) -> RawColumn:
@@ -371,6 +329,7 @@ def _counts(c: RawColumn, axis: str, why: str, options: ImportOptions, p: Propos
         return
     name = p.put(c.header, c.values, why, role="ignore")
     unit = "deg" if axis[0] in "ABC" else "mm"
+    p.guesses[name] = f"{why}{OF_A_COUNT}"
     derived = {"of": name, "factor": options.resolution}
     p.put(f"actual_{axis}", None, role="actual", axis=axis, unit=unit, derived=derived)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from errpipe.domain import components
 from errpipe.errors import DataError
-from errpipe.importing import ambiguities, dates, order, readings, signs, simulated
+from errpipe.importing import ambiguities, dates, order, readings, signs, simulated, speeds
 from errpipe.importing import columns as guessing
 from errpipe.importing.layout import EMPTY, Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal
@@ -79,8 +79,13 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
         raise DataError(
             f"no unit is stated for the angles of {component}: say it with --unit (arcsec, urad, mrad, mdeg, deg)"
         )
+    if unit is None and standard in ("N", "N m"):
+        raise DataError(
+            f"no unit is stated for {component}, and drives log torques in % or in A as well: say it with --set "
+            f"COLUMN.unit={standard!r} (or kN, N mm), after a conversion where it is neither"
+        )
     if unit is None:
-        unit = unit_by_size(values) if standard == "um" else standard
+        unit = unit_by_size(values)
         why += f"; no unit is stated, taken as {unit} by the size of the readings (--unit says it)"
     return values, unit, why
 
@@ -190,11 +195,12 @@ def resolve_units(p: Proposal, layout: Layout) -> None:
         if inches or (narrow and not metric):
             raise DataError(
                 f"no unit is stated for {name!r}, and it may be inches: say it, with "
-                f"--set {name}.unit={entry['unit']} (or inch)"
+                f"--set {name}.unit={entry['unit']} (or inch, m)"
             )
 
 
 _EXTERNAL_INSTRUMENT = re.compile(r"laser|interferom|dial|indicator|messuhr", re.IGNORECASE)
+_MEASURED = re.compile(rf"{_EXTERNAL_INSTRUMENT.pattern}|meas|mess|gauge|probe|taster|reading|mesur|misur|medid", re.I)
 _OWN_SCALE = re.compile(r"encoder|(?<![a-z])enc(?![a-z])|display|read_?out|(?<![a-z])dro(?![a-z])|scale", re.IGNORECASE)
 
 
@@ -210,16 +216,17 @@ def one_position_per_axis(p: Proposal) -> None:
             if len(names) < 2:
                 continue
             own = [n for n in names if _OWN_SCALE.search(n) and n not in measured]
-            if role == "actual" and len(own) == 1 and len(names) == 2 and not _commanded(p, letter):
+            other = next((n for n in names if n not in own and _MEASURED.search(n)), None)
+            if role == "actual" and len(own) == 1 and len(names) == 2 and other and not _commanded(p, letter):
                 p.entries[own[0]]["role"] = "command"
                 p.guesses[own[0]] = "the machine's own reading beside a measured one: it stands for the command"
                 continue
             beside = role == "actual" and len(measured) == 1
-            kept = measured[0] if beside else names[0]
+            kept, kind = measured[0] if beside else names[0], f"{role} ".removeprefix("position ")
             for name in [n for n in names if n != kept]:
                 if not beside and not np.array_equal(p.data[name], p.data[kept], equal_nan=True):
                     raise DataError(
-                        f"columns {kept!r} and {name!r} both hold {role} positions of {letter}: say which is meant, "
+                        f"columns {kept!r} and {name!r} both hold {kind}positions of {letter}: say which is meant, "
                         f"with --set {name}.role=ignore (or command, actual)"
                     )
                 p.entries[name] = {"role": "ignore"}
@@ -285,6 +292,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     signs.change(p, layout, options)
     readings.readings_as_errors(p, axis)
     readings.derive_error(p, axis, options)
+    speeds.units_by_positions(p)
     simulated.forces_as_responses(p)
     simulated.of_the_only_response(p)
     simulated.change_signs(p, simulated.positions_as_deviations(p))
@@ -293,6 +301,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
         raise DataError(
             f"{NO_DEVIATION}, and no two hold an actual and a commanded position (found: {have}). "
             "Say it with --set COLUMN.role=error, or --set COLUMN.role=actual"
+            + simulated.as_a_load(p, axis)
             + "".join(f"; {note}" for note in layout.notes if "--names" in note or note.startswith(EMPTY))
         )
     ambiguities.refuse(p, layout, options)

@@ -150,6 +150,8 @@ def _said(p: Proposal, name: str, layout: Layout) -> tuple[bool, str]:
     said = words.difference(" | ".join(headers)) or words.difference(around)
     if said is not None:
         return said[0] < 0, f"the file says {said[1]!r}" + (": the sign is turned" if said[0] < 0 else "")
+    if components.parse(p.entries[name]["component"]).kind == "force":
+        return False, "a load of the drive: its sign is taken as recorded"
     _ask(headers, layout, p.guesses.get(name, ""))
     if order.is_log(p) and not any(map(_INSTRUMENT.search, map(words.plain, headers))):
         raise DataError(

@@ -23,6 +23,14 @@ def component_of_force(header: str, unit: str | None, axis: str) -> str | None:
     return f"F_{axis}" if force and re.search(SIMULATED, plain(header)) else None
 
 
+def as_a_load(p: Proposal, axis: str) -> str:
+    """How a force or torque that is there becomes what is diagnosed; empty where none is."""
+    found = p.first("torque") or p.first("force")
+    return (
+        f"; the load of a drive is one with --set {found}.role=error --set {found}.component=F_{axis}" if found else ""
+    )
+
+
 def forces_as_responses(p: Proposal) -> None:
     """The force beside a simulated one is the response, unless a deviation has a simulation of its own.
 

@@ -80,7 +80,7 @@ LETTERS = {
     "N": (("force", "N"),),
 }
 _LAST_LETTER = re.compile(r"^(.*[^\s_/,.(\[])[\s_/,(\[]+([shKCFN])[)\]]?$")
-_INLET = re.compile(r"(coolant|oil|water|air|chiller)[\s_]+in$", re.IGNORECASE)  # of a medium, not inches
+_INLET = re.compile(r"((coolant|oil|water|air|chiller)[\s_]+|\b[^\W\dxyz]_)in$", re.IGNORECASE)  # no inches; `u_in`
 _SIGNS = '"°″'
 _AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,11})$")
 
@@ -277,10 +277,13 @@ OTHER_UNITS = {
 _UNIT_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]{1,14}?)\s*[\])]")
 
 
+_OF_A_SENSOR = ("v", "mv", "volt", "volts")  # before it is scaled
+
+
 def in_brackets(header: str) -> str | None:
     """What stands in brackets in a header, unit or not."""
     bracket = _UNIT_IN_BRACKETS.search(header)
-    return bracket.group(1) if bracket else None
+    return bracket.group(1) if bracket and not bracket.group(1).isdigit() else None  # `speed (5)`: of channel 5
 
 
 def in_role(
@@ -300,12 +303,12 @@ def in_role(
     for key in (f"{word} {role.partition('_')[0]}", word):
         of, factor = OTHER_UNITS.get(key, ("", 1.0))
         if of in allowed:
-            return values * factor, of, f"{why}; {said} written as {of}"
+            return values * factor, of, f"{why}; {said} written as {of}".strip("; ")
         if of == "m" and "mm" in allowed:
             return values * factor * 1e3, "mm", f"{why}; {said} written as mm"
         if of == "mm" and "m" in allowed:
             return values * factor * 1e-3, "m", f"{why}; {said} written as m"
-    if unit is None and word not in OTHER_UNITS and not re.search(r"[/%°\d]", said):
+    if unit is None and word not in (*OTHER_UNITS, *_OF_A_SENSOR) and not re.search(r"[/%°\d]", said):
         return values, None, why  # a word in brackets: `force (filtered)`
     return None
 

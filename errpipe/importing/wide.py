@@ -81,14 +81,17 @@ def run_and_side(header: str) -> tuple[str | None, float | None]:
 
 def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | None:
     """The wide layout of a table, or None where a row is one reading."""
-    numeric, repeated = [c for c in layout.columns if c.numeric], []
+    left_out = [header for header, g in guesses.items() if g.kind == "ignore" and not g.why]  # by a person
+    numeric, repeated = [c for c in layout.columns if c.numeric and c.header not in left_out], []
     headers = {c.header.lower() for c in numeric}
     said = {c.header: run_and_side(_positive_side(c.header, headers)) for c in numeric}
     places = [c for c in numeric if guesses[c.header].kind in ("command", "position")]
     places = [c for c in places if len(places) == 1 or not (_counts(c) or is_figure(c.header))]
     targets = [c for c in places if said[c.header] == (None, None)]
     targets = targets or [c for c in places if said[c.header][0] is None]
-    if not targets and numeric and guesses[numeric[0].header].kind != "time" and _rises(numeric[0]):
+    names = [re.sub(r"\d+", "", guessing.plain(c.header)) for c in numeric[:2]]
+    alike = len(names) == 2 and names[0] == names[1] != ""  # `j1`, `j2`: joints
+    if not targets and numeric and guesses[numeric[0].header].kind != "time" and _rises(numeric[0]) and not alike:
         unsaid = [c for c in numeric[1:] if said[c.header] == (None, None) and _rises(c)]
         targets = numeric[:1] if not _counts(numeric[0]) else [c for c in unsaid if not _counts(c)][:1]
     if len(targets) > 1 and all(np.array_equal(c.values, targets[0].values, equal_nan=True) for c in targets):

@@ -95,14 +95,20 @@ WORDS: tuple[tuple[str, str], ...] = (
         "coolant",
     ),
     (r"(torque|drehmoment|moment)", "torque"),
-    (r"(current|strom|\biq\b|\bi q\b|ampere)", "current"),
+    (r"\b(current|aktuelle?) ?pos(ition)?\b", "actual"),
+    (
+        r"(current(?! ?(program|feed(?!b)|line|block|seq|tool|vel|speed|temp|time|stat|mode|step|cycle|no\b|num))"
+        r"|strom|\biq\b|\bi q\b|ampere)",
+        "current",
+    ),
     (r"(force|kraft)|^f ?[xyz]$", "force"),
     (r"(spindle ?speed|drehzahl|rpm|\bs act\b)", "spindle_speed"),
     (r"(feed ?rate|vorschub|\bfeed\b)", "feed"),
     (r"(press|druck|baro)", "pressure"),
     (r"(humid|feucht)", "humidity"),
     (
-        r"(deviation|abweich|\babw|error|err\b|fehler|\bdev\b|residual|lage ?abw|\becart|erreur|scostamento|desviacion"
+        r"(deviation|abweich|\babw|error(?! ?(code|id|stat|flag|n[ou]|bit|m|word|text))|err\b"
+        r"|fehler(?! ?(code|nr|nummer|text))|\bdev\b|residual|lage ?abw|\becart|erreur|scostamento|desviacion"
         r"|errore|\berros?\b|deviazion|desvio|afwijking|\bfout|odchyl|odchyłk|\bbład|\bchyb|avvik|\belteres|afvigelse|\bfejl|\bsapma"
         r"|\bhata|偏差|誤差|误差|отклонени|погрешност|ошибк|오차|편차)",
         "error",
@@ -115,7 +121,8 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(accel|beschl)", "acceleration"),
     (
         r"(target|soll|ziel|nominal|\bnom\b|nenn(wert|mass|laenge)|calibrated( (value|length|position))?$"
-        r"|kalibrier(wert|ter wert|te laenge|t)$|command|\bcmd|\bnoml\b|setpoint|demand|ref(erence)?\b|consign[ea]"
+        r"|kalibrier(wert|ter wert|te laenge|t)$"
+        r"|command|\bcmd|\bnoml\b|set ?(point|pos)|\bpos ?set\b|demand|ref(erence)?\b|consign[ea]"
         r"|theorique|cible|teoric|objetivo|\balvo\b|doelpos|malpos|zadan|cilov|hedef|gewenst|boervaerd|borvard|celpoz|目標|目标|指令|задан|целев|목표)",
         "command",
     ),

@@ -109,7 +109,7 @@ def _of_any_sheet(
     """The proposal of the first sheet of a file that holds measurements, and what was opened; others are named."""
     kind, sheets = open_file(file, door)
     out: list[tuple[Proposal, str]] = []
-    problems, asked = [], ""
+    problems, asked = dict[str, list[str]](), ""
     for sheet in sheets:
         if len(out) == MAX_SHEETS:
             break
@@ -121,12 +121,16 @@ def _of_any_sheet(
                 proposed = propose(layout, options, may_be_log)
             out.append((proposed, sheet.name))
         except DataError as err:
-            problems.append(f"{sheet.name}: {err}" if len(sheets) > 1 else str(err))
-            question = "--" in str(err) and not str(err).startswith(resolve.NO_DEVIATION)
-            asked = asked or (problems[-1] if question and not out else "")
+            reason = str(err).removeprefix(f"{sheet.name}: ") if len(sheets) > 1 else str(err)
+            problems.setdefault(reason, []).append(sheet.name)
+            question = "--" in reason and not reason.startswith(resolve.NO_DEVIATION)
+            asked = asked or (
+                (f"{sheet.name}: {reason}" if len(sheets) > 1 else reason) if question and not out else ""
+            )
     if not out:
         hint = "" if features.WHO in asked else other_tests.named(sheets[:MAX_SHEETS])
-        raise DataError(f"{file}: {'; '.join(problems)}{'.' if hint else ''}{hint}")
+        said = [f"{', '.join(names)}: {reason}" if len(sheets) > 1 else reason for reason, names in problems.items()]
+        raise DataError(f"{file}: {'; '.join(said)}{'.' if hint else ''}{hint}")
     if asked:  # the sheet before may be the one that is meant
         raise DataError(f"{file}: {asked}. Or, of the other sheets, --sheet {out[0][1]!r}")
     together.refuse_states([name for _, name in out], "sheets", "choose one with --sheet")
@@ -371,19 +375,24 @@ def options_of(**stated: Any) -> ImportOptions:
         if not equals or not dot or not name or key not in keys:
             raise UsageError(f"--set {text}: not of the form COLUMN.key=value (keys: {', '.join(keys)})")
         sets.setdefault(name, {})[key] = value.strip()
+        _refuse_no_component(f"--set {text}:" if key == "component" else "", value.strip())
     if unit := unit_of(stated.get("unit") or ""):
         stated["unit"] = unit
     options = ImportOptions(**stated, sets=sets)
-    if options.component is not None:
-        from errpipe.domain import components
-
-        try:
-            components.parse(options.component)
-        except ValueError as err:
-            raise UsageError(f"--component {err}") from None
+    _refuse_no_component("--component", options.component)
     if options.axis is not None and not re.fullmatch(r"[A-Z]\d?", options.axis):
         raise UsageError(f"--axis {options.axis}: not an axis (allowed: a capital letter such as X, X1, C)")
     return options
+
+
+def _refuse_no_component(option: str, name: str | None) -> None:
+    """Raise UsageError where an option (empty: none) names no component of ISO 230-1."""
+    from errpipe.domain import components
+
+    try:
+        components.parse(name) if option and name is not None else None
+    except ValueError as err:
+        raise UsageError(f"{option} {err}") from None
 
 
 def plain(shown: dict[str, Any]) -> dict[str, Any]:

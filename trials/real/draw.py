@@ -47,7 +47,7 @@ def _unplayed(values: Array, simulated: Array) -> float:
 
 
 def _on_places(rng: Rng, sheet: Sheet, unit: str) -> Iterator[Addition]:
-    force = unit == "N"
+    force = unit in FORCES
     for p in sheet.names("position"):
         x = sheet.values(p)
         span, where = float(np.ptp(x)), sheet.columns[p]["unit"]
@@ -77,11 +77,12 @@ def _on_motion(sheet: Sheet, unit: str) -> Iterator[Addition]:
     for name in sheet.names("velocity"):
         v = sheet.values(name)
         fast = float(np.quantile(np.abs(v), 0.99))
-        if unit == "N":
-            yield "coulomb_friction", np.sign(v), (name,), {"force": (1.0, "N")}
-            yield "viscous_friction", v, (name,), {"slope": (1e3, "N s/m")}
+        if unit in FORCES:
+            yield "coulomb_friction", np.sign(v), (name,), {"force": (1.0, unit)}
+            linear = sheet.columns[name]["unit"] == "mm/s"
+            yield "viscous_friction", v, (name,), {"slope": (1e3, "N s/m")} if linear else {}
             knee = 0.08 * fast
-            yield "stribeck_friction", np.sign(v) * np.exp(-((v / knee) ** 2)), (name,), {"excess": (1.0, "N")}
+            yield "stribeck_friction", np.sign(v) * np.exp(-((v / knee) ** 2)), (name,), {"excess": (1.0, unit)}
         else:
             yield "backlash", np.sign(v), (name,), {"lost_motion": (2.0, unit)}
             yield "following_error", v, (name,), {"delay": (1e-3, "s")}
@@ -89,7 +90,7 @@ def _on_motion(sheet: Sheet, unit: str) -> Iterator[Addition]:
 
 def _on_temperatures(rng: Rng, sheet: Sheet, unit: str) -> Iterator[Addition]:
     sensors, times = sheet.names("temperature"), sheet.names("time")
-    if not sensors or not times or unit == "N":
+    if not sensors or not times or unit in FORCES:
         return
     t, runs = sheet.values(times[0]), sheet.runs()
     s, other = (str(n) for n in rng.choice(sensors, 2, replace=len(sensors) < 2))
@@ -118,6 +119,7 @@ def _on_use(sheet: Sheet, unit: str) -> Iterator[Addition]:
             yield "sensor_drift", t - t[0], (name,), {"rate": (3600.0, f"{unit}/h")}
 
 
+FORCES = ("N", "N m")
 FIXED = ("period", "tau")  # parameters that do not grow with the addition
 
 

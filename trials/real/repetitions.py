@@ -79,13 +79,23 @@ def by_period(sheet: Sheet, component: str, error: str) -> Iterator[Sheet]:
         rows = np.flatnonzero((runs == run) & np.isfinite(path) & np.isfinite(t) & np.isfinite(y))
         if rows.size < LEAST_ROWS or np.any(np.diff(t[rows]) < 0):
             continue
-        period = trajectory_period(t[rows], path[rows])
+        period = trajectory_period(t[rows], path[rows]) if _resolved(t[rows], path[rows]) else None
         if period is None:
             continue
         ahead, same = _same_state(t[rows], path[rows], period)
         if same.sum() >= max(LEAST_ROWS, LEAST_AGAIN * rows.size):
             simulated = np.interp(ahead, t[rows], y[rows])
             yield _paired(sheet, component, error, rows[same], simulated[same])
+
+
+def _resolved(t: Array, x: Array) -> bool:
+    """Whether the rows follow the motion: nearly all lie on the line between their neighbours.
+
+    A step from one row to the next may have been anywhere between them, and its repetition elsewhere.
+    """
+    share = (t[1:-1] - t[:-2]) / np.maximum(t[2:] - t[:-2], 1e-12)
+    off = np.abs(x[1:-1] - x[:-2] - (x[2:] - x[:-2]) * share)
+    return bool(np.quantile(off, 0.99) < SAME_STATE * np.ptp(x))
 
 
 def _same_state(t: Array, x: Array, period: float) -> tuple[Array, Array]:

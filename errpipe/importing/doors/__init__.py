@@ -17,10 +17,32 @@ from types import ModuleType
 
 from errpipe.errors import DataError, ErrpipeError, UsageError
 from errpipe.importing import controller_files
-from errpipe.importing.doors import delimited, excel, halsampler, hdf5, markup, matlab, mtconnect, records, tdms
+from errpipe.importing.doors import (
+    camonitor,
+    delimited,
+    excel,
+    halsampler,
+    hdf5,
+    markup,
+    matlab,
+    mtconnect,
+    records,
+    tdms,
+)
 from errpipe.importing.sheet import DoorOptions, Sheet
 
-DOORS: tuple[ModuleType, ...] = (excel, tdms, hdf5, matlab, mtconnect, markup, halsampler, records, delimited)
+DOORS: tuple[ModuleType, ...] = (
+    excel,
+    tdms,
+    hdf5,
+    matlab,
+    mtconnect,
+    markup,
+    halsampler,
+    records,
+    camonitor,
+    delimited,
+)
 
 MOST_BYTES = 256 << 20  # 256 MB: a larger log belongs in Parquet beside a manifest, which is read in blocks
 HEAD_BYTES = 1 << 16  # that a format is recognised by

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from errpipe.errors import DataError
 from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
+from errpipe.importing.words import kind_by_name
 
 name = "LinuxCNC halsampler"
 suffixes = (".log", ".sampler", ".txt")
@@ -60,6 +61,8 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
             else [f"the file names no columns: give them with --names, {width}, such as target,error"]
         )
         return [Sheet(path.stem, [[*row] for row in rows], header, note).limited()]
+    elif len(names) == width and kind_by_name(names[0]) == "time":
+        notes.append(f"the first column is the time, as its name {names[0]!r} says")
     else:
         rows = [[period * i, *r] for i, r in enumerate(rows)]
         names, width = ["t [s]", *names], width + 1

@@ -84,9 +84,16 @@ def _line(path: Path, n: int, line: str) -> Any:
 
 
 def _flat(record: dict[str, Any]) -> dict[str, Any]:
-    """`{"pos": {"X": 1.0}}` as `{"pos X": 1.0}`."""
-    parts = ((k, v if isinstance(v, dict) else {"": v}) for k, v in record.items())
-    return {f"{k} {inner}".strip(): value for k, of in parts for inner, value in of.items()}
+    """`{"pos": {"X": 1.0}}` as `{"pos X": 1.0}`, `{"of": [{"id": "C", "temp": 1.0}]}` as `{"of C temp": 1.0}`."""
+    parts = ((k, _named(v) if isinstance(v, list) else v) for k, v in record.items())
+    inner = ((k, _flat(v) if isinstance(v, dict) else {"": v}) for k, v in parts)
+    return {f"{k} {name}".strip(): value for k, of in inner for name, value in of.items()}
+
+
+def _named(values: list[Any]) -> Any:
+    """A list of records that name themselves as a record by these names; any other list as it is."""
+    key = next((k for k in ("id", "name") if values and all(isinstance(v, dict) and k in v for v in values)), None)
+    return values if key is None else {str(v[key]): {k: x for k, x in v.items() if k != key} for v in values}
 
 
 def _cell(value: Any) -> Cell:

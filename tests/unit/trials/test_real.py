@@ -100,6 +100,29 @@ def test_no_twin_where_neighbours_do_not_tell_what_lies_between() -> None:
     assert twins("source", warm_up(bent=6.0)) == []
 
 
+def test_no_twin_of_motions_faster_than_the_rows() -> None:
+    """A servo that steps between two readings: where it was meanwhile is another thing each time."""
+    fast = strokes()
+    fast.table["x"] = 50 * np.sign(fast.table["x"])
+    thin = Sheet("steps", fast.table.iloc[::20].reset_index(drop=True), fast.columns)
+    assert [t.kind for t in twins("steps", thin)] == []
+
+
+def test_additions_of_a_torque_are_those_of_a_drive() -> None:
+    sheet = strokes()
+    sheet.columns = {
+        **sheet.columns,
+        "x": {"role": "position", "axis": "C", "unit": "deg"},
+        "v": {"role": "velocity", "axis": "C", "unit": "deg/s"},
+        "F_C": {"role": "error", "component": "F_C", "unit": "N m"},
+    }
+    del sheet.columns["F_X"]
+    sheet.table = sheet.table.rename(columns={"F_X": "F_C"})
+    names = {a[0] for twin in twins("robot", sheet) for a in additions(np.random.default_rng(3), twin)}
+    assert {"stribeck_friction", "torque_ripple"} <= names
+    assert not names & {"backlash", "following_error", "pitch_cyclic", "scale_error"}
+
+
 def test_additions_are_of_the_component_and_no_gain_plays_them() -> None:
     rng = np.random.default_rng(4)
     names = {a[0] for a in additions(rng, one(strokes()))}

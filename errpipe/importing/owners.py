@@ -1,0 +1,44 @@
+"""Columns of a log that are of no axis that is read: a spindle's `S` beside X, Y and Z, a motor that was left out."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+from errpipe.importing.columns import ColumnGuess
+from errpipe.importing.layout import RawColumn
+
+OF_AN_AXIS = ("command", "position", "actual", "velocity", "acceleration", "current", "force", "torque")
+_CHANNEL = re.compile(r"([A-Z])\d?(?:[ _.:]|(?=[A-Z][a-z]))(.*)")
+_AXES = "XYZABCUVW"
+_NUMBERED = re.compile(r"(.*?)[ _.]?[(\[]?(\d+)[)\]]?")
+
+
+def only_of_axes(columns: list[RawColumn], guesses: dict[str, ColumnGuess]) -> dict[str, ColumnGuess]:
+    """The guesses without those of a channel that is no axis, where channels of axes have a column of the same name.
+
+    `S1_ActualVelocity` beside `X1_ActualVelocity` would else be a velocity of the axis that the file names first.
+    """
+    parts = {c.header: match.groups() for c in columns if (match := _CHANNEL.fullmatch(c.header))}
+    of_axes = {rest for letter, rest in parts.values() if letter in _AXES}
+    others = {letter for letter, rest in parts.values() if letter not in _AXES and rest in of_axes}
+    out = dict(guesses)
+    for header, (letter, _) in parts.items():
+        g = guesses[header]
+        if letter in others and g.why and g.axis is None and g.kind in OF_AN_AXIS:
+            out[header] = replace(g, kind="ignore", why=f"of {letter}, which is no axis of ISO 841")
+    return {**out, **_left_out(guesses)}
+
+
+def _left_out(guesses: dict[str, ColumnGuess]) -> dict[str, ColumnGuess]:
+    """What moves with a numbered channel whose places a person left out, as ignored: `speed (3)` beside `pos (3)`."""
+    numbers = {h: match.groups() for h in guesses if (match := _NUMBERED.fullmatch(h))}
+    places = ("command", "position", "actual")
+    of_places = {base for h, (base, _) in numbers.items() if guesses[h].kind in places}
+    kept = {n for h, (_, n) in numbers.items() if guesses[h].kind in places}
+    stated = {n for h, (base, n) in numbers.items() if base in of_places and guesses[h].kind == "ignore"}
+    return {
+        h: replace(guesses[h], kind="ignore", why=f"of channel {n}, whose positions are left out")
+        for h, (_, n) in numbers.items()
+        if n in stated - kept and guesses[h].why and guesses[h].kind in OF_AN_AXIS
+    }

@@ -1,0 +1,68 @@
+"""Velocities without a unit: what the change of the position in time says of it."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from errpipe.domain import units
+from errpipe.importing.proposed import Proposal
+
+OF_ONE = 1.3  # factor within which a scale is that of a unit: noise and delay shift it, units differ by 6 at least
+FOLLOWS = 0.9  # correlation with the change of the position: below it, it is no velocity of this axis
+# A velocity in a unit, of an axis that moves by 1 mm/s (deg/s).
+_SCALES = {
+    "mm": {"mm/s": 1.0, "m/s": 1e-3, "um/s": 1e3, "mm/min": 60.0, "m/min": 0.06},
+    "deg": {"deg/s": 1.0, "rad/s": np.pi / 180.0, "rpm": 1.0 / 6.0, "mdeg/s": 1e3, "deg/min": 60.0},
+}
+_OF_A_MOTOR = re.compile(r"motor|servo|drive|antrieb", re.IGNORECASE)
+
+
+def units_by_positions(p: Proposal) -> None:
+    """Velocities without a unit in that by which the position changes; one that is none of this axis is left out.
+
+    Without a position in time beside it, a velocity keeps the usual unit, but that of a motor is left out: in rpm.
+    """
+    for name in [n for n, e in p.entries.items() if e["role"] == "velocity" and n in p.data]:
+        why = p.guesses.get(name, "")
+        if "no unit is stated" not in why:
+            continue
+        found = _scale(p, name)
+        if found is None and not _OF_A_MOTOR.search(name):
+            continue
+        usual = p.entries[name]["unit"]
+        if found is None or found[1] is None:
+            said = f"; {found[0]:.3g} for 1 {usual} of the position" if found else ""
+            p.entries[name] = {"role": "ignore"}
+            p.guesses[name] = f"a velocity{said} without a unit: say it with --set {name}.unit=... (mm/s, deg/s, ...)"
+            continue
+        unit = found[1]
+        if unit != usual:
+            p.data[name] = p.data[name] / _SCALES[usual.split("/")[0]][unit]
+        p.guesses[name] = f"{why.partition('; no unit')[0]}; in {unit}, as the position changes"
+
+
+def _scale(p: Proposal, name: str) -> tuple[float, str | None] | None:
+    """What a velocity is where the position changes by 1 a second, and its unit if that is one; None: nothing says."""
+    axis, clock = p.entries[name].get("axis"), p.first("time")
+    place = next((n for r in ("command", "actual", "position") if (n := p.first(r, axis)) in p.data), None)
+    if place is None or clock not in p.data:
+        return None
+    seconds = units.conversion("time", p.entries[clock].get("unit"))
+    t, x, v = np.asarray(p.data[clock], dtype=float), p.canonical(place), p.data[name]
+    t = t if seconds is None else seconds(t)
+    good = np.isfinite(t) & np.isfinite(x) & np.isfinite(v)
+    t, x, v = t[good], x[good], v[good]
+    if t.size < 20 or np.any(np.diff(t) <= 0):
+        return None
+    change = np.gradient(x, t)
+    if min(np.ptp(change), np.ptp(v)) == 0:
+        return None
+    follows = float(np.corrcoef(change, v)[0, 1])
+    if abs(follows) < FOLLOWS:
+        return None
+    scale = float(np.sign(follows) * np.std(v) / np.std(change))
+    unit = p.entries[name]["unit"].split("/")[0]
+    near = [u for u, s in _SCALES[unit].items() if s / OF_ONE < scale < s * OF_ONE]
+    return scale, near[0] if near else None

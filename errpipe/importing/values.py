@@ -1,0 +1,52 @@
+"""What the values of a column show, whatever its header says: sizes, even steps, figures of scatter."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from errpipe.importing.layout import RawColumn
+from errpipe.importing.words import plain
+
+COLDEST, HOTTEST = -40.0, 250.0  # degC: usual range of sensors in shops and machines
+FARTHEST_UM = 1e4  # um: threshold: no deviation of an axis reaches a centimetre
+
+
+SCATTER = "a figure of scatter by its name and its values, none of them negative: no reading"
+
+
+def ticks(column: RawColumn) -> bool:
+    """Whether a column called `t ...` rises by even steps: `t_NI` of a card of that name."""
+    steps = np.diff(column.values)
+    even = steps.size > 3 and bool(np.ptp(steps) <= 0.01 * np.median(steps) and np.median(steps) > 0)
+    return even and plain(column.header).startswith("t ")
+
+
+def too_large_for_a_deviation(column: RawColumn) -> bool:
+    """Whether values in um span more than any deviation does: positions that were logged in um."""
+    numbers = known(column)
+    return column.unit == "um" and numbers.size > 0 and float(np.ptp(numbers)) > FARTHEST_UM
+
+
+def like_degrees(column: RawColumn) -> bool:
+    """Whether the middle reading may be one in degC, in a shop or in a machine."""
+    numbers = known(column)
+    return numbers.size == 0 or COLDEST <= float(np.median(numbers)) <= HOTTEST
+
+
+def as_long_as_a_travel(column: RawColumn) -> bool:
+    """Whether values in mm (um) span more than any deviation does."""
+    numbers, unit = known(column), {"mm": 1e3, "um": 1.0, "m": 1e6, "inch": 25.4e3}.get(column.unit or "mm", 0.0)
+    return numbers.size > 0 and float(np.ptp(numbers)) * unit > FARTHEST_UM
+
+
+def known(column: RawColumn) -> np.ndarray:
+    """The numbers of a column, without its empty cells."""
+    return column.values[np.isfinite(column.values)]
+
+
+def is_scatter(column: RawColumn) -> bool:
+    """Whether a column holds figures of scatter beside readings: `Image RMS`, `U(95) X`, `sigma`."""
+    named = re.search(r"\b(rms|rmse|std ?(dev)?|stdev|sigma|noise|scatter|streuung|u ?\(?95)", plain(column.header))
+    return named is not None and not bool(np.any(column.values < 0))
