@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from errpipe.cli._arguments import Json, PipelineFile, Sets
+from errpipe.errors import UsageError
 
 
 def command(
@@ -40,7 +41,6 @@ def command(
     from errpipe.cli._pipeline import load_pipeline_file
     from errpipe.cli.output import module_of, print_result
     from errpipe.cli.progress import ProgressReporter
-    from errpipe.errors import UsageError
 
     if annotations not in ("none", "github"):
         raise UsageError(f"--annotations: {annotations!r} is not known (allowed: none, github)")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import io
 import json
 import os
 import secrets
@@ -135,8 +136,6 @@ class FmuProcess:
         return self._result(1 + len(order["outputs"]))
 
     def _result(self, columns: int) -> np.ndarray:
-        import io
-
         name = f"{self.file.name}: simulating it"
         try:
             data = files.read(self.work / "out.npy", self.how.disk_mb << 20, DataError, follow=False)

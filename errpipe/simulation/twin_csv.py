@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +23,6 @@ MAX_GAPS_LISTED = 5  # gaps named by place in a message; the others are only cou
 
 def csv_by_name(recording: Recording, file: Path) -> FromCsv:
     """Columns of a CSV file named like the recording's responses. Raises DataError where none is."""
-    import csv
-
     try:
         with files.open_regular(file) as stream:
             line = stream.readline(MAX_HEADER_BYTES).decode("utf-8-sig")

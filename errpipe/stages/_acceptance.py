@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import Field
 
+from errpipe.errors import NotIdentifiable
 from errpipe.yamlfile import Options, quantity
 
 if TYPE_CHECKING:
@@ -228,7 +229,6 @@ def fit_accepted(
 
     Raises NotIdentifiable where the model before can already not be fitted, DataError without twins.
     """
-    from errpipe.errors import NotIdentifiable
     from errpipe.fitting import model
     from errpipe.models.terms import mismatch
 

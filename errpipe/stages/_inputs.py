@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from errpipe.domain import driver as d
 from errpipe.domain.error_model import DatumReadings, ErrorModel
+from errpipe.domain.recording import Recording
 from errpipe.domain.table import Kind, TableInput
 from errpipe.domain.table_text import AXIS, NAME, text_problem
 from errpipe.errors import GateError, UsageError
 from errpipe.fitting.validity import box
+from errpipe.guard import rates
 from errpipe.guard.description import GuardedSensor, SensorGuard
 from errpipe.guard.rates import ReadingRate
-
-if TYPE_CHECKING:
-    from errpipe.domain.recording import Recording
 
 FORCE_STALE = 0.1  # s: an older force is of another cut
 # Role of a column -> kind of the controller's channel, lowest and highest plausible reading, stale after (s).
@@ -69,7 +68,6 @@ def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingR
 
     A controller sees a reading that comes every ten minutes as one step from one cycle to the next.
     """
-    from errpipe.guard import rates
     from errpipe.thermal.arithmetic import longest_silence, short_gaps_held
 
     names = [n for role in rates.ROLES for n in recording.names(role)]

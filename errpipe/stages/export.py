@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
+from errpipe.domain.recording import Recording
+from errpipe.errors import GateError, VerifyError
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
 from errpipe.stages._compile import CompileOptions, compile_model
@@ -16,7 +19,6 @@ from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
-    from errpipe.domain.recording import Recording
     from errpipe.domain.table import CompensationTable
     from errpipe.guard.description import SensorGuard
     from errpipe.validation.gate import Passed
@@ -85,8 +87,6 @@ def _gate(model: ErrorModel, fits: Sequence[ErrorModel], options: Export, contex
 
     fits: the models that it is joined of, each with validations of its own.
     """
-    from dataclasses import replace
-
     from errpipe.fitting.recalibration import with_readings
     from errpipe.validation.gate import Passed, not_judged, pass_gate
 
@@ -119,7 +119,6 @@ def _guard(context: Context, recording: Recording) -> SensorGuard:
 
 
 def _write(context: Context, table: CompensationTable, model: ErrorModel, options: Export) -> list[dict]:
-    from errpipe.errors import GateError, VerifyError
     from errpipe.tables import ect
 
     ect.write(table, context.folder / _artefacts.TABLE)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from errpipe.errors import VerifyError
+from errpipe import jsonfile, yamlfile
+from errpipe.errors import UsageError, VerifyError
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts, _plausible
 from errpipe.stages._signed import SignOptions
@@ -53,7 +54,6 @@ class ExportVolumetric(SignOptions, Stage):
     writes: ClassVar[tuple[str, ...]] = (_artefacts.TABLE, _artefacts.TWIN, "export.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:
-        from errpipe import jsonfile, yamlfile
         from errpipe.domain.machine import Machine
         from errpipe.kinematics import summary
         from errpipe.kinematics.chain import compile_chain
@@ -96,7 +96,6 @@ class ExportVolumetric(SignOptions, Stage):
 
     def _axes_that_gain(self, context: Context, document: Mapping[str, Any], chain: Any) -> tuple[str, ...]:
         """Linear axes that the table corrects. Raises GateError where the machine may get worse."""
-        from errpipe import jsonfile
         from errpipe.validation import machine
 
         if self.ungated:
@@ -150,7 +149,6 @@ def lattice(
     """
     import numpy as np
 
-    from errpipe.errors import UsageError
     from errpipe.kinematics import compensation
     from errpipe.kinematics.chain import combinations
 

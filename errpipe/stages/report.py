@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
+import numpy as np
 from pydantic import Field
 
+from errpipe import __version__, jsonfile
 from errpipe.errors import DataError
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
@@ -37,7 +39,6 @@ class Report(Stage):
     writes: ClassVar[tuple[str, ...]] = ("report.html",)
 
     def run(self, context: Context) -> Mapping[str, Any]:
-        from errpipe import __version__, jsonfile
         from errpipe.domain.error_model import joined
         from errpipe.reporting.run_report import RunReport, render
         from errpipe.stages import _iso230_page
@@ -89,8 +90,6 @@ class _Fit(NamedTuple):
 
 def _fits(context: Context) -> list[_Fit]:
     """Every fit that was judged. Raises DataError where several were not."""
-    from errpipe import jsonfile
-
     validations = {at: jsonfile.read(at / _artefacts.VALIDATION) for at in context.every("validation").values()}
     models = {at: _artefacts.read_model(at / _artefacts.MODEL) for at in context.every("error_model").values()}
     fits = []
@@ -149,8 +148,6 @@ def _readings(validation: Mapping[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def _removed(folder: Path) -> list[dict[str, Any]]:
-    from errpipe import jsonfile
-
     return [
         {"rule": rule["rule"].replace("_", " "), "rows": done["count"], "why": f"{done['what']}: {done['reason']}"}
         for rule in jsonfile.read(folder / "cleaning.json")["rules"]
@@ -195,8 +192,6 @@ def _responses(recording: Any, fit: _Fit) -> list[Any]:
 
 def _plane(recording: Any, component: str, index: Any) -> dict[str, Any]:
     """Axis -> positions, where a deviation of the tool point was measured over two axes; empty elsewhere."""
-    import numpy as np
-
     from errpipe.domain.components import is_at_tool
 
     if not is_at_tool(component):

@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Sequence
+from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from errpipe import jsonfile
+from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError, UsageError, did_you_mean
 from errpipe.files import inside
 from errpipe.registry import minisign, signed
@@ -20,9 +22,6 @@ from errpipe.tables.joined import joined
 from errpipe.targets import TARGETS, _loss
 from errpipe.targets._base import NothingToAddError, ReadBack
 from errpipe.targets._loss import at_most, unit_of
-
-if TYPE_CHECKING:
-    from errpipe.domain.table import CompensationTable
 
 CHECKLIST = "CHECKLIST.md"
 LARGE_SHARE, LARGE_UM = 0.1, 0.5  # of the table's rms and um: a loss for which another format is worth a look
@@ -69,7 +68,6 @@ def compare_targets(table: Path) -> dict[str, Any]:
 
 def together(targets: Sequence[Any]) -> list[tuple[Any, ...]]:
     """Every choice of two or more targets whose files one controller adds up."""
-    from itertools import combinations
 
     def add_up(a: Any, b: Any) -> bool:
         return b.name in a.goes_with or a.name in b.goes_with

@@ -7,6 +7,8 @@ from html import escape  # xml.sax.saxutils, with the same, imports an HTTP clie
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from errpipe import jsonfile
 from errpipe.validation.retraining import EVIDENCE
 
@@ -193,8 +195,6 @@ def _property(text: object) -> str:
 
 def figure(document: Mapping[str, Any]) -> str:
     """rms per new run: uncompensated, champion, challenger."""
-    import numpy as np
-
     from errpipe.reporting import svg
 
     runs = document["runs"]

@@ -7,18 +7,20 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydantic import ValidationError
+
 from errpipe import jsonfile
 from errpipe.domain.diagnosis import Diagnosis
 from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.table import CompensationTable
 from errpipe.errors import DataError, UsageError, VerifyError
 from errpipe.stages import _artefacts
 from errpipe.tables import by_component, ect
 from errpipe.validation import changes
+from errpipe.validation.changes import Change, Compensation
 
 if TYPE_CHECKING:
-    from errpipe.domain.table import CompensationTable
     from errpipe.pipeline.lock import Record
-    from errpipe.validation.changes import Change, Compensation
 
 VERSION = 1  # of the document's layout
 DIAGNOSIS = "diagnosis.json"
@@ -273,8 +275,6 @@ def _finding(out: Comparison, name: str, effect: str, was: Any, now: Any, unit: 
 
 
 def _diagnosis(path: Path) -> dict[str, Any]:
-    from pydantic import ValidationError
-
     try:
         return {r.component: r for r in Diagnosis.model_validate(jsonfile.read(path)).responses}
     except ValidationError as err:

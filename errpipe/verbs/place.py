@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,10 +11,8 @@ from errpipe import files
 from errpipe.domain.operations import LARGEST_NUMBER
 from errpipe.errors import DataError, did_you_mean
 from errpipe.fitting import placement
+from errpipe.fitting.placement import Chosen
 from errpipe.simulation import spindle_bar
-
-if TYPE_CHECKING:
-    from errpipe.fitting.placement import Chosen
 
 # Standard errors over duty cycles by which a set must beat doing nothing (false-alarm rate 2 to 10 %)
 MIN_STANDARD_ERRORS = 2.0

@@ -6,21 +6,26 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from errpipe import jsonfile
+from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, ErrpipeError, GateError, UsageError, VerifyError
+from errpipe.formats.manifest_folder import MANIFEST
+from errpipe.pipeline import runner
+from errpipe.pipeline.spec import Pipeline
 from errpipe.pipeline.step import NO_CALLBACKS, Callbacks
 from errpipe.stages import _artefacts
+from errpipe.validation import retraining
+from errpipe.validation.held_out import in_short
+from errpipe.validation.retraining import LEAST_COVERAGE, Gate, RunScore
 from errpipe.verbs import _retrain_drift
 from errpipe.verbs._retrain_drift import predictions
 from errpipe.verbs._retrain_pages import github_annotations, in_words, write_failure, write_pages
-
-if TYPE_CHECKING:
-    from errpipe.domain.error_model import ErrorModel
-    from errpipe.domain.recording import Recording
-    from errpipe.pipeline.spec import Pipeline
-    from errpipe.validation.retraining import Gate, RunScore
 
 __all__ = ["github_annotations", "in_words", "retrain"]
 
@@ -112,8 +117,6 @@ def _run(pipeline: Pipeline, out: Path, dates: Sequence[str], callbacks: Callbac
 
     Returns what refused it; since which run it is fitted; and why on all where the machine changed at a run.
     """
-    from errpipe.pipeline import runner
-
     by_hand = next((run for s in pipeline.stages if (run := getattr(s, "since_run", None)) is not None), None)
     reasons = []
     for since in dates if by_hand is None else ():
@@ -140,8 +143,6 @@ def _run(pipeline: Pipeline, out: Path, dates: Sequence[str], callbacks: Callbac
 
 
 def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limits, allowed) -> dict[str, Any]:
-    from errpipe.validation import retraining
-
     old_model, old_recording, fingerprint = champion
     known = frozenset(retraining.run_keys(old_recording))
     prediction = predictions(old_model, recording)
@@ -195,8 +196,6 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
 
 def _name_gate(names: list[str], any_new: bool) -> list[Any]:
     """New readings under the name of a run that fitted the champion count as old: fails where no run is new."""
-    from errpipe.validation.retraining import Gate
-
     if not names:
         return []
     says = (
@@ -220,8 +219,6 @@ def _last_stage_with(pipeline: Pipeline, artefact: str) -> str:
 
 
 def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, str]:
-    from errpipe.formats.manifest_folder import MANIFEST
-
     model = Path(folder) / _last_stage_with(pipeline, "error_model") / _artefacts.MODEL
     recording = Path(folder) / _last_stage_with(pipeline, "recording")
     for path in (model, recording / MANIFEST):
@@ -265,10 +262,6 @@ def _earlier_document(path: Path) -> Mapping[str, Any]:
 
 def _scores_of(document: Mapping[str, Any], path: Path, champion: str) -> list[RunScore]:
     """Scores of earlier evaluations against the same champion; a new champion begins with none."""
-    from pydantic import TypeAdapter, ValidationError
-
-    from errpipe.validation.retraining import RunScore
-
     if document.get("champion") != champion:
         return []
     try:
@@ -284,8 +277,6 @@ def _scores_of(document: Mapping[str, Any], path: Path, champion: str) -> list[R
 
 def _change(old: ErrorModel, new: ErrorModel, recording: Recording) -> dict[str, dict[str, float]]:
     """Component -> how far the two models differ over the recording's rows, um, and per kelvin of any one sensor."""
-    import numpy as np
-
     before, after = predictions(old, recording), predictions(new, recording)
     out = {}
     for component in (c for c in after if c in before):
@@ -302,8 +293,6 @@ def _change(old: ErrorModel, new: ErrorModel, recording: Recording) -> dict[str,
 
 
 def _table_gates(change: Mapping[str, Mapping[str, float]], limits) -> list[Gate]:
-    from errpipe.validation.retraining import Gate
-
     out = []
     for component, figures in change.items():
         for key, unit, limit in zip(("largest_um", "largest_um_per_k"), ("um", "um/K"), limits, strict=True):
@@ -334,17 +323,12 @@ def _narrower(old: ErrorModel, new: ErrorModel) -> list[str]:
 
 
 def _sensor_gate(old: ErrorModel, new: ErrorModel, allowed: Sequence[str]) -> Gate:
-    from errpipe.validation.retraining import Gate
-
     added = sorted(set(new.columns) - set(old.columns) - set(allowed))
     says = f"newly required: {', '.join(added)}" if added else "no column is newly required"
     return Gate("inputs", not added, says)
 
 
 def _coverage_gates(pipeline: Pipeline, folder: Path) -> list[Gate]:
-    from errpipe.validation.held_out import in_short
-    from errpipe.validation.retraining import LEAST_COVERAGE, Gate
-
     names = [stage.label for stage in pipeline.stages if "validation" in stage.gives]
     if not names:
         return [Gate("validation", False, "the pipeline has no validate stage, so its held-out figures are unknown")]

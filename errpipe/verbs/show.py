@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from errpipe.stages import _artefacts
 from errpipe.verbs.whatis import controller_curves, whatis
 
 WIDTH, HEIGHT = 64, 12  # characters: fits 80 columns with its labels
@@ -62,7 +63,6 @@ def _recording(file: Path) -> list[str]:
 def _table(file: Path) -> list[str]:
     import numpy as np
 
-    from errpipe.stages import _artefacts
     from errpipe.stages._plausible import UNBOUNDED
     from errpipe.targets import _sample
 

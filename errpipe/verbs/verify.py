@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from errpipe import jsonfile
+from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.domain.table import CompensationTable
 from errpipe.errors import DataError, VerifyError
 from errpipe.files import inside
 from errpipe.fitting.components import evaluate
@@ -19,10 +22,6 @@ from errpipe.stages.predict import table_values
 from errpipe.stages.targets import in_words, losses
 from errpipe.tables import bounds, ect
 from errpipe.targets import TARGETS
-
-if TYPE_CHECKING:
-    from errpipe.domain.error_model import ErrorModel
-    from errpipe.domain.table import CompensationTable
 
 STATES = 2000  # random states at which table and model are compared
 SAME_UM = 5e-6  # of a loss: more than the last of the digits that `export.json` keeps
@@ -110,8 +109,6 @@ def every_state(model: ErrorModel) -> Recording:
 
     Each run starts in the middle of validity, jumps to its state, and stays there until every lag has settled.
     """
-    import pandas as pd
-
     rng = np.random.default_rng(1)
     kinds = {name: Column.model_validate(facts) for name, facts in model.columns.items()}
     frame = {"run": np.repeat(np.arange(STATES).astype(str), 3), "t": np.tile([0.0, 1e9, 2e9], STATES)}
