@@ -160,11 +160,8 @@ def in_short(not_judged: Sequence[str]) -> list[str]:
     for sentence in not_judged:
         label, _, why = sentence.partition(": ")
         labels.setdefault(why, []).append(label)
-    more = {
-        why: f" to {own[-1].removeprefix('hold-out ')} ({len(own)})" if len(own) > 1 else ""
-        for why, own in labels.items()
-    }
-    return [f"{own[0]}{more[why]}: {why}" for why, own in labels.items()]
+    ends = {why: f" to {own[-1].removeprefix('hold-out ')} ({len(own)})" for why, own in labels.items() if len(own) > 1}
+    return [f"{own[0]}{ends.get(why, '')}: {why}" for why, own in labels.items()]
 
 
 def component_figures(
@@ -229,12 +226,12 @@ def _tested(
     """p of a gain, the observations behind it, and the gain that is exported: this one or 0."""
     if halves is None:
         chance, runs = significance.p_value(recording, folds, best), significance.independent_runs(recording, folds)
+        chance = chance if best > 0.0 else 1.0
+        helps = chance <= significance.LEVEL
     else:
         chance, runs = significance.p_between_halves(folds, best)
-    chance = chance if best > 0.0 else 1.0
-    if halves is None:
-        return chance, runs, best if chance <= significance.LEVEL else 0.0
-    helps = significance.helps_between_halves(chance, lambda: _share_left(halves()[component]))
+        chance = chance if best > 0.0 else 1.0
+        helps = significance.helps_between_halves(chance, lambda: _share_left(halves()[component]))
     return chance, runs, best if helps else 0.0
 
 

@@ -51,13 +51,9 @@ def p_between_halves(folds: Sequence[HeldOut], gain: float) -> tuple[float, int]
     effective number of rows of two autocorrelated series (Quenouille 1952; Bretherton et al. 1999, J. Climate 12:1990),
     and both one-sided p combined by Fisher's method. folds: blocks of the first half, then as many of the second.
     """
-    before, after = (
-        [
-            np.concatenate([getattr(f, name) for f in half])
-            for half in (folds[: len(folds) // 2], folds[len(folds) // 2 :])
-        ]
-        for name in ("before", "after")
-    )
+    halves = folds[: len(folds) // 2], folds[len(folds) // 2 :]
+    before = [np.concatenate([f.before for f in half]) for half in halves]
+    after = [np.concatenate([f.after for f in half]) for half in halves]
     predicted = [gain * (b - a) for b, a in zip(before, after, strict=True)]
     drift, worth = _correlated(predicted, before)
     shape, _ = _correlated(*([x - x.mean() for x in series] for series in (predicted, before)))

@@ -18,8 +18,9 @@ from errpipe.fitting import pooling
 from errpipe.pipeline.lock import read_lock
 from errpipe.stages import _artefacts
 from errpipe.stages.validate import HELD_OUT
+from errpipe.validation.cusum import level_drift
 from errpipe.validation.held_out import in_short
-from errpipe.validation.input_drift import level_drift, sensor_drift
+from errpipe.validation.input_drift import sensor_drift
 from errpipe.verbs._retrain_pages import plain_text
 
 if TYPE_CHECKING:

@@ -21,9 +21,8 @@ from errpipe.pipeline.spec import Pipeline
 from errpipe.pipeline.step import NO_CALLBACKS, Callbacks
 from errpipe.stages import _artefacts
 from errpipe.validation import retraining
-from errpipe.validation.held_out import in_short
-from errpipe.validation.retraining import LEAST_COVERAGE, Gate, RunScore
-from errpipe.verbs import _retrain_drift
+from errpipe.validation.retraining import RunScore
+from errpipe.verbs import _retrain_drift, _retrain_gates
 from errpipe.verbs._retrain_drift import predictions
 from errpipe.verbs._retrain_pages import github_annotations, in_words, write_failure, write_pages
 
@@ -31,7 +30,6 @@ __all__ = ["github_annotations", "in_words", "retrain"]
 
 VERSION = 1  # of the document's layout
 LEAST_SINCE = 5  # runs since a change of the machine, from which a challenger is fitted on these alone
-HELD_AT_THE_END = ("position", "command", "velocity")  # beyond these inputs' ranges a table does not fade
 RUN = "run"  # folder of the challenger's pipeline run, below OUT
 DOCUMENT = "retrain.json"
 
@@ -150,10 +148,10 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     wrong = {o["run"] for o in drift["runs"] if o["wrong"]} | _without_runs(pipeline)
     scores = [s for s in earlier if s.run not in wrong]
     gates = [
-        *_retrain_drift.response_gates(drift),
-        *_retrain_drift.odd_run_gates(drift),
-        *_retrain_drift.silent_gates(old_model, recording),
-        *_retrain_drift.unit_gates(old_recording, recording, known),
+        *_retrain_gates.responses(drift),
+        *_retrain_gates.odd_runs(drift),
+        *_retrain_gates.silent_sensors(old_model, recording),
+        *_retrain_gates.units(old_recording, recording, known),
     ]
     if refused:
         gates.append(retraining.Gate("pipeline", False, refused))
@@ -172,11 +170,11 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         copied = frozenset([*retraining.run_contents(old_recording), *(s.content for s in scores)])
         new = retraining.score_new_runs(recording, family, prediction, known, already_scored, copied)
         scores += [s for s in new if s.run not in wrong]
-        gates += _name_gate(retraining.reused_names(old_recording, recording), any_new=bool(scores))
+        gates += _retrain_gates.names(retraining.reused_names(old_recording, recording), any_new=bool(scores))
         change = _change(old_model, model, recording)
-        gates += _table_gates(change, limits)
-        gates += [_sensor_gate(old_model, model, allowed), _retrain_drift.drift_gate(drift, model)]
-        gates += _coverage_gates(pipeline, out / RUN)
+        gates += _retrain_gates.change(change, limits)
+        gates += [_retrain_gates.inputs(old_model, model, allowed), _retrain_gates.drifting_sensors(drift, model)]
+        gates += _retrain_gates.coverage(pipeline, out / RUN)
     decision = retraining.decide(scores, gates, alpha=alpha)
     return {
         "retrain": VERSION,
@@ -190,19 +188,8 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         "runs": [asdict(s) for s in scores],
         "drift": drift,
         "change": {} if refused else change,
-        "narrower": [] if refused else _narrower(old_model, model),
+        "narrower": [] if refused else _retrain_gates.narrower(old_model, model),
     }
-
-
-def _name_gate(names: list[str], any_new: bool) -> list[Any]:
-    """New readings under the name of a run that fitted the champion count as old: fails where no run is new."""
-    if not names:
-        return []
-    says = (
-        f"{', '.join(names[:6])}{', ...' if len(names) > 6 else ''}: called as runs that fitted the champion, with "
-        "other readings, and counted as these: give new runs names of their own, or a time with a date"
-    )
-    return [Gate("names of runs", any_new, says)]
 
 
 def _without_runs(pipeline: Pipeline) -> set[str]:
@@ -289,57 +276,4 @@ def _change(old: ErrorModel, new: ErrorModel, recording: Recording) -> dict[str,
         for component, figures in out.items():
             slope = (new_warm[component] - after[component]) - (old_warm[component] - before[component])
             figures["largest_um_per_k"] = max(figures["largest_um_per_k"], float(np.max(np.abs(slope))))
-    return out
-
-
-def _table_gates(change: Mapping[str, Mapping[str, float]], limits) -> list[Gate]:
-    out = []
-    for component, figures in change.items():
-        for key, unit, limit in zip(("largest_um", "largest_um_per_k"), ("um", "um/K"), limits, strict=True):
-            within = limit is None or figures[key] <= limit
-            allowed = "" if limit is None else f" ({limit:g} {unit} allowed)"
-            per_kelvin = " per kelvin" if unit == "um/K" else ""
-            out.append(
-                Gate(f"change of {component}{per_kelvin}", within, f"at most {figures[key]:.3g} {unit}{allowed}")
-            )
-    return out
-
-
-def _narrower(old: ErrorModel, new: ErrorModel) -> list[str]:
-    """Inputs of which the challenger's table corrects nothing where the champion was fitted, a sentence each."""
-    out = []
-    for name, (low, high) in new.validity.ranges.items() if new.validity.fades else ():
-        if new.columns.get(name, {}).get("role") in HELD_AT_THE_END:
-            continue
-        margin, fitted = new.validity.margins.get(name, 0.0), old.validity.ranges.get(name, (low, high))
-        unit = new.columns.get(name, {}).get("unit") or ""
-        if fitted[0] < low - margin or fitted[1] > high + margin:
-            out.append(
-                f"{name}: the challenger is fitted from {low:.4g} to {high:.4g} {unit}, the champion from "
-                f"{fitted[0]:.4g} to {fitted[1]:.4g} {unit}; below {low - margin:.4g} and above {high + margin:.4g} "
-                f"{unit} the challenger corrects nothing."
-            )
-    return out
-
-
-def _sensor_gate(old: ErrorModel, new: ErrorModel, allowed: Sequence[str]) -> Gate:
-    added = sorted(set(new.columns) - set(old.columns) - set(allowed))
-    says = f"newly required: {', '.join(added)}" if added else "no column is newly required"
-    return Gate("inputs", not added, says)
-
-
-def _coverage_gates(pipeline: Pipeline, folder: Path) -> list[Gate]:
-    names = [stage.label for stage in pipeline.stages if "validation" in stage.gives]
-    if not names:
-        return [Gate("validation", False, "the pipeline has no validate stage, so its held-out figures are unknown")]
-    validation = jsonfile.read(folder / names[-1] / "validation.json")
-    out = [Gate("held-out runs", True, why) for why in in_short(validation.get("not_judged", ()))]
-    for component in validation["components"]:
-        covered = component["coverage90"]
-        name = f"coverage of {component['component']}"
-        if covered is None:
-            out.append(Gate(name, True, "unknown: one group only"))
-        else:
-            says = f"{covered:.2f} of held-out rows in the 90 % interval, {LEAST_COVERAGE:g} needed"
-            out.append(Gate(name, covered >= LEAST_COVERAGE, says))
     return out

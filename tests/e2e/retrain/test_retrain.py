@@ -15,7 +15,8 @@ import pytest
 
 from errpipe.cli.app import main
 from errpipe.domain.error_model import ErrorModel, Validity
-from errpipe.verbs.retrain import _narrower, _since
+from errpipe.verbs._retrain_gates import narrower
+from errpipe.verbs.retrain import _since
 
 MANIFEST = """recording: 1
 title: X axis, one run a day
@@ -180,9 +181,9 @@ def test_where_the_challenger_corrects_nothing_is_said() -> None:
         box = Validity(ranges={"T_nut": (low, high), "x": (low, high)}, margins={"T_nut": 3.0, "x": 3.0})
         return ErrorModel(components=(), columns=columns, validity=box)
 
-    (says,) = _narrower(model(12.0, 31.0), model(19.0, 25.0))
+    (says,) = narrower(model(12.0, 31.0), model(19.0, 25.0))
     assert says.startswith("T_nut") and "below 16 and above 28 degC the challenger corrects nothing" in says
-    assert _narrower(model(17.0, 27.0), model(19.0, 25.0)) == []  # the margin fades, and covers them
+    assert narrower(model(17.0, 27.0), model(19.0, 25.0)) == []  # the margin fades, and covers them
 
 
 def test_of_two_changes_in_a_week_the_second_dates_the_challenger(site: Path) -> None:
