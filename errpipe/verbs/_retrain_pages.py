@@ -11,7 +11,7 @@ import numpy as np
 
 from errpipe import jsonfile
 from errpipe.validation.retraining import EVIDENCE
-from errpipe.verbs._github import workflow_command
+from errpipe.verbs.github import workflow_command
 
 MARKDOWN, JUNIT, GITLAB, FIGURE = "retrain.md", "retrain.junit.xml", "retrain.codequality.json", "retrain.svg"
 
