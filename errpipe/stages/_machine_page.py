@@ -85,7 +85,7 @@ def _records(chain: Chain, single: Mapping[str, Any], stage: Any) -> dict[str, d
     out: dict[str, dict[str, Any]] = {}
     for recording in single.values():
         lasers_of_test = {n: s for n, s in stage.setups().items() if n in recording.components()}
-        for name, curve in direct.identify(recording, lasers=lasers_of_test, chain=chain).curves.items():
+        for name, curve in direct.curves(recording, chain, lasers_of_test).items():
             out[name] = {
                 "target": _plain(curve.position),
                 "up": _plain(curve.up),
