@@ -186,12 +186,12 @@ def compile_machine(
     fingerprint: str,
     title: str,
     error_bound: float,
-    turning: Mapping[str, tuple[float, float, float]] | None = None,
-    axes: tuple[str, ...] | None = None,
+    turning: Mapping[str, tuple[float, float, float]],
+    axes: tuple[str, ...],
 ) -> CompensationTable:
     """The volumetric table of a machine; `turning`: reversal of a component at the middle, per metre, the middle.
 
-    axes: linear axes that it corrects (default: all).
+    axes: linear axes that it corrects.
     """
     from errpipe import __version__, tables
     from errpipe.kinematics import compensation
@@ -202,7 +202,7 @@ def compile_machine(
             o.name, tuple(tables.MonomialSource(t.weight, t.component, t.factors) for t in o.terms), o.axis, o.unit
         )
         for o in compensation.outputs(chain, used=tuple(pairs))
-        if axes is None or o.axis in axes
+        if o.axis in axes
     ]
     table = tables.compile_table(
         [tables.ComponentSource(name, chain.unit(name), pair) for name, pair in pairs.items()],
@@ -221,23 +221,13 @@ def compile_machine(
 def _inputs(chain: Any) -> list[TableInput]:
     from errpipe.domain.table import TableInput
 
-    places = [
-        TableInput(
-            name=axis,
-            kind="position",
-            axis=axis,
-            unit=chain.axis_unit(axis),
-            low=low - OVERRUN,
-            high=high + OVERRUN,
-            default=min(max(0.0, low), high),
-        )
-        for axis, (low, high) in zip(chain.axes, chain.travel.tolist(), strict=True)
-    ]
-    length = TableInput(name="tool_length", kind="tool", unit="mm", low=0, high=1000, default=100)
-    offsets = [
-        TableInput(name=f"tool_offset_{d}", kind="tool", unit="mm", low=-500, high=500, default=0) for d in "XYZ"
-    ]
-    return [*places, length, *offsets]
+    inputs = []
+    for axis, (low, high) in zip(chain.axes, chain.travel.tolist(), strict=True):
+        ends = {"low": low - OVERRUN, "high": high + OVERRUN, "default": min(max(0.0, low), high)}
+        inputs.append(TableInput(name=axis, kind="position", axis=axis, unit=chain.axis_unit(axis), **ends))
+    tool: dict[str, Any] = {"kind": "tool", "unit": "mm"}
+    inputs.append(TableInput(name="tool_length", low=0, high=1000, default=100, **tool))
+    return inputs + [TableInput(name=f"tool_offset_{d}", low=-500, high=500, default=0, **tool) for d in "XYZ"]
 
 
 def largest_difference(

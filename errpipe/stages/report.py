@@ -222,12 +222,8 @@ def _terms(component: Any) -> list[dict[str, Any]]:
 
 def _term(term: Any, fitted: Any) -> dict[str, Any]:
     parameters = [{"name": p.name, "value": p.value, "ci95": p.ci95, "unit": p.unit} for p in fitted.parameters]
-    return {
-        "says": term.says(fitted.values()),
-        "equation": equation(type(term)),
-        "of": _of_what(term),
-        "parameters": parameters,
-    }
+    says, of = term.says(fitted.values()), _of_what(term)
+    return {"says": says, "equation": equation(type(term)), "of": of, "parameters": parameters}
 
 
 def _of_what(term: Any) -> str:
@@ -240,16 +236,8 @@ def _of_what(term: Any) -> str:
 
 
 def _group(figures: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "group": figures["label"],
-        "rows": figures["rows"],
-        "rms_before": figures["rms_before"],
-        "rms_after": figures["rms_after"],
-        "bias": figures["bias_after"],
-        "scatter": figures["scatter_after"],
-        "worst": figures["worst_after"],
-        "coverage90": figures["coverage90"],
-    }
+    same = {name: figures[name] for name in ("rows", "rms_before", "rms_after", "coverage90")}
+    return {"group": figures["label"], **same, **{n: figures[f"{n}_after"] for n in ("bias", "scatter", "worst")}}
 
 
 def _notes(component: Any, figures: Mapping[str, Any]) -> list[str]:
@@ -293,16 +281,13 @@ def _exported(exported: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]
 
 def _left_out(exported: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """What the gate left out, cut down, or never saw; what is to be loaded besides."""
-    out = []
+    out: list[str] = []
     for document in exported.values():
-        out += (
-            [document["note"]]
-            if document.get("note")
-            else [
-                f"{name} was left out of the table: on held-out rows it was not better than nothing."
-                for name in document["left_out"]
-            ]
-        )
+        left_out = [
+            f"{name} was left out of the table: on held-out rows it was not better than nothing."
+            for name in document["left_out"]
+        ]
+        out += [document["note"]] if document.get("note") else left_out
         out += [
             f"{j['component']} is applied at {100 * j['gain']:.0f} %: held-out rows were best with that share "
             f"({j['rms_before']:.3g} -> {j['rms_at_gain']:.3g} {j['unit']})."
@@ -359,7 +344,7 @@ def _seasons(validation: Mapping[str, Any]) -> list[Any]:
     return out
 
 
-def _next_step(exported: Mapping[str, Any], refusal: str = "") -> str:
+def _next_step(exported: Mapping[str, Any], refusal: str) -> str:
     if refusal:
         return "read why the export was refused; correct the recording or the model, then errpipe run again."
     if not exported:

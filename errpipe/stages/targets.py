@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -30,17 +31,8 @@ DIGITS = 6  # of a loss in um: what lies below is rounding, which differs betwee
 
 def targets() -> dict[str, Any]:
     """All formats with their controller, confidence, sign and limits."""
-    rows = [
-        {
-            "name": t.name,
-            "controller": t.controller,
-            "confidence": t.confidence,
-            "sign": t.sign,
-            "limits": t.limits,
-            "goes_with": list(t.goes_with),
-        }
-        for t in TARGETS
-    ]
+    facts = ("name", "controller", "confidence", "sign", "limits")
+    rows = [{**{fact: getattr(t, fact) for fact in facts}, "goes_with": list(t.goes_with)} for t in TARGETS]
     return {"targets": rows, "says": [_described(row) for row in rows]}
 
 
@@ -87,17 +79,26 @@ def write_together(table: CompensationTable, parts: Sequence[Any]) -> tuple[list
 def _best_combinations(table: CompensationTable) -> list[tuple[tuple[str, ...], list[dict[str, Any]]]]:
     """For each family of formats, the choice that loses least (root of summed squares over the axes)."""
     best: dict[str, tuple[float, tuple[str, ...], list[dict[str, Any]]]] = {}
-    for parts in together(TARGETS):
-        try:
-            _, read = write_together(table, parts)
-        except GateError:
-            continue
-        lost = _loss_rows(table, read)
-        size, names = sum(x["rms_um"] ** 2 for x in lost), tuple(p.name for p in parts)
+    for parts, lost in _combined_losses(table, together(TARGETS)):
+        size, names = _squares(lost), tuple(p.name for p in parts)
         family = min((names[0], *parts[0].goes_with))
         if family not in best or size < best[family][0]:
             best[family] = (size, names, lost)
     return [(names, lost) for _, names, lost in best.values()]
+
+
+def _combined_losses(
+    table: CompensationTable, choices: Iterable[tuple[Any, ...]]
+) -> Iterator[tuple[tuple[Any, ...], list[dict[str, Any]]]]:
+    """What each choice of formats loses of a table together; without those that refuse it."""
+    for parts in choices:
+        with suppress(GateError):
+            yield parts, _loss_rows(table, write_together(table, parts)[1])
+
+
+def _squares(lost: Iterable[dict[str, Any]]) -> float:
+    """Sum over the axes of squared rms losses, um2."""
+    return sum(x["rms_um"] ** 2 for x in lost)
 
 
 def export(
@@ -196,18 +197,11 @@ def sibling(table: CompensationTable, target: Any, lost: list[dict[str, Any]]) -
     if worst is None or worst["rms_um"] < max(LARGE_SHARE * worst["table_rms_um"], LARGE_UM):
         return ""
     best: tuple[float, str, str] | None = None
-    for parts in together(TARGETS):
-        if target not in parts:
-            continue
-        try:
-            _, read = write_together(table, parts)
-        except GateError:
-            continue
-        loss_rows = _loss_rows(table, read)
-        size = sum(x["rms_um"] ** 2 for x in loss_rows)
+    for parts, lost_together in _combined_losses(table, (c for c in together(TARGETS) if target in c)):
+        size = _squares(lost_together)
         if best is None or size < 0.9 * best[0]:
-            best = size, ", ".join(o.name for o in parts if o is not target), in_words(loss_rows)
-    if best is None or best[0] >= 0.25 * sum(x["rms_um"] ** 2 for x in lost):  # not even half of it
+            best = size, ", ".join(o.name for o in parts if o is not target), in_words(lost_together)
+    if best is None or best[0] >= 0.25 * _squares(lost):  # not even half of it
         return ""
     return f"{best[1]} can say what {target.name} leaves behind; with both among the targets: {best[2]}."
 

@@ -67,14 +67,8 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
 
         jsonfile.write_text(figure, draw(result.changes))
         result.says.append(str(figure))
-    plain = {
-        "compare": VERSION,
-        "kind": result.kind,
-        "largest_um": result.largest,
-        "rms_um": result.rms,
-        "within": within,
-    }
-    return {**plain, **result.parts, "says": result.says}
+    figures = {"largest_um": result.largest, "rms_um": result.rms, "within": within}
+    return {"compare": VERSION, "kind": result.kind, **figures, **result.parts, "says": result.says}
 
 
 def kind_of(path: Path) -> str:
@@ -253,11 +247,8 @@ def _diagnoses(old: Path, new: Path) -> Comparison:
         if figures[0] != figures[1]:
             out.says.append(f"{name}: {figures[0]:.4g} -> {figures[1]:.4g} {a.unit} rms left on held-out rows")
         out.widen(0.0, 0.0)
-        out.parts["responses"][name] = {
-            "verdict": [a.verdict, b.verdict],
-            "effects": [sorted(side) for side in effects],
-            "rms_left": figures,
-        }
+        part = {"verdict": [a.verdict, b.verdict], "effects": [sorted(side) for side in effects]}
+        out.parts["responses"][name] = part | {"rms_left": figures}
     return out
 
 

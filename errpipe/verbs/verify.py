@@ -32,10 +32,8 @@ def verify(folder: Path) -> dict[str, Any]:
     folder = Path(folder)
     if folder.is_file() and (folder.suffix in (".ect", ".json") or ect.sniff(folder)):
         name = ect.fingerprint(_artefacts.read_table(folder))
-        says = (
-            f"{folder.name}: table {name}: checksum, layout and limits hold (its export folder would prove its model)"
-        )
-        return {"checks": 1, "says": [says]}
+        holds = f"table {name}: checksum, layout and limits hold (its export folder would prove its model)"
+        return {"checks": 1, "says": [f"{folder.name}: {holds}"]}
     if (folder / "objects").is_dir() and (folder / "machines").is_dir():
         raise VerifyError(f"{folder}: a registry, which `errpipe log {folder} --public-key KEY` verifies")
     if not folder.exists():
@@ -167,13 +165,10 @@ def _comparable(lost: list[dict[str, Any]], row: dict[str, Any]) -> bool:
 def _same(lost: list[dict[str, Any]], row: dict[str, Any]) -> bool:
     """Whether a loss is that of the export. One measured on other states, by another version, cannot be compared."""
     exported = {x["axis"]: x for x in row.get("losses", lost)}
-    if not _comparable(lost, row):
-        return set(exported) == {x["axis"] for x in lost}
-    return set(exported) == {x["axis"] for x in lost} and all(
-        abs(x[key] - exported[x["axis"]].get(key, x[key])) <= SAME_UM
-        for x in lost
-        for key in ("bound_um", "largest_um", "rms_um", "table_rms_um")
-    )
+    if set(exported) != {x["axis"] for x in lost}:
+        return False
+    figures = ("bound_um", "largest_um", "rms_um", "table_rms_um") if _comparable(lost, row) else ()
+    return all(abs(x[key] - exported[x["axis"]].get(key, x[key])) <= SAME_UM for x in lost for key in figures)
 
 
 def _check_digest(path: Path, expected: str | None) -> None:

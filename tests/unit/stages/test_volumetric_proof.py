@@ -22,7 +22,7 @@ REVERSAL = {"EXX": (3.0, 2.0, 100.0)}
 def test_every_ready_machine_is_proved_within_its_bound(path):
     chain = compile_chain(Machine.model_validate(YAML(typ="safe", pure=True).load(path.read_text())))
     errors = MachineErrors.of(chain, metrology.smooth_machine(chain, 3), nodes=33)
-    table = compile_machine(chain, errors, "0" * 64, "", 0.01, REVERSAL)
+    table = compile_machine(chain, errors, "0" * 64, "", 0.01, REVERSAL, chain.machine.linear_axes())
     worst, allowed = largest_difference(chain, errors, table, REVERSAL), bound(chain, table)
     assert 0 < worst <= allowed + 2e-3 and allowed < 1.0
     prove(worst, allowed)
@@ -31,7 +31,7 @@ def test_every_ready_machine_is_proved_within_its_bound(path):
 def test_a_table_with_one_wrong_weight_fails_the_run():
     chain = compile_chain(Machine.model_validate(YAML(typ="safe", pure=True).load(READY[1].read_text())))
     errors = MachineErrors.of(chain, metrology.smooth_machine(chain, 3), nodes=33)
-    table = compile_machine(chain, errors, "0" * 64, "", 0.01)
+    table = compile_machine(chain, errors, "0" * 64, "", 0.01, {}, chain.machine.linear_axes())
     outputs = list(table.outputs)
     terms = list(outputs[0].terms)
     terms[0] = terms[0].model_copy(update={"weight": -terms[0].weight})
