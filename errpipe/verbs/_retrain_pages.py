@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from errpipe import jsonfile
+from errpipe.reporting.github import workflow_command
 from errpipe.validation.retraining import EVIDENCE
-from errpipe.verbs.github import workflow_command
 
 MARKDOWN, JUNIT, GITLAB, FIGURE = "retrain.md", "retrain.junit.xml", "retrain.codequality.json", "retrain.svg"
 
