@@ -13,6 +13,7 @@ from errpipe import files
 from errpipe.domain import units
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, did_you_mean
+from errpipe.kernels.events import stretches
 from errpipe.simulation.responses import Values, error_column, names_of
 from errpipe.simulation.twin_options import CsvColumn, FromCsv
 
@@ -116,10 +117,9 @@ def _aligned(recording: Recording, component: str, table, wanted: CsvColumn, how
 
 
 def _places(label: str, t: np.ndarray, gaps: np.ndarray) -> list[str]:
-    edges = np.flatnonzero(np.diff(np.r_[0, gaps.astype(int), 0]))
     return [
         f"gap in run {label}: {b - a} rows from {t[a]:.6g} to {t[b - 1]:.6g} s"
-        for a, b in zip(edges[::2], edges[1::2], strict=True)
+        for a, b in zip(*stretches(gaps), strict=True)
     ]
 
 
