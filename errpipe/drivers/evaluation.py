@@ -33,9 +33,8 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
                 total = total + (part if weight == 1.0 else weight * part)
             return total if isinstance(total, np.ndarray) else np.full(len(recording), total)
         case d.First():
-            return _state(
-                driver, drive(driver.of, recording), recording, lambda s, t, u, start: responses.first_value(s, u)
-            )
+            source = drive(driver.of, recording)
+            return _state(driver, source, recording, lambda s, t, u, start: responses.first_value(s, u))
         case d.Lag():
             return _late(driver, _at_input(driver, recording), recording)
         case d.Product():
@@ -53,7 +52,7 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
             return direction(recording, driver.axis, driver.threshold, driver.start)
         case d.Approach():
             side = direction(recording, driver.axis, driver.threshold, driver.start)
-            return responses.approach(sessions(recording), position(recording, driver.axis), side, driver.length)
+            return responses.approach(sessions(recording), position(recording, driver.axis), side, driver.length, 0.0)
         case d.Lookup():
             values = np.asarray(driver.values)
             return responses.lookup(drive(driver.of, recording), driver.start, driver.step, values)

@@ -130,6 +130,16 @@ def documents_in(folder: Path, family: Family) -> dict[str, Any]:
     return {name: jsonfile.read(folder / name) for name in family.documents if (folder / name).is_file()}
 
 
+def write_table(folder: Path, table: CompensationTable) -> None:
+    """Write a table and its JSON twin. Raises VerifyError where one of the files does not read back as the table."""
+    from errpipe.tables import ect
+
+    ect.write(table, folder / TABLE)
+    ect.write_json(table, folder / TWIN)
+    if ect.read(folder / TABLE) != table or ect.read_json(folder / TWIN) != table:
+        raise VerifyError("export: the table read back from its file is not the table that was written")
+
+
 def read_table(path: Path) -> CompensationTable:
     """A compensation table, binary or JSON twin. Raises DataError without a file, VerifyError where it is none."""
     from errpipe.tables import ect

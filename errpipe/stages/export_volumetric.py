@@ -58,7 +58,6 @@ class ExportVolumetric(SignOptions, Stage):
         from errpipe.kinematics import summary
         from errpipe.kinematics.chain import compile_chain
         from errpipe.stages.targets import checksums, write_targets
-        from errpipe.tables import ect
         from errpipe.validation.machine import compensated
 
         folder = context.needed("identified_machine")
@@ -75,8 +74,7 @@ class ExportVolumetric(SignOptions, Stage):
         _plausible.refuse_table(table, self.allow, self.limit)
         worst, allowed = largest_difference(chain, errors, table, reversal_lines), bound(chain, table)
         prove(worst, allowed)
-        ect.write(table, context.folder / _artefacts.TABLE)
-        ect.write_json(table, context.folder / _artefacts.TWIN)
+        _artefacts.write_table(context.folder, table)
         missed = curve_misfit(chain, document)
         stated = {"bound_um": allowed + missed, "interpolation_um": allowed, "unfollowed_um": missed}
         proof = [{"component": "tool point", "largest_difference_um": worst, **stated}]

@@ -18,7 +18,6 @@ from errpipe.registry import minisign, signed
 from errpipe.stages import _artefacts, _plausible
 from errpipe.stages._checklist import checklist
 from errpipe.stages._replace import replaced
-from errpipe.tables import ect
 from errpipe.tables.joined import joined
 from errpipe.targets import TARGETS, _loss
 from errpipe.targets._base import NothingToAddError, ReadBack
@@ -128,11 +127,10 @@ def export(
     consequences = _plausible.of_table(compensation_table)
     with replaced(Path(out)) as folder:
         rows = write_targets(compensation_table, names, folder, remarks)
-        ect.write(compensation_table, folder / _artefacts.TABLE)
+        _artefacts.write_table(folder, compensation_table)
         signed_too = [f"{_artefacts.TABLE}.minisig"] if signature else []
         for name in signed_too:
             jsonfile.write_text(folder / name, signature)
-        ect.write_json(compensation_table, folder / _artefacts.TWIN)
         document = {"export": 1, "inputs": compensation_table.fingerprint, "proof": [], "files": rows, "left_out": []}
         document["consequences"] = consequences
         document["sha256"] = checksums(folder, rows, [_artefacts.TABLE, _artefacts.TWIN, *signed_too])
