@@ -52,7 +52,7 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
             return direction(recording, driver.axis, driver.threshold, driver.start)
         case d.Approach():
             side = direction(recording, driver.axis, driver.threshold, driver.start)
-            return responses.approach(sessions(recording), position(recording, driver.axis), side, driver.length, 0.0)
+            return responses.approach(sessions(recording), position(recording, driver.axis), side, driver.length)
         case d.Lookup():
             values = np.asarray(driver.values)
             return responses.lookup(drive(driver.of, recording), driver.start, driver.step, values)

@@ -130,21 +130,15 @@ def direction_of_travel(run, x, threshold, start):
 
 
 @kernel
-def approach(run, x, d, length, overrun):
-    """z -> d exponentially over travelled length; starts saturated at the first direction of a run.
-
-    Each change of direction adds `overrun` mm of travel that no row shows.
-    """
+def approach(run, x, d, length):
+    """z -> d exponentially over travelled length; starts saturated at the first direction of a run."""
     z = np.empty(x.size)
     state = 0.0
     for i in range(x.size):
         if i == 0 or run[i] != run[i - 1]:
             state = d[i]
         else:
-            way = abs(x[i] - x[i - 1])
-            if d[i] != d[i - 1]:
-                way += overrun
-            state = d[i] - (d[i] - state) * np.exp(-way / length)
+            state = d[i] - (d[i] - state) * np.exp(-abs(x[i] - x[i - 1]) / length)
         z[i] = state
     return z
 

@@ -107,5 +107,5 @@ def gradual_reversal(step: np.ndarray, recording: Recording, axis: str) -> Slack
     side, x = direction(recording, axis), position(recording, axis)
     move, _ = resolved_lengths(recording, axis)
     for length in (0.25 * move, move, 4.0 * move):  # closed at once, as seen, or over a few rows
-        lagging = responses.approach(sessions(recording), x, side, length, 0.0) - side
+        lagging = responses.approach(sessions(recording), x, side, length) - side
         yield step * side * lagging, 0.6

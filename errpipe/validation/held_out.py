@@ -226,12 +226,12 @@ def _tested(
     """p of a gain, the observations behind it, and the gain that is exported: this one or 0."""
     if halves is None:
         chance, runs = significance.p_value(recording, folds, best), significance.independent_runs(recording, folds)
-        chance = chance if best > 0.0 else 1.0
-        helps = chance <= significance.LEVEL
     else:
         chance, runs = significance.p_between_halves(folds, best)
-        chance = chance if best > 0.0 else 1.0
-        helps = significance.helps_between_halves(chance, lambda: _share_left(halves()[component]))
+    chance = chance if best > 0.0 else 1.0
+    if halves is None:
+        return chance, runs, best if chance <= significance.LEVEL else 0.0
+    helps = significance.helps_between_halves(chance, lambda: _share_left(halves()[component]))
     return chance, runs, best if helps else 0.0
 
 
