@@ -110,8 +110,12 @@ class ComponentModel(Frozen):
 class Validity(Frozen):
     """The box of what the fit has seen: column -> (lowest, highest); `margin` -> the fade outside it."""
 
-    ranges: dict[str, tuple[float, float]] = quantity("of the column", "Column -> lowest and highest value seen.", {})
-    margins: dict[str, float] = quantity("of the column", "Column -> distance outside over which it fades.", {})
+    ranges: dict[str, tuple[float, float]] = Field(
+        {}, description="Column -> lowest and highest value seen.", json_schema_extra={"unit": "of the column"}
+    )
+    margins: dict[str, float] = Field(
+        {}, description="Column -> distance outside over which it fades.", json_schema_extra={"unit": "of the column"}
+    )
     fades: bool = Field(
         True, description="Whether a table fades outside the box; not where the drivers fade by themselves."
     )
