@@ -9,17 +9,14 @@ in the recording that came in, whatever earlier rules removed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
 
 import numpy as np
 
 from errpipe.cleaning._base import Action, ActionKind, Rule
 from errpipe.domain.recording import Column, Frozen, Recording
 from errpipe.yamlfile import Choice
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 # In the order in which they are applied where none is named: order of rows first, sensors before responses.
 RULES: Choice[type[Rule]] = Choice.of_files(

@@ -92,12 +92,6 @@ def rows_between(values: np.ndarray) -> int:
     return max(int(np.median(np.diff(known))), 1) if known.size > 1 else 1
 
 
-def stretches(same: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Starts and ends (half open) of the stretches of True, each shape (stretches,)."""
-    edges = np.diff(np.r_[False, same, False].astype(np.int8))
-    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-
-
 def rows_of_runs(run: np.ndarray) -> list[np.ndarray]:
     """Ascending row numbers of each run, in the order of the runs' codes (rows,)."""
     order = np.argsort(run, kind="stable")

@@ -12,8 +12,9 @@ from typing import Literal
 
 import numpy as np
 
-from errpipe.cleaning._base import SENSORS, Action, Rule, resolution, rows_of_runs, stretches
+from errpipe.cleaning._base import SENSORS, Action, Rule, resolution, rows_of_runs
 from errpipe.domain.recording import Recording
+from errpipe.kernels.events import stretches
 from errpipe.yamlfile import quantity
 
 SIDE = 4  # readings on either side: the median of 8 is robust to 3 other outliers

@@ -11,9 +11,10 @@ from typing import Literal
 
 import numpy as np
 
-from errpipe.cleaning._base import Action, Rule, resolution, rows_between, sensors, stretches
+from errpipe.cleaning._base import Action, Rule, resolution, rows_between, sensors
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
+from errpipe.kernels.events import stretches
 from errpipe.yamlfile import quantity
 
 SENTINELS = (0.0, -999.0, -9999.0, 999.9, 9999.0, 85.0, -127.0, -242.0, 850.0)  # what loggers and converters write

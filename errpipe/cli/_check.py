@@ -77,11 +77,7 @@ def _check_pipeline(path: Path, data: bool) -> str:
 
 def _github(problem: Problem) -> str:
     """A problem as a GitHub workflow command."""
-    place = f"file={_escaped(problem.file, True)},line={problem.line or 1},col={problem.column or 1}"
-    key = f"{problem.key}: " if problem.key else ""
-    return f"::error {place},title=errpipe::{_escaped(key + problem.message, False)}"
+    from errpipe.reporting.github import workflow_command
 
-
-def _escaped(text: str, prop: bool) -> str:
-    text = text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
-    return text.replace(":", "%3A").replace(",", "%2C") if prop else text
+    place = {"file": problem.file, "line": problem.line or 1, "col": problem.column or 1, "title": "errpipe"}
+    return workflow_command("error", f"{problem.key}: {problem.message}" if problem.key else problem.message, **place)

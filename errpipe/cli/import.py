@@ -12,7 +12,7 @@ import typer
 
 from errpipe.cli._arguments import Json
 from errpipe.cli.output import folded, module_of, print_result
-from errpipe.errors import DataError
+from errpipe.errors import DataError, UsageError
 
 
 def command(
@@ -89,8 +89,6 @@ def _again(question: str, context: typer.Context) -> str:
 
 def _confirm(lines: list[str], asked: bool) -> None:
     """Show the guesses and ask. Raises UsageError where nobody says yes."""
-    from errpipe.errors import UsageError
-
     sys.stderr.write("\n".join(lines) + "\n")
     if not (asked and sys.stdin.isatty() and typer.confirm("Write this recording?", err=True)):
         raise UsageError(

@@ -8,6 +8,7 @@ import typer
 
 from errpipe.cli._arguments import Json
 from errpipe.cli.output import module_of, print_result
+from errpipe.errors import UsageError
 
 
 def command(
@@ -27,8 +28,6 @@ def command(
     Example:
       errpipe place --bar 1.5
     """
-    from errpipe.errors import UsageError
-
     if (field is None) == (bar is None):
         raise UsageError("place: give either a file or --bar LOSS")
     stage = module_of("verbs.place")

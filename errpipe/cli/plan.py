@@ -6,8 +6,9 @@ from pathlib import Path
 
 import typer
 
-from errpipe.cli._arguments import Force, Json, Out, PipelineFile, Sets, To
+from errpipe.cli._arguments import Force, Json, Out, PipelineFile, Sets, To, output_folder
 from errpipe.cli.output import print_result
+from errpipe.errors import CHANGES_PENDING
 
 
 def command(
@@ -26,9 +27,7 @@ def command(
       errpipe plan pipelines/drilled-plates.yaml --set fit.modes=6
       errpipe plan pipelines/drilled-plates.yaml --exit-code
     """
-    from errpipe.cli._arguments import output_folder
     from errpipe.cli._pipeline import load_pipeline_file
-    from errpipe.errors import CHANGES_PENDING
     from errpipe.pipeline import runner
 
     steps = runner.plan(load_pipeline_file(pipeline, sets), output_folder(pipeline, out), to=to, force=force)

@@ -8,6 +8,7 @@ from typing import Any
 import typer
 
 from errpipe.cli._arguments import Json, PipelineFile, Sets
+from errpipe.errors import UsageError
 
 
 def _read(file: Path, sets: list[str], out: Path) -> Any:
@@ -54,7 +55,6 @@ def command(
     """
     from errpipe.cli.output import module_of, print_result
     from errpipe.cli.progress import ProgressReporter
-    from errpipe.errors import UsageError
 
     if annotations not in ("none", "github"):
         raise UsageError(f"--annotations: {annotations!r} is not known (allowed: none, github)")

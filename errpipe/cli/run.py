@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from errpipe.cli._arguments import Force, Json, Out, PipelineFile, Sets, To
+from errpipe import jsonfile
+from errpipe.cli._arguments import Force, Json, Out, PipelineFile, Sets, To, output_folder
 from errpipe.cli.output import module_of, print_result, short_value
+from errpipe.errors import ConfigError, DataError, GateError
 
 if TYPE_CHECKING:
     from errpipe.cli.progress import ProgressReporter
@@ -45,7 +47,6 @@ def command(
       errpipe run pipelines/drilled-plates.yaml --to fit --out out/plates
       errpipe run pipelines/drilled-plates.yaml --depfile out/run.d --stamp out/run.stamp
     """
-    from errpipe.cli._arguments import output_folder
     from errpipe.cli.progress import ProgressReporter
     from errpipe.pipeline import unchanged
 
@@ -91,7 +92,6 @@ def _run(
 ) -> tuple[Pipeline, list[Step]]:
     """Read the pipeline and run what must run; a refusal (exit code 4) writes its report first."""
     from errpipe.cli._pipeline import load_pipeline_file
-    from errpipe.errors import DataError, GateError
     from errpipe.pipeline import runner
 
     spec = load_pipeline_file(pipeline, sets)
@@ -113,8 +113,6 @@ def _run(
 
 def _refuse_names(spec: Pipeline, err: Exception) -> None:
     """Raise ConfigError where the cause of a refusal stands in the pipeline file: say where, all at once."""
-    from errpipe.errors import ConfigError
-
     problems = [p for p in module_of("verbs.check").problems(spec) if p.file == spec.document.file]
     if problems:
         raise ConfigError(problems) from err
@@ -132,7 +130,6 @@ def _write_depfile(
     """Write the inputs as a rule, if asked to."""
     if depfile is None:
         return
-    from errpipe import jsonfile
     from errpipe.pipeline import depfile as make
 
     stages = [spec.stage(step.name) for step in steps]

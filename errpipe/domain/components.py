@@ -72,24 +72,17 @@ def parse(name: str) -> Component:
         return _motion(*match.groups())
     if match := _LOCATION.match(name):
         direction, axis = match.groups()
-        return Component(
-            name=f"{direction}0{axis}",
-            kind=_location_kind(direction, axis),
-            direction=direction,
-            axis=axis,
-            unit=_unit(direction),
-        )
+        kind = _location_kind(direction, axis)
+        return Component(name=f"{direction}0{axis}", kind=kind, direction=direction, axis=axis, unit=_unit(direction))
     if match := _TOOL_POINT.match(name):
         direction = match.group(1)
-        kind = {"R": "circular", "D": "diameter"}.get(direction) or (
-            "tool orientation" if direction in ABOUT else "tool point"
-        )
-        return Component(name=name, kind=kind, direction=direction, unit=_unit(direction))
+        at_tool: Kind = "tool orientation" if direction in ABOUT else "tool point"
+        of_tool: Kind = "circular" if direction == "R" else "diameter" if direction == "D" else at_tool
+        return Component(name=name, kind=of_tool, direction=direction, unit=_unit(direction))
     if match := _FORCE.match(name):
         axis = match.group(1)
-        return Component(
-            name=name, kind="force", direction=axis, axis=axis, unit="N" if axis[0] in _LINEAR_AXES else "N m"
-        )
+        own_unit: Literal["N", "N m"] = "N" if axis[0] in _LINEAR_AXES else "N m"
+        return Component(name=name, kind="force", direction=axis, axis=axis, unit=own_unit)
     raise ValueError(
         f"{name!r} is not an ISO 230-1 component (such as EXX, EBX, C0Y, E_Z, E_R, E_D, F_X)."
         + did_you_mean(name.upper(), _COMMON)
@@ -110,44 +103,41 @@ def allowed_units(name: str) -> tuple[str, ...]:
     return (own, "N") if own == "N m" else (own,)
 
 
+_PHRASES = {
+    "positioning": "positioning deviation of {axis}",
+    STRAIGHTNESS: "straightness of {axis} in the {direction} direction",
+    "roll": "roll of {axis} (about {about})",
+    "tilt": "tilt of {axis} about {about}",
+    "radial": "radial error motion of {axis} in the {direction} direction",
+    "axial": "axial error motion of {axis} in the {direction} direction",
+    "angular positioning": "angular positioning deviation of {axis}",
+    SQUARENESS: "squareness of {axis}: its direction, turned about {about}",
+    "squareness of a rotary axis": "squareness of the axis line of {axis}: tilted about {about}",
+    "axis offset": "offset of the axis line of {axis} in the {direction} direction",
+    "zero position": "zero position of {axis}: turned about its own line where it reads 0",
+    "drift": "drift of the origin of {axis}'s frame in the {direction} direction",
+    "tilt of the spindle": "tilt of the spindle about {about}",
+    "growth of the spindle": "growth of the spindle in the {direction} direction",
+    "tool point": "deviation of the tool point in the {direction} direction",
+    "tool orientation": "deviation of the tool's orientation about {about}",
+    "circular": "radial deviation in a circular test",
+    "diameter": "deviation of the workpiece diameter",
+    "force": "drive force of {axis}",
+    "torque": "drive torque of {axis}",
+}
+
+
 def describe(name: str) -> str:
     """One phrase for a person: 'straightness of X in the Y direction'. Raises ValueError."""
     c = parse(name)
-    match c.kind:
-        case "positioning":
-            return f"positioning deviation of {c.axis}"
-        case "straightness":
-            return f"straightness of {c.axis} in the {c.direction} direction"
-        case "roll":
-            return f"roll of {c.axis} (about {ABOUT[c.direction]})"
-        case "tilt":
-            return f"tilt of {c.axis} about {ABOUT[c.direction]}"
-        case "radial" | "axial":
-            return f"{c.kind} error motion of {c.axis} in the {c.direction} direction"
-        case "angular positioning":
-            return f"angular positioning deviation of {c.axis}"
-        case "squareness" if _is_linear(str(c.axis)):
-            return f"squareness of {c.axis}: its direction, turned about {ABOUT[c.direction]}"
-        case "squareness":
-            return f"squareness of the axis line of {c.axis}: tilted about {ABOUT[c.direction]}"
-        case "axis offset":
-            return f"offset of the axis line of {c.axis} in the {c.direction} direction"
-        case "zero position":
-            return f"zero position of {c.axis}: turned about its own line where it reads 0"
-        case "drift" if c.axis == "S":
-            way = f"tilt of the spindle about {ABOUT[c.direction]}" if c.direction in ABOUT else None
-            return way or f"growth of the spindle in the {c.direction} direction"
-        case "drift":
-            return f"drift of the origin of {c.axis}'s frame in the {c.direction} direction"
-        case "tool point":
-            return f"deviation of the tool point in the {c.direction} direction"
-        case "tool orientation":
-            return f"deviation of the tool's orientation about {ABOUT[c.direction]}"
-        case "circular":
-            return "radial deviation in a circular test"
-        case "diameter":
-            return "deviation of the workpiece diameter"
-    return f"drive {'force' if c.unit == 'N' else 'torque'} of {c.axis}"
+    kind: str = c.kind
+    if kind == SQUARENESS and not _is_linear(str(c.axis)):
+        kind = "squareness of a rotary axis"
+    elif kind == "drift" and c.axis == "S":
+        kind = "tilt of the spindle" if c.direction in ABOUT else "growth of the spindle"
+    elif kind == "force" and c.unit != "N":
+        kind = "torque"
+    return _PHRASES[kind].format(axis=c.axis, direction=c.direction, about=ABOUT.get(c.direction, ""))
 
 
 def positioning(axis: str) -> str:

@@ -13,20 +13,17 @@ from pydantic import Field, field_validator
 
 from errpipe.domain.recording import Frozen
 from errpipe.errors import DataError, UsageError
+from errpipe.yamlfile import quantity
 
 
 class FittedParameter(Frozen):
     """One parameter: value, standard error and 95 % interval, all in `unit`."""
 
     name: str = Field(description="Name of the parameter, as the term has it.")
-    value: float = Field(description="Estimate.", json_schema_extra={"unit": "of the parameter"})
+    value: float = quantity("of the parameter", "Estimate.")
     unit: str = Field(description="Unit of value, error and interval.")
-    standard_error: float | None = Field(
-        None, description="Standard error; none: not known.", json_schema_extra={"unit": "of the parameter"}
-    )
-    ci95: tuple[float, float] | None = Field(
-        None, description="Ends of the 95 % interval.", json_schema_extra={"unit": "of the parameter"}
-    )
+    standard_error: float | None = quantity("of the parameter", "Standard error; none: not known.", None)
+    ci95: tuple[float, float] | None = quantity("of the parameter", "Ends of the 95 % interval.", None)
     note: str = Field("", description="What should be known about the estimate.")
 
 
@@ -65,15 +62,9 @@ class DatumReadings(Frozen):
     The input holds the last reading minus what the model predicted when it was taken.
     """
 
-    share: float = Field(
-        ge=0, le=1, description="Share of that difference that is applied.", json_schema_extra={"unit": "1"}
-    )
-    hold_s: float = Field(gt=0, description="An older reading counts as none.", json_schema_extra={"unit": "s"})
-    bound: float = Field(
-        gt=0,
-        description="A reading further from the prediction is rejected.",
-        json_schema_extra={"unit": "of the deviation"},
-    )
+    share: float = quantity("1", "Share of that difference that is applied.", ge=0, le=1)
+    hold_s: float = quantity("s", "An older reading counts as none.", gt=0)
+    bound: float = quantity("of the deviation", "A reading further from the prediction is rejected.", gt=0)
 
 
 class ComponentModel(Frozen):
@@ -84,56 +75,30 @@ class ComponentModel(Frozen):
     terms: tuple[FittedTerm, ...] = Field(description="Terms whose sum is the deviation.")
     nuisance: tuple[FittedTerm, ...] = Field((), description="Terms of the set-up, never compensated.")
     parameter_names: tuple[str, ...] = Field((), description="Names of the covariance's rows and columns.")
-    covariance: tuple[tuple[float, ...], ...] = Field(
-        (),
-        description="Covariance of the parameters.",
-        json_schema_extra={"unit": "of the row's times the column's parameter"},
+    covariance: tuple[tuple[float, ...], ...] = quantity(
+        "of the row's times the column's parameter", "Covariance of the parameters.", ()
     )
     rows: int = Field(0, description="Rows of the fit.")
-    rows_effective: float = Field(
-        0.0,
-        description="What those rows are worth: neighbours in time repeat each other.",
-        json_schema_extra={"unit": "1"},
+    rows_effective: float = quantity("1", "What those rows are worth: neighbours in time repeat each other.", 0.0)
+    rms_before: float = quantity("of the deviation", "RMS deviation, uncompensated.", 0.0)
+    rms_after: float = quantity("of the deviation", "RMS of what the model leaves.", 0.0)
+    noise_floor: float | None = quantity("of the deviation", "RMS of what no model of these columns can explain.", None)
+    gain: float = quantity(
+        "1", "Share of the sum of the terms that is applied: what held-out runs were best with.", 1.0, ge=0.0, le=1.0
     )
-    rms_before: float = Field(
-        0.0, description="RMS deviation, uncompensated.", json_schema_extra={"unit": "of the deviation"}
+    half_width90: float | None = quantity(
+        "of the deviation", "Half width of the 90 % prediction interval inside validity.", None
     )
-    rms_after: float = Field(
-        0.0, description="RMS of what the model leaves.", json_schema_extra={"unit": "of the deviation"}
+    widening90: float = quantity(
+        "of the deviation per unit of distance", "Added half width per unit of distance outside what was seen.", 0.0
     )
-    noise_floor: float | None = Field(
-        None,
-        description="RMS of what no model of these columns can explain.",
-        json_schema_extra={"unit": "of the deviation"},
-    )
-    gain: float = Field(
-        1.0,
-        ge=0.0,
-        le=1.0,
-        description="Share of the sum of the terms that is applied: what held-out runs were best with.",
-        json_schema_extra={"unit": "1"},
-    )
-    half_width90: float | None = Field(
-        None,
-        description="Half width of the 90 % prediction interval inside validity.",
-        json_schema_extra={"unit": "of the deviation"},
-    )
-    widening90: float = Field(
-        0.0,
-        description="Added half width per unit of distance outside what was seen.",
-        json_schema_extra={"unit": "of the deviation per unit of distance"},
-    )
-    growth90: float = Field(
-        0.0,
-        description="By which share the half width grows per unit of predicted magnitude.",
-        json_schema_extra={"unit": "1 per unit of the deviation"},
+    growth90: float = quantity(
+        "1 per unit of the deviation", "By which share the half width grows per unit of predicted magnitude.", 0.0
     )
     factor90: dict[str, Any] | None = Field(
         None, description="Driver that the half width is multiplied by, as declared; none: 1."
     )
-    limit: float | None = Field(
-        None, description="No prediction beyond this magnitude.", json_schema_extra={"unit": "of the deviation"}
-    )
+    limit: float | None = quantity("of the deviation", "No prediction beyond this magnitude.", None)
     readings: DatumReadings | None = Field(None, description="How readings correct it; none: they do not.")
 
     @property

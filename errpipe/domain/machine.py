@@ -16,6 +16,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from errpipe.domain.recording import Frozen
 from errpipe.errors import did_you_mean
+from errpipe.yamlfile import quantity
 
 Vector = tuple[float, float, float]
 LETTERS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
@@ -42,25 +43,17 @@ class Axis(Frozen):
     """
 
     kind: Literal["linear", "rotary"] = Field(description="how it moves")
-    travel: tuple[float, float] = Field(
-        description="lowest and highest position, mm or deg", json_schema_extra={"unit": "of the axis"}
-    )
-    direction: Direction | None = Field(
-        None, description="of motion or turning; the letter's own where left out", json_schema_extra={"unit": "1"}
-    )
-    reference: Vector = Field(
-        (0.0, 0.0, 0.0),
-        description="point its errors are defined at; a rotary axis' line runs through it",
-        json_schema_extra={"unit": "mm"},
+    travel: tuple[float, float] = quantity("of the axis", "lowest and highest position, mm or deg")
+    direction: Direction | None = quantity("1", "of motion or turning; the letter's own where left out", None)
+    reference: Vector = quantity(
+        "mm", "point its errors are defined at; a rotary axis' line runs through it", (0.0, 0.0, 0.0)
     )
     reference_on: Literal["carriage", "guideway"] = Field("carriage", description="whether that point travels along")
     errors_of: Literal["tool_side", "carriage"] = Field(
         "tool_side", description="whose motion the six components are: the tool's side's, or the carriage's own"
     )
-    datum: float | None = Field(
-        None,
-        description="position at which its positioning deviation is zero, mm or deg",
-        json_schema_extra={"unit": "of the axis"},
+    datum: float | None = quantity(
+        "of the axis", "position at which its positioning deviation is zero, mm or deg", None
     )
     drifts: bool = Field(False, description="whether the origin of its frame drifts (three components)")
 
@@ -79,8 +72,8 @@ class Axis(Frozen):
 class Spindle(Frozen):
     """The spindle nose, and whether growth (three components) and tilt (two) are among the errors."""
 
-    position: Vector = Field((0.0, 0.0, 0.0), description="of the nose", json_schema_extra={"unit": "mm"})
-    direction: Direction = Field((0.0, 0.0, 1.0), description="of its axis", json_schema_extra={"unit": "1"})
+    position: Vector = quantity("mm", "of the nose", (0.0, 0.0, 0.0))
+    direction: Direction = quantity("1", "of its axis", (0.0, 0.0, 1.0))
     growth: bool = Field(False, description="whether its growth is among the errors (three components)")
     tilt: bool = Field(False, description="whether its tilt is among the errors (two components)")
 
@@ -88,16 +81,10 @@ class Spindle(Frozen):
 class Tool(Frozen):
     """Tool tip = mount + offset + length along `direction`; length and offset may be given anew at run time."""
 
-    mount: Vector | None = Field(
-        None, description="where it is held; the spindle's position where left out", json_schema_extra={"unit": "mm"}
-    )
-    direction: Direction = Field(
-        (0.0, 0.0, -1.0), description="from the mount to the tip", json_schema_extra={"unit": "1"}
-    )
-    length: float = Field(0.0, ge=0, description="from the mount along the direction", json_schema_extra={"unit": "mm"})
-    offset: Vector = Field(
-        (0.0, 0.0, 0.0), description="of the tip beside the length", json_schema_extra={"unit": "mm"}
-    )
+    mount: Vector | None = quantity("mm", "where it is held; the spindle's position where left out", None)
+    direction: Direction = quantity("1", "from the mount to the tip", (0.0, 0.0, -1.0))
+    length: float = quantity("mm", "from the mount along the direction", 0.0, ge=0)
+    offset: Vector = quantity("mm", "of the tip beside the length", (0.0, 0.0, 0.0))
 
 
 class Machine(Frozen):
@@ -113,9 +100,7 @@ class Machine(Frozen):
         (), description="linear axes in the order squareness refers to: the first is the datum; X, Y, Z where left out"
     )
     up: Literal["X", "Y", "Z"] = Field("Z", description="axis that points up, for sketches")
-    workpiece: Vector = Field(
-        (0.0, 0.0, 0.0), description="origin of the workpiece frame", json_schema_extra={"unit": "mm"}
-    )
+    workpiece: Vector = quantity("mm", "origin of the workpiece frame", (0.0, 0.0, 0.0))
     spindle: Spindle = Field(Spindle(), description="the spindle nose")
     tool: Tool = Field(Tool(), description="the tool, from its mount to its tip")
 

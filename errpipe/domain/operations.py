@@ -32,6 +32,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from errpipe.domain.recording import Frozen
+from errpipe.yamlfile import quantity
 
 LARGEST_NUMBER = 1e15  # of any parameter: keeps a single-precision controller away from overflow
 
@@ -46,15 +47,13 @@ class Operation(Frozen):
 
 class Constant(Operation):
     op: Literal["constant"] = "constant"
-    value: Number = Field(description="The value.", json_schema_extra={"unit": "of the result"})
+    value: Number = quantity("of the result", "The value.")
 
 
 class Affine(Operation):
     op: Literal["affine"] = "affine"
-    offset: Number = Field(0.0, description="What is added to the sum.", json_schema_extra={"unit": "of the result"})
-    weights: tuple[Number, ...] = Field(
-        description="What each operand is multiplied by.", json_schema_extra={"unit": "of the result per operand"}
-    )
+    offset: Number = quantity("of the result", "What is added to the sum.", 0.0)
+    weights: tuple[Number, ...] = quantity("of the result per operand", "What each operand is multiplied by.")
 
 
 class First(Operation):
@@ -63,8 +62,8 @@ class First(Operation):
 
 class Lag(Operation):
     op: Literal["lag"] = "lag"
-    tau_up: Positive = Field(description="Time constant while the operand is above.", json_schema_extra={"unit": "s"})
-    tau_down: Positive = Field(description="Time constant while the operand is below.", json_schema_extra={"unit": "s"})
+    tau_up: Positive = quantity("s", "Time constant while the operand is above.")
+    tau_down: Positive = quantity("s", "Time constant while the operand is below.")
     start: Literal["input", "zero"] = Field("input", description="Value at the start: the operand's, or zero.")
 
 
@@ -74,31 +73,25 @@ class Product(Operation):
 
 class Power(Operation):
     op: Literal["power"] = "power"
-    exponent: Annotated[float, Field(gt=0, le=16)] = Field(
-        description="sign(u) |u|^exponent.", json_schema_extra={"unit": "1"}
-    )
+    exponent: Annotated[float, Field(gt=0, le=16)] = quantity("1", "sign(u) |u|^exponent.")
 
 
 class Clip(Operation):
     op: Literal["clip"] = "clip"
-    low: Number = Field(description="Lowest value let through.", json_schema_extra={"unit": "of the operand"})
-    high: Number = Field(description="Highest value let through.", json_schema_extra={"unit": "of the operand"})
+    low: Number = quantity("of the operand", "Lowest value let through.")
+    high: Number = quantity("of the operand", "Highest value let through.")
 
 
 class Switch(Operation):
     op: Literal["switch"] = "switch"
-    on: Number = Field(description="1 from here up.", json_schema_extra={"unit": "of the operand"})
-    off: Number = Field(
-        description="0 from here down; between the two it stays.", json_schema_extra={"unit": "of the operand"}
-    )
+    on: Number = quantity("of the operand", "1 from here up.")
+    off: Number = quantity("of the operand", "0 from here down; between the two it stays.")
 
 
 class Turning(Operation):
     """Parameters of what turns with the direction of travel."""
 
-    threshold: NotNegative = Field(
-        0.001, description="Travel against the direction after which it turns.", json_schema_extra={"unit": "mm"}
-    )
+    threshold: NotNegative = quantity("mm", "Travel against the direction after which it turns.", 0.001)
     start: Literal[-1, 1] = Field(1, description="Direction before the first travel.")
 
 
@@ -108,15 +101,11 @@ class Direction(Turning):
 
 class Approach(Operation):
     op: Literal["approach"] = "approach"
-    length: Positive = Field(
-        description="Travel after a reversal in which 63 % builds up.", json_schema_extra={"unit": "mm"}
-    )
+    length: Positive = quantity("mm", "Travel after a reversal in which 63 % builds up.")
 
 
 class Lookup(Operation):
     op: Literal["lookup"] = "lookup"
-    start: Number = Field(description="Operand at the first value.", json_schema_extra={"unit": "of the operand"})
-    step: Positive = Field(description="Distance between two values.", json_schema_extra={"unit": "of the operand"})
-    values: tuple[Number, ...] = Field(
-        min_length=2, description="Values, held beyond both ends.", json_schema_extra={"unit": "of the result"}
-    )
+    start: Number = quantity("of the operand", "Operand at the first value.")
+    step: Positive = quantity("of the operand", "Distance between two values.")
+    values: tuple[Number, ...] = quantity("of the result", "Values, held beyond both ends.", min_length=2)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from errpipe.errors import MissingColumn, did_you_mean
+from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
     import numpy as np
@@ -134,15 +135,13 @@ class Derived(Frozen):
         None, description="First column less the second one; of positions in mm the result is in um, in deg in urad."
     )
     of: str | None = Field(None, description="Column of the table whose number, as written, is multiplied.")
-    factor: float = Field(
+    factor: float = quantity(
+        "the column's unit per unit of `of`",
+        "What it is multiplied by, such as the resolution of an encoder or a torque constant.",
         1.0,
-        description="What it is multiplied by, such as the resolution of an encoder or a torque constant.",
-        json_schema_extra={"unit": "the column's unit per unit of `of`"},
     )
-    offset: float = Field(0.0, description="What is added then.", json_schema_extra={"unit": "of the column"})
-    constant: float | None = Field(
-        None, description="The same value in every row.", json_schema_extra={"unit": "of the column"}
-    )
+    offset: float = quantity("of the column", "What is added then.", 0.0)
+    constant: float | None = quantity("of the column", "The same value in every row.", None)
 
     @model_validator(mode="after")
     def _one_way(self) -> Derived:
@@ -156,14 +155,14 @@ class ActsOn(Frozen):
     """The axis that corrects a component without an axis of its own."""
 
     axis: str = Field(description="Letter of the axis, such as X.", pattern="^[A-Z][A-Z0-9]{0,6}$")
-    factor: float | None = Field(
+    factor: float | None = quantity(
+        "1",
+        "Deviation along the axis per deviation of the component. A diameter on X: 0.5 (the default) where "
+        "the axis counts in radius, as the joints of a control do whatever the program says, 1 where its compensation "
+        "counts in diameter; with a minus where the tool stands on the minus side of the spindle. Others: 1.",
         None,
         ge=-10,
         le=10,
-        description="Deviation along the axis per deviation of the component. A diameter on X: 0.5 (the default) where "
-        "the axis counts in radius, as the joints of a control do whatever the program says, 1 where its compensation "
-        "counts in diameter; with a minus where the tool stands on the minus side of the spindle. Others: 1.",
-        json_schema_extra={"unit": "1"},
     )
 
 
@@ -215,33 +214,18 @@ class Constant(Frozen):
 
     role: Literal["axis"] | None = Field(None, description="`axis` for the facts of an axis.")
     kind: Literal["linear", "rotary"] | None = Field(None, description="How the axis moves.")
-    travel: tuple[float, float] | None = Field(
-        None, description="Lowest and highest position.", json_schema_extra={"unit": "of `unit`"}
-    )
-    screw_lead: float | None = Field(
-        None, description="Travel in one turn of the screw.", json_schema_extra={"unit": "of `unit`"}
-    )
-    encoder_period: float | None = Field(
-        None, description="Signal period of the encoder.", json_schema_extra={"unit": "of `unit`"}
-    )
-    tooth_pitch: float | None = Field(
-        None, gt=0, description="Length of a tooth of belt or rack.", json_schema_extra={"unit": "of `unit`"}
-    )
+    travel: tuple[float, float] | None = quantity("of `unit`", "Lowest and highest position.", None)
+    screw_lead: float | None = quantity("of `unit`", "Travel in one turn of the screw.", None)
+    encoder_period: float | None = quantity("of `unit`", "Signal period of the encoder.", None)
+    tooth_pitch: float | None = quantity("of `unit`", "Length of a tooth of belt or rack.", None, gt=0)
     teeth: int | None = Field(None, gt=0, description="Teeth of pulley or pinion; of a rotary axis, of its wheel.")
-    gear_ratio: float | None = Field(
-        None,
-        gt=0,
-        description="Turns of the motor in one turn of screw, pulley, pinion or wheel.",
-        json_schema_extra={"unit": "1"},
+    gear_ratio: float | None = quantity(
+        "1", "Turns of the motor in one turn of screw, pulley, pinion or wheel.", None, gt=0
     )
     pole_pairs: int | None = Field(None, gt=0, description="Pole pairs in one turn of the motor.")
-    magnet_period: float | None = Field(
-        None, gt=0, description="Length of a pole pair of a linear motor.", json_schema_extra={"unit": "of `unit`"}
-    )
-    drive_end: float | None = Field(
-        None, description="Position of the end where the motor is.", json_schema_extra={"unit": "of `unit`"}
-    )
-    value: float | str | None = Field(None, description="A plain fact.", json_schema_extra={"unit": "of `unit`"})
+    magnet_period: float | None = quantity("of `unit`", "Length of a pole pair of a linear motor.", None, gt=0)
+    drive_end: float | None = quantity("of `unit`", "Position of the end where the motor is.", None)
+    value: float | str | None = quantity("of `unit`", "A plain fact.", None)
     unit: str | None = Field(None, description="Unit of the numbers beside it.")
 
 

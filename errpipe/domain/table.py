@@ -36,6 +36,7 @@ from errpipe.domain.table_nodes import (  # noqa: F401  # asked for as names of 
     check_node,
 )
 from errpipe.domain.table_text import AXIS, TITLE, Index, Name, Part, text
+from errpipe.yamlfile import quantity
 
 MAX_INPUTS = 64  # this and the following: limits of the format (schemas/ect-2.md)
 MAX_NODES = 1024
@@ -91,10 +92,7 @@ class Substitute(Part):
     """One summand of a substitute reading: weight x another input's reading."""
 
     input: Name = Field(description="Input that helps out.")
-    weight: Number = Field(
-        description="What its reading is multiplied by.",
-        json_schema_extra={"unit": "of this input per unit of the source"},
-    )
+    weight: Number = quantity("of this input per unit of the source", "What its reading is multiplied by.")
 
 
 class TableInput(Part):
@@ -110,40 +108,24 @@ class TableInput(Part):
     kind: Kind = Field(description="What the channel carries; motion and force are read every position cycle.")
     axis: Annotated[str, text(7, AXIS)] = Field("", description="Letter of the axis it belongs to.")
     unit: Annotated[str, text(15)] = Field("", description="Unit of the reading.")
-    low: Number = Field(description="Lowest plausible reading.", json_schema_extra={"unit": "of the input"})
-    high: Number = Field(description="Highest plausible reading.", json_schema_extra={"unit": "of the input"})
-    max_rate: Positive | None = Field(
-        None, description="Largest plausible change.", json_schema_extra={"unit": "of the input per s"}
+    low: Number = quantity("of the input", "Lowest plausible reading.")
+    high: Number = quantity("of the input", "Highest plausible reading.")
+    max_rate: Positive | None = quantity("of the input per s", "Largest plausible change.", None)
+    noise: NotNegative = quantity(
+        "of the input", "Change that is no movement: noise and resolution of the reading (with max_rate).", 0.0
     )
-    noise: NotNegative = Field(
-        0.0,
-        description="Change that is no movement: noise and resolution of the reading (with max_rate).",
-        json_schema_extra={"unit": "of the input"},
-    )
-    stale_after_s: Positive | None = Field(
-        None, description="A reading older than this is rejected.", json_schema_extra={"unit": "s"}
-    )
+    stale_after_s: Positive | None = quantity("s", "A reading older than this is rejected.", None)
     substitute: tuple[Substitute, ...] = Field((), description="Summands of the reading's stand-in; none: no stand-in.")
-    substitute_offset: Number = Field(
-        0.0, description="What is added to that sum.", json_schema_extra={"unit": "of the input"}
+    substitute_offset: Number = quantity("of the input", "What is added to that sum.", 0.0)
+    hold_s: Annotated[float, Field(ge=0, le=LARGEST_NUMBER)] | None = quantity(
+        "s", "How long the last accepted reading stands in; none: without end.", None
     )
-    hold_s: Annotated[float, Field(ge=0, le=LARGEST_NUMBER)] | None = Field(
-        None,
-        description="How long the last accepted reading stands in; none: without end.",
-        json_schema_extra={"unit": "s"},
-    )
-    default: Number = Field(
-        description="What stands in when nothing else is left.", json_schema_extra={"unit": "of the input"}
-    )
+    default: Number = quantity("of the input", "What stands in when nothing else is left.")
     optional: bool = Field(False, description="Absence is no fault (a direction the controller may know).")
     fade_on_default: bool = Field(True, description="While only the default is left, what is not `keep` fades out.")
-    valid: tuple[Number, Number] | None = Field(
-        None, description="Validity box: what the fit has seen.", json_schema_extra={"unit": "of the input"}
-    )
-    margin: Positive | None = Field(
-        None,
-        description="Distance outside `valid` over which the table fades to zero.",
-        json_schema_extra={"unit": "of the input"},
+    valid: tuple[Number, Number] | None = quantity("of the input", "Validity box: what the fit has seen.", None)
+    margin: Positive | None = quantity(
+        "of the input", "Distance outside `valid` over which the table fades to zero.", None
     )
 
     @model_validator(mode="after")
@@ -174,22 +156,18 @@ class Profile(Part):
     """
 
     input: Name | None = Field(None, description="Input it runs over; none: a constant.")
-    start: Number = Field(0.0, description="Input at the first value.", json_schema_extra={"unit": "of the input"})
-    step: Positive = Field(1.0, description="Distance between two values.", json_schema_extra={"unit": "of the input"})
-    scale: Positive = Field(
-        0.001, description="What one step of a value stands for.", json_schema_extra={"unit": "of the profile"}
-    )
+    start: Number = quantity("of the input", "Input at the first value.", 0.0)
+    step: Positive = quantity("of the input", "Distance between two values.", 1.0)
+    scale: Positive = quantity("of the profile", "What one step of a value stands for.", 0.001)
     periodic: bool = Field(False, description="Repeats beyond its ends, where others hold their end values.")
     values: tuple[Annotated[int, Field(ge=-LARGEST_VALUE, le=LARGEST_VALUE)], ...] = Field(
         min_length=1, description="Whole numbers; times `scale` they are the curve."
     )
-    interpolation_error: Annotated[float, Field(ge=0)] = Field(
-        0.0,
-        description="Largest error of the straight lines between values.",
-        json_schema_extra={"unit": "of the profile"},
+    interpolation_error: Annotated[float, Field(ge=0)] = quantity(
+        "of the profile", "Largest error of the straight lines between values.", 0.0
     )
-    rounding_error: Annotated[float, Field(ge=0)] = Field(
-        0.0, description="Largest error of rounding to whole numbers.", json_schema_extra={"unit": "of the profile"}
+    rounding_error: Annotated[float, Field(ge=0)] = quantity(
+        "of the profile", "Largest error of rounding to whole numbers.", 0.0
     )
 
     @property
@@ -225,9 +203,8 @@ class Pair(Part):
 class Monomial(Part):
     """weight x component x product of nodes, added to an output."""
 
-    weight: Number = Field(
-        description="How much of the component and its factors shows.",
-        json_schema_extra={"unit": "of the output per component and factors"},
+    weight: Number = quantity(
+        "of the output per component and factors", "How much of the component and its factors shows."
     )
     component: Annotated[str, Field(min_length=1), text(15)] = Field(description="Component that shows in the output.")
     factors: tuple[Index, ...] = Field(
@@ -244,15 +221,9 @@ class Output(Part):
     correction_unit: Literal["mm", "um", "urad", "deg", "rad"] = Field(
         "mm", description="Unit the controller wants it in."
     )
-    magnitude: Positive | None = Field(
-        None, description="Largest correction; none: no limit.", json_schema_extra={"unit": "of the deviation"}
-    )
-    slew: Positive | None = Field(
-        None, description="Largest rate of the correction.", json_schema_extra={"unit": "of the deviation per s"}
-    )
-    acceleration: Positive | None = Field(
-        None, description="Largest change of that rate.", json_schema_extra={"unit": "of the deviation per s2"}
-    )
+    magnitude: Positive | None = quantity("of the deviation", "Largest correction; none: no limit.", None)
+    slew: Positive | None = quantity("of the deviation per s", "Largest rate of the correction.", None)
+    acceleration: Positive | None = quantity("of the deviation per s2", "Largest change of that rate.", None)
     terms: tuple[Monomial, ...] = Field(min_length=1, description="Summands of the deviation at the tool.")
 
     @model_validator(mode="after")
@@ -275,18 +246,12 @@ class CompensationTable(Part):
     title: Annotated[str, text(127, TITLE)] = Field("", description="What it is, for people.")
     version: Annotated[str, text(31, TITLE)] = Field("", description="errpipe version that compiled it.")
     fingerprint: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")] = Field("", description="Of the error model.")
-    position_cycle_s: Annotated[float, Field(ge=1e-6, le=10)] = Field(
-        0.001, description="Time between two corrections.", json_schema_extra={"unit": "s"}
-    )
+    position_cycle_s: Annotated[float, Field(ge=1e-6, le=10)] = quantity("s", "Time between two corrections.", 0.001)
     slow_every: Annotated[int, Field(ge=1, le=MAX_SLOW_EVERY)] = Field(
         1000, description="Position cycles in a thermal one."
     )
-    ramp_s: Annotated[float, Field(ge=0, le=3600)] = Field(
-        1.0, description="Time to ramp in or out.", json_schema_extra={"unit": "s"}
-    )
-    fade_s: Annotated[float, Field(ge=0, le=3600)] = Field(
-        1.0, description="Shortest time for a whole fade.", json_schema_extra={"unit": "s"}
-    )
+    ramp_s: Annotated[float, Field(ge=0, le=3600)] = quantity("s", "Time to ramp in or out.", 1.0)
+    fade_s: Annotated[float, Field(ge=0, le=3600)] = quantity("s", "Shortest time for a whole fade.", 1.0)
     inputs: tuple[TableInput, ...] = Field(max_length=MAX_INPUTS, description="Channels that the controller feeds.")
     nodes: tuple[AnyNode, ...] = Field(
         min_length=1, max_length=MAX_NODES, description="Operations, each on earlier ones."
@@ -318,26 +283,14 @@ class CompensationTable(Part):
             raise ValueError("a table of version 1 knows no threshold of an approach")
         components = _unique("component", (c.name for c in self.components))
         _unique("output", (o.name for o in self.outputs))
-        accepted = {i.name for i in self.inputs if not i.optional}
-        for i in self.inputs:
-            for s in i.substitute:
-                if s.input not in accepted or s.input == i.name:
-                    raise ValueError(f"input {i.name}: {s.input!r} cannot be a source of its substitute")
+        _check_substitutes(self.inputs)
         for number, node in enumerate(self.nodes):
             check_node(number, node, known)
         for number, profile in enumerate(self.profiles):
             if profile.input is not None and profile.input not in known:
                 raise ValueError(f"profile {number}: input {profile.input!r} is not in the table")
             _check_turns(number, profile, self.inputs)
-        for number, pair in enumerate(self.pairs):
-            if pair.component not in components:
-                raise ValueError(f"pair {number}: component {pair.component!r} is not in the table")
-            if pair.profile >= len(self.profiles) or pair.driver >= len(self.nodes):
-                raise ValueError(f"pair {number}: no profile {pair.profile} or no node {pair.driver}")
-        for output in self.outputs:
-            for term in output.terms:
-                if term.component not in components or any(f >= len(self.nodes) for f in term.factors):
-                    raise ValueError(f"output {output.name}: no component {term.component!r} or node {term.factors}")
+        _check_sums(self, components)
         _check_totals(self)
         return self
 
@@ -349,6 +302,28 @@ def _unique(what: str, names) -> set[str]:
             raise ValueError(f"{what} {name!r} occurs twice")
         seen.add(name)
     return seen
+
+
+def _check_substitutes(inputs: tuple[TableInput, ...]) -> None:
+    """A substitute is made of other inputs, whose absence is a fault."""
+    accepted = {i.name for i in inputs if not i.optional}
+    for i in inputs:
+        for s in i.substitute:
+            if s.input not in accepted or s.input == i.name:
+                raise ValueError(f"input {i.name}: {s.input!r} cannot be a source of its substitute")
+
+
+def _check_sums(table: CompensationTable, components: set[str]) -> None:
+    """Pairs and synthesis terms name components, profiles and nodes of the table."""
+    for number, pair in enumerate(table.pairs):
+        if pair.component not in components:
+            raise ValueError(f"pair {number}: component {pair.component!r} is not in the table")
+        if pair.profile >= len(table.profiles) or pair.driver >= len(table.nodes):
+            raise ValueError(f"pair {number}: no profile {pair.profile} or no node {pair.driver}")
+    for output in table.outputs:
+        for term in output.terms:
+            if term.component not in components or any(f >= len(table.nodes) for f in term.factors):
+                raise ValueError(f"output {output.name}: no component {term.component!r} or node {term.factors}")
 
 
 def _check_turns(number: int, profile: Profile, inputs: tuple[TableInput, ...]) -> None:

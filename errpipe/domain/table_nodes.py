@@ -9,6 +9,7 @@ from pydantic import Field
 from errpipe.domain import operations
 from errpipe.domain.operations import NotNegative
 from errpipe.domain.table_text import Index, Name, Part
+from errpipe.yamlfile import quantity
 
 
 class Node(Part):
@@ -68,10 +69,8 @@ class ApproachNode(operations.Approach, Node):
     """Operands: the position and its direction."""
 
     operands: ClassVar = (2, 2)
-    threshold: NotNegative = Field(
-        0.0,
-        description="Readings no further apart than this agree; one alone between two that do is undone.",
-        json_schema_extra={"unit": "mm"},
+    threshold: NotNegative = quantity(
+        "mm", "Readings no further apart than this agree; one alone between two that do is undone.", 0.0
     )
 
 

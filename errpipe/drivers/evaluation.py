@@ -34,9 +34,8 @@ def drive(driver: d.Driver, recording: Recording) -> np.ndarray:
                 total = total + (part if weight == 1.0 else weight * part)
             return total if isinstance(total, np.ndarray) else np.full(len(recording), total)
         case d.First():
-            return _state(
-                driver, drive(driver.of, recording), recording, lambda s, t, u, start: responses.first_value(s, u)
-            )
+            source = drive(driver.of, recording)
+            return _state(driver, source, recording, lambda s, t, u, start: responses.first_value(s, u))
         case d.Lag():
             return _late(driver, _at_input(driver, recording), recording)
         case d.Product():

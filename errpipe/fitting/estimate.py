@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from errpipe.fitting import identifiability, separable, solve, uncertainty
 from errpipe.fitting.design import Problem
 from errpipe.fitting.solve import one_thread
 from errpipe.fitting.spec import ModelSpec
+from errpipe.fitting.statistics import rms
 
 ROUNDS = 3  # alternations of search and robust weights; the third changes no printed digit
 
@@ -39,7 +40,7 @@ def estimate(
     Raises NotIdentifiable where the rows cannot distinguish parameters (not for ridge, which is the remedy).
     """
     if problem.width == 0:
-        return _nothing(problem)
+        return without_columns(problem.response, rms(problem.response), problem.response.size)
     priors = _priors(problem, spec)
     penalties = problem.penalties()
     if problem.unknowns:
@@ -52,34 +53,19 @@ def estimate(
     design = problem.design(nonlinear)
     penalty = _penalty(problem, spec, penalties, solution, priors)
     if intervals and spec.method != "ridge":
+        names, component = problem.names(), " and ".join(problem.components)
         identifiability.check(
-            design,
-            problem.names(),
-            problem.recording,
-            component=" and ".join(problem.components),
-            penalty=penalty,
-            most=spec.most_inflation,
+            design, names, problem.recording, component=component, penalty=penalty, most=spec.most_inflation
         )
-    plain = Estimate(
-        solution.coefficients, nonlinear, solution.residual, solution.degrees + nonlinear.size, solution.strength
-    )
+    degrees = solution.degrees + nonlinear.size
+    plain = Estimate(solution.coefficients, nonlinear, solution.residual, degrees, solution.strength)
     return _with_intervals(plain, problem, spec, design, penalty) if intervals else plain
 
 
-def _nothing(problem: Problem) -> Estimate:
-    rms = float(np.sqrt(np.mean(problem.response**2)))
-    noise = uncertainty.Noise(rms, 0.0, 0.0)
-    return Estimate(
-        np.empty(0),
-        np.empty(0),
-        problem.response,
-        0.0,
-        (),
-        np.empty((0, 0)),
-        noise,
-        float(problem.response.size),
-        float(problem.response.size),
-    )
+def without_columns(response: np.ndarray, sigma: float, rows: int) -> Estimate:
+    """The estimate of no term: the response (n,) is noise of standard deviation sigma, known from so many rows."""
+    none, noise = np.empty(0), uncertainty.Noise(sigma, 0.0, 0.0)
+    return Estimate(none, none, response, 0.0, (), np.empty((0, 0)), noise, float(rows), float(rows))
 
 
 def _linear(design, problem, spec, penalties, priors, folds, rows_effective=None) -> solve.Solution:
@@ -93,7 +79,7 @@ def _linear(design, problem, spec, penalties, priors, folds, rows_effective=None
         first = solve.robust(design, y, penalty=_sum(penalties, solution.strength), priors=priors, loss=spec.loss)
         solution = solve.penalised(design, y, penalties, weights=first.weights, priors=priors)
         again = solve.robust(design, y, penalty=_sum(penalties, solution.strength), priors=priors, loss=spec.loss)
-        return solve.Solution(**(again.__dict__ | {"strength": solution.strength}))
+        return replace(again, strength=solution.strength)
     if spec.method == "robust":
         return solve.robust(design, y, priors=priors, loss=spec.loss)
     noise = _noise_guess(design, y) if priors else 1.0
@@ -231,17 +217,7 @@ def _with_intervals(plain: Estimate, problem: Problem, spec: ModelSpec, design, 
     spread = uncertainty.covariance(problem.sequence, jacobian, inverse, noise, scores, wide)
     effective = uncertainty.rows_effective(problem.sequence, noise)
     freedom = uncertainty.degrees_of_freedom(scores.size, plain.degrees, noise)
-    return Estimate(
-        plain.coefficients,
-        plain.nonlinear,
-        plain.residual,
-        plain.degrees,
-        plain.strength,
-        spread,
-        noise,
-        effective,
-        freedom,
-    )
+    return replace(plain, covariance=spread, noise=noise, rows_effective=effective, freedom=freedom)
 
 
 def _ridge_penalty(problem: Problem, design: np.ndarray, strength: float, size: int) -> np.ndarray:

@@ -19,7 +19,7 @@ from errpipe.fitting import batches, holdout, identifiability, solve, uncertaint
 from errpipe.fitting.batches import History, Prepare, Source
 from errpipe.fitting.components import component_model, whole_model
 from errpipe.fitting.design import Problem
-from errpipe.fitting.estimate import Estimate
+from errpipe.fitting.estimate import Estimate, without_columns
 from errpipe.fitting.judging import HeldOut, calibrated
 from errpipe.fitting.model import without_interval
 from errpipe.fitting.spec import ModelSpec
@@ -96,18 +96,7 @@ def _component(source: Source, history: History, spec: ModelSpec, prepare: Prepa
         solution = solve.least_squares(total[:, 1:-2], response)
         estimate = _estimate(source, history, problem, rows, solution, prepare)
     else:
-        rms = float(np.sqrt(response @ response / number))
-        estimate = Estimate(
-            np.empty(0),
-            np.empty(0),
-            y,
-            0.0,
-            (),
-            np.empty((0, 0)),
-            uncertainty.Noise(rms, 0.0, 0.0),
-            float(number),
-            float(number),
-        )
+        estimate = without_columns(y, _rms(response, number), number)
     model = component_model(problem, estimate, 0, history.component, y, estimate.residual)
     left = history.factor() @ history.weights(estimate.coefficients)
     figures = {"rows": number, "rows_effective": estimate.rows_effective}

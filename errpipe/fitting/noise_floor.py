@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from errpipe.domain.recording import Recording
+from errpipe.fitting.solve import MAD
 
-MAD = 1.4826  # median absolute deviation of a normal distribution to its standard deviation
 FEWEST = 20  # pairs; fewer give no estimate
 SAME = 1e-6  # share of the range of readings below which two are the same
 OFF_STEP = 1e-3  # of a display's step: readings further off are not rounded to it

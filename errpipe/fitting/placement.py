@@ -99,16 +99,16 @@ def _weights(columns: np.ndarray, error: np.ndarray) -> np.ndarray:
     return np.linalg.solve(square, columns.T @ error)
 
 
-def by_degree(readings: np.ndarray, error: np.ndarray, group: np.ndarray, degrees: tuple[int, ...] = (1, 2, 3)):
-    """Per place and degree, the rms on groups left out of a polynomial through the origin, (places, degrees).
+def by_degree(readings: np.ndarray, error: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """The rms on groups left out of a line, a parabola and a cubic through the origin, at each place, (places, 3).
 
     Line and parabola are compared at the same place on the same groups.
     """
     labels = np.unique(group)
-    out = np.empty((readings.shape[1], len(degrees)))
+    out = np.empty((readings.shape[1], 3))
     for k in range(readings.shape[1]):
         size = float(np.abs(readings[:, k]).max()) or 1.0
-        for j, degree in enumerate(degrees):
+        for degree in (1, 2, 3):
             columns = (readings[:, [k]] / size) ** np.arange(1, degree + 1)
-            out[k, j] = np.sqrt(_left_out(columns, error, group, labels) / error.size)
+            out[k, degree - 1] = np.sqrt(_left_out(columns, error, group, labels) / error.size)
     return out

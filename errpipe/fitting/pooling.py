@@ -20,6 +20,7 @@ from errpipe.fitting.statistics import chi2_quantile
 STEPS = 200  # of EM, which converges slowly where machines hardly differ
 CONVERGED = 1e-5  # convergence threshold: relative change of the spread per step
 REGULAR = 1e-5  # smallest over largest diagonal element of a Cholesky factor: the inverse keeps six digits
+SIGNIFICANT = 0.05  # p of two machines of one type that differ
 LEAST_MACHINES = 4  # fewer give no estimate of the spread between machines
 
 
@@ -88,13 +89,11 @@ def distances(estimates: np.ndarray, covariances: np.ndarray) -> np.ndarray:
     return np.concatenate(out)
 
 
-def homogeneous_groups(
-    estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray], level: float = 0.05
-) -> list[list[int]]:
+def homogeneous_groups(estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray]) -> list[list[int]]:
     """Groups of machines whose parameters do not differ significantly (complete linkage: every pair of a group)."""
     if len(estimates) < 2:
         return []
-    limit = chi2_quantile(1.0 - level, estimates[0].size)
+    limit = chi2_quantile(1.0 - SIGNIFICANT, estimates[0].size)
     labels = fcluster(linkage(distances(np.array(estimates), np.array(covariances)), "complete"), limit, "distance")
     groups = [np.flatnonzero(labels == label).tolist() for label in np.unique(labels)]
     return sorted((g for g in groups if len(g) > 1), key=lambda g: (-len(g), g))

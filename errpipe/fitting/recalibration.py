@@ -26,9 +26,7 @@ SHIFT = 28800.0  # s: eight hours
 PER_SHIFT = (1, 2, 4, 8, 16)  # readings a shift that the report compares
 MISSED = 2.0  # intervals: a reading stands in for the next one where that is missed, then counts as none (by judgement)
 TIE = 0.01  # readings must take at least this share of the held-out error away (by judgement)
-PLAUSIBLE = (
-    2.0  # of the largest error on held-out rows: a reading further from the model is not accepted (by judgement)
-)
+PLAUSIBLE = 2.0  # of the largest error on held-out rows: readings beyond it from the model are refused (by judgement)
 
 
 def is_thermal(recording: Recording) -> bool:
@@ -73,11 +71,8 @@ def share_of(left: Sequence[np.ndarray], last: Sequence[np.ndarray]) -> float:
     left, last: per group, shape (rows of the group,), um.
     """
     squares = sum(float(np.sum(b**2)) for b in last)
-    return (
-        float(np.clip(sum(float(a @ b) for a, b in zip(left, last, strict=True)) / squares, 0.0, 1.0))
-        if squares
-        else 0.0
-    )
+    products = sum(float(a @ b) for a, b in zip(left, last, strict=True))
+    return float(np.clip(products / squares, 0.0, 1.0)) if squares else 0.0
 
 
 def by_readings(
@@ -126,29 +121,16 @@ def with_readings(model: ErrorModel, validations: Sequence[Mapping[str, Any]], p
     """
     out, why = [], []
     for component in model.components:
-        judged = [
-            c["readings"]
-            for v in validations
-            for c in v["components"]
-            if c["component"] == component.component and c.get("readings")
-        ]
-        levels = [
-            (j, none, level)
-            for j in judged
-            for none in j["levels"][:1]
-            for level in j["levels"]
-            if level["per_shift"] == per_shift
-        ]
+        figures = [c for v in validations for c in v["components"] if c["component"] == component.component]
+        judged = [c["readings"] for c in figures if c.get("readings")]
+        levels = [(j, level) for j in judged for level in j["levels"] if level["per_shift"] == per_shift]
         if not levels:
             why.append(f"{component.component}: no validation judged {per_shift} readings per shift")
-        elif any(level["rms"] > none["rms"] * (1.0 - TIE) for _, none, level in levels):
+        elif any(level["rms"] > j["levels"][0]["rms"] * (1.0 - TIE) for j, level in levels):
             why.append(f"{component.component}: held-out rows were not better with {per_shift} readings per shift")
         else:
-            readings = DatumReadings(
-                share=min(level["share"] for _, _, level in levels),
-                hold_s=MISSED * SHIFT / per_shift,
-                bound=min(j["bound"] for j, _, _ in levels),
-            )
+            share, bound = min(level["share"] for _, level in levels), min(j["bound"] for j, _ in levels)
+            readings = DatumReadings(share=share, hold_s=MISSED * SHIFT / per_shift, bound=bound)
             component = component.model_copy(update={"readings": readings})
         out.append(component)
     if all(c.readings is None for c in out):

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from threading import Lock
 from typing import Any
@@ -23,6 +23,7 @@ HUBER = 1.345  # 95 % efficiency on normal noise (Huber 1981)
 TUKEY = 4.685  # the same for the biweight (Beaton and Tukey 1974)
 MAD = 1.4826  # median absolute deviation -> standard deviation of normal noise
 LOWEST_RANK = 1e-11  # of the largest scaled pivot; below it a direction is rounding
+REML_STEPS = 80  # at most, of the strengths of penalties; a few dozen settle them
 
 _held: ContextVar[bool] = ContextVar("linear_algebra_on_one_thread", default=False)
 _lock = Lock()
@@ -226,7 +227,7 @@ def ridge(
     else:
         chosen = float(tried[int(np.argmin([_gcv(design, response, unit * s) for s in tried]))])
     solution = least_squares(design, response, penalty=unit * chosen)
-    return Solution(**(solution.__dict__ | {"strength": (chosen,)}))
+    return replace(solution, strength=(chosen,))
 
 
 def spread_of(design: np.ndarray, shrunk: np.ndarray) -> np.ndarray:
@@ -261,7 +262,6 @@ def penalised(
     weights: np.ndarray | None = None,
     priors: Sequence[Prior] = (),
     rows_effective: float | None = None,
-    iterations: int = 80,
 ) -> Solution:
     """Least squares with one strength per penalty, each chosen by restricted likelihood (REML).
 
@@ -278,7 +278,7 @@ def penalised(
     strengths = np.array([1e-3 * size / max(np.trace(p), 1e-300) for p in penalties])
     ranks = np.array([np.linalg.matrix_rank(p) for p in penalties])
     degrees = np.inf
-    for _ in range(iterations):
+    for _ in range(REML_STEPS):
         total = sum(s * p for s, p in zip(strengths, penalties, strict=True))
         solution = least_squares(small[:, :-1], small[:, -1], penalty=total, priors=priors)
         variance = (left + float(np.sum(solution.residual**2))) / max(rows - solution.degrees, 1.0) / share
@@ -291,7 +291,7 @@ def penalised(
         degrees = solution.degrees
     total = sum(s * p for s, p in zip(strengths, penalties, strict=True))
     solution = least_squares(design, response, weights=weights, penalty=total, priors=priors)
-    return Solution(**(solution.__dict__ | {"strength": tuple(float(s) for s in strengths)}))
+    return replace(solution, strength=tuple(map(float, strengths)))
 
 
 def _reduced(design: np.ndarray, response: np.ndarray) -> tuple[np.ndarray, float]:

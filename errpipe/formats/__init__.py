@@ -12,16 +12,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import ValidationError
 
+from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.formats import ecmc_dat, manifest_folder, renishaw_rtl
 from errpipe.formats._magnitude import refuse_impossible
-
-if TYPE_CHECKING:
-    from errpipe.domain.recording import Recording
 
 FORMATS: tuple[ModuleType, ...] = (manifest_folder, ecmc_dat, renishaw_rtl)
 

@@ -285,10 +285,10 @@ def _row_place(label: str, start: int) -> Callable[[int], str]:
 def _check_type(field: pa.Field, kind: str, label: str) -> None:
     inner = field.type.value_type if pa.types.is_dictionary(field.type) else field.type
     number = pa.types.is_integer(inner) or pa.types.is_floating(inner) or pa.types.is_boolean(inner)
-    label = pa.types.is_string(inner) or pa.types.is_large_string(inner) or pa.types.is_integer(inner)
+    text = pa.types.is_string(inner) or pa.types.is_large_string(inner)
     if kind == "number" and not (number or pa.types.is_null(inner)):
         raise DataError(f"{label}  {field.name}: holds {field.type} (allowed: numbers)")
-    if kind == "label" and not (label or pa.types.is_boolean(inner)):
+    if kind == "label" and not (text or pa.types.is_integer(inner) or pa.types.is_boolean(inner)):
         raise DataError(f"{label}  {field.name}: holds {field.type} (allowed for a label: text or whole numbers)")
 
 

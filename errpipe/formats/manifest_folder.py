@@ -142,14 +142,8 @@ def iter_batches(
     try:
         table = pq.ParquetFile(Path(folder) / TABLE, read_dictionary=labels, pre_buffer=False)
         for part in table.iter_batches(batch_size=rows, columns=read, use_threads=False):
-            columns = {
-                n: known_runs(runs or {}, at, part.num_rows)
-                if n not in read
-                else part[n]
-                if n in labels
-                else part[n].to_numpy(zero_copy_only=False)
-                for n in kept
-            }
+            there = {n: part[n] if n in labels else part[n].to_numpy(zero_copy_only=False) for n in read}
+            columns = {n: there[n] if n in there else known_runs(runs or {}, at, part.num_rows) for n in kept}
             batch = Batch(manifest, columns, part.num_rows, past)
             yield batch
             last = batch.run_stretches[0][-1]
@@ -207,11 +201,11 @@ def _constant(c: Any) -> Any:
     update: dict[str, Any] = {"unit": convert.unit}
     if not convert.identity:
         for key in (*_AXIS_LENGTHS, "value"):
-            statistics = getattr(c, key)
-            if isinstance(statistics, tuple):
-                update[key] = tuple(convert(float(v)) for v in statistics)
-            elif isinstance(statistics, float):
-                update[key] = convert(statistics)
+            stated = getattr(c, key)
+            if isinstance(stated, tuple):
+                update[key] = tuple(convert(float(v)) for v in stated)
+            elif isinstance(stated, float):
+                update[key] = convert(stated)
     return c.model_copy(update=update)
 
 

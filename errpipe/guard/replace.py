@@ -45,15 +45,13 @@ def readings(guard: SensorGuard) -> tuple[d.Driver, ...]:
     for i, name in enumerate(guard.names()):
         others = [j for j in range(len(weights)) if j != i]
         both = {j: weights[i][j] * weights[j][i] for j in others}  # what comes back through the other failed sensor
-        own = d.Affine(
-            offset=1.0, weights=tuple(b / (1.0 - b) for b in both.values()), of=tuple(failed[j] for j in others)
-        )
+        through = tuple(b / (1.0 - b) for b in both.values())
+        own = d.Affine(offset=1.0, weights=through, of=tuple(failed[j] for j in others))
         shown = tuple(weights[i][j] / (1.0 - b) for j, b in both.items())
         together = d.Affine(weights=(1.0, *shown), of=(d.Product(of=(gone[i], own)), *(alone[j] for j in others)))
-        single = d.Product(of=(_at_most_one_fault(guard), _lagged_shift_since_trusted(guard, i)))
-        fault = d.Affine(
-            weights=(1.0, 1.0, -1.0), of=(together, single, d.Product(of=(_at_most_one_fault(guard), together)))
-        )
+        few = _at_most_one_fault(guard)
+        single = d.Product(of=(few, _lagged_shift_since_trusted(guard, i)))
+        fault = d.Affine(weights=(1.0, 1.0, -1.0), of=(together, single, d.Product(of=(few, together))))
         out.append(d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), d.Product(of=(failed[i], fault)))))
     return tuple(out)
 
@@ -62,9 +60,7 @@ def readings(guard: SensorGuard) -> tuple[d.Driver, ...]:
 def _shift_since_trusted(guard: SensorGuard, i: int) -> d.Driver:
     """r - m: how far one reading has moved from its estimate since it was last trusted."""
     weights = tuple(1.0 if j == i else -v for j, v in enumerate(guard.sensors[i].estimate))
-    return _residual_shift(
-        guard, i, d.Affine(weights=weights, of=tuple(d.Input(name=n) for n in guard.names())), guard.settle_s
-    )
+    return _residual_shift(guard, i, d.Affine(weights=weights, of=tuple(d.Input(name=n) for n in guard.names())))
 
 
 @shared
@@ -79,22 +75,17 @@ def _lagged_shift_since_trusted(guard: SensorGuard, i: int) -> d.Driver:
     """The same for a sensor that fails alone, by the estimate that knows the others' past."""
     sensor, inputs = guard.sensors[i], [d.Input(name=n) for n in guard.names()]
     past = [c.lag(x, guard.horizon_s) for x in inputs]
-    weights = [1.0 if j == i else -p for j, p in enumerate(sensor.present)]
     used = [j for j in range(len(inputs)) if j != i]
-    return _residual_shift(
-        guard,
-        i,
-        d.Affine(weights=(*weights, *(-sensor.past[j] for j in used)), of=(*inputs, *(past[j] for j in used))),
-        guard.settle_s,
-    )
+    weights = (*(1.0 if j == i else -p for j, p in enumerate(sensor.present)), *(-sensor.past[j] for j in used))
+    return _residual_shift(guard, i, d.Affine(weights=weights, of=(*inputs, *(past[j] for j in used))))
 
 
-def _residual_shift(guard: SensorGuard, i: int, residual_of: d.Driver, settle: float) -> d.Driver:
+def _residual_shift(guard: SensorGuard, i: int, residual_of: d.Driver) -> d.Driver:
     """How far a residual has moved since sensor i was last trusted."""
     sensor = guard.sensors[i]
     residual = c.since_start(residual_of)
     within = d.Clip(of=residual, low=-sensor.reach, high=sensor.reach)
-    return d.Affine(weights=(1.0, -1.0), of=(residual, _value_at_last_quiet(guard, i, c.lag(within, settle))))
+    return d.Affine(weights=(1.0, -1.0), of=(residual, _value_at_last_quiet(guard, i, c.lag(within, guard.settle_s))))
 
 
 def _value_at_last_quiet(guard: SensorGuard, i: int, value: d.Driver) -> d.Driver:

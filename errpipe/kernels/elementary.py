@@ -18,4 +18,4 @@ def compiled(module: ModuleType, *names: str) -> tuple[Kernel, ...]:
 
 _, exp, ln, power = compiled(arithmetic, "two_to", "exp", "ln", "power")
 towards, can_stop, closing_rate = compiled(motion, "towards", "can_stop", "closing_rate")
-moved_side, on_lines = compiled(motion, "moved_side", "on_lines")
+moved_side, on_grid, on_lines = compiled(motion, "moved_side", "on_grid", "on_lines")

@@ -56,3 +56,9 @@ def approach_overrun(run, x, d, length, overrun):
             state = d[i] - (d[i] - state) * np.exp(-way / length)
         z[i] = state
     return z
+
+
+def stretches(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and ends (half open) of the stretches of True, each shape (stretches,)."""
+    edges = np.diff(np.r_[False, flags, False].astype(np.int8))
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)

@@ -71,8 +71,8 @@ def moved_side(x: float, known: float, side: float, memory: float, threshold: fl
     return side, memory
 
 
-def on_lines(values: Sequence[float], first: int, last: int, s: float) -> float:
-    """Straight lines between uniform values from number `first` on, held at the ends; s counts steps, up to `last`."""
+def on_grid(s: float, last: int) -> tuple[int, float]:
+    """(interval, share of it) of a place on a uniform grid, held at the ends; s counts steps, up to `last`."""
     if s < 0.0:
         s = 0.0
     if s > last:
@@ -80,5 +80,11 @@ def on_lines(values: Sequence[float], first: int, last: int, s: float) -> float:
     j = int(s)
     if j > last - 1:
         j = last - 1
+    return j, s - j
+
+
+def on_lines(values: Sequence[float], first: int, last: int, s: float) -> float:
+    """Straight lines between uniform values from number `first` on, at a place of `on_grid`."""
+    j, share = on_grid(s, last)
     left = values[first + j]
-    return left + (s - j) * (values[first + j + 1] - left)
+    return left + share * (values[first + j + 1] - left)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from errpipe.kernels import bare_kernel
-from errpipe.kernels.elementary import towards
+from errpipe.kernels.elementary import on_grid, towards
 from errpipe.kernels.table_codes import (
     ACTIVE,
     BEYOND_PROFILE,
@@ -138,14 +138,7 @@ def run_profiles(profiles, values, same_grid, inputs, out):
                 s = s - float(whole) * last
             elif s < 0.0 or s > last:
                 status |= BEYOND_PROFILE
-            if s < 0.0:
-                s = 0.0
-            if s > last:
-                s = float(last)
-            j = int(s)
-            if j > last - 1:
-                j = last - 1  # type: ignore[assignment]
-            f = s - j
+            j, f = on_grid(s, last)
         left, right = values[first + j], values[first + j + 1]
         out[p] = (left + f * (right - left)) * profile.scale
     return status

@@ -18,7 +18,6 @@ MOVE, TURN, ERROR = 0, 1, 2
 UM = 1e-3  # mm per um; also um per (mm urad)
 URAD = 1e-6  # rad
 DEG = np.pi / 180.0  # rad
-U = np.uintp
 
 
 @kernel
@@ -74,8 +73,9 @@ def _error(first, last, entry_comp, entry_angle, entry_vec, comps, d, e):
 
 
 @kernel
-def _through(kind, axis, vec, point, inverse, entries, entry_comp, entry_angle, entry_vec, f, q, comps, p, r, d, e, w):
+def _through(factors, f, q, comps, p, r, d, e, w):
     """Carry point p and the rows of r (images of x, y, z) through factor f. comps empty: without errors."""
+    kind, axis, vec, point, inverse, entries, entry_comp, entry_angle, entry_vec = factors
     if kind[f] == MOVE:
         for k in range(3):
             p[k] += q[axis[f]] * vec[f, k]
@@ -132,6 +132,7 @@ def pose(kind, axis, vec, point, inverse, entries, entry_comp, entry_angle, entr
 
     q (n, axes), tip (n, 3) with all axes at zero, comps (n, components), or (n, 0) for the ideal machine.
     """
+    factors = kind, axis, vec, point, inverse, entries, entry_comp, entry_angle, entry_vec
     n = q.shape[0]
     out = np.empty((n, 4, 3))
     p = np.empty(3)
@@ -145,25 +146,7 @@ def pose(kind, axis, vec, point, inverse, entries, entry_comp, entry_angle, entr
             for m in range(3):
                 r[k, m] = 1.0 if k == m else 0.0
         for f in range(kind.size - 1, -1, -1):
-            _through(
-                kind,
-                axis,
-                vec,
-                point,
-                inverse,
-                entries,
-                entry_comp,
-                entry_angle,
-                entry_vec,
-                f,
-                q[i],
-                comps[i],
-                p,
-                r,
-                d,
-                e,
-                w,
-            )
+            _through(factors, f, q[i], comps[i], p, r, d, e, w)
         for k in range(3):
             out[i, 0, k] = p[k]
             for m in range(3):
@@ -337,58 +320,3 @@ def curves(position, start, step, table):
         for k in range(m):
             out[i, k] = table[j, k] + f * (table[j + 1, k] - table[j, k])
     return out
-
-
-@kernel
-def linear_axes(q, tip, axes, facts, rows, nodes, out):
-    """Tool-point deviation of a machine with three linear axes, one pass: 18 curves and the squareness.
-
-    q, tip, out: (n, 3) as flat arrays, mm, mm, um. axes: columns of q from tool to workpiece. facts: 12 numbers
-    for each axis in that order: table start, 1/step, motion (3), reference point (3), and 1 where its motion
-    lies between the tool and its errors. rows: tables of `nodes` rows of 8 for each axis in that order: X Y Z in
-    um, squareness included, 0, A B C in um/mm, 0. Beyond a table its end value holds.
-    Indices are unsigned so that no negative index has to be thought of.
-    """
-    last = nodes - 2
-    top = float(nodes - 1)
-    for i in range(q.size // 3):
-        p = U(3 * i)
-        px = tip[p]
-        py = tip[p + U(1)]
-        pz = tip[p + U(2)]
-        sx = 0.0
-        sy = 0.0
-        sz = 0.0
-        for a in range(3):
-            k = U(12 * a)
-            x = q[p + axes[a]]
-            s = (x - facts[k]) * facts[k + U(1)]
-            s = 0.0 if s < 0.0 else (top if s > top else s)
-            j = min(int(s), last)
-            f = s - j
-            g = 1.0 - f
-            lo = U((a * nodes + j) * 8)
-            hi = lo + U(8)
-            ea = g * rows[lo + U(4)] + f * rows[hi + U(4)]
-            eb = g * rows[lo + U(5)] + f * rows[hi + U(5)]
-            ec = g * rows[lo + U(6)] + f * rows[hi + U(6)]
-            nx = px + x * facts[k + U(2)]
-            ny = py + x * facts[k + U(3)]
-            nz = pz + x * facts[k + U(4)]
-            if facts[k + U(8)] > 0.0:
-                ax = nx - facts[k + U(5)]
-                ay = ny - facts[k + U(6)]
-                az = nz - facts[k + U(7)]
-            else:
-                ax = px - facts[k + U(5)]
-                ay = py - facts[k + U(6)]
-                az = pz - facts[k + U(7)]
-            sx += g * rows[lo] + f * rows[hi] + eb * az - ec * ay
-            sy += g * rows[lo + U(1)] + f * rows[hi + U(1)] + ec * ax - ea * az
-            sz += g * rows[lo + U(2)] + f * rows[hi + U(2)] + ea * ay - eb * ax
-            px = nx
-            py = ny
-            pz = nz
-        out[p] = sx
-        out[p + U(1)] = sy
-        out[p + U(2)] = sz

@@ -13,7 +13,6 @@ from functools import partial
 import numpy as np
 
 from errpipe.domain import driver as d
-from errpipe.domain.components import is_at_tool
 from errpipe.domain.synthesis import SynthesisOutput, SynthesisTerm
 from errpipe.drivers.lowered import Lowered
 from errpipe.kinematics import polynomials, synthesis
@@ -23,64 +22,46 @@ from errpipe.kinematics.errors import MachineErrors
 SINE_STEP = 0.5  # deg; straight lines between are then within 1e-5 of the sine: 0.01 um of a 1 mm deviation
 
 
-def outputs(
-    chain: Chain,
-    *,
-    orientation: bool = False,
-    inputs: Mapping[str, str] | None = None,
-    used: tuple[str, ...] | None = None,
-) -> tuple[SynthesisOutput, ...]:
+def outputs(chain: Chain, used: tuple[str, ...] | None = None) -> tuple[SynthesisOutput, ...]:
     """One output per linear axis: the deviation that moving this axis back undoes (correction = minus it).
 
-    inputs: names of the controller's inputs by axis letter or tool dimension (the letter itself where left
-    out). orientation: E_A E_B E_C (urad) besides. used: components to keep. Coordinates are those the machine
-    file counts in, tool length and offset from the spindle nose, mm.
+    used: components to keep. Its drivers read axes by their letters and the tool's dimensions. Coordinates are those
+    the machine file counts in, tool length and offset from the spindle nose, mm.
     """
-    names = dict(inputs or {})
-    terms_by_output: dict[str, list[SynthesisTerm]] = {}
-    for (output, component), letters in polynomials.jacobian(chain, "axes").items():
-        if (used is not None and component not in used) or (not orientation and is_at_tool(output)):
-            continue
-        terms_by_output.setdefault(output, []).append(_term(chain, component, letters, names))
-    return tuple(
-        SynthesisOutput(
-            name=n if is_at_tool(n) else f"E_{n}",
-            axis="" if is_at_tool(n) else n,
-            terms=tuple(t),
-            unit="urad" if is_at_tool(n) else "um",
-        )
-        for n, t in terms_by_output.items()
-    )
+    terms_by_axis: dict[str, list[SynthesisTerm]] = {}
+    for (axis, component), letters in polynomials.jacobian(chain, "axes").items():
+        if used is None or component in used:
+            terms_by_axis.setdefault(axis, []).append(_term(chain, component, letters))
+    return tuple(SynthesisOutput(name=f"E_{axis}", axis=axis, terms=tuple(t)) for axis, t in terms_by_axis.items())
 
 
-def _term(chain: Chain, component: str, letters: polynomials.Polynomial, names: Mapping[str, str]) -> SynthesisTerm:
+def _term(chain: Chain, component: str, letters: polynomials.Polynomial) -> SynthesisTerm:
     if list(letters) == [()]:
         return SynthesisTerm(weight=letters[()], component=component)
     moving = {key: v for key, v in letters.items() if key}
     if len(letters) == 1:
         ((key, weight),) = moving.items()
-        return SynthesisTerm(weight=weight, component=component, factors=(_product(chain, key, names),))
-    arm = d.Affine(
-        offset=letters.get((), 0.0), weights=tuple(moving.values()), of=tuple(_product(chain, k, names) for k in moving)
-    )
+        return SynthesisTerm(weight=weight, component=component, factors=(_product(chain, key),))
+    of = tuple(_product(chain, key) for key in moving)
+    arm = d.Affine(offset=letters.get((), 0.0), weights=tuple(moving.values()), of=of)
     return SynthesisTerm(weight=1.0, component=component, factors=(arm,))
 
 
-def _product(chain: Chain, key: tuple[str, ...], names: Mapping[str, str]) -> d.Driver:
-    parts = tuple(_variable(chain, n, names) for n in key)
+def _product(chain: Chain, key: tuple[str, ...]) -> d.Driver:
+    parts = tuple(_variable(chain, n) for n in key)
     return parts[0] if len(parts) == 1 else d.Product(of=parts)
 
 
-def _variable(chain: Chain, name: str, names: Mapping[str, str]) -> d.Driver:
+def _variable(chain: Chain, name: str) -> d.Driver:
     function, axis = polynomials.function_of(name)
     if not function:
-        return d.Input(name=names.get(name, name))
+        return d.Input(name=name)
     low, high = chain.machine.axes[axis].travel
     count = max(2, int(np.ceil((high - low) / SINE_STEP)) + 1)
     angle = np.radians(np.linspace(low, high, count))
     values = np.sin(angle) if function == "sin" else np.cos(angle)
     step = (high - low) / (count - 1)
-    return d.Lookup(of=d.Input(name=names.get(axis, axis)), start=low, step=step, values=tuple(map(float, values)))
+    return d.Lookup(of=d.Input(name=axis), start=low, step=step, values=tuple(map(float, values)))
 
 
 def lowered(
@@ -101,9 +82,7 @@ def lowered(
             continue
         grid, values = errors.curve(name)
         if values.any():
-            axis = chain.axes[chain.drives[c]]
-            profile = partial(_interpolated, grid, values)
-            out[name] = (Lowered(d.ONE, axis, profile),)
+            out[name] = (Lowered(d.ONE, chain.axes[chain.drives[c]], partial(_interpolated, grid, values)),)
     for name, (value, slope, middle) in (reversals or {}).items():
         axis = chain.axes[chain.drives[chain.index(name)]]
         half = partial(_half_reversal, value, slope, middle)

@@ -12,8 +12,8 @@ Errors of the beam are removed first; each one's sign in words:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.kinematics.air import SENSORS, UNMEASURED_HUMIDITY, index_change, index_uncertainty
 from errpipe.kinematics.chain import Chain
-from errpipe.kinematics.errors import MachineErrors
 
 SAME_PLACE = 1e-3  # mm or deg: readings closer than this are of one target
 
@@ -54,35 +53,27 @@ def corrected(
     *,
     air: np.ndarray | float = 0.0,
     display: np.ndarray | float | None = None,
-    reset: float | None = None,
-    turn: np.ndarray | None = None,
-    direction: Sequence[float] = (1.0, 0.0, 0.0),
 ) -> np.ndarray:
-    """Deviation of the functional point, um, from the displayed one.
+    """Deviation along the beam, um, from the displayed one; the laser was set to zero at the first position.
 
     position (mm), deviation (um): as displayed; air: n / n_reset - 1; display: n / n_used - 1 of the index that an
-    uncorrected display used (default: air); reset: position at which the laser was set
-    to zero (first one where left out); turn (n, 3): angular motion of the axis there, urad, about X, Y, Z;
-    direction: of the axis.
+    uncorrected display used (default: air).
     """
     position = np.asarray(position, dtype=float)
-    travelled = position - (position[0] if reset is None else reset)
+    travelled = position - position[0]
     shown = travelled * 1e3 + np.asarray(deviation, dtype=float)  # um
     air = np.asarray(air, dtype=float)
     true = shown - laser.dead_path * 1e3 * air
     if not laser.wavelength_corrected:
         true = true / (1.0 + (air if display is None else np.asarray(display, dtype=float)))
-    true = true / np.cos(laser.misalignment * 1e-6)
-    out = true - travelled * 1e3
-    return out if turn is None else out + _abbe(turn, laser, np.asarray(direction))
+    return true / np.cos(laser.misalignment * 1e-6) - travelled * 1e3
 
 
 @dataclass(frozen=True)
 class Curve:
     """One component along its axis: position (n,), means by direction (NaN where not measured), counts, scatter.
 
-    mean: of both directions; reversal: up minus down; error: standard error of the mean. um or urad. slope:
-    straight part taken out of a straightness (urad): it belongs to squareness.
+    mean: of both directions; error: standard error of the mean. um or urad.
     """
 
     component: str
@@ -90,8 +81,6 @@ class Curve:
     up: np.ndarray
     down: np.ndarray
     error: np.ndarray
-    slope: float = 0.0
-    slope_error: float = 0.0
 
     @property
     def mean(self) -> np.ndarray:
@@ -100,50 +89,19 @@ class Curve:
         seen = np.isfinite(both)
         return np.where(seen, both, 0.0).sum(axis=0) / seen.sum(axis=0)
 
-    @property
-    def reversal(self) -> np.ndarray:
-        """Up minus down, NaN where one is missing."""
-        return self.up - self.down
 
-
-@dataclass(frozen=True)
-class Direct:
-    """Curves of all measured components, and the squareness that their slopes and other records give."""
-
-    curves: dict[str, Curve]
-    squareness: dict[str, tuple[float, float]] = field(default_factory=dict)
-
-    def errors(self, chain: Chain, nodes: int = 201) -> MachineErrors:
-        """The measured components as a machine's errors; what was not measured is zero."""
-        values: dict = {n: (lambda p, c=c: np.interp(p, c.position, c.mean)) for n, c in self.curves.items()}
-        values |= {n: v for n, (v, _) in self.squareness.items()}
-        return MachineErrors.of(chain, values, nodes)
-
-
-def identify(
-    recording: Recording,
-    *,
-    lasers: Mapping[str, Laser] | None = None,
-    chain: Chain | None = None,
-    zero: Mapping[str, float] | None = None,
-) -> Direct:
+def curves(recording: Recording, chain: Chain, lasers: Mapping[str, Laser] | None = None) -> dict[str, Curve]:
     """Curves of every error-motion column of a recording (EXX, EYX, EBX ...), laser corrections included.
 
-    lasers: set-up by component; zero: position at which positioning is zero, by axis (the machine's datum where
-    a chain is given, else the first target). Raises DataError where a component's axis has no position.
+    lasers: set-up by component. Raises DataError where a component's axis has no position.
     """
-    lasers = lasers or {}
     motions = [c for c in recording.components() if is_error_motion(c)]
     if not motions:
         raise DataError("the recording has no error column of an error motion such as EXX, EYX or EBX")
-    curves: dict[str, Curve] = {}
-    ordered = sorted(motions, key=lambda c: parse(c).unit != "urad")  # angles first: Abbe needs them
-    for component in ordered:
-        curves[component] = _curve(recording, component, lasers.get(component), curves, chain, zero or {})
-    squares = {}
-    if chain is not None:
-        squares = {n: _squareness(n, curves) for n in chain.components if _slopes_of(n, curves)}
-    return Direct({c: curves[c] for c in motions}, squares)
+    known: dict[str, Curve] = {}
+    for component in sorted(motions, key=lambda c: parse(c).unit != "urad"):  # angles first: Abbe needs them
+        known[component] = _curve(recording, component, (lasers or {}).get(component), known, chain)
+    return {c: known[c] for c in motions}
 
 
 def axis_of(component: str) -> str:
@@ -160,7 +118,7 @@ def position_of(recording: Recording, component: str) -> str:
     return name
 
 
-def _curve(recording: Recording, component: str, laser: Laser | None, known, chain, zero) -> Curve:
+def _curve(recording: Recording, component: str, laser: Laser | None, known, chain) -> Curve:
     axis, name = axis_of(component), position_of(recording, component)
     measured = recording.name("error", component=component)
     if measured is None:
@@ -179,7 +137,7 @@ def _curve(recording: Recording, component: str, laser: Laser | None, known, cha
     targets, number = targets_of(p[rows])
     up, down = (_means(number, value[rows], side == s, len(targets)) for s in (1, -1))
     error = _scatter(number, value[rows], side, len(targets))
-    return _conventions(Curve(component, targets, up, down, error), zero.get(axis, _zero(chain, axis, targets)))
+    return _conventions(Curve(component, targets, up, down, error), chain.machine.axes[axis].zero)
 
 
 def without_beam_errors(
@@ -227,10 +185,10 @@ def air_uncertainty(recording: Recording, laser: Laser) -> float:
     return index_uncertainty((kelvin, hectopascal, percent))
 
 
-def direction_of(chain: Chain | None, component: str) -> np.ndarray:
+def direction_of(chain: Chain, component: str) -> np.ndarray:
     """Direction that a positioning or straightness component counts along, shape (3,)."""
     c = parse(component)
-    if c.kind == "positioning" and chain is not None:
+    if c.kind == "positioning":
         return np.asarray(chain.machine.direction(str(c.axis)))
     return np.eye(3)["XYZ".index(c.direction)]
 
@@ -316,54 +274,13 @@ def _scatter(number: np.ndarray, value: np.ndarray, side: np.ndarray, count: int
     return np.sqrt(square / free / np.bincount(number, minlength=count))
 
 
-def _zero(chain: Chain | None, axis: str, targets: np.ndarray) -> float:
-    return float(targets[0]) if chain is None else chain.machine.axes[axis].zero
-
-
 def _conventions(curve: Curve, zero: float) -> Curve:
     """Positioning zero at its datum, straightness without line, angles without offset."""
     c, p, mean = parse(curve.component), curve.position, curve.mean
-    slope, error = 0.0, 0.0
     if c.kind in ("positioning", "angular positioning"):
         line = np.full(len(p), np.interp(zero, p, mean))
     elif c.is_straightness:
-        line, slope, error = line_fit(p, mean)
+        line = np.polyval(np.polyfit(p, mean, 1), p)
     else:
         line = np.full(len(p), np.trapezoid(mean, p) / (p[-1] - p[0]))
-    return Curve(curve.component, p, curve.up - line, curve.down - line, curve.error, slope, error)
-
-
-def line_fit(position: np.ndarray, deviation: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Least-squares line of a straightness (um over mm): its values, slope in urad, and standard error of the slope."""
-    p = np.asarray(position, dtype=float)
-    design = np.column_stack([np.ones(len(p)), p - p.mean()])
-    coefficients, *_ = np.linalg.lstsq(design, deviation, rcond=None)
-    residual = deviation - design @ coefficients
-    free = max(1, len(p) - 2)
-    error = np.sqrt(residual @ residual / free / np.sum((p - p.mean()) ** 2))
-    return design @ coefficients, float(coefficients[1] * 1e3), float(error * 1e3)
-
-
-# Which slopes make a squareness: (component, sign) of the second axis, then of the datum axis. A turn t of the
-# +Y motion about Z moves it by -t per mm along X; the same turn of +X moves it by +t per mm along Y.
-_SLOPES = {
-    ("C", "Y"): (("EXY", -1), ("EYX", -1)),
-    ("C", "X"): (("EYX", 1), ("EXY", 1)),
-    ("B", "Z"): (("EXZ", 1), ("EZX", 1)),
-    ("B", "X"): (("EZX", -1), ("EXZ", -1)),
-    ("A", "Z"): (("EYZ", -1), ("EZY", -1)),
-    ("A", "Y"): (("EZY", 1), ("EYZ", 1)),
-}
-
-
-def _slopes_of(component: str, curves: Mapping[str, Curve]) -> bool:
-    pair = _SLOPES.get((component[0], component[2:])) if component[1:2] == "0" else None
-    return pair is not None and all(name in curves for name, _ in pair)
-
-
-def _squareness(component: str, curves: Mapping[str, Curve]) -> tuple[float, float]:
-    """Squareness and its standard error, urad, from two straightness records against one square."""
-    pair = _SLOPES[component[0], component[2:]]
-    value = sum(sign * curves[name].slope for name, sign in pair)
-    first, second = (curves[name].slope_error for name, _ in pair)
-    return value, float(np.hypot(first, second))
+    return replace(curve, up=curve.up - line, down=curve.down - line)

@@ -156,11 +156,6 @@ class Identified:
         covariance = self.covariance[np.ix_(columns, columns)]
         return rows @ self.mean[columns], np.sqrt(np.sum((rows @ covariance) * rows, axis=1))
 
-    def interval(self, name: str, position: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """95 % interval of a component."""
-        value, error = self.component(name, position)
-        return value - 1.96 * error, value + 1.96 * error
-
     def predict(self, q: np.ndarray, tip: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Deviation of the tool point and its standard error, um, each (n, 3)."""
         chain = self.model.chain
@@ -186,19 +181,10 @@ class Identified:
         out = []
         for i, name in enumerate(self.model.prior.names):
             if self.model.prior.function[i] < 0:
-                error = float(np.sqrt(self.covariance[i, i]))
-                value = float(self.mean[i])
+                value, error = float(self.mean[i]), float(np.sqrt(self.covariance[i, i]))
+                row = {"component": name, "value": value, "ci95": (value - 1.96 * error, value + 1.96 * error)}
                 seen = 1.0 - (error / self.spread[i]) ** 2
-                unit = self.model.chain.unit(name)
-                out.append(
-                    {
-                        "component": name,
-                        "value": value,
-                        "ci95": (value - 1.96 * error, value + 1.96 * error),
-                        "unit": unit,
-                        "seen": seen,
-                    }
-                )
+                out.append(row | {"unit": self.model.chain.unit(name), "seen": seen})
         return out
 
 
@@ -237,18 +223,14 @@ def identify(
     p = len(model.prior.names)
     error = np.sqrt(np.diag(cov))
     setup = {n: (float(mean[p + i]), float(error[p + i])) for i, n in enumerate(obs.nuisance_names)}
-    learnt_sizes = dict(zip(FAMILIES, map(float, hyper[:-2]), strict=True))
+    *size_of_families, learnt_power, learnt_noise = map(float, hyper)
     return Identified(
-        model,
-        mean[:p],
-        cov[:p, :p],
-        spreads.of(hyper)[:p],
-        setup,
-        float(hyper[-1]),
-        learnt_sizes,
-        float(hyper[-2]),
-        len(obs),
-        obs.value - offset - plain @ mean,
+        *(model, mean[:p], cov[:p, :p], spreads.of(hyper)[:p], setup),
+        noise=learnt_noise,
+        sizes=dict(zip(FAMILIES, size_of_families, strict=True)),
+        power=learnt_power,
+        rows=len(obs),
+        residual=obs.value - offset - plain @ mean,
     )
 
 

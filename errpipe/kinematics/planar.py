@@ -12,15 +12,12 @@ map of its own, so that an error of one plate is not attributed to the machine.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from errpipe.domain.driver import ONE, Input, Lookup
 from errpipe.domain.recording import Recording
-from errpipe.drivers.lowered import Lowered
 from errpipe.errors import DataError
 from errpipe.kinematics import evidence
 from errpipe.kinematics.basis import beam_modes, wave_numbers
@@ -112,11 +109,6 @@ class PlanarModel:
         """Deviation E_X, E_Y in um, shape (n, 2), without any set-up."""
         return (self.design(np.atleast_1d(x), np.atleast_1d(y)) @ self.mean).T
 
-    def error(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Standard error of `predict`, um, shape (n, 2)."""
-        rows = self.design(np.atleast_1d(x), np.atleast_1d(y))
-        return np.sqrt(np.einsum("knp,pq,knq->nk", rows, self.covariance, rows, optimize=True))
-
     def figures(self) -> dict[str, dict[str, object]]:
         """Squareness C0Y (urad), scale of X and Y and their difference (um/m), each with its 95 % interval.
 
@@ -124,12 +116,8 @@ class PlanarModel:
         """
         rows = self._lines()
         out: dict[str, dict[str, object]] = {}
-        for name, unit, row in zip(
-            ("scale_X", "scale_Y", "C0Y", "scale_difference"),
-            ("um/m", "um/m", "urad", "um/m"),
-            (*rows, rows[0] - rows[1]),
-            strict=True,
-        ):
+        units = {"scale_X": "um/m", "scale_Y": "um/m", "C0Y": "urad", "scale_difference": "um/m"}
+        for (name, unit), row in zip(units.items(), (*rows, rows[0] - rows[1]), strict=True):
             value, error = float(row @ self.mean), float(np.sqrt(row @ self.covariance @ row))
             out[name] = {"value": value, "ci95": (value - 1.96 * error, value + 1.96 * error), "unit": unit}
         return out
@@ -145,12 +133,6 @@ class PlanarModel:
             [np.r_[x, nil], np.r_[nil, y], np.r_[-y, nil], np.r_[one, nil], np.r_[nil, one], np.r_[-y, x]]
         )
         return np.linalg.lstsq(linear, np.vstack([both[0], both[1]]), rcond=None)[0][:3]
-
-    def grid(self, nx: int, ny: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lattice for a controller's plane table: x (nx,), y (ny,), deviation (nx, ny, 2) in um."""
-        x, y = np.linspace(*self.functions.box.x, nx), np.linspace(*self.functions.box.y, ny)
-        gx, gy = np.meshgrid(x, y, indexing="ij")
-        return x, y, self.predict(gx.ravel(), gy.ravel()).reshape(nx, ny, 2)
 
     def components(self, count: int = 65) -> dict[str, Any]:
         """The part that one-axis components carry: EXX, EYX over x; EXY, EYY over y (mm, um), and C0Y (urad)."""
@@ -184,33 +166,6 @@ class PlanarModel:
                 out.append((name, x, fx @ u[:, i] * s[i], y, fy @ vt[i]))
         return sorted(out, key=lambda item: -float(np.ptp(item[2])))
 
-    def lowered(self, inputs: tuple[str, str] = ("X", "Y"), step: float = 10.0) -> dict[str, tuple[Lowered, ...]]:
-        """E_X and E_Y as sums of profile(position) x driver, for a compensation table.
-
-        inputs: the controller's names of the coordinates, mm as in the recording. Products become a profile over
-        X times a small lookup over Y.
-        """
-        parts, (_, middle) = self.components(257), self.functions.box.middle
-        out: dict[str, list[Lowered]] = {"E_X": [], "E_Y": []}
-        for k, d in enumerate("XY"):
-            for axis in "XY":
-                grid, curve = parts[f"E{d}{axis}"]
-                if k == 0 and axis == "Y":
-                    curve = curve - parts["C0Y"] * 1e-3 * (grid - middle)
-                out[f"E_{d}"].append(Lowered(ONE, axis, _reader(grid, curve)))
-        low, high = self.functions.box.y
-        count = max(3, int(np.ceil((high - low) / step)) + 1)
-        at = np.linspace(low, high, count)
-        for name, x, along, y, across in self.products():
-            values = tuple(float(v) for v in np.interp(at, y, across))
-            driver = Lookup(of=Input(name=inputs[1]), start=low, step=(high - low) / (count - 1), values=values)
-            out[name].append(Lowered(driver, "X", _reader(x, along)))
-        return {name: tuple(pairs) for name, pairs in out.items()}
-
-
-def _reader(grid: np.ndarray, curve: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    return lambda x: np.interp(x, grid, curve)
-
 
 def fit_plate(recording: Recording, *, rows: np.ndarray | None = None, modes: int = 8) -> PlanarModel:
     """Fit the map to components E_X and E_Y over positions X and Y; every run has its own shift and rotation.
@@ -231,17 +186,9 @@ def fit_plate(recording: Recording, *, rows: np.ndarray | None = None, modes: in
     labels = recording.run_labels()
     poses = mean[p : p + 3 * len(used)].reshape(-1, 3)
     setup = {labels[r]: (float(a), float(b), float(c)) for r, (a, b, c) in zip(used, poses, strict=True)}
-    return PlanarModel(
-        functions,
-        mean[:p],
-        cov[:p, :p],
-        float(hyper[-1]),
-        dict(zip(FAMILIES, map(float, hyper[:4]), strict=True)),
-        float(hyper[-2]),
-        setup,
-        len(x),
-        weight.reshape(2, -1).T ** 2,
-    )
+    sizes = dict(zip(FAMILIES, map(float, hyper[:4]), strict=True))
+    learnt = functions, mean[:p], cov[:p, :p], float(hyper[-1]), sizes, float(hyper[-2])
+    return PlanarModel(*learnt, setup, len(x), weight.reshape(2, -1).T ** 2)
 
 
 def _reweighted(
@@ -370,11 +317,7 @@ def _design(functions: Functions, x, y, run, used) -> tuple[np.ndarray, evidence
             family.append(np.full(smooth_enough.sum(), 3))
             fixed.append(np.ones(smooth_enough.sum()))
             rough.append(np.r_[1.0, 1.0, 1.0, functions.rough][smooth_enough])
-    spreads = evidence.Spreads(
-        np.concatenate(family),
-        np.concatenate(rough),
-        np.concatenate(fixed),
-        np.r_[TYPICAL[0] * half, TYPICAL[1:]],
-        CERTAINTY,
-    )
+    typical = np.r_[TYPICAL[0] * half, TYPICAL[1:]]
+    family_of, rough_of, fixed_of = (np.concatenate(parts) for parts in (family, rough, fixed))
+    spreads = evidence.Spreads(family_of, rough_of, fixed_of, typical, CERTAINTY)
     return np.hstack(blocks), spreads

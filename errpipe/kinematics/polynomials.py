@@ -43,19 +43,13 @@ def times(a: Polynomial, b: Polynomial) -> Polynomial:
     return {key: value for key, value in out.items() if abs(value) > _TINY}
 
 
-def value(a: Polynomial, variables: dict[str, float]) -> float:
-    """The polynomial's number for given variables."""
-    return sum(v * float(np.prod([variables[n] for n in key])) for key, v in a.items())
-
-
 def jacobian(chain: Chain, frame: str = "axes") -> dict[tuple[str, str], Polynomial]:
     """(output, component) -> polynomial, um per um or urad; urad per urad for orientations.
 
     frame "workpiece": outputs E_X ... E_C in the workpiece's frame. "axes": outputs are the linear axes, each the
-    deviation that moving this axis back would undo, and E_A E_B E_C in the bed's frame.
+    deviation that moving this axis back would undo.
     Variables: axis letters (mm), "sin C", "cos C", "tool_length" and "tool_offset_X" (Y, Z).
-    Raises ValueError for "axes" where a rotary axis
-    turns a linear one.
+    Raises ValueError for "axes" where a rotary axis turns a linear one.
     """
     kind, _, _, point, inverse, entries, comp, angle, evec = chain.factors
     arms, turns = _arms(chain), _turns(chain, frame)
@@ -137,14 +131,10 @@ def _bed(chain: Chain) -> int:
     last = 0
     for f in range(len(kind)):
         first = comp[entries[f]] if kind[f] == k.ERROR else -1
-        owner = chain.axes[axis[f]] if kind[f] != k.ERROR else _owner(chain.components[first])
+        owner = chain.axes[axis[f]] if kind[f] != k.ERROR else chain.components[first][2:]
         if owner in names or (owner == "S" and "spindle" in names):
             last = f + 1
     return last
-
-
-def _owner(component: str) -> str:
-    return component[2:]
 
 
 def _rotation(name: str, v: np.ndarray) -> list[list[Polynomial]]:
@@ -174,8 +164,8 @@ def _product(a: list[list[Polynomial]], b: list[list[Polynomial]]) -> list[list[
 
 
 def _named(chain: Chain, rows: dict[tuple[int, int], Polynomial], frame: str) -> dict[tuple[str, str], Polynomial]:
-    names = ["E_X", "E_Y", "E_Z", "E_A", "E_B", "E_C"]
     if frame == "workpiece":
+        names = ["E_X", "E_Y", "E_Z", "E_A", "E_B", "E_C"]
         return {(names[i], chain.components[c]): p for (i, c), p in sorted(rows.items()) if p}
     linear = chain.machine.linear_axes()
     _linear_axes_stand(chain, linear)
@@ -189,9 +179,6 @@ def _named(chain: Chain, rows: dict[tuple[int, int], Polynomial], frame: str) ->
                 total = add(total, rows.get((m, c), {}), float(undo[a, m]))
             if total:
                 out[name, component] = total
-        for m in range(3):
-            if rows.get((3 + m, c)):
-                out[names[3 + m], component] = rows[3 + m, c]
     return out
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import io
 import json
 import os
 import secrets
@@ -31,18 +32,11 @@ END_PATIENCE = 10.0  # s for the supervisor to end everything before it is ended
 MAX_ANSWER_BYTES = 16 << 20  # the description of an FMU of 50,000 variables
 MAX_SAID = 2000  # characters of an error
 TAIL_CHARACTERS = 400  # of what the FMU printed last: about three lines in a message
+# Variables that the process is given; nothing else of the environment.
 ENVIRONMENT = (
-    "PATH",
-    "LANG",
-    "LC_ALL",
-    "TZ",
-    "LD_LIBRARY_PATH",
-    "SYSTEMROOT",
-    "TEMP",
-    "TMP",
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-)  # variables that the process is given; nothing else of the environment
+    *("PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "SYSTEMROOT", "TEMP", "TMP"),
+    *("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
+)
 
 
 class FmuProcess:
@@ -69,10 +63,8 @@ class FmuProcess:
         self._prepare()
         self.printed = (self.folder / "printed.txt").open("w+b")
         listener, self.control = os.pipe()
-        environment = {k: os.environ[k] for k in ENVIRONMENT if k in os.environ} | {
-            "HOME": str(self.work),
-            "TMPDIR": str(self.work),
-        }
+        environment = {k: os.environ[k] for k in ENVIRONMENT if k in os.environ}
+        environment |= {"HOME": str(self.work), "TMPDIR": str(self.work)}
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-B", str(script), str(listener), str(self.user), str(self.how.disk_mb)],
             cwd=self.work,
@@ -135,8 +127,6 @@ class FmuProcess:
         return self._result(1 + len(order["outputs"]))
 
     def _result(self, columns: int) -> np.ndarray:
-        import io
-
         name = f"{self.file.name}: simulating it"
         try:
             data = files.read(self.work / "out.npy", self.how.disk_mb << 20, DataError, follow=False)

@@ -40,22 +40,11 @@ def recalibrated(
         return cache[key]
 
     inside = np.clip((np.array([start[n] for n in names]) - low) / (high - low), 1e-3, 1 - 1e-3)
-    optimum = least_squares(
-        residual,
-        inside,
-        bounds=(0.0, 1.0),
-        diff_step=1e-3,
-        loss="soft_l1",
-        f_scale=3.0,
-        max_nfev=MAX_EVALUATIONS,
-        xtol=1e-5,
-        ftol=1e-6,
-    )
-    before, after = mismatch.rms(begin), 0.0
+    robust = {"loss": "soft_l1", "f_scale": 3.0, "max_nfev": MAX_EVALUATIONS, "xtol": 1e-5, "ftol": 1e-6}
+    optimum = least_squares(residual, inside, bounds=(0.0, 1.0), diff_step=1e-3, **robust)
     tuned = dict(zip(names, map(float, low + optimum.x * (high - low)), strict=True))
     values = plan.simulate(tuned)
-    after = mismatch.rms(values)
-    improved = after < (1 - MIN_GAIN) * before
+    improved = mismatch.rms(values) < (1 - MIN_GAIN) * mismatch.rms(begin)
     if not improved:
         plan.notes.append("recalibration took nothing away: the parameters stay as they were")
     sensitive = [
@@ -105,9 +94,8 @@ class _Mismatch:
         parts = []
         for component, rows in self.rows.items():
             residual = (self.recorded[component] - values[component])[rows]
-            residual = np.where(
-                np.isfinite(residual), residual, 1e6 * self.scale[component]
-            )  # the search rejects such a step
+            rejected = 1e6 * self.scale[component]  # so large that the search takes no such step
+            residual = np.where(np.isfinite(residual), residual, rejected)
             parts.append((residual - np.median(residual)) / self.scale[component])
         return np.concatenate(parts)
 

@@ -55,12 +55,8 @@ def unpack(archive: str, folder: str, disk_mb: int) -> str:
             raise ValueError(f"{len(entries)} files of {total >> 20} MB in all (at most {MAX_ENTRIES} of {disk_mb} MB)")
         for entry in entries:
             path = PurePosixPath(entry.filename.replace("\\", "/"))
-            if (
-                path.is_absolute()
-                or ".." in path.parts
-                or ":" in entry.filename
-                or stat.S_ISLNK(entry.external_attr >> 16)
-            ):
+            outside = path.is_absolute() or ".." in path.parts or ":" in entry.filename
+            if outside or stat.S_ISLNK(entry.external_attr >> 16):
                 raise ValueError(f"{entry.filename!r} leads out of the archive's folder")
         source.extractall(folder)
     return folder
@@ -208,10 +204,8 @@ def confine(folder: str) -> None:
     if version < 1:
         return
     # linux/landlock.h: write, remove, make of every kind; moving between folders since version 2, truncating since 3
-    writing = sum(
-        1 << bit
-        for bit in (1, 4, 5, 6, 7, 8, 9, 10, 11, 12, *([13] if version > 1 else []), *([14] if version > 2 else []))
-    )
+    bits = (1, *range(4, 13), *([13] if version > 1 else []), *([14] if version > 2 else []))
+    writing = sum(1 << bit for bit in bits)
     scopes = 0b11 if version >= 6 else 0  # signals and abstract sockets to processes outside
     fields = (writing, 0, scopes)[: 1 if version < 4 else 2 if version < 6 else 3]
     rules = b"".join(value.to_bytes(8, sys.byteorder) for value in fields)

@@ -107,13 +107,9 @@ def _equations(program: Program, components: list[str]) -> str:
         lines.append(f"out[{k}] = {' + '.join(f'n{r}' for r in own)};")
     starts = [f"{v:.17g}" for v in _starts(program)] + ["0.0"] * len(components)
     sizes = f"#define INPUTS {len(inputs)}\n#define OUTPUTS {len(components)}\n#define STATES {state}\n"
-    return (
-        sizes
-        + f"#define STARTS {', '.join(starts)}\n"
-        + "\n".join(tables)
-        + "\n#define EQUATIONS \\\n    "
-        + (" \\\n    ".join(lines) + "\n")
-    )
+    sizes += f"#define STARTS {', '.join(starts)}\n"
+    equations = " \\\n    ".join(["#define EQUATIONS", *lines])
+    return sizes + "\n".join(tables) + f"\n{equations}\n"
 
 
 def _starts(program: Program) -> list[float]:
@@ -155,8 +151,7 @@ def _c(n: int, s: Statement, inputs: tuple[str, ...], state: int) -> str:
         case "ringing" | "late":
             rest = "".join(f", {number[key]}" for key, _ in s.constants)
             return f"{s.op}_of(m, {state}, {of[0]}{rest}, dt)"
-    function = {"first": "first_of", "switch": "switched", "side": "side_of"}
-    name = function.get(s.op) or {"direction": "direction_of", "approach": "approached"}[s.op]
+    name = {"switch": "switched", "approach": "approached"}.get(s.op, f"{s.op}_of")
     rest = "".join(f", {number[key]}" for key, _ in s.constants)
     return f"{name}(m, {state}, {', '.join(of)}{rest})"
 
@@ -164,9 +159,8 @@ def _c(n: int, s: Statement, inputs: tuple[str, ...], state: int) -> str:
 def _description(program: Program, recording: Recording, components: list[str], guid: str) -> str:
     """modelDescription.xml of FMI 2.0."""
     kinds, inputs, starts = recording.manifest.columns, program.inputs(), _starts(program)
-    units = [kinds[n].unit for n in inputs] + [
-        next(p.unit for p in program.pieces if p.component == c) for c in components
-    ]
+    units = [kinds[n].unit for n in inputs]
+    units += [next(p.unit for p in program.pieces if p.component == c) for c in components]
     step = np.diff(recording.time())
     step = step[step > 0]
     size = float(np.median(step)) / STEPS_PER_ROW if step.size else 1.0

@@ -1,9 +1,8 @@
-"""A spindle as a bar heated at its nose (Ni 1997, Fig. 7) and a column as a plate (Fig. 9): fields and growth.
+"""A spindle as a bar heated at its nose (Ni 1997, Fig. 7): its temperatures and its growth.
 
-    bar      theta_Fo = theta_xx - mL2 theta on 0..1, flux at x = 0, end insulated, losing (Be) or held cold
-    column   plane heat conduction with losses at its faces, a heat source where the spindle sits, a base held cold
+    theta_Fo = theta_xx - mL2 theta on 0..1, flux at x = 0, end insulated, losing (Be) or held cold
 
-Both are linear with constant coefficients, so the answer to a flux that is constant between two times is exact
+It is linear with constant coefficients, so the answer to a flux that is constant between two times is exact
 in time (matrix exponential through the eigenvectors of a symmetric matrix); only space is divided (finite volumes).
 Dimensionless: x in bar lengths, time Fo = a t / L2, mL2 = h P L2 / (k A), Be = h_e L / k, growth = mean of theta
 (times alpha L for um).
@@ -44,19 +43,15 @@ class Bar:
         values, vectors = np.linalg.eigh(matrix)
         return np.maximum(values, 0.0), vectors
 
-    def respond(self, times: np.ndarray, flux: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
+    def respond(self, times: np.ndarray, flux: np.ndarray) -> np.ndarray:
         """theta at `times` (n,) for a flux held between them: flux[i] acts from times[i-1] to times[i]. -> (n, cells).
 
-        The bar starts at `start` (cells,), cold where not given, at time 0.
+        The bar is cold at time 0.
         """
         values, vectors = self._modes
         source = vectors[0] * self.cells
-        state = np.zeros(self.cells) if start is None else vectors.T @ start
-        out = np.empty((times.size, self.cells))
-        before = 0.0
-        for i, (now, heat) in enumerate(zip(times, flux, strict=True)):
-            step = now - before
-            before = now
+        state, out = np.zeros(self.cells), np.empty((times.size, self.cells))
+        for i, (step, heat) in enumerate(zip(np.diff(times, prepend=0.0), flux, strict=True)):
             decay = np.exp(-values * step)
             grown = np.where(values > 1e-9, -np.expm1(-values * step) / np.maximum(values, 1e-9), step)
             state = decay * state + grown * source * heat

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from errpipe import files
 from errpipe.domain import units
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, did_you_mean
+from errpipe.kernels.events import stretches
 from errpipe.simulation.responses import Values, error_column, names_of
 from errpipe.simulation.twin_options import CsvColumn, FromCsv
 
@@ -22,8 +24,6 @@ MAX_GAPS_LISTED = 5  # gaps named by place in a message; the others are only cou
 
 def csv_by_name(recording: Recording, file: Path) -> FromCsv:
     """Columns of a CSV file named like the recording's responses. Raises DataError where none is."""
-    import csv
-
     try:
         with files.open_regular(file) as stream:
             line = stream.readline(MAX_HEADER_BYTES).decode("utf-8-sig")
@@ -117,10 +117,9 @@ def _aligned(recording: Recording, component: str, table, wanted: CsvColumn, how
 
 
 def _places(label: str, t: np.ndarray, gaps: np.ndarray) -> list[str]:
-    edges = np.flatnonzero(np.diff(np.r_[0, gaps.astype(int), 0]))
     return [
         f"gap in run {label}: {b - a} rows from {t[a]:.6g} to {t[b - 1]:.6g} s"
-        for a, b in zip(edges[::2], edges[1::2], strict=True)
+        for a, b in zip(*stretches(gaps), strict=True)
     ]
 
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import Field
 
+from errpipe.errors import NotIdentifiable
 from errpipe.yamlfile import Options, quantity
 
 if TYPE_CHECKING:
@@ -67,6 +68,11 @@ class Decision:
         """Whether the finding becomes a term."""
         return not self.reason
 
+    @property
+    def of_simulation(self) -> bool:
+        """Whether it is the simulation's own gains that are off."""
+        return self.finding.effect == "recalibration"
+
     def refused(self, reason: str) -> Decision:
         """The same finding, refused; what was refused before keeps its own reason."""
         return self if self.reason else replace(self, reason=reason)
@@ -82,10 +88,8 @@ def decide(diagnosis: Diagnosis, recording: Recording, accept: Accept, whole: bo
     made = []
     for response in diagnosis.responses:
         decided = [_decide(f, response, accept) for f in response.findings]
-        named = any(d.accepted and d.finding.effect != "recalibration" for d in decided)
-        made += [
-            _recalibration(d, recording, whole, named) if d.finding.effect == "recalibration" else d for d in decided
-        ]
+        named = any(d.accepted and not d.of_simulation for d in decided)
+        made += [_recalibration(d, recording, whole, named) if d.of_simulation else d for d in decided]
     return made
 
 
@@ -228,7 +232,6 @@ def fit_accepted(
 
     Raises NotIdentifiable where the model before can already not be fitted, DataError without twins.
     """
-    from errpipe.errors import NotIdentifiable
     from errpipe.fitting import model
     from errpipe.models.terms import mismatch
 
@@ -250,7 +253,7 @@ def _with_one_refused(decisions: list[Decision], why: Exception) -> list[Decisio
     """Refuse one of them: the simulation's own gains first, then the least confident finding, then the nuisance."""
     accepted = [d for d in decisions if d.accepted]
     if accepted:
-        least = min(accepted, key=lambda d: (d.finding.effect != "recalibration", d.finding.confidence))
+        least = min(accepted, key=lambda d: (not d.of_simulation, d.finding.confidence))
         reason = f"it cannot be distinguished from the other accepted terms: {str(why).splitlines()[0]}"
         return [d.refused(reason) if d is least else d for d in decisions]
     if any(d.as_nuisance for d in decisions):

@@ -12,13 +12,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from errpipe import jsonfile
 from errpipe.diagnosis import applied, diagnose
-from errpipe.diagnosis.applied import GAIN
+from errpipe.diagnosis.applied import GAIN, Corrected, Held, Part
+from errpipe.domain.diagnosis import Diagnosis
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import in_order_of_time
 from errpipe.formats import manifest_folder
@@ -27,10 +28,6 @@ from errpipe.simulation import patch, patch_fmu
 from errpipe.simulation.patch import Piece, value
 from errpipe.stages._docstrings import equation
 from errpipe.terms import plain
-
-if TYPE_CHECKING:
-    from errpipe.diagnosis.applied import Corrected, Held, Part
-    from errpipe.domain.diagnosis import Diagnosis
 
 DOCUMENT = "apply.json"
 MIN_CONFIDENCE = 0.8  # as for a term of the error model (option `accept` of the stage)

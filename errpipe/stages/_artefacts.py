@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydantic import ValidationError
+
 from errpipe import jsonfile
 from errpipe.errors import DataError, MissingColumn, VerifyError
+from errpipe.pipeline.stage import Context
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
@@ -15,7 +19,6 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
     from errpipe.fitting.batches import Source
     from errpipe.models import Family
-    from errpipe.pipeline.stage import Context
 
 MODEL = "error_model.json"
 PROCEDURE = "fit.json"  # the model family and its options: enough to repeat the fit without a held-out group
@@ -49,8 +52,6 @@ def set_aside(folder: Path, missing: MissingColumn) -> MissingColumn:
 
 def source_in(folder: Path) -> Source | None:
     """The recording a stage left in a folder, to be read batch by batch; None where a person put it there."""
-    from functools import partial
-
     from errpipe.fitting.batches import Source
     from errpipe.formats import manifest_folder
 
@@ -69,8 +70,6 @@ def recordings_in(context: Context) -> dict[str, Recording]:
 
 def read_model(path: Path) -> ErrorModel:
     """An error model from its JSON file. Raises VerifyError where it is none."""
-    from pydantic import ValidationError
-
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Column
 
@@ -129,6 +128,16 @@ def family_in(folder: Path) -> Family:
 def documents_in(folder: Path, family: Family) -> dict[str, Any]:
     """The further documents of a fit, as far as they are there."""
     return {name: jsonfile.read(folder / name) for name in family.documents if (folder / name).is_file()}
+
+
+def write_table(folder: Path, table: CompensationTable) -> None:
+    """Write a table and its JSON twin. Raises VerifyError where one of the files does not read back as the table."""
+    from errpipe.tables import ect
+
+    ect.write(table, folder / TABLE)
+    ect.write_json(table, folder / TWIN)
+    if ect.read(folder / TABLE) != table or ect.read_json(folder / TWIN) != table:
+        raise VerifyError("export: the table read back from its file is not the table that was written")
 
 
 def read_table(path: Path) -> CompensationTable:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from errpipe.domain import components
+from errpipe.domain.table import CompensationTable
 from errpipe.stages import _artefacts, _plausible
 from errpipe.targets import _sample
 from errpipe.targets._base import TURN, ByHand, Curve, ReadBack
 from errpipe.targets._loss import at_most, losses, unit_of
 from errpipe.targets._whole import WholeTable
-
-if TYPE_CHECKING:
-    from errpipe.domain.table import CompensationTable
 
 PUSH = 100.0  # N: the force of an example
 MIN_BEND = 0.1  # um: a curve that is straighter is checked in its middle
@@ -215,8 +214,6 @@ def _at_the_axis(table: CompensationTable) -> list[str]:
 
 def _within_travel(read: Any, table: CompensationTable) -> Any:
     """What was read back, its curves cut at the ends of travel: a file's grid may reach further than the axis."""
-    from dataclasses import replace
-
     curves = []
     for c in read.curves:
         low, high = _sample.reach(table, c.over)

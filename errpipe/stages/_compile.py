@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
-from errpipe.domain.recording import ActsOn
+from errpipe.domain.recording import ActsOn, Recording
+from errpipe.errors import GateError, UsageError, did_you_mean
 from errpipe.stages import _artefacts
 from errpipe.yamlfile import Options, quantity
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
-    from errpipe.domain.recording import Recording
     from errpipe.domain.table import CompensationTable, TableInput
     from errpipe.drivers.lowered import Lowered
     from errpipe.guard.description import SensorGuard
@@ -56,10 +57,6 @@ def compile_model(
 
     recording: how fast its sensors and axes moved limits readings and corrections.
     """
-    from pydantic import ValidationError
-
-    from errpipe.errors import GateError
-
     try:
         return _table_of(model, options, guard, recording)
     except ValidationError as err:
@@ -73,7 +70,6 @@ def _table_of(
 ) -> CompensationTable:
     from errpipe import __version__, jsonfile, tables
     from errpipe.domain import driver as d
-    from errpipe.errors import GateError
     from errpipe.fitting.lowering import lower, uncompensated_terms
     from errpipe.stages import _inputs
 
@@ -157,7 +153,6 @@ def _acts_on(
     What the export states wins over what the recording states of the component's column.
     """
     from errpipe.domain import components
-    from errpipe.errors import UsageError, did_you_mean
 
     columns = recording.manifest.columns.values() if recording is not None else ()
     wanted = {
@@ -183,8 +178,6 @@ def _acts_on(
 
 def _guarded(pair: Lowered, guard: SensorGuard, inputs: Sequence[TableInput]) -> Lowered:
     """The pair with guarded readings, which stay where the table keeps those that are read."""
-    from dataclasses import replace
-
     from errpipe.guard.replace import guarded
     from errpipe.tables.bounds import input_span
 

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from errpipe.domain import driver as d
 from errpipe.domain.error_model import DatumReadings, ErrorModel
+from errpipe.domain.recording import Recording
 from errpipe.domain.table import Kind, TableInput
 from errpipe.domain.table_text import AXIS, NAME, text_problem
 from errpipe.errors import GateError, UsageError
 from errpipe.fitting.validity import box
+from errpipe.guard import rates
 from errpipe.guard.description import GuardedSensor, SensorGuard
 from errpipe.guard.rates import ReadingRate
-
-if TYPE_CHECKING:
-    from errpipe.domain.recording import Recording
 
 FORCE_STALE = 0.1  # s: an older force is of another cut
 # Role of a column -> kind of the controller's channel, lowest and highest plausible reading, stale after (s).
@@ -69,7 +68,6 @@ def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingR
 
     A controller sees a reading that comes every ten minutes as one step from one cycle to the next.
     """
-    from errpipe.guard import rates
     from errpipe.thermal.arithmetic import longest_silence, short_gaps_held
 
     names = [n for role in rates.ROLES for n in recording.names(role)]
@@ -91,16 +89,8 @@ def _datum(name: str, unit: str, readings: DatumReadings) -> TableInput:
     """The channel of the last reading minus the prediction of its time: 0 where there is none, it is old or wild."""
     if problem := text_problem(name, 31, NAME):
         raise GateError(f"export: the input of readings {name!r} does not fit a table: {problem}")
-    return TableInput(
-        name=name,
-        kind="other",
-        unit=unit,
-        low=-readings.bound,
-        high=readings.bound,
-        stale_after_s=readings.hold_s,
-        default=0.0,
-        optional=True,
-    )
+    span: dict[str, Any] = {"low": -readings.bound, "high": readings.bound, "stale_after_s": readings.hold_s}
+    return TableInput(name=name, kind="other", unit=unit, default=0.0, optional=True, **span)
 
 
 def _check_names(columns: dict[str, dict]) -> None:
@@ -131,34 +121,22 @@ def _rate_of_step_input(channel: TableInput, model: ErrorModel) -> ReadingRate |
 def _channel(name: str, facts: dict, model: ErrorModel) -> TableInput:
     kind, low, high, stale = CHANNELS[facts["role"]]
     seen = model.validity.ranges.get(name)
+    axis, unit = facts.get("axis") or "", facts.get("unit") or ""
     if kind == "direction":
-        return TableInput(
-            name=name, kind=kind, axis=facts.get("axis", ""), low=-1.0, high=1.0, default=0.0, optional=True
-        )
+        return TableInput(name=name, kind=kind, axis=axis, low=low, high=high, default=0.0, optional=True)
     extra: dict[str, Any] = {"default": min(max(sum(seen) / 2 if seen else 0.0, low), high)}
     if kind == "force":  # missing: no force, so no force correction, and everything else goes on
         extra = {"default": 0.0, "hold_s": 0.0, "fade_on_default": False}
     elif seen is not None and model.validity.fades and kind not in ("position", "velocity", "coolant"):
         margin = model.validity.margins.get(name) or FADE_SHARE * max(seen[1] - seen[0], 1e-3)
         extra |= {"valid": seen, "margin": margin}
-    return TableInput(
-        name=name,
-        kind=kind,
-        axis=facts.get("axis") or "",
-        unit=facts.get("unit") or "",
-        low=low,
-        high=high,
-        stale_after_s=stale,
-        **extra,
-    )
+    return TableInput(name=name, kind=kind, axis=axis, unit=unit, low=low, high=high, stale_after_s=stale, **extra)
 
 
 def travel(model: ErrorModel) -> dict[str, tuple[float, float]]:
     """Range of each axis' profiles, mm or deg: what was seen, else its travel."""
-    out = {}
-    for letter, facts in model.constants.items():
-        if facts.get("role") == "axis" and facts.get("travel"):
-            out[letter] = tuple(facts["travel"])
+    axes = {letter: facts for letter, facts in model.constants.items() if facts.get("role") == "axis"}
+    out = {letter: tuple(facts["travel"]) for letter, facts in axes.items() if facts.get("travel")}
     for name, facts in model.columns.items():
         seen = model.validity.ranges.get(name)
         if facts["role"] in POSITIONS and seen is not None and seen[1] > seen[0]:

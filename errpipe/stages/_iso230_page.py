@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.reporting.iso230_chart import chart
 from errpipe.reporting.run_report import Table
 from errpipe.validation import iso230_2
-
-if TYPE_CHECKING:
-    from errpipe.domain.recording import Recording
 
 MEANING = {
     "A": "bidirectional accuracy",

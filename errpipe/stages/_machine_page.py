@@ -6,12 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from errpipe import __version__, jsonfile, yamlfile
+from errpipe.errors import UsageError
+from errpipe.pipeline.stage import Context
+
 if TYPE_CHECKING:
     from errpipe.kinematics.chain import Chain
     from errpipe.kinematics.errors import MachineErrors
     from errpipe.kinematics.identify import Identified
     from errpipe.kinematics.remaining import Remaining
-    from errpipe.pipeline.stage import Context
 
 
 TRUTH = "truth.json"
@@ -30,7 +33,6 @@ class Solved:
 
 def solve(stage: Any, context: Context) -> Solved:
     """Read every test, identify, and state the residual. Raises DataError for a test that cannot be read."""
-    from errpipe import yamlfile
     from errpipe.domain.machine import Machine
     from errpipe.kinematics import identify, readings, records, remaining, summary
     from errpipe.kinematics.chain import compile_chain
@@ -40,8 +42,6 @@ def solve(stage: Any, context: Context) -> Solved:
     tests = _artefacts.recordings_in(context)
     single = {name: r for name, r in tests.items() if records.is_direct(r)}
     if not single and (stage.lasers or stage.squares):
-        from errpipe.errors import UsageError
-
         raise UsageError(f"{stage.label}: lasers and squares are of records such as EXX; no recording holds one")
     seen, _ = readings.of_tests(chain, tests, stage.setups(), stage.squares)
     context.progress(0.3, f"{len(chain.components)} components from {len(seen)} readings")
@@ -69,7 +69,6 @@ def solve(stage: Any, context: Context) -> Solved:
 
 def _truth(chain: Chain, context: Context) -> MachineErrors | None:
     """The simulated machine that every test was played on; None where something was measured, or machines differ."""
-    from errpipe import jsonfile
     from errpipe.kinematics import remaining
 
     folders = context.every("simulated")
@@ -86,7 +85,7 @@ def _records(chain: Chain, single: Mapping[str, Any], stage: Any) -> dict[str, d
     out: dict[str, dict[str, Any]] = {}
     for recording in single.values():
         lasers_of_test = {n: s for n, s in stage.setups().items() if n in recording.components()}
-        for name, curve in direct.identify(recording, lasers=lasers_of_test, chain=chain).curves.items():
+        for name, curve in direct.curves(recording, chain, lasers_of_test).items():
             out[name] = {
                 "target": _plain(curve.position),
                 "up": _plain(curve.up),
@@ -102,7 +101,6 @@ def _plain(values: Any) -> list[float | None]:
 
 def page(solved: Solved, title: str) -> str:
     """The machine drawn, its error as vectors and slices before and after, every component, what was not seen."""
-    from errpipe import __version__
     from errpipe.reporting import machine_figures, page
     from errpipe.stages.measure import ballbar_pages
 

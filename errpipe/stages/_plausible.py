@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from errpipe.domain import components
+from errpipe.domain.recording import Recording
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
-    from errpipe.domain.recording import Recording
     from errpipe.domain.table import CompensationTable
 
 PLACES = 41  # positions along an axis at which corrections are evaluated for the largest
@@ -44,8 +45,6 @@ def refuse_table(table: CompensationTable, allow: Sequence[str], limit: float | 
     Judged by samples over the profiles' range; by bounds where they and the table's limits leave more than any machine
     is wrong by, such as a correction that follows a position without a profile.
     """
-    import math
-
     import numpy as np
 
     from errpipe.tables import bounds

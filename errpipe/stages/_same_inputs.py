@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.recording import Manifest
 from errpipe.errors import DataError
 
 if TYPE_CHECKING:
-    from errpipe.domain.recording import Manifest
     from errpipe.domain.table import CompensationTable
 
 PLACES = {"position": ("position", "command", "actual"), "direction": ("direction",)}  # input of a table -> roles

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
+from errpipe import jsonfile
 from errpipe.errors import VerifyError
 from errpipe.pipeline.stage import InputPath
 from errpipe.yamlfile import Options
@@ -47,7 +48,6 @@ class SignOptions(Options):
         """
         if self.signed != "required" or self.public_key is None:
             return ()
-        from errpipe import jsonfile
         from errpipe.registry import minisign, signed
         from errpipe.stages.signing import sign
 

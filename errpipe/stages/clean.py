@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from errpipe.cleaning import DEFAULT, RULES, CleaningReport, Rule
+from errpipe.cleaning import DEFAULT, RULES, CleaningReport, Rule, clean
+from errpipe.errors import DataError
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
 from errpipe.yamlfile import quantity
@@ -39,7 +40,6 @@ class Clean(Stage):
     writes: ClassVar[tuple[str, ...]] = ("recording.yaml", "recording.parquet", "cleaning.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:
-        from errpipe.cleaning import clean
         from errpipe.formats import manifest_folder
 
         folder = context.needed("recording")
@@ -57,7 +57,6 @@ class Clean(Stage):
 
     def _in_pieces(self, folder: Path) -> bool:
         from errpipe.cleaning import _pieces
-        from errpipe.errors import DataError
         from errpipe.formats import manifest_folder
 
         rows = manifest_folder.rows_written(folder)

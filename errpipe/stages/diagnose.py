@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from pydantic import ValidationError
 
 from errpipe import __version__, jsonfile
 from errpipe.diagnosis import against as earlier_findings
 from errpipe.diagnosis import diagnose as judge
 from errpipe.diagnosis.derived import with_responses
 from errpipe.domain.diagnosis import Diagnosis
+from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, UsageError, VerifyError
 from errpipe.formats import manifest_folder
 from errpipe.formats.manifest_folder import MANIFEST
@@ -19,9 +22,6 @@ from errpipe.simulation import external
 from errpipe.stages import _apply_findings, _artefacts, _twin_sign_and_unit
 from errpipe.stages._docstrings import equation
 from errpipe.terms import TERMS
-
-if TYPE_CHECKING:
-    from errpipe.domain.recording import Recording
 
 
 def diagnose(
@@ -72,8 +72,6 @@ def against(recording: Path, findings: Path, out: Path, simulation: Path | None 
     Returns lines for people, and `changed`: the effects that are not what they were. Raises UsageError for input that
     cannot be used, VerifyError where `findings` is no diagnosis.
     """
-    from pydantic import ValidationError
-
     if not Path(findings).is_file():
         raise UsageError(f"--against {findings}: there is no such file (the diagnosis.json of an earlier diagnosis)")
     try:

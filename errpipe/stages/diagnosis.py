@@ -8,9 +8,10 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
+from errpipe import jsonfile
 from errpipe.models.terms import Terms
 from errpipe.pipeline.stage import Context, Need, Stage
-from errpipe.stages import _artefacts
+from errpipe.stages import _acceptance, _artefacts
 from errpipe.stages._acceptance import Accept
 
 OTHER_FAMILY = "the model fitted before is a {} model, which takes no further terms"
@@ -35,9 +36,7 @@ class Diagnosis(Stage):
     )
 
     def run(self, context: Context) -> Mapping[str, Any]:
-        from errpipe import jsonfile
         from errpipe.domain.diagnosis import Diagnosis
-        from errpipe.stages import _acceptance
         from errpipe.stages.diagnose import diagnose
 
         folder = context.needed("recording")

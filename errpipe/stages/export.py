@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
+from errpipe.domain.recording import Recording
+from errpipe.errors import GateError
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
 from errpipe.stages._compile import CompileOptions, compile_model
@@ -16,7 +19,6 @@ from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
-    from errpipe.domain.recording import Recording
     from errpipe.domain.table import CompensationTable
     from errpipe.guard.description import SensorGuard
     from errpipe.validation.gate import Passed
@@ -85,8 +87,6 @@ def _gate(model: ErrorModel, fits: Sequence[ErrorModel], options: Export, contex
 
     fits: the models that it is joined of, each with validations of its own.
     """
-    from dataclasses import replace
-
     from errpipe.fitting.recalibration import with_readings
     from errpipe.validation.gate import Passed, not_judged, pass_gate
 
@@ -119,14 +119,8 @@ def _guard(context: Context, recording: Recording) -> SensorGuard:
 
 
 def _write(context: Context, table: CompensationTable, model: ErrorModel, options: Export) -> list[dict]:
-    from errpipe.errors import GateError, VerifyError
-    from errpipe.tables import ect
-
-    ect.write(table, context.folder / _artefacts.TABLE)
-    ect.write_json(table, context.folder / _artefacts.TWIN)
+    _artefacts.write_table(context.folder, table)
     context.write_json(_artefacts.MODEL, _artefacts.model_json(model))
-    if ect.read(context.folder / _artefacts.TABLE) != table or ect.read_json(context.folder / _artefacts.TWIN) != table:
-        raise VerifyError("export: the table read back from its file is not the table that was written")
     remarks = options.seal(table, context.folder / _artefacts.TABLE)
     files = [
         {"file": _artefacts.TABLE, "what": "compensation table, binary", "error": "0", "read_back": "equal"},

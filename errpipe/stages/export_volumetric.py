@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from errpipe.errors import VerifyError
+from errpipe import jsonfile, yamlfile
+from errpipe.errors import UsageError, VerifyError
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts, _plausible
 from errpipe.stages._signed import SignOptions
@@ -53,12 +54,10 @@ class ExportVolumetric(SignOptions, Stage):
     writes: ClassVar[tuple[str, ...]] = (_artefacts.TABLE, _artefacts.TWIN, "export.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:
-        from errpipe import jsonfile, yamlfile
         from errpipe.domain.machine import Machine
         from errpipe.kinematics import summary
         from errpipe.kinematics.chain import compile_chain
         from errpipe.stages.targets import checksums, write_targets
-        from errpipe.tables import ect
         from errpipe.validation.machine import compensated
 
         folder = context.needed("identified_machine")
@@ -75,8 +74,7 @@ class ExportVolumetric(SignOptions, Stage):
         _plausible.refuse_table(table, self.allow, self.limit)
         worst, allowed = largest_difference(chain, errors, table, reversal_lines), bound(chain, table)
         prove(worst, allowed)
-        ect.write(table, context.folder / _artefacts.TABLE)
-        ect.write_json(table, context.folder / _artefacts.TWIN)
+        _artefacts.write_table(context.folder, table)
         missed = curve_misfit(chain, document)
         stated = {"bound_um": allowed + missed, "interpolation_um": allowed, "unfollowed_um": missed}
         proof = [{"component": "tool point", "largest_difference_um": worst, **stated}]
@@ -96,7 +94,6 @@ class ExportVolumetric(SignOptions, Stage):
 
     def _axes_that_gain(self, context: Context, document: Mapping[str, Any], chain: Any) -> tuple[str, ...]:
         """Linear axes that the table corrects. Raises GateError where the machine may get worse."""
-        from errpipe import jsonfile
         from errpipe.validation import machine
 
         if self.ungated:
@@ -150,7 +147,6 @@ def lattice(
     """
     import numpy as np
 
-    from errpipe.errors import UsageError
     from errpipe.kinematics import compensation
     from errpipe.kinematics.chain import combinations
 
@@ -188,12 +184,12 @@ def compile_machine(
     fingerprint: str,
     title: str,
     error_bound: float,
-    turning: Mapping[str, tuple[float, float, float]] | None = None,
-    axes: tuple[str, ...] | None = None,
+    turning: Mapping[str, tuple[float, float, float]],
+    axes: tuple[str, ...],
 ) -> CompensationTable:
     """The volumetric table of a machine; `turning`: reversal of a component at the middle, per metre, the middle.
 
-    axes: linear axes that it corrects (default: all).
+    axes: linear axes that it corrects.
     """
     from errpipe import __version__, tables
     from errpipe.kinematics import compensation
@@ -204,7 +200,7 @@ def compile_machine(
             o.name, tuple(tables.MonomialSource(t.weight, t.component, t.factors) for t in o.terms), o.axis, o.unit
         )
         for o in compensation.outputs(chain, used=tuple(pairs))
-        if axes is None or o.axis in axes
+        if o.axis in axes
     ]
     table = tables.compile_table(
         [tables.ComponentSource(name, chain.unit(name), pair) for name, pair in pairs.items()],
@@ -223,23 +219,13 @@ def compile_machine(
 def _inputs(chain: Any) -> list[TableInput]:
     from errpipe.domain.table import TableInput
 
-    places = [
-        TableInput(
-            name=axis,
-            kind="position",
-            axis=axis,
-            unit=chain.axis_unit(axis),
-            low=low - OVERRUN,
-            high=high + OVERRUN,
-            default=min(max(0.0, low), high),
-        )
-        for axis, (low, high) in zip(chain.axes, chain.travel.tolist(), strict=True)
-    ]
-    length = TableInput(name="tool_length", kind="tool", unit="mm", low=0, high=1000, default=100)
-    offsets = [
-        TableInput(name=f"tool_offset_{d}", kind="tool", unit="mm", low=-500, high=500, default=0) for d in "XYZ"
-    ]
-    return [*places, length, *offsets]
+    inputs = []
+    for axis, (low, high) in zip(chain.axes, chain.travel.tolist(), strict=True):
+        ends = {"low": low - OVERRUN, "high": high + OVERRUN, "default": min(max(0.0, low), high)}
+        inputs.append(TableInput(name=axis, kind="position", axis=axis, unit=chain.axis_unit(axis), **ends))
+    tool: dict[str, Any] = {"kind": "tool", "unit": "mm"}
+    inputs.append(TableInput(name="tool_length", low=0, high=1000, default=100, **tool))
+    return inputs + [TableInput(name=f"tool_offset_{d}", low=-500, high=500, default=0, **tool) for d in "XYZ"]
 
 
 def largest_difference(

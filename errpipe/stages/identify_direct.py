@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
+from errpipe import jsonfile, yamlfile
 from errpipe.domain.components import is_error_motion
+from errpipe.errors import DataError
 from errpipe.pipeline.stage import Context, Need
 from errpipe.stages import _artefacts
 from errpipe.stages.identify import IDENTIFICATION, Identify
@@ -26,9 +28,7 @@ class IdentifyDirect(Identify):
         return (*super().outputs(), _artefacts.MODEL, _artefacts.PROCEDURE)
 
     def run(self, context: Context) -> Mapping[str, Any]:
-        from errpipe import jsonfile, yamlfile
         from errpipe.domain.machine import Machine
-        from errpipe.errors import DataError
         from errpipe.kinematics import direct_model, records
         from errpipe.kinematics.chain import compile_chain
         from errpipe.models.direct import Direct

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
+from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.pipeline.stage import Context, InputPath, Need, Stage
 from errpipe.yamlfile import quantity
 
@@ -40,7 +41,6 @@ class Ingest(Stage):
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe import formats
-        from errpipe.errors import UsageError
         from errpipe.formats import manifest_folder
 
         path = self.recording or context.maybe("simulated")
@@ -69,8 +69,6 @@ class Ingest(Stage):
     def _kept(self, recording: Recording) -> Recording:
         """The runs that are asked for. Raises DataError where none is left; one left out may be gone."""
         import numpy as np
-
-        from errpipe.errors import DataError, did_you_mean
 
         labels = recording.run_labels()
         if self.since_run is not None and self.since_run not in labels:

@@ -10,6 +10,7 @@ import numpy as np
 
 from errpipe import jsonfile, yamlfile
 from errpipe.domain.machine import Machine
+from errpipe.errors import UsageError, did_you_mean
 from errpipe.kinematics import plan
 from errpipe.kinematics.chain import compile_chain
 from errpipe.reporting import machine_figures
@@ -21,8 +22,6 @@ def measure(machine: Path, out: Path, without: Sequence[str], positions: int) ->
     chain = compile_chain(yamlfile.load(Path(machine), Machine))
     unknown = [c for c in without if c not in chain.components]
     if unknown:
-        from errpipe.errors import UsageError, did_you_mean
-
         near = did_you_mean(unknown[0], chain.components)
         raise UsageError(f"--without {unknown[0]}: {chain.machine.name} has no such component.{near}")
     proposal = plan.propose(chain, without=tuple(without), positions=positions)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from errpipe import jsonfile
 from errpipe.domain.error_model import ErrorModel, Validity
+from errpipe.domain.recording import Manifest, Recording
+from errpipe.domain.table import CompensationTable
 from errpipe.drivers.sessions import sessions
 from errpipe.errors import DataError, GateError, UsageError
 from errpipe.fitting.components import evaluate, from_run_start
@@ -19,14 +23,7 @@ from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages._same_inputs import refuse_others
 from errpipe.tables import batch, by_component
 from errpipe.validation import predict as rows
-from errpipe.validation.predict import Predictor, of_evaluator
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from errpipe.domain.recording import Manifest, Recording
-    from errpipe.domain.table import CompensationTable
-    from errpipe.validation.predict import Begin, Evaluate, Predictor
+from errpipe.validation.predict import Begin, Evaluate, Predictor, of_evaluator
 
 SILENT = (
     "no reading for too long in {} of {} rows: the last one is held there, without an interval unless the model widens "
@@ -134,8 +131,6 @@ def _of_model(model: ErrorModel):
 
     Outside validity it fades as the table does. A model that no controller can be given predicts by its own terms.
     """
-    from functools import cache
-
     table = cache(lambda: _compiled(model))
 
     def values(recording: Recording) -> Mapping[str, np.ndarray]:
@@ -171,8 +166,6 @@ def _of_table(table: CompensationTable, path: Path):
 
 def _begin(table: CompensationTable, model: ErrorModel) -> Begin:
     """Begins a run that comes in parts; its evaluator gives for them what `table_values` gives for the whole."""
-    from functools import cache
-
     packed = cache(lambda compiled: batch.Rows(by_component(table), compiled))
 
     def begin(rows: int) -> Evaluate:

@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
+import numpy as np
 from pydantic import Field
 
+from errpipe import __version__, jsonfile
 from errpipe.errors import DataError
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
@@ -37,7 +39,6 @@ class Report(Stage):
     writes: ClassVar[tuple[str, ...]] = ("report.html",)
 
     def run(self, context: Context) -> Mapping[str, Any]:
-        from errpipe import __version__, jsonfile
         from errpipe.domain.error_model import joined
         from errpipe.reporting.run_report import RunReport, render
         from errpipe.stages import _iso230_page
@@ -89,8 +90,6 @@ class _Fit(NamedTuple):
 
 def _fits(context: Context) -> list[_Fit]:
     """Every fit that was judged. Raises DataError where several were not."""
-    from errpipe import jsonfile
-
     validations = {at: jsonfile.read(at / _artefacts.VALIDATION) for at in context.every("validation").values()}
     models = {at: _artefacts.read_model(at / _artefacts.MODEL) for at in context.every("error_model").values()}
     fits = []
@@ -149,8 +148,6 @@ def _readings(validation: Mapping[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def _removed(folder: Path) -> list[dict[str, Any]]:
-    from errpipe import jsonfile
-
     return [
         {"rule": rule["rule"].replace("_", " "), "rows": done["count"], "why": f"{done['what']}: {done['reason']}"}
         for rule in jsonfile.read(folder / "cleaning.json")["rules"]
@@ -195,8 +192,6 @@ def _responses(recording: Any, fit: _Fit) -> list[Any]:
 
 def _plane(recording: Any, component: str, index: Any) -> dict[str, Any]:
     """Axis -> positions, where a deviation of the tool point was measured over two axes; empty elsewhere."""
-    import numpy as np
-
     from errpipe.domain.components import is_at_tool
 
     if not is_at_tool(component):
@@ -227,12 +222,8 @@ def _terms(component: Any) -> list[dict[str, Any]]:
 
 def _term(term: Any, fitted: Any) -> dict[str, Any]:
     parameters = [{"name": p.name, "value": p.value, "ci95": p.ci95, "unit": p.unit} for p in fitted.parameters]
-    return {
-        "says": term.says(fitted.values()),
-        "equation": equation(type(term)),
-        "of": _of_what(term),
-        "parameters": parameters,
-    }
+    says, of = term.says(fitted.values()), _of_what(term)
+    return {"says": says, "equation": equation(type(term)), "of": of, "parameters": parameters}
 
 
 def _of_what(term: Any) -> str:
@@ -245,16 +236,8 @@ def _of_what(term: Any) -> str:
 
 
 def _group(figures: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "group": figures["label"],
-        "rows": figures["rows"],
-        "rms_before": figures["rms_before"],
-        "rms_after": figures["rms_after"],
-        "bias": figures["bias_after"],
-        "scatter": figures["scatter_after"],
-        "worst": figures["worst_after"],
-        "coverage90": figures["coverage90"],
-    }
+    same = {name: figures[name] for name in ("rows", "rms_before", "rms_after", "coverage90")}
+    return {"group": figures["label"], **same, **{n: figures[f"{n}_after"] for n in ("bias", "scatter", "worst")}}
 
 
 def _notes(component: Any, figures: Mapping[str, Any]) -> list[str]:
@@ -300,16 +283,13 @@ def _exported(exported: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]
 
 def _left_out(exported: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """What the gate left out, cut down, or never saw; what is to be loaded besides."""
-    out = []
+    out: list[str] = []
     for document in exported.values():
-        out += (
-            [document["note"]]
-            if document.get("note")
-            else [
-                f"{name} was left out of the table: on held-out rows it was not better than nothing."
-                for name in document["left_out"]
-            ]
-        )
+        left_out = [
+            f"{name} was left out of the table: on held-out rows it was not better than nothing."
+            for name in document["left_out"]
+        ]
+        out += [document["note"]] if document.get("note") else left_out
         out += [
             f"{j['component']} is applied at {100 * j['gain']:.0f} %: held-out rows were best with that share "
             f"({j['rms_before']:.3g} -> {j['rms_at_gain']:.3g} {j['unit']})."
@@ -366,7 +346,7 @@ def _seasons(validation: Mapping[str, Any]) -> list[Any]:
     return out
 
 
-def _next_step(exported: Mapping[str, Any], refusal: str = "") -> str:
+def _next_step(exported: Mapping[str, Any], refusal: str) -> str:
     if refusal:
         return "read why the export was refused; correct the recording or the model, then errpipe run again."
     if not exported:

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from errpipe import files, jsonfile
 from errpipe.errors import GateError, UsageError, VerifyError, did_you_mean
 from errpipe.registry import minisign
 from errpipe.stages import _artefacts
@@ -75,7 +76,6 @@ def promote(
     other_outputs: the table may correct other axes, or be made for another machine, than the one that it replaces.
     Raises GateError where it does so without, or where another writer was first.
     """
-    from errpipe import files
     from errpipe.registry.store import MAX_OBJECT_BYTES
     from errpipe.tables import ect
 
@@ -145,8 +145,6 @@ def rollback(
     Default: what was on the machine before its table was promoted. A second rollback so goes one further back, not to
     the table that the first one took off the machine.
     """
-    from errpipe import jsonfile
-
     store = _registry(registry, public)
     past = store.history(machine)
     if not past:

@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
+from errpipe import yamlfile
 from errpipe.pipeline.stage import Context, InputPath, Stage
 from errpipe.stages._laser import LASERS, SQUARES, Beam
 from errpipe.stages._machine_page import TRUTH
@@ -49,7 +50,6 @@ class SimulateTest(Stage):
     code_version: ClassVar[int] = 2
 
     def run(self, context: Context) -> Mapping[str, Any]:
-        from errpipe import yamlfile
         from errpipe.domain.machine import Machine
         from errpipe.kinematics import remaining
         from errpipe.kinematics.chain import compile_chain

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
+from errpipe.domain.error_model import ErrorModel
 from errpipe.pipeline.stage import Context, InputPath, Need, Stage
+from errpipe.simulation import external
 from errpipe.simulation.external import AnySource
 from errpipe.stages import _artefacts
-
-if TYPE_CHECKING:
-    from errpipe.domain.error_model import ErrorModel
 
 
 class SimulateWith(Stage):
@@ -31,7 +30,6 @@ class SimulateWith(Stage):
 
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe.formats import manifest_folder
-        from errpipe.simulation import external
 
         recording = _artefacts.recording_in(context.needed("recording"))
         with_twins, twins, figures = external.with_twins(

@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from errpipe import jsonfile
+from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError, UsageError, did_you_mean
 from errpipe.files import inside
 from errpipe.registry import minisign, signed
 from errpipe.stages import _artefacts, _plausible
 from errpipe.stages._checklist import checklist
 from errpipe.stages._replace import replaced
-from errpipe.tables import ect
 from errpipe.tables.joined import joined
 from errpipe.targets import TARGETS, _loss
 from errpipe.targets._base import NothingToAddError, ReadBack
 from errpipe.targets._loss import at_most, unit_of
-
-if TYPE_CHECKING:
-    from errpipe.domain.table import CompensationTable
 
 CHECKLIST = "CHECKLIST.md"
 LARGE_SHARE, LARGE_UM = 0.1, 0.5  # of the table's rms and um: a loss for which another format is worth a look
@@ -31,17 +30,8 @@ DIGITS = 6  # of a loss in um: what lies below is rounding, which differs betwee
 
 def targets() -> dict[str, Any]:
     """All formats with their controller, confidence, sign and limits."""
-    rows = [
-        {
-            "name": t.name,
-            "controller": t.controller,
-            "confidence": t.confidence,
-            "sign": t.sign,
-            "limits": t.limits,
-            "goes_with": list(t.goes_with),
-        }
-        for t in TARGETS
-    ]
+    facts = ("name", "controller", "confidence", "sign", "limits")
+    rows = [{**{fact: getattr(t, fact) for fact in facts}, "goes_with": list(t.goes_with)} for t in TARGETS]
     return {"targets": rows, "says": [_described(row) for row in rows]}
 
 
@@ -69,7 +59,6 @@ def compare_targets(table: Path) -> dict[str, Any]:
 
 def together(targets: Sequence[Any]) -> list[tuple[Any, ...]]:
     """Every choice of two or more targets whose files one controller adds up."""
-    from itertools import combinations
 
     def add_up(a: Any, b: Any) -> bool:
         return b.name in a.goes_with or a.name in b.goes_with
@@ -89,17 +78,26 @@ def write_together(table: CompensationTable, parts: Sequence[Any]) -> tuple[list
 def _best_combinations(table: CompensationTable) -> list[tuple[tuple[str, ...], list[dict[str, Any]]]]:
     """For each family of formats, the choice that loses least (root of summed squares over the axes)."""
     best: dict[str, tuple[float, tuple[str, ...], list[dict[str, Any]]]] = {}
-    for parts in together(TARGETS):
-        try:
-            _, read = write_together(table, parts)
-        except GateError:
-            continue
-        lost = _loss_rows(table, read)
-        size, names = sum(x["rms_um"] ** 2 for x in lost), tuple(p.name for p in parts)
+    for parts, lost in _combined_losses(table, together(TARGETS)):
+        size, names = _squares(lost), tuple(p.name for p in parts)
         family = min((names[0], *parts[0].goes_with))
         if family not in best or size < best[family][0]:
             best[family] = (size, names, lost)
     return [(names, lost) for _, names, lost in best.values()]
+
+
+def _combined_losses(
+    table: CompensationTable, choices: Iterable[tuple[Any, ...]]
+) -> Iterator[tuple[tuple[Any, ...], list[dict[str, Any]]]]:
+    """What each choice of formats loses of a table together; without those that refuse it."""
+    for parts in choices:
+        with suppress(GateError):
+            yield parts, _loss_rows(table, write_together(table, parts)[1])
+
+
+def _squares(lost: Iterable[dict[str, Any]]) -> float:
+    """Sum over the axes of squared rms losses, um2."""
+    return sum(x["rms_um"] ** 2 for x in lost)
 
 
 def export(
@@ -129,11 +127,10 @@ def export(
     consequences = _plausible.of_table(compensation_table)
     with replaced(Path(out)) as folder:
         rows = write_targets(compensation_table, names, folder, remarks)
-        ect.write(compensation_table, folder / _artefacts.TABLE)
+        _artefacts.write_table(folder, compensation_table)
         signed_too = [f"{_artefacts.TABLE}.minisig"] if signature else []
         for name in signed_too:
             jsonfile.write_text(folder / name, signature)
-        ect.write_json(compensation_table, folder / _artefacts.TWIN)
         document = {"export": 1, "inputs": compensation_table.fingerprint, "proof": [], "files": rows, "left_out": []}
         document["consequences"] = consequences
         document["sha256"] = checksums(folder, rows, [_artefacts.TABLE, _artefacts.TWIN, *signed_too])
@@ -198,18 +195,11 @@ def sibling(table: CompensationTable, target: Any, lost: list[dict[str, Any]]) -
     if worst is None or worst["rms_um"] < max(LARGE_SHARE * worst["table_rms_um"], LARGE_UM):
         return ""
     best: tuple[float, str, str] | None = None
-    for parts in together(TARGETS):
-        if target not in parts:
-            continue
-        try:
-            _, read = write_together(table, parts)
-        except GateError:
-            continue
-        loss_rows = _loss_rows(table, read)
-        size = sum(x["rms_um"] ** 2 for x in loss_rows)
+    for parts, lost_together in _combined_losses(table, (c for c in together(TARGETS) if target in c)):
+        size = _squares(lost_together)
         if best is None or size < 0.9 * best[0]:
-            best = size, ", ".join(o.name for o in parts if o is not target), in_words(loss_rows)
-    if best is None or best[0] >= 0.25 * sum(x["rms_um"] ** 2 for x in lost):  # not even half of it
+            best = size, ", ".join(o.name for o in parts if o is not target), in_words(lost_together)
+    if best is None or best[0] >= 0.25 * _squares(lost):  # not even half of it
         return ""
     return f"{best[1]} can say what {target.name} leaves behind; with both among the targets: {best[2]}."
 

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
+from errpipe import jsonfile, yamlfile
 from errpipe.errors import DataError
 from errpipe.fitting.holdout import HALVES, HoldOut
 from errpipe.pipeline.stage import Context, Need, Stage
@@ -77,7 +78,6 @@ class Validate(Stage):
 
 def _of_machine(context: Context, folder: Path) -> dict[str, Any]:
     """Figures of every test of an identified machine, and which identification they are of."""
-    from errpipe import jsonfile, yamlfile
     from errpipe.domain.machine import Machine
     from errpipe.stages.identify import IDENTIFICATION, MACHINE
     from errpipe.validation import machine

@@ -72,27 +72,12 @@ def _sections(table: t.CompensationTable) -> dict[int, bytes]:
 
 
 def _input_record(i: t.TableInput, first: int) -> bytes:
-    flags = lay.input_flags(i)
-    valid = i.valid or (0.0, 0.0)
-    return lay.INPUT.pack(
-        i.name.encode(),
-        i.axis.encode(),
-        i.unit.encode(),
-        lay.KINDS.index(i.kind),
-        flags,
-        first,
-        len(i.substitute),
-        i.low,
-        i.high,
-        i.max_rate or 0.0,
-        i.stale_after_s or 0.0,
-        0.0 if i.hold_s is None else i.hold_s,
-        i.default,
-        i.substitute_offset,
-        *valid,
-        i.margin or 0.0,
-        i.noise if i.max_rate is not None else 0.0,
-    )
+    names = (i.name.encode(), i.axis.encode(), i.unit.encode())
+    numbers = (lay.KINDS.index(i.kind), lay.input_flags(i), first, len(i.substitute))
+    reading = (i.low, i.high, i.max_rate or 0.0, i.stale_after_s or 0.0, i.hold_s or 0.0, i.default)
+    valid = (*(i.valid or (0.0, 0.0)), i.margin or 0.0)
+    noise = i.noise if i.max_rate is not None else 0.0
+    return lay.INPUT.pack(*names, *numbers, *reading, i.substitute_offset, *valid, noise)
 
 
 def _node_record(
@@ -123,19 +108,9 @@ def lag_factors(node: t.LagNode, table: t.CompensationTable) -> list[float]:
 def _profile_record(p: t.Profile, first: int, inputs: dict[str, int]) -> bytes:
     number = -1 if p.input is None else inputs[p.input]
     inverse_turn = 1.0 / (len(p.values) - 1) if p.periodic else 0.0
-    return lay.PROFILE.pack(
-        number,
-        lay.PERIODIC if p.periodic else 0,
-        first,
-        len(p.values),
-        p.start,
-        p.step,
-        1.0 / p.step,
-        inverse_turn,
-        p.scale,
-        p.interpolation_error,
-        p.rounding_error,
-    )
+    grid = (p.start, p.step, 1.0 / p.step, inverse_turn, p.scale)
+    flags = lay.PERIODIC if p.periodic else 0
+    return lay.PROFILE.pack(number, flags, first, len(p.values), *grid, p.interpolation_error, p.rounding_error)
 
 
 def _output_record(o: t.Output, first: int) -> bytes:

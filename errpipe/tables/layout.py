@@ -43,19 +43,11 @@ RECORDS = {
     11: ("terms", TERM),
 }
 RECORDS_1 = RECORDS | {1: ("inputs", INPUT_1)}
-MOST = {
-    1: t.MAX_INPUTS,
-    2: t.MAX_OPERANDS,
-    3: t.MAX_NODES,
-    4: t.MAX_OPERANDS,
-    5: t.MAX_LOOKUP_VALUES,
-    6: t.MAX_PROFILES,
-    7: t.MAX_VALUES,
-    8: t.MAX_COMPONENTS,
-    9: t.MAX_PAIRS,
-    10: t.MAX_OUTPUTS,
-    11: t.MAX_MONOMIALS,
-}
+_MOST = (
+    *(t.MAX_INPUTS, t.MAX_OPERANDS, t.MAX_NODES, t.MAX_OPERANDS, t.MAX_LOOKUP_VALUES, t.MAX_PROFILES, t.MAX_VALUES),
+    *(t.MAX_COMPONENTS, t.MAX_PAIRS, t.MAX_OUTPUTS, t.MAX_MONOMIALS),
+)
+MOST = dict(zip(RECORDS, _MOST, strict=True))  # records of a section
 
 KINDS = ("position", "direction", "velocity", "force", "sensor", "speed", "coolant", "load", "tool", "other")
 UNITS = ("um", "urad")
@@ -95,20 +87,12 @@ def records(version: int) -> dict[int, tuple[str, struct.Struct]]:
 
 def input_flags(i: t.TableInput) -> int:
     """The flags of an input's record."""
-    return (
-        (OPTIONAL if i.optional else 0)
-        | (FADE_ON_DEFAULT if i.fade_on_default else 0)
-        | (HAS_VALID if i.valid is not None else 0)
-        | (HAS_MAX_RATE if i.max_rate is not None else 0)
-        | (HAS_STALE if i.stale_after_s is not None else 0)
-        | (HAS_HOLD if i.hold_s is not None else 0)
-    )
+    has = {HAS_VALID: i.valid, HAS_MAX_RATE: i.max_rate, HAS_STALE: i.stale_after_s, HAS_HOLD: i.hold_s}
+    said = OPTIONAL * i.optional | FADE_ON_DEFAULT * i.fade_on_default
+    return said | sum(flag for flag, value in has.items() if value is not None)
 
 
 def output_flags(o: t.Output) -> int:
     """The flags of an output's record."""
-    return (
-        (HAS_MAGNITUDE if o.magnitude is not None else 0)
-        | (HAS_SLEW if o.slew is not None else 0)
-        | (HAS_ACCELERATION if o.acceleration is not None else 0)
-    )
+    has = {HAS_MAGNITUDE: o.magnitude, HAS_SLEW: o.slew, HAS_ACCELERATION: o.acceleration}
+    return sum(flag for flag, value in has.items() if value is not None)

@@ -9,71 +9,25 @@ from errpipe.kernels import table_cycle as k
 from errpipe.kernels.table_codes import SLOW
 from errpipe.tables import ect
 
-INPUT_RECORD = np.dtype(
-    {
-        "names": [
-            "kind",
-            "flags",
-            "first",
-            "count",
-            "low",
-            "high",
-            "max_rate",
-            "stale",
-            "hold",
-            "default",
-            "substitute_offset",
-            "valid_low",
-            "valid_high",
-            "margin",
-            "noise",
-        ],
-        "formats": ["<u2", "<u2", "<u4", "<u4"] + ["<f8"] * 11,
-        "offsets": [56, 58, 60, 64, *range(72, 160, 8)],
-        "itemsize": 160,
-    }
-)
-WEIGHTED = np.dtype({"names": ["number", "weight"], "formats": ["<u4", "<f8"], "offsets": [0, 8], "itemsize": 16})
-NODE_RECORD = np.dtype(
-    {
-        "names": ["op", "flags", "first", "count", "other", "others", "a", "b", "c", "d"],
-        "formats": ["<u2", "<u2"] + ["<u4"] * 4 + ["<f8"] * 4,
-        "offsets": [0, 2, 4, 8, 12, 16, 24, 32, 40, 48],
-        "itemsize": 56,
-    }
-)
-PROFILE_RECORD = np.dtype(
-    {
-        "names": ["input", "flags", "first", "count", "start", "step", "inverse_step", "inverse_turn", "scale"],
-        "formats": ["<i4"] + ["<u4"] * 3 + ["<f8"] * 5,
-        "offsets": [0, 4, 8, 12, 16, 24, 32, 40, 48],
-        "itemsize": 72,
-    }
-)
-PAIR_RECORD = np.dtype(
-    {
-        "names": ["component", "profile", "node", "flags"],
-        "formats": ["<u4"] * 4,
-        "offsets": [0, 4, 8, 12],
-        "itemsize": 16,
-    }
-)
-OUTPUT_RECORD = np.dtype(
-    {
-        "names": ["flags", "first", "count", "factor", "magnitude", "slew", "acceleration"],
-        "formats": ["<u4"] * 3 + ["<f8"] * 4,
-        "offsets": [44, 48, 52, 56, 64, 72, 80],
-        "itemsize": 88,
-    }
-)
-TERM_RECORD = np.dtype(
-    {
-        "names": ["component", "count", "n0", "n1", "n2", "n3", "weight"],
-        "formats": ["<u4"] * 6 + ["<f8"],
-        "offsets": [0, 4, 8, 12, 16, 20, 24],
-        "itemsize": 32,
-    }
-)
+
+def _record(size: int, *stretches: tuple[int, str, str]) -> np.dtype:
+    """A record of `size` bytes. stretches: first byte, type, and names of fields of that type side by side."""
+    fields = [
+        (n, kind, at + k * np.dtype(kind).itemsize) for at, kind, ns in stretches for k, n in enumerate(ns.split())
+    ]
+    names, formats, offsets = zip(*fields, strict=True)
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
+
+
+_INPUT_LIMITS = "low high max_rate stale hold default substitute_offset valid_low valid_high margin noise"
+INPUT_RECORD = _record(160, (56, "<u2", "kind flags"), (60, "<u4", "first count"), (72, "<f8", _INPUT_LIMITS))
+WEIGHTED = _record(16, (0, "<u4", "number"), (8, "<f8", "weight"))
+NODE_RECORD = _record(56, (0, "<u2", "op flags"), (4, "<u4", "first count other others"), (24, "<f8", "a b c d"))
+_PROFILE_GRID = "start step inverse_step inverse_turn scale"
+PROFILE_RECORD = _record(72, (0, "<i4", "input"), (4, "<u4", "flags first count"), (16, "<f8", _PROFILE_GRID))
+PAIR_RECORD = _record(16, (0, "<u4", "component profile node flags"))
+OUTPUT_RECORD = _record(88, (44, "<u4", "flags first count"), (56, "<f8", "factor magnitude slew acceleration"))
+TERM_RECORD = _record(32, (0, "<u4", "component count n0 n1 n2 n3"), (24, "<f8", "weight"))
 
 INPUT_STATE = np.dtype(
     [(n, "f8") for n in ("raw", "wait", "good", "age", "anchor", "now", "left", "value")]

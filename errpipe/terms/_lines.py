@@ -136,7 +136,7 @@ def lines(at: np.ndarray, signal: np.ndarray) -> list[tuple[float, float]]:
     frequencies: list[float] = []
     amplitude: list[float] = []
     base = np.polynomial.chebyshev.chebvander(2 * (at - at.min()) / max(span, 1e-300) - 1, 3)
-    rest = signal - base @ np.linalg.lstsq(base, signal, rcond=None)[0]
+    rest = _residual(base, signal)
     while len(frequencies) < MOST_LINES:
         rough = peaks(at, rest, 1)
         if not rough.size:

@@ -88,17 +88,20 @@ def drive_periods(known: Constant | None) -> tuple[float, ...]:
     """
     if known is None:
         return ()
-    out = [known.screw_lead, known.tooth_pitch]
-    turn = known.screw_lead
-    if known.kind == "rotary":
-        turn = 360.0
-        out.append(360.0 / known.teeth if known.teeth else None)
-    elif known.tooth_pitch and known.teeth:
-        turn = known.tooth_pitch * known.teeth
-        out.append(turn)
+    turn = _turn(known)
+    out = [known.screw_lead, known.tooth_pitch, None if known.kind == "rotary" else turn]
+    if known.kind == "rotary" and known.teeth:
+        out.append(360.0 / known.teeth)
     if turn and known.gear_ratio:
         out.append(turn / known.gear_ratio)
     return tuple(sorted({float(p) for p in out if p}, reverse=True))
+
+
+def _turn(known: Constant) -> float | None:
+    """Travel of an axis in one turn of its table, pulley, pinion or screw."""
+    if known.kind == "rotary":
+        return 360.0
+    return known.tooth_pitch * known.teeth if known.tooth_pitch and known.teeth else known.screw_lead
 
 
 def pole_periods(known: Constant | None) -> tuple[float, ...]:
@@ -107,7 +110,5 @@ def pole_periods(known: Constant | None) -> tuple[float, ...]:
         return ()
     if known.magnet_period:
         return (known.magnet_period,)
-    turn = 360.0 if known.kind == "rotary" else known.screw_lead
-    if turn is None and known.tooth_pitch and known.teeth:
-        turn = known.tooth_pitch * known.teeth
+    turn = _turn(known)
     return (turn / (known.gear_ratio or 1.0) / known.pole_pairs,) if turn and known.pole_pairs else ()

@@ -7,7 +7,7 @@ polynomial or curve holds its end value, as a compensation table does; a line an
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -19,7 +19,31 @@ from errpipe.yamlfile import quantity
 MM_PER_M = 1000.0
 
 
-class Level(Frozen):
+class Shape(Frozen):
+    """A profile over position x (rows,), in mm or deg: its parameters, and one column for each."""
+
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        raise NotImplementedError
+
+    def units(self, rotary: bool) -> tuple[str, ...]:
+        """Units of the parameters; rotary: x is in deg."""
+        return ("um",) * len(self.names())
+
+    def settled(self, x: np.ndarray) -> Self:
+        """The shape with what it reads off the positions written down."""
+        return self
+
+    def basis(self, x: np.ndarray, rotary: bool = False) -> np.ndarray:
+        """Columns, shape (rows, parameters), in um per unit of each parameter."""
+        raise NotImplementedError
+
+    def penalty(self) -> np.ndarray | None:
+        """Square matrix over the parameters whose quadratic form is held small, or None."""
+        return None
+
+
+class Level(Shape):
     """The same everywhere."""
 
     kind: Literal["level"] = "level"
@@ -27,20 +51,11 @@ class Level(Frozen):
     def names(self) -> tuple[str, ...]:
         return ("gain",)
 
-    def units(self, rotary: bool) -> tuple[str, ...]:
-        return ("um",)
-
-    def settled(self, x: np.ndarray) -> Level:
-        return self
-
     def basis(self, x: np.ndarray, rotary: bool = False) -> np.ndarray:
         return np.ones((x.size, 1))
 
-    def penalty(self) -> np.ndarray | None:
-        return None
 
-
-class Line(Frozen):
+class Line(Shape):
     """Proportional to the distance from `origin`, um per m (um per deg on a rotary axis)."""
 
     kind: Literal["line"] = "line"
@@ -52,17 +67,11 @@ class Line(Frozen):
     def units(self, rotary: bool) -> tuple[str, ...]:
         return ("um/deg" if rotary else "um/m",)
 
-    def settled(self, x: np.ndarray) -> Line:
-        return self
-
     def basis(self, x: np.ndarray, rotary: bool = False) -> np.ndarray:
         return ((x - self.origin) / (1.0 if rotary else MM_PER_M))[:, None]
 
-    def penalty(self) -> np.ndarray | None:
-        return None
 
-
-class Polynomial(Frozen):
+class Polynomial(Shape):
     """Chebyshev polynomials of degrees `lowest` to `degree` over `span`.
 
     Raw powers of mm reach a condition number of 1e18 at degree 6 over a metre; Chebyshev's stay below 3.
@@ -83,9 +92,6 @@ class Polynomial(Frozen):
     def names(self) -> tuple[str, ...]:
         return tuple(f"c{k}" for k in range(self.lowest, self.degree + 1))
 
-    def units(self, rotary: bool) -> tuple[str, ...]:
-        return ("um",) * len(self.names())
-
     def settled(self, x: np.ndarray) -> Polynomial:
         return self if self.span else self.model_copy(update={"span": _span(x)})
 
@@ -94,11 +100,8 @@ class Polynomial(Frozen):
         u = np.clip(2.0 * (x - low) / (high - low) - 1.0, -1.0, 1.0)
         return np.polynomial.chebyshev.chebvander(u, self.degree)[:, self.lowest :]
 
-    def penalty(self) -> np.ndarray | None:
-        return None
 
-
-class Curve(Frozen):
+class Curve(Shape):
     """A smooth curve: cubic B-splines on `segments` equal stretches, held smooth by the solver's penalty.
 
     The level is always left out (it belongs to `offset`), the straight part too unless `line` is true.
@@ -111,9 +114,6 @@ class Curve(Frozen):
 
     def names(self) -> tuple[str, ...]:
         return tuple(f"b{k}" for k in range(self.segments + (2 if self.line else 1)))
-
-    def units(self, rotary: bool) -> tuple[str, ...]:
-        return ("um",) * len(self.names())
 
     def settled(self, x: np.ndarray) -> Curve:
         return self if self.span else self.model_copy(update={"span": _span(x)})
@@ -146,7 +146,7 @@ class Curve(Frozen):
         return free * np.where(np.sum(free, axis=0) < 0, -1.0, 1.0)
 
 
-class Harmonics(Frozen):
+class Harmonics(Shape):
     """Sine and cosine of the given orders of one period."""
 
     kind: Literal["harmonics"] = "harmonics"
@@ -156,18 +156,9 @@ class Harmonics(Frozen):
     def names(self) -> tuple[str, ...]:
         return tuple(f"{wave}{k}" for k in self.orders for wave in ("sin", "cos"))
 
-    def units(self, rotary: bool) -> tuple[str, ...]:
-        return ("um",) * len(self.names())
-
-    def settled(self, x: np.ndarray) -> Harmonics:
-        return self
-
     def basis(self, x: np.ndarray, rotary: bool = False) -> np.ndarray:
         angle = 2.0 * np.pi * x[:, None] / self.period * np.asarray(self.orders, dtype=float)
         return np.stack([np.sin(angle), np.cos(angle)], axis=2).reshape(x.size, -1)
-
-    def penalty(self) -> np.ndarray | None:
-        return None
 
 
 Profile = Annotated[Level | Line | Polynomial | Curve | Harmonics, Field(discriminator="kind")]

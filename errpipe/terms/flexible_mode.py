@@ -166,5 +166,4 @@ class FlexibleMode(Term):
 
     @classmethod
     def example(cls) -> Example:
-        made = rows(0.01)
-        return worked(cls(axis="X", column="ax"), made)
+        return worked(cls(axis="X", column="ax"), rows(0.01))

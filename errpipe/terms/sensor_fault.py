@@ -13,6 +13,7 @@ from errpipe.domain.components import is_deviation
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import position
 from errpipe.drivers.sessions import sessions
+from errpipe.kernels.events import stretches
 from errpipe.kernels.responses import lag
 from errpipe.terms._base import NEVER, Parameter, Term
 from errpipe.terms._place import linear_axes_acting
@@ -20,6 +21,7 @@ from errpipe.terms._slack import Slack
 from errpipe.terms._warm import sensors
 
 ROWS_EACH_SIDE = 5  # rows on either side of a jump whose medians give its step
+LEAST_ROWS = 8  # of a stretch; one in which a sensor stands still has four times as many, or a thirtieth of all
 ALIKE = 2.0  # factor between a jump off and the jump back
 # Of the fault: prior standard deviation of what the reading drawn through the gap misses (chosen on 40 faults)
 DRAWN = 0.3
@@ -183,13 +185,13 @@ def _others(recording: Recording, sensor: str) -> np.ndarray:
     return np.column_stack(columns)
 
 
-def suspicious(values: np.ndarray, t: np.ndarray, least: int = 8) -> list[tuple[int, int]]:
+def suspicious(values: np.ndarray, t: np.ndarray) -> list[tuple[int, int]]:
     """First and last row of stretches where a sensor is missing, stands still, or sits between two jumps."""
     n = values.size
     finite = np.isfinite(values)
     if finite.sum() < 30:
         return []
-    out = silent(values, least)
+    out, long = silent(values), max(4 * LEAST_ROWS, n // 30)
     filled = np.interp(np.arange(n), np.flatnonzero(finite), values[finite])
     step = np.abs(np.diff(filled))
     usual = np.median(step) + 1e-9
@@ -200,32 +202,31 @@ def suspicious(values: np.ndarray, t: np.ndarray, least: int = 8) -> list[tuple[
     jumps = jumps[finite[np.minimum(jumps, n - 1)] & finite[np.maximum(jumps - 1, 0)]]
     typical = np.median(np.abs(filled))
     if typical > 5.0:  # a dead channel reads nought
-        out += [ab for ab in _stretches(finite & (np.abs(values) < 0.05 * typical)) if ab[1] - ab[0] + 1 >= least]
+        out += _stretches(finite & (np.abs(values) < 0.05 * typical), LEAST_ROWS)
     stuck = _rolling_range(filled, 9) <= 0.3 * np.median(_rolling_range(filled, 9)) + 1e-12
-    stuck_stretches = [ab for ab in _stretches(stuck & finite) if ab[1] - ab[0] + 1 >= max(4 * least, n // 30)]
+    stuck_stretches = _stretches(stuck & finite, long)
     paused = pause[jumps - 1] > 2.0 * beside[jumps - 1]  # bodies cool by themselves then: such jumps come last
     strongest = jumps[np.lexsort((-step[jumps - 1], paused))][:4]
     edges = np.sort(strongest)
     for i, a in enumerate(edges):
-        out += [(int(a), int(b) - 1) for b in edges[i + 1 :] if b - a >= least]
-        out += [(int(a), n - 1)] if n - a >= least else []
+        out += [(int(a), int(b) - 1) for b in edges[i + 1 :] if b - a >= LEAST_ROWS]
+        out += [(int(a), n - 1)] if n - a >= LEAST_ROWS else []
         off = np.abs(_rolling_median(filled[:a], 9) - np.median(filled[max(a - ROWS_EACH_SIDE, 0) : a]))
         away = np.flatnonzero(off > usual + STILL * step[a - 1])
         start = int(away[-1]) + 1 if away.size else 0  # stood still until it jumped
-        out += [(start, int(a) - 1)] if a - start >= max(4 * least, n // 30) else []
+        out += [(start, int(a) - 1)] if a - start >= long else []
     out += stuck_stretches[:3]
     return sorted(set(out))[:24]
 
 
-def silent(values: np.ndarray, least: int = 8) -> list[tuple[int, int]]:
+def silent(values: np.ndarray) -> list[tuple[int, int]]:
     """First and last row of stretches where a sensor reads nothing."""
-    least = max(least, values.size // 100)
-    return [ab for ab in _stretches(~np.isfinite(values)) if ab[1] - ab[0] + 1 >= least]
+    return _stretches(~np.isfinite(values), max(LEAST_ROWS, values.size // 100))
 
 
-def _stretches(flags: np.ndarray) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(int), 0]))
-    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+def _stretches(flags: np.ndarray, least: int) -> list[tuple[int, int]]:
+    """First and last row of the stretches of True that have so many rows."""
+    return [(int(a), int(b) - 1) for a, b in zip(*stretches(flags), strict=True) if b - a >= least]
 
 
 def _rolling_median(values: np.ndarray, width: int) -> np.ndarray:

@@ -105,9 +105,8 @@ class ThermalLag(Term):
                 single = term._one(recording, signals, taus)
                 yield cls(sensor=sensor), (single,)
                 one = drive(term._driver(single), recording)[signals.rows]
-                best = two_of(
-                    states, one, signals.values, apart=int(np.ceil(np.log(APART) / np.log(taus[1] / taus[0])))
-                )
+                apart = int(np.ceil(np.log(APART) / np.log(taus[1] / taus[0])))
+                best = two_of(states, one, signals.values, apart)
                 if best is not None:
                     yield term, (taus[best[0]], taus[best[1]])
 
@@ -150,14 +149,11 @@ def two_of(states: np.ndarray, one: np.ndarray, signals: tuple[np.ndarray, ...],
     block = block - known @ np.linalg.lstsq(known, block, rcond=None)[0]
     products = block.T @ block
     single = float(products[-2, -1] ** 2 / max(products[-2, -2], 1e-300))
-    best: tuple[float, tuple[int, int] | None] = (
-        products[-1, -1] - (products[-1, -1] - single) * MAX_RESIDUAL_SHARE,
-        None,
-    )
+    most, best = products[-1, -1] - (products[-1, -1] - single) * MAX_RESIDUAL_SHARE, None
     for i in range(states.shape[1]):
         for j in range(i + apart, states.shape[1]):
             b = np.linalg.lstsq(products[np.ix_([i, j], [i, j])], products[[i, j], -1], rcond=1e-12)[0]
             explained = float(b @ products[[i, j], -1])
-            if b[0] * b[1] > 0 and explained > best[0]:
-                best = (explained, (i, j))
-    return best[1]
+            if b[0] * b[1] > 0 and explained > most:
+                most, best = explained, (i, j)
+    return best

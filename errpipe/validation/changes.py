@@ -26,6 +26,7 @@ MOVING = ("position", "command", "actual", "direction")  # roles of what moves w
 BINS = 10  # parts of an input's range in which differences are summed up
 
 Range = tuple[float, float]
+Bins = tuple[tuple[float, float, float, float], ...]
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Change:
     new: float
     goes_with: str
     share: float
-    by_bin: tuple[tuple[float, float, float, float], ...]
+    by_bin: Bins
     settled: float = 0.0
 
 
@@ -81,9 +82,8 @@ def of_model(model: ErrorModel) -> Compensation:
 
     def values(states: States) -> Mapping[str, np.ndarray]:
         columns = {"run": Column(role="run"), "t": Column(role="time", unit="s"), **kinds}
-        frame = pd.DataFrame(
-            {"run": states.run.astype(str), "t": states.time, **{n: states.readings[n] for n in kinds}}
-        )
+        readings = {n: states.readings[n] for n in kinds}
+        frame = pd.DataFrame({"run": states.run.astype(str), "t": states.time, **readings})
         manifest = Manifest(recording=1, tables=("states.csv",), columns=columns, constants=model.constants)
         return evaluate(model, Recording(manifest, frame))
 
@@ -190,26 +190,14 @@ def _change(component: str, unit: str, states: States, old: np.ndarray, new: np.
     uniform = difference[judged < STATES // 2 * AFTER.size]
     rms = float(np.sqrt(np.mean(uniform**2))) if uniform.size else 0.0
     last = np.abs(difference[judged % AFTER.size == AFTER.size - 1])
-    return Change(
-        component,
-        unit,
-        float(np.abs(difference).max()),
-        rms,
-        at,
-        float(old[worst]),
-        float(new[worst]),
-        name,
-        share,
-        bins,
-        float(last.max(initial=0.0)),
-    )
+    largest, settled = float(np.abs(difference).max()), float(last.max(initial=0.0))
+    values = float(old[worst]), float(new[worst])
+    return Change(component, unit, largest, rms, at, *values, name, share, bins, settled)
 
 
-def _goes_with(
-    readings: Mapping[str, np.ndarray], gap: np.ndarray
-) -> tuple[str, float, tuple[tuple[float, float, float, float], ...]]:
+def _goes_with(readings: Mapping[str, np.ndarray], gap: np.ndarray) -> tuple[str, float, Bins]:
     """The input with the largest correlation ratio (Pearson 1905) to the difference, and the difference over it."""
-    best: tuple[str, float, tuple[tuple[float, float, float, float], ...]] = ("", 0.0, ())
+    best: tuple[str, float, Bins] = ("", 0.0, ())
     total = float(np.var(gap))
     for name, values in readings.items():
         span = float(np.ptp(values))
@@ -220,11 +208,8 @@ def _goes_with(
         middle = [float(values[part == k].mean()) if r.size else 0.0 for k, r in enumerate(rows)]
         between = sum(r.size * (float(r.mean()) - float(gap.mean())) ** 2 for r in rows if r.size) / gap.size
         if between / total > best[1]:
-            bins = tuple(
-                (m, float(r.mean()), float(r.min()), float(r.max()))
-                for m, r in zip(middle, rows, strict=True)
-                if r.size
-            )
+            filled = [(m, r) for m, r in zip(middle, rows, strict=True) if r.size]
+            bins = tuple((m, float(r.mean()), float(r.min()), float(r.max())) for m, r in filled)
             best = (name, between / total, bins)
     return best
 
@@ -262,5 +247,5 @@ def _labels(recording: Recording) -> np.ndarray:
 
 def _rows_of(recording: Recording, labels: Sequence[str]) -> pd.DataFrame:
     run_labels = _labels(recording)
-    frame = recording.frame[np.isin(run_labels, labels)]
-    return frame.iloc[np.argsort(run_labels[np.isin(run_labels, labels)], kind="stable")]
+    chosen = np.flatnonzero(np.isin(run_labels, labels))
+    return recording.frame.iloc[chosen[np.argsort(run_labels[chosen], kind="stable")]]

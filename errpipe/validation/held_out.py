@@ -160,11 +160,8 @@ def in_short(not_judged: Sequence[str]) -> list[str]:
     for sentence in not_judged:
         label, _, why = sentence.partition(": ")
         labels.setdefault(why, []).append(label)
-    more = {
-        why: f" to {own[-1].removeprefix('hold-out ')} ({len(own)})" if len(own) > 1 else ""
-        for why, own in labels.items()
-    }
-    return [f"{own[0]}{more[why]}: {why}" for why, own in labels.items()]
+    ends = {why: f" to {own[-1].removeprefix('hold-out ')} ({len(own)})" for why, own in labels.items() if len(own) > 1}
+    return [f"{own[0]}{ends.get(why, '')}: {why}" for why, own in labels.items()]
 
 
 def component_figures(

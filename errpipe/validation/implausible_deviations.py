@@ -8,6 +8,7 @@ from errpipe.validation.plausibility_finding import (
     Check,
     Finding,
     Response,
+    group_means,
     has_fine_resolution,
     is_rearranged,
     level_of_rearranged,
@@ -64,7 +65,7 @@ def as_large_as_travel(r: Response) -> Finding | None:
     """A change beyond 3 % of the travel: swapped columns, or a position in a larger unit."""
     if r.per_unit is None or r.position is None or absolute_readings(r) is not None:
         return None
-    shape = r.deviation - _means(r.deviation, _group(r))
+    shape = r.deviation - group_means(r.deviation, r.run * 2 + (r.side() > 0))
     size = float(np.percentile(shape, 97.5) - np.percentile(shape, 2.5))
     if r.span == 0 or size <= MAX_SHARE_OF_TRAVEL * r.span * r.per_unit:
         return None
@@ -89,12 +90,9 @@ def other_zero(r: Response) -> Finding | None:
     middle, spread = float(np.median(r.deviation)), float(np.ptp(r.deviation))
     if abs(middle) <= OTHER_ZERO_UM or spread > OF_ITS_ZERO * abs(middle):
         return None
-    return Finding(
-        "other-zero",
-        r.column,
-        f"the deviation stands at {middle:.6g} um everywhere and varies by {spread:.3g} um",
-        "readings that count from another zero than the positions: subtract the reading at the reference position",
-    )
+    evidence = f"the deviation stands at {middle:.6g} um everywhere and varies by {spread:.3g} um"
+    meant = "readings that count from another zero than the positions: subtract the reading at the reference position"
+    return Finding("other-zero", r.column, evidence, meant)
 
 
 def too_small(r: Response) -> Finding | None:
@@ -112,21 +110,16 @@ def too_small(r: Response) -> Finding | None:
 
 def constant(r: Response) -> Finding | None:
     """A deviation that never changes, or one fine reading that stands in many rows: it was filled in."""
-    if np.ptp(r.deviation) > 0:
-        values, counts = np.unique(r.deviation, return_counts=True)
-        most = counts.max()
-        if most < FILLED_SHARE * r.deviation.size or most < FEWEST_FILLED or not has_fine_resolution(r.deviation):
-            return None
+    values, counts = np.unique(r.deviation, return_counts=True)
+    most = counts.max()
+    if values.size == 1:
+        evidence, meant = f"every reading is {values[0]:.6g}", "another column, or a reading not logged"
+    elif most < FILLED_SHARE * r.deviation.size or most < FEWEST_FILLED or not has_fine_resolution(r.deviation):
+        return None
+    else:
         evidence = f"{int(most)} of {r.deviation.size} readings are {values[np.argmax(counts)]:.6g}"
-        return Finding(
-            "constant-deviation", r.column, evidence, "a value that was filled in, or an instrument that stuck"
-        )
-    return Finding(
-        "constant-deviation",
-        r.column,
-        f"every reading is {r.deviation[0]:.6g}",
-        "another column, or a reading not logged",
-    )
+        meant = "a value that was filled in, or an instrument that stuck"
+    return Finding("constant-deviation", r.column, evidence, meant)
 
 
 def jump(r: Response) -> Finding | None:
@@ -140,13 +133,8 @@ def jump(r: Response) -> Finding | None:
     for size, name in ((1000.0, "1 mm, one turn of a dial gauge"), (25400.0, "one inch"), (2540.0, "0.1 inch")):
         hit = np.abs(np.abs(steps) - size) < max(UNIT_RATIO * size, 3 * usual)
         if hit.any() and usual < 0.02 * size and hit.mean() < 0.2:
-            place = f"between row {r.rows[int(np.argmax(hit))] + 1} and the next"
-            return Finding(
-                "jump",
-                r.column,
-                f"a step of {size:g} um {place}",
-                f"a reading that lost {name}: add it to the rows after",
-            )
+            evidence = f"a step of {size:g} um between row {r.rows[int(np.argmax(hit))] + 1} and the next"
+            return Finding("jump", r.column, evidence, f"a reading that lost {name}: add it to the rows after")
     return None
 
 
@@ -154,8 +142,7 @@ def mixed_units(r: Response) -> Finding | None:
     """Runs or directions that hold the same curve 25.4 or 1000 times larger than the others."""
     if r.position is None or r.component.kind == "force":
         return None
-    keys = [("run", r.run)] + ([] if r.direction is None else [("direction", r.direction)])
-    for what, key in keys:
+    for what, key in r.groupings():
         labels = np.unique(key)
         if labels.size < 2:
             continue
@@ -164,13 +151,9 @@ def mixed_units(r: Response) -> Finding | None:
         for label, ratio in zip(labels, size / middle if middle > 0 else size * 0, strict=True):
             for factor in (25.4, 1000.0, 1 / 25.4, 1e-3):
                 if 0.4 < ratio / factor < 2.5 and _alike(r, key, label):
-                    name = r.recording.run_labels()[int(label)] if what == "run" else f"{label:+g}"
-                    return Finding(
-                        "mixed-units",
-                        r.column,
-                        f"{what} {name} is {ratio:.4g} times as large as the others, with the same shape",
-                        "another unit there (25.4: inch and mm; 1000: mm and um)",
-                    )
+                    larger = f"is {ratio:.4g} times as large as the others, with the same shape"
+                    meant = "another unit there (25.4: inch and mm; 1000: mm and um)"
+                    return Finding("mixed-units", r.column, f"{what} {r.label_of(what, label)} {larger}", meant)
     return None
 
 
@@ -203,19 +186,14 @@ def expansion_of_no_material(r: Response) -> Finding | None:
     """Every warm run has a smaller slope, which means a reversed sign; or a larger one than any material has."""
     rates = _expansion_rates(r)
     if rates and all(match < -0.9 and EXPANSION[0] <= rate <= EXPANSION[1] for match, rate in rates):
-        return Finding(
-            "shrinks-when-warm",
-            r.column,
-            f"the axis gets {-sorted(rates)[0][1]:.3g} um/m shorter for each kelvin of warmth",
-            "error = actual - commanded: turn the sign (steel, iron and glass get longer)",
-        )
+        evidence = f"the axis gets {-min(rates)[1]:.3g} um/m shorter for each kelvin of warmth"
+        meant = "error = actual - commanded: turn the sign (steel, iron and glass get longer)"
+        return Finding("shrinks-when-warm", r.column, evidence, meant)
     if rates and all(match > 0.9 and rate > MAX_EXPANSION for match, rate in rates):
-        return Finding(
-            "expands-too-much",
-            r.column,
-            f"the axis gets {min(rate for _, rate in rates):.3g} um/m longer for each kelvin of warmth (steel: 11.5)",
-            "an error in 0.1 um that was declared as um, or the temperature of something else",
-        )
+        least = min(rate for _, rate in rates)
+        evidence = f"the axis gets {least:.3g} um/m longer for each kelvin of warmth (steel: 11.5)"
+        meant = "an error in 0.1 um that was declared as um, or the temperature of something else"
+        return Finding("expands-too-much", r.column, evidence, meant)
     return None
 
 
@@ -251,19 +229,14 @@ def worse_with_compensation(r: Response) -> Finding | None:
         if on.sum() < MIN_STEPS or off.sum() < MIN_STEPS:
             continue
         before, after = (float(np.sqrt(np.mean(r.deviation[k] ** 2))) for k in (off, on))
+        what = "with the compensation on the deviation is"
         if after > 1.3 * before:
-            evidence = (
-                f"with the compensation on the deviation is {after:.3g} {r.component.unit} rms, without it {before:.3g}"
-            )
-            return Finding(
-                "worse-with-compensation",
-                r.column,
-                evidence,
-                "the other sign, here or in the parameter of the controller",
-            )
+            evidence = f"{what} {after:.3g} {r.component.unit} rms, without it {before:.3g}"
+            meant = "the other sign, here or in the parameter of the controller"
+            return Finding("worse-with-compensation", r.column, evidence, meant)
         turned = _of_the_other(r, on, off)
         if turned is not None and abs(turned + 1.0) < OVER:
-            evidence = f"with the compensation on the deviation is {turned:.2f} times that without it"
+            evidence = f"{what} {turned:.2f} times that without it"
             meant = "an error declared twice as large as it is (a radius beside a diameter, a double pass of a laser)"
             return Finding("worse-with-compensation", r.column, evidence, meant)
     return None
@@ -274,10 +247,7 @@ OVER = 0.15  # about -1: what is left where twice the error was compensated
 
 def _of_the_other(r: Response, on: np.ndarray, off: np.ndarray) -> float | None:
     """Slope of the mean curve with a compensation over that without it; None where they have not the same shape."""
-    side = np.zeros(r.run.size) if r.direction is None else r.direction
-    place = np.unique(np.stack([np.round(np.asarray(r.position), 3), side], axis=1), axis=0, return_inverse=True)[
-        1
-    ].ravel()
+    place = r.cells()
     shared = np.intersect1d(place[on], place[off])
     if shared.size < MIN_STEPS:
         return None
@@ -296,18 +266,15 @@ def shifted_rows(r: Response) -> Finding | None:
     if shared.size < 9:
         return None
     a, b = (np.array([c[x] for x in shared]) for c in (up, down))
-    gaps = {k: _gap(a[1 + k : a.size - 1 + k], b[1 - k : b.size - 1 - k]) for k in (-1, 0, 1)}
+    gaps = {k: _scatter(a[1 + k : a.size - 1 + k] - b[1 - k : b.size - 1 - k]) for k in (-1, 0, 1)}
     best = min(gaps, key=lambda k: gaps[k])
     if best == 0 or not is_rearranged(r, gaps[0] ** 2, gaps[best] ** 2, a.size - 2, noise_of_difference(r)):
         return None
-    which = "the row before" if best == 1 else "the row after"
-    return Finding(
-        "shifted-rows",
-        r.column,
-        f"both directions agree {gaps[0] / max(gaps[best], 1e-12):.3g} times better with each value at its neighbour",
-        f"deviations that belong to {which} (a header counted as a row, or a value logged one target late)",
-        level_of_rearranged(r, gaps[0] ** 2, gaps[best] ** 2),
-    )
+    better, which = gaps[0] / max(gaps[best], 1e-12), "the row before" if best == 1 else "the row after"
+    evidence = f"both directions agree {better:.3g} times better with each value at its neighbour"
+    meant = f"deviations that belong to {which} (a header counted as a row, or a value logged one target late)"
+    level = level_of_rearranged(r, gaps[0] ** 2, gaps[best] ** 2)
+    return Finding("shifted-rows", r.column, evidence, meant, level)
 
 
 # ---------------------------------------------------------------- arithmetic
@@ -315,9 +282,8 @@ def shifted_rows(r: Response) -> Finding | None:
 
 def _line(r: Response) -> tuple[float, float]:
     """Slope of the deviation over the position, and rms residual from the line (each direction about its own mean)."""
-    group = np.zeros(r.rows.size) if r.direction is None else np.asarray(r.direction)
-    position = np.asarray(r.position)
-    x, y = position - _means(position, group), r.deviation - _means(r.deviation, group)
+    position, side = np.asarray(r.position), r.side()
+    x, y = position - group_means(position, side), r.deviation - group_means(r.deviation, side)
     slope = float(x @ y) / max(float(x @ x), 1e-300)
     return slope, float(np.sqrt(np.mean((y - slope * x) ** 2)))
 
@@ -336,15 +302,6 @@ def _noise(r: Response) -> float:
 def _slope(x: np.ndarray, y: np.ndarray) -> float:
     x = x - x.mean()
     return float(x @ y) / max(float(x @ x), 1e-300)
-
-
-def _group(r: Response) -> np.ndarray:
-    return r.run * 2 + (0 if r.direction is None else (r.direction > 0))
-
-
-def _means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
-    _, code = np.unique(group, return_inverse=True)
-    return (np.bincount(code, values) / np.bincount(code))[code]
 
 
 def _scatter(values: np.ndarray) -> float:
@@ -373,15 +330,9 @@ def _alike(r: Response, key: np.ndarray, label: float) -> bool:
 
 def _curve(r: Response, side: float) -> dict[float, float]:
     rows = r.direction == side
-    levels, code = np.unique(np.round(np.asarray(r.position)[rows], 3), return_inverse=True)
-    if not levels.size:
-        return {}
-    run_free = r.deviation[rows] - _means(r.deviation[rows], r.run[rows])
-    return dict(zip(levels.tolist(), (np.bincount(code, run_free) / np.bincount(code)).tolist(), strict=True))
-
-
-def _gap(a: np.ndarray, b: np.ndarray) -> float:
-    return _scatter(a - b)
+    places = np.round(np.asarray(r.position)[rows], 3)
+    run_free = r.deviation[rows] - group_means(r.deviation[rows], r.run[rows])
+    return dict(zip(places.tolist(), group_means(run_free, places).tolist(), strict=True))
 
 
 CHECKS: tuple[Check, ...] = (

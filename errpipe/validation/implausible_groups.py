@@ -29,8 +29,7 @@ def mixed_sign(r: Response) -> Finding | None:
     """One run, or one direction, whose curve is that of the others with the other sign."""
     if r.position is None or r.component.kind == "force":
         return None
-    keys = [("run", r.run)] + ([] if r.direction is None else [("direction", r.direction)])
-    for what, key in keys:
+    for what, key in r.groupings():
         labels = np.unique(key)
         curves = _curves(r, [key == k for k in labels])
         if labels.size < 2 or curves is None:
@@ -38,7 +37,7 @@ def mixed_sign(r: Response) -> Finding | None:
         match = np.corrcoef(curves)
         for minority in _of_the_other_sign(match):
             rest = np.setdiff1d(np.arange(labels.size), minority)
-            names = [r.recording.run_labels()[int(k)] if what == "run" else f"{k:+g}" for k in labels[minority]]
+            names = [r.label_of(what, k) for k in labels[minority]]
             evidence = f"{what} {', '.join(names)} has the shape of the others with the other sign"
             evidence += f" (correlation {match[np.ix_(minority, rest)].mean():.2f})"
             meant = "its deviations are commanded minus actual: turn them"
@@ -116,13 +115,9 @@ def mirrored_rows(r: Response) -> Finding | None:
     mirrored = float(np.std(curves[0] - curves[1][::-1]))
     if not is_rearranged(r, straight**2, mirrored**2, curves.shape[1], noise_of_difference(r)):
         return None
-    return Finding(
-        "mirrored-rows",
-        r.column,
-        f"both directions agree {straight / max(mirrored, 1e-12):.3g} times better when one is read backwards",
-        "readings of the way back that stand in the order of the targets, not of the measurement (or the reverse)",
-        level_of_rearranged(r, straight**2, mirrored**2),
-    )
+    evidence = f"both directions agree {straight / max(mirrored, 1e-12):.3g} times better when one is read backwards"
+    meant = "readings of the way back that stand in the order of the targets, not of the measurement (or the reverse)"
+    return Finding("mirrored-rows", r.column, evidence, meant, level_of_rearranged(r, straight**2, mirrored**2))
 
 
 UNLIKE, SMOOTH, JAGGED = 0.5, 0.7, 1.3  # correlation; ratio of von Neumann: 2 for values in a random order
@@ -148,11 +143,8 @@ def shuffled_rows(r: Response) -> Finding | None:
         for k in np.flatnonzero(ratio > JAGGED):
             rest = np.arange(labels.size) != k
             alike = np.min(match[np.ix_(rest, rest)]) > MIN_CORRELATION and np.max(ratio[rest]) < SMOOTH
-            if (
-                alike
-                and np.max(match[k][rest]) < UNLIKE
-                and curves[k].std() > 0.5 * np.median(curves[rest].std(axis=1))
-            ):
+            as_large = curves[k].std() > 0.5 * np.median(curves[rest].std(axis=1))
+            if alike and as_large and np.max(match[k][rest]) < UNLIKE:
                 name = r.recording.run_labels()[int(labels[k])]
                 evidence = f"run {name} has not the shape of the others and jumps from target to target"
                 return Finding("shuffled-rows", r.column, evidence, "its rows in another order, or a run that failed")

@@ -21,21 +21,16 @@ def reversal_of_the_other_sign(r: Response) -> Finding | None:
     if min(up.size, down.size) < FEWEST_READINGS:
         return None
     lost = _at_shared_targets(r)
-    step = float(np.median(lost) if lost.size >= FEWEST_TARGETS else np.median(up) - np.median(down))
-    samples = (
-        (lost,) if lost.size >= FEWEST_TARGETS else (up, down)
-    )  # beside targets, the curve of the axis counts as scatter
+    if lost.size >= FEWEST_TARGETS:
+        step, samples = float(np.median(lost)), [lost]
+    else:  # the curve of the axis counts as scatter
+        step, samples = float(np.median(up) - np.median(down)), [up, down]
     spread = 1.4826 * max(float(np.median(np.abs(v - np.median(v)))) for v in samples)
     if step < max(SHOWN, spread):
         return None
-    return Finding(
-        "reversal-sign",
-        r.column,
-        f"approached from below the axis stands {step:.3g} um further than from above",
-        "the same with the sign or the direction reversed, unless the control already corrects backlash too much",
-        level="ask",
-        of_sign=step >= LARGE,
-    )
+    evidence = f"approached from below the axis stands {step:.3g} um further than from above"
+    meant = "the same with the sign or the direction reversed, unless the control already corrects backlash too much"
+    return Finding("reversal-sign", r.column, evidence, meant, "ask", of_sign=step >= LARGE)
 
 
 def _at_shared_targets(r: Response) -> np.ndarray:

@@ -28,18 +28,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
 
 from errpipe.domain.recording import Recording
+from errpipe.validation.cusum import FALSE_ALARMS, FEWEST_RUNS, REFERENCE, cusum, threshold
 
-REFERENCE = 1.0  # of a standard error: half of the shift that is to be found quickest (Page 1954)
-FALSE_ALARMS = 0.02  # of years without drift that raise an alarm, any sensor, normal noise; measured: docs/registry.md
-HORIZON = 365  # runs for which that holds: a year of nights
-SIMULATED = 4000  # simulated years without drift behind a threshold
-MIN_THRESHOLD = 5.0  # standard errors; below it one odd run would be an alarm
 MIN_SD = 0.05  # K; sensors that agree better than their display resolution are not judged finer than it
 QUIETER = 0.2  # largest CUSUM without the faulty sensor over that with it: chosen on simulated sensors, seeds 1 to 3
 ALIKE = 2.0  # times the quietest of these: whatever is quieter may as well be the faulty one (a judgement)
@@ -53,11 +48,8 @@ SCALES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {  # what reads so ->
     "degC instead of degF": lambda t: 1.8 * t + 32.0,
     "degC instead of K": lambda t: t + 273.15,
 }
-FAR, SEASON = (
-    25.0,
-    15.0,
-)  # K; every sensor of a machine, air among them, moves by less from one run to another; a season
-FEWEST_RUNS = 4  # reference runs below which no scatter between runs is known
+FAR = 25.0  # K; every sensor of a machine, air among them, moves by less from one run to another
+SEASON = 15.0  # K; between seasons they move by less
 
 
 @dataclass(frozen=True)
@@ -86,10 +78,8 @@ def sensor_drift(
     the champion leaves, K per run in the order of their codes, NaN where unknown. Empty where there are fewer than two
     sensors, fewer than four reference runs, or no run after them.
     """
-    names = recording.names("temperature")
-    run = recording.run_codes()
-    old = list(dict.fromkeys(run[reference].tolist()))
-    new = [c for c in dict.fromkeys(run.tolist()) if c not in set(old)]
+    names, run = recording.names("temperature"), recording.run_codes()
+    old, new = old_and_new(run, reference)
     if len(names) < 2 or len(old) < FEWEST_RUNS or not new:
         return []
     readings = np.column_stack([recording.array(n) for n in names])
@@ -118,6 +108,12 @@ def sensor_drift(
     ]
     order = [names[k] for k in suspected]
     return sorted(drifts, key=lambda d: (order.index(d.column) if d.suspected else len(order), -d.statistic))
+
+
+def old_and_new(run: np.ndarray, reference: np.ndarray) -> tuple[list[int], list[int]]:
+    """Codes of the runs with reference rows and of the others, in order of appearance. run, reference: (rows,)."""
+    old = dict.fromkeys(run[reference].tolist())
+    return list(old), [c for c in dict.fromkeys(run.tolist()) if c not in old]
 
 
 def other_unit(recording: Recording, reference: np.ndarray) -> tuple[str, str] | None:
@@ -238,13 +234,12 @@ def _recursive_residuals(
     normal = [design[r].T @ design[r] for r in rows]
     moment = [design[r].T @ target[r] for r in rows]
     means = [design[r].mean(axis=0) if r.size else np.zeros(design.shape[1]) for r in rows]
-    a, b, spans = (sum(part[:references], np.zeros_like(part[0])) for part in (normal, moment, _outer(means)))
+    outer = [np.outer(m, m) for m in means]
+    a, b, spans = (sum(part[:references], np.zeros_like(part[0])) for part in (normal, moment, outer))
 
     def mean_residual(number: int, a: np.ndarray, b: np.ndarray) -> float:
-        rows_of_run = rows[number]
-        return (
-            float(np.mean(target[rows_of_run] - design[rows_of_run] @ _solve_normal(a, b))) if rows_of_run.size else 0.0
-        )
+        r = rows[number]
+        return float(np.mean(target[r] - design[r] @ _solve_normal(a, b))) if r.size else 0.0
 
     # leave-one-run-out: each reference run is predicted from the other reference runs
     reference_residuals = [mean_residual(n, a - normal[n], b - moment[n]) for n in range(references)]
@@ -258,62 +253,11 @@ def _recursive_residuals(
         if cusums.max() >= limit:
             limit = 0.0  # no run from the alarm on updates the regression
         else:
-            a, b, spans = a + normal[number], b + moment[number], spans + np.outer(means[number], means[number])
+            a, b, spans = a + normal[number], b + moment[number], spans + outer[number]
     return z, sd
-
-
-def _outer(vectors: Sequence[np.ndarray]) -> list[np.ndarray]:
-    return [np.outer(v, v) for v in vectors]
 
 
 def _solve_normal(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Least-norm solution of normal equations, columns scaled alike."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     return scale * (np.linalg.pinv(scale[:, None] * normal * scale, 1e-10, hermitian=True) @ (scale * right))
-
-
-@lru_cache
-def threshold(freedom: int, share: float) -> float:
-    """Threshold of the CUSUM, standard errors: a year of runs without drift exceeds it in a share of the years.
-
-    freedom: degrees of freedom of the scatter by which residuals are divided.
-    """
-    rng = np.random.default_rng(1)
-    freedom = max(freedom, 1)
-    sd = np.sqrt(rng.chisquare(freedom, SIMULATED) / freedom)
-    most, totals = np.zeros(SIMULATED), np.zeros((2, SIMULATED))
-    for _ in range(HORIZON):
-        z = rng.standard_normal(SIMULATED) / sd
-        totals = np.maximum(0.0, totals + np.stack([z, -z]) - REFERENCE)
-        most = np.maximum(most, totals.max(axis=0))
-    return max(float(np.quantile(most, 1.0 - share)), MIN_THRESHOLD)
-
-
-def cusum(z: np.ndarray) -> tuple[float, int]:
-    """Largest two-sided cumulative sum of standardised values, and where the excursion that reached it began."""
-    best, begin = 0.0, 0
-    for sign in (1.0, -1.0):
-        total, start = 0.0, 0
-        for i, value in enumerate(sign * np.asarray(z)):
-            if total == 0.0:
-                start = i
-            total = max(0.0, total + value - REFERENCE)
-            if total > best:
-                best, begin = total, start
-    return float(best), begin
-
-
-def level_drift(old: Sequence[float], new: Sequence[float]) -> tuple[float, int] | None:
-    """CUSUM of a figure per run that has one level, such as a champion's mean residual, and where it began.
-
-    None below its threshold, or with too few reference runs.
-    """
-    count = len(old)
-    if count < FEWEST_RUNS or not len(new):
-        return None
-    scale = max(float(np.std(old, ddof=1)), 1e-9)
-    values = np.array([*old, *new], dtype=float)
-    seen = np.arange(count, values.size)  # runs before each new one, whose mean is what it is judged by
-    before = np.cumsum(values)[count - 1 : -1] / seen
-    alarm, begin = cusum((values[count:] - before) / (scale * np.sqrt(1.0 + 1.0 / seen)))
-    return (alarm, begin) if alarm >= threshold(count - 1, FALSE_ALARMS) else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from errpipe.domain.machine import Machine
 from errpipe.domain.recording import Recording
 from errpipe.errors import GateError
 from errpipe.fitting.judging import HeldOut
+from errpipe.fitting.statistics import rms
 from errpipe.kinematics import held_out, identify, readings, remaining, synthesis
 from errpipe.kinematics.chain import Chain, compile_chain
 from errpipe.kinematics.direct import Laser
@@ -76,7 +77,12 @@ def _at_the_tool(chain: Chain, every: Any, left: list[held_out.HeldOutGroup]) ->
 
 
 def _rms(before: np.ndarray, after: np.ndarray) -> dict[str, float]:
-    return {"rms_before": float(np.sqrt(np.mean(before**2))), "rms_after": float(np.sqrt(np.mean(after**2)))}
+    return _pair([rms(before), rms(after)])
+
+
+def _pair(values: Sequence[float]) -> dict[str, float]:
+    """rms without and with the correction, as a document has them."""
+    return {"rms_before": float(values[0]), "rms_after": float(values[1])}
 
 
 def _family(machine: Machine, how: Mapping[str, Any], recording: Recording) -> Direct:
@@ -107,20 +113,12 @@ def _of_components(
     q = remaining.places(chain)
     to_axes = np.linalg.pinv(synthesis.linear_motion(chain, q))
     arms = np.mean((to_axes @ synthesis.jacobian(chain, q)[:, :3]) ** 2, axis=0)
-    axes: dict[str, dict[str, float]] = {}
-    total = {"rms_before": 0.0, "rms_after": 0.0}
-    for a, axis in enumerate(chain.machine.linear_axes()):
-        square = {"rms_before": 0.0, "rms_after": 0.0}
-        for component, parts in by_component.items():
-            weight = float(arms[a, chain.index(component)])
-            before = np.concatenate([p.before for p in parts])
-            after = np.concatenate([p.after for p in parts]) if component in kept else before
-            square["rms_before"] += weight * float(np.mean(before**2))
-            square["rms_after"] += weight * float(np.mean(after**2))
-        if square["rms_before"] > 0.0:
-            axes[axis] = {k: float(np.sqrt(v)) for k, v in square.items()}
-        total = {k: total[k] + v for k, v in square.items()}
-    return {"groups": groups, "axes": axes} | {k: float(np.sqrt(v)) for k, v in total.items()}
+    before = {c: np.concatenate([p.before for p in parts]) for c, parts in by_component.items()}
+    after = {c: np.concatenate([p.after for p in by_component[c]]) if c in kept else v for c, v in before.items()}
+    squares = np.array([[np.mean(side[c] ** 2) for c in before] for side in (before, after)])  # (2, components), um2
+    of_axes = arms[:, [chain.index(c) for c in before]] @ squares.T  # (axes, 2), um2
+    axes = {x: _pair(np.sqrt(s)) for x, s in zip(chain.machine.linear_axes(), of_axes, strict=True) if s[0] > 0.0}
+    return {"groups": groups, "axes": axes} | _pair(np.sqrt(of_axes.sum(axis=0)))
 
 
 def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]]) -> tuple[str, ...]:

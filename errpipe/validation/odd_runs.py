@@ -15,7 +15,8 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.fitting.statistics import rms
-from errpipe.validation.input_drift import FEWEST_RUNS, MIN_SD, SCALES
+from errpipe.validation.cusum import FEWEST_RUNS
+from errpipe.validation.input_drift import MIN_SD, SCALES, old_and_new
 from errpipe.validation.response_drift import UNITS, meaning
 
 ODD = 4.0  # root of an F ratio: by chance once in years of nights, and then without a cause
@@ -42,8 +43,7 @@ def odd_sensors(recording: Recording, reference: np.ndarray) -> list[OddRun]:
     reference: rows that fitted the champion, (rows,). Empty where there are too few sensors or reference runs to know.
     """
     names, run, labels = recording.names("temperature"), recording.run_codes(), recording.run_labels()
-    old = list(dict.fromkeys(run[reference].tolist()))
-    new = [c for c in dict.fromkeys(run.tolist()) if c not in set(old)]
+    old, new = old_and_new(run, reference)
     if len(names) < 2 or len(old) < FEWEST_RUNS or not new:
         return []
     readings = np.column_stack([recording.array(n) for n in names])
@@ -136,10 +136,8 @@ def odd_responses(
         out += [OddRun(labels[c], component, meaning(f)) for c, f in factors.items() if f is not None]
         alone = [c for c in unlike if factors[c] is None]
         if alone and _few_in_a_row([new.index(c) for c in alone], len(new)) and max(sound) <= AS_BEFORE * usual:
-            says = (
-                f"um rms are left of it, at most {max(sound):.3g} um of other new runs: of another machine, or a fault"
-            )
-            out += [OddRun(labels[c], component, f"{left[c]:.3g} {says} in measuring?", False) for c in alone]
+            says = f"at most {max(sound):.3g} um of other new runs: of another machine, or a fault in measuring?"
+            out += [OddRun(labels[c], component, f"{left[c]:.3g} um rms are left of it, {says}", False) for c in alone]
     return out
 
 

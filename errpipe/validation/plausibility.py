@@ -73,12 +73,8 @@ def too_large(name: str, largest: float, unit: str, travel: float | None, limit:
         meant = "a true error that large (repair the machine, or allow it), or readings from an axis out of reference"
     basis = "set by `limit`" if limit is not None else "the larger of 0.5 mm and 1/1000 of the travel"
     basis = "1 mm/m" if limit is None and unit == "urad" else basis
-    return Finding(
-        "beyond-limit",
-        name,
-        f"the correction reaches {largest:.4g} {unit}, the limit is {allowed:.4g} ({basis})",
-        meant,
-    )
+    evidence = f"the correction reaches {largest:.4g} {unit}, the limit is {allowed:.4g} ({basis})"
+    return Finding("beyond-limit", name, evidence, meant)
 
 
 SCALES = (

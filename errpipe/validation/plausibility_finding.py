@@ -67,6 +67,22 @@ class Response:
         """Range of the positions of this response, mm or deg; 0 without a position."""
         return 0.0 if self.position is None or not self.position.size else float(np.ptp(self.position))
 
+    def side(self) -> np.ndarray:
+        """Side that each row was approached from, +1 or -1, shape (n,); 0 without a direction."""
+        return np.zeros(self.rows.size) if self.direction is None else self.direction
+
+    def cells(self) -> np.ndarray:
+        """Number of each row's target and side, shape (n,)."""
+        return _numbered(np.round(np.asarray(self.position), 3), self.side())
+
+    def groupings(self) -> list[tuple[str, np.ndarray]]:
+        """What rows may differ by: the run and, where it is recorded, the direction; each with its label, (n,)."""
+        return [("run", self.run)] + ([] if self.direction is None else [("direction", self.direction)])
+
+    def label_of(self, what: str, value: float) -> str:
+        """A label of `groupings` in words."""
+        return self.recording.run_labels()[int(value)] if what == "run" else f"{value:+g}"
+
     def repeats(self) -> tuple[float, int]:
         """Variance of the deviation among runs at the same target from the same side, and its degrees of freedom.
 
@@ -74,18 +90,22 @@ class Response:
         """
         if self.position is None:
             return 0.0, 0
-        side = np.zeros(self.rows.size) if self.direction is None else self.direction
-        visit = np.unique(np.stack([self.run, side], axis=1), axis=0, return_inverse=True)[1].ravel()
-        place = np.stack([np.round(self.position, 3), side], axis=1)
-        cell = np.unique(place, axis=0, return_inverse=True)[1].ravel()
-        rest = self.deviation - _means(self.deviation, visit)
-        freedom = int(rest.size - np.unique(cell).size - np.unique(visit).size + np.unique(side).size)
-        squares = float(np.sum((rest - _means(rest, cell)) ** 2))
+        visit, cell = _numbered(self.run, self.side()), self.cells()
+        rest = self.deviation - group_means(self.deviation, visit)
+        freedom = int(rest.size - np.unique(cell).size - np.unique(visit).size + np.unique(self.side()).size)
+        squares = float(np.sum((rest - group_means(rest, cell)) ** 2))
         return (squares / freedom, freedom) if freedom > 0 else (0.0, 0)
 
 
-def _means(values: np.ndarray, code: np.ndarray) -> np.ndarray:
-    return (np.bincount(code, values) / np.maximum(np.bincount(code), 1))[code]
+def _numbered(*keys: np.ndarray) -> np.ndarray:
+    """Number of each row's combination of keys, shape (n,)."""
+    return np.unique(np.stack(keys, axis=1), axis=0, return_inverse=True)[1].ravel()
+
+
+def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Mean of each row's group, shape (n,)."""
+    code = np.unique(group, return_inverse=True)[1]
+    return (np.bincount(code, values) / np.bincount(code))[code]
 
 
 def noise_of_difference(r: Response) -> float:
@@ -140,28 +160,18 @@ def responses(recording: Recording) -> list[Response]:
         side = _own(recording, ("direction",), component.axis)
         good = np.abs(d) < MAX_MAGNITUDE
         if place is not None:
-            good &= np.abs(recording.array(place)) < MAX_MAGNITUDE
+            good &= np.abs(place) < MAX_MAGNITUDE
         rows = np.flatnonzero(good)
-        out.append(
-            Response(
-                recording,
-                name,
-                component,
-                rows,
-                d[rows],
-                None if place is None else recording.array(place)[rows],
-                None if side is None else recording.array(side)[rows],
-                recording.run_codes()[rows],
-            )
-        )
+        position, direction = (None if v is None else v[rows] for v in (place, side))
+        run = recording.run_codes()[rows]
+        out.append(Response(recording, name, component, rows, d[rows], position, direction, run))
     return out
 
 
-def _own(recording: Recording, roles: Sequence[str], axis: str | None) -> str | None:
+def _own(recording: Recording, roles: Sequence[str], axis: str | None) -> np.ndarray | None:
     """The first column of one of the roles that belongs to an axis."""
-    if axis is None:
-        return None
-    return next((n for role in roles if (n := recording.name(role, axis=axis)) is not None), None)
+    names = (recording.name(role, axis=axis) for role in roles if axis is not None)
+    return next((recording.array(name) for name in names if name is not None), None)
 
 
 def means_at(places: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 The level of a run is the mean residual, its size the slope of the measured deviations on the predicted ones (least
 squares, each about its mean), its rms that of the residual (as the logarithm of the mean square, which is nearly
 normal): lost motion or a worn stretch moves neither mean nor slope. Each goes into a CUSUM against the runs that the
-model was fitted on (`input_drift`).
+model was fitted on (`cusum`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.validation.input_drift import level_drift
+from errpipe.validation.cusum import level_drift
 
 WEAKEST_RUN = 0.25  # of the median rms of the prediction: a run that hardly moved shows nothing of the size
 NO_RESPONSE = 0.3  # of what is predicted: compensated machines leave less than a third, worn ones show more than that
@@ -53,9 +53,8 @@ def drifts(
         if moved := _moved(slopes, reference, run, strength):
             since, before, after = moved
             factor = after / before if abs(before) > NO_RESPONSE else after
-            as_noisy = _noise(measured, prediction, run == max(slopes)) > QUIETER * _noise(
-                measured, prediction, reference
-            )
+            now, then = (_noise(measured, prediction, rows) for rows in (run == max(slopes), reference))
+            as_noisy = now > QUIETER * then
             means = meaning(0.0 if as_noisy and abs(factor) < NO_RESPONSE else factor)
             sizes.append({"component": component, "since": labels[since], "factor": factor, "meaning": means})
     return {"residuals": levels, "sizes": sizes, "rms": rms}

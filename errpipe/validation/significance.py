@@ -52,13 +52,9 @@ def p_between_halves(folds: Sequence[HeldOut], gain: float) -> tuple[float, int]
     and both one-sided p combined by Fisher's method. The zero of a run is the mean of a few readings: its error stands
     in both halves and would predict itself. folds: blocks of the first half, then as many of the second.
     """
-    before, after = (
-        [
-            np.concatenate([getattr(f, name) for f in half])
-            for half in (folds[: len(folds) // 2], folds[len(folds) // 2 :])
-        ]
-        for name in ("before", "after")
-    )
+    halves = folds[: len(folds) // 2], folds[len(folds) // 2 :]
+    before = [np.concatenate([f.before for f in half]) for half in halves]
+    after = [np.concatenate([f.after for f in half]) for half in halves]
     predicted = [gain * (b - a) for b, a in zip(before, after, strict=True)]
     whole = ([x - np.concatenate(series).mean() for x in series] for series in (predicted, before))
     drift, worth = _correlated(*whole)

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import pandas as pd
+
 from errpipe import jsonfile
+from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.recording import Recording
+from errpipe.fitting import pooling
 from errpipe.pipeline.lock import read_lock
 from errpipe.stages import _artefacts
+from errpipe.stages.validate import HELD_OUT
+from errpipe.validation.cusum import level_drift
+from errpipe.validation.held_out import in_short
+from errpipe.validation.input_drift import sensor_drift
+from errpipe.verbs._retrain_pages import plain_text
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from errpipe.domain.error_model import ErrorModel
-    from errpipe.domain.recording import Recording
     from errpipe.pipeline.spec import Pipeline
 
 MIRRORED = (6.0, 2.0)  # spreads that a machine of the other sign is away from its type, at least, and turned, at most
@@ -30,8 +38,6 @@ def facts(pipeline: Pipeline, out: Path) -> dict[str, Any]:
 
     OUT may be a folder of the machine that ran it, which no other machine can read.
     """
-    from errpipe.validation.held_out import in_short
-
     folders = {kind: out / stage.label for stage in pipeline.stages for kind in stage.gives}
     figures: dict[str, Any] = {"responses": {}, "drift": [], "model": "", "readings": "", "not_judged": []}
     if "validation" in folders:
@@ -54,8 +60,6 @@ def facts(pipeline: Pipeline, out: Path) -> dict[str, Any]:
 
 def _sensors(recording: Recording) -> list[dict[str, Any]]:
     """Sensors that left the others in the second half of the runs."""
-    from errpipe.validation.input_drift import sensor_drift
-
     early = recording.run_codes() < (len(recording.run_labels()) + 1) // 2
     return [
         {"what": f"sensor {d.column}{'' if d.blamed else ' or another'}", "since": d.since, "size": d.size, "unit": "K"}
@@ -66,11 +70,6 @@ def _sensors(recording: Recording) -> list[dict[str, Any]]:
 
 def _residuals(recording: Recording, validation: Path | None) -> list[dict[str, Any]]:
     """Responses whose mean per run changed its level in the second half, each run predicted without itself."""
-    import pandas as pd
-
-    from errpipe.stages.validate import HELD_OUT
-    from errpipe.validation.input_drift import level_drift
-
     if validation is None:
         return []
     rows = pd.read_parquet(validation / HELD_OUT)
@@ -88,8 +87,6 @@ def _residuals(recording: Recording, validation: Path | None) -> list[dict[str, 
 
 def model_of(result: Mapping[str, Any]) -> ErrorModel | None:
     """The model of one machine's run, None where it has none."""
-    from errpipe.domain.error_model import ErrorModel
-
     return ErrorModel.model_validate(result["parameters"]) if result.get("parameters") else None
 
 
@@ -145,8 +142,6 @@ def _copies(results: Sequence[Mapping[str, Any]]) -> list[list[str]]:
 
 def _mirrored(names: Sequence[str], estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray]) -> list[str]:
     """Machines whose parameters lie far from those of the others, and with the other sign among them."""
-    import numpy as np
-
     if len(names) < FEWEST_ALIKE:
         return []
     values = np.array(estimates)
@@ -170,8 +165,6 @@ def _type(
     name: str, rows: Sequence[Mapping[str, Any]], of_machines: Mapping[str, ErrorModel | None], out: Path, pool: bool
 ) -> dict[str, Any]:
     """Machines of a type that are alike, and its pooled parameters."""
-    from errpipe.fitting import pooling
-
     models = {r["name"]: m for r in rows if r["type"] == name and (m := of_machines[r["name"]]) is not None}
     by_response = {}
     for component in dict.fromkeys(c.component for m in models.values() for c in m.components):
@@ -201,10 +194,6 @@ def _estimates(
     models: Mapping[str, ErrorModel], component: str
 ) -> tuple[list[str], tuple[str, ...], list[np.ndarray], list[np.ndarray]]:
     """Estimates and covariances of the machines whose model of a response has the commonest parameters."""
-    from collections import Counter
-
-    import numpy as np
-
     parts = {n: c for n, m in models.items() for c in m.components if c.component == component and c.parameter_names}
     keys_of = {n: _keys(c) for n, c in parts.items()}
     keys = Counter(keys_of.values()).most_common(1)[0][0] if parts else ()
@@ -223,8 +212,6 @@ def _keys(component: Any) -> tuple[str, ...]:
 
 def with_parameters(model: ErrorModel, component: str, values: np.ndarray, covariance: np.ndarray) -> ErrorModel:
     """The model with other parameters of one response; 95 % intervals follow from the covariance."""
-    import numpy as np
-
     spread, parts, at = np.sqrt(np.maximum(np.diag(covariance), 0.0)), [], 0
     for c in model.components:
         if c.component != component:
@@ -245,8 +232,6 @@ def with_parameters(model: ErrorModel, component: str, values: np.ndarray, covar
 
 def lines(document: Mapping[str, Any]) -> list[str]:
     """The report as Markdown."""
-    from errpipe.verbs._retrain_pages import plain_text
-
     rows = document["machines"]
     states = [r["state"] for r in rows]
     out = [f"# {plain_text(document['title'] or 'Fleet')}: {len(rows)} machines", ""]

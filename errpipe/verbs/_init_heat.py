@@ -11,6 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from errpipe import yamlfile
+from errpipe.cleaning import clean
+from errpipe.errors import DataError
+from errpipe.fitting import holdout
+from errpipe.fitting.statistics import student_tail
+from errpipe.models import DEFAULT, FAMILIES
+from errpipe.validation import significance
+
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import HoldOut
@@ -43,10 +51,6 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
     The text with the candidates that help, each with its sensor, and one sentence that says why; without all of these
     lines where none helps.
     """
-    from errpipe import yamlfile
-    from errpipe.fitting import holdout
-    from errpipe.models import DEFAULT, FAMILIES
-
     lines = text.splitlines()
     candidates = [line for line in lines if WARM in line]
     cleaned = _cleaned(recording) if candidates and recording is not None and moving(recording) else None
@@ -84,9 +88,6 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
 
 def _cleaned(recording: Recording) -> Recording | None:
     """The recording as the pipeline cleans it: a sensor that is set aside is no candidate. None where it is refused."""
-    from errpipe.cleaning import clean
-    from errpipe.errors import DataError
-
     with suppress(DataError):
         return clean(recording)[0]
     return None
@@ -115,9 +116,6 @@ def moving(recording: Recording) -> list[str]:
 
 def scheme_of(recording: Recording) -> HoldOut | None:
     """Whole groups to hold out: the coarsest of FEWEST or more, of whole runs (seasons, days), else runs; else None."""
-    from errpipe.errors import DataError
-    from errpipe.fitting import holdout
-
     dated = recording
     with suppress(DataError):  # no dates
         dated = holdout.with_calendar(recording, "day")
@@ -150,8 +148,6 @@ def helpful(
     temperatures. Each step must leave less of the groups left out than the model without it, by LEAST and by more than
     chance (`_chance`), shared among the temperatures.
     """
-    from errpipe.validation import significance
-
     recording = recording.take(np.arange(len(recording)) % -(-len(recording) // MOST_ROWS) == 0)
     chosen: tuple[int, ...] = ()
     first = judged = _judged(recording, scheme, family(chosen))
@@ -178,17 +174,12 @@ def _chance(before: float, after: float, runs: int, terms: int) -> float:
     A paired test over runs asks each of them for a gain, and a run at the mean temperature has none. 60 machines whose
     heat no sensor sees, 3 sensors: 0 of 60 with 3 runs a season get terms of heat, 1 of 60 with 6 (seeds 100 to 159).
     """
-    from errpipe.fitting.statistics import student_tail
-
     degrees, left = runs - 1 - terms, (after / before) ** 2
     return student_tail(np.sqrt((1.0 - left) * degrees / max(left, 1e-12)), degrees) if degrees > 0 else 1.0
 
 
 def _judged(recording: Recording, scheme: HoldOut, family: Family) -> list[HeldOut] | None:
     """Residuals of every held-out group; None where the model cannot be fitted without one of them."""
-    from errpipe.errors import DataError
-    from errpipe.fitting import holdout
-
     try:
         dated = holdout.with_calendar(recording, scheme.of)
         folds = holdout.groups(dated, scheme)
@@ -199,8 +190,6 @@ def _judged(recording: Recording, scheme: HoldOut, family: Family) -> list[HeldO
 
 def _identifiable(recording: Recording, family: Family) -> bool:
     """Whether the fit on all rows is not refused, such as for two sensors that rise together."""
-    from errpipe.errors import DataError
-
     try:
         family.fit(recording)
     except DataError:

@@ -1,33 +1,26 @@
-"""What moved since the champion was fitted: sensors, its residual, single runs; and what of it stops a promotion."""
+"""What moved since the champion was fitted: sensors, its residual, single runs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+import pandas as pd
+
+from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.operations import LARGEST_NUMBER
+from errpipe.domain.recording import Recording
 from errpipe.errors import VerifyError
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from errpipe.domain.error_model import ErrorModel
-    from errpipe.domain.recording import Recording
-    from errpipe.validation.retraining import Gate
+from errpipe.fitting.components import evaluate
+from errpipe.validation import input_drift, odd_runs, response_drift, retraining
+from errpipe.validation.what_changed import changed_again, what_changed
 
 LEAST_SLOPE = 1.0  # 1/K2: a run tells a sensor's error to 1 K (a standard error of 1/sqrt(slope)), or does not count
-
-MOST_NAMED = 6  # runs that a gate names
 
 
 def predictions(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
     """Component -> the model's deviation on every row, um; last inputs are held over gaps, 0 where nothing is known."""
-    import numpy as np
-
-    from errpipe.domain.operations import LARGEST_NUMBER
-    from errpipe.domain.recording import Recording
-    from errpipe.fitting.components import evaluate
-
     frame = recording.frame
     gaps = [name for name in model.columns if name in frame.columns and frame[name].isna().any()]
     if gaps:
@@ -42,53 +35,8 @@ def predictions(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray
     return known
 
 
-def drift_gate(drift: Mapping[str, Any], model: ErrorModel) -> Gate:
-    """No promotion of a challenger that reads a sensor which may drift: the drift was part of its training data."""
-    from errpipe.validation.input_drift import drifting_sensors
-    from errpipe.validation.retraining import Gate
-
-    faulty = [d["column"] for d in drift["inputs"] if d["suspected"]]
-    if not set(faulty) & set(model.columns):
-        return Gate("sensors", True, "no sensor of the challenger drifts")
-    return Gate("sensors", False, f"{drifting_sensors(faulty)}; repair or replace it first")
-
-
-def response_gates(drift: Mapping[str, Any]) -> list[Gate]:
-    """No promotion of a challenger fitted on responses that are no deviations of the uncompensated machine."""
-    from errpipe.validation.retraining import Gate
-
-    return [
-        Gate(
-            f"readings of {d['component']}",
-            False,
-            f"since run {d['since']} they are {d['factor']:.2g} of what the champion predicts: {d['meaning']}",
-        )
-        for d in drift["sizes"]
-        if d["meaning"]
-    ]
-
-
-def odd_run_gates(drift: Mapping[str, Any]) -> list[Gate]:
-    """No promotion of a challenger fitted on single runs whose readings are known to be wrong."""
-    from errpipe.validation.retraining import Gate
-
-    runs: dict[tuple[str, str], list[str]] = {}
-    for odd in (o for o in drift["runs"] if o["wrong"]):
-        runs.setdefault((odd["what"], odd["says"]), []).append(odd["run"])
-    return [
-        Gate(
-            f"readings of {what}",
-            False,
-            f"in run {', '.join(labels)} {says}: put right, or left out (`without_runs` of ingest)",
-        )
-        for (what, says), labels in runs.items()
-    ]
-
-
 def silent(model: ErrorModel, recording: Recording) -> dict[str, list[str]]:
     """Column that a model reads -> labels of the runs in which it holds no reading; only such columns."""
-    import numpy as np
-
     run, labels, out = recording.run_codes(), recording.run_labels(), {}
     for name in (n for n in model.columns if n in recording.frame and recording.manifest.columns[n].unit):
         heard = set(run[np.isfinite(recording.array(name))].tolist())
@@ -97,44 +45,12 @@ def silent(model: ErrorModel, recording: Recording) -> dict[str, list[str]]:
     return out
 
 
-def silent_gates(model: ErrorModel, recording: Recording) -> list[Gate]:
-    """Which runs are no evidence, as a sensor was silent; no promotion of a model of one that is silent still."""
-    from errpipe.validation.retraining import Gate
-
-    last = recording.run_labels()[-1]
-    return [
-        Gate(
-            f"readings of {name}",
-            last not in runs,
-            f"none in run {', '.join(runs[-MOST_NAMED:])}{' and earlier ones' if len(runs) > MOST_NAMED else ''}: "
-            "no evidence" + (", and none in the last run: repair it, or fit without it" if last in runs else ""),
-        )
-        for name, runs in silent(model, recording).items()
-    ]
-
-
-def unit_gates(old: Recording, recording: Recording, known: frozenset[str]) -> list[Gate]:
-    """No promotion of a challenger whose new temperatures are in another unit: the controller's are not."""
-    from errpipe.validation.input_drift import other_unit
-    from errpipe.validation.retraining import Gate
-
-    both, reference = _with_new_runs(old, recording, known)
-    found = None if both is None else other_unit(both, reference)
-    if found is None:
-        return []
-    return [Gate("temperatures", False, f"since run {found[1]} all of them read as if in {found[0]}")]
-
-
 def drift(model: ErrorModel, old: Recording, recording: Recording, known: frozenset[str]) -> dict[str, Any]:
     """Drift of inputs (which sensor), of the champion's residual and of the size of a response, each with since when.
 
     The reference is what the champion was fitted on, also where those runs are no longer kept with the new ones.
     """
-    import numpy as np
-
-    from errpipe.validation import input_drift, response_drift
-
-    both, reference = _with_new_runs(old, recording, known)
+    both, reference = with_new_runs(old, recording, known)
     if both is not None:  # where a sensor is silent nothing is predicted: what is left is no change of the machine
         unheard = {label for runs in silent(model, both).values() for label in runs}
         heard = ~np.isin(np.asarray(both.run_labels())[both.run_codes()], list(unheard))
@@ -163,8 +79,6 @@ def _odd_runs(model: ErrorModel, both: Recording, reference: np.ndarray) -> tupl
 
     Deviations that are odd up to the last run say what holds since: these stay, as do none whose sensors are wrong.
     """
-    from errpipe.validation import odd_runs
-
     sensors = odd_runs.odd_sensors(both, reference)
     wrong = [o.run for o in sensors]
     responses = odd_runs.odd_responses(both, reference, predictions(model, both), wrong)
@@ -179,10 +93,6 @@ def _changes(model, both, reference, prediction, moved) -> list[dict[str, Any]]:
 
     Where the machine changed twice it is since the second time: challengers are fitted on the runs of one machine.
     """
-    import numpy as np
-
-    from errpipe.validation.what_changed import changed_again, what_changed
-
     labels, run, out = both.run_labels(), both.run_codes(), []
     for part in model.components:
         signs = [[m for m in moved[key] if m["component"] == part.component] for key in ("residuals", "sizes", "rms")]
@@ -206,8 +116,6 @@ def _apparent_errors(model: ErrorModel, recording: Recording, prediction, refere
     Least squares of the residual on the prediction's change per kelvin; columns that the champion does not read, or
     whose constant offset it does not show, are left out.
     """
-    import numpy as np
-
     run = recording.run_codes()
     measured = {c: recording.name("error", component=c) for c in prediction}
     residual = {c: recording.array(name) - prediction[c] for c, name in measured.items() if name is not None}
@@ -225,12 +133,8 @@ def _apparent_errors(model: ErrorModel, recording: Recording, prediction, refere
     return out
 
 
-def _with_new_runs(old: Recording, recording: Recording, known: frozenset[str]) -> tuple[Recording | None, np.ndarray]:
+def with_new_runs(old: Recording, recording: Recording, known: frozenset[str]) -> tuple[Recording | None, np.ndarray]:
     """The champion's recording followed by the runs that it did not see, and which rows are the champion's."""
-    import numpy as np
-
-    from errpipe.validation import retraining
-
     keys = retraining.run_keys(recording)
     new = np.isin(recording.run_codes(), [c for c, key in enumerate(keys) if key not in known])
     both = _joined(old, recording.take(new))
@@ -239,10 +143,6 @@ def _with_new_runs(old: Recording, recording: Recording, known: frozenset[str]) 
 
 def _joined(old: Recording, new: Recording) -> Recording | None:
     """Two recordings as one, the runs of the second marked apart; None where they share no columns."""
-    import pandas as pd
-
-    from errpipe.domain.recording import Recording
-
     run = old.name("run")
     names = [n for n in old.frame.columns if n in new.frame.columns]
     if run is None or run not in names or len(new) == 0:

@@ -7,7 +7,10 @@ from html import escape  # xml.sax.saxutils, with the same, imports an HTTP clie
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from errpipe import jsonfile
+from errpipe.reporting.github import workflow_command
 from errpipe.validation.retraining import EVIDENCE
 
 MARKDOWN, JUNIT, GITLAB, FIGURE = "retrain.md", "retrain.junit.xml", "retrain.codequality.json", "retrain.svg"
@@ -75,27 +78,22 @@ def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
     lines = ["## Drift", ""]
     if not any(drift.values()):
         return [*lines, "Neither the sensors nor the champion's residual left what they were when it was fitted."]
-    for d in drift["inputs"]:
-        lines.append(
-            f"- Sensor {plain_text(d['column'])} {_word(d)} since run {plain_text(d['since'])}: {d['size']:+.2g} K."
-        )
-    for d in drift["residuals"]:
-        lines.append(
-            f"- The champion's residual of {plain_text(d['component'])} moved since run {plain_text(d['since'])}: "
-            f"{d['size_um']:+.3g} um on average."
-        )
-    for d in drift["rms"]:
-        lines.append(
-            f"- The champion leaves {d['after_um']:.3g} um rms of {plain_text(d['component'])} since run "
-            f"{plain_text(d['since'])}, {d['before_um']:.3g} um before."
-        )
-    for d in drift["sizes"]:
-        lines.append(
-            f"- {plain_text(d['component'])} is {d['factor']:.2g} of what the champion predicts since run "
-            f"{plain_text(d['since'])}: {plain_text(d['meaning'] or 'the machine changed')}."
-        )
-    lines += [f"- {plain_text(sentence)}" for sentence in _sentences(drift)]
-    return lines
+    said = [f"Sensor {d['column']} {_word(d)} since run {d['since']}: {d['size']:+.2g} K." for d in drift["inputs"]]
+    said += [
+        f"The champion's residual of {d['component']} moved since run {d['since']}: {d['size_um']:+.3g} um on average."
+        for d in drift["residuals"]
+    ]
+    said += [
+        f"The champion leaves {d['after_um']:.3g} um rms of {d['component']} since run {d['since']}, "
+        f"{d['before_um']:.3g} um before."
+        for d in drift["rms"]
+    ]
+    said += [
+        f"{d['component']} is {d['factor']:.2g} of what the champion predicts since run {d['since']}: "
+        f"{d['meaning'] or 'the machine changed'}."
+        for d in drift["sizes"]
+    ]
+    return [*lines, *(f"- {plain_text(sentence)}" for sentence in (*said, *_sentences(drift)))]
 
 
 def _word(sensor: Mapping[str, Any]) -> str:
@@ -171,30 +169,19 @@ def _quality(name: str, says: str, severity: str) -> dict[str, Any]:
 
 
 def github_annotations(document: Mapping[str, Any]) -> list[str]:
-    """Workflow commands, a line for each failed gate and all that drifted; data are escaped as the runner asks."""
-    out = []
-    for gate in document["gates"]:
-        if not gate["passed"]:
-            kind = "notice" if _waits(gate) else "error"
-            out.append(f"::{kind} title={_property(gate['name'])}::{_data(gate['says'])}")
-    for d in document["drift"]["inputs"]:
-        out.append(f"::warning title=sensor drift::{_data(d['column'])} since run {_data(d['since'])}")
-    out += [f"::warning title=narrower validity::{_data(says)}" for says in document["narrower"]]
-    return [*out, *(f"::warning title=drift::{_data(sentence)}" for sentence in _sentences(document["drift"]))]
-
-
-def _data(text: object) -> str:
-    return str(text).replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
-
-
-def _property(text: object) -> str:
-    return _data(text).replace(":", "%3A").replace(",", "%2C")
+    """Workflow commands, a line for each failed gate and all that drifted."""
+    failed = [g for g in document["gates"] if not g["passed"]]
+    warnings = [("sensor drift", f"{d['column']} since run {d['since']}") for d in document["drift"]["inputs"]]
+    warnings += [("narrower validity", says) for says in document["narrower"]]
+    warnings += [("drift", sentence) for sentence in _sentences(document["drift"])]
+    return [
+        *(workflow_command("notice" if _waits(g) else "error", g["says"], title=g["name"]) for g in failed),
+        *(workflow_command("warning", says, title=title) for title, says in warnings),
+    ]
 
 
 def figure(document: Mapping[str, Any]) -> str:
     """rms per new run: uncompensated, champion, challenger."""
-    import numpy as np
-
     from errpipe.reporting import svg
 
     runs = document["runs"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from errpipe import errors
 from errpipe.errors import UsageError, did_you_mean
 
 EXIT_CODES = {
@@ -60,7 +61,6 @@ def _first_line(text: str | None) -> str:
 
 def explain(code: str) -> dict[str, Any]:
     """What a name in brackets, a kind of error or an exit code means. Raises UsageError with the nearest."""
-    from errpipe import errors
     from errpipe.validation.codes import EXPLANATIONS
 
     kinds = {n: k for n, k in vars(errors).items() if isinstance(k, type) and issubclass(k, errors.ErrpipeError)}

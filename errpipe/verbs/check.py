@@ -67,14 +67,13 @@ def _source(
     path = getattr(stage, "recording", None)
     if isinstance(path, Path):
         manifest = path / "recording.yaml" if path.is_dir() else path
+        place = ("stages", pipeline.stages.index(stage), "recording")
         if path.is_file() and path.suffix.lower() in RAW_TABLES:
-            place = ("stages", pipeline.stages.index(stage), "recording")
             text = f"{path} is a table, no recording (a folder with recording.yaml; errpipe import writes one)"
             return None, [pipeline.document.problem(place, text)]
         if not data or manifest.name != "recording.yaml" or not path.exists():
             return None, []
         if not manifest.is_file():
-            place = ("stages", pipeline.stages.index(stage), "recording")
             text = f"{path} holds no recording.yaml (errpipe import writes one from measurement files)"
             return None, [pipeline.document.problem(place, text)]
         try:
@@ -270,29 +269,31 @@ def _no_column(recording: Recording, name: str) -> str:
 
 def _responses(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:
     """Components that the recording must hold, and the columns of every term."""
-    have = recording.components()
     listed = getattr(stage, "components", None)
-    if isinstance(listed, tuple) and all(hasattr(c, "terms") for c in listed):
-        for n, spec in enumerate(listed):
-            place: Place = ("components", n)
-            if spec.component not in have:
-                yield (*place, "component"), _no_response(spec.component, have)
-            if not spec.terms:
-                yield (*place, "terms"), "no term is named: a component without terms predicts nothing"
-            for k, term in enumerate(spec.terms):
-                yield from _term(term, recording, (*place, "terms", k))
-                if term in spec.terms[:k]:
-                    yield (*place, "terms", k), "the same term twice: their parameters cannot be distinguished"
-        if getattr(stage, "method", "linear") != "ridge":
-            for n, spec in enumerate(listed):
-                for k, text in _too_many(spec.terms, recording):
-                    yield ("components", n, "terms", k), text
-        for k, term in enumerate(getattr(stage, "nuisance", ())):
-            yield from _term(term, recording, ("nuisance", k))
-    else:
-        for response in getattr(stage, "responses", ()):
-            if response not in have:
-                yield ("component",), _no_response(response, have)
+    if not isinstance(listed, tuple) or not all(hasattr(c, "terms") for c in listed):
+        have = recording.components()
+        lacking = [response for response in getattr(stage, "responses", ()) if response not in have]
+        yield from ((("component",), _no_response(response, have)) for response in lacking)
+        return
+    for n, spec in enumerate(listed):
+        yield from _component(spec, recording, ("components", n), getattr(stage, "method", "linear"))
+    for k, term in enumerate(getattr(stage, "nuisance", ())):
+        yield from _term(term, recording, ("nuisance", k))
+
+
+def _component(spec: Any, recording: Recording, place: Place, method: str) -> Iterator[tuple[Place, str]]:
+    """A response to be fitted, and its terms; method: of the fit."""
+    have = recording.components()
+    if spec.component not in have:
+        yield (*place, "component"), _no_response(spec.component, have)
+    if not spec.terms:
+        yield (*place, "terms"), "no term is named: a component without terms predicts nothing"
+    for k, term in enumerate(spec.terms):
+        yield from _term(term, recording, (*place, "terms", k))
+        if term in spec.terms[:k]:
+            yield (*place, "terms", k), "the same term twice: their parameters cannot be distinguished"
+    for k, text in _too_many(spec.terms, recording) if method != "ridge" else ():
+        yield (*place, "terms", k), text
 
 
 def _no_response(name: str, have: tuple[str, ...]) -> str:

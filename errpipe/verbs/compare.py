@@ -7,18 +7,20 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydantic import ValidationError
+
 from errpipe import jsonfile
 from errpipe.domain.diagnosis import Diagnosis
 from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.table import CompensationTable
 from errpipe.errors import DataError, UsageError, VerifyError
 from errpipe.stages import _artefacts
 from errpipe.tables import by_component, ect
 from errpipe.validation import changes
+from errpipe.validation.changes import Change, Compensation
 
 if TYPE_CHECKING:
-    from errpipe.domain.table import CompensationTable
     from errpipe.pipeline.lock import Record
-    from errpipe.validation.changes import Change, Compensation
 
 VERSION = 1  # of the document's layout
 DIAGNOSIS = "diagnosis.json"
@@ -65,14 +67,8 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
 
         jsonfile.write_text(figure, draw(result.changes))
         result.says.append(str(figure))
-    plain = {
-        "compare": VERSION,
-        "kind": result.kind,
-        "largest_um": result.largest,
-        "rms_um": result.rms,
-        "within": within,
-    }
-    return {**plain, **result.parts, "says": result.says}
+    figures = {"largest_um": result.largest, "rms_um": result.rms, "within": within}
+    return {"compare": VERSION, "kind": result.kind, **figures, **result.parts, "says": result.says}
 
 
 def kind_of(path: Path) -> str:
@@ -251,11 +247,8 @@ def _diagnoses(old: Path, new: Path) -> Comparison:
         if figures[0] != figures[1]:
             out.says.append(f"{name}: {figures[0]:.4g} -> {figures[1]:.4g} {a.unit} rms left on held-out rows")
         out.widen(0.0, 0.0)
-        out.parts["responses"][name] = {
-            "verdict": [a.verdict, b.verdict],
-            "effects": [sorted(side) for side in effects],
-            "rms_left": figures,
-        }
+        part = {"verdict": [a.verdict, b.verdict], "effects": [sorted(side) for side in effects]}
+        out.parts["responses"][name] = part | {"rms_left": figures}
     return out
 
 
@@ -273,8 +266,6 @@ def _finding(out: Comparison, name: str, effect: str, was: Any, now: Any, unit: 
 
 
 def _diagnosis(path: Path) -> dict[str, Any]:
-    from pydantic import ValidationError
-
     try:
         return {r.component: r for r in Diagnosis.model_validate(jsonfile.read(path)).responses}
     except ValidationError as err:

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from errpipe import files
+from errpipe.domain.table import CompensationTable
 from errpipe.errors import DataError, GateError, UsageError, did_you_mean
-from errpipe.ncprogram.correct import rewrite
+from errpipe.ncprogram.correct import Summary, rewrite
 from errpipe.ncprogram.modal import OFFSETS, Setup
+from errpipe.ncprogram.writer import Deviation
 from errpipe.stages import _artefacts
 from errpipe.tables import batch, ect
 from errpipe.targets import _sample
-
-if TYPE_CHECKING:
-    from errpipe.domain.table import CompensationTable
-    from errpipe.ncprogram.correct import Summary
-    from errpipe.ncprogram.writer import Deviation
 
 MM = {"mm": 1.0, "um": 1e-3}  # per correction unit
 MOVED = ("X", "Y", "Z")
@@ -242,8 +240,6 @@ def readings_of(table: CompensationTable, at: Mapping[str, float]) -> dict[str, 
 
     A temperature that is not given would silently stand at its default, and the correction with it.
     """
-    import math
-
     needed = [i for i in table.inputs if i.kind not in ("position", "direction", "tool") and not i.optional]
     allowed = {i.name: i for i in table.inputs if i.kind != "position"}
     for name, value in at.items():

@@ -34,9 +34,8 @@ def evaluate(table: Path, at: Mapping[str, float]) -> dict[str, Any]:
         raise UsageError(f"{unknown[0]}: not an input of {table} (inputs: {', '.join(names)}).{near}")
     evaluator = Evaluator(compensation_table)
     start = {i.name: i.default for i in compensation_table.inputs if not (i.optional and i.name not in at)}
-    evaluator.cycle(
-        {**start, **{k: v for k, v in at.items() if compensation_table.inputs[names.index(k)].fast}}, dt=0.0
-    )
+    fast = {i.name for i in compensation_table.inputs if i.fast}
+    evaluator.cycle(start | {name: value for name, value in at.items() if name in fast}, dt=0.0)
     evaluator.cycle({**start, **at}, dt=SETTLED)
     cycle = evaluator.cycle({**start, **at}, dt=SETTLED)
     outputs = {o.name: o for o in compensation_table.outputs}

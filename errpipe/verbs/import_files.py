@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import re
+import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from errpipe import formats, jsonfile
-from errpipe.domain import units
+from errpipe.domain import components, units
 from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError, ErrpipeError, UsageError, did_you_mean
 from errpipe.files import missing
@@ -26,12 +30,10 @@ from errpipe.importing.long_form import unstacked
 from errpipe.importing.pairs import paired
 from errpipe.importing.proposal import propose
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
+from errpipe.importing.sheet import DoorOptions
 from errpipe.importing.units import unit_of
 from errpipe.validation import plausibility
 from errpipe.verbs import _as_written
-
-if TYPE_CHECKING:
-    from errpipe.importing.sheet import DoorOptions
 
 TABLE = "recording.csv"
 MAX_SHEETS = 64  # with measurements, of one file; the rest is not opened
@@ -161,8 +163,6 @@ def write(
     Raises DataError and writes nothing where the reader of recordings would refuse it; UsageError where a recording
     stands there that was changed since it was imported, unless `overwrite`.
     """
-    import tempfile
-
     if Path(folder).exists() and not Path(folder).is_dir():
         raise UsageError(f"{folder}: is a file (a folder for the recording is needed)")
     manifest = _manifest(proposal, options, files)
@@ -285,9 +285,6 @@ def _manifest(proposal: Proposal, options: ImportOptions, files: Sequence[Path])
 
 
 def _csv(proposal: Proposal) -> str:
-    import csv
-    import io
-
     names = [n for n in proposal.entries if n in proposal.data]
     columns = [[_cell_text(v) for v in proposal.data[n]] for n in names]
     stream = io.StringIO()
@@ -343,8 +340,6 @@ def _plausible(proposal: Proposal, options: ImportOptions) -> list[str]:
 
     Raises DataError where the readings are evidence against an assumed sign: a wrong one doubles the error.
     """
-    import pandas as pd
-
     manifest = _manifest(proposal, options, [Path("x")])
     raw, out = dict(proposal.data), {}
     for name, values in raw.items():
@@ -387,7 +382,6 @@ def options_of(**stated: Any) -> ImportOptions:
 
 def _refuse_no_component(option: str, name: str | None) -> None:
     """Raise UsageError where an option (empty: none) names no component of ISO 230-1."""
-    from errpipe.domain import components
 
     try:
         components.parse(name) if option and name is not None else None

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from errpipe import files
 from errpipe.domain.operations import LARGEST_NUMBER
 from errpipe.errors import DataError, did_you_mean
 from errpipe.fitting import placement
+from errpipe.fitting.placement import Chosen
 from errpipe.simulation import spindle_bar
-
-if TYPE_CHECKING:
-    from errpipe.fitting.placement import Chosen
 
 # Standard errors over duty cycles by which a set must beat doing nothing (false-alarm rate 2 to 10 %)
 MIN_STANDARD_ERRORS = 2.0
@@ -28,8 +28,25 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
 
     Raises DataError naming the column that is missing or holds no numbers.
     """
-    import pandas as pd
+    frame = _table(file, error, group, time)
+    remaining = [n for n in frame.columns if n not in (error, group, time)]
+    names = [n for n in remaining if pd.api.types.is_numeric_dtype(frame[n])]  # labels such as a date are no places
+    if not pd.api.types.is_numeric_dtype(frame[error]) or not names:
+        text = next((v for v in frame[error] if isinstance(v, str)), "")
+        wrong = f"column {error!r} holds no numbers (found {text[:20]!r})" if names else "no candidate place"
+        raise DataError(f"{file}: {wrong}")
+    _refuse_gaps(file, frame, [error, *names], group)
+    labels = frame[group].astype(str).to_numpy(dtype=object) if group else np.full(len(frame), "all")
+    clocks = [n for n in names if _is_clock(frame[n].to_numpy(float), labels)]
+    if not (names := [n for n in names if n not in clocks]):
+        raise DataError(f"{file}: no candidate place beside {', '.join(clocks)}, which rises by equal steps as a clock")
+    document, lines = judge(names, frame[names].to_numpy(float), frame[error].to_numpy(float), labels, most)
+    notes = [f"no place, but a clock: {', '.join(clocks)} (rises by equal steps)"] if clocks else []
+    return document | {"candidates": names, "clocks": clocks}, [f"candidates: {', '.join(names)}", *notes, *lines]
 
+
+def _table(file: Path, error: str, group: str | None, time: str | None) -> pd.DataFrame:
+    """The file's rows. Raises DataError where it is no table or lacks a column that is named."""
     try:
         with files.open_regular(file) as stream:
             frame = pd.read_csv(stream)
@@ -44,31 +61,21 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
             hint = hint or (f" ({option[name]})" if name in option else "")
             found = ", ".join(map(str, frame.columns[:MOST_NAMED]))
             raise DataError(f"{file}: no column {name!r}{hint}; between commas stand: {found}")
-    remaining = [n for n in frame.columns if n not in (error, group, time)]
-    names = [n for n in remaining if pd.api.types.is_numeric_dtype(frame[n])]  # labels such as a date are no places
-    if not pd.api.types.is_numeric_dtype(frame[error]) or not names:
-        text = next((v for v in frame[error] if isinstance(v, str)), "")
-        wrong = f"column {error!r} holds no numbers (found {text[:20]!r})" if names else "no candidate place"
-        raise DataError(f"{file}: {wrong}")
-    for name in (error, *names):
-        if frame[name].isna().any():
-            row = int(np.flatnonzero(frame[name].isna())[0])
+    return frame
+
+
+def _refuse_gaps(file: Path, frame: pd.DataFrame, names: Sequence[str], group: str | None) -> None:
+    """Raises DataError at the first cell that is empty, or a number that is none of a machine."""
+    for name in names:
+        values = frame[name].to_numpy(float)
+        for row in np.flatnonzero(np.isnan(values))[:1]:
             raise DataError(f"{file}:{row + 2}  {name}: is empty (allowed: a number; leave out the row or the column)")
-    for name in (error, *names):
-        beyond = np.flatnonzero(~(np.abs(frame[name].to_numpy(float)) <= LARGEST_NUMBER))
-        if beyond.size:
-            reading = frame[name].iloc[beyond[0]]
-            raise DataError(f"{file}:{beyond[0] + 2}  {name}: found {reading:g} (allowed: up to {LARGEST_NUMBER:g})")
-    if group and frame[group].isna().any():
-        row = int(np.flatnonzero(frame[group].isna())[0])
+    for name in names:
+        values = frame[name].to_numpy(float)
+        for row in np.flatnonzero(np.abs(values) > LARGEST_NUMBER)[:1]:
+            raise DataError(f"{file}:{row + 2}  {name}: found {values[row]:g} (allowed: up to {LARGEST_NUMBER:g})")
+    for row in np.flatnonzero(frame[group].isna())[:1] if group else ():
         raise DataError(f"{file}:{row + 2}  {group}: is empty (allowed: the label of the row's duty cycle)")
-    labels = frame[group].astype(str).to_numpy(dtype=object) if group else np.full(len(frame), "all")
-    clocks = [n for n in names if _is_clock(frame[n].to_numpy(float), labels)]
-    if not (names := [n for n in names if n not in clocks]):
-        raise DataError(f"{file}: no candidate place beside {', '.join(clocks)}, which rises by equal steps as a clock")
-    document, lines = judge(names, frame[names].to_numpy(float), frame[error].to_numpy(float), labels, most)
-    notes = [f"no place, but a clock: {', '.join(clocks)} (rises by equal steps)"] if clocks else []
-    return document | {"candidates": names, "clocks": clocks}, [f"candidates: {', '.join(names)}", *notes, *lines]
 
 
 def _is_clock(values: np.ndarray, labels: np.ndarray) -> bool:

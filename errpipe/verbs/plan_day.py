@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, did_you_mean
@@ -117,8 +118,6 @@ def _moved(recording: Recording, component: str) -> list[str]:
 
 def _joined(recording: Recording, log: Recording, folder: Path) -> Recording:
     """The recording followed by the runs of a log, which must have its temperatures; the log's errors do not count."""
-    import pandas as pd
-
     missing = [n for n in recording.names("temperature") if n not in log.names("temperature")]
     if missing:
         raise DataError(f"{folder}: no temperature {missing[0]!r} (the recording has it)")

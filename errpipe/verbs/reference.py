@@ -60,11 +60,7 @@ def _default(field: Any) -> str:
 
 def _term(term: Any) -> Iterator[str]:
     about, parts = sections(term.__doc__)
-    name = term.model_fields["term"].default
-    yield f"## `{name}`"
-    yield ""
-    yield about
-    yield ""
+    yield from (f"## `{term.model_fields['term'].default}`", "", about, "")
     for word, text in parts:
         if word == "Equation":
             yield "```\n" + text + "\n```"
@@ -80,47 +76,32 @@ def _term(term: Any) -> Iterator[str]:
         for p in (*bound.linear(), *bound.nonlinear())
     ]
     if rows:
-        yield ""
-        yield "Parameters of its worked example:"
-        yield ""
+        yield from ("", "Parameters of its worked example:", "")
         yield from _table(("parameter", "unit", "typical", "bounds", "meaning"), rows)
     yield from _options(term, frozenset({"fixed"}))
 
 
 def _format(module: Any) -> Iterator[str]:
-    yield f"## `{module.name}`"
-    yield ""
-    yield inspect.cleandoc(module.__doc__)
+    yield from (f"## `{module.name}`", "", inspect.cleandoc(module.__doc__))
     yield from _options(module.Options)
 
 
 def _target(target: Any) -> Iterator[str]:
-    yield f"## `{target.name}`"
-    yield ""
-    yield f"{target.controller}. {_cell(target.__doc__)}"
-    yield ""
-    yield "```\n" + inspect.cleandoc(inspect.getmodule(target).__doc__ or "") + "\n```"
-    yield ""
-    yield f"**Sign.** {_cell(target.sign)}  "
-    yield f"**Limits.** {_cell(target.limits)}  "
-    yield f"**Confidence.** {target.confidence}  "
-    yield f"**Source.** {_cell(target.source)}  "
+    yield from (f"## `{target.name}`", "", f"{target.controller}. {_cell(target.__doc__)}", "")
+    yield from ("```\n" + inspect.cleandoc(inspect.getmodule(target).__doc__ or "") + "\n```", "")
+    for fact in ("sign", "limits", "confidence", "source"):
+        yield f"**{fact.capitalize()}.** {_cell(getattr(target, fact))}  "
     if target.goes_with:
         yield "**Goes with.** " + ", ".join(f"`{name}`" for name in target.goes_with) + "  "
-    yield ""
-    yield "At the machine:"
-    yield ""
+    yield from ("", "At the machine:", "")
     yield from (f"{i}. {_cell(step)}" for i, step in enumerate(target.activation, 1))
 
 
 def _stage(stage: Any) -> Iterator[str]:
-    yield f"## `{stage.model_fields['kind'].annotation.__args__[0]}`"
-    yield ""
+    yield from (f"## `{stage.model_fields['kind'].annotation.__args__[0]}`", "")
     if stage.variant_key:
-        yield f"With `{stage.variant_key}: {stage.model_fields[stage.variant_key].default}`:"
-        yield ""
-    yield inspect.cleandoc(stage.__doc__)
-    yield ""
+        yield from (f"With `{stage.variant_key}: {stage.model_fields[stage.variant_key].default}`:", "")
+    yield from (inspect.cleandoc(stage.__doc__), "")
     takes = [
         f"`{need.type}`{' (every)' if need.every else ''}{' (optional)' if need.optional else ''}"
         for need in stage.takes.values()
@@ -131,9 +112,7 @@ def _stage(stage: Any) -> Iterator[str]:
 
 
 def _rule(rule: Any) -> Iterator[str]:
-    yield f"### `{rule.model_fields['rule'].default}`"
-    yield ""
-    yield inspect.cleandoc(rule.__doc__)
+    yield from (f"### `{rule.model_fields['rule'].default}`", "", inspect.cleandoc(rule.__doc__))
     yield from _options(rule)
 
 
@@ -155,23 +134,18 @@ def _stages() -> Iterator[str]:
 def _recordings() -> Iterator[str]:
     yield "## Manifest"
     yield from _options(Manifest)
-    yield ""
-    yield "## Columns"
+    yield from ("", "## Columns")
     yield from _options(Column)
-    yield ""
-    yield "## Roles and their units, the canonical one first"
-    yield ""
+    yield from ("", "## Roles and their units, the canonical one first", "")
     yield from _table(("role", "units"), ((f"`{role}`", ", ".join(u) or "none") for role, u in ROLE_UNITS.items()))
-    yield ""
-    yield "## Constants of the set-up"
+    yield from ("", "## Constants of the set-up")
     yield from _options(Constant)
     yield ""
     yield from _protocols()
 
 
 def _protocols() -> Iterator[str]:
-    yield "## Tests of a machine"
-    yield ""
+    yield from ("## Tests of a machine", "")
     yield inspect.cleandoc("""
         `identify` reads laser and level records of error motions (columns of components EXX, EYX, EBX ... over the
         axis' position) as they are. Any other recording names its test, and has `run`, a position for each axis that

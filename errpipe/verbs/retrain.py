@@ -6,22 +6,27 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from errpipe import jsonfile
+from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, ErrpipeError, GateError, UsageError, VerifyError
+from errpipe.fitting.validity import as_in_a_table, fading
+from errpipe.formats.manifest_folder import MANIFEST
+from errpipe.pipeline import runner
 from errpipe.pipeline.lock import exclusive_lock
+from errpipe.pipeline.spec import Pipeline
 from errpipe.pipeline.step import NO_CALLBACKS, Callbacks
 from errpipe.stages import _artefacts
-from errpipe.verbs import _retrain_drift
+from errpipe.validation import retraining
+from errpipe.validation.retraining import RunScore
+from errpipe.verbs import _retrain_drift, _retrain_gates
 from errpipe.verbs._retrain_drift import predictions
 from errpipe.verbs._retrain_pages import github_annotations, in_words, write_failure, write_pages
-
-if TYPE_CHECKING:
-    from errpipe.domain.error_model import ErrorModel
-    from errpipe.domain.recording import Recording
-    from errpipe.pipeline.spec import Pipeline
-    from errpipe.validation.retraining import Gate, RunScore
 
 __all__ = ["github_annotations", "in_words", "retrain", "write_failure"]
 
@@ -115,8 +120,6 @@ def _run(pipeline: Pipeline, out: Path, dates: Sequence[str], callbacks: Callbac
 
     Returns what refused it; since which run it is fitted; and why on all where the machine changed at a run.
     """
-    from errpipe.pipeline import runner
-
     by_hand = next((run for s in pipeline.stages if (run := getattr(s, "since_run", None)) is not None), None)
     reasons = []
     for since in dates if by_hand is None else ():
@@ -144,16 +147,11 @@ def _run(pipeline: Pipeline, out: Path, dates: Sequence[str], callbacks: Callbac
 
 def _no_longer_kept(run: str, old: Recording, new: Recording) -> bool:
     """Whether a run of the champion has left the recording, and with it what was before: nothing is amiss then."""
-    from errpipe.validation.retraining import run_contents
-
     labels = old.run_labels()
-    return run in labels and run_contents(old)[labels.index(run)] not in run_contents(new)
+    return run in labels and retraining.run_contents(old)[labels.index(run)] not in retraining.run_contents(new)
 
 
 def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limits, allowed) -> dict[str, Any]:
-    from errpipe.fitting.validity import as_in_a_table
-    from errpipe.validation import retraining
-
     old_model, old_recording, fingerprint = champion
     known = retraining.among(recording, retraining.run_keys(old_recording), retraining.run_contents(old_recording))
     prediction = predictions(old_model, recording)
@@ -161,10 +159,10 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     wrong = {o["run"] for o in drift["runs"] if o["wrong"]} | _without_runs(pipeline)
     scores = [s for s in earlier if s.run not in wrong]
     gates = [
-        *_retrain_drift.response_gates(drift),
-        *_retrain_drift.odd_run_gates(drift),
-        *_retrain_drift.silent_gates(old_model, recording),
-        *_retrain_drift.unit_gates(old_recording, recording, known),
+        *_retrain_gates.responses(drift),
+        *_retrain_gates.odd_runs(drift),
+        *_retrain_gates.silent_sensors(old_model, recording),
+        *_retrain_gates.units(old_recording, recording, known),
     ]
     if refused:
         gates.append(retraining.Gate("pipeline", False, refused))
@@ -184,11 +182,11 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         in_its_table = {component: left * values for component, values in predictions(old_model, held).items()}
         new = retraining.score_new_runs(recording, family, in_its_table, known, already_scored, old_model.validity)
         scores += [s for s in new if s.run not in wrong]
-        gates += _name_gate(retraining.reused_names(old_recording, recording), any_new=bool(scores))
+        gates += _retrain_gates.names(retraining.reused_names(old_recording, recording), any_new=bool(scores))
         change = _change(old_model, model, recording)
-        gates += _table_gates(change, limits)
-        gates += [_sensor_gate(old_model, model, allowed), _retrain_drift.drift_gate(drift, model)]
-        gates += _coverage_gates(pipeline, out / RUN)
+        gates += _retrain_gates.change(change, limits)
+        gates += [_retrain_gates.inputs(old_model, model, allowed), _retrain_gates.drifting_sensors(drift, model)]
+        gates += _retrain_gates.coverage(pipeline, out / RUN)
     decision = retraining.decide(scores, gates, alpha=alpha)
     return {
         "retrain": VERSION,
@@ -202,21 +200,8 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         "runs": [asdict(s) for s in scores],
         "drift": drift,
         "change": {} if refused else change,
-        "narrower": [] if refused else _narrower(model),
+        "narrower": [] if refused else _retrain_gates.narrower(model),
     }
-
-
-def _name_gate(names: list[str], any_new: bool) -> list[Any]:
-    """New readings under the name of a run that fitted the champion count as old: fails where no run is new."""
-    from errpipe.validation.retraining import Gate
-
-    if not names:
-        return []
-    says = (
-        f"{', '.join(names[:6])}{', ...' if len(names) > 6 else ''}: called as runs that fitted the champion, with "
-        "other readings, and counted as these: give new runs names of their own, or a time with a date"
-    )
-    return [Gate("names of runs", any_new, says)]
 
 
 def _without_runs(pipeline: Pipeline) -> set[str]:
@@ -233,8 +218,6 @@ def _last_stage_with(pipeline: Pipeline, artefact: str) -> str:
 
 
 def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, str]:
-    from errpipe.formats.manifest_folder import MANIFEST
-
     model = Path(folder) / _last_stage_with(pipeline, "error_model") / _artefacts.MODEL
     recording = Path(folder) / _last_stage_with(pipeline, "recording")
     for path in (model, recording / MANIFEST):
@@ -280,10 +263,6 @@ def _earlier_document(path: Path) -> Mapping[str, Any]:
 
 def _scores_of(document: Mapping[str, Any], path: Path, champion: str) -> list[RunScore]:
     """Scores of earlier evaluations against the same champion; a new champion begins with none."""
-    from pydantic import TypeAdapter, ValidationError
-
-    from errpipe.validation.retraining import RunScore
-
     if document.get("champion") != champion:
         return []
     try:
@@ -299,8 +278,6 @@ def _scores_of(document: Mapping[str, Any], path: Path, champion: str) -> list[R
 
 def _change(old: ErrorModel, new: ErrorModel, recording: Recording) -> dict[str, dict[str, float]]:
     """Component -> how far the two models differ over the recording's rows, um, and per kelvin of any one sensor."""
-    import numpy as np
-
     before, after = predictions(old, recording), predictions(new, recording)
     out = {}
     for component in (c for c in after if c in before):
@@ -316,72 +293,14 @@ def _change(old: ErrorModel, new: ErrorModel, recording: Recording) -> dict[str,
     return out
 
 
-def _table_gates(change: Mapping[str, Mapping[str, float]], limits) -> list[Gate]:
-    from errpipe.validation.retraining import Gate
-
-    out = []
-    for component, figures in change.items():
-        for key, unit, limit in zip(("largest_um", "largest_um_per_k"), ("um", "um/K"), limits, strict=True):
-            within = limit is None or figures[key] <= limit
-            allowed = "" if limit is None else f" ({limit:g} {unit} allowed)"
-            per_kelvin = " per kelvin" if unit == "um/K" else ""
-            out.append(
-                Gate(f"change of {component}{per_kelvin}", within, f"at most {figures[key]:.3g} {unit}{allowed}")
-            )
-    return out
-
-
 def _also_valid(pipeline: Pipeline, champion: ErrorModel, recording: Recording) -> Pipeline:
     """The pipeline whose fit holds for the inputs that the champion holds for, where its file does not say which.
 
     A challenger of a few runs would correct nothing in the temperatures of another season, which its terms describe.
     """
-    from errpipe.fitting.validity import fading
-
     ends = fading(champion.validity, recording)
     stages = tuple(
         s.model_copy(update={"also_valid": ends}) if getattr(s, "also_valid", None) == {} else s
         for s in pipeline.stages
     )
     return replace(pipeline, stages=stages)
-
-
-def _narrower(model: ErrorModel) -> list[str]:
-    """Inputs of which the challenger is fitted on a part of the range that it holds for, a sentence each."""
-    out = []
-    for name, (low, high) in model.validity.seen.items():
-        unit = model.columns.get(name, {}).get("unit") or ""
-        least, most = model.validity.ranges[name]
-        out.append(
-            f"{name}: the challenger is fitted from {low:.4g} to {high:.4g} {unit}, and corrects from {least:.4g} to"
-            f" {most:.4g} {unit}, as the champion does."
-        )
-    return out
-
-
-def _sensor_gate(old: ErrorModel, new: ErrorModel, allowed: Sequence[str]) -> Gate:
-    from errpipe.validation.retraining import Gate
-
-    added = sorted(set(new.columns) - set(old.columns) - set(allowed))
-    says = f"newly required: {', '.join(added)}" if added else "no column is newly required"
-    return Gate("inputs", not added, says)
-
-
-def _coverage_gates(pipeline: Pipeline, folder: Path) -> list[Gate]:
-    from errpipe.validation.held_out import in_short
-    from errpipe.validation.retraining import LEAST_COVERAGE, Gate
-
-    names = [stage.label for stage in pipeline.stages if "validation" in stage.gives]
-    if not names:
-        return [Gate("validation", False, "the pipeline has no validate stage, so its held-out figures are unknown")]
-    validation = jsonfile.read(folder / names[-1] / "validation.json")
-    out = [Gate("held-out runs", True, why) for why in in_short(validation.get("not_judged", ()))]
-    for component in validation["components"]:
-        covered = component["coverage90"]
-        name = f"coverage of {component['component']}"
-        if covered is None:
-            out.append(Gate(name, True, "unknown: one group only"))
-        else:
-            says = f"{covered:.2f} of held-out rows in the 90 % interval, {LEAST_COVERAGE:g} needed"
-            out.append(Gate(name, covered >= LEAST_COVERAGE, says))
-    return out

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from errpipe.stages import _artefacts
 from errpipe.verbs.whatis import controller_curves, whatis
 
 WIDTH, HEIGHT = 64, 12  # characters: fits 80 columns with its labels
@@ -37,10 +38,16 @@ def _plot_of(file: Path, kind: str) -> list[str]:
 def _controller_file(file: Path) -> list[str]:
     out: list[str] = []
     for c in controller_curves(file)[0][1][:2]:
-        unit, scale = ("arcsec", 3600.0) if c.axis[0] in "ABC" else ("um", 1e3)
-        out += ["", f"correction of {c.axis} in {unit} over {c.over}: + from below, - from above, * both"]
-        out += plot([("+", c.positions, scale * c.up), ("-", c.positions, scale * c.down)])
+        out += _drawn(c)
     return out
+
+
+def _drawn(curve: Any) -> list[str]:
+    """A correction over positions, from both sides."""
+    unit, scale = ("arcsec", 3600.0) if curve.axis[0] in "ABC" else ("um", 1e3)
+    heading = f"correction of {curve.axis} in {unit} over {curve.over}: + from below, - from above, * both"
+    sides = [("+", curve.positions, scale * curve.up), ("-", curve.positions, scale * curve.down)]
+    return ["", heading, *plot(sides)]
 
 
 def _recording(file: Path) -> list[str]:
@@ -62,7 +69,6 @@ def _recording(file: Path) -> list[str]:
 def _table(file: Path) -> list[str]:
     import numpy as np
 
-    from errpipe.stages import _artefacts
     from errpipe.stages._plausible import UNBOUNDED
     from errpipe.targets import _sample
 
@@ -72,11 +78,8 @@ def _table(file: Path) -> list[str]:
         for over in _sample.own_first(table, axis)[:1]:
             if _sample.span(table, over) == UNBOUNDED:
                 continue
-            curve = _sample.curve(table, axis, over, np.linspace(*_sample.span(table, over), 4 * WIDTH))
-            unit = "arcsec" if axis[0] in "ABC" else "um"
-            scale = 3600.0 if unit == "arcsec" else 1e3
-            out += ["", f"correction of {axis} in {unit} over {over}: + from below, - from above, * both"]
-            out += plot([("+", curve.positions, scale * curve.up), ("-", curve.positions, scale * curve.down)])
+            places = np.linspace(*_sample.span(table, over), 4 * WIDTH)
+            out += _drawn(_sample.curve(table, axis, over, places))
     return out
 
 

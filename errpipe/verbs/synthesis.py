@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from errpipe import yamlfile
 from errpipe.domain.machine import Machine
 from errpipe.kinematics import polynomials
 from errpipe.kinematics.chain import compile_chain
-
-if TYPE_CHECKING:
-    from errpipe.kinematics.polynomials import Polynomial
+from errpipe.kinematics.polynomials import Polynomial
 
 ZERO = 1e-9  # mm: arms below are rounding
 SHORT = {"tool_length": "L", "tool_offset_X": "TX", "tool_offset_Y": "TY", "tool_offset_Z": "TZ"}

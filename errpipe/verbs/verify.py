@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from errpipe import jsonfile
+from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.domain.table import CompensationTable
 from errpipe.errors import DataError, VerifyError
 from errpipe.files import inside
 from errpipe.fitting.components import evaluate
@@ -20,10 +23,6 @@ from errpipe.stages.targets import in_words, losses
 from errpipe.tables import bounds, ect
 from errpipe.targets import TARGETS
 
-if TYPE_CHECKING:
-    from errpipe.domain.error_model import ErrorModel
-    from errpipe.domain.table import CompensationTable
-
 STATES = 2000  # random states at which table and model are compared
 SAME_UM = 5e-6  # of a loss: more than the last of the digits that `export.json` keeps
 
@@ -33,10 +32,8 @@ def verify(folder: Path) -> dict[str, Any]:
     folder = Path(folder)
     if folder.is_file() and (folder.suffix in (".ect", ".json") or ect.sniff(folder)):
         name = ect.fingerprint(_artefacts.read_table(folder))
-        says = (
-            f"{folder.name}: table {name}: checksum, layout and limits hold (its export folder would prove its model)"
-        )
-        return {"checks": 1, "says": [says]}
+        holds = f"table {name}: checksum, layout and limits hold (its export folder would prove its model)"
+        return {"checks": 1, "says": [f"{folder.name}: {holds}"]}
     if (folder / "objects").is_dir() and (folder / "machines").is_dir():
         raise VerifyError(f"{folder}: a registry, which `errpipe log {folder} --public-key KEY` verifies")
     if not folder.exists():
@@ -110,8 +107,6 @@ def every_state(model: ErrorModel) -> Recording:
 
     Each run starts in the middle of validity, jumps to its state, and stays there until every lag has settled.
     """
-    import pandas as pd
-
     rng = np.random.default_rng(1)
     kinds = {name: Column.model_validate(facts) for name, facts in model.columns.items()}
     frame = {"run": np.repeat(np.arange(STATES).astype(str), 3), "t": np.tile([0.0, 1e9, 2e9], STATES)}
@@ -170,13 +165,10 @@ def _comparable(lost: list[dict[str, Any]], row: dict[str, Any]) -> bool:
 def _same(lost: list[dict[str, Any]], row: dict[str, Any]) -> bool:
     """Whether a loss is that of the export. One measured on other states, by another version, cannot be compared."""
     exported = {x["axis"]: x for x in row.get("losses", lost)}
-    if not _comparable(lost, row):
-        return set(exported) == {x["axis"] for x in lost}
-    return set(exported) == {x["axis"] for x in lost} and all(
-        abs(x[key] - exported[x["axis"]].get(key, x[key])) <= SAME_UM
-        for x in lost
-        for key in ("bound_um", "largest_um", "rms_um", "table_rms_um")
-    )
+    if set(exported) != {x["axis"] for x in lost}:
+        return False
+    figures = ("bound_um", "largest_um", "rms_um", "table_rms_um") if _comparable(lost, row) else ()
+    return all(abs(x[key] - exported[x["axis"]].get(key, x[key])) <= SAME_UM for x in lost for key in figures)
 
 
 def _check_digest(path: Path, expected: str | None) -> None:

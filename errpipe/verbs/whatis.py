@@ -7,8 +7,9 @@ import re
 from pathlib import Path
 from typing import Any
 
+from errpipe import jsonfile
 from errpipe.errors import DataError
-from errpipe.stages import _artefacts
+from errpipe.stages import STAGES, _artefacts
 
 DOCUMENTS = {
     "acceptance": "findings that became terms, and why others did not",
@@ -76,8 +77,6 @@ def _table(file: Path) -> dict[str, Any]:
 
 
 def _json(file: Path) -> dict[str, Any]:
-    from errpipe import jsonfile
-
     value = jsonfile.read(file)
     if isinstance(value, dict):
         if "table" in value:
@@ -183,7 +182,6 @@ def _recording(path: Path) -> dict[str, Any]:
 
 def _pipeline(file: Path) -> dict[str, Any]:
     from errpipe.pipeline.spec import load_pipeline
-    from errpipe.stages import STAGES
 
     pipeline = load_pipeline(file, STAGES, sets=[])
     return {"kind": "pipeline", "title": pipeline.title, "stages": [s.label for s in pipeline.stages]}

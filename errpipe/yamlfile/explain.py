@@ -16,6 +16,7 @@ from pydantic.fields import FieldInfo
 from errpipe.errors import Problem, did_you_mean
 from errpipe.yamlfile.annotations import entry_of, is_model, is_tagged, members, tags_of
 from errpipe.yamlfile.choice import Choice
+from errpipe.yamlfile.events import plain
 from errpipe.yamlfile.places import Place, describe
 from errpipe.yamlfile.quantities import is_unit
 
@@ -134,8 +135,6 @@ def _wrong_kind(value: Any, wanted: Sequence[str], choices: Sequence[str]) -> st
         return f"{message}. Did you mean '{quoted}', in quotes?" if quotes else message
     if "true or false" in wanted and value.lower() in _TRUTH:
         return f"{message}. Did you mean {_TRUTH[value.lower()]}?"
-    from errpipe.yamlfile.events import plain
-
     number = plain(value.strip())
     if wanted[0] in ("a number", "a whole number") and isinstance(number, int | float) and not isinstance(number, bool):
         return f"{message}. Did you mean {value.strip()}, without quotes?"

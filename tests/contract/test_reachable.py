@@ -65,11 +65,13 @@ def reads_of(name: str, tree: ast.Module, modules: frozenset[str]) -> Iterator[t
                     modules_by_alias[alias.asname or alias.name] = module
                 else:
                     yield of, alias.name
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
-            yield name, node.id
-        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            yield modules_by_alias.get(node.value.id, ""), node.attr
+    for top in tree.body:
+        own = getattr(top, "name", "")  # a class that names itself alone, as in `def of() -> Own`, is not reached by it
+        for node in ast.walk(top):
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load) and node.id != own:
+                yield name, node.id
+            elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                yield modules_by_alias.get(node.value.id, ""), node.attr
 
 
 def defined(tree: ast.Module) -> Iterator[tuple[str, bool]]:
@@ -126,7 +128,8 @@ def test_every_definition_is_reached(trees: dict[str, ast.Module]) -> None:
 
 def test_a_definition_that_nothing_names_is_seen() -> None:
     sources = {
-        "a": "def used(): pass\ndef lost(): pass\nclass Kept:\n    def asked(self): pass\n    def never(self): pass\n",
+        "a": "def used(): pass\ndef lost(): lost()\n"
+        "class Kept:\n    def asked(self): pass\n    def never(self): pass\n",
         "b": "from errpipe.a import Kept\nfrom errpipe import a\na.used()\nKept().asked()\n",
         "c": "def lost(): return 1\nlost()\n",  # a namesake elsewhere does not reach it
     }

@@ -263,7 +263,6 @@ NOT_FORCES = {
     "interpolation",
     "straightness",
 }
-PAIRED = {"backlash": "friction_hysteresis", "friction_hysteresis": "backlash"}
 
 
 def possible(effect: str, component: str, drivers: tuple[str, ...]) -> bool:

@@ -73,6 +73,16 @@ def test_several_tables_are_appended_in_order_whatever_their_kind(tmp_path):
     np.testing.assert_allclose(recording.frame["T"], [20, np.nan, 100, np.nan, 10])
 
 
+def test_a_parquet_column_of_the_wrong_kind_is_named_with_its_file(tmp_path):
+    folder(tmp_path, manifest=MANIFEST.replace("[recording.csv]", "[recording.parquet]"))
+    sound = {"run": [3, 3], "t": [0.0, 1.0], "x": [3, 4], "dir": [1, -1], "T": [None, 50.0], "EXX": [0.0, 1.0]}
+    for column, values, held in (("EXX", ["a", "b"], "string"), ("run", [0.5, 1.5], "double")):
+        table = pa.table({**sound, "note": ["a", "b"], column: values})
+        pq.write_table(table, tmp_path / "recording.parquet")
+        with pytest.raises(DataError, match=rf"recording\.parquet  {column}: holds {held} \(allowed"):
+            manifest_folder.read(tmp_path)
+
+
 @pytest.mark.parametrize("rows", [1, 2, 3, 7, 1000])
 def test_chunks_hold_the_same_rows(tmp_path, rows, monkeypatch):
     monkeypatch.setattr(_tables, "BLOCK_BYTES", 37)

@@ -1,4 +1,4 @@
-"""Laser and level records to curves: each correction with its sign, conventions, and a machine measured throughout."""
+"""Laser and level records to curves: each correction with its sign, and the conventions."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from numpy.testing import assert_allclose
 
 from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError
-from errpipe.kinematics import air, direct, synthesis
-from errpipe.simulation import metrology
+from errpipe.kinematics import air, direct
 
 P = np.linspace(0, 800, 17)
 
@@ -75,83 +74,33 @@ def test_dead_path_is_an_offset_that_follows_the_weather():
 
 def test_abbe_offset_times_angle_is_added():
     """Carriage turns 10 urad about +Y; the functional point lies 300 mm below the beam: -3 um along X."""
-    turn = np.tile([0.0, 10.0, 0.0], (17, 1))
-    got = direct.corrected(P, np.zeros(17), direct.Laser(offset=(0, 0, -300.0)), turn=turn)
-    assert_allclose(got, -3.0)
+    turn = 10.0 * np.cos(2 * np.pi * P / 800)  # has no offset, as angles have none
+    columns = {"x": X, "EXX": error("EXX"), "EBX": error("EBX")}
+    measured = recording(columns, x=P, EXX=np.zeros(17), EBX=turn)
+    chain, laser = ready("cmm"), direct.Laser(offset=(0, 0, -300.0))
+    got = direct.curves(measured, chain, {"EXX": laser})["EXX"].mean
+    assert_allclose(got - got[0], -0.3 * (turn - turn[0]), atol=1e-9)
 
 
 def test_both_directions_stay_apart():
     x = np.r_[P, P[::-1], P, P[::-1]]
     side = np.repeat([1, -1, 1, -1], 17)
     columns = {"x": X, "d": {"role": "direction", "axis": "X"}, "EXX": error("EXX")}
-    fitted = direct.identify(recording(columns, x=x, d=side, EXX=0.02 * x - 3.0 * side))
-    curve = fitted.curves["EXX"]
-    assert_allclose(curve.reversal, -6.0)
+    curve = direct.curves(recording(columns, x=x, d=side, EXX=0.02 * x - 3.0 * side), ready("cmm"))["EXX"]
+    assert_allclose(curve.up - curve.down, -6.0)
     assert_allclose(curve.mean, 0.02 * P, atol=1e-9)
 
 
 def test_positioning_is_zero_at_the_datum_straightness_has_no_line_angles_no_offset():
-    fitted = direct.identify(
-        recording(
-            {"x": X, "EXX": error("EXX"), "EYX": error("EYX"), "EBX": error("EBX")},
-            x=P,
-            EXX=5 + 0.01 * P,
-            EYX=4 + 0.03 * P + 2 * np.cos(P / 100),
-            EBX=7 + 0.02 * P,
-        ),
-        zero={"X": 400.0},
-    )
-    assert np.interp(400, P, fitted.curves["EXX"].mean) == pytest.approx(0.0, abs=1e-9)
-    assert abs(np.polyfit(P, fitted.curves["EYX"].mean, 1)).max() < 1e-9
-    assert fitted.curves["EYX"].slope == pytest.approx(30.0, abs=3)  # 0.03 um/mm, the cosine's share aside
-    assert np.trapezoid(fitted.curves["EBX"].mean, P) == pytest.approx(0.0, abs=1e-6)
-
-
-def test_slopes_against_one_square_are_squareness():
-    """Records of one machine along X and Y give its C0Y with the sign of the synthesis."""
+    columns = {"x": X, "EXX": error("EXX"), "EYX": error("EYX"), "EBX": error("EBX")}
+    straight = 4 + 0.03 * P + 2 * np.cos(P / 100)
     chain = ready("cmm")
-    rows, frames = 31, []
-    comps = np.zeros(21)
-    comps[chain.index("C0Y")] = 17.0
-    for axis in (0, 1):
-        q = np.tile([100.0, 100.0, -100.0], (rows, 1))
-        q[:, axis] = np.linspace(*chain.travel[axis], rows)
-        frames.append((q, synthesis.first_order(chain, q, comps)))
-    columns = {"run": {"role": "run"}, "x": X, "y": X | {"axis": "Y"}, "EYX": error("EYX"), "EXY": error("EXY")}
-    nan = np.full(rows, np.nan)
-    turn = 40e-3  # the square itself stands 40 urad askew: same share in both
-    data = recording(
-        columns,
-        run=["1"] * rows + ["2"] * rows,
-        x=np.r_[frames[0][0][:, 0], nan],
-        y=np.r_[nan, frames[1][0][:, 1]],
-        EYX=np.r_[frames[0][1][:, 1] + turn * frames[0][0][:, 0], nan],
-        EXY=np.r_[nan, frames[1][1][:, 0] - turn * frames[1][0][:, 1]],
-    )
-    value, error_ = direct.identify(data, chain=chain).squareness["C0Y"]
-    assert value == pytest.approx(17.0, abs=1e-6)
-    assert error_ < 1e-6
-
-
-def test_a_machine_measured_throughout_is_predicted():
-    """All 18 curves by laser and level and three squarenesses given: the deviation anywhere follows."""
-    chain = ready("gantry")
-    plain = {n: v for n, v in metrology.smooth_machine(chain, 8).items() if n[2:] != "S"}
-    frames, columns = [], {"run": {"role": "run"}}
-    for a, axis in enumerate(chain.axes):
-        p = np.linspace(*chain.travel[a], 81)
-        part = pd.DataFrame({"run": axis, axis.lower(): p} | {n: plain[n](p) for n in chain.of_axis(axis)})
-        frames.append(part)
-        columns |= {axis.lower(): X | {"axis": axis}} | {n: error(n) for n in chain.of_axis(axis)}
-    manifest = Manifest.model_validate({"recording": 1, "tables": ["t.csv"], "columns": columns})
-    fitted = direct.identify(Recording(manifest, pd.concat(frames, ignore_index=True)), chain=chain)
-    squares = {n: (plain[n], 0.0) for n in ("C0Y", "A0Z", "B0Z")}
-    errors = direct.Direct(fitted.curves, squares).errors(chain)
-    q = metrology.volume_points(chain, [6, 5, 4])
-    truth = synthesis.exact(chain, q, metrology.components_at(chain, plain, q))[:, :3]
-    assert np.abs(truth - synthesis.first_order(chain, q, errors.at(q))[:, :3]).max() < 0.02 * np.abs(truth).max()
+    curves = direct.curves(recording(columns, x=P, EXX=5 + 0.01 * P, EYX=straight, EBX=7 + 0.02 * P), chain)
+    assert np.interp(chain.machine.axes["X"].zero, P, curves["EXX"].mean) == pytest.approx(0.0, abs=1e-9)
+    assert abs(np.polyfit(P, curves["EYX"].mean, 1)).max() < 1e-9
+    assert np.trapezoid(curves["EBX"].mean, P) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_component_without_its_axis_is_refused():
     with pytest.raises(DataError, match="no position of axis Y"):
-        direct.identify(recording({"x": X, "EYY": error("EYY")}, x=P, EYY=P))
+        direct.curves(recording({"x": X, "EYY": error("EYY")}, x=P, EYY=P), ready("cmm"))

@@ -196,8 +196,8 @@ def coverage(seeds) -> tuple[float, float, float]:
         fitted = identify.identify(model, records.observations(chain, {"": recording}, lasers=lasers, squares=squares))
         for name in (n for n in chain.components if n[0] == "E"):
             p = np.linspace(*chain.travel[chain.axes.index(name[2:])], 33)
-            low, high = fitted.interval(name, p)
-            inside.append(np.mean((low < values[name](p)) & (values[name](p) < high)))
+            value, error = fitted.component(name, p)
+            inside.append(np.mean(np.abs(values[name](p) - value) < 1.96 * error))
         constants += [r["ci95"][0] < values[r["component"]] < r["ci95"][1] for r in fitted.table()]
         true = {n: v for n, v in values.items() if n not in without}
         gap = synthesis.exact(chain, q, metrology.components_at(chain, true, q))[:, :3] - fitted.predict(q)[0]

@@ -9,7 +9,8 @@ import pytest
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.fitting.holdout import Fold
 from errpipe.fitting.judging import HeldOut
-from errpipe.validation.input_drift import cusum, drifting_sensors, other_unit, sensor_drift
+from errpipe.validation.cusum import cusum
+from errpipe.validation.input_drift import drifting_sensors, other_unit, sensor_drift
 from errpipe.validation.retraining import (
     Gate,
     RunScore,
@@ -21,7 +22,7 @@ from errpipe.validation.retraining import (
     run_keys,
     score_new_runs,
 )
-from errpipe.verbs.retrain import _name_gate
+from errpipe.verbs import _retrain_gates
 
 
 def score(run: int, champion: float, challenger: float, nothing: float = 100.0, season: str = "winter") -> RunScore:
@@ -124,9 +125,9 @@ def test_new_readings_under_an_old_name_are_seen() -> None:
     old, later = Recording(manifest, frame), Recording(manifest, frame.assign(EXX=[*range(4), *range(50, 58)]))
     assert reused_names(old, later) == ["2", "3"]
     assert reused_names(old, old) == []
-    (gate,) = _name_gate(["2", "3"], any_new=False)
+    (gate,) = _retrain_gates.names(["2", "3"], any_new=False)
     assert not gate.passed and gate.says.startswith("2, 3: called as runs that fitted the champion")
-    assert _name_gate([], any_new=False) == []
+    assert _retrain_gates.names([], any_new=False) == []
 
 
 def sensors(drifting: int | None, per_day: float, seed: int = 3) -> tuple[Recording, np.ndarray]:

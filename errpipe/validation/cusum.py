@@ -1,0 +1,62 @@
+"""Two-sided cumulative sums (CUSUM, Page 1954) of a figure per run, with a threshold for a stated false-alarm rate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+REFERENCE = 1.0  # of a standard error: half of the shift that is to be found quickest (Page 1954)
+FALSE_ALARMS = 0.02  # of years without drift that raise an alarm, any sensor, normal noise; measured: docs/registry.md
+HORIZON = 365  # runs for which that holds: a year of nights
+SIMULATED = 4000  # simulated years without drift behind a threshold
+MIN_THRESHOLD = 5.0  # standard errors; below it one odd run would be an alarm
+FEWEST_RUNS = 4  # reference runs below which no scatter between runs is known
+
+
+@lru_cache
+def threshold(freedom: int, share: float) -> float:
+    """Threshold of the CUSUM, standard errors: a year of runs without drift exceeds it in a share of the years.
+
+    freedom: degrees of freedom of the scatter by which residuals are divided.
+    """
+    rng = np.random.default_rng(1)
+    freedom = max(freedom, 1)
+    sd = np.sqrt(rng.chisquare(freedom, SIMULATED) / freedom)
+    most, totals = np.zeros(SIMULATED), np.zeros((2, SIMULATED))
+    for _ in range(HORIZON):
+        z = rng.standard_normal(SIMULATED) / sd
+        totals = np.maximum(0.0, totals + np.stack([z, -z]) - REFERENCE)
+        most = np.maximum(most, totals.max(axis=0))
+    return max(float(np.quantile(most, 1.0 - share)), MIN_THRESHOLD)
+
+
+def cusum(z: np.ndarray) -> tuple[float, int]:
+    """Largest two-sided cumulative sum of standardised values, and where the excursion that reached it began."""
+    best, begin = 0.0, 0
+    for sign in (1.0, -1.0):
+        total, start = 0.0, 0
+        for i, value in enumerate(sign * np.asarray(z)):
+            if total == 0.0:
+                start = i
+            total = max(0.0, total + value - REFERENCE)
+            if total > best:
+                best, begin = total, start
+    return float(best), begin
+
+
+def level_drift(old: Sequence[float], new: Sequence[float]) -> tuple[float, int] | None:
+    """CUSUM of a figure per run that has one level, such as a champion's mean residual, and where it began.
+
+    None below its threshold, or with too few reference runs.
+    """
+    count = len(old)
+    if count < FEWEST_RUNS or not len(new):
+        return None
+    scale = max(float(np.std(old, ddof=1)), 1e-9)
+    values = np.array([*old, *new], dtype=float)
+    seen = np.arange(count, values.size)  # runs before each new one, whose mean is what it is judged by
+    before = np.cumsum(values)[count - 1 : -1] / seen
+    alarm, begin = cusum((values[count:] - before) / (scale * np.sqrt(1.0 + 1.0 / seen)))
+    return (alarm, begin) if alarm >= threshold(count - 1, FALSE_ALARMS) else None
