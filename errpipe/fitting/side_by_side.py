@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+import warnings
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
+from threading import Lock
 from time import perf_counter
 from typing import Any, TypeVar
 
@@ -14,6 +17,8 @@ WORTH = 0.05  # s of the first piece, below which handing over between threads c
 
 T = TypeVar("T")
 _inside: ContextVar[bool] = ContextVar("inside_side_by_side", default=False)
+_lock = Lock()
+_silent: list[warnings.catch_warnings] = []  # one of each thread inside; the first has the filters of before
 
 
 def side_by_side(
@@ -42,3 +47,20 @@ def side_by_side(
                 pool.shutdown(wait=False, cancel_futures=True)
     finally:
         _inside.reset(token)
+
+
+@contextmanager
+def no_warnings() -> Iterator[None]:
+    """No warnings within. Filters are the process': the thread that leaves first may not restore them for another."""
+    with _lock:
+        _silent.append(warnings.catch_warnings())
+        if len(_silent) == 1:
+            _silent[0].__enter__()
+            warnings.simplefilter("ignore")
+    try:
+        yield
+    finally:
+        with _lock:
+            last = _silent.pop()
+            if not _silent:
+                last.__exit__(None, None, None)

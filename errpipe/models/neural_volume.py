@@ -5,7 +5,6 @@ Its hidden units become nodes of the table (a sum of readings, a table of tanh),
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
@@ -224,6 +223,8 @@ def _fitted(x: np.ndarray, y: np.ndarray, units: int, penalty: float) -> Network
     import numpy as np
     from sklearn.neural_network import MLPRegressor
 
+    from errpipe.fitting.side_by_side import no_warnings
+
     few = slice(None, None, max(1, len(x) // MOST_ROWS))
     centre, size = x.mean(axis=0), x.std(axis=0)
     size = np.where(size > 0, size, 1.0)
@@ -237,8 +238,7 @@ def _fitted(x: np.ndarray, y: np.ndarray, units: int, penalty: float) -> Network
         random_state=0,
     )
     target = y[few] / scale
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # reaching MOST_STEPS is intended
+    with no_warnings():  # reaching MOST_STEPS is intended
         net.fit((x[few] - centre) / size, target[:, 0] if y.shape[1] == 1 else target)
     outer, zero = net.coefs_[1] * scale, net.intercepts_[1] * scale
     return Network(centre, size, net.coefs_[0], net.intercepts_[0], outer, zero, *_limits(y))

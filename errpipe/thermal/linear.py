@@ -12,7 +12,6 @@ so does the heat that it takes (`coolant_heat`).
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -21,6 +20,7 @@ import numpy as np
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
 from errpipe.fitting.design import response_name
+from errpipe.fitting.side_by_side import no_warnings
 from errpipe.fitting.solve import one_thread
 from errpipe.thermal.arithmetic import FEWEST_RUNS, centred, inner_groups, no_usable_row, since_start
 from errpipe.thermal.causes import columns
@@ -273,8 +273,7 @@ def lasso_path(design: np.ndarray, response: np.ndarray, rows: float, strengths:
     if most == 0.0:
         return np.zeros((len(strengths), size.size))
     order = np.argsort(strengths)[::-1]
-    with one_thread(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # at its weakest penalties the path may stop short of convergence
+    with one_thread(), no_warnings():  # at its weakest penalties the path may stop short of convergence
         _, gains, _ = path(
             np.asfortranarray(scaled), response, alphas=[most * strengths[k] for k in order], max_iter=2000, tol=1e-4
         )

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from errpipe.fitting import side_by_side as module
-from errpipe.fitting.side_by_side import side_by_side
+from errpipe.fitting.side_by_side import no_warnings, side_by_side
 from errpipe.fitting.solve import one_thread
 
 
@@ -59,3 +60,24 @@ def test_a_thread_that_leaves_does_not_lift_the_limit_for_one_that_is_still_insi
             assert entered.wait(10)
         left.set()
         assert (before, future.result(10)) == ({2}, {1})
+
+
+def test_a_thread_that_leaves_does_not_bring_back_warnings_for_one_that_is_still_inside() -> None:
+    entered, left = threading.Event(), threading.Event()
+
+    def longer() -> None:
+        with no_warnings():
+            entered.set()
+            assert left.wait(10)
+            warnings.warn("stopped short of convergence", stacklevel=1)
+
+    with warnings.catch_warnings(record=True) as heard, ThreadPoolExecutor(1) as pool:
+        warnings.simplefilter("always")
+        with no_warnings():
+            future = pool.submit(longer)
+            assert entered.wait(10)
+        left.set()
+        future.result()
+        assert not heard
+        warnings.warn("heard again", stacklevel=1)
+    assert [str(one.message) for one in heard] == ["heard again"]
