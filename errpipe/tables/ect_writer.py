@@ -74,7 +74,8 @@ def _sections(table: t.CompensationTable) -> dict[int, bytes]:
 def _input_record(i: t.TableInput, first: int) -> bytes:
     names = (i.name.encode(), i.axis.encode(), i.unit.encode())
     numbers = (lay.KINDS.index(i.kind), lay.input_flags(i), first, len(i.substitute))
-    reading = (i.low, i.high, i.max_rate or 0.0, i.stale_after_s or 0.0, i.hold_s or 0.0, i.default)
+    hold = 0.0 if i.hold_s is None else i.hold_s  # `or` would turn -0.0 round
+    reading = (i.low, i.high, i.max_rate or 0.0, i.stale_after_s or 0.0, hold, i.default)
     valid = (*(i.valid or (0.0, 0.0)), i.margin or 0.0)
     noise = i.noise if i.max_rate is not None else 0.0
     return lay.INPUT.pack(*names, *numbers, *reading, i.substitute_offset, *valid, noise)

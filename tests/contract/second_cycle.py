@@ -64,7 +64,7 @@ class Evaluator:
     """Section 4: a table and its state; `number` is the kind of number it computes with (section 9)."""
 
     def __init__(self, table: Table, number: type[float] = float) -> None:
-        self.number = number
+        self.number, self.single = number, number is not float
         self.table: Table = self._rounded(table)
         self.outputs = [OutputState() for _ in self.table.outputs]
         self.rho = 0.0
@@ -246,20 +246,30 @@ class Evaluator:
                 return _between(values, (u[0] - node.a) * node.c)
 
     def _lag(self, node: Node, s: NodeState, u: float) -> float:
-        """Section 6, lag; section 9."""
+        """Section 6, lag."""
         before, s.m = s.m, u
+        if self.single:
+            y = self._creep(node, s, before)
+            if y is not None:
+                return y
         if not s.started:
-            s.rest = 0.0
             return 0.0 if node.flags & 2 else u
-        cycle = self.table.thermal_cycle if node.slow else self.table.position_cycle
-        x = cycle / (node.a if before >= s.y else node.b)
-        if self.number is not float and x < 0.0625:
-            step = s.rest + (before - s.y - s.rest) * (x * (1 - x * 0.5 * (1 - x / 3 * (1 - x * 0.25))))
-            y = s.y + step
-            s.rest = step - (y - s.y)
-            return y
         alpha = node.c if before >= s.y else node.d
         return before + (s.y - before) * alpha
+
+    def _creep(self, node: Node, s: NodeState, before: float) -> float | None:
+        """Section 9: a slow lag in binary32; None where it starts, or is fast."""
+        if not s.started:
+            s.rest = 0.0
+            return None
+        cycle = self.table.thermal_cycle if node.slow else self.table.position_cycle
+        x = cycle / (node.a if before >= s.y else node.b)
+        if x >= 0.0625:
+            return None
+        step = s.rest + (before - s.y - s.rest) * (x * (1 - x * 0.5 * (1 - x / 3 * (1 - x * 0.25))))
+        y = s.y + step
+        s.rest = step - (y - s.y)
+        return y
 
     def _direction(self, node: Node, s: NodeState, u: float, k: float) -> float:
         """Section 6, direction."""

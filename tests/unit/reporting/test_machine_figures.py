@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -58,7 +59,8 @@ def test_vectors_say_before_and_after(measured):
 
 def test_slices_before_and_after_stand_side_by_side_in_one_scale(measured):
     chain, errors, *_ = measured
-    panels = {n: machine_figures.size_of(chain, errors.scaled(f)) for n, f in (("before", 1.0), ("after", 0.1))}
+    left = replace(errors, tables=tuple(0.1 * t for t in errors.tables), constants=0.1 * errors.constants)
+    panels = {n: machine_figures.size_of(chain, e) for n, e in (("before", errors), ("after", left))}
     svg = machine_figures.slices(chain, panels)
     told = words(svg)
     assert {"X mm, at Z -250", "X mm, at Y 250", "Y mm, at X 400", "Y mm", "Z mm"} <= told
