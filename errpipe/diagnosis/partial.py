@@ -88,15 +88,23 @@ class Groups:
         order = np.argsort(self.code, kind="stable")
         return order, np.searchsorted(self.code[order], np.arange(self.count + 1))
 
-    def weighed(self, choices: list[tuple[int, ...]], more: float) -> tuple[np.ndarray, np.ndarray]:
-        """1 where a group is in a union, shape (unions, groups), and the unions' prices, so much more each."""
-        inside = [np.bincount(c, minlength=self.count) for c in choices]
-        return np.array(inside, dtype=float), np.array([self.price(c) + more for c in choices])
+    @cached_property
+    def priced(self) -> tuple[list[tuple[int, ...]], np.ndarray, np.ndarray]:
+        """Unions tried, with what `weighed` says of them."""
+        return (choices := self.choices()), *self.weighed(choices)
 
-    def beside(self, members: tuple[int, ...]) -> list[tuple[int, ...]]:
-        """Unions of runs that differ in one run, for not all of them can be tried; of ranges none."""
-        ways = (tuple(sorted({*members} ^ {run})) for run in range(self.count if self.kind == "runs" else 0))
-        return [way for way in ways if 0 < len(way) < self.count]
+    def weighed(self, choices: list[tuple[int, ...]]) -> tuple[np.ndarray, np.ndarray]:
+        """1 where a group is in a union, shape (unions, groups), and the unions' prices."""
+        inside = [np.bincount(c, minlength=self.count) for c in choices]
+        return np.array(inside, dtype=float), np.array([self.price(c) for c in choices])
+
+    def by_rate(self, rate: np.ndarray) -> list[tuple[int, ...]]:
+        """Unions of the runs in which an effect seems strongest, one way or the other."""
+        if self.kind != "runs":
+            return []
+        order = np.argsort(rate)
+        ends = [order[:k] for k in range(3, self.count)] + [order[k:] for k in range(1, self.count - 2)]
+        return [tuple(sorted(int(g) for g in end)) for end in ends]
 
     def price(self, members: tuple[int, ...]) -> float:
         """Log of the number of unions of this kind that could have been chosen."""
@@ -182,7 +190,7 @@ def _best_of_each_effect(search: Search, scene: Scene, basis, parts: list[Part],
     for textbook, each in ((True, IN_FULL), (False, EACH)):
         gain = np.full(len(library.hypotheses), -np.inf)
         for i in tried:
-            places, freedom = _places(library, i, textbook)
+            places, freedom = _places(library, i, kind, textbook)
             W = library.table.W.T[places].take(inside, axis=1)
             B = W @ N
             S, s = (W @ W.T - B @ B.T) * freedom * freedom[:, None], (W @ y - B @ scene.half) * freedom
@@ -225,7 +233,7 @@ def on_a_stretch(h: Hypothesis, axis: str) -> bool:
     return axis in h.drivers or term.family in ON_A_STRETCH or "axis" in type(term).model_fields
 
 
-def _places(library: Library, index: int, textbook: bool = False) -> tuple[np.ndarray, np.ndarray]:
+def _places(library: Library, index: int, kind: str, textbook: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Columns of a hypothesis, in part, in the table, and their freedoms; of its textbook form alone."""
     places, freedom = library.places[index], library.freedoms[index]
     if textbook:
@@ -238,26 +246,25 @@ def _places(library: Library, index: int, textbook: bool = False) -> tuple[np.nd
 def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, clock: str | None) -> Part:
     """The union of groups in which a hypothesis explains most."""
     library, y, (order, upto) = search.library, search.data.y, groups.rows
-    places, freedom = _places(library, index)
+    places, freedom = _places(library, index, groups.kind)
     whole, cuts = library.table.W.T[places].take(order, axis=1), upto[1:-1]
     pieces = zip(np.split(whole, cuts, axis=1), np.split(basis[order], cuts), np.split(y[order], cuts), strict=True)
     products = [(W @ W.T, (W @ N).T, W @ v) for W, N, v in pieces]
     S, B, s = (np.array(of_each_group) for of_each_group in zip(*products, strict=True))
     S, B, s = S * freedom * freedom[:, None], B * freedom, s * freedom
-    there = groups.kind in ("runs", clock) or on_a_stretch(library.hypotheses[index], groups.kind)
-    best, choices = Part(-np.inf, index, groups, (), 0.0), groups.choices()
-    while choices:
-        member, price = groups.weighed(choices, 0.0 if there else ELSEWHERE)
-        Bc = np.tensordot(member, B, 1)
-        Sc = np.tensordot(member, S, 1) - Bc.transpose(0, 2, 1) @ Bc
-        sc = member @ s - np.einsum("cmk,m->ck", Bc, scene.half)
-        gain = averaged(Sc, sc[:, :, None], np.array([scene.Q]), scene.n)[:, 0] - price
-        k = int(np.argmax(gain))
-        if gain[k] <= best.gain:
-            break
-        best = Part(float(gain[k]), index, groups, choices[k], float(price[k]))
-        choices = groups.beside(best.members)
-    return best
+    choices, member, price = groups.priced
+    rate = (s[:, 0] - B[:, :, 0] @ scene.half) / np.maximum(S[:, 0, 0], 1e-300)
+    if more := groups.by_rate(rate):
+        choices, (others, prices) = choices + more, groups.weighed(more)
+        member, price = np.concatenate([member, others]), np.r_[price, prices]
+    Bc = np.tensordot(member, B, 1)
+    Sc = np.tensordot(member, S, 1) - Bc.transpose(0, 2, 1) @ Bc
+    sc = member @ s - np.einsum("cmk,m->ck", Bc, scene.half)
+    elsewhere = groups.kind not in ("runs", clock) and not on_a_stretch(library.hypotheses[index], groups.kind)
+    price = price + (ELSEWHERE if elsewhere else 0.0)
+    gain = averaged(Sc, sc[:, :, None], np.array([scene.Q]), scene.n)[:, 0] - price
+    best = int(np.argmax(gain))
+    return Part(float(gain[best]), index, groups, choices[best], float(price[best]))
 
 
 def _extend(library: Library, search: Search, recording: Recording, rows, part: Part) -> bool:

@@ -76,7 +76,7 @@ def test_a_machine_of_a_fleet_is_retrained_with_its_folder_as_the_champion(tmp_p
     fleet = site(tmp_path, 3, days=12)
     main(["fleet", str(fleet), "--out", str(tmp_path / "out"), "--jobs", "1"])
     codes, documents = {}, {}
-    for days in (13, 17, 21, 28):
+    for days in (13, 17, 21, 28, 36, 44):
         record(tmp_path / "recordings/m000", days, changed_from=12)
         for name in ("m000", "m002"):
             champion, out = tmp_path / "out/machines" / name, tmp_path / "retrain" / name
