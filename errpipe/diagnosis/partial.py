@@ -238,7 +238,7 @@ def _places(library: Library, index: int, kind: str, textbook: bool = False) -> 
     places, freedom = library.places[index], library.freedoms[index]
     if textbook:
         places, freedom = places[: library.cores[index]], freedom[: library.cores[index]]
-    if has_level(library.hypotheses[index]):
+    if has_level(library.hypotheses[index], kind):
         return np.r_[places, library.datum], np.r_[freedom, LEVEL]
     return places, freedom
 

@@ -183,18 +183,6 @@ def test_a_body_that_acts_for_a_while_is_counted_from_any_temperature():
         assert (np.std(left) < 1e-6 * np.std(signal)) == fits
 
 
-def test_a_body_acts_in_any_runs_and_is_counted_from_any_temperature_there():
-    columns, kinds, noise = positioning(runs=7)
-    columns["T2"] = 22 + np.array([0.0, 0.9, -0.8, 1.1, 0.4, -0.6, 0.8])[columns["run"].astype(int)]
-    columns["T2"] += 0.6 * np.cos(columns["t"] / 700)
-    kinds |= {"T2": {"role": "temperature", "unit": "degC", "location": "column"}}
-    simulated, inside = 20e-3 * columns["x"], np.isin(columns["run"], ["1", "3", "6"])
-    warmed = 2.0 * (columns["T2"] - 24.5) * inside
-    (found,) = judged(columns, kinds, "EXX", simulated + warmed + 0.5 * noise, simulated).explanation.accepted
-    assert (found.hypothesis.effect, found.hypothesis.drivers) == ("thermal_drift", ("T2",))
-    assert found.hypothesis.mask == ("runs", ("1", "3", "6"))
-
-
 def test_tools_of_which_few_wear_are_no_other_mechanism():
     rng = np.random.default_rng(4)
     run, length = np.repeat(np.arange(6), 50), np.tile(np.linspace(0, 900, 50), 6)
