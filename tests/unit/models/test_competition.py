@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from sklearn.linear_model import Lasso
 
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError, GateError
+from errpipe.fitting import side_by_side
 from errpipe.fitting.statistics import rms
 from errpipe.models import FAMILIES, family_of, procedure
 from errpipe.models.auto import Auto, competitors
@@ -109,6 +111,25 @@ def test_a_mixture_of_more_parts_than_a_sum_may_have_compiles() -> None:
     model = family.fit(fitted).model
     table = compile_model(model, CompileOptions())
     assert_allclose(table_values(table, model, fitted)["E_Z"], family.train(fitted).values(fitted), atol=1e-3)
+
+
+@pytest.mark.parametrize("family", [Season(component="E_Z"), Lagged(component="E_Z")], ids=["season", "lagged"])
+def test_folds_in_two_threads_are_judged_to_the_bit_as_one_by_one(family, monkeypatch) -> None:
+    recording, threads, documents = machine(2, runs=2), set(), []
+    judge = type(family).judge
+
+    def noted(self, *args):
+        threads.add(threading.current_thread().name)
+        return judge(self, *args)
+
+    monkeypatch.setattr(type(family), "judge", noted)
+    monkeypatch.setitem(side_by_side.side_by_side.__kwdefaults__, "worth", 0.0)
+    for cores in (1, 2):
+        monkeypatch.setattr(side_by_side.os, "cpu_count", lambda cores=cores: cores)
+        threads.clear()
+        documents.append(held_out(recording, family, "leave-one-group-out:run"))
+        assert (threads == {threading.main_thread().name}) == (cores == 1)
+    assert documents[0] == documents[1]
 
 
 def test_a_whole_season_sits_out_and_the_mixture_passes_the_gate() -> None:
