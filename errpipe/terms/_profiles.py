@@ -6,6 +6,7 @@ polynomial or curve holds its end value, as a compensation table does; a line an
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Annotated, Literal, Self
 
@@ -19,12 +20,12 @@ from errpipe.yamlfile import quantity
 MM_PER_M = 1000.0
 
 
-class Shape(Frozen):
+class Shape(Frozen, ABC):
     """A profile over position x (rows,), in mm or deg: its parameters, and one column for each."""
 
+    @abstractmethod
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
-        raise NotImplementedError
 
     def units(self, rotary: bool) -> tuple[str, ...]:
         """Units of the parameters; rotary: x is in deg."""
@@ -34,9 +35,9 @@ class Shape(Frozen):
         """The shape with what it reads off the positions written down."""
         return self
 
+    @abstractmethod
     def basis(self, x: np.ndarray, rotary: bool = False) -> np.ndarray:
         """Columns, shape (rows, parameters), in um per unit of each parameter."""
-        raise NotImplementedError
 
     def penalty(self) -> np.ndarray | None:
         """Square matrix over the parameters whose quadratic form is held small, or None."""
