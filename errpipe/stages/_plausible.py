@@ -55,7 +55,7 @@ def refuse_table(table: CompensationTable, allow: Sequence[str], limit: float | 
     results = []
     reach = {r.name: r.deviation for r in bounds.outputs(table)}
     for axis, outputs in _sample.outputs_by_axis(table).items():
-        rotary = axis[0] in "ABC"
+        rotary = components.is_rotary(axis)
         size, _ = _largest(table, axis)
         low, high = _sample.reach(table, axis)
         travel = None if (low, high) == UNBOUNDED else high - low
@@ -125,7 +125,7 @@ def not_measured(table: CompensationTable) -> list[str]:
         "measure it before cutting there"
         for axis, low, high in NOT_MEASURED.findall(table.title)
     ]
-    ends = {x: _sample.span(table, x) for x in _sample.positions_of(table) if x[0] in "ABC"}
+    ends = {x: _sample.span(table, x) for x in _sample.positions_of(table) if components.is_rotary(x)}
     return bridges + [
         f"{axis} is corrected from {low:g} to {high:g} deg and held beyond: for an axis that turns on, state its "
         "travel (0 to 360 deg) in the recording and export again"
@@ -180,8 +180,8 @@ def _sentence(axis: str, over: str, at: float, side: float, deviation: float, ov
     """The consequence in words. deviation: mm (deg) of the axis; rotary ones are given in arcsec."""
     from errpipe.validation import plausibility
 
-    rotary = axis[0] in "ABC"
+    rotary = components.is_rotary(axis)
     size, unit = (deviation * 3600, "arcsec") if rotary else (deviation * 1e3, "um")
     if over_unit is None:
-        over_unit = "deg" if over[0] in "ABC" else "mm"
+        over_unit = "deg" if components.is_rotary(over) else "mm"
     return plausibility.consequence(axis, over, at, side, size, unit, over_unit)
