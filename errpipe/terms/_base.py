@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import math
 from abc import ABC
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
+from errpipe.domain.error_model import FittedParameter, FittedTerm
 from errpipe.domain.recording import Frozen, Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position_name
@@ -231,6 +232,22 @@ class Term(Frozen, ABC):
         """One plain sentence for a person, with numbers and units."""
         parts = [f"{p.name} = {parameters[p.name]:.4g} {p.unit}" for p in (*self.linear(), *self.free())]
         return f"{self.term.replace('_', ' ')}: " + ", ".join(parts)
+
+
+def fitted_term(term: Term, values: Iterable[float], unit: str, half_width95: float | None = None) -> FittedTerm:
+    """A term with the values of its linear parameters, all in one unit. half_width95: of their intervals, if known."""
+    half = half_width95
+    parameters = tuple(
+        FittedParameter(
+            name=p.name,
+            value=float(v),
+            unit=unit,
+            standard_error=None if half is None else half / 1.96,
+            ci95=None if half is None else (float(v) - half, float(v) + half),
+        )
+        for p, v in zip(term.linear(), values, strict=True)
+    )
+    return FittedTerm(term=plain(term), parameters=parameters)
 
 
 def plain(term: Term) -> dict[str, Any]:
