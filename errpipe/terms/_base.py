@@ -82,8 +82,8 @@ class Term(Frozen, ABC):
     term: str
     fixed: dict[str, float] = quantity("of each", "Parameters not solved for: name -> value.", {})
 
-    reports_as: ClassVar[str] = ""  # id of the effects vocabulary; "" where the term is not an effect
-    family: ClassVar[str] = ""
+    reports_as: ClassVar[str] = ""  # id of the effects vocabulary: the term's own; "" where it is of no family
+    family: ClassVar[str] = ""  # of effects; "" where the term is not an effect
     compensable: ClassVar[bool] = True  # False: an artefact of measuring, never to be compensated
     artefact: ClassVar[str] = ""  # why it is no fault of the machine; "" where it is one
     nuisance: ClassVar[bool] = True  # may it be fitted beside accepted terms as a nuisance?
@@ -107,6 +107,10 @@ class Term(Frozen, ABC):
     searched: ClassVar[tuple[Parameter, ...]] = ()  # what `nonlinear` gives, where no field changes it
     prior_log_odds: ClassVar[float] = 0.0  # what `log_prior_odds` gives, where no field changes it
     sample: ClassVar[Mapping[str, Any] | None] = None  # fields of the worked case, where no binding makes one
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        cls.reports_as = str(cls.model_fields["term"].default) if cls.family else ""
 
     def linear(self) -> tuple[Parameter, ...]:
         """Parameters the value is linear in, in the order of the basis' columns."""
