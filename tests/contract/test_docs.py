@@ -1,4 +1,4 @@
-"""Every command that README, docs and examples print exists: verb, options, files, targets of make."""
+"""Every command that README, docs and examples print exists (verb, options, files, targets of make), and every link."""
 
 from __future__ import annotations
 
@@ -87,3 +87,25 @@ def test_every_command_of_the_page_exists(page: Path) -> None:
 )
 def test_a_command_that_is_not_there_is_noticed(command: str) -> None:
     assert wrong(command)
+
+
+def dead_links(page: Path, text: str) -> list[str]:
+    """Targets of links that are no file beside the page, or no heading of one."""
+    dead = []
+    for target in re.findall(r"\]\((?!https?:)([^)\s]+)\)", text):
+        name, _, heading = target.partition("#")
+        file = page.parent / name if name else page
+        titles = re.findall(r"^#+ (.*)$", file.read_text(encoding="utf-8"), re.M) if heading and file.is_file() else []
+        known = [re.sub(r"[^\w -]", "", title).strip().lower().replace(" ", "-") for title in titles]
+        dead += [target] if not file.exists() or (heading and heading not in known) else []
+    return dead
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(TOP)))
+def test_every_link_of_the_page_leads_somewhere(page: Path) -> None:
+    assert dead_links(page, page.read_text(encoding="utf-8")) == []
+
+
+def test_a_dead_link_is_noticed() -> None:
+    links = "[a](docs/none.md) [b](docs/trials.md#none) [c](docs/trials.md#attacks)"
+    assert dead_links(TOP / "README.md", links) == ["docs/none.md", "docs/trials.md#none"]
