@@ -86,12 +86,6 @@ def resolution(values: np.ndarray) -> float:
     return float(f"{step:.6g}") if lattice and distinct.size * 20 > ratio.max() / 20 else 0.0
 
 
-def rows_between(values: np.ndarray) -> int:
-    """Usual number of rows from one reading to the next: above 1 of a sensor that is logged less often than rows."""
-    known = np.flatnonzero(np.isfinite(values))
-    return max(int(np.median(np.diff(known))), 1) if known.size > 1 else 1
-
-
 def rows_of_runs(run: np.ndarray) -> list[np.ndarray]:
     """Ascending row numbers of each run, in the order of the runs' codes (rows,)."""
     order = np.argsort(run, kind="stable")

@@ -6,8 +6,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from errpipe.cleaning._base import Action, Rule, rows_between, sensors
+from errpipe.cleaning._base import Action, Rule, sensors
 from errpipe.domain.recording import Recording
+from errpipe.drivers.between_readings import rows_between
 from errpipe.kernels.events import stretches
 from errpipe.yamlfile import quantity
 

@@ -11,8 +11,9 @@ from typing import Literal
 
 import numpy as np
 
-from errpipe.cleaning._base import Action, Rule, resolution, rows_between, sensors
+from errpipe.cleaning._base import Action, Rule, resolution, sensors
 from errpipe.domain.recording import Recording
+from errpipe.drivers.between_readings import rows_between
 from errpipe.errors import DataError
 from errpipe.kernels.events import stretches
 from errpipe.yamlfile import quantity

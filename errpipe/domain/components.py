@@ -66,6 +66,11 @@ class Component(Frozen):
         return self.kind == STRAIGHTNESS
 
 
+def is_rotary(axis: str) -> bool:
+    """Whether the name of an axis, such as X or C2, is that of a rotary one (ISO 841: A, B, C)."""
+    return axis[0] in "ABC"
+
+
 def parse(name: str) -> Component:
     """The component a name stands for. Raises ValueError naming the nearest component."""
     if match := _MOTION.match(name):

@@ -105,6 +105,11 @@ def above(name: str, reference: float) -> Affine:
     return Affine(offset=-reference, weights=(1.0,), of=(Input(name=name),))
 
 
+def lag(of: Driver, tau: float) -> Lag:
+    """First-order lag of one time constant, s, that is zero at the start of a session."""
+    return Lag(of=of, tau_up=tau, tau_down=tau, start="zero")
+
+
 def inputs(driver: Driver) -> tuple[str, ...]:
     """Names of the inputs a driver reads, in order of first use."""
     if isinstance(driver, Input):

@@ -6,12 +6,13 @@ layer names physics, it does not know any.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Literal
 
 from pydantic import Field, field_validator
 
-from errpipe.domain.recording import Frozen
+from errpipe import __version__
+from errpipe.domain.recording import Frozen, Manifest
 from errpipe.errors import DataError, UsageError
 from errpipe.yamlfile import quantity
 
@@ -142,6 +143,16 @@ class ErrorModel(Frozen):
         "absolute", description="What zero means: the machine's own zero, or each run's first readings."
     )
     notes: tuple[str, ...] = Field((), description="What a user should know.")
+
+    @classmethod
+    def of(
+        cls, manifest: Manifest, columns: Iterable[str], constants: Iterable[str] = (), **further: Any
+    ) -> ErrorModel:
+        """With what the manifest of the fitted recording says of machine, title, some columns and some constants."""
+        given = ((manifest.columns, columns), (manifest.constants, constants))
+        entries = [{n: known[n].model_dump(mode="json", exclude_none=True) for n in names} for known, names in given]
+        facts = {"machine": manifest.machine, "title": manifest.title, "columns": entries[0], "constants": entries[1]}
+        return cls(version=__version__, **(facts | further))
 
 
 def joined(models: Sequence[ErrorModel]) -> ErrorModel:

@@ -16,6 +16,12 @@ LONGEST_GAP = 10.0  # over the mean one; a sensor that is silent for longer fail
 FEWEST_HELD = 3.0  # rows from one reading to the next, from which the rows between hold it
 
 
+def rows_between(values: np.ndarray) -> int:
+    """Usual number of rows from one reading to the next: above 1 of a sensor that is logged less often than rows."""
+    known = np.flatnonzero(np.isfinite(values))
+    return max(int(np.median(np.diff(known))), 1) if known.size > 1 else 1
+
+
 def between_readings(recording: Recording) -> Recording:
     """The recording with slow sensors that are read now and then, in fewer than half of the rows, filled in.
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import ValidationError
 
-from errpipe import __version__
 from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
@@ -259,14 +258,12 @@ def whole_model(recording: Recording, spec: ModelSpec, mask, models: Sequence[Co
             used += term_of(fitted).drivers(recording)
     names = list(dict.fromkeys(used))
     axes = {recording.manifest.columns[n].axis for n in names} - {None}
-    kept = {k: c for k, c in recording.manifest.constants.items() if k in axes or c.role != "axis"}
+    kept = [k for k, c in recording.manifest.constants.items() if k in axes or c.role != "axis"]
     validity = box(recording, names, mask)
-    return ErrorModel(
-        machine=recording.manifest.machine,
-        title=recording.manifest.title,
-        version=__version__,
-        columns={n: recording.manifest.columns[n].model_dump(exclude_none=True) for n in names},
-        constants={k: c.model_dump(mode="json", exclude_none=True) for k, c in kept.items()},
+    return ErrorModel.of(
+        recording.manifest,
+        names,
+        kept,
         components=tuple(models),
         validity=extended(validity, spec.also_valid, recording),
         datum=spec.datum,

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
+from functools import partial
 from threading import Lock
 from time import perf_counter
 from typing import Any, TypeVar
@@ -17,8 +18,6 @@ WORTH = 0.05  # s of the first piece, below which handing over between threads c
 
 T = TypeVar("T")
 _inside: ContextVar[bool] = ContextVar("inside_side_by_side", default=False)
-_lock = Lock()
-_silent: list[warnings.catch_warnings] = []  # one of each thread inside; the first has the filters of before
 
 
 def side_by_side(
@@ -49,18 +48,37 @@ def side_by_side(
         _inside.reset(token)
 
 
-@contextmanager
-def no_warnings() -> Iterator[None]:
-    """No warnings within. Filters are the process': the thread that leaves first may not restore them for another."""
-    with _lock:
-        _silent.append(warnings.catch_warnings())
-        if len(_silent) == 1:
-            _silent[0].__enter__()
-            warnings.simplefilter("ignore")
-    try:
-        yield
-    finally:
-        with _lock:
-            last = _silent.pop()
-            if not _silent:
-                last.__exit__(None, None, None)
+class WhileAnyInside:
+    """A setting of the whole process as a context manager: it holds while any thread is inside.
+
+    set_up: makes the setting and returns what undoes it. The thread that leaves last undoes it, whichever came first.
+    """
+
+    def __init__(self, set_up: Callable[[], Callable[[], None]]) -> None:
+        self._set_up, self._lock, self._inside = set_up, Lock(), 0
+        self._undo: Callable[[], None]
+
+    @contextmanager
+    def __call__(self) -> Iterator[None]:
+        """The setting within."""
+        with self._lock:
+            if not self._inside:
+                self._undo = self._set_up()
+            self._inside += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._inside -= 1
+                if not self._inside:
+                    self._undo()
+
+
+def _ignore_warnings() -> Callable[[], None]:
+    filters = warnings.catch_warnings()
+    filters.__enter__()
+    warnings.simplefilter("ignore")
+    return partial(filters.__exit__, None, None, None)
+
+
+no_warnings = WhileAnyInside(_ignore_warnings)

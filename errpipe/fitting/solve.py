@@ -7,27 +7,21 @@ its normal equations: squaring the condition number loses half of the digits.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from threading import Lock
-from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from threadpoolctl import ThreadpoolController
+
+from errpipe.fitting.side_by_side import WhileAnyInside
 
 HUBER = 1.345  # 95 % efficiency on normal noise (Huber 1981)
 TUKEY = 4.685  # the same for the biweight (Beaton and Tukey 1974)
 MAD = 1.4826  # median absolute deviation -> standard deviation of normal noise
 LOWEST_RANK = 1e-11  # of the largest scaled pivot; below it a direction is rounding
 REML_STEPS = 80  # at most, of the strengths of penalties; a few dozen settle them
-
-_held: ContextVar[bool] = ContextVar("linear_algebra_on_one_thread", default=False)
-_lock = Lock()
-_limits: list[Any] = []  # of the threads that are inside now, the first one at its begin
 
 
 @dataclass(frozen=True)
@@ -52,28 +46,13 @@ class Prior:
     spread: float
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Linear algebra on one thread: with two the last bits change from run to run. Free where it already holds."""
-    if _held.get():
-        yield
-        return
-    token = _held.set(True)
-    with _lock:
-        _limits.append(_controller().limit(limits=1, user_api="blas"))
-    try:
-        yield
-    finally:
-        _held.reset(token)
-        with _lock:  # the limit is the process': who leaves first may not lift it for those that are still inside
-            last = _limits.pop()
-            if not _limits:
-                last.restore_original_limits()
-
-
 @cache
 def _controller() -> ThreadpoolController:
     return ThreadpoolController()
+
+
+# Linear algebra on one thread: with two the last bits change from run to run.
+one_thread = WhileAnyInside(lambda: _controller().limit(limits=1, user_api="blas").restore_original_limits)
 
 
 @one_thread()

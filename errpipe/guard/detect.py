@@ -91,7 +91,7 @@ def _first_two_isolated(guard: SensorGuard) -> tuple[d.Driver, ...]:
     replaced by an estimate that is solved for two it is worse than its own reading.
     """
     flags = isolated(guard)
-    ages = tuple(d.Lag(of=flag, tau_up=AGE_S, tau_down=AGE_S, start="zero") for flag in flags)
+    ages = tuple(d.lag(flag, AGE_S) for flag in flags)
     oldest, _ = _largest(ages)
     younger = tuple(d.Product(of=(age, c.none_of(o))) for age, o in zip(ages, oldest, strict=True))
     next_oldest, _ = _largest(younger)
@@ -111,7 +111,7 @@ def activity(guard: SensorGuard, name: str) -> d.Driver:
 @shared
 def frozen(guard: SensorGuard) -> tuple[d.Driver, ...]:
     """1 while a reading stands still as it never does when healthy; else 0."""
-    age = d.Lag(of=d.ONE, tau_up=guard.freeze_s, tau_down=guard.freeze_s, start="zero")
+    age = d.lag(d.ONE, guard.freeze_s)
     settled = d.Switch(of=age, on=1.0 - math.exp(-WARM_UP), off=0.0)
     out: list[d.Driver] = []
     for s in guard.sensors:

@@ -106,4 +106,4 @@ def _value_at_last_quiet(guard: SensorGuard, i: int, value: d.Driver) -> d.Drive
 def _rising_clock(guard: SensorGuard) -> d.Driver:
     """Rises without end, faster than anything that is remembered, K."""
     fastest = max(2.0 * s.reach / guard.settle_s for s in guard.sensors)
-    return d.Lag(of=d.Constant(value=2.0 * fastest * LONGEST_S), tau_up=LONGEST_S, tau_down=LONGEST_S, start="zero")
+    return d.lag(d.Constant(value=2.0 * fastest * LONGEST_S), LONGEST_S)

@@ -7,16 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from errpipe import __version__
 from errpipe.domain import driver as d
 from errpipe.domain.components import is_error_motion
-from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm, Validity
+from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedTerm, Validity
 from errpipe.domain.recording import Recording
 from errpipe.errors import VerifyError
 from errpipe.kinematics import direct, records
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.errors import positions_of
-from errpipe.terms import Line, Term, plain
+from errpipe.terms import Line, fitted_term
 from errpipe.terms.backlash import Backlash
 from errpipe.terms.offset import Offset
 from errpipe.terms.profile_driver import ProfileDriver
@@ -34,7 +33,7 @@ def error_model(
     They count as the records do, along the axes, whatever the machine file takes their errors to be of.
     Raises VerifyError where a curve is too rough for the spline.
     """
-    columns: dict[str, dict[str, Any]] = {}
+    columns: list[str] = []
     ranges: dict[str, tuple[float, float]] = {}
     parts = []
     for name in (c for c in recording.components() if is_error_motion(c)):
@@ -43,12 +42,12 @@ def error_model(
         at, value = recording.array(column), recording.array(str(recording.name("error", component=name)))
         seen = at[np.isfinite(at) & np.isfinite(value)]
         ranges[column] = (float(seen.min()), float(seen.max()))
-        columns[column] = recording.manifest.columns[column].model_dump(mode="json", exclude_none=True)
+        columns.append(column)
         curve, side = curves["curves"][name], recording.name("direction", axis=axis)
         sign = records.sense(chain, name)
         terms = _curve(name, axis, curve, sign)
         if side is not None and name in curves.get("reversal", {}):
-            columns[side] = recording.manifest.columns[side].model_dump(mode="json", exclude_none=True)
+            columns.append(side)
             terms += _reversal(axis, curves["reversal"][name], sign)
         reading_noise, curve_error = float(noise[name]), np.asarray(curve["half_width95"]) / 1.96
         parts.append(
@@ -63,14 +62,13 @@ def error_model(
                 half_width90=float(1.645 * np.sqrt(reading_noise**2 + np.mean(curve_error**2))),
             )
         )
-    constants = {n: c for n, c in recording.manifest.constants.items() if c.role == "axis"}
-    return ErrorModel(
-        machine=recording.manifest.machine,
-        version=__version__,
-        columns=columns,
+    return ErrorModel.of(
+        recording.manifest,
+        columns,
+        [n for n, c in recording.manifest.constants.items() if c.role == "axis"],
+        title="",
         components=tuple(parts),
         validity=Validity(ranges=ranges),
-        constants={n: c.model_dump(mode="json", exclude_none=True) for n, c in constants.items()},
         notes=("zero, straightedge and square are set-up and are not in this model",),
     )
 
@@ -87,7 +85,7 @@ def _curve(name: str, axis: str, curve: Mapping[str, Any], sign: float) -> list[
     if worst > MAX_SPLINE_ERROR + 1e-3 * float(np.ptp(value)):
         raise VerifyError(f"{name}: a spline of {segments} stretches misses the identified curve by {worst:.3g}")
     unit = curve["unit"]
-    return [_fitted(Offset(), [coefficients[0]], unit), _fitted(term, coefficients[1:], unit)]
+    return [fitted_term(Offset(), [coefficients[0]], unit), fitted_term(term, coefficients[1:], unit)]
 
 
 def _reversal(axis: str, reversal: Mapping[str, Any], sign: float) -> list[FittedTerm]:
@@ -95,22 +93,8 @@ def _reversal(axis: str, reversal: Mapping[str, Any], sign: float) -> list[Fitte
     value, slope = (sign * v for v in records.reversal_line(reversal))
     unit, out = str(reversal["unit"]), []
     if value:
-        out.append(_fitted(Backlash(axis=axis), [-value], unit, float(reversal["half_width95"])))
+        out.append(fitted_term(Backlash(axis=axis), [-value], unit, float(reversal["half_width95"])))
     if slope:
         term = ProfileDriver(axis=axis, profile=Line(origin=reversal["middle"]), driver=(d.Direction(axis=axis),))
-        out.append(_fitted(term, [0.5 * slope], f"{unit}/m", 0.5 * float(reversal["per_metre_half_width95"])))
+        out.append(fitted_term(term, [0.5 * slope], f"{unit}/m", 0.5 * float(reversal["per_metre_half_width95"])))
     return out
-
-
-def _fitted(term: Term, values: Any, unit: str, half: float | None = None) -> FittedTerm:
-    parameters = tuple(
-        FittedParameter(
-            name=p.name,
-            value=float(v),
-            unit=unit,
-            standard_error=None if half is None else half / 1.96,
-            ci95=None if half is None else (float(v) - half, float(v) + half),
-        )
-        for p, v in zip(term.linear(), values, strict=True)
-    )
-    return FittedTerm(term=plain(term), parameters=parameters)

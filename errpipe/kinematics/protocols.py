@@ -68,8 +68,7 @@ class _Run:
         return f"{name}@{self.label}" in constants or name in constants
 
     def value(self, component: str) -> np.ndarray | None:
-        name = self._recording.name("error", component=component)
-        return None if name is None else self._recording.array(name)[self._rows]
+        return self.of_role("error", component)
 
     def of_role(self, role: str, component: str | None = None) -> np.ndarray | None:
         name = self._recording.name(role, component=component)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-if TYPE_CHECKING:
-    import numpy as np
+import numpy as np
+from scipy.optimize import minimize
 
-    from errpipe.domain import driver as d
-    from errpipe.thermal.competition import Entrant
-    from errpipe.thermal.linear import LinearProblem
+from errpipe.domain import driver as d
+from errpipe.thermal.arithmetic import ridge_gains
+from errpipe.thermal.causes import columns
+from errpipe.thermal.competition import Entrant
+from errpipe.thermal.linear import LinearProblem
 
 MOST_ROWS = 1500  # training rows, evenly thinned: neighbours are correlated
 MOST_STEPS = 150  # iterations of L-BFGS (early stopping): more fit the noise
@@ -31,8 +33,6 @@ class Start(NamedTuple):
 
     @classmethod
     def of(cls, run: np.ndarray, rows: int, measured: np.ndarray) -> Start:
-        import numpy as np
-
         codes, number = np.unique(run, return_inverse=True)
         whole = [np.flatnonzero(number == k) for k in range(codes.size)]
         own = [k[measured[k]][:rows] if measured[k].any() else k[:rows] for k in whole]
@@ -59,13 +59,6 @@ class Layer(NamedTuple):
 
 def entrant(family: str, name: str, problem: LinearProblem, layer: Layer) -> Entrant:
     """The layer, trained on the rows of groups, as one setting of a family in a competition."""
-    import numpy as np
-
-    from errpipe.domain import driver as d
-    from errpipe.thermal.arithmetic import ridge_gains
-    from errpipe.thermal.causes import columns
-    from errpipe.thermal.competition import Entrant
-
     width = len(problem.drivers)
     values = np.nan_to_num(columns(problem.recording, layer.nodes) - layer.centre)
     size = np.sqrt(np.mean(values[problem.rows] ** 2, axis=0))
@@ -117,9 +110,6 @@ def _trained(
     x: (all rows, columns), unit rms; rows: numbers of those to learn from; y: (rows,), um, since the start of the run;
     penalty: of squared weights.
     """
-    import numpy as np
-    from scipy.optimize import minimize
-
     scale = float(np.sqrt(np.mean(y**2))) or 1.0
     right, run, width = y / scale, start.run[rows], x.shape[1]
     both = x[np.r_[rows, start.first]]  # training rows, then those that are the zeros
@@ -148,10 +138,6 @@ def _trained(
 
 def _unit(nodes: Sequence[d.Driver], weights: np.ndarray, bias: float) -> d.Driver:
     """tanh(weights . nodes + bias) - tanh(bias) as a table of tanh, held at its ends."""
-    import numpy as np
-
-    from errpipe.domain import driver as d
-
     grid = np.linspace(-REACH, REACH, STEPS)
     inside = d.Affine(offset=bias, weights=tuple(map(float, weights)), of=tuple(nodes))
     table = np.tanh(grid)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import position
 from errpipe.errors import DataError
 from errpipe.fitting.design import response_name
+from errpipe.models._force_options import ForceOptions
 
 GAUGES = ("tool_post", "spindle", "workpiece")
 WHOLE = "structure"  # the part where no gauge distinguishes them
@@ -25,53 +25,6 @@ WHOLE = "structure"  # the part where no gauge distinguishes them
 # where the middle of its springs is away from the chuck's face.
 POWERS = ((0,), (0, 2), (0, 1, 2))
 NAMES = ("level", "per_m", "per_m2")
-
-
-class Body(Protocol):
-    """What was pushed on, or with."""
-
-    def at(self, places: np.ndarray | None = None) -> np.ndarray:
-        """Compliance at distances from the clamped end (default: the far end), um/N."""
-
-
-class Options(Protocol):
-    """What is read of the options of the force family."""
-
-    @property
-    def component(self) -> str:
-        """Component that the force moves."""
-
-    @property
-    def force(self) -> str:
-        """Column of the force."""
-
-    @property
-    def axis(self) -> str | None:
-        """Axis along which the cut moves."""
-
-    @property
-    def chuck_face(self) -> float:
-        """Position of the axis at the clamped end, mm."""
-
-    @property
-    def outwards(self) -> Literal[1, -1]:
-        """Direction of the axis away from the clamped end."""
-
-    @property
-    def sign(self) -> Literal[1, -1]:
-        """Direction of the deviation under a positive force."""
-
-    @property
-    def gauge_datum(self) -> Literal["neighbour", "bed"]:
-        """What a gauge at the workpiece reads against."""
-
-    @property
-    def pushed_workpiece(self) -> Body | None:
-        """The workpiece of the tests."""
-
-    @property
-    def pushed_tool(self) -> Body | None:
-        """The tool of the tests."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +66,7 @@ def whole(parts: Mapping[str, Structure]) -> Structure:
     return Structure(values, errors, float(np.sqrt(sum(p.noise**2 for p in parts.values()))))
 
 
-def read(options: Options, recording: Recording) -> Pushes:
+def read(options: ForceOptions, recording: Recording) -> Pushes:
     """The rows of a recording. Raises DataError for a force, gauge or place that is not there.
 
     A run's zero is what it would read at no force, by its own straight line over the force.
@@ -140,7 +93,7 @@ def read(options: Options, recording: Recording) -> Pushes:
     return Pushes(force, away * 1e-3, deviation, known)
 
 
-def _gauges(options: Options, recording: Recording) -> dict[str, str]:
+def _gauges(options: ForceOptions, recording: Recording) -> dict[str, str]:
     """Part -> its error column. Raises DataError where the columns' places do not say which is which."""
     names = recording.names("error", component=options.component)
     places = {n: recording.manifest.columns[n].location for n in names}
@@ -173,18 +126,18 @@ def _less_zero(pushes: np.ndarray, value: np.ndarray, run: np.ndarray) -> np.nda
     return value
 
 
-def diameter_factor(options: Options) -> float:
+def diameter_factor(options: ForceOptions) -> float:
     """2 for a diameter, 1 for a displacement."""
     return 2.0 if components.parse(options.component).kind == "diameter" else 1.0
 
 
-def solve(options: Options, recording: Recording, rows: np.ndarray) -> dict[str, Structure]:
+def solve(options: ForceOptions, recording: Recording, rows: np.ndarray) -> dict[str, Structure]:
     """Structure of each part from the rows of a mask (rows,). Raises DataError where they are too few."""
     pushes = read(options, recording)
     return {part: _part(options, pushes, part, rows) for part in pushes.deviation}
 
 
-def _part(options: Options, pushes: Pushes, part: str, rows: np.ndarray) -> Structure:
+def _part(options: ForceOptions, pushes: Pushes, part: str, rows: np.ndarray) -> Structure:
     """Least squares of what the pushed bodies leave over force times powers of the lever, which by BIC."""
     force, lever, deviation = pushes.force, pushes.lever, pushes.deviation[part]
     use = rows & np.isfinite(force) & np.isfinite(lever) & np.isfinite(deviation)

@@ -112,4 +112,4 @@ class _Products(NamedTuple):
     def _lagged(self, of: d.Driver) -> d.Driver:
         from errpipe.domain import driver as d
 
-        return d.Lag(of=of, tau_up=self.late, tau_down=self.late, start="zero")
+        return d.lag(of, self.late)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
-from errpipe.models._perceptron import Layer, entrant
 from errpipe.models._thermal import ThermalFamily
 
 if TYPE_CHECKING:
@@ -31,6 +30,7 @@ class Neural(ThermalFamily):
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """A network alone, and one beside a ridge on the rates too; none without a temperature."""
+        from errpipe.models._perceptron import Layer, entrant
         from errpipe.thermal.linear import rates
 
         if not problem.plain:

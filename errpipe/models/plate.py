@@ -165,30 +165,28 @@ def _parts(fitted: Any) -> list[dict[str, Any]]:
 
 def _error_model(fitted: Any, recording: Recording) -> ErrorModel:
     """The map as curves over X, curves over Y and their products, one component per direction."""
-    from errpipe import __version__
     from errpipe.domain import driver as d
     from errpipe.domain.error_model import ComponentModel, ErrorModel, Validity
+    from errpipe.terms import fitted_term
+    from errpipe.terms.profile_driver import ProfileDriver
 
     names = [str(recording.name("position", axis=a)) for a in "XY"]
     box, c = fitted.functions.box, fitted.components(POINTS)
     terms: dict[str, list] = {"E_X": [], "E_Y": []}
     lean = d.Affine(offset=c["C0Y"] * 1e-3 * box.middle[1], weights=(-c["C0Y"] * 1e-3,), of=(d.Input(name=names[1]),))
     for component, over, name in (("E_X", "EXX", 0), ("E_X", "EXY", 1), ("E_Y", "EYX", 0), ("E_Y", "EYY", 1)):
-        terms[component].append(_term((_lookup(names[name], *c[over]),)))
-    terms["E_X"].append(_term((lean,)))
+        terms[component].append((_lookup(names[name], *c[over]),))
+    terms["E_X"].append((lean,))
     for component, x, over_x, y, over_y in fitted.products():
-        terms[component].append(_term((_lookup(names[0], x, over_x), _lookup(names[1], y, over_y))))
-    manifest = recording.manifest
+        terms[component].append((_lookup(names[0], x, over_x), _lookup(names[1], y, over_y)))
     before = _rms_without_setup(recording)
-    return ErrorModel(
-        machine=manifest.machine,
-        title=manifest.title,
-        version=__version__,
-        columns={n: manifest.columns[n].model_dump(mode="json", exclude_none=True) for n in names},
+    return ErrorModel.of(
+        recording.manifest,
+        names,
         components=tuple(
             ComponentModel(
                 component=name,
-                terms=tuple(terms[name]),
+                terms=tuple(fitted_term(ProfileDriver(driver=drivers), [1.0], "um") for drivers in terms[name]),
                 rows=fitted.rows,
                 rows_effective=float(fitted.rows),
                 rms_before=before[name],
@@ -207,15 +205,6 @@ def _lookup(name: str, positions: Any, values: Any):
 
     step = float(positions[1] - positions[0])
     return d.Lookup(of=d.Input(name=name), start=float(positions[0]), step=step, values=tuple(map(float, values)))
-
-
-def _term(factors: tuple):
-    from errpipe.domain.error_model import FittedParameter, FittedTerm
-    from errpipe.terms import plain
-    from errpipe.terms.profile_driver import ProfileDriver
-
-    gain = FittedParameter(name="gain", value=1.0, unit="um")
-    return FittedTerm(term=plain(ProfileDriver(driver=factors)), parameters=(gain,))
 
 
 def _rms_without_setup(recording: Recording) -> dict[str, float]:

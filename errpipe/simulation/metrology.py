@@ -223,20 +223,9 @@ def circles(
     return runs
 
 
-def volume_points(chain: Chain, per_axis: Sequence[int], margin: float = 0.02) -> np.ndarray:
-    """A lattice of poses over the travel of every axis, shape (n, axes)."""
-    low, high = chain.travel.T
-    edge = (high - low) * margin
-    grids = [
-        np.linspace(lo + e, hi - e, n) if n > 1 else np.array([(lo + hi) / 2])
-        for lo, hi, e, n in zip(low, high, edge, per_axis, strict=True)
-    ]
-    return combinations(grids)
-
-
 def sockets(chain: Chain, spread: float = 0.35) -> list[np.ndarray]:
     """Four places on the workpiece, below and beside the volume, for bars or tracker stations, mm."""
-    corners = synthesis.ideal_pose(chain, volume_points(chain, [2] * len(chain.axes), 0.0))[:, 0]
+    corners = synthesis.ideal_pose(chain, combinations(list(chain.travel)))[:, 0]
     low, high = corners.min(axis=0), corners.max(axis=0)
     middle, size = (low + high) / 2, high - low
     shifts = np.array([[-1, -1, -1.3], [1, -1, -1.2], [0, 1, -1.1], [1.2, 1.1, 0.6]]) * 0.5

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from errpipe.fitting.batches import Source
     from errpipe.models import Family
 
+TRUTH = "truth.json"
 MODEL = "error_model.json"
 PROCEDURE = "fit.json"  # the model family and its options: enough to repeat the fit without a held-out group
 VALIDATION = "validation.json"

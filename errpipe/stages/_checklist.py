@@ -12,8 +12,8 @@ from errpipe.domain import components
 from errpipe.domain.table import CompensationTable
 from errpipe.stages import _artefacts, _plausible
 from errpipe.targets import _sample
-from errpipe.targets._base import TURN, ByHand, Curve, ReadBack
-from errpipe.targets._loss import at_most, losses, unit_of
+from errpipe.targets._base import TURN, ByHand, Curve, ReadBack, unit_of
+from errpipe.targets._loss import at_most, loss_unit, losses
 from errpipe.targets._whole import WholeTable
 
 PUSH = 100.0  # N: the force of an example
@@ -64,7 +64,7 @@ def checklist(
             "Go there from below, then from above, other axes at mid travel; expect this correction.",
             _reference_state(table),
         ]
-        unit = "um, deg/1000" if any(axis[0] in "ABC" for axis in read.axes()) else "um"
+        unit = "um, deg/1000" if any(map(components.is_rotary, read.axes())) else "um"
         head = f"| axis | over | position | from below, {unit} | from above, {unit} |"
         lines += ["", head, "| --- | --- | --- | --- | --- |"]
         lines += moves
@@ -72,8 +72,8 @@ def checklist(
         lines += ["Nothing of this table acts over a position or per kelvin: compare the outputs in two known states."]
     lines += ["", "## What this format leaves behind", ""]
     lines += [
-        f"- {x['axis']}: {x['rms_um']:.3g} {unit_of(x['axis'])} rms of {x['table_rms_um']:.3g}, "
-        f"at most {at_most(x['bound_um'])} {unit_of(x['axis'])}"
+        f"- {x['axis']}: {x['rms_um']:.3g} {loss_unit(x['axis'])} rms of {x['table_rms_um']:.3g}, "
+        f"at most {at_most(x['bound_um'])} {loss_unit(x['axis'])}"
         for x in lost
     ]
     lines += _with_numbers(table, read, numbers)
@@ -106,7 +106,7 @@ def _zeros(target: Any, read: Any, table: CompensationTable, others: Sequence[st
     for axis in dict.fromkeys(c.axis for c in read.curves if c.axis == c.over):
         if axis not in _sample.positions_of(table):
             continue
-        unit, (low, high) = _sample.unit_of(axis), _sample.span(table, axis)
+        unit, (low, high) = unit_of(axis), _sample.span(table, axis)
         x = np.append(np.linspace(low, high, 41), np.clip(0.0, low, high))
         curves = [c for c in read.curves if c.axis == c.over == axis]
         in_file = np.sum(
@@ -172,7 +172,8 @@ def _with_numbers(table: CompensationTable, read: Any, numbers: Sequence[Any]) -
         return []
     remaining = [x for x in losses(table, read + ReadBack(curves=parts)) if x.axis in {c.axis for c in parts}]
     words = "; ".join(
-        f"{x.axis} {x.rms:.3g} {unit_of(x.axis)} rms, at most {at_most(x.bound)} {unit_of(x.axis)}" for x in remaining
+        f"{x.axis} {x.rms:.3g} {loss_unit(x.axis)} rms, at most {at_most(x.bound)} {loss_unit(x.axis)}"
+        for x in remaining
     )
     return [f"- with the numbers entered by hand: {words}"]
 

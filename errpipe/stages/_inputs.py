@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from errpipe.domain import driver as d
+from errpipe.domain.components import is_rotary
 from errpipe.domain.error_model import DatumReadings, ErrorModel
 from errpipe.domain.recording import Recording
 from errpipe.domain.table import Kind, TableInput
@@ -161,7 +162,7 @@ def with_positions(model: ErrorModel, axes: Iterable[str], recording: Recording 
     validity = model.validity.model_copy(update={"ranges": ranges})
     model = model.model_copy(update={"columns": columns, "validity": validity})
     for axis in sorted(set(axes) - set(travel(model))):
-        kind = "rotary, travel: [0, 360]" if axis[0] in "ABC" else "linear, travel: [0, 500]"
+        kind = "rotary, travel: [0, 360]" if is_rotary(axis) else "linear, travel: [0, 500]"
         raise GateError(
             f"export: {axis} stood at one position in the recording, and its travel is not stated: it is unknown where "
             f"the correction holds. State it in the recording's manifest, such as constants: "

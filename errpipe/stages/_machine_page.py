@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from errpipe import __version__, jsonfile, yamlfile
+from errpipe.domain.machine import Machine
 from errpipe.errors import UsageError
+from errpipe.kinematics import direct, identify, readings, records, remaining, summary, synthesis
+from errpipe.kinematics.chain import Chain, compile_chain
+from errpipe.kinematics.errors import MachineErrors, positions_of
+from errpipe.kinematics.identify import Identified
+from errpipe.kinematics.remaining import Remaining
 from errpipe.pipeline.stage import Context
-
-if TYPE_CHECKING:
-    from errpipe.kinematics.chain import Chain
-    from errpipe.kinematics.errors import MachineErrors
-    from errpipe.kinematics.identify import Identified
-    from errpipe.kinematics.remaining import Remaining
-
-
-TRUTH = "truth.json"
+from errpipe.reporting import machine_figures
+from errpipe.reporting.page import render
+from errpipe.stages import _artefacts
+from errpipe.stages.measure import ballbar_pages
 
 
 @dataclass(frozen=True)
@@ -33,11 +36,6 @@ class Solved:
 
 def solve(stage: Any, context: Context) -> Solved:
     """Read every test, identify, and state the residual. Raises DataError for a test that cannot be read."""
-    from errpipe.domain.machine import Machine
-    from errpipe.kinematics import identify, readings, records, remaining, summary
-    from errpipe.kinematics.chain import compile_chain
-    from errpipe.stages import _artefacts
-
     chain = compile_chain(yamlfile.load(stage.machine, Machine))
     tests = _artefacts.recordings_in(context)
     single = {name: r for name, r in tests.items() if records.is_direct(r)}
@@ -69,10 +67,8 @@ def solve(stage: Any, context: Context) -> Solved:
 
 def _truth(chain: Chain, context: Context) -> MachineErrors | None:
     """The simulated machine that every test was played on; None where something was measured, or machines differ."""
-    from errpipe.kinematics import remaining
-
     folders = context.every("simulated")
-    documents = [jsonfile.read(f / TRUTH) for f in folders.values()]
+    documents = [jsonfile.read(f / _artefacts.TRUTH) for f in folders.values()]
     if not documents or len(documents) != len(context.every("recordings")):
         return None
     return remaining.truth(chain, documents[0]) if all(d == documents[0] for d in documents) else None
@@ -80,8 +76,6 @@ def _truth(chain: Chain, context: Context) -> MachineErrors | None:
 
 def _records(chain: Chain, single: Mapping[str, Any], stage: Any) -> dict[str, dict[str, Any]]:
     """Mean reading at each target by direction, the beam's errors removed: for tables and plots."""
-    from errpipe.kinematics import direct
-
     out: dict[str, dict[str, Any]] = {}
     for recording in single.values():
         lasers_of_test = {n: s for n, s in stage.setups().items() if n in recording.components()}
@@ -101,9 +95,6 @@ def _plain(values: Any) -> list[float | None]:
 
 def page(solved: Solved, title: str) -> str:
     """The machine drawn, its error as vectors and slices before and after, every component, what was not seen."""
-    from errpipe.reporting import machine_figures, page
-    from errpipe.stages.measure import ballbar_pages
-
     chain, identified, document = solved.chain, solved.found, solved.document
     errors = identified.errors()
     figures = [("The machine", machine_figures.sketch(chain), _component_counts(chain))]
@@ -113,7 +104,7 @@ def page(solved: Solved, title: str) -> str:
         if test.names("error", component="E_R") and _protocol(test) == "ballbar_circle":
             figures += ballbar_pages(test)
     data = {"title": title or chain.machine.name, "document": document, "figures": figures, "version": __version__}
-    return page.render("identification.html.j2", data)
+    return render("identification.html.j2", data)
 
 
 def _component_counts(chain: Chain) -> str:
@@ -129,11 +120,6 @@ def _protocol(recording: Any) -> str:
 
 def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]:
     """Vectors and slices, before and after, in one scale."""
-    import numpy as np
-
-    from errpipe.kinematics import remaining, synthesis
-    from errpipe.reporting import machine_figures
-
     chain, residual = solved.chain, solved.remaining
     q = remaining.places(chain, 200)
     if residual is not None:
@@ -164,17 +150,10 @@ def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]
 
 
 def _nan_where_none(values: Any) -> Any:
-    import numpy as np
-
     return np.array([np.nan if v is None else v for v in values])
 
 
 def _component_figure(solved: Solved, errors: MachineErrors) -> tuple[str, str, str]:
-    import numpy as np
-
-    from errpipe.kinematics.errors import positions_of
-    from errpipe.reporting import machine_figures
-
     bands = {}
     for name, curve in solved.document["curves"].items():
         value, half = np.array(curve["value"]), np.array(curve["half_width95"])

@@ -4,29 +4,30 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
 
 from errpipe.domain import components
+from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Recording
-
-if TYPE_CHECKING:
-    from errpipe.domain.error_model import ErrorModel
-    from errpipe.domain.table import CompensationTable
+from errpipe.domain.table import CompensationTable
+from errpipe.fitting.components import evaluate
+from errpipe.stages import _inputs
+from errpipe.tables import bounds
+from errpipe.tables.limits import MOST_MAGNITUDE
+from errpipe.targets import _sample
+from errpipe.validation import plausibility
 
 PLACES = 41  # positions along an axis at which corrections are evaluated for the largest
 NOT_MEASURED = re.compile(r"(\w+) not measured from (\S+) to (\S+) deg")  # `bridged`
+SAME = 1e-6  # mm (deg): corrections of both sides that differ by less are one
 UNBOUNDED = (-1e5, 1e5)  # mm: the plausible range of a position (`_inputs.CHANNELS`) where no profile has an end
 
 
 def refuse(recording: Recording, model: ErrorModel, allow: Sequence[str], limit: float | None) -> list[str]:
     """Notes on what was allowed or should be checked. Raises GateError for an implausible recording or correction."""
-    import numpy as np
-
-    from errpipe.fitting.components import evaluate
-    from errpipe.stages import _inputs
-    from errpipe.validation import plausibility
-
     results = plausibility.findings(recording)
     travels = _inputs.travel(model)
     for name, values in evaluate(model, recording).items():
@@ -45,18 +46,11 @@ def refuse_table(table: CompensationTable, allow: Sequence[str], limit: float | 
     Judged by samples over the profiles' range; by bounds where they and the table's limits leave more than any machine
     is wrong by, such as a correction that follows a position without a profile.
     """
-    import numpy as np
-
-    from errpipe.tables import bounds
-    from errpipe.tables.limits import MOST_MAGNITUDE
-    from errpipe.targets import _sample
-    from errpipe.validation import plausibility
-
     results = []
     reach = {r.name: r.deviation for r in bounds.outputs(table)}
     for axis, outputs in _sample.outputs_by_axis(table).items():
-        rotary = axis[0] in "ABC"
-        size, _ = _largest(table, axis)
+        rotary = components.is_rotary(axis)
+        size = _largest(table, axis).size
         low, high = _sample.reach(table, axis)
         travel = None if (low, high) == UNBOUNDED else high - low
         value = np.deg2rad(size) * 1e6 if rotary else 1e3 * size
@@ -67,42 +61,42 @@ def refuse_table(table: CompensationTable, allow: Sequence[str], limit: float | 
     plausibility.refuse(results, allow)
 
 
-def _largest(table: CompensationTable, axis: str) -> tuple[float, str]:
-    """Size (mm or deg) and sentence of the largest correction of an axis in the reference state."""
-    import numpy as np
+class _Largest:
+    """The largest of some corrections of an axis, mm (deg), and its sentence; one of nearly the same size stays."""
 
-    from errpipe.targets import _sample
+    def __init__(self, axis: str) -> None:
+        self.axis, self.size, self.says = axis, 0.0, ""
 
-    names = _sample.positions_of(table)
-    best, says = 0.0, ""
+    def over(self, name: str, at: np.ndarray, both: Mapping[float, np.ndarray], unit: str | None = None) -> None:
+        """Take corrections at places of another axis or sensor into account, by side of approach (0: of no side)."""
+        for side, corrections in both.items():
+            k = int(np.argmax(np.abs(corrections)))
+            if abs(corrections[k]) > 1.01 * self.size:
+                self.size = float(abs(corrections[k]))
+                of = side if side and abs(float(both[side][k] - both[-side][k])) > SAME else 0.0
+                self.says = _sentence(self.axis, name, float(at[k]), of, -float(corrections[k]), unit)
+
+
+def _largest(table: CompensationTable, axis: str) -> _Largest:
+    """Of the corrections of an axis in the reference state."""
+    names, out = _sample.positions_of(table), _Largest(axis)
     for over in _sample.own_first(table, axis):
         low, high = _sample.span(table, over)
         if (low, high) == UNBOUNDED:
             continue
         grid = np.linspace(low, high, PLACES)
-        both = {s: _sample.corrections(table, axis, {names[over]: grid}, np.full(PLACES, s)) for s in (1.0, -1.0)}
-        for side, corrections in both.items():
-            k = int(np.argmax(np.abs(corrections)))
-            if abs(corrections[k]) > 1.01 * best:
-                best = float(abs(corrections[k]))
-                says = _sentence(axis, over, float(grid[k]), _side_of(both, side, k), -float(corrections[k]))
+        sides = {s: _sample.corrections(table, axis, {names[over]: grid}, np.full(PLACES, s)) for s in (1.0, -1.0)}
+        out.over(over, grid, sides)
     for i in table.inputs:
         if i.valid is not None and i.name not in names.values():
             ends = np.array(i.valid)
-            corrections = _sample.corrections(table, axis, {i.name: ends}, np.ones(2))
-            k = int(np.argmax(np.abs(corrections)))
-            if abs(corrections[k]) > 1.01 * best:
-                unit = i.unit or ""
-                best = float(abs(corrections[k]))
-                says = _sentence(axis, i.name, float(ends[k]), 0.0, -float(corrections[k]), unit)
-    return best, says
+            out.over(i.name, ends, {0.0: _sample.corrections(table, axis, {i.name: ends}, np.ones(2))}, i.unit or "")
+    return out
 
 
 def of_table(table: CompensationTable) -> list[str]:
     """One sentence for each axis that a table moves: where its correction is largest, and which way it goes."""
-    from errpipe.targets import _sample
-
-    largest = [says for axis in _sample.outputs_by_axis(table) for _, says in [_largest(table, axis)] if says]
+    largest = [says for axis in _sample.outputs_by_axis(table) if (says := _largest(table, axis).says)]
     return [*_jumps(table), *largest, *not_measured(table)]
 
 
@@ -118,14 +112,12 @@ def _jumps(table: CompensationTable) -> list[str]:
 
 def not_measured(table: CompensationTable) -> list[str]:
     """A sentence for each rotary axis of whose turn a part was not measured: bridged (the title states it) or held."""
-    from errpipe.targets import _sample
-
     bridges = [
         f"{axis} was not measured from {low} to {high} deg: the correction there is drawn from one end to the other; "
         "measure it before cutting there"
         for axis, low, high in NOT_MEASURED.findall(table.title)
     ]
-    ends = {x: _sample.span(table, x) for x in _sample.positions_of(table) if x[0] in "ABC"}
+    ends = {x: _sample.span(table, x) for x in _sample.positions_of(table) if components.is_rotary(x)}
     return bridges + [
         f"{axis} is corrected from {low:g} to {high:g} deg and held beyond: for an axis that turns on, state its "
         "travel (0 to 360 deg) in the recording and export again"
@@ -141,34 +133,21 @@ def bridged(axis: str, low: float, high: float) -> str:
 
 def of_files(read: Any) -> list[str]:
     """The same for what a controller made of its files (`targets._base.ReadBack`): sensors at their reference."""
-    import numpy as np
-
     if hasattr(read, "table"):  # nothing was lost: the table itself was read back
         return of_table(read.table)
     spans = read.spans()
     cold = {line.sensor: np.full(PLACES, line.reference) for line in read.lines}
     out = []
     for axis in read.axes():
-        best, says = 0.0, ""
+        largest = _Largest(axis)
         for over, (low, high) in sorted(spans.items(), key=lambda item: item[0] != axis):
             at = {name: np.full(PLACES, (a + b) / 2) for name, (a, b) in spans.items()}
             at[over] = np.linspace(low, high, PLACES)
-            both = {s: read.correction(axis, at, np.full(PLACES, s), cold) for s in (1.0, -1.0)}
-            for side, corrections in both.items():
-                k = int(np.argmax(np.abs(corrections)))
-                if abs(corrections[k]) > 1.01 * best:
-                    best = float(abs(corrections[k]))
-                    says = _sentence(axis, over, float(at[over][k]), _side_of(both, side, k), -float(corrections[k]))
-        out += [says] if says else [_per_kelvin(line) for line in read.lines if line.axis == axis][:1]
+            sides = {s: read.correction(axis, at, np.full(PLACES, s), cold) for s in (1.0, -1.0)}
+            largest.over(over, at[over], sides)
+        says = [largest.says] if largest.says else []
+        out += says or [_per_kelvin(line) for line in read.lines if line.axis == axis][:1]
     return out
-
-
-SAME = 1e-6  # mm (deg): corrections of both sides that differ by less are one
-
-
-def _side_of(corrections: dict[float, Any], side: float, k: int) -> float:
-    """The side of the k-th correction, or 0 where it is the same from the other: nothing was measured of sides."""
-    return side if abs(float(corrections[side][k] - corrections[-side][k])) > SAME else 0.0
 
 
 def _per_kelvin(line: Any) -> str:
@@ -178,10 +157,8 @@ def _per_kelvin(line: Any) -> str:
 
 def _sentence(axis: str, over: str, at: float, side: float, deviation: float, over_unit: str | None = None) -> str:
     """The consequence in words. deviation: mm (deg) of the axis; rotary ones are given in arcsec."""
-    from errpipe.validation import plausibility
-
-    rotary = axis[0] in "ABC"
+    rotary = components.is_rotary(axis)
     size, unit = (deviation * 3600, "arcsec") if rotary else (deviation * 1e3, "um")
     if over_unit is None:
-        over_unit = "deg" if over[0] in "ABC" else "mm"
+        over_unit = "deg" if components.is_rotary(over) else "mm"
     return plausibility.consequence(axis, over, at, side, size, unit, over_unit)

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+
+from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.recording import Recording
+from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError, VerifyError
-
-if TYPE_CHECKING:
-    from errpipe.domain.error_model import ErrorModel
-    from errpipe.domain.recording import Recording
-    from errpipe.domain.table import CompensationTable
-    from errpipe.validation.gate import Passed
+from errpipe.fitting.components import evaluate
+from errpipe.fitting.lowering import compensable, uncompensated_terms
+from errpipe.fitting.statistics import rms
+from errpipe.stages.predict import table_values
+from errpipe.tables import bounds
+from errpipe.thermal.arithmetic import held_readings
+from errpipe.validation.gate import Passed
 
 ROUNDING_UM = 1e-6  # um (urad): sums in another order differ by 1e-12 of 1e5 um at most
 
@@ -25,15 +31,6 @@ def compare(table: CompensationTable, model: ErrorModel, recording: Recording) -
     same table without its guards from the terms that it holds, with readings moved into its validity box, where its
     bound holds; beyond that, it is another model.
     """
-    import numpy as np
-
-    from errpipe.fitting.components import evaluate
-    from errpipe.fitting.lowering import compensable, uncompensated_terms
-    from errpipe.fitting.statistics import rms
-    from errpipe.stages.predict import table_values
-    from errpipe.tables import bounds
-    from errpipe.thermal.arithmetic import held_readings
-
     allowed = {c.name: c.gridding for c in bounds.components(table)}
     recording = held_readings(recording)
     by_model, by_table = evaluate(model, recording), table_values(table, model, recording)
@@ -71,8 +68,6 @@ def _unguarded(table: CompensationTable) -> CompensationTable:
 
 def _within_validity(table: CompensationTable, recording: Recording) -> Recording:
     """The recording with every reading moved to the nearest one that the table is valid for: its bound holds there."""
-    import numpy as np
-
     boxes = {i.name: i.valid for i in table.inputs if i.valid is not None and i.name in recording}
     return recording.with_columns({n: np.clip(recording.array(n), *box) for n, box in boxes.items()}, {})
 

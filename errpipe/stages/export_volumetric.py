@@ -10,7 +10,7 @@ from pydantic import Field
 from errpipe import jsonfile, yamlfile
 from errpipe.errors import UsageError, VerifyError
 from errpipe.pipeline.stage import Context, Need, Stage
-from errpipe.stages import _artefacts, _plausible
+from errpipe.stages import _artefacts
 from errpipe.stages._signed import SignOptions
 from errpipe.stages.identify import IDENTIFICATION, MACHINE
 from errpipe.validation.codes import Code
@@ -57,6 +57,7 @@ class ExportVolumetric(SignOptions, Stage):
         from errpipe.domain.machine import Machine
         from errpipe.kinematics import summary
         from errpipe.kinematics.chain import compile_chain
+        from errpipe.stages import _plausible
         from errpipe.stages.targets import checksums, write_targets
         from errpipe.validation.machine import compensated
 

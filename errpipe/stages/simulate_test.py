@@ -9,8 +9,8 @@ from pydantic import Field
 
 from errpipe import yamlfile
 from errpipe.pipeline.stage import Context, InputPath, Stage
+from errpipe.stages._artefacts import TRUTH
 from errpipe.stages._laser import LASERS, SQUARES, Beam
-from errpipe.stages._machine_page import TRUTH
 from errpipe.yamlfile import quantity
 
 

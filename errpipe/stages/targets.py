@@ -21,7 +21,7 @@ from errpipe.stages._replace import replaced
 from errpipe.tables.joined import joined
 from errpipe.targets import TARGETS, _loss
 from errpipe.targets._base import NothingToAddError, ReadBack
-from errpipe.targets._loss import at_most, unit_of
+from errpipe.targets._loss import at_most, loss_unit
 
 CHECKLIST = "CHECKLIST.md"
 LARGE_SHARE, LARGE_UM = 0.1, 0.5  # of the table's rms and um: a loss for which another format is worth a look
@@ -57,12 +57,13 @@ def compare_targets(table: Path) -> dict[str, Any]:
     return {"comparison": rows, "says": [_line(row) for row in rows]}
 
 
-def together(targets: Sequence[Any]) -> list[tuple[Any, ...]]:
+def together(targets: Iterable[Any]) -> list[tuple[Any, ...]]:
     """Every choice of two or more targets whose files one controller adds up."""
 
     def add_up(a: Any, b: Any) -> bool:
         return b.name in a.goes_with or a.name in b.goes_with
 
+    targets = tuple(targets)
     most = max((len(t.goes_with) for t in targets), default=0) + 1
     choices = [c for size in range(2, most + 1) for c in combinations(targets, size)]
     return [c for c in choices if all(add_up(a, b) for a, b in combinations(c, 2))]
@@ -239,11 +240,9 @@ def _sibling_names(target: Any, targets: Sequence[Any]) -> list[str]:
 
 def chosen(names: Sequence[str]) -> list[Any]:
     """Targets by name. Raises UsageError with the nearest name."""
-    known = {t.name: t for t in TARGETS}
-    for name in names:
-        if name not in known:
-            raise UsageError(f"no target {name!r} (targets: {', '.join(known)}).{did_you_mean(name, known)}")
-    return [known[name] for name in names]
+    for name in (n for n in names if n not in TARGETS.tags):
+        raise UsageError(f"no target {name!r} (targets: {', '.join(TARGETS.tags)}).{did_you_mean(name, TARGETS.tags)}")
+    return [TARGETS[name] for name in names]
 
 
 def _loss_rows(table: CompensationTable, read: Any) -> list[dict[str, Any]]:
@@ -270,7 +269,7 @@ def in_words(lost: list[dict[str, Any]]) -> str:
     """Losses in words."""
     if not lost:
         return "nothing: no axis is moved"
-    units = [unit_of(x["axis"]) for x in lost]
+    units = [loss_unit(x["axis"]) for x in lost]
     last = [unit if following != unit else "" for unit, following in zip(units, [*units[1:], ""], strict=True)]
     rows = [f"{x['axis']} {x['rms_um']:.3g} rms, at most {at_most(x['bound_um'])}" for x in lost]
     return "; ".join(f"{row} {unit}".rstrip() for row, unit in zip(rows, last, strict=True))
@@ -279,6 +278,6 @@ def in_words(lost: list[dict[str, Any]]) -> str:
 def _line(row: dict[str, Any]) -> str:
     if "refused" in row:
         return f"{row['target']:<22} -  {row['refused']}"
-    unit = unit_of(row["axis"])
+    unit = loss_unit(row["axis"])
     loss = f"loses {row['rms_um']:.3g} of {row['table_rms_um']:.3g} {unit} rms, at most {at_most(row['bound_um'])}"
     return f"{row['target']:<22} {row['axis']}  {loss}"

@@ -6,64 +6,40 @@ A target gets a `CompensationTable`, never a recording or a model: it can export
 from __future__ import annotations
 
 from errpipe.targets._base import Target
-from errpipe.targets.aerotech_cal import AerotechCal
-from errpipe.targets.beckhoff_crosscomp import BeckhoffCrosscomp
-from errpipe.targets.beckhoff_ssfk import BeckhoffSsfk
-from errpipe.targets.beckhoff_temperature import BeckhoffTemperature
-from errpipe.targets.beckhoff_volumetric import BeckhoffVolumetric
-from errpipe.targets.c_runtime import CRuntime
-from errpipe.targets.codesys_backlash import CodesysBacklash
-from errpipe.targets.ecmc_lut import EcmcLut
-from errpipe.targets.fagor_lscrw import FagorLscrw
-from errpipe.targets.fanuc_pitch import FanucPitch
-from errpipe.targets.feedback_inject import FeedbackInject
-from errpipe.targets.grblhal_backlash import GrblhalBacklash
-from errpipe.targets.haas_pitch import HaasPitch
-from errpipe.targets.heidenhain_com import HeidenhainCom
-from errpipe.targets.iec_st import IecSt
-from errpipe.targets.klipper_sections import KlipperSections
-from errpipe.targets.linuxcnc_hal import LinuxcncHal
-from errpipe.targets.linuxcnc_screw import LinuxcncScrew
-from errpipe.targets.mach4_screw_map import Mach4ScrewMap
-from errpipe.targets.marlin_gcode import MarlinGcode
-from errpipe.targets.mitsubishi_pitch import MitsubishiPitch
-from errpipe.targets.pmac_comp import PmacComp
-from errpipe.targets.reprap_heightmap import ReprapHeightmap
-from errpipe.targets.sinumerik_cec import SinumerikCec
-from errpipe.targets.sinumerik_lec import SinumerikLec
-from errpipe.targets.sinumerik_temperature import SinumerikTemperature
-from errpipe.targets.smoothie_pitch import SmoothiePitch
-from errpipe.targets.twincat_nc_table import TwincatNcTable
-from errpipe.targets.weihong_axeserr import WeihongAxeserr
+from errpipe.yamlfile import Choice
 
-TARGETS: tuple[type[Target], ...] = (
-    AerotechCal,
-    BeckhoffCrosscomp,
-    BeckhoffSsfk,
-    BeckhoffTemperature,
-    BeckhoffVolumetric,
-    CRuntime,
-    CodesysBacklash,
-    EcmcLut,
-    FagorLscrw,
-    FanucPitch,
-    FeedbackInject,
-    GrblhalBacklash,
-    HaasPitch,
-    HeidenhainCom,
-    IecSt,
-    KlipperSections,
-    LinuxcncHal,
-    LinuxcncScrew,
-    Mach4ScrewMap,
-    MarlinGcode,
-    MitsubishiPitch,
-    PmacComp,
-    ReprapHeightmap,
-    SinumerikCec,
-    SinumerikLec,
-    SinumerikTemperature,
-    SmoothiePitch,
-    TwincatNcTable,
-    WeihongAxeserr,
+TARGETS: Choice[type[Target]] = Choice.of_files(
+    "errpipe.targets",
+    "name",
+    (
+        "aerotech_cal",
+        "beckhoff_crosscomp",
+        "beckhoff_ssfk",
+        "beckhoff_temperature",
+        "beckhoff_volumetric",
+        "c_runtime",
+        "codesys_backlash",
+        "ecmc_lut",
+        "fagor_lscrw",
+        "fanuc_pitch",
+        "feedback_inject",
+        "grblhal_backlash",
+        "haas_pitch",
+        "heidenhain_com",
+        "iec_st",
+        "klipper_sections",
+        "linuxcnc_hal",
+        "linuxcnc_screw",
+        "mach4_screw_map",
+        "marlin_gcode",
+        "mitsubishi_pitch",
+        "pmac_comp",
+        "reprap_heightmap",
+        "sinumerik_cec",
+        "sinumerik_lec",
+        "sinumerik_temperature",
+        "smoothie_pitch",
+        "twincat_nc_table",
+        "weihong_axeserr",
+    ),
 )

@@ -15,6 +15,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError, VerifyError
 from errpipe.targets._text import plain
@@ -64,11 +65,29 @@ class Curve:
         rising = np.interp(position, self.positions, self.up)
         return np.where(side > 0, rising, np.interp(position, self.positions, self.down))
 
+    @property
+    def mean(self) -> np.ndarray:
+        """Mean of both directions, mm (deg), shape (n,)."""
+        return (self.up + self.down) / 2
+
+    @property
+    def turns(self) -> bool:
+        """Whether it covers one whole turn of a rotary axis, and repeats."""
+        return is_rotary(self.over) and is_turn(self.positions)
+
 
 TURN = 360.0  # deg
-
-
 TURNS_READ = 5  # of a curve that a controller repeats: two to either side of its own
+
+
+def is_turn(positions: np.ndarray) -> bool:
+    """Whether ascending positions cover one turn, deg."""
+    return abs(float(positions[-1] - positions[0]) - TURN) < 1e-6
+
+
+def unit_of(axis: str) -> str:
+    """Unit of the positions and corrections of an axis."""
+    return "deg" if is_rotary(axis) else "mm"
 
 
 def every_turn(curve: Curve) -> Curve:
@@ -81,7 +100,7 @@ def every_turn(curve: Curve) -> Curve:
 def points_in_file(curve: Curve) -> int:
     """Points that a file holds of a curve that was read back: of one that repeats with every turn, those of one."""
     count, turns = curve.positions.size, (curve.positions[-1] - curve.positions[0]) / TURN
-    repeated = curve.over[0] in "ABC" and TURNS_READ - 1 < turns < TURNS_READ
+    repeated = is_rotary(curve.over) and TURNS_READ - 1 < turns < TURNS_READ
     return count // TURNS_READ + 1 if repeated else count
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
 from errpipe.tables import maximum
 from errpipe.tables.expansion import SIDE, Expansion, Term, Terms, collected, scaled
@@ -20,9 +21,9 @@ AT_ENDS = 0.3  # share of them at an end of each range
 UM = 1e3  # per mm (thousandths of a degree per degree)
 
 
-def unit_of(axis: str) -> str:
+def loss_unit(axis: str) -> str:
     """Unit of the losses of an axis: a thousandth of mm or deg."""
-    return "deg/1000" if axis[0] in "ABC" else "um"
+    return "deg/1000" if is_rotary(axis) else "um"
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,11 @@ from decimal import Decimal
 
 import numpy as np
 
+from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable, Output
 from errpipe.errors import GateError
 from errpipe.tables import batch
-from errpipe.targets._base import TURN, Curve, Line, Plane, Points
+from errpipe.targets._base import KEPT_BACKLASH, TURN, ByHand, Curve, Line, Plane, Points, is_turn, unit_of
 
 SETTLED = 1e9  # s between rows: every lag has reached its operand
 RUN_UP = 2.0  # mm (deg) before the first position, so that the direction is known there
@@ -32,6 +33,18 @@ def outputs_by_axis(table: CompensationTable) -> dict[str, tuple[Output, ...]]:
     for output in table.outputs:
         if output.axis:
             by_axis[output.axis] = (*by_axis.get(output.axis, ()), output)
+    return by_axis
+
+
+def moved_axes(table: CompensationTable, target: str) -> dict[str, tuple[Output, ...]]:
+    """`outputs_by_axis`. Raises GateError of the target where nothing moves an axis, or not in mm or deg."""
+    by_axis = outputs_by_axis(table)
+    if not by_axis:
+        raise GateError(f"{target}: no output of the table moves an axis")
+    for axis, outputs in by_axis.items():
+        units = sorted({o.correction_unit for o in outputs})
+        if units not in (["mm"], ["deg"]):
+            raise GateError(f"{target}: corrections of {axis} in {' and '.join(units)} (mm or deg)")
     return by_axis
 
 
@@ -75,12 +88,7 @@ def span(table: CompensationTable, axis: str) -> tuple[float, float]:
 
 def turns(table: CompensationTable, axis: str) -> bool:
     """Whether an axis turns on: a rotary one whose range is one whole turn."""
-    return axis[0] in "ABC" and is_turn(np.array(span(table, axis)))
-
-
-def is_turn(positions: np.ndarray) -> bool:
-    """Whether ascending positions cover one turn, deg."""
-    return abs(float(positions[-1] - positions[0]) - TURN) < 1e-6
+    return is_rotary(axis) and is_turn(np.array(span(table, axis)))
 
 
 def middle(table: CompensationTable) -> dict[str, float]:
@@ -229,11 +237,6 @@ def spread(low: float, high: float, count: int) -> np.ndarray:
     return np.sort(np.r_[low, high, low + (high - low) * (np.arange(1, count - 1) * 0.6180339887498949 % 1.0)])
 
 
-def unit_of(axis: str) -> str:
-    """Unit of the positions and corrections of an axis."""
-    return "deg" if axis[0] in "ABC" else "mm"
-
-
 def reach(table: CompensationTable, axis: str) -> tuple[float, float]:
     """`span`, or (0, 0) for an axis whose position the table does not read."""
     return span(table, axis) if axis in positions_of(table) else (0.0, 0.0)
@@ -252,11 +255,8 @@ def lost_motion(table: CompensationTable) -> dict[str, float]:
 
     Axes where this is below `LEAST_REVERSAL` are left out.
     """
-    means = {}
-    for axis in outputs_by_axis(table):
-        if axis in positions_of(table):
-            c = curve(table, axis, axis, np.linspace(*span(table, axis), 43)[1:-1])  # with room to run up to each
-            means[axis] = float((c.up - c.down).mean())
+    own = [axis for axis in outputs_by_axis(table) if axis in positions_of(table)]
+    means = {axis: float(_reversal_values(table, axis).mean()) for axis in own}
     return {axis: value for axis, value in means.items() if abs(value) >= LEAST_REVERSAL}
 
 
@@ -279,10 +279,29 @@ def backlash_if_any(table: CompensationTable, target: str, letters: str = "") ->
 
 def depends_on_direction(table: CompensationTable, axis: str) -> bool:
     """Whether the correction of an axis over its own position depends on the direction of travel."""
-    if axis not in positions_of(table):
-        return False
-    sampled = curve(table, axis, axis, np.linspace(*span(table, axis), 43)[1:-1])  # with room to run up to each
-    return float(np.abs(sampled.up - sampled.down).max()) > 0.0
+    return axis in positions_of(table) and float(np.abs(_reversal_values(table, axis)).max()) > 0.0
+
+
+def _reversal_values(table: CompensationTable, axis: str) -> np.ndarray:
+    """Correction upwards less that downwards at 41 places with room to run up to each, mm (deg)."""
+    c = curve(table, axis, axis, np.linspace(*span(table, axis), 43)[1:-1])
+    return c.up - c.down
+
+
+def backlash_by_hand(
+    table: CompensationTable, axis: str, parameter: str, lost: float | None, held: str = "", remark: str = ""
+) -> ByHand:
+    """What becomes of a control's own backlash value, in words.
+
+    parameter: its name, with the axis; lost: the value to enter, mm (deg); None where the files hold both directions,
+    then `held` says what it must be; remark: added to the value.
+    """
+    if not depends_on_direction(table, axis):
+        return ByHand(f"{parameter} {KEPT_BACKLASH}")
+    if lost is None:
+        return ByHand(f"{parameter} {held}")
+    part = reversal(axis, lost, *span(table, axis)) if lost else None
+    return ByHand(f"{parameter} = {lost + 0.0:.4f} {unit_of(axis)}{remark}", part)
 
 
 def reversal(axis: str, lost: float, low: float, high: float) -> Curve:

@@ -10,7 +10,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import KEPT_BACKLASH, ByHand, Curve, ReadBack, Target
+from errpipe.targets._base import ByHand, Curve, ReadBack, Target
 
 
 class ScrewMap(Target):
@@ -44,20 +44,12 @@ class ScrewMap(Target):
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
         if "both directions" in cls.holds:
-            knows = {c.axis: _sample.depends_on_direction(table, c.axis) for c in read.curves}
-            says = {True: "= 0 (the file holds both)", False: KEPT_BACKLASH}
-            return tuple(ByHand(f"{axis}: the control's backlash value {says[both]}") for axis, both in knows.items())
-        lost, out = _sample.lost_motion(table), []
-        for _, axis in cls.own_axes(table):
-            value = lost.get(axis, 0.0)
-            if not _sample.depends_on_direction(table, axis):
-                out.append(ByHand(f"{axis}: the control's backlash value {KEPT_BACKLASH}"))
-                continue
-            part = _sample.reversal(axis, value, *_sample.span(table, axis)) if value else None
-            out.append(
-                ByHand(f"{axis}: the control's backlash value = {value + 0.0:.4f} {_sample.unit_of(axis)}", part)
-            )
-        return tuple(out)
+            lost: dict[str, float | None] = dict.fromkeys(c.axis for c in read.curves)
+        else:
+            known = _sample.lost_motion(table)
+            lost = {axis: known.get(axis, 0.0) for _, axis in cls.own_axes(table)}
+        says, held = "the control's backlash value", "= 0 (the file holds both)"
+        return tuple(_sample.backlash_by_hand(table, a, f"{a}: {says}", value, held) for a, value in lost.items())
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:

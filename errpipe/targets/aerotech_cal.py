@@ -43,7 +43,7 @@ class AerotechCal(ScrewMap):
             f"; {number} = {curve.axis}",
             f"{head} OFFSET={curve.positions[0]:.9f} SAMPLEDIST={step:.9f}",
         ]
-        lines += [f"{v + 0.0:.7f}" for v in ((curve.up + curve.down) / 2).tolist()]
+        lines += [f"{v + 0.0:.7f}" for v in (curve.mean).tolist()]
         return f"{curve.axis}.cal", "\n".join([*lines, ":END", ""])
 
     @classmethod

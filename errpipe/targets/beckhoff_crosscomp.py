@@ -81,7 +81,7 @@ def _text(axes: list[str], curve: Curve) -> str:
     lines += [f"kopf.achs_nr {axes.index(curve.axis) + 1}", f"kopf.log_achs_name {curve.axis}"]
     lines += ["kw.crosscomp.unit 1", f"kw.crosscomp.master_ax_nr {axes.index(curve.over) + 1}"]
     lines += [f"kw.crosscomp.last_index {curve.positions.size - 1}"]
-    mean = (curve.up + curve.down) / 2
+    mean = curve.mean
     for n, (x, v) in enumerate(zip(curve.positions.tolist(), mean.tolist(), strict=True)):
         lines.append(f"kw.crosscomp.table[{n}].setpoint {round(x / TENTH_UM)}")
         lines.append(f"kw.crosscomp.table[{n}].correction {round(v / TENTH_UM)}")

@@ -90,7 +90,7 @@ def _text(number: int, axis: str, start: int, step: int, curve: Curve) -> str:
         "kw.ssfk.kw_startpos": start,
         "kw.ssfk.kw_nr_max": curve.positions.size,
         "kw.ssfk.bilateral": 1,
-        "kw.ssfk.modulo": int(axis[0] in "ABC" and _sample.is_turn(curve.positions)),
+        "kw.ssfk.modulo": int(curve.turns),
     }
     rows = {f"kw.ssfk.table[{n}].pos": v for n, v in enumerate(tenths(curve.up))}
     rows |= {f"kw.ssfk.table[{n}].neg": v for n, v in enumerate(tenths(curve.down))}

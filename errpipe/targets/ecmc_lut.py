@@ -43,7 +43,7 @@ class EcmcLut(ScrewMap):
         x = curve.positions
         if x.size < LEAST:
             x = np.linspace(x[0], x[-1], LEAST)
-        value = -np.interp(x, curve.positions, (curve.up + curve.down) / 2)
+        value = -np.interp(x, curve.positions, curve.mean)
         lines = [f"# {curve.axis}: position, error to be added to it; mm (deg)", f"PREC={DIGITS}"]
         lines += [f"{p + 0.0:.9f} {v + 0.0:.9f}" for p, v in zip(x.tolist(), value.tolist(), strict=True)]
         return f"{curve.axis}_lut.dat", "\n".join([*lines, ""])

@@ -18,7 +18,7 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, ReadBack, every_turn, expect, found, points_in_file
+from errpipe.targets._base import CAUTION, ByHand, Curve, ReadBack, every_turn, expect, found, points_in_file, unit_of
 from errpipe.targets._screw_map import ScrewMap
 
 
@@ -57,8 +57,7 @@ class FagorLscrw(ScrewMap):
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
         zero = float(np.interp(0.0, curve.positions, curve.up))
         rows = zip(curve.positions.tolist(), (zero - curve.up).tolist(), (zero - curve.down).tolist(), strict=True)
-        unit = "deg" if curve.axis[0] in "ABC" else "mm"
-        what = f"{curve.positions.size} points: position, error +, error -, {unit}"
+        what = f"{curve.positions.size} points: position, error +, error -, {unit_of(curve.axis)}"
         lines = [f"; {CAUTION}", f"; axis {curve.axis}, {what}"]
         lines += [f"P{n} {x + 0.0:.4f} {up + 0.0:.4f} {down + 0.0:.4f}" for n, (x, up, down) in enumerate(rows, 1)]
         return f"LSCRW_{curve.axis}.txt", "\n".join([*lines, ""])
@@ -73,5 +72,5 @@ class FagorLscrw(ScrewMap):
         if not np.any(down):
             down = up
         curve = Curve(announced[1], announced[1], x, -up, -down)
-        closed = curve.axis[0] in "ABC" and (x[0], x[-1], up[0], down[0]) == (0.0, TURN, up[-1], down[-1])
+        closed = curve.turns and (x[0], up[0], down[0]) == (0.0, up[-1], down[-1])
         return every_turn(curve) if closed else curve

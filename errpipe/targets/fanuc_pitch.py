@@ -25,7 +25,7 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError, VerifyError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, Points, ReadBack, every_turn, expect, too_many
+from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, Points, ReadBack, every_turn, expect, too_many, unit_of
 from errpipe.targets._screw_map import ScrewMap
 
 UNIT = 1e-3  # mm, one detection unit
@@ -94,7 +94,7 @@ def _whole_steps(table: CompensationTable, axis: str, points: Points, most: int,
     while True:
         count = _of_turn(count) if turns else count
         x = _around_reference(low, high, count, turns)
-        enough = best is not None and float(x[1] - x[0]) < SHORTEST[_sample.unit_of(axis)]
+        enough = best is not None and float(x[1] - x[0]) < SHORTEST[unit_of(axis)]
         if x.size > most or enough:
             break
         curve = _sample.at_nodes(table, axis, axis, x)
@@ -131,7 +131,7 @@ def _steps(curve: Curve) -> str:
     interval = float(curve.positions[1] - curve.positions[0])
     pulses = max(float(np.abs(np.diff(v)).max()) for v in (curve.up, curve.down)) / UNIT
     return (
-        f"{curve.axis}: rapid traverse at most {interval * TO_INTERVAL:.0f} {_sample.unit_of(curve.axis)}/min (3624); "
+        f"{curve.axis}: rapid traverse at most {interval * TO_INTERVAL:.0f} {unit_of(curve.axis)}/min (3624); "
         f"a point has at most {pulses:.0f} pulses: so much more is left where the control does not interpolate"
     )
 
@@ -146,7 +146,7 @@ def _block(number: int, axis: str, first: int, curve: Curve) -> list[str]:
 
     Every number belongs to an interval, so there is one fewer than there are positions.
     """
-    turns = int(curve.axis[0] in "ABC" and _sample.is_turn(curve.positions))
+    turns = int(curve.turns)
     n = curve.positions.size - 1 + turns
     interval = round(float(curve.positions[1] - curve.positions[0]) * 1e3)
     reference = round(-float(curve.positions[0]) * 1e3 / interval)

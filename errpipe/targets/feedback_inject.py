@@ -18,7 +18,6 @@ from collections.abc import Mapping
 from importlib import resources
 
 from errpipe.domain.table import CompensationTable
-from errpipe.errors import GateError
 from errpipe.tables import ect
 from errpipe.targets import _sample
 from errpipe.targets._base import HOMED_AT_ONCE, ReadBack, Target
@@ -58,13 +57,7 @@ class FeedbackInject(Target):
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
-        by_axis = _sample.outputs_by_axis(table)
-        if not by_axis:
-            raise GateError("feedback_inject: no output of the table moves an axis")
-        for axis, outputs in by_axis.items():
-            units = sorted({o.correction_unit for o in outputs})
-            if units not in (["mm"], ["deg"]):
-                raise GateError(f"feedback_inject: corrections of {axis} in {' and '.join(units)} (mm or deg)")
+        by_axis = _sample.moved_axes(table, cls.name)
         header, source = (_core(name) for name in CORE)
         facts = {
             "header": header,

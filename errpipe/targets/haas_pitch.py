@@ -14,6 +14,7 @@ import re
 
 import numpy as np
 
+from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
@@ -48,7 +49,7 @@ class HaasPitch(ScrewMap):
     @classmethod
     def own_axes(cls, table: CompensationTable) -> list[tuple[int, str]]:
         axes = super().own_axes(table)
-        rotary = [axis for _, axis in axes if axis[0] in "ABC"]
+        rotary = [axis for _, axis in axes if is_rotary(axis)]
         if rotary:
             raise GateError(f"{cls.name}: {' and '.join(rotary)}: a list in inches holds no rotary axis")
         return axes
@@ -60,7 +61,7 @@ class HaasPitch(ScrewMap):
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
-        mean = (curve.up + curve.down) / 2
+        mean = curve.mean
         values = ((mean - mean[-1]) / INCH)[::-1]
         lines = [
             f"# {CAUTION}",

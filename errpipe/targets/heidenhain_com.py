@@ -20,21 +20,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import (
-    CAUTION,
-    KEPT_BACKLASH,
-    TURN,
-    ByHand,
-    Curve,
-    Points,
-    ReadBack,
-    Target,
-    every_turn,
-    expect,
-)
+from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, Points, ReadBack, Target, every_turn, expect
 
 MOST = 256  # points of an axis' table
 MARK = f"; {CAUTION}; then take this line out\n"
@@ -81,16 +71,11 @@ class HeidenhainCom(Target):
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
+        says, held = "the control's own backlash (iTNC: MP710)", "= 0, else lost motion acts twice"
         own = dict.fromkeys(c.axis for c in read.curves if c.axis == c.over)
-        says = {True: "= 0, else lost motion acts twice", False: KEPT_BACKLASH}
-        out = [
-            ByHand(
-                f"{axis}: the control's own backlash (iTNC: MP710) {says[_sample.depends_on_direction(table, axis)]}"
-            )
-            for axis in own
-        ]
+        out = [_sample.backlash_by_hand(table, a, f"{a}: {says}", None, held) for a in own]
         for over, (low, high) in read.spans().items():
-            if over[0] in "ABC" and not _sample.turns(table, over) and (low < 0.0 or high > TURN):
+            if is_rotary(over) and not _sample.turns(table, over) and (low < 0.0 or high > TURN):
                 out.append(
                     ByHand(
                         f"{over}: its table runs from {low:g} to {high:g} deg; a control that takes those of a rotary "
@@ -119,7 +104,7 @@ def _com(table: CompensationTable, over: str, own: list[str], whole: Mapping[str
     reversal = curves[over].up - curves[over].down if over in curves else np.zeros(count)
     lines = [f"BEGIN {over}.COM MM", " ".join(["NR", "AXISPOS", "BACKLASH", *own])]
     for n in range(count):
-        errors = [-(c.up[n] if axis == over else (c.up[n] + c.down[n]) / 2) + 0.0 for axis, c in curves.items()]
+        errors = [-(c.up[n] if axis == over else c.mean[n]) + 0.0 for axis, c in curves.items()]
         lines.append(" ".join([str(n), f"{x[n]:+.6f}", f"{reversal[n] + 0.0:+.6f}", *(f"{e:+.6f}" for e in errors)]))
     return "\n".join([*lines, "[END]", ""])
 
@@ -151,6 +136,6 @@ def _read(over: str, text: str) -> list[Curve]:
     for column, axis in enumerate(names, 3):
         up = -rows[:, column]
         curve = Curve(axis, over, rows[:, 1], up, up - rows[:, 2] if axis == over else up)
-        turns = over[0] in "ABC" and rows[0, 1] == 0.0 and rows[-2, 1] < TURN <= rows[-1, 1]
+        turns = is_rotary(over) and rows[0, 1] == 0.0 and rows[-2, 1] < TURN <= rows[-1, 1]
         curves.append(every_turn(curve) if turns else curve)
     return curves

@@ -117,7 +117,7 @@ def _skew(table: CompensationTable, axes: Mapping[str, str], corrected: Mapping)
         if axis in corrected and over in axes and _sample.moves_with(table, axis, over, LEAST_UM):
             x = np.linspace(*_sample.span(table, over), 41)
             curve = _sample.curve(table, axis, over, x, relative=True)
-            skew[key] = -float(np.polyfit(x, (curve.up + curve.down) / 2, 1)[0])
+            skew[key] = -float(np.polyfit(x, curve.mean, 1)[0])
     if not skew:
         return ""
     # Klipper itself knows no end of a skew; the travel is where the table vouches for it, and where it is checked.

@@ -62,12 +62,7 @@ class LinuxcncHal(Target):
 
     @classmethod
     def write(cls, table: t.CompensationTable) -> dict[str, str]:
-        if not _sample.outputs_by_axis(table):
-            raise GateError("linuxcnc_hal: no output of the table moves an axis")
-        for axis, outputs in _sample.outputs_by_axis(table).items():
-            units = sorted({o.correction_unit for o in outputs})
-            if units not in (["mm"], ["deg"]):
-                raise GateError(f"linuxcnc_hal: corrections of {axis} in {' and '.join(units)} (mm or deg)")
+        _sample.moved_axes(table, cls.name)
         data = ect.dumps(table)
         if len(data) > MOST_BYTES:
             raise GateError(

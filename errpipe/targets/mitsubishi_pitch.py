@@ -16,6 +16,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError, VerifyError
 from errpipe.targets import _sample
@@ -56,7 +57,7 @@ class MitsubishiPitch(ScrewMap):
     def write(cls, table: CompensationTable) -> dict[str, str]:
         lines, first = [f"# {CAUTION}"], 1
         axes = [axis for _, axis in cls.own_axes(table)]
-        if any(axis[0] in "ABC" for axis in axes):
+        if any(is_rotary(axis) for axis in axes):
             raise GateError("mitsubishi_pitch: linear axes only (no manual that was read says how a turn is divided)")
         for number, axis in enumerate(axes):
             points, _ = _sample.uniform(table, axis, axis, cls.most, cls.error_um)
@@ -93,7 +94,7 @@ def _divided(table: CompensationTable, axis: str, step: float, most: int) -> tup
 def _rises(at: np.ndarray, curve: Curve) -> list[int]:
     """What each point adds, half units; nothing at the reference point."""
     zero = int(np.flatnonzero(at == 0)[0])
-    mean = (curve.up + curve.down) / 2
+    mean = curve.mean
     rise = np.diff(np.round((mean - mean[zero]) / UNIT).astype(int))
     return [*rise[:zero].tolist(), 0, *rise[zero:].tolist()]
 

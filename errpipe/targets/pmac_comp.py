@@ -19,9 +19,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, ReadBack, expect, found, too_many
+from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, ReadBack, expect, found, too_many, unit_of
 from errpipe.targets._screw_map import ScrewMap
 
 COUNTS = 10_000  # per mm (deg)
@@ -75,7 +76,7 @@ class PmacComp(ScrewMap):
             out.append(ByHand(f"{axis}: {says}"))
             if not _sample.turns(table, axis):
                 low, high = next((c.positions[0], c.positions[-1]) for c in read.curves if c.axis == axis)
-                says = f"software limits (I{number}13, I{number}14) within {low:g} to {high:g} {_sample.unit_of(axis)}"
+                says = f"software limits (I{number}13, I{number}14) within {low:g} to {high:g} {unit_of(axis)}"
                 out.append(ByHand(f"{axis}: {says}: beyond, the table begins again at its other end"))
         return tuple(out)
 
@@ -108,7 +109,7 @@ def _read(text: str, number: str, axis: str, low: str, high: str) -> Curve:
     part = text.split(f"\n#{number}\n")[1].split("\n;")[0]
     constant = found(rf"^I{number}86=(-?\d+)$", text, FILE, f"#{number} lacks a table")
     at, tables = np.arange(int(low), int(high) + 1), {}
-    step, turns = 0, axis[0] in "ABC" and re.search(rf"DEFINE COMP \d+,{int(TURN * COUNTS)}$", part, re.M)
+    step, turns = 0, is_rotary(axis) and re.search(rf"DEFINE COMP \d+,{int(TURN * COUNTS)}$", part, re.M)
     if turns:
         at = np.arange(-at.size, at.size + 1)
     for word, count, length, rows in re.findall(r"DEFINE (\w+) (\d+),(\d+)\n((?:[-\d ]+\n?)+)", part):

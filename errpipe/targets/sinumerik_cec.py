@@ -30,7 +30,6 @@ from errpipe.errors import GateError
 from errpipe.targets import _sample
 from errpipe.targets._base import (
     CAUTION,
-    KEPT_BACKLASH,
     ByHand,
     Curve,
     NothingToAddError,
@@ -42,6 +41,7 @@ from errpipe.targets._base import (
     expect,
     grid_stated,
     points_in_file,
+    unit_of,
 )
 
 MOST, TABLES = 200, 8  # points of a table; tables
@@ -133,17 +133,13 @@ class SinumerikCec(Target):
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
         most = max([points_in_file(c) for c in read.curves] + [x.size for p in read.products for x in p.positions])
         out = [ByHand(f"MD18342 MM_CEC_MAX_POINTS of each table = {most} or more")]
-        both = {c.axis: _sample.depends_on_direction(table, c.axis) for c in read.curves if c.axis == c.over}
-        says = {True: "= 0 (the tables hold both directions)", False: KEPT_BACKLASH}
-        out += [ByHand(f"{axis}: MD32450 BACKLASH {says[knows]}") for axis, knows in both.items()]
+        held = "= 0 (the tables hold both directions)"
+        for axis in dict.fromkeys(c.axis for c in read.curves if c.axis == c.over):
+            out.append(_sample.backlash_by_hand(table, axis, f"{axis}: MD32450 BACKLASH", None, held))
         for axis in read.axes():
             own = [np.abs([c.up, c.down]).max() for c in read.curves if c.axis == axis]
-            out.append(
-                ByHand(
-                    f"{axis}: MD32720 CEC_MAX_SUM above {float(sum(own)):.4f} {_sample.unit_of(axis)} (the tables' "
-                    "largest values)"
-                )
-            )
+            most_sum = f"{float(sum(own)):.4f} {unit_of(axis)} (the tables' largest values)"
+            out.append(ByHand(f"{axis}: MD32720 CEC_MAX_SUM above {most_sum}"))
         return tuple(out)
 
     @classmethod

@@ -16,16 +16,7 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import (
-    KEPT_BACKLASH,
-    ByHand,
-    Curve,
-    ReadBack,
-    every_turn,
-    expect,
-    grid_stated,
-    points_in_file,
-)
+from errpipe.targets._base import ByHand, Curve, ReadBack, every_turn, expect, grid_stated, points_in_file
 from errpipe.targets._screw_map import ScrewMap
 
 
@@ -60,23 +51,15 @@ class SinumerikLec(ScrewMap):
         for number, axis in cls.own_axes(table):
             curve = next(c for c in read.curves if c.axis == axis)
             out.append(ByHand(f"AX{number} ({axis}): MD38000 MM_ENC_COMP_MAX_POINTS = {points_in_file(curve)} or more"))
-            if not _sample.depends_on_direction(table, axis):
-                out.append(ByHand(f"AX{number} ({axis}): MD32450 BACKLASH {KEPT_BACKLASH}"))
-                continue
             value = 0.0 if "sinumerik_cec" in others else lost.get(axis, 0.0)  # its tables hold both directions
             side = "; above 0: the encoder runs ahead of the table" if value > 0 else ""
-            part = _sample.reversal(axis, value, *_sample.span(table, axis)) if value else None
-            unit = _sample.unit_of(axis)
-            out.append(ByHand(f"AX{number} ({axis}): MD32450 BACKLASH = {value + 0.0:.4f} {unit}{side}", part))
+            parameter = f"AX{number} ({axis}): MD32450 BACKLASH"
+            out.append(_sample.backlash_by_hand(table, axis, parameter, value, remark=side))
         return tuple(out)
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
-        values = -(curve.up + curve.down) / 2
-        text = _text(
-            f"AX{number}", curve.positions, values, curve.axis[0] in "ABC" and _sample.is_turn(curve.positions)
-        )
-        return f"AX{number}_{curve.axis}_EEC.INI", text
+        return f"AX{number}_{curve.axis}_EEC.INI", _text(f"AX{number}", curve.positions, -curve.mean, curve.turns)
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:

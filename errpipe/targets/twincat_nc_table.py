@@ -14,7 +14,6 @@ import re
 import numpy as np
 
 from errpipe.errors import VerifyError
-from errpipe.targets import _sample
 from errpipe.targets._base import Curve, every_turn, expect
 from errpipe.targets._screw_map import ScrewMap
 
@@ -67,7 +66,7 @@ def literal(value: float) -> str:
 
 def _text(axis: str, curve: Curve) -> str:
     last = curve.positions.size - 1
-    turns = "TRUE" if axis[0] in "ABC" and _sample.is_turn(curve.positions) else "FALSE"
+    turns = "TRUE" if curve.turns else "FALSE"
     lines = ["VAR_GLOBAL"]
     for side, value in (("Up", curve.up), ("Down", curve.down)):
         lines.append(f"    (* {axis}, {SIDES[side]}: mm, added to the set point *)")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from errpipe.terms._base import NEVER, Example, Parameter, Term, plain
+from errpipe.terms._base import NEVER, Example, Parameter, Term, fitted_term, plain
 from errpipe.terms._example import example_of
 from errpipe.terms._fields import TEMPERATURE
 from errpipe.terms._profiles import Curve, Line
@@ -22,6 +22,7 @@ __all__ = [
     "Signals",
     "Term",
     "example_of",
+    "fitted_term",
     "plain",
     "resolved_times",
     "search_of",

@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import math
 from abc import ABC
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
+from errpipe.domain.error_model import FittedParameter, FittedTerm
 from errpipe.domain.recording import Frozen, Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position_name
@@ -81,8 +82,8 @@ class Term(Frozen, ABC):
     term: str
     fixed: dict[str, float] = quantity("of each", "Parameters not solved for: name -> value.", {})
 
-    reports_as: ClassVar[str] = ""  # id of the effects vocabulary; "" where the term is not an effect
-    family: ClassVar[str] = ""
+    reports_as: ClassVar[str] = ""  # id of the effects vocabulary: the term's own; "" where it is of no family
+    family: ClassVar[str] = ""  # of effects; "" where the term is not an effect
     compensable: ClassVar[bool] = True  # False: an artefact of measuring, never to be compensated
     artefact: ClassVar[str] = ""  # why it is no fault of the machine; "" where it is one
     nuisance: ClassVar[bool] = True  # may it be fitted beside accepted terms as a nuisance?
@@ -106,6 +107,10 @@ class Term(Frozen, ABC):
     searched: ClassVar[tuple[Parameter, ...]] = ()  # what `nonlinear` gives, where no field changes it
     prior_log_odds: ClassVar[float] = 0.0  # what `log_prior_odds` gives, where no field changes it
     sample: ClassVar[Mapping[str, Any] | None] = None  # fields of the worked case, where no binding makes one
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        cls.reports_as = str(cls.model_fields["term"].default) if cls.family else ""
 
     def linear(self) -> tuple[Parameter, ...]:
         """Parameters the value is linear in, in the order of the basis' columns."""
@@ -231,6 +236,22 @@ class Term(Frozen, ABC):
         """One plain sentence for a person, with numbers and units."""
         parts = [f"{p.name} = {parameters[p.name]:.4g} {p.unit}" for p in (*self.linear(), *self.free())]
         return f"{self.term.replace('_', ' ')}: " + ", ".join(parts)
+
+
+def fitted_term(term: Term, values: Iterable[float], unit: str, half_width95: float | None = None) -> FittedTerm:
+    """A term with the values of its linear parameters, all in one unit. half_width95: of their intervals, if known."""
+    half = half_width95
+    parameters = tuple(
+        FittedParameter(
+            name=p.name,
+            value=float(v),
+            unit=unit,
+            standard_error=None if half is None else half / 1.96,
+            ci95=None if half is None else (float(v) - half, float(v) + half),
+        )
+        for p, v in zip(term.linear(), values, strict=True)
+    )
+    return FittedTerm(term=plain(term), parameters=parameters)
 
 
 def plain(term: Term) -> dict[str, Any]:

@@ -82,6 +82,26 @@ class CurveOverAxis(Term):
         return (Lowered(ONE, self.axis, shapes.curve(self._profile(), gains, rotary=False)),)
 
 
+class PerRun(Term):
+    """Set-up that is made anew for each run. A nuisance: never compensated."""
+
+    runs: tuple[str, ...] = Field((), description="Labels of the runs; none: all of them.")
+    compensable = False
+    sample = {}
+
+    def settled(self, recording: Recording) -> Self:
+        """The term with the runs' labels written down."""
+        return self if self.runs else self.model_copy(update={"runs": recording.run_labels()})
+
+    def drivers(self, recording: Recording) -> tuple[str, ...]:
+        return recording.names("run")
+
+    def in_run(self, recording: Recording) -> np.ndarray:
+        """Whether each row is of each run, shape (rows, runs)."""
+        names = np.asarray(recording.run_labels(), dtype=object)[recording.run_codes()]
+        return np.column_stack([names == run for run in self.runs])
+
+
 class OfSimulatedForce(Term):
     """What a drive makes of the simulated force, by a limit that it searches: with gain 1."""
 

@@ -31,7 +31,6 @@ class AirRefraction(Term):
     axis: Axis
     sensor: str | None = Field(None, description="Column of the air's temperature.")
     pressure: str | None = Field(None, description="Column of the air's pressure.")
-    reports_as = "air_refraction"
     family = "measurement"
     form = "any reference"
     rowwise = True

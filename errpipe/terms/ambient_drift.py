@@ -30,7 +30,6 @@ class AmbientDrift(Driven):
     term: Literal["ambient_drift"] = "ambient_drift"
     sensor: Sensor
     reference: Reference = REFERENCE
-    reports_as = "ambient_drift"
     family = "thermal"
     form = "any start"
     rowwise = True

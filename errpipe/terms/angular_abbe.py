@@ -36,7 +36,6 @@ class AngularAbbe(Term):
     low: float = quantity("mm", "Lower end of the axis, where the polynomial's scale starts.")
     high: float = quantity("mm", "Upper end of the axis.")
     order: int = Field(3, description="Highest degree of the angle over the axis.")
-    reports_as = "angular_abbe"
     family = "geometric"
     form = "any shape"
     rowwise = True

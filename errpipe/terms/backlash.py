@@ -31,7 +31,6 @@ class Backlash(Term):
     term: Literal["backlash"] = "backlash"
     axis: Axis
     radial: Radial = False
-    reports_as = "backlash"
     family = "reversal"
     gains = (Parameter("lost_motion", "um", (2.0, 20.0), (-200.0, 200.0), "step between the directions"),)
 

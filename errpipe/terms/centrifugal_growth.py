@@ -20,7 +20,6 @@ class CentrifugalGrowth(OfSpindleSpeed):
     """
 
     term: Literal["centrifugal_growth"] = "centrifugal_growth"
-    reports_as = "centrifugal_growth"
     family = "spindle"
     rowwise = True
     gains = (Parameter("shift", "um", (1.0, 20.0), (-200.0, 200.0), "shift at full speed"),)

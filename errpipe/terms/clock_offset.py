@@ -29,7 +29,6 @@ class ClockOffset(Term):
     column: str = Field(description="Column of the simulated values.")
     shortest: float = quantity("s", "Smallest shift that is tried.", 10.0)
     longest: float = quantity("s", "Largest shift that is tried.", 600.0)
-    reports_as = "clock_offset"
     family = "measurement"
     compensable = False
     artefact = "the clocks of recording and simulation differ: set them right"

@@ -41,7 +41,6 @@ class CoolantEffect(Term):
         None, description="Column of the temperature it is compared with."
     )
     at_once: bool = Field(False, description="Without a time constant, which is shorter than rows are apart.")
-    reports_as = "coolant_effect"
     family = "thermal"
     form = "any start"
     simulated_log_odds = -2.0

@@ -35,7 +35,6 @@ class CoulombFriction(Term):
     term: Literal["coulomb_friction"] = "coulomb_friction"
     axis: Axis
     column: str = Field(description="Column of the velocity, or of the direction.")
-    reports_as = "coulomb_friction"
     family = "friction"
     compensable = False
     form = "any shape"

@@ -30,7 +30,6 @@ class CuttingCompliance(Driven):
     term: Literal["cutting_compliance"] = "cutting_compliance"
     force: str = Field(description="Column of the cutting force.")
     overhang: str | None = Field(None, description="Column of the overhang, where stiffness falls with its cube.")
-    reports_as = "cutting_compliance"
     family = "process"
     gains = (Parameter("compliance", "um/kN", (5.0, 60.0), (-2000.0, 2000.0), "deflection per kilonewton"),)
 

@@ -33,7 +33,6 @@ class DeadTime(Term):
     term: Literal["dead_time"] = "dead_time"
     column: str | None = Field(None, description="Column of the simulated signal that comes late.")
     axis: str | None = Field(None, description="Axis whose position comes late.")
-    reports_as = "dead_time"
     family = "servo"
     compensable = False
     simulated_log_odds = NEVER

@@ -29,7 +29,6 @@ class DeadZone(OfSimulatedForce):
     """
 
     term: Literal["dead_zone"] = "dead_zone"
-    reports_as = "dead_zone"
     searched = (
         Parameter(
             "threshold", "N", (0.5, 500.0), (0.0, 1e6), "force that does not come through", search=Speeds(shares=SHARES)

@@ -43,7 +43,6 @@ class FeedHeating(Term):
     column: str | None = Field(None, description="Column of the velocity that heats; none: the axis' own travel.")
     cycled: bool = Field(False, description="The column is a feed in mm/min at which the axis cycles between readings.")
     fixed_end: float = quantity("mm", "Position of the screw's fixed bearing, from where it grows.", 0.0)
-    reports_as = "feed_heating"
     family = "thermal"
     form = "any start"
     gains = (Parameter("slope", "um/m", (10.0, 60.0), (-1000.0, 1000.0), "slope at 100 mm/s, warmed through"),)

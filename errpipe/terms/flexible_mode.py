@@ -47,7 +47,6 @@ class FlexibleMode(Term):
     column: str = Field(description="Column of the acceleration.")
     on_force: bool = Field(False, description="The response is a drive force.")
     ringing: bool = Field(False, description="The simulation holds the static part: only what rings is missing.")
-    reports_as = "flexible_mode"
     family = "servo"
     compensable = False
     simulated_log_odds = NEVER

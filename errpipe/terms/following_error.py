@@ -39,7 +39,6 @@ class FollowingError(Term):
     column: str = Field(description="Column of the velocity.")
     radial: Radial = False
     settles: bool = Field(False, description="The log is fast enough to see the loop settle.")
-    reports_as = "following_error"
     family = "servo"
     gains = (Parameter("lag", "ms", (0.01, 60.0), (-1000.0, 1000.0), "time by which the axis is late"),)
 

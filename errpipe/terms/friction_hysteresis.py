@@ -39,7 +39,6 @@ class FrictionHysteresis(Term):
     axis: Axis
     radial: Radial = False
     overrun: float = quantity("mm", "Travel that the approach has already made when the target is read.", 0.0)
-    reports_as = "friction_hysteresis"
     family = "reversal"
     simulated_log_odds = -4.0
     gains = (Parameter("lost_motion", "um", (1.0, 10.0), (-200.0, 200.0), "step between directions, saturated"),)

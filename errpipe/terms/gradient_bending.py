@@ -28,7 +28,6 @@ class GradientBending(Driven):
     term: Literal["gradient_bending"] = "gradient_bending"
     first: str = Field(description="Column of one temperature.")
     second: str = Field(description="Column of the other temperature, taken off.")
-    reports_as = "gradient_bending"
     family = "thermal"
     simulated_log_odds = -6.0
     gains = (Parameter("gain", "um/K", (1.0, 15.0), (-200.0, 200.0), "shift per kelvin of difference"),)

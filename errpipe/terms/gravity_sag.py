@@ -38,7 +38,6 @@ class GravitySag(Term):
     start: float = quantity("mm", "Position without overhang.", 0.0)
     length: float = quantity("mm", "Overhang at which the parameter is stated.")
     sign: Literal[-1, 1] = Field(1, description="+1 where the overhang grows with the column, -1 where it shrinks.")
-    reports_as = "gravity_sag"
     family = "load"
     rowwise = True
     gains = (Parameter("sag", "um", (5.0, 40.0), (-500.0, 500.0), "deflection at full overhang"),)

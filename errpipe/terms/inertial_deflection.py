@@ -33,7 +33,6 @@ class InertialDeflection(Term):
     axis: Axis
     column: str = Field(description="Column of the acceleration.")
     radial: Radial = False
-    reports_as = "inertial_deflection"
     family = "servo"
     gains = (Parameter("compliance", "um/(m/s2)", (1.0, 10.0), (-500.0, 500.0), "deflection per m/s2"),)
 

@@ -33,7 +33,6 @@ class Interpolation(Term):
     axis: Axis
     radial: Radial = False
     harmonics: int = Field(2, description="How many harmonics of the signal period.")
-    reports_as = "interpolation"
     family = "geometric"
     simulated_log_odds = -4.0
     in_part = "runs"

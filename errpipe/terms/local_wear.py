@@ -33,7 +33,6 @@ class LocalWear(Term):
     axis: Axis
     radial: Radial = False
     length: float = quantity("mm", "Length of the axis, which bounds the worn stretch.", 1000.0)
-    reports_as = "local_wear"
     family = "geometric"
     simulated_log_odds = -12.0
     in_part = "never"  # it already acts on one stretch

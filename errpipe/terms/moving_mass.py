@@ -28,7 +28,6 @@ class MovingMass(Term):
 
     term: Literal["moving_mass"] = "moving_mass"
     column: str = Field(description="Column of the acceleration.")
-    reports_as = "moving_mass"
     family = "friction"
     compensable = False
     gains = (Parameter("mass", "kg", (20.0, 5000.0), (-1e5, 1e5), "mass that is accelerated"),)

@@ -32,7 +32,6 @@ class PitchCyclic(Term):
     axis: Axis
     radial: Radial = False
     orders: waves.Orders = (1.0,)
-    reports_as = "pitch_cyclic"
     family = "geometric"
     rowwise = True
     on_both_axes = False

@@ -63,7 +63,6 @@ class ReversalSpike(Term):
     feed: str | None = Field(None, description="Column of the feed that the spike's size follows.")
     radial: Radial = False
     from_start: bool = Field(False, description="Do runs that begin where the axis turns begin with a spike?")
-    reports_as = "reversal_spike"
     family = "reversal"
     in_part = "runs"
     form = "any rise"

@@ -9,12 +9,13 @@ from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import position
-from errpipe.terms._base import Parameter, Term
+from errpipe.terms._base import Parameter
+from errpipe.terms._driven import PerRun
 
 UM_PER_URAD_MM = 1e-3
 
 
-class RunPose(Term):
+class RunPose(PerRun):
     """Shift and rotation in a plane per run, shared by both deviations. A nuisance: never compensated.
 
     Equation   E_X = shift_X - rotation * y,  E_Y = shift_Y + rotation * x      [um] = [urad] * [mm] * 1e-3
@@ -26,13 +27,6 @@ class RunPose(Term):
 
     term: Literal["run_pose"] = "run_pose"
     axes: tuple[str, str] = Field(("X", "Y"), description="The two axes of the plane.")
-    runs: tuple[str, ...] = Field((), description="Labels of the runs; none: all of them.")
-    compensable = False
-    sample = {}
-
-    def settled(self, recording: Recording) -> RunPose:
-        """The term with the runs' labels written down."""
-        return self if self.runs else self.model_copy(update={"runs": recording.run_labels()})
 
     def linear(self) -> tuple[Parameter, ...]:
         first, second = self.axes
@@ -46,13 +40,9 @@ class RunPose(Term):
             )
         )
 
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return recording.names("run")
-
     def shared(self, recording: Recording, component: str, *nonlinear: float) -> np.ndarray:
         """Design columns for one of the two components, shape (rows, 3 per run)."""
         first, second = self.axes
-        names = np.asarray(recording.run_labels(), dtype=object)[recording.run_codes()]
         is_first = component[-1] == first
         lever = (
             position(recording, second) * -UM_PER_URAD_MM if is_first else position(recording, first) * UM_PER_URAD_MM
@@ -60,4 +50,4 @@ class RunPose(Term):
         columns = np.column_stack(
             [np.full(len(recording), float(is_first)), np.full(len(recording), float(not is_first)), lever]
         )
-        return np.hstack([columns * (names == run)[:, None] for run in self.runs])
+        return np.hstack([columns * run[:, None] for run in self.in_run(recording).T])

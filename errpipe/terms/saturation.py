@@ -28,7 +28,6 @@ class Saturation(OfSimulatedForce):
     """
 
     term: Literal["saturation"] = "saturation"
-    reports_as = "saturation"
     searched = (
         Parameter("limit", "N", (10.0, 5000.0), (0.0, 1e6), "largest force of the drive", search=Speeds(shares=SHARES)),
     )

@@ -31,7 +31,6 @@ class ScaleError(Term):
     term: Literal["scale_error"] = "scale_error"
     axis: Axis
     radial: Radial = False
-    reports_as = "scale_error"
     family = "geometric"
     rowwise = True
     gains = (Parameter("slope", "um/m", (5.0, 50.0), (-1000.0, 1000.0), "share by which the axis travels too far"),)

@@ -33,7 +33,6 @@ class ScaleExpansion(Term):
     sensor: Sensor
     reference: Reference = REFERENCE
     radial: Radial = False
-    reports_as = "scale_expansion"
     family = "thermal"
     form = "any reference and end"
     rowwise = True

@@ -33,7 +33,6 @@ class ScrewWindup(Term):
     drive_end: float = quantity("mm", "Position of the screw's drive end.")
     length: float = quantity("mm", "Length of the screw, at whose far end the parameter is stated.")
     radial: Radial = False
-    reports_as = "screw_windup"
     family = "reversal"
     gains = (Parameter("step_at_far_end", "um", (2.0, 15.0), (-200.0, 200.0), "step between directions, far end"),)
 

@@ -27,7 +27,6 @@ class SensorDrift(Term):
 
     term: Literal["sensor_drift"] = "sensor_drift"
     restarts: bool = Field(False, description="Does the clock start anew with each run?")
-    reports_as = "sensor_drift"
     family = "measurement"
     compensable = False
     artefact = "it is the instrument that drifts, not the machine: correct the reading"

@@ -46,7 +46,6 @@ class SensorFault(Term):
     last: int = Field(description="Last faulty row.")
     axis: str | None = Field(None, description="Axis along which it acts, where the simulation makes a slope of it.")
     stepped: bool = Field(False, description="Off by one step all along: it jumps off and back.")
-    reports_as = "sensor_fault"
     family = "measurement"
     compensable = False
     artefact = "a sensor failed while it was recorded: repair it; the machine itself is not at fault"

@@ -28,7 +28,6 @@ class ServoMismatch(Term):
     term: Literal["servo_mismatch"] = "servo_mismatch"
     first: str = Field(description="Letter of the one axis.")
     second: str = Field(description="Letter of the other axis.")
-    reports_as = "servo_mismatch"
     family = "servo"
     gains = (Parameter("lag_difference", "ms", (0.01, 5.0), (-1000.0, 1000.0), "first axis minus second"),)
 

@@ -27,7 +27,6 @@ class SpindleGrowth(OfSpindleSpeed):
     """
 
     term: Literal["spindle_growth"] = "spindle_growth"
-    reports_as = "spindle_growth"
     family = "thermal"
     form = "any start"
     rowwise = True

@@ -29,7 +29,6 @@ class Squareness(Term):
     term: Literal["squareness"] = "squareness"
     axis: Axis
     radial: Radial = False
-    reports_as = "squareness"
     family = "geometric"
     rowwise = True
     gains = (Parameter("angle", "urad", (5.0, 60.0), (-2000.0, 2000.0), "departure from a right angle"),)

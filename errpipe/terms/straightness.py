@@ -42,7 +42,6 @@ class Straightness(Term):
     high: float = quantity("mm", "Upper end of the axis.")
     order: int = Field(4, ge=2, le=12, description="Highest degree.")
     across: str | None = Field(None, description="Circular test: the axis whose direction the deviation points in.")
-    reports_as = "straightness"
     family = "geometric"
     rowwise = True
     form = "any shape"

@@ -32,7 +32,6 @@ class StribeckFriction(Term):
     term: Literal["stribeck_friction"] = "stribeck_friction"
     axis: Axis
     column: str = Field(description="Column of the velocity.")
-    reports_as = "stribeck_friction"
     family = "friction"
     compensable = False
     form = "any shape"

@@ -30,7 +30,6 @@ class ThermalDrift(Driven):
     term: Literal["thermal_drift"] = "thermal_drift"
     sensor: Sensor
     reference: Reference = REFERENCE
-    reports_as = "thermal_drift"
     family = "thermal"
     rowwise = True
     one_sensor = True

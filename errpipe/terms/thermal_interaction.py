@@ -32,7 +32,6 @@ class ThermalInteraction(Driven):
     first: str = Field(description="Column of one temperature.")
     second: str = Field(description="Column of the other temperature; the same one for a square.")
     reference: Reference = REFERENCE
-    reports_as = "thermal_interaction"
     family = "thermal"
     rowwise = True
     simulated_log_odds = -15.0

@@ -42,7 +42,6 @@ class ThermalLag(Term):
     reference: Reference = REFERENCE
     along: str | None = Field(None, description="Axis along which the lagged temperature stretches; none: it shifts.")
     two_stages: bool = Field(False, description="A second, slower part follows the same sensor.")
-    reports_as = "thermal_lag"
     family = "thermal"
     form = "any start"
     rowwise = True

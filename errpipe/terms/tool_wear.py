@@ -38,7 +38,6 @@ class ToolWear(Term):
     reference: float = quantity("m", "Length cut at which the wear is stated.", 1000.0, gt=0)
     tool: str | None = Field(None, description="Column of the tool's label, where the length cut runs on over tools.")
     form = "any rate"
-    reports_as = "tool_wear"
     family = "process"
     searched = (
         Parameter(

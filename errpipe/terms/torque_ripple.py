@@ -31,7 +31,6 @@ class TorqueRipple(Term):
     term: Literal["torque_ripple"] = "torque_ripple"
     axis: Axis
     orders: waves.Orders = (1.0,)
-    reports_as = "torque_ripple"
     family = "friction"
     compensable = False
     searched = (Parameter("period", "mm", (1.0, 60.0), (0.2, 200.0), "length of the wave", search=Waves()),)

@@ -31,7 +31,6 @@ class ViscousFriction(Term):
     term: Literal["viscous_friction"] = "viscous_friction"
     axis: Axis
     column: str = Field(description="Column of the velocity.")
-    reports_as = "viscous_friction"
     family = "friction"
     compensable = False
     form = "any shape"

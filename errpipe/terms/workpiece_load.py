@@ -35,7 +35,6 @@ class WorkpieceLoad(Term):
     high: float = quantity("mm", "Upper end of that axis.", 1.0)
     full_load: float = quantity("kg", "Mass for which the parameters are stated.", 100.0, gt=0)
     order: int = Field(0, description="Highest degree over that axis; 0: the same everywhere.")
-    reports_as = "workpiece_load"
     family = "load"
 
     def linear(self) -> tuple[Parameter, ...]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from errpipe.domain.recording import Recording
+from errpipe.drivers.between_readings import rows_between
 from errpipe.errors import DataError
 from errpipe.fitting.design import response_name
 from errpipe.fitting.solve import one_thread
@@ -59,10 +60,9 @@ def short_gaps_held(recording: Recording, names: Iterable[str] | None = None) ->
     held = {}
     for name in recording.names("temperature") if names is None else names:
         values = recording.frame[name]
-        known = np.flatnonzero(values.notna())
-        if known.size in (0, len(values)):
+        if values.count() in (0, len(values)):
             continue
-        limit = LONGEST_HELD * _rows_between(known)
+        limit = LONGEST_HELD * rows_between(values.to_numpy(dtype=float))
         runs = values.groupby(recording.run_codes())
         held[name] = runs.ffill(limit=limit).where(runs.ffill().notna(), runs.bfill(limit=limit)).to_numpy()
     return recording.with_columns(held, {}) if held else recording
@@ -70,7 +70,7 @@ def short_gaps_held(recording: Recording, names: Iterable[str] | None = None) ->
 
 def sampled_less_often(recording: Recording, names: Iterable[str]) -> list[str]:
     """Those sensors that have a reading in every second row or less often."""
-    return [n for n in names if _rows_between(np.flatnonzero(np.isfinite(recording.array(n)))) > 1]
+    return [n for n in names if rows_between(recording.array(n)) > 1]
 
 
 def longest_silence(recording: Recording, names: Iterable[str]) -> dict[str, float]:
@@ -83,11 +83,6 @@ def longest_silence(recording: Recording, names: Iterable[str]) -> dict[str, flo
     time, names = recording.time(), sampled_less_often(recording, names)
     steps = {n: np.diff(time[np.isfinite(recording.array(n))]) for n in names}
     return {name: LONGEST_HELD * float(np.nanmedian(step)) for name, step in steps.items()}
-
-
-def _rows_between(known: np.ndarray) -> int:
-    """Usual number of rows from one reading to the next; known: rows that hold one, (readings,)."""
-    return max(int(np.median(np.diff(known))), 1) if known.size > 1 else 1
 
 
 def no_usable_row(recording: Recording, component: str) -> DataError:

@@ -242,18 +242,18 @@ def follower(room: str, start: str, tau: float, mix: float = 0.0) -> d.Lag:
     weights: tuple[float, ...] = (1.0, mix - 1.0)
     if mix:
         parts, weights = (*parts, d.at_start(room)), (*weights, -mix)
-    return d.Lag(of=d.Affine(weights=weights, of=parts), tau_up=tau, tau_down=tau, start="zero")
+    return d.lag(d.Affine(weights=weights, of=parts), tau)
 
 
 def lagged_difference(one: str, other: str, tau: float) -> d.Lag:
     """Difference of two sensors through a lag that starts at zero, K."""
     gap = d.Affine(weights=(1.0, -1.0), of=(d.Input(name=one), d.Input(name=other)))
-    return d.Lag(of=gap, tau_up=tau, tau_down=tau, start="zero")
+    return d.lag(gap, tau)
 
 
 def _late(state: d.Driver, name: str, tau: float, friction: d.Driver | None) -> d.Lag:
     factors = (state, d.rise(name)) if friction is None else (state, friction, d.rise(name))
-    return d.Lag(of=d.Product(of=factors), tau_up=tau, tau_down=tau, start="zero")
+    return d.lag(d.Product(of=factors), tau)
 
 
 def columns(recording: Recording, drivers: Sequence[d.Driver]) -> np.ndarray:

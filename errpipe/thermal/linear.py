@@ -104,7 +104,7 @@ def problem(recording: Recording, component: str, rows: np.ndarray | None, datum
     run = recording.run_codes()
     nodes: list[d.Driver] = [d.rise(n) for n in names]
     taus = time_constants(recording, len(names))
-    nodes += [d.Lag(of=d.rise(n), tau_up=tau, tau_down=tau, start="zero") for n in names for tau in taus]
+    nodes += [d.lag(d.rise(n), tau) for n in names for tau in taus]
     heat = [*spindle_heat(recording, taus), *coolant_heat(recording, taus)]
     nodes += heat
     deviation, _ = since_start(recording.array(response), run, datum_rows)
@@ -158,7 +158,7 @@ def rates(problem: LinearProblem) -> tuple[d.Driver, ...]:
         return ()
     least = max(RATE_WINDOW * taus[-1], LEAST_WINDOW * taus[0])
     window = min(taus, key=lambda tau: abs(tau - least))  # of the grid, so that a table has the lag anyway
-    slow = (d.Lag(of=d.rise(n), tau_up=window, tau_down=window, start="zero") for n in names)
+    slow = (d.lag(d.rise(n), window) for n in names)
     return tuple(d.Affine(weights=(1.0, -1.0), of=(d.rise(n), late)) for n, late in zip(names, slow, strict=True))
 
 
@@ -170,7 +170,7 @@ def spindle_heat(recording: Recording, taus: Sequence[float]) -> list[d.Driver]:
     speed = d.Affine(weights=(SPEED_UNIT,), of=(d.Input(name=name),))
     square = d.Product(of=(speed, speed))
     size = d.Power(of=square, exponent=0.5)
-    return [d.Lag(of=of, tau_up=tau, tau_down=tau, start="zero") for of in (size, square) for tau in taus]
+    return [d.lag(of, tau) for of in (size, square) for tau in taus]
 
 
 def coolant_heat(recording: Recording, taus: Sequence[float]) -> list[d.Driver]:
@@ -185,7 +185,7 @@ def coolant_heat(recording: Recording, taus: Sequence[float]) -> list[d.Driver]:
     if flow is None:
         return []
     products = [d.Product(of=(d.Input(name=flow), gap)) for gap in gaps(recording)]
-    return [d.Lag(of=of, tau_up=tau, tau_down=tau, start="zero") for of in products for tau in taus]
+    return [d.lag(of, tau) for of in products for tau in taus]
 
 
 def gaps(recording: Recording) -> tuple[d.Driver, ...]:

@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from errpipe import __version__
 from errpipe.domain import driver as d
 from errpipe.domain.driver import inputs
-from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm, Validity
+from errpipe.domain.error_model import ComponentModel, ErrorModel, Validity
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.shared import drive_all
 from errpipe.fitting.validity import distance
-from errpipe.terms import plain
+from errpipe.terms import fitted_term
 from errpipe.terms.profile_driver import ProfileDriver
 from errpipe.thermal.interval import Intervals
 from errpipe.thermal.season_options import SeasonOptions
@@ -69,13 +68,7 @@ class ThermalModel:
 
     def component_model(self) -> ComponentModel:
         """As an error model's component: one term per driver, with the figures of the report."""
-        terms = tuple(
-            FittedTerm(
-                term=plain(ProfileDriver(driver=(node,))),
-                parameters=(FittedParameter(name="gain", value=gain, unit="um"),),
-            )
-            for gain, node in self.terms
-        )
+        terms = tuple(fitted_term(ProfileDriver(driver=(node,)), [gain], "um") for gain, node in self.terms)
         return ComponentModel(
             component=self.component,
             terms=terms,
@@ -91,19 +84,15 @@ class ThermalModel:
 
     def error_model(self, recording: Recording) -> ErrorModel:
         """As an error model of one component; `recording` gives machine, title and the columns' entries."""
-        manifest = recording.manifest
         read = (name for _, node in self.terms for name in inputs(node))  # a spindle's state reads its speed, say
         names = dict.fromkeys([*self.validity.ranges, *sorted(read)])
-        columns = {n: manifest.columns[n].model_dump(mode="json", exclude_none=True) for n in names}
         notes = (
             "counts from the start of each run: temperatures do not show where the probe was zeroed "
             f"(zeros seen: {self.datum[0]:.1f} um, standard deviation {self.datum[1]:.1f} um)",
         )
-        return ErrorModel(
-            machine=manifest.machine,
-            title=manifest.title,
-            version=__version__,
-            columns=columns,
+        return ErrorModel.of(
+            recording.manifest,
+            names,
             components=(self.component_model(),),
             validity=self.validity,
             datum="run_start",

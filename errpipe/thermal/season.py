@@ -393,5 +393,5 @@ def _correction_drivers(
     nodes += [causes.lagged_difference(n, reference, tau) for n in others for tau in options.correction_lags]
     state = causes.running(recording, sensors, rows)
     if state is not None:
-        nodes += [d.Lag(of=state, tau_up=tau, tau_down=tau, start="zero") for tau in options.correction_lags[:2]]
+        nodes += [d.lag(state, tau) for tau in options.correction_lags[:2]]
     return tuple(nodes)

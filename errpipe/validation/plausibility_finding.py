@@ -57,7 +57,7 @@ class Response:
     @property
     def per_unit(self) -> float | None:
         """Deviation of one unit of position (1000 um per mm); None where the two are of different kinds."""
-        rotary = self.component.axis is not None and self.component.axis[0] in "ABC"
+        rotary = self.component.axis is not None and components.is_rotary(self.component.axis)
         if self.component.kind == "force" or rotary != (self.component.unit == "urad"):
             return None
         return URAD_PER_DEG if rotary else 1000.0

@@ -242,7 +242,7 @@ def _targets(stage: Any) -> Iterator[tuple[Place, str]]:
         return
     from errpipe.targets import TARGETS
 
-    known = [t.name for t in TARGETS]
+    known = TARGETS.tags
     for k, name in enumerate(names):
         if name not in known:
             yield ("targets", k), f"no target {name!r} (errpipe targets lists them).{did_you_mean(name, known)}"

@@ -98,10 +98,9 @@ def _target(target: Any) -> Iterator[str]:
 
 
 def _stage(stage: Any) -> Iterator[str]:
-    yield from (f"## `{stage.model_fields['kind'].annotation.__args__[0]}`", "")
-    if stage.variant_key:
-        yield from (f"With `{stage.variant_key}: {stage.model_fields[stage.variant_key].default}`:", "")
-    yield from (inspect.cleandoc(stage.__doc__), "")
+    variant = stage.variant_key and f", `{stage.variant_key}: {stage.model_fields[stage.variant_key].default}`"
+    heading = f"## `{stage.model_fields['kind'].annotation.__args__[0]}`{variant}"
+    yield from (heading, "", inspect.cleandoc(stage.__doc__), "")
     takes = [
         f"`{need.type}`{' (every)' if need.every else ''}{' (optional)' if need.optional else ''}"
         for need in stage.takes.values()
@@ -276,8 +275,10 @@ def page(name: str) -> str:
 
 def entry(page_name: str, name: str) -> str:
     """The part of a page about one plug-in, as Markdown. Raises UsageError naming the nearest."""
-    parts = re.split(r"(?m)^(?=#{2,3} `)", page(page_name))[1:]
-    known = {re.match(r"#+ `([^`]+)`", part).group(1): part for part in parts}  # type: ignore[union-attr]
+    known: dict[str, str] = {}
+    for part in re.split(r"(?m)^(?=#{2,3} `)", page(page_name))[1:]:
+        of = part.split("`")[1]  # a stage with variants has a part for each
+        known[of] = known.get(of, "") + part
     if name not in known:
         hint = did_you_mean(name, known)
         if (Path(__file__).parents[1] / page_name / f"{name}.py").is_file():

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from errpipe.domain import components
 from errpipe.stages import _artefacts
 from errpipe.verbs.whatis import controller_curves, whatis
 
@@ -44,14 +45,13 @@ def _controller_file(file: Path) -> list[str]:
 
 def _drawn(curve: Any) -> list[str]:
     """A correction over positions, from both sides."""
-    unit, scale = ("arcsec", 3600.0) if curve.axis[0] in "ABC" else ("um", 1e3)
+    unit, scale = ("arcsec", 3600.0) if components.is_rotary(curve.axis) else ("um", 1e3)
     heading = f"correction of {curve.axis} in {unit} over {curve.over}: + from below, - from above, * both"
     sides = [("+", curve.positions, scale * curve.up), ("-", curve.positions, scale * curve.down)]
     return ["", heading, *plot(sides)]
 
 
 def _recording(file: Path) -> list[str]:
-    from errpipe.domain import components
     from errpipe.formats import manifest_folder
 
     recording = manifest_folder.read(file)

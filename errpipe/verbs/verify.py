@@ -127,7 +127,6 @@ def every_state(model: ErrorModel) -> Recording:
 
 
 def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -> list[str]:
-    known = {t.name: t for t in TARGETS}
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in document["files"]:
         inside(folder, row["file"], VerifyError)
@@ -135,9 +134,9 @@ def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -
             groups.setdefault(row["file"].split("/")[0], []).append(row)
     checks = []
     for name, rows in groups.items():
-        if name not in known:
+        if name not in TARGETS.tags:
             raise VerifyError(f"{folder}: export.json lists files of {name!r}, which is no target of this version")
-        target = known[name]
+        target = TARGETS[name]
         files = {}
         for row in rows:
             path = inside(folder, row["file"], VerifyError)

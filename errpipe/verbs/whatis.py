@@ -109,13 +109,13 @@ def controller_curves(file: Path) -> list[tuple[Any, list[Any]]]:
     """The targets that read a file as their own, each with its curves; by its folder, else by trying."""
     from errpipe.targets import TARGETS
 
-    if file.suffix in TABLE_SUFFIXES and file.parent.name not in [t.name for t in TARGETS]:
+    if file.suffix in TABLE_SUFFIXES and file.parent.name not in TARGETS.tags:
         return []  # any table of numbers would pass
     if file.stat().st_size > MAX_CONTROLLER_BYTES:
         return []
     text = file.read_bytes().decode("utf-8", "replace")
     readings = []
-    for target in [t for t in TARGETS if t.name == file.parent.name] or TARGETS:
+    for target in [TARGETS[file.parent.name]] if file.parent.name in TARGETS.tags else TARGETS:
         try:
             curves = list(target.read_back({file.name: text}).curves)
         except Exception:  # whatever a reader raises of a file that is not its own

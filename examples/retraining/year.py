@@ -28,7 +28,7 @@ from errpipe.validation.retraining import ALPHA, RunScore, decide, e_value
 KEPT = 60  # nights of recordings that the shop keeps
 FIRST = 30  # nights that fit the first champion
 BEARING, DRIFT, SWAP = 135, 215, 290  # nights: 15 May, 3 August, 17 October
-DRIFT_PER_NIGHT = 0.5  # K; half of that takes more than three nights on one machine in three (docs/registry.md)
+DRIFT_PER_NIGHT = 0.5  # K; half of that takes more than three nights on one machine in three (docs/trials.md)
 NOISE = 0.8  # um
 STATE = "year.json"  # how far a year has come
 PLACES = np.r_[np.arange(0.0, 601.0, 60.0), np.arange(600.0, -1.0, -60.0)]

@@ -39,8 +39,8 @@ def ids(package: str, registry: str) -> list[str]:
 def test_every_plug_in_has_an_entry(package: str, registry: str) -> None:
     page = reference.page(package)
     for name in ids(package, registry):
-        assert f"## `{name}`\n" in page
-        assert reference.entry(package, name).startswith(f"## `{name}`\n")
+        assert re.search(rf"^## `{name}`(, `\w+: \w+`)?$", page, re.M)
+        assert reference.entry(package, name).startswith(f"## `{name}`")
 
 
 def test_every_effect_states_equation_assumptions_sizes_sign_and_source() -> None:
@@ -76,3 +76,11 @@ def test_the_example_of_recordings_is_a_valid_manifest(tmp_path: Path) -> None:
 def test_a_misspelt_entry_names_the_nearest() -> None:
     with pytest.raises(UsageError, match="Did you mean backlash"):
         reference.entry("terms", "backlsh")
+
+
+def test_the_entry_of_a_stage_has_each_of_its_variants() -> None:
+    variants = [s for s in STAGES if s.model_fields["kind"].annotation.__args__[0] == "fit"]
+    assert len(variants) > 5
+    names = {f"`{s.variant_key}: {s.model_fields[s.variant_key].default}`" for s in variants}
+    text = reference.entry("stages", "fit")
+    assert [name for name in sorted(names) if name not in text] == []

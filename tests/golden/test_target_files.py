@@ -8,7 +8,7 @@ from errpipe.targets import TARGETS
 from tests.golden import target_files
 
 
-@pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)
+@pytest.mark.parametrize("target", list(TARGETS), ids=lambda t: t.name)
 def test_files_are_as_kept(target):
     made = target_files.files(target)
     if made is None:

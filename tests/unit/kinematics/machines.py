@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from ruamel.yaml import YAML
 
 from errpipe.domain.machine import Machine
 from errpipe.kinematics import synthesis
-from errpipe.kinematics.chain import Chain, compile_chain
+from errpipe.kinematics.chain import Chain, combinations, compile_chain
 
 READY = sorted((Path(__file__).parents[3] / "examples" / "machines").glob("*.yaml"))
 
@@ -76,3 +77,14 @@ def corrected(
     wanted = np.concatenate([deviation[:, :3] * 1e-3, np.degrees(np.cross(deviation[:, 3:] * 1e-6, tool))], axis=1)
     solve = np.linalg.pinv(np.concatenate([jac[:, :3], np.moveaxis(swing, 1, 2)], axis=1), rcond=1e-6)
     return q - np.einsum("nai,ni->na", solve, wanted)
+
+
+def volume_points(chain: Chain, per_axis: Sequence[int], margin: float = 0.02) -> np.ndarray:
+    """A lattice of poses over the travel of every axis, shape (n, axes)."""
+    low, high = chain.travel.T
+    edge = (high - low) * margin
+    grids = [
+        np.linspace(lo + e, hi - e, n) if n > 1 else np.array([(lo + hi) / 2])
+        for lo, hi, e, n in zip(low, high, edge, per_axis, strict=True)
+    ]
+    return combinations(grids)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from machines import ready
+from machines import ready, volume_points
 
 from errpipe.errors import DataError
 from errpipe.kinematics import identify, observability, plan, protocols, synthesis
@@ -14,7 +14,7 @@ from errpipe.simulation import metrology
 
 
 def cloud(chain, tools):
-    q = metrology.volume_points(chain, [5, 5, 5])
+    q = volume_points(chain, [5, 5, 5])
     parts = [o.points(chain, q, chain.tip(length, offset), label=str(i)) for i, (length, offset) in enumerate(tools)]
     return o.concatenate(parts)
 
@@ -40,7 +40,7 @@ def test_three_tools_show_everything():
 def test_rank_of_constants_with_one_and_three_tools_at_the_papers_machine():
     """Were all 32 components constants, one tool would show 9 combinations and three tools and offsets T 14."""
     chain = ready("horizontal-centre-ni-1997")
-    q = metrology.volume_points(chain, [4, 4, 4])
+    q = volume_points(chain, [4, 4, 4])
     one = synthesis.jacobian(chain, q)[:, :3].reshape(-1, 32)
     rows = []
     for length, shift in ((150.0, (0, 0, 0)), (250.0, (90.0, 0, 40)), (100.0, (0, 60.0, -30))):

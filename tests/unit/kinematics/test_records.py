@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
-from machines import corrected, ready
+from machines import corrected, ready, volume_points
 from numpy.testing import assert_allclose
 from records_played import ABBE, AIR, COSINE, WAVELENGTH, largest_gap, of_axis, played_x, solve
 
@@ -189,7 +189,7 @@ def coverage(seeds) -> tuple[float, float, float]:
     squares = {"C0Y": 5.0, "A0Z": -4.0, "B0Z": 6.0}
     setup = played.SetUp(beams={n: played.Beam(**b) for n, b in beams.items()}, squares=squares)
     inside, constants, volume = [], [], []
-    q = metrology.volume_points(chain, [4, 4, 4], 0.1)
+    q = volume_points(chain, [4, 4, 4], 0.1)
     for seed in seeds:
         values = metrology.smooth_machine(chain, seed)
         recording = played.record(chain, values, setup, seed + 900)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import protocols_played as played
 import pytest
-from machines import ready
+from machines import ready, volume_points
 from numpy.testing import assert_allclose
 
 from errpipe import jsonfile
@@ -28,7 +28,7 @@ def test_the_document_is_plain_and_read_back_it_is_the_same_machine(found, tmp_p
     written = summary.document(result, test)
     jsonfile.write(tmp_path / "m.json", written)
     again = summary.errors(chain, jsonfile.read(tmp_path / "m.json"))
-    q = metrology.volume_points(chain, [5, 5, 5])
+    q = volume_points(chain, [5, 5, 5])
     assert_allclose(synthesis.first_order(chain, q, again.at(q))[:, :3], result.predict(q)[0], atol=0.15)
 
 

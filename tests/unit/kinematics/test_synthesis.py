@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from machines import corrected, random_chain, ready
+from machines import corrected, random_chain, ready, volume_points
 from numpy.testing import assert_allclose
 
 from errpipe.kinematics import polynomials
@@ -81,7 +81,7 @@ def test_polynomials_are_the_jacobian_in_letters():
 
 def test_no_errors_no_deviation():
     chain = ready("five-axis-table-table")
-    q = metrology.volume_points(chain, [3] * 5)
+    q = volume_points(chain, [3] * 5)
     assert_allclose(s.exact(chain, q, np.zeros(43)), 0.0, atol=1e-9)
 
 

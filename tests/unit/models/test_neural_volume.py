@@ -12,6 +12,7 @@ from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.drivers.shared import drive_all
 from errpipe.errors import DataError
 from errpipe.fitting import holdout
+from errpipe.models import _volume_network
 from errpipe.models.auto import Auto
 from errpipe.models.neural_volume import NeuralVolume
 from errpipe.stages._compile import CompileOptions, compile_model
@@ -60,8 +61,8 @@ def test_a_run_that_sat_out_is_left_with_little_more_than_its_noise():
 def test_the_nodes_of_the_table_are_the_network():
     measured = recording()
     fitted = FAMILY.fit(measured).model
-    x, y, _ = FAMILY._data(measured)
-    network, penalty = FAMILY._trained(measured, x, y, np.ones(len(measured), dtype=bool))
+    x, y, _ = _volume_network.data(measured, FAMILY.components)
+    network, penalty = _volume_network.chosen(measured, x, y, np.ones(len(measured), dtype=bool), FAMILY.units)
     assert penalty is not None
     for k, component in enumerate(fitted.components):
         (term,) = component.terms

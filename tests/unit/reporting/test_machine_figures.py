@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from machines import volume_points
 
 from errpipe import yamlfile
 from errpipe.domain.machine import Machine
@@ -44,7 +45,7 @@ def test_a_sketch_names_every_link(path):
 def measured():
     chain = ready("vertical-centre")
     errors = MachineErrors.of(chain, metrology.smooth_machine(chain, 1))
-    q = metrology.volume_points(chain, [4, 4, 4])
+    q = volume_points(chain, [4, 4, 4])
     return chain, errors, q, synthesis.first_order(chain, q, errors.at(q))[:, :3]
 
 

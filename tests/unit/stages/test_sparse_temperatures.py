@@ -136,11 +136,10 @@ def test_a_table_of_another_model_fails_the_run():
 
 
 def test_a_table_that_gives_no_number_where_its_model_does_is_no_proof(monkeypatch):
-    from errpipe.stages import predict
     from errpipe.validation.gate import Passed
 
     recording, _ = spindle_drift.simulate(2, days=DAYS)
     model, table = of_terms(recording)
-    monkeypatch.setattr(predict, "table_values", lambda *_: {"E_Z": np.full(len(recording), np.nan)})
+    monkeypatch.setattr(_proof, "table_values", lambda *_: {"E_Z": np.full(len(recording), np.nan)})
     with pytest.raises(VerifyError, match="differs from its model by inf"):
         _proof.remarks(_proof.compare(table, model, recording), Passed(None, (), ()))

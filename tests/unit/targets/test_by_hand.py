@@ -170,7 +170,7 @@ def test_every_format_of_one_axis_is_read():
     assert not (missing := (alone - whole - read) & documented), f"no reader written from the manual: {sorted(missing)}"
 
 
-@pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)
+@pytest.mark.parametrize("target", list(TARGETS), ids=lambda t: t.name)
 def test_a_checklist_says_the_unit_and_labels_those_of_rotary_axes(target, tmp_path):
     stage.write_targets(machines.sample(target), [target.name], tmp_path)
     text = (tmp_path / target.name / stage.CHECKLIST).read_text()

@@ -94,7 +94,7 @@ def test_one_screw_in_two_files_of_one_control_acts_once(tmp_path, lost):
         assert whole.largest < 0.1
 
 
-@pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)
+@pytest.mark.parametrize("target", list(TARGETS), ids=lambda t: t.name)
 def test_a_checklist_names_the_readings_at_which_it_holds_and_stays_within_the_travel(target, tmp_path):
     table = machines.sample(target)
     stage.write_targets(table, [target.name], tmp_path)
@@ -144,7 +144,7 @@ FEW = {  # deviation (um) and travel of tables with one value, or so little trav
 
 
 @pytest.mark.parametrize("case", FEW)
-@pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)
+@pytest.mark.parametrize("target", list(TARGETS), ids=lambda t: t.name)
 def test_one_or_two_points_are_written_or_refused(target, case):
     curve, travel = FEW[case]
     place = TableInput(name="x", kind="position", axis="X", low=-1e5, high=1e5, default=travel[0])

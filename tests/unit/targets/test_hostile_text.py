@@ -97,7 +97,7 @@ def masked(program: dict[str, list[str]]) -> dict[str, list[str]]:
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
-@pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)
+@pytest.mark.parametrize("target", list(TARGETS), ids=lambda t: t.name)
 def test_no_text_becomes_a_part_of_the_program(target, tmp_path):
     pytest.importorskip("tree_sitter_iec61131_3_st", reason="tree-sitter's grammar is not installed")
     written = 0
@@ -114,7 +114,7 @@ def test_no_text_becomes_a_part_of_the_program(target, tmp_path):
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
-@pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)
+@pytest.mark.parametrize("target", list(TARGETS), ids=lambda t: t.name)
 def test_the_oddest_names_that_a_table_may_hold_are_read_back(target, tmp_path):
     pytest.importorskip("tree_sitter_iec61131_3_st", reason="tree-sitter's grammar is not installed")
     for number, (table, old) in enumerate(

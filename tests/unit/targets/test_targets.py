@@ -13,7 +13,7 @@ from errpipe.targets import TARGETS, _loss, _sample
 from tests.faults.test_random_machines import machine as any_machine
 from tests.unit.targets import machines
 
-every = pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)
+every = pytest.mark.parametrize("target", list(TARGETS), ids=lambda t: t.name)
 
 
 def holding(*what, but=()):
