@@ -88,10 +88,10 @@ class Table:
 
     def _between(self, index: np.ndarray, others: slice) -> np.ndarray:
         """Products of some columns with others, fold by fold and over all rows, shape (folds + 1, k, others)."""
-        W, W_others = self.W[:, index], self.W[:, others]
+        W, W_others = self.W, self.W[:, others]
         out = np.zeros((len(self.rows) + 1, index.size, W_others.shape[1]))
         for first, last, f in self.stretches if index.size else ():
-            out[f] += W[first:last].T @ W_others[first:last]
+            out[f] += W[first:last, index].T @ W_others[first:last]
         out[-1] = out[:-1].sum(axis=0)
         return out
 
