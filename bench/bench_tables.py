@@ -362,7 +362,8 @@ def bench_threads(points: int = 1_000_000, rounds: int = 25) -> dict[str, float]
             os.kill(other.pid, signal.SIGSTOP)
             apart = [seconds(work, 1, perf_counter)[0] for work in (one, two, half)]
             os.kill(other.pid, signal.SIGCONT)
-            pairs.append([*apart, seconds(half, 2, perf_counter)[0]])
+            half()  # until the other one is at work again
+            pairs.append([*apart, seconds(half, 1, perf_counter)[0]])
     other.kill()
     one_s, two_s, alone, beside = np.array(pairs).T
     return {"times_faster": float(np.median(one_s / two_s)), "ceiling": float(np.median(2.0 * alone / beside))}
