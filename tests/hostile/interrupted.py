@@ -99,7 +99,7 @@ def stopped(line: Sequence[str], out: Path, number: signal.Signals, after: float
     process.send_signal(number)
     code = process.wait(60)
     left = [str(p.relative_to(out)) for p in out.rglob("*") if p.name.endswith(".tmp")]
-    left += [str(p.relative_to(out)) for p in out.glob(".errpipe/work/*")]
+    left += [p.name for p in (out / ".errpipe" / "work").glob("*")]
     wrong = [f"{line[0]}: {name} is left" for name in left]
     # before the program's first line Python itself ends it, by the signal
     return code != 0, wrong if code in (0, STOPPED[number], -number) else [*wrong, f"{line[0]}: exit code {code}"]
