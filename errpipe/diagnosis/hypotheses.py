@@ -26,7 +26,7 @@ from errpipe.terms import TERMS as ALL_TERMS
 
 TERMS = tuple(kind for kind in ALL_TERMS if kind.reports_as)
 PROPORTIONAL = 0.999  # correlation of a position with the time from which one cannot be told from the other
-MANY_ROWS = 5000  # from which columns are made in two threads; chosen on: at 300 to 1,400 rows that takes 5 % longer
+MANY_ROWS = 5000  # from which another thread makes columns; chosen on: at 300 to 1,400 rows that takes 5 % longer
 LEVEL = 1.0  # level of a thermal effect in part, over its spread: from where its rise is counted there is not known
 TIME_ALONE = -3.0  # log odds of what goes with the time alone there: the position is what a test sets out to vary
 

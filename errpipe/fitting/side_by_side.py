@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 AT_ONCE = 2  # pieces: what they leave to Python's lock keeps no more cores busy
 WORTH = 0.05  # s of the first piece, below which handing over between threads costs as much as it brings
 
-AHEAD = 4  # results made before they are asked for: two threads have something to do while one is taken
+AHEAD = 2  # results made before they are asked for, by one other thread: more would only hold memory
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -54,7 +54,7 @@ def side_by_side(
 
 
 def ahead(work: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
-    """`work` of each item, in order: a few are made ahead in threads while the caller is busy with those before.
+    """`work` of each item, in order: a few are made ahead in another thread while the caller is busy with those before.
 
     For results that are too large to be held all at once. Within `side_by_side`, or on one core, one after the other.
     """
@@ -62,7 +62,7 @@ def ahead(work: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
         yield from map(work, items)
         return
     waiting: deque[Future[T]] = deque()
-    with ThreadPoolExecutor(AT_ONCE) as pool:
+    with ThreadPoolExecutor(1) as pool:
         try:
             for item in items:
                 waiting.append(pool.submit(copy_context().run, work, item))
