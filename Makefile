@@ -91,6 +91,7 @@ retrain-demo: $(SETUP) ## a simulated year of nightly retraining
 attack: $(SETUP) ## ten minutes of hostile files and killed processes
 	@$(BIN)/python -m tests.hostile.attack --seconds 500 --kills 1000 --seed $(SEED) $(ARGS)
 	@$(BIN)/python -m tests.hostile.registry --kills 1000 --seed $(SEED)
+	@$(BIN)/python -m tests.hostile.interrupted --count 200 --seed $(SEED)
 
 lock: $(SETUP) ## write requirements.lock: the versions that are installed
 	@$(BIN)/python -m tests.contract.dependencies > requirements.lock

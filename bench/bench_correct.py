@@ -33,8 +33,9 @@ def short_moves(rng: np.random.Generator) -> str:
 
 
 def five_axes(rng: np.random.Generator) -> str:
-    """The same with two rotary axes and line numbers."""
-    path = 200 + 100 * np.sin(np.cumsum(rng.uniform(0, 0.005, (2000, 5)), axis=0) + np.arange(5))
+    """The same with two rotary axes, between -90 and 90 deg so that no move is the long way round, and line numbers."""
+    path = 100 * np.sin(np.cumsum(rng.uniform(0, 0.005, (2000, 5)), axis=0) + np.arange(5))
+    path = path * [1, 1, 1, 0.9, 0.9] + [200, 200, 200, 0, 0]
     words = [" ".join(f"{axis}{v:.3f}" for axis, v in zip("XYZAB", row, strict=True)) for row in path]
     return "".join(f"N{n} G1 {row}\n" for n, row in enumerate(words))
 

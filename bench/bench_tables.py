@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+import multiprocessing
+import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from time import perf_counter, thread_time
 from typing import Any
@@ -323,20 +328,45 @@ def bench_st(cycles: int = 20_000) -> float | None:
 NOT_A_TABLE = "fades, limits, sensors, a stated error; its memory grows with the cube of the grid"
 
 
-def bench_threads(points: int = 1_000_000) -> dict[str, float]:
-    """The same points in one part and in two parts on two threads, by the wall clock."""
-    from concurrent.futures import ThreadPoolExecutor
-
+def threaded(points: int) -> tuple[Any, np.ndarray, list[np.ndarray], np.ndarray, list[np.ndarray]]:
+    """An evaluator, points and their halves, and where the results go: fresh memory would be timed, not the work."""
     evaluator = batch.Positions(machine(), ("x", "y", "z"))
     where = np.random.default_rng(0).uniform(0, TRAVEL, (3, points))
     halves = [np.ascontiguousarray(where[:, : points // 2]), np.ascontiguousarray(where[:, points // 2 :])]
-    out = np.empty((len(evaluator.table.outputs), points))  # fresh memory would be timed, not the evaluator
-    parts = [np.empty((len(out), half.shape[1])) for half in halves]
+    out = np.empty((len(evaluator.table.outputs), points))
     evaluator.rows(where, out)
+    return evaluator, where, halves, out, [np.empty((len(out), half.shape[1])) for half in halves]
+
+
+def neighbour(points: int) -> None:
+    """Another process at the same work, for ever."""
+    evaluator, _, halves, _, parts = threaded(points)
+    while True:
+        evaluator.rows(halves[1], parts[1])
+
+
+def bench_threads(points: int = 1_000_000, rounds: int = 25) -> dict[str, float]:
+    """The same points in one part and in two parts on two threads, by the wall clock; medians of pairs in turns.
+
+    Beside it what two cores give at all: the half of one thread alone, and while another process does the other half.
+    """
+    evaluator, where, halves, out, parts = threaded(points)
+    one, half = (lambda: evaluator.rows(where, out)), (lambda: evaluator.rows(halves[0], parts[0]))
+    other = multiprocessing.get_context("spawn").Process(target=neighbour, args=(points,), daemon=True)
+    other.start()
+    time.sleep(5.0)  # until it is at work
+    pairs = []
     with ThreadPoolExecutor(2) as pool:
-        both = (lambda: evaluator.rows(where, out), lambda: list(pool.map(evaluator.rows, halves, parts)))
-        one, two = side_by_side(*both, 25, perf_counter)
-    return {"times_faster": one[0] / two}
+        two = lambda: list(pool.map(evaluator.rows, halves, parts))  # noqa: E731
+        for _ in range(rounds):
+            os.kill(other.pid, signal.SIGSTOP)
+            apart = [seconds(work, 1, perf_counter)[0] for work in (one, two, half)]
+            os.kill(other.pid, signal.SIGCONT)
+            half()  # until the other one is at work again
+            pairs.append([*apart, seconds(half, 1, perf_counter)[0]])
+    other.kill()
+    one_s, two_s, alone, beside = np.array(pairs).T
+    return {"times_faster": float(np.median(one_s / two_s)), "ceiling": float(np.median(2.0 * alone / beside))}
 
 
 def figures() -> list[Figure]:
@@ -366,6 +396,7 @@ def figures() -> list[Figure]:
             lacks="fades, limits; searches its grid",
         ),
         Figure("two threads over one", threads["times_faster"], "x", aim=1.8, at_least=True),
+        Figure("two processes at once, over one after the other", threads["ceiling"], "x"),
         Figure("cycle of 21 components and 8 drivers, Numba", cycle["cycle_ns"], "ns", cycle["spread"], 400.0, **st),
     ]
     if c := bench_c():

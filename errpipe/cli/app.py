@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import gc
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,9 +27,15 @@ _OUTSIDE_CAUSES = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.E
 NEW_OBJECTS = 30_000
 
 
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM or SIGHUP: of a CI job's time limit, a shutdown, a closed terminal."""
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line; returns the exit code. The one place where errors become messages."""
     gc.set_threshold(NEW_OBJECTS)
+    if argv is None:
+        _end_cleanly()
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [word for word in arguments if word != "--debug"]
@@ -47,14 +54,27 @@ def main(argv: Sequence[str] | None = None) -> int:
         return code
     except BrokenPipeError:
         return _closed_pipe()
-    except KeyboardInterrupt:
-        return print_error(name, "interrupted; the same command goes on from here", 130, as_json)
+    except KeyboardInterrupt as stop:
+        what, code = ("terminated", 143) if isinstance(stop, _Terminated) else ("interrupted", 130)
+        return print_error(name, f"{what}; the same command goes on from here", code, as_json)
     except Exception as err:
         if debug:
             import traceback
 
             traceback.print_exc()
         return _refusal(name, err, as_json)
+
+
+def _end_cleanly() -> None:
+    """Let SIGTERM and SIGHUP end this process as Ctrl-C does: by itself Python would leave temporary files."""
+
+    def stop(number: int, _: object) -> None:
+        signal.signal(number, signal.SIG_IGN)  # a second one would interrupt the cleaning up
+        raise _Terminated
+
+    for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+        if signal.getsignal(number) == signal.SIG_DFL:  # `nohup` ignores SIGHUP, and means it
+            signal.signal(number, stop)
 
 
 def _plain_check(arguments: list[str]) -> int | None:

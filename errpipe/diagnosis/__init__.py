@@ -90,7 +90,8 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
         return response, Rows(case.y, residual, case.run, contribution, inputs, parts)
 
     at_once = SIDE_BY_SIDE if len(recording) <= MANY_ROWS else 1
-    made = side_by_side(judged, range(len(pairs)), pairs, at_once=at_once, worth=0.0)
+    alone = 1e-9 * (len(pairs) % at_once)  # one left over comes first, alone: it then has both cores to itself
+    made = side_by_side(judged, range(len(pairs)), pairs, at_once=at_once, worth=alone)
     responses, rows = zip(*made, strict=True)
     diagnosis = Diagnosis(recording=recording.manifest.title, responses=responses, notes=(*short.notes, *notes))
     return derived.named_by_source(diagnosis, source), list(rows)

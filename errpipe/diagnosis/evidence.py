@@ -21,9 +21,11 @@ from typing import Any
 import numpy as np
 
 from errpipe.diagnosis.coloured import USUAL, Colour, recolour, whiten
+from errpipe.fitting.side_by_side import side_by_side
 from errpipe.kernels import evidence, noise
 
 AT_ONCE = 64  # columns filtered together
+WORTH = 2e-3  # s of one fold's products, from which those of the others are formed in two threads
 MIN_TEXTBOOK_SHARE = 0.25  # threshold: below this share of its textbook form a hypothesis is penalised,
 MAX_TEXTBOOK_PENALTY = 60.0  # up to this log Bayes factor at a share of 0
 SIZES = np.geomspace(0.15, 600.0, 14)  # sizes tried, in units of the noise
@@ -88,10 +90,14 @@ class Table:
 
     def _between(self, index: np.ndarray, others: slice) -> np.ndarray:
         """Products of some columns with others, fold by fold and over all rows, shape (folds + 1, k, others)."""
-        W, W_others = self.W[:, index], self.W[:, others]
+        W, W_others = self.W, self.W[:, others]
         out = np.zeros((len(self.rows) + 1, index.size, W_others.shape[1]))
-        for first, last, f in self.stretches if index.size else ():
-            out[f] += W[first:last].T @ W_others[first:last]
+
+        def of_fold(f: int) -> None:
+            for first, last in ((a, b) for a, b, of in self.stretches if of == f):
+                out[f] += W[first:last, index].T @ W_others[first:last]
+
+        side_by_side(of_fold, range(len(self.rows)), worth=WORTH)
         out[-1] = out[:-1].sum(axis=0)
         return out
 
@@ -308,20 +314,8 @@ class Scene:
         used, where = listed.used(which)
         cross = self.with_active(used)
         seen = evidence.project_out(self.chol, cross, self.half, self.Zy_all[used])
-        return evidence.scores(
-            which,
-            where,
-            listed.starts,
-            listed.freedom,
-            listed.cores,
-            listed.places,
-            listed.blocks(self.data),
-            cross,
-            seen,
-            self.Q,
-            float(rows or self.n),
-            SIZES,
-        )
+        of_each = listed.starts, listed.freedom, listed.cores, listed.places, listed.blocks(self.data)
+        return evidence.scores(which, where, *of_each, cross, seen, self.Q, float(rows or self.n), SIZES)
 
 
 def with_known_size(S: Any, s: Any, value: Any, sd: Any, spare: Any, rows: float) -> Any:

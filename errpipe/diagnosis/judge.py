@@ -94,12 +94,8 @@ def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress
     outlying = _isolated_outliers(residual(case))
     if not outlying.any() or outlying.mean() > 0.03:
         return case
-    kept = replace(
-        pair,
-        rows=pair.rows[~outlying],
-        mismatch=pair.mismatch[~outlying],
-        outliers=np.sort(np.r_[pair.outliers, pair.rows[outlying]]),
-    )
+    aside = np.sort(np.r_[pair.outliers, pair.rows[outlying]])
+    kept = replace(pair, rows=pair.rows[~outlying], mismatch=pair.mismatch[~outlying], outliers=aside)
     del case  # frees one table of products before the next is built
     return _judge(raw, conditioned, kept, progress)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,7 +63,9 @@ class Late:
         """On every row, shape (rows,); straight between rows, held before the first of a session; NaN where u is."""
         t, session, u = recording.time(), sessions(recording), self.signal(recording)
         before, known = np.full(u.shape, np.nan), np.flatnonzero(np.isfinite(u))
-        for inside in np.split(known, np.flatnonzero(np.diff(session[known])) + 1):
+        edges = np.r_[0, np.flatnonzero(np.diff(session[known])) + 1, known.size]
+        for first_row, last_row in itertools.pairwise(edges):
+            inside = known[first_row:last_row]
             if inside.size > 1:
                 own, values = t[inside], u[inside]
                 at, first = (own, slice(None)) if np.all(own[1:] > own[:-1]) else np.unique(own, return_index=True)

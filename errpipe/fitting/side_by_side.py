@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from functools import partial
@@ -16,6 +17,9 @@ from typing import Any, TypeVar
 AT_ONCE = 2  # pieces: what they leave to Python's lock keeps no more cores busy
 WORTH = 0.05  # s of the first piece, below which handing over between threads costs as much as it brings
 
+AHEAD = 2  # results made before they are asked for, by one other thread: more would only hold memory
+
+S = TypeVar("S")
 T = TypeVar("T")
 _inside: ContextVar[bool] = ContextVar("inside_side_by_side", default=False)
 
@@ -46,6 +50,27 @@ def side_by_side(
                 pool.shutdown(wait=False, cancel_futures=True)
     finally:
         _inside.reset(token)
+
+
+def ahead(work: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
+    """`work` of each item, in order: a few are made ahead in another thread while the caller is busy with those before.
+
+    For results that are too large to be held all at once. Within `side_by_side`, or on one core, one after the other.
+    """
+    if _inside.get() or (os.cpu_count() or 1) < 2:
+        yield from map(work, items)
+        return
+    waiting: deque[Future[T]] = deque()
+    with ThreadPoolExecutor(1) as pool:
+        try:
+            for item in items:
+                waiting.append(pool.submit(copy_context().run, work, item))
+                if len(waiting) > AHEAD:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 class WhileAnyInside:

@@ -12,6 +12,7 @@ import numpy as np
 
 from errpipe.domain.error_model import Validity
 from errpipe.domain.recording import Recording
+from errpipe.errors import MissingColumn, did_you_mean
 
 MARGIN = 0.5  # of a range: distance over which a table fades out (chosen, not measured)
 LEAST_MARGIN = {"temperature": 2.0}  # K
@@ -42,14 +43,20 @@ def _margin(role: str, ends: tuple[float, float]) -> float:
 
 
 def extended(validity: Validity, earlier: Mapping[str, tuple[float, float]], recording: Recording) -> Validity:
-    """The box out to the ranges of an earlier model of the machine; `seen` keeps what the rows themselves covered."""
+    """The box out to the ranges of an earlier model of the machine; `seen` keeps what the rows themselves covered.
+
+    Raises MissingColumn where `earlier` names what is no column of the recording.
+    """
+    columns = recording.manifest.columns
+    for name in earlier:
+        if name not in columns:
+            raise MissingColumn(f"also_valid: the recording has no column {name}.{did_you_mean(name, columns)}")
     wider = {
         n: (min(low, earlier[n][0]), max(high, earlier[n][1]))
         for n, (low, high) in validity.ranges.items()
         if n in earlier
     }
     wider = {n: ends for n, ends in wider.items() if ends != validity.ranges[n]}
-    columns = recording.manifest.columns
     return validity.model_copy(
         update={
             "ranges": validity.ranges | wider,

@@ -25,7 +25,7 @@ from errpipe.domain import units
 from errpipe.domain.batch import Batch
 from errpipe.domain.recording import Manifest, Past, Recording
 from errpipe.domain.written_manifest import WrittenManifest
-from errpipe.errors import DataError
+from errpipe.errors import ConfigError, DataError
 from errpipe.formats import _derived, _tables
 from errpipe.formats._magnitude import refuse_impossible
 from errpipe.formats._manifest_text import flow as flow
@@ -61,13 +61,18 @@ def load_manifest(path: Path) -> Manifest:
     file = Path(path) / MANIFEST if Path(path).is_dir() else Path(path)
     if file.is_file() and file.suffix.lower() not in (".yaml", ".yml"):
         raise DataError(f"{file}: no recording, which is a folder (errpipe import {file} --out FOLDER makes one)")
-    return Manifest.model_validate(_written_manifest(yamlfile.text_of(file), str(file)).model_dump())
+    text = yamlfile.text_of(file)
+    try:
+        written = _written_manifest(text)
+    except ConfigError:  # once more, for messages with the file's name
+        written = yamlfile.parse(text, str(file)).validate(WrittenManifest)
+    return Manifest.model_validate(written.model_dump())
 
 
 @lru_cache(maxsize=16)
-def _written_manifest(text: str, file: str) -> WrittenManifest:
-    """A manifest's text, checked: stages ask for the same one ten times in a run."""
-    return yamlfile.parse(text, file).validate(WrittenManifest)
+def _written_manifest(text: str) -> WrittenManifest:
+    """A manifest's text, checked: stages ask for the same one ten times in a run, and a fleet's machines share it."""
+    return yamlfile.parse(text).validate(WrittenManifest)
 
 
 def read(path: Path, options: Any = None) -> Recording:

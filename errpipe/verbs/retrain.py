@@ -14,7 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 from errpipe import jsonfile
 from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Recording
-from errpipe.errors import DataError, ErrpipeError, GateError, UsageError, VerifyError
+from errpipe.errors import DataError, ErrpipeError, GateError, MissingColumn, UsageError, VerifyError
 from errpipe.fitting.validity import as_in_a_table, fading
 from errpipe.formats.manifest_folder import MANIFEST
 from errpipe.pipeline import runner
@@ -77,8 +77,13 @@ def _decided(
     old_model, old_recording, fingerprint = _champion(pipeline, champion)
     earlier = _earlier_document(out / DOCUMENT)
     kept_from, dates = _since(earlier, fingerprint)
-    refused, since, on_all = _run(_also_valid(pipeline, old_model, old_recording), out, dates, callbacks)
-    recording = _artefacts.recording_in(out / RUN / _last_stage_with(pipeline, "recording"))
+    cleaned = out / RUN / _last_stage_with(pipeline, "recording")
+    try:
+        refused, since, on_all = _run(_also_valid(pipeline, old_model, old_recording), out, dates, callbacks)
+    except MissingColumn:  # of the champion's `also_valid`: a recording of another machine
+        _same_machine(champion, old_model, old_recording, _artefacts.recording_in(cleaned))
+        raise
+    recording = _artefacts.recording_in(cleaned)
     _same_machine(champion, old_model, old_recording, recording)
     if on_all and _no_longer_kept(dates[0], old_recording, recording):
         on_all = ""

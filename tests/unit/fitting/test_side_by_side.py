@@ -11,7 +11,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from errpipe.fitting import side_by_side as module
-from errpipe.fitting.side_by_side import no_warnings, side_by_side
+from errpipe.fitting.side_by_side import ahead, no_warnings, side_by_side
 from errpipe.fitting.solve import one_thread
 
 
@@ -39,6 +39,25 @@ def test_short_pieces_and_pieces_of_pieces_stay_in_their_thread(monkeypatch: pyt
     assert len(set.union(*side_by_side(lambda _: {threading.current_thread().name}, range(9)))) == 1
     for inner in side_by_side(names, range(4), worth=0.0):
         assert len(inner) == 1 and threading.main_thread().name not in inner
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+def test_what_is_made_ahead_comes_in_order_and_few_results_wait(cores: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module.os, "cpu_count", lambda: cores)
+    begun: list[int] = []
+
+    def slow(k: int) -> int:
+        begun.append(k)
+        time.sleep(0.01 if k % 2 else 0.0)
+        if k == 30:
+            raise ValueError(k)
+        return k
+
+    for n, k in enumerate(ahead(slow, range(20))):
+        assert k == n and len(begun) <= n + module.AHEAD + 2
+    with pytest.raises(ValueError, match="30"):
+        list(ahead(slow, range(100)))
+    assert max(begun) <= 30 + module.AHEAD
 
 
 def test_a_thread_that_leaves_does_not_lift_the_limit_for_one_that_is_still_inside() -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.errors import MissingColumn
 from errpipe.fitting.validity import as_in_a_table, box, distance, extended
 
 KINDS = {"x": Column(role="position", axis="X", unit="mm"), "T": Column(role="temperature", unit="degC")}
@@ -19,11 +21,13 @@ def readings(temperatures: list[float]) -> Recording:
 def test_a_box_goes_out_to_where_an_earlier_model_held_and_distances_count_from_what_was_seen() -> None:
     few = readings(np.linspace(20.0, 24.0, 200).tolist())
     own = box(few, ["x", "T"], np.full(200, True))
-    wide = extended(own, {"T": (10.0, 22.0), "P": (0.0, 1.0)}, few)
+    wide = extended(own, {"T": (10.0, 22.0)}, few)
     assert wide.ranges["T"] == (10.0, 24.0) and wide.margins["T"] == 7.0 and wide.seen == {"T": (20.0, 24.0)}
     assert wide.ranges["x"] == own.ranges["x"]
     assert distance(wide, readings([16.0])) == distance(wide.model_copy(update={"seen": {}}), readings([16.0])) + 4 / 7
     assert extended(own, {"T": (21.0, 23.0)}, few) == own
+    with pytest.raises(MissingColumn, match=r"also_valid: the recording has no column T_bed. Did you mean T_bad\?"):
+        extended(own, {"T_bed": (10.0, 22.0)}, few.with_columns({"T_bad": few.array("T")}, {"T_bad": KINDS["T"]}))
 
 
 def test_readings_outside_are_held_at_the_end_and_fade_as_a_table_does() -> None:
