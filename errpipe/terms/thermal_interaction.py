@@ -11,6 +11,7 @@ from pydantic import Field
 from errpipe.domain.components import is_deviation
 from errpipe.domain.driver import Product
 from errpipe.domain.recording import Recording
+from errpipe.drivers.sessions import sessions
 from errpipe.terms._base import Parameter
 from errpipe.terms._driven import Driven
 from errpipe.terms._fields import Reference
@@ -59,5 +60,11 @@ class ThermalInteraction(Driven):
 
     @classmethod
     def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[ThermalInteraction]:
-        """Rises are counted from the start of each session: what the absolute ones add are sums of the two."""
-        return (term.model_copy(update={"reference": None}) for term in cls.bind(recording, component))
+        """Rises over the start of each session, and of several over one value for all, as no body is reset overnight.
+
+        What other values would add are sums of the two rises.
+        """
+        starts = [values[np.isfinite(values)][0] for values in map(recording.array, sensors(recording))]
+        one = float(np.median(starts)) if starts else REFERENCE
+        for reference in (None, one) if np.ptp(sessions(recording)) > 0 else (None,):
+            yield from (t.model_copy(update={"reference": reference}) for t in cls.bind(recording, component))
