@@ -9,7 +9,7 @@ from dataclasses import fields, replace
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from errpipe.diagnosis import admit, gains, holdout, hypotheses, model, partial, plausible, recalibration
+from errpipe.diagnosis import admit, gains, holdout, hypotheses, model, partial, plausible, recalibration, unnamed
 from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis.case import Case, SetUp, chosen_of, residual
 from errpipe.diagnosis.coloured import USUAL, correlation_time
@@ -174,9 +174,9 @@ def _found_by_folds(made: SetUp, case: Case) -> Case:
     made.prior = np.r_[prior, made.prior[prior.size :]]  # points of the grid may have joined
     case.search.prior = np.r_[case.search.prior, made.prior[case.search.prior.size :]]
     lost = case.search.joint(case.chosen()) - one.search.joint(one.chosen()) if one.chosen() else np.inf
-    if lost > UNSTABLE:
-        return case
     one.search.prior = made.prior
+    if lost > UNSTABLE or unnamed.departs(one, _held(one)):  # another form than its name's stands for nothing
+        return case
     return one
 
 
