@@ -34,7 +34,8 @@ OUTLIER_ROWS = 1000  # of more rows the limit is where normal noise has as few b
 HARMFUL = 1.02  # threshold: rms on held-out rows, over that without findings
 PROVES = 0.3  # threshold: the same, below which the findings are no slow noise (nine tenths of the variance)
 NEARLY = 5.0  # log Bayes factor that an explanation with significant sizes may lose against one without
-UNSTABLE = 20.0  # and what most folds find may lose against two names that few of them find
+UNSTABLE = 20.0  # and what folds find or bear out may lose against names that they do not
+ALTERNATIVES = 30  # of these that many are compared on held-out rows, where these do not bear a part out
 RETRIES = 4  # further searches, each without the findings ruled out before
 WEAK = 50.0  # threshold: log Bayes factor of the strongest name, below which folds must bear out one of the names
 SESSION_DATUM_PRICE = 10.0  # threshold: log Bayes factor for a datum of each session
@@ -45,16 +46,15 @@ def _with_parts(search: Search, explanation: Explanation, conditioned, rows) -> 
     if not partial.add_parts(search, conditioned, rows, explanation.alone):
         return explanation
     in_part = search.explain()
-    if not in_part.accepted:
-        return explanation
-    search.sigma = max(search.scene([(f.index, f.size) for f in in_part.accepted]).rms(), 1e-9)
-    return in_part
+    if in_part.accepted:
+        search.sigma = max(search.scene(chosen_of(in_part)).rms(), 1e-9)
+    return in_part if in_part.accepted else explanation
 
 
 def _explains_share(search: Search, explanation: Explanation, noise_estimate: float, share: float = 0.88) -> bool:
     """Does the explanation reach this share of the variance that is neither noise nor recalibration?"""
     noise, base = 1.2 * noise_estimate, search.scene([]).rms()
-    residual_rms = search.scene([(f.index, f.size) for f in explanation.accepted]).rms()
+    residual_rms = search.scene(chosen_of(explanation)).rms()
     return bool(explanation.accepted) and residual_rms**2 - noise**2 < (1 - share) * (base**2 - noise**2)
 
 
@@ -154,11 +154,11 @@ def _isolated_outliers(left: np.ndarray) -> np.ndarray:
 
 def _possible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     """The best explanation of a response without findings that cannot be true; of those of the search."""
-    case = _found_by_folds(made, _without_impossible(made, search, *explanations))
+    case = _borne_out(made, _found_by_folds(made, _without_impossible(made, search, *explanations)))
     made.taken_back = (
         rounded(case) or (only_noise(case) and not _held(case).predicts_whole_runs()) or not _found_again(case)
     )
-    return _nothing_named(made) if made.taken_back else case
+    return _among(made, False) if made.taken_back else case
 
 
 def _found_by_folds(made: SetUp, case: Case) -> Case:
@@ -168,16 +168,39 @@ def _found_by_folds(made: SetUp, case: Case) -> Case:
     """
     if made.plain or len(case.chosen()) < 2 or max(_held(case).agreement) >= holdout.AGAIN or not case.held.often:
         return case
-    prior = made.prior
-    made.prior = np.where([h.effect in case.held.often for h in made.library.hypotheses], prior, NEVER)
-    one = _explained(made, *_settled(made))
-    made.prior = np.r_[prior, made.prior[prior.size :]]  # points of the grid may have joined
-    case.search.prior = np.r_[case.search.prior, made.prior[case.search.prior.size :]]
-    lost = case.search.joint(case.chosen()) - one.search.joint(one.chosen()) if one.chosen() else np.inf
-    one.search.prior = made.prior
-    if lost > UNSTABLE or unnamed.departs(one, _held(one)):  # another form than its name's stands for nothing
+    found = np.array([h.effect in case.held.often for h in made.library.hypotheses])
+    return _instead(made, case, found, lambda one: not unnamed.departs(one, _held(one)))
+
+
+def _borne_out(made: SetUp, case: Case) -> Case:
+    """The case, or of what is nearly as likely what held-out rows bear out best, where they do not bear a part out.
+
+    An effect may act in part by several columns that fit all rows alike, on stretches that differ a little.
+    """
+    if not any(f.hypothesis.mask for f in case.explanation.accepted) or _found_again(case):
         return case
-    return one
+    search, judged = case.search, case.judged()
+    scored = search.score([])
+    gain = scored.gain + search.prior
+    near = [k for k in search.best_of_each(gain, ALTERNATIVES) if gain[k] > gain.max() - UNSTABLE]
+    best = min(near, key=lambda k: judged.of_explanation(search, [(k, float(scored.size[k]))]))
+    return _instead(made, case, np.arange(gain.size) == best, _found_again)
+
+
+def _instead(made: SetUp, case: Case, among: np.ndarray, stands: Callable[[Case], bool]) -> Case:
+    """The best explanation among some hypotheses, if it is nearly as likely as the case and stands, else the case."""
+    one = _among(made, among)
+    case.search.prior = np.r_[case.search.prior, made.prior[case.search.prior.size :]]
+    close = one.chosen() and case.search.joint(case.chosen()) - one.search.joint(one.chosen()) <= UNSTABLE
+    return one if close and stands(one) else case
+
+
+def _among(made: SetUp, among: np.ndarray | bool) -> Case:
+    """The best explanation among some hypotheses, shape (hypotheses,); what else could be named stays known."""
+    prior, made.prior = made.prior, np.where(among, made.prior, NEVER)
+    case = _explained(made, *_settled(made))
+    case.search.prior = made.prior = np.r_[prior, made.prior[prior.size :]]  # points of the grid may have joined
+    return case
 
 
 def _held(case: Case) -> holdout.HeldOut:
@@ -192,14 +215,6 @@ def _found_again(case: Case) -> bool:
     return not case.chosen() or strong or _held(case).confirms(gain, case.search.rows or case.run.size)
 
 
-def _nothing_named(made: SetUp) -> Case:
-    """The case without any name; what the search could have named stays known, for the significance of its best."""
-    prior, made.prior = made.prior, np.full(made.prior.size, NEVER)
-    case = _explained(made, *_settled(made))
-    case.search.prior = made.prior = np.r_[prior, made.prior[prior.size :]]
-    return case
-
-
 def _without_impossible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     """The best explanation without what cannot be true, and where one is close, without what has no size."""
     case = _explained(made, search, *explanations)
@@ -209,9 +224,9 @@ def _without_impossible(made: SetUp, search: Search, *explanations: Explanation)
             break
         case = _without(made, out[-1])  # the weakest: the others may be impossible only beside it
     else:
-        case = _nothing_named(made)  # no effect is accepted in their place either
+        case = _among(made, False)  # no effect is accepted in their place either
     for m in plausible.doubtful(case)[:1]:
-        prior = made.prior.copy()
+        prior = made.prior
         other = _without(made, m)
         joint = [c.search.joint(c.chosen()) for c in (other, case)]
         whole = [c.search.evidence(c.chosen()) - MISSING * len(c.chosen()) for c in (other, case)]
@@ -225,10 +240,8 @@ def _without_impossible(made: SetUp, search: Search, *explanations: Explanation)
 
 def _without(made: SetUp, m: model.Modelled) -> Case:
     """The best explanation without a finding, by whatever value of its non-linear parameters."""
-    made.prior = made.prior.copy()  # searches made before keep their own
-    for i, h in enumerate(made.library.hypotheses):
-        if (h.effect, h.drivers) == (m.hypothesis.effect, m.hypothesis.drivers):
-            made.prior[i] = NEVER
+    own = [(h.effect, h.drivers) == (m.hypothesis.effect, m.hypothesis.drivers) for h in made.library.hypotheses]
+    made.prior = np.where(own, NEVER, made.prior)  # searches made before keep their own
     return _explained(made, *_settled(made))
 
 
@@ -342,7 +355,7 @@ def favours_session_datums(
     """
     nuisances = [nuisance.plus(each_datum.index, each_datum.sd), nuisance]
     both = [settled(library, data, n, prior, noise_estimate) for n in nuisances]
-    scenes = [s.scene([(f.index, f.size) for f in e.accepted]) for s, e in both]
+    scenes = [s.scene(chosen_of(e)) for s, e in both]
     worth = max(run.size / correlation_time(scenes[0].residual(), run), 30.0)
     with_each, with_one = (
         scene.evidence(worth) + sum(float(prior[f.index]) - MORE for f in e.accepted)
