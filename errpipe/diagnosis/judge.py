@@ -34,8 +34,7 @@ OUTLIER_ROWS = 1000  # of more rows the limit is where normal noise has as few b
 HARMFUL = 1.02  # threshold: rms on held-out rows, over that without findings
 PROVES = 0.3  # threshold: the same, below which the findings are no slow noise (nine tenths of the variance)
 NEARLY = 5.0  # log Bayes factor that an explanation with significant sizes may lose against one without
-UNSTABLE = 20.0  # and what folds find or bear out may lose against names that they do not
-ALTERNATIVES = 30  # of these that many are compared on held-out rows, where these do not bear a part out
+UNSTABLE = 20.0  # and what most folds find may lose against two names that few of them find
 RETRIES = 4  # further searches, each without the findings ruled out before
 WEAK = 50.0  # threshold: log Bayes factor of the strongest name, below which folds must bear out one of the names
 SESSION_DATUM_PRICE = 10.0  # threshold: log Bayes factor for a datum of each session
@@ -154,7 +153,7 @@ def _isolated_outliers(left: np.ndarray) -> np.ndarray:
 
 def _possible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     """The best explanation of a response without findings that cannot be true; of those of the search."""
-    case = _borne_out(made, _found_by_folds(made, _without_impossible(made, search, *explanations)))
+    case = _found_by_folds(made, _without_impossible(made, search, *explanations))
     made.taken_back = (
         rounded(case) or (only_noise(case) and not _held(case).predicts_whole_runs()) or not _found_again(case)
     )
@@ -164,35 +163,14 @@ def _possible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
 def _found_by_folds(made: SetUp, case: Case) -> Case:
     """The case, or what most folds find in the place of two names that few of them find, if it is nearly as likely.
 
-    Two look-alikes may fit all rows better than the one effect that they stand for.
+    Two look-alikes may fit all rows better than the one effect that they stand for, if these are in its own form.
     """
     if made.plain or len(case.chosen()) < 2 or max(_held(case).agreement) >= holdout.AGAIN or not case.held.often:
         return case
-    found = np.array([h.effect in case.held.often for h in made.library.hypotheses])
-    return _instead(made, case, found, lambda one: not unnamed.departs(one, _held(one)))
-
-
-def _borne_out(made: SetUp, case: Case) -> Case:
-    """The case, or of what is nearly as likely what held-out rows bear out best, where they do not bear a part out.
-
-    An effect may act in part by several columns that fit all rows alike, on stretches that differ a little.
-    """
-    if not any(f.hypothesis.mask for f in case.explanation.accepted) or _found_again(case):
-        return case
-    search, judged = case.search, case.judged()
-    scored = search.score([])
-    gain = scored.gain + search.prior
-    near = [k for k in search.best_of_each(gain, ALTERNATIVES) if gain[k] > gain.max() - UNSTABLE]
-    best = min(near, key=lambda k: judged.of_explanation(search, [(k, float(scored.size[k]))]))
-    return _instead(made, case, np.arange(gain.size) == best, _found_again)
-
-
-def _instead(made: SetUp, case: Case, among: np.ndarray, stands: Callable[[Case], bool]) -> Case:
-    """The best explanation among some hypotheses, if it is nearly as likely as the case and stands, else the case."""
-    one = _among(made, among)
+    one = _among(made, np.array([h.effect in case.held.often for h in made.library.hypotheses]))
     case.search.prior = np.r_[case.search.prior, made.prior[case.search.prior.size :]]
     close = one.chosen() and case.search.joint(case.chosen()) - one.search.joint(one.chosen()) <= UNSTABLE
-    return one if close and stands(one) else case
+    return one if close and not unnamed.departs(one, _held(one)) else case
 
 
 def _among(made: SetUp, among: np.ndarray | bool) -> Case:

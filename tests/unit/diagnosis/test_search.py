@@ -141,26 +141,3 @@ def test_what_most_folds_find_stands_in_the_place_of_two_look_alikes(monkeypatch
     if seen:
         assert seen[0].tolist() == [0.0, NEVER, NEVER]
         assert made.prior.tolist() == two.search.prior.tolist() == [0.0, 0.0, 0.0, 0.0]
-
-
-@pytest.mark.parametrize(("gains", "stands"), [((495.0, 485.0, 480.0), 2), ((495.0, 485.0, 470.0), 0)])
-def test_of_parts_that_are_as_likely_one_that_held_out_rows_bear_out_stands(monkeypatch, gains, stands):
-    """A fluid against a bearing's temperature on one stretch fits as well as against the room's on the next one."""
-    known = [SimpleNamespace(effect="coolant_effect", drivers=(d,), mask=("range", "t", 0.0, 1.0)) for d in "abc"]
-    made = SimpleNamespace(library=SimpleNamespace(hypotheses=known), prior=np.zeros(3))
-
-    def case(k):
-        search = SimpleNamespace(prior=np.zeros(3), joint=lambda chosen: gains[k])
-        search.score = lambda chosen: SimpleNamespace(gain=np.array(gains), size=np.ones(3))
-        search.best_of_each = lambda gain, most: np.argsort(-gain).tolist()
-        found = SimpleNamespace(accepted=(SimpleNamespace(hypothesis=known[k]),))
-        judged = SimpleNamespace(of_explanation=lambda search, way: (1.0, 2.0, 0.1)[way[0][0]])
-        return SimpleNamespace(
-            chosen=lambda: [(k, 1.0)], search=search, explanation=found, judged=lambda: judged, named=k
-        )
-
-    monkeypatch.setattr(judge, "_found_again", lambda case: case.named == 2)
-    monkeypatch.setattr(judge, "_settled", lambda made: (int(np.argmax(made.prior)),))
-    monkeypatch.setattr(judge, "_explained", lambda made, k: case(k))
-    assert judge._borne_out(made, case(0)).named == stands
-    assert made.prior.tolist() == [0.0, 0.0, 0.0]
