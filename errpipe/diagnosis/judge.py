@@ -9,7 +9,7 @@ from dataclasses import fields, replace
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from errpipe.diagnosis import admit, gains, holdout, hypotheses, model, partial, plausible, recalibration
+from errpipe.diagnosis import admit, gains, holdout, hypotheses, model, partial, plausible, recalibration, unnamed
 from errpipe.diagnosis import decompose as parts
 from errpipe.diagnosis.case import Case, SetUp, chosen_of, residual
 from errpipe.diagnosis.coloured import USUAL, correlation_time
@@ -45,16 +45,15 @@ def _with_parts(search: Search, explanation: Explanation, conditioned, rows) -> 
     if not partial.add_parts(search, conditioned, rows, explanation.alone):
         return explanation
     in_part = search.explain()
-    if not in_part.accepted:
-        return explanation
-    search.sigma = max(search.scene([(f.index, f.size) for f in in_part.accepted]).rms(), 1e-9)
-    return in_part
+    if in_part.accepted:
+        search.sigma = max(search.scene(chosen_of(in_part)).rms(), 1e-9)
+    return in_part if in_part.accepted else explanation
 
 
 def _explains_share(search: Search, explanation: Explanation, noise_estimate: float, share: float = 0.88) -> bool:
     """Does the explanation reach this share of the variance that is neither noise nor recalibration?"""
     noise, base = 1.2 * noise_estimate, search.scene([]).rms()
-    residual_rms = search.scene([(f.index, f.size) for f in explanation.accepted]).rms()
+    residual_rms = search.scene(chosen_of(explanation)).rms()
     return bool(explanation.accepted) and residual_rms**2 - noise**2 < (1 - share) * (base**2 - noise**2)
 
 
@@ -154,26 +153,28 @@ def _possible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     made.taken_back = (
         rounded(case) or (only_noise(case) and not _held(case).predicts_whole_runs()) or not _found_again(case)
     )
-    return _nothing_named(made) if made.taken_back else case
+    return _among(made, False) if made.taken_back else case
 
 
 def _found_by_folds(made: SetUp, case: Case) -> Case:
     """The case, or what most folds find in the place of two names that few of them find, if it is nearly as likely.
 
-    Two look-alikes may fit all rows better than the one effect that they stand for.
+    Two look-alikes may fit all rows better than the one effect that they stand for, if these are in its own form.
     """
     if made.plain or len(case.chosen()) < 2 or max(_held(case).agreement) >= holdout.AGAIN or not case.held.often:
         return case
-    prior = made.prior
-    made.prior = np.where([h.effect in case.held.often for h in made.library.hypotheses], prior, NEVER)
-    one = _explained(made, *_settled(made))
-    made.prior = np.r_[prior, made.prior[prior.size :]]  # points of the grid may have joined
+    one = _among(made, np.array([h.effect in case.held.often for h in made.library.hypotheses]))
     case.search.prior = np.r_[case.search.prior, made.prior[case.search.prior.size :]]
-    lost = case.search.joint(case.chosen()) - one.search.joint(one.chosen()) if one.chosen() else np.inf
-    if lost > UNSTABLE:
-        return case
-    one.search.prior = made.prior
-    return one
+    close = one.chosen() and case.search.joint(case.chosen()) - one.search.joint(one.chosen()) <= UNSTABLE
+    return one if close and not unnamed.departs(one, _held(one)) else case
+
+
+def _among(made: SetUp, among: np.ndarray | bool) -> Case:
+    """The best explanation among some hypotheses, shape (hypotheses,); what else could be named stays known."""
+    prior, made.prior = made.prior, np.where(among, made.prior, NEVER)
+    case = _explained(made, *_settled(made))
+    case.search.prior = made.prior = np.r_[prior, made.prior[prior.size :]]  # points of the grid may have joined
+    return case
 
 
 def _held(case: Case) -> holdout.HeldOut:
@@ -188,14 +189,6 @@ def _found_again(case: Case) -> bool:
     return not case.chosen() or strong or _held(case).confirms(gain, case.search.rows or case.run.size)
 
 
-def _nothing_named(made: SetUp) -> Case:
-    """The case without any name; what the search could have named stays known, for the significance of its best."""
-    prior, made.prior = made.prior, np.full(made.prior.size, NEVER)
-    case = _explained(made, *_settled(made))
-    case.search.prior = made.prior = np.r_[prior, made.prior[prior.size :]]
-    return case
-
-
 def _without_impossible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     """The best explanation without what cannot be true, and where one is close, without what has no size."""
     case = _explained(made, search, *explanations)
@@ -205,9 +198,9 @@ def _without_impossible(made: SetUp, search: Search, *explanations: Explanation)
             break
         case = _without(made, out[-1])  # the weakest: the others may be impossible only beside it
     else:
-        case = _nothing_named(made)  # no effect is accepted in their place either
+        case = _among(made, False)  # no effect is accepted in their place either
     for m in plausible.doubtful(case)[:1]:
-        prior = made.prior.copy()
+        prior = made.prior
         other = _without(made, m)
         joint = [c.search.joint(c.chosen()) for c in (other, case)]
         whole = [c.search.evidence(c.chosen()) - MISSING * len(c.chosen()) for c in (other, case)]
@@ -221,10 +214,8 @@ def _without_impossible(made: SetUp, search: Search, *explanations: Explanation)
 
 def _without(made: SetUp, m: model.Modelled) -> Case:
     """The best explanation without a finding, by whatever value of its non-linear parameters."""
-    made.prior = made.prior.copy()  # searches made before keep their own
-    for i, h in enumerate(made.library.hypotheses):
-        if (h.effect, h.drivers) == (m.hypothesis.effect, m.hypothesis.drivers):
-            made.prior[i] = NEVER
+    own = [(h.effect, h.drivers) == (m.hypothesis.effect, m.hypothesis.drivers) for h in made.library.hypotheses]
+    made.prior = np.where(own, NEVER, made.prior)  # searches made before keep their own
     return _explained(made, *_settled(made))
 
 
@@ -338,7 +329,7 @@ def favours_session_datums(
     """
     nuisances = [nuisance.plus(each_datum.index, each_datum.sd), nuisance]
     both = [settled(library, data, n, prior, noise_estimate) for n in nuisances]
-    scenes = [s.scene([(f.index, f.size) for f in e.accepted]) for s, e in both]
+    scenes = [s.scene(chosen_of(e)) for s, e in both]
     worth = max(run.size / correlation_time(scenes[0].residual(), run), 30.0)
     with_each, with_one = (
         scene.evidence(worth) + sum(float(prior[f.index]) - MORE for f in e.accepted)

@@ -209,7 +209,7 @@ def _best_few(search: Search, gain: np.ndarray, leaders: int, each: int = EACH) 
     """The first so many by gain, and the best few of each effect."""
     out: list[int] = []
     count = dict.fromkeys({h.effect for h in search.library.hypotheses}, 0)
-    for index in search.best_of_each_key(gain, gain.size):
+    for index in search.best_of_each(gain, gain.size):
         effect = search.library.hypotheses[index].effect
         if np.isfinite(gain[index]) and (len(out) < leaders or count[effect] < each):
             out.append(index)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -75,7 +75,7 @@ class Search:
         if not alone.size or alone.max() < self.threshold:
             return Explanation((), alone)
         tried: dict[tuple, tuple[float, list[tuple[int, float]]]] = {}
-        firsts = [k for k in self.best_of_each_key(alone, starts) if alone[k] >= 0.3 * alone.max() - 5]
+        firsts = [k for k in self.best_of_each(alone, starts) if alone[k] >= 0.3 * alone.max() - 5]
         self.data.table.know(np.concatenate([self.library.places[k] for k in firsts]))
         for first in firsts:
             chosen, total = self._forward([(first, float(scored.size[first]))], alone[first])
@@ -115,17 +115,10 @@ class Search:
 
     def _instead(self, others: list[tuple[int, float]], given_up: int) -> list[tuple[int, float]]:
         """The best hypotheses beside the others, each effect once, but the one given up."""
-        scored = self.score(others)
-        gain = scored.gain + self.prior
-        effects = {self.library.hypotheses[i].effect for i, _ in others} | {self.library.hypotheses[given_up].effect}
-        out: list[tuple[int, float]] = []
-        for i in np.argsort(-gain):
-            if self.library.hypotheses[i].effect not in effects:
-                effects.add(self.library.hypotheses[i].effect)
-                out.append((int(i), float(scored.size[i])))
-            if len(out) == MAX_EXCHANGES:
-                break
-        return out
+        scored, every = self.score(others), self.library.hypotheses
+        taken = {every[i].effect for i, _ in others} | {every[given_up].effect}
+        best = self.best_of_each(scored.gain + self.prior, MAX_EXCHANGES + len(taken), "effect")
+        return [(i, float(scored.size[i])) for i in best if every[i].effect not in taken][:MAX_EXCHANGES]
 
     def accepted(self, chosen: list[tuple[int, float]]) -> tuple[Accepted, ...]:
         """Findings of a set of hypotheses, strongest first."""
@@ -139,11 +132,8 @@ class Search:
         """Other effects in the place of finding k: (effect, log Bayes factor by which it loses, hypothesis)."""
         others = [(f.index, f.size) for j, f in enumerate(accepted) if j != k]
         gain = self.score(others).gain + self.prior
-        best: dict[str, tuple[float, int]] = {}
-        for i in np.argsort(-gain):
-            effect = self.library.hypotheses[i].effect
-            if effect not in best:
-                best[effect] = (float(gain[i]), int(i))
+        firsts = self.best_of_each(gain, gain.size, "effect")
+        best = {self.library.hypotheses[i].effect: (float(gain[i]), i) for i in firsts}
         own = max(best.pop(accepted[k].hypothesis.effect)[0], accepted[k].gain)
         return [(e, own - g, i) for e, (g, i) in best.items()]
 
@@ -216,17 +206,14 @@ class Search:
             size[known] = unit / self.sigma
         return Scores(gain, size)
 
-    def best_of_each_key(self, gain: np.ndarray, most: int) -> list[int]:
-        """The best point of each key, best first."""
-        out, keys = [], set()
+    def best_of_each(self, gain: np.ndarray, most: int, what: Literal["key", "effect"] = "key") -> list[int]:
+        """The best hypothesis of each key or effect, best first."""
+        best: dict[Any, int] = {}
         for i in np.argsort(-gain):
-            key = self.library.hypotheses[i].key
-            if key not in keys:
-                keys.add(key)
-                out.append(int(i))
-            if len(out) == most:
+            if len(best) == most:
                 break
-        return out
+            best.setdefault(getattr(self.library.hypotheses[i], what), int(i))
+        return list(best.values())
 
     def _forward(self, chosen, total):
         chosen = list(chosen)

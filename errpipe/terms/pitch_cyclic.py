@@ -79,7 +79,7 @@ class PitchCyclic(Term):
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         if not self.radial:
-            alone = not self.fixed and len(self.orders) == 1
+            alone = len(self.orders) == 1
             yield from waves.slack(base, position(recording, self.axis), nonlinear[0], alone)
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:

@@ -11,10 +11,11 @@ from pydantic import Field
 from errpipe.domain.components import is_deviation
 from errpipe.domain.driver import Product
 from errpipe.domain.recording import Recording
+from errpipe.drivers.sessions import sessions
 from errpipe.terms._base import Parameter
 from errpipe.terms._driven import Driven
 from errpipe.terms._fields import Reference
-from errpipe.terms._slack import Slack
+from errpipe.terms._slack import MANY_STARTS, Slack
 from errpipe.terms._warm import REFERENCE, rise_driver, sensors
 
 
@@ -58,5 +59,12 @@ class ThermalInteraction(Driven):
 
     @classmethod
     def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[ThermalInteraction]:
-        """Rises are counted from the start of each session: what the absolute ones add are sums of the two."""
-        return (term.model_copy(update={"reference": None}) for term in cls.bind(recording, component))
+        """Rises over the start of each session, and of a few over one value for all, as no body is reset overnight.
+
+        What other values would add are sums of the two rises. Of many sessions it would be gains that differ from one
+        to the next, which plays whatever does: a turning centre's 23 mornings.
+        """
+        starts = [values[np.isfinite(values)][0] for values in map(recording.array, sensors(recording))]
+        one = float(np.median(starts)) if starts else REFERENCE
+        for reference in (None, one) if 1 < np.unique(sessions(recording)).size < MANY_STARTS else (None,):
+            yield from (t.model_copy(update={"reference": reference}) for t in cls.bind(recording, component))

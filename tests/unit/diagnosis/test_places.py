@@ -17,12 +17,12 @@ from .machines import recording
 TARGETS = np.array([0.0, 13, 31, 48, 58, 79, 92, 108, 127, 143, 157, 177, 190, 209, 226, 241, 257, 272, 291, 308, 320])
 
 
-def positioning(places: np.ndarray, axis: str, unit: str, component: str, missing, held):
+def positioning(places: np.ndarray, axis: str, unit: str, component: str, missing, held, **known):
     """Five runs there and back; the missing and the simulated deviation as functions of the position."""
     x = np.tile(np.r_[places, places[::-1]], 5)
-    known, run = held(x), np.repeat(np.arange(1, 6), 2 * places.size).astype(str)
-    read = known + missing(x) + 0.4 * np.random.default_rng(5).normal(size=x.size)
-    columns = {"run": run, "t": 10.0 * np.arange(x.size), "p": x, "E": read, "S": known}
+    sim, run = held(x), np.repeat(np.arange(1, 6), 2 * places.size).astype(str)
+    read = sim + missing(x) + 0.4 * np.random.default_rng(5).normal(size=x.size)
+    columns = {"run": run, "t": 10.0 * np.arange(x.size), "p": x, "E": read, "S": sim}
     kinds = {
         "run": {"role": "run"},
         "t": {"role": "time", "unit": "s"},
@@ -30,7 +30,7 @@ def positioning(places: np.ndarray, axis: str, unit: str, component: str, missin
         "E": {"role": "error", "component": component, "unit": "um" if unit == "mm" else "urad"},
         "S": {"role": "simulated", "component": component, "unit": "um" if unit == "mm" else "urad"},
     }
-    constants = {axis: {"role": "axis", "kind": "linear" if unit == "mm" else "rotary", "unit": unit}}
+    constants = {axis: {"role": "axis", "kind": "linear" if unit == "mm" else "rotary", "unit": unit} | known}
     return diagnose(recording(columns, kinds, constants))[0].responses[0]
 
 
@@ -43,6 +43,18 @@ def test_a_wave_of_few_targets_is_named(period):
     assert said.findings[0].effect == "pitch_cyclic" and said.findings[0].confidence > 0.6
     assert 320 / by_name["period"] == pytest.approx(320 / period, abs=0.1)
     assert by_name["amplitude"] == pytest.approx(2.0, rel=0.15)
+
+
+def test_a_wave_with_the_lead_that_is_no_sine_is_named_by_its_lead():
+    """As the second multiple of a wave of two leads it would be a departure from that, and `unknown`."""
+    places = 9.5 * np.arange(43) + np.random.default_rng(7).uniform(-4, 4, 43)  # nearer than two to a turn
+    said = positioning(
+        places, "X", "mm", "EXX", lambda x: 3 * np.sin(0.2 * np.pi * x) + 1.5 * np.sin(0.4 * np.pi * x + 1),
+        lambda x: 0.02 * x, screw_lead=10.0,
+    )  # fmt: skip
+    assert said.findings[0].effect == "pitch_cyclic" and said.findings[0].confidence > 0.8
+    by_name = {p.name: p.value for p in said.findings[0].parameters}
+    assert by_name["amplitude"] == pytest.approx(3.0, rel=0.1) and by_name.get("period", 10.0) == pytest.approx(10.0)
 
 
 def test_a_wave_beside_another_one_that_the_simulation_holds():

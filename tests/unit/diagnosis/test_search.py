@@ -110,10 +110,15 @@ def test_a_drift_with_the_coolant_stands_for_its_flow_only_where_they_are_tied(l
 
 
 @pytest.mark.parametrize(
-    ("joint", "agreement", "taken"), [(490.0, 0.2, True), (470.0, 0.2, False), (490.0, 0.6, False)]
+    ("joint", "agreement", "departs", "taken"),
+    [(490.0, 0.2, False, True), (470.0, 0.2, False, False), (490.0, 0.6, False, False), (490.0, 0.2, True, False)],
 )
-def test_what_most_folds_find_stands_in_the_place_of_two_look_alikes(monkeypatch, joint, agreement, taken):
-    """Feed heating beside an expansion and a drift that few folds find again, nearly as likely together."""
+def test_what_most_folds_find_stands_in_the_place_of_two_look_alikes(monkeypatch, joint, agreement, departs, taken):
+    """Feed heating beside an expansion and a drift that few folds find again, nearly as likely together.
+
+    Not where its own form holds little of it: two effects that are one in a form of its own stay two.
+    """
+    monkeypatch.setattr(judge.unnamed, "departs", lambda case, held: departs)
     effects = ("feed_heating", "scale_expansion", "thermal_drift")
     library = SimpleNamespace(hypotheses=[SimpleNamespace(effect=e) for e in effects])
     made = SimpleNamespace(plain=False, library=library, prior=np.zeros(3))

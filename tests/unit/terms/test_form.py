@@ -11,6 +11,7 @@ from errpipe.terms.feed_heating import FeedHeating
 from errpipe.terms.gravity_sag import GravitySag
 from errpipe.terms.reversal_spike import ReversalSpike
 from errpipe.terms.scale_expansion import ScaleExpansion
+from errpipe.terms.thermal_interaction import ThermalInteraction
 from tests.unit.diagnosis.machines import recording
 
 
@@ -143,3 +144,18 @@ def test_a_screw_is_warmed_by_viscous_friction_where_the_nut_works():
             warm[k] = keep * warm[k - 1] + (1.0 - keep) * heat[k - 1]
         left = warm * x - columns @ np.linalg.lstsq(columns, warm * x, rcond=None)[0]
         assert np.std(left) < 0.05 * np.std(warm * x)
+
+
+def test_a_product_of_rises_may_be_counted_from_one_value_on_two_days():
+    """Bodies are not reset overnight: counted from each morning the square leaves a rise of the second day alone."""
+    t = np.r_[60.0 * np.arange(200), 60.0 * np.arange(200) + 90000.0]
+    warm = 20.0 + 3.0 * np.sin(t / 4000) ** 2 - 2.0 * (t > 50000.0)
+    columns = {"run": np.repeat(["1", "2"], 200), "t": t, "T": warm}
+    kinds = {"run": {"role": "run"}, "t": {"role": "time", "unit": "s"}, "T": {"role": "temperature", "unit": "degC"}}
+    made = recording(columns, kinds)
+    hidden = 0.4 * (warm - warm[0]) ** 2
+    left = []
+    for term in ThermalInteraction.hypotheses(made, made, "E_Z"):
+        design = np.column_stack([np.ones(t.size), warm, term.basis(made)])
+        left.append(np.std(hidden - design @ np.linalg.lstsq(design, hidden, rcond=None)[0]))
+    assert len(left) == 2 and max(left) > 0.05 and min(left) < 1e-9
