@@ -68,11 +68,12 @@ def modelled(case: Case, k: int) -> Modelled:
     core = block[:, :cores] @ b[:cores]
     linear = _linear(hypothesis, b, cov, scale)
     joint = float(b[:cores] @ np.linalg.solve(cov[:cores, :cores], b[:cores])) / WIDER**2
-    form = block[:, : case.library.textbook(f.index)] - block[:, : case.library.textbook(f.index)].mean(axis=0)
-    whole = contribution - contribution.mean()
+    lags = hypothesis.terms[0].form == "any start" and cores == 1  # departures at other time constants play the form
+    form = block[:, : case.library.textbook(f.index) if lags else cores]
+    form, whole = form - form.mean(axis=0), contribution - contribution.mean()
     nearest = np.linalg.lstsq(form, whole, rcond=None)[0]
-    reach = np.maximum(1.96 * WIDER * np.sqrt(np.diag(cov)[:cores]), APART * np.abs(b[:cores]))
-    projected = joint < CHI2_95.get(cores, 2.0 * cores) or bool((np.abs(nearest[:cores] - b[:cores]) > reach).any())
+    reach = max(1.96 * WIDER * float(np.sqrt(cov[0, 0])), APART * abs(b[0]))
+    projected = joint < CHI2_95.get(cores, 2.0 * cores) or (lags and abs(nearest[0] - b[0]) > reach)
     if projected:
         carried = 1.0 - float(np.var(whole - form @ nearest)) / max(float(np.var(whole)), 1e-300)
         shape = hypothesis, nearest[:cores], carried
@@ -110,8 +111,7 @@ def _projected_sizes(case: Case, scene: Scene, shape, core, scale, dependence: f
     cov = dependence * case.sigma**2 * np.linalg.inv(S + 1e-9 * np.trace(S) * np.eye(nearest.size))
     out = _linear(h, nearest, cov, scale)
     joint = float(nearest @ np.linalg.solve(cov, nearest)) / WIDER**2 if carried > MOSTLY else 0.0
-    wider = [DEPARTED * abs(e.value) for e in out]
-    return [replace(e, low=e.low - w, high=e.high + w) for e, w in zip(out, wider, strict=True)], joint
+    return [replace(e, low=e.low - DEPARTED * abs(e.value), high=e.high + DEPARTED * abs(e.value)) for e in out], joint
 
 
 def core_share(case: Case, k: int) -> float:
