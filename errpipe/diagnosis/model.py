@@ -22,6 +22,7 @@ STRETCHES, STUDENT = 5, 2.776  # stretches of rows left out in turn; 97.5 % poin
 STEP = 0.03  # of logarithms, for derivatives
 FLATTEST = 0.5  # least curvature: a factor of about 12 either way
 SHAPE = 0.1  # relative standard deviation of the deepest point of a worn stretch because of its shape
+APART = 0.1  # relative distance of the size of the nearest textbook form, from which it stands (beyond the interval)
 MOSTLY = 0.5  # share of the contribution's variance that the textbook form must carry to have a size at all
 
 
@@ -67,9 +68,16 @@ def modelled(case: Case, k: int) -> Modelled:
     core = block[:, :cores] @ b[:cores]
     linear = _linear(hypothesis, b, cov, scale)
     joint = float(b[:cores] @ np.linalg.solve(cov[:cores, :cores], b[:cores])) / WIDER**2
-    projected = joint < CHI2_95.get(cores, 2.0 * cores)
+    lags = hypothesis.terms[0].form == "any start" and cores == 1  # departures at other time constants play the form
+    form = block[:, : case.library.textbook(f.index) if lags else cores]
+    form, whole = form - form.mean(axis=0), contribution - contribution.mean()
+    nearest = np.linalg.lstsq(form, whole, rcond=None)[0]
+    reach = max(1.96 * WIDER * float(np.sqrt(cov[0, 0])), APART * abs(b[0]))
+    projected = joint < CHI2_95.get(cores, 2.0 * cores) or (lags and abs(nearest[0] - b[0]) > reach)
     if projected:
-        linear, alone = _projected_sizes(case, scene, hypothesis, block, contribution, scale, cores, dependence)
+        carried = 1.0 - float(np.var(whole - form @ nearest)) / max(float(np.var(whole)), 1e-300)
+        shape = hypothesis, nearest[:cores], carried
+        linear, alone = _projected_sizes(case, scene, shape, block[:, :cores], scale, dependence)
         joint = max(joint, alone)
     if curved is None and spans and not projected:  # a size goes with the scale that it was fitted at
         wide = cov.copy()
@@ -91,24 +99,19 @@ def modelled(case: Case, k: int) -> Modelled:
     return Modelled(hypothesis, tuple(stated), contribution, share, joint, cores)
 
 
-def _projected_sizes(
-    case: Case, scene: Scene, h: Hypothesis, block, contribution, scale, cores: int, dependence: float
-) -> tuple[list[Estimate], float]:
+def _projected_sizes(case: Case, scene: Scene, shape, core, scale, dependence: float) -> tuple[list[Estimate], float]:
     """Sizes where departures take the textbook form's place: its projection on the contribution; their chi squared.
 
-    Their intervals are those of a fit of the textbook form alone, and the shape's uncertainty beside.
+    shape: hypothesis, projection, its share of the variance. Intervals are those of a fit of the textbook form alone,
+    and the shape's uncertainty beside.
     """
-    core = block[:, :cores] - block[:, :cores].mean(axis=0)
-    nearest = np.linalg.lstsq(core, contribution - contribution.mean(), rcond=None)[0]
-    S, _ = _projected(scene, block[:, :cores])
-    cov = case.sigma**2 * np.linalg.inv(S + 1e-9 * np.trace(S) * np.eye(cores))
-    cov = cov * dependence  # of what the whole form leaves: departures have their share below
+    h, nearest, carried = shape
+    S, _ = _projected(scene, core)
+    # of what the whole form leaves: departures have their share below
+    cov = dependence * case.sigma**2 * np.linalg.inv(S + 1e-9 * np.trace(S) * np.eye(nearest.size))
     out = _linear(h, nearest, cov, scale)
-    wider = [DEPARTED * abs(e.value) for e in out]
-    left = contribution - contribution.mean() - core @ nearest
-    carried = 1.0 - float(np.var(left)) / max(float(np.var(contribution)), 1e-300)
     joint = float(nearest @ np.linalg.solve(cov, nearest)) / WIDER**2 if carried > MOSTLY else 0.0
-    return [replace(e, low=e.low - w, high=e.high + w) for e, w in zip(out, wider, strict=True)], joint
+    return [replace(e, low=e.low - DEPARTED * abs(e.value), high=e.high + DEPARTED * abs(e.value)) for e in out], joint
 
 
 def core_share(case: Case, k: int) -> float:
@@ -161,8 +164,7 @@ def _dependence(case: Case, scene: Scene, block, b) -> float:
     both = whiten(np.column_stack([block[:, 0], block @ b]), case.run, scene.table.colour)
     projected = both - inside @ np.linalg.solve(scene.M, inside.T @ both)
     score = projected[:, 0] * (scene.residual() - projected[:, 1])
-    length = max(score.size // 40, 1)
-    sums = np.add.reduceat(score, np.arange(0, score.size, length))
+    sums = np.add.reduceat(score, np.arange(0, score.size, max(score.size // 40, 1)))
     return float(np.clip(np.sum(sums**2) / max(np.sum(score**2), 1e-300), 1.0, 200.0))
 
 

@@ -39,20 +39,18 @@ def doubtful(case: Case) -> list[model.Modelled]:
 
 
 def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
-    """The weaker one of two findings that cancel.
+    """The weaker one of two findings that cancel: both far larger than the mismatch, or one but for what gains play.
 
-    What gains of the simulation can reproduce is projected out first: where it was fitted without the missing effect,
-    gain and effect are both far larger than the mismatch, and both are true.
+    Where a simulation was fitted without the missing effect, gain and effect are both far larger, and both are true.
     """
     spread, out = float(np.std(case.y)), []
     every = [m.contribution for m in made]
     projected = [c - case.recal @ np.linalg.lstsq(case.recal, c, rcond=None)[0] for c in every]
     for k, m in enumerate(made):
-        for one in projected[:k]:
-            sizes = [float(np.std(x)) for x in (one, projected[k])]
-            if max(sizes) > TOO_LARGE * spread and min(sizes) > 0:
-                correlation = np.corrcoef(one, projected[k])[0, 1]
-                out += [m] if correlation < CANCELLING else []
+        for one, other, least in [(c[j], c[k], f) for c, f in ((every, min), (projected, max)) for j in range(k)]:
+            sizes = float(np.std(one)), float(np.std(other))
+            if least(sizes) > TOO_LARGE * spread and min(sizes) > 0 and np.corrcoef(one, other)[0, 1] < CANCELLING:
+                out.append(m)
     return out
 
 

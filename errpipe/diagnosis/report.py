@@ -37,8 +37,8 @@ REVERSED = (
 AS_GOOD_AS_ONE = 0.3  # spread of the runs' datums, in noise rms, below which nothing is said of them
 UNSIZED = 0.6  # upper limit of the confidence of a finding whose size is not significant
 PREDICTED = 0.5  # of the mismatch left on held-out rows, up to which names predict well (a gantry's bed leaves 0.14)
-BESIDE_FAR_OFF = 0.75  # upper limit of the confidence of a name that stands beside a gain far off: two things are said
-# to be wrong, and other names may do without one of them
+UNSURE = 0.75  # and of one that stands beside a gain far off (two things are said to be wrong, and other names may do
+# without one of them), or beside shapes that held-out rows prove, or that fewer than half of the folds find again
 UNPROVED = 0.45  # upper limit of the confidence of a finding that held-out rows do not bear out, or that noise may play
 
 
@@ -61,8 +61,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
         contribution["unknown"], after = unnamed.with_shapes(case)
     known = indicators or p_unknown >= unnamed.PROVISIONAL
     floor = float(min(case.sigma, case.noise_estimate) if known else case.sigma)
-    recalibrated = residual(case, [])
-    datums = own_datums(case, [])
+    recalibrated, datums = residual(case, []), own_datums(case, [])
     chance = significance.chance(case)
     findings = [f.model_copy(update=_surrogate_test(case, f, chance)) for f in findings]
     if not unnamed.confirmed_by_held_out(case, held):
@@ -102,7 +101,7 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
     """
     slow = case.held.names > PREDICTED * case.held.before
     far = slow and gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes)
-    most = [BESIDE_FAR_OFF if far else 1.0] * len(made)
+    most, shaped = [1.0] * len(made), case.held.shape_share() >= unnamed.HELD_OUT_SHARE
     for k, (m, s) in enumerate(zip(made, indicators, strict=True)):
         wanders = case.over_noise < 0.0 or (slow and s.wandering > s.gain)
         a_gain = any(plausible.gain_of_a_part(case, other) for other in made[: k + 1])  # or beside one
@@ -110,6 +109,8 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
             most[k] = UNPROVED
         elif plausible.no_size(m):
             most[k] = UNSIZED
+        elif far or shaped or (case.held.again and s.agreement < holdout.AGAIN):
+            most[k] = UNSURE
     return most
 
 
@@ -310,10 +311,9 @@ def _says(case: Case, effect: str, drivers, made: model.Modelled) -> str:
     shown = shown[: MOST_NUMBERS - len(last)] + last
     numbers = ", ".join(f"{e.name} = {e.value:.3g} {e.unit} ({e.low:.3g} to {e.high:.3g})" for e in shown)
     numbers += _unusual(made)
-    size = float(np.std(made.contribution))
     return (
         f"The simulation lacks {effect.replace('_', ' ')}, driven by {', '.join(drivers)}: {numbers}; "
-        f"it makes up {size:.3g} {case.pair.unit} rms of the mismatch."
+        f"it makes up {np.std(made.contribution):.3g} {case.pair.unit} rms of the mismatch."
     )
 
 

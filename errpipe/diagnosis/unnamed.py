@@ -215,9 +215,9 @@ def finding(case: Case, probability: float) -> Finding:
         if unnamed_structure(case, case.held)
         else f"What is left, {case.sigma:.3g} {case.pair.unit} rms, wanders and goes with no input."
     )
-    alike = " Held-out rows do not confirm it: a measurement that wanders looks alike."
-    doubt = "" if probability > PROVISIONAL else alike
-    return _unknown(probability, drivers, says + doubt, case.sigma**2 - case.remainder.rms**2)
+    if probability <= PROVISIONAL:
+        says += " Held-out rows do not confirm it: a measurement that wanders looks alike."
+    return _unknown(probability, drivers, says, case.sigma**2 - case.remainder.rms**2)
 
 
 def _unknown(probability: float, drivers: tuple[str, ...], says: str, variance: float) -> Finding:

@@ -158,10 +158,16 @@ class Speeds(Listed):
     bounded: ClassVar[bool] = False
 
     shares: tuple[float, ...] = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4)
+    fades: bool = False  # does the effect fade within this speed? Beyond the largest share nothing shows that it does
 
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         fastest = float(np.nanquantile(np.abs(recording.array(term.column)), 0.999))
         return tuple(fastest * s for s in self.shares)
+
+    def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
+        """Smallest and largest speed tried, of what fades."""
+        tried = self.values(term, "", recording, Signals())
+        return (tried[0], tried[-1]) if self.fades else super().limits(term, recording)
 
 
 @dataclass(frozen=True)

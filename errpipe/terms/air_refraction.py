@@ -32,7 +32,7 @@ class AirRefraction(Term):
     sensor: str | None = Field(None, description="Column of the air's temperature.")
     pressure: str | None = Field(None, description="Column of the air's pressure.")
     family = "measurement"
-    form = "any reference"
+    form = "any reference and end"
     rowwise = True
     compensable = False
     physical_constant = True
@@ -59,14 +59,17 @@ class AirRefraction(Term):
                     if sensor or pressure:
                         yield cls(axis=axis, sensor=sensor, pressure=pressure)
 
+    def _rises(self, recording: Recording) -> list[np.ndarray]:
+        """Air temperature and pressure, less those that a laser is set to."""
+        known = ((self.sensor, 20.0), (self.pressure, 1013.25))
+        return [recording.array(column) - usual for column, usual in known if column]
+
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         length = position(recording, self.axis) * 1e-3
-        columns = []
-        if self.sensor:
-            columns.append(length * (recording.array(self.sensor) - 20.0))
-        if self.pressure:
-            columns.append(length * (recording.array(self.pressure) - 1013.25))
-        return np.column_stack(columns)
+        return np.column_stack([length * rise for rise in self._rises(recording)])
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
-        yield position(recording, self.axis), 0.3  # unknown air state at which the laser was compensated
+        x = position(recording, self.axis)
+        yield x, 0.3  # unknown air state at which the laser was compensated
+        for rise in self._rises(recording):  # the beam is as long as the way from where the laser was zeroed
+            yield rise * 1e-3 * (np.nanmax(x) - np.nanmin(x)), 0.3

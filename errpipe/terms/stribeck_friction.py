@@ -16,6 +16,7 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._equations import curve, sign, times
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import velocities
+from errpipe.terms._search import Speeds
 from errpipe.terms._slack import AT_STANDSTILL, Slack, difference_of_shape, gradual_reversal
 
 
@@ -37,7 +38,11 @@ class StribeckFriction(Term):
     form = "any shape"
     friction_part = "falling"
     gains = (Parameter("extra", "N", (5.0, 150.0), (-5000.0, 5000.0), "force at creep above that at speed"),)
-    searched = (Parameter("v_s", "mm/s", (0.5, 20.0), (0.1, 100.0), "speed at which the dry part has gone"),)
+    searched = (
+        Parameter(
+            "v_s", "mm/s", (0.5, 20.0), (0.1, 100.0), "speed at which the dry part has gone", search=Speeds(fades=True)
+        ),
+    )
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[StribeckFriction]:

@@ -1,0 +1,68 @@
+"""Two names that stand for one effect between them are not stated as two."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from errpipe.diagnosis import plausible, report
+from errpipe.terms import search_of
+from errpipe.terms.stribeck_friction import StribeckFriction
+
+from .machines import trace
+
+
+def found(contribution: np.ndarray) -> SimpleNamespace:
+    return SimpleNamespace(contribution=contribution)
+
+
+@pytest.mark.parametrize(("size", "cancel"), [(3.0, True), (1.2, False)])
+def test_two_findings_far_larger_than_the_mismatch_cancel(size, cancel):
+    """Also where a gain of the simulation plays most of either: a step less a slower step is a spike."""
+    rng = np.random.default_rng(3)
+    step, spike, left = rng.standard_normal((3, 900))
+    case = SimpleNamespace(y=spike, recal=np.column_stack([np.ones(900), step + 0.3 * left]))
+    made = [found(size * step), found(spike - size * step)]
+    assert plausible.cancelling(case, made) == (made[1:] if cancel else [])
+
+
+def test_a_finding_that_a_gain_cancels_stays_beside_another():
+    rng = np.random.default_rng(4)
+    large, other = rng.standard_normal((2, 900))
+    case = SimpleNamespace(y=other, recal=large[:, None])
+    assert plausible.cancelling(case, [found(5.0 * large), found(other)]) == []
+
+
+@pytest.mark.parametrize(
+    ("agreement", "again", "shapes", "most"),
+    [(0.2, True, 0.0, 0.75), (0.6, True, 0.05, 1.0), (0.0, False, 0.0, 1.0), (1.0, True, 0.2, 0.75)],
+)
+def test_a_name_that_folds_do_not_find_again_or_that_leaves_a_shape_is_not_sure(
+    monkeypatch, agreement, again, shapes, most
+):
+    """What acts in part is not searched for in the folds."""
+    for name in ("gain_of_a_part", "only_a_wave_in_time", "no_size"):
+        monkeypatch.setattr(plausible, name, lambda *_: False)
+    held = SimpleNamespace(names=0.1, before=1.0, again=again, shape_share=lambda: shapes)
+    indicators = [SimpleNamespace(agreement=agreement, gain=600.0, wandering=0.0)]
+    case = SimpleNamespace(held=held, over_noise=np.inf)
+    assert report._most(case, [SimpleNamespace()], indicators, np.zeros(3)) == [most]
+
+
+def test_friction_that_falls_up_to_the_highest_speed_is_at_its_limit():
+    """Within 40 % of the highest speed it must have faded: beyond, dry friction looks the same."""
+    case = trace(5, hidden=lambda c: 20.0 * np.sign(c["v"]))
+    (column,) = case.names("velocity")
+    term = StribeckFriction(axis="X", column=column)
+    (speed,) = term.nonlinear()
+    assert search_of(speed).limits(term, case)[1] == pytest.approx(
+        0.4 * np.nanquantile(np.abs(case.array(column)), 0.999)
+    )
+    span = SimpleNamespace(name=speed.name, low=0.0, high=0.0)
+    fastest = search_of(speed).limits(term, case)[1]
+    for share, at_limit in ((1.0, True), (0.3, False)):
+        span.low = span.high = share * fastest
+        made = SimpleNamespace(
+            hypothesis=SimpleNamespace(terms=(term,), nonlinear=((share * fastest,),)), estimates=(span,)
+        )
+        assert plausible.at_its_limit(SimpleNamespace(recording=case), made) is at_limit

@@ -1,0 +1,28 @@
+"""Sizes where departures from the textbook form carry the effect: those of the form that comes nearest."""
+
+import numpy as np
+
+from errpipe.diagnosis import diagnose
+from errpipe.kernels.responses import lag
+
+from .machines import recording
+
+
+def test_the_size_of_a_lag_that_departures_play_is_that_of_the_lag():
+    """Valves switch between two rows, noise is small: lags of a third and of three times tau mend the half row."""
+    rng = np.random.default_rng(5)
+    t = np.arange(400) * 92.0
+    flows = (np.searchsorted(np.sort(rng.uniform(0, t[-1], 7)), t) % 2).astype(float)
+    between = (flows + np.r_[0.0, flows[:-1]]) / 2
+    warmed = -5.9 * lag(np.zeros(400, dtype=int), t, between, 612.0, 612.0, False)
+    columns = {"t": t, "flows": flows, "E_X": warmed + 0.06 * rng.standard_normal(400), "E_X_sim": np.zeros(400)}
+    kinds = {
+        "t": {"role": "time", "unit": "s"},
+        "flows": {"role": "coolant"},
+        "E_X": {"role": "error", "component": "E_X", "unit": "um"},
+        "E_X_sim": {"role": "simulated", "component": "E_X", "unit": "um"},
+    }
+    found = diagnose(recording(columns, kinds))[0].responses[0].findings
+    (first, *_) = [f for f in found if f.effect == "coolant_effect"]
+    (shift,) = [p for p in first.parameters if p.name == "shift"]
+    assert shift.ci95[0] <= -5.9 <= shift.ci95[1]
