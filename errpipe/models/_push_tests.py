@@ -37,6 +37,9 @@ class Body(Protocol):
 class Options(Protocol):
     """What is read of the options of the force family."""
 
+    def missing_input(self, recording: Recording) -> str:
+        """What columns it needs and does not find, in words; or ''."""
+
     @property
     def component(self) -> str:
         """Component that the force moves."""
@@ -118,9 +121,8 @@ def read(options: Options, recording: Recording) -> Pushes:
 
     A run's zero is what it would read at no force, by its own straight line over the force.
     """
-    if options.force not in recording.names("force"):
-        there = ", ".join(recording.names("force")) or "none"
-        raise DataError(f"push tests: no column {options.force!r} of role force (there are: {there})")
+    if lacking := options.missing_input(recording):
+        raise DataError(lacking)
     force = recording.array(options.force)
     place = np.zeros(len(force)) if options.axis is None else position(recording, options.axis)
     away = options.outwards * (place - options.chuck_face)

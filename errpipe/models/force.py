@@ -114,6 +114,18 @@ class Force(Family):
             raise ValueError("milling takes the workpiece as rigid: leave it out")
         return self
 
+    def missing_input(self, recording: Recording) -> str:
+        """The force, and the position of the axis of the cut."""
+        forces, axes = (
+            recording.names("force"),
+            [recording.manifest.columns[n].axis for n in recording.names("position")],
+        )
+        if self.force not in forces:
+            return f"push tests: no column {self.force!r} of role force (there are: {', '.join(forces) or 'none'})"
+        if self.axis is not None and self.axis not in axes:
+            return f"push tests: no position of axis {self.axis} (there are: {', '.join(map(str, axes)) or 'none'})"
+        return ""
+
     def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Fit the structure on every row. Raises DataError, VerifyError."""
         import numpy as np

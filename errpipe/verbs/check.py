@@ -229,7 +229,7 @@ def _of_stage(stage: Any, recording: Recording | None) -> Iterator[tuple[Place, 
                 yield ("rules", k, "trust", j), _no_column(recording, name)
     yield from _responses(stage, recording)
     if hasattr(stage, "missing_input") and (lacking := stage.missing_input(recording)):
-        yield ("family",), lacking
+        yield ("family",) if "family" in stage.model_fields_set else (), lacking
     yield from _holdout(stage, recording)
     yield from _pairs(stage, recording)
     if getattr(stage, "iso230_2", False):
