@@ -13,7 +13,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import GateError
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
-from errpipe.stages._compile import CompileOptions, compile_model
+from errpipe.stages._compile import CompileOptions, compile_model, not_exported
 from errpipe.stages._signed import SignOptions
 from errpipe.validation.codes import Code
 from errpipe.yamlfile import quantity
@@ -54,7 +54,10 @@ class Export(CompileOptions, SignOptions, Stage):
     writes: ClassVar[tuple[str, ...]] = (_artefacts.TABLE, _artefacts.TWIN, _artefacts.MODEL, "export.json")
 
     def missing_input(self, recording: Recording) -> str:
-        """An axis for files of a recording whose components name none themselves (its header is enough); or ''."""
+        """What cannot be of the axes stated to correct its components (a header is enough), in words; or ''."""
+        for name in self.acts_on:
+            if name not in recording.components():
+                return not_exported(name, recording.components())
         by_column = {c.component for c in recording.manifest.columns.values() if c.acts_on is not None}
         stated = by_column | set(self.acts_on)
         without = [c for c in recording.components() if components.parse(c).direction in "RD" and c not in stated]

@@ -264,6 +264,7 @@ def test_push_tests_without_their_force_or_place_and_a_diameter_without_an_axis(
     text = pipeline.read_text("utf-8").replace("component: E_X", "component: E_D")
     faults = {
         "no axis corrects E_D": ("", ""),
+        "'E_Q' is not exported (E_D)": ("- kind: export", "- kind: export\n    acts_on: {E_Q: {axis: X}}"),
         "no column 'G'": ("force: F ", "force: G "),
         "axis X": ("axis: Z", "axis: X"),
     }
