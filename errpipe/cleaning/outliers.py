@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from errpipe.cleaning._base import SENSORS, Action, Rule, resolution, rows_of_runs
+from errpipe.domain import components
 from errpipe.domain.recording import Recording
 from errpipe.kernels.events import stretches
 from errpipe.yamlfile import quantity
@@ -57,7 +58,8 @@ class Outliers(Rule):
         values = recording.array(name)
         judged, beside = _mismatch(recording, name, values) if role == "error" else (values, "")
         step = max(resolution(values), _usual_step(judged))
-        rows = outlying(judged, recording.run_codes(), recording.time(), self.threshold, step)
+        position = _own_position(recording, name) if role == "error" else None
+        rows = outlying(judged, recording.run_codes(), recording.time(), self.threshold, step, position)
         if role == "error":
             rows = rows[~protected[rows]]
         if not rows.size:
@@ -68,16 +70,25 @@ class Outliers(Rule):
         return Action("blank cells", reason, column=name, rows=rows)
 
 
-def outlying(values: np.ndarray, run: np.ndarray, t: np.ndarray, threshold: float, step: float = 0.0) -> np.ndarray:
+def outlying(
+    values: np.ndarray,
+    run: np.ndarray,
+    t: np.ndarray,
+    threshold: float,
+    step: float = 0.0,
+    position: np.ndarray | None = None,
+) -> np.ndarray:
     """Rows of single readings far off their neighbours, ascending. NaN is passed over.
 
-    values, run, t: shape (rows,). step: display step of the values; the scatter is at least half of it.
+    values, run, t, position: shape (rows,). step: display step of the values; the scatter is at least half of it.
+    position: of the axis whose deviation is judged, or none.
     """
     far_off = []
     for run_rows in rows_of_runs(run):
         rows = run_rows[np.isfinite(values[run_rows])]
         if rows.size >= MIN_READINGS:
-            far_off.append(rows[_outliers_of_run(values[rows], _parts(t[rows]), threshold, step)])
+            level = values[rows] if position is None else _without_slope(values[rows], position[rows])
+            far_off.append(rows[_outliers_of_run(level, _parts(t[rows]), threshold, step)])
     return np.concatenate(far_off) if far_off else np.zeros(0, dtype=np.int64)
 
 
@@ -89,6 +100,21 @@ def _usual_step(values: np.ndarray) -> float:
     change = np.abs(np.diff(values[np.isfinite(values)]))
     moving = change[change > 0.0]
     return float(np.median(moving)) if MOVING * change.size <= moving.size < 0.5 * change.size else 0.0
+
+
+def _without_slope(values: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """The values of a run without their median slope over position, shape (rows,).
+
+    The error of a scale goes back with the axis: its last target, which may lie further off than the others, would have
+    no equal beside it. Each slope is taken over half of the places; a fifth of the readings may be wrong ones.
+    """
+    order = np.argsort(position, kind="stable")
+    half = order.size // 2
+    way = position[order[half:]] - position[order[: order.size - half]]
+    if not np.isfinite(way).all() or (way <= 0).all():
+        return values
+    change = values[order[half:]] - values[order[: order.size - half]]
+    return np.asarray(values - np.median(change[way > 0] / way[way > 0]) * (position - position[order[0]]))
 
 
 def _parts(t: np.ndarray) -> np.ndarray:
@@ -186,6 +212,13 @@ def _mismatch(recording: Recording, name: str, values: np.ndarray) -> tuple[np.n
     if twin is None:
         return values, ""
     return values - recording.array(twin), ", in the difference from the simulated twin"
+
+
+def _own_position(recording: Recording, name: str) -> np.ndarray | None:
+    """Position of the axis whose deviation a column holds, shape (rows,); None where it is not recorded."""
+    axis = components.parse(str(recording.manifest.columns[name].component)).axis
+    column = recording.name("command", axis=axis) or recording.name("position", axis=axis) if axis else None
+    return recording.array(column) if column else None
 
 
 def _near_reversals(recording: Recording) -> np.ndarray:

@@ -9,7 +9,8 @@ Jones 1976; Gertler 1998). With x the readings and C the covariance of u for hea
                                                  its leave-one-out regression residual, s_i^2 its likelihood ratio
     a_i = 1 where s_i^2 >= 1 and is the largest    sensor i explains the readings best. A fault of i alone shows in
                                                  every other s_j by |P_ij| / sqrt(P_ii P_jj) < 1, so it is the largest
-    a2_j = the same with the sensor of the largest s left out: a second one that fails (two whose plugs were swapped)
+    a2_j = the same with the sensor of the largest s left out: a second one that fails (two whose plugs were swapped).
+                                                 A frozen sensor is left out first: its held reading is in every s
     frozen_i = lag((x_i - lag(x_i, freeze))^2, freeze) <= still_i: less alive than it ever was when healthy
     fault_i = 1 from the first a_i or a2_i on, until the next start, for the first two sensors; or while frozen
 

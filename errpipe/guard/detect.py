@@ -16,6 +16,7 @@ from errpipe.guard.description import SensorGuard
 WARM_UP = 3.0  # freeze times after the start before stillness means anything: its lag has then settled to 5 %
 REVIVED = 4.0  # times `still`: hysteresis, a frozen sensor must be that alive again to be accepted (taste)
 QUIET_SHARE = 0.36  # of the squared threshold: from here up residuals are no longer remembered; 0.25 to 0.5 do alike
+FROZEN_FIRST = 1e6  # squared thresholds: more than a dead sensor's residual
 UNTIL_RESTART = -1.0  # a switch's lower level that no flag or square ever reaches
 AGE_S = 1e6  # time constant of how long a sensor has been blamed: above any shift
 TIE = 1e-6  # relative: below single precision's rounding of a sum, above double's
@@ -37,8 +38,10 @@ def residuals(guard: SensorGuard) -> tuple[d.Driver, ...]:
 
 @shared
 def _first(guard: SensorGuard) -> tuple[tuple[d.Driver, ...], d.Driver]:
-    """Per sensor 1 where its squared residual is the largest; and the largest."""
-    return _largest(tuple(map(c.squared, residuals(guard))))
+    """Per sensor 1 where its squared residual is the largest; and the largest. A frozen one comes before all others."""
+    squares, still = map(c.squared, residuals(guard)), frozen(guard)
+    ahead = [FROZEN_FIRST * (len(still) - i) for i in range(len(still))]  # distinct, so that one of two is the first
+    return _largest(tuple(d.Affine(weights=(1.0, w), of=(q, f)) for q, f, w in zip(squares, still, ahead, strict=True)))
 
 
 @shared
@@ -71,11 +74,15 @@ def _largest(values: tuple[d.Driver, ...]) -> tuple[tuple[d.Driver, ...], d.Driv
 
 @shared
 def isolated(guard: SensorGuard) -> tuple[d.Driver, ...]:
-    """1 once a sensor's residual has been the largest and above the threshold, until the next start; else 0."""
+    """1 once a sensor's residual has been the largest and above the threshold, until the next start; else 0.
+
+    While one is frozen the others are judged without it: its held reading shows in their residuals.
+    """
     (top, most), (second, left) = _first(guard), _second(guard)
-    over = d.Switch(of=most, on=1.0, off=1.0 - TIE)
-    ever = d.Switch(of=most, on=1.0, off=UNTIL_RESTART)
-    over_too = d.Product(of=(ever, d.Switch(of=left, on=1.0, off=1.0 - TIE)))
+    judged = d.Product(of=(most, c.none_of(*frozen(guard))))
+    over = d.Switch(of=judged, on=1.0, off=1.0 - TIE)
+    first_known = c.any_of(d.Switch(of=judged, on=1.0, off=UNTIL_RESTART), *frozen(guard))
+    over_too = d.Product(of=(first_known, d.Switch(of=left, on=1.0, off=1.0 - TIE)))
     out = []
     for one, other in zip(top, second, strict=True):
         now = (d.Product(of=(over, one)), d.Product(of=(over_too, other)))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field, model_validator
 
-from errpipe.domain.recording import Frozen
+from errpipe.domain.recording import Frozen, Recording
 from errpipe.errors import DataError
 from errpipe.yamlfile import quantity
 
@@ -92,3 +92,13 @@ class ForceOptions(Frozen):
         if self.configuration == "milling" and (self.workpiece or self.pushed_workpiece):
             raise ValueError("milling takes the workpiece as rigid: leave it out")
         return self
+
+    def missing_input(self, recording: Recording) -> str:
+        """The force, and the position of the axis of the cut."""
+        forces = recording.names("force")
+        axes = [recording.manifest.columns[name].axis for name in recording.names("position")]
+        if self.force not in forces:
+            return f"push tests: no column {self.force!r} of role force (there are: {', '.join(forces) or 'none'})"
+        if self.axis is not None and self.axis not in axes:
+            return f"push tests: no position of axis {self.axis} (there are: {', '.join(map(str, axes)) or 'none'})"
+        return ""

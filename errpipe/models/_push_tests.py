@@ -71,9 +71,8 @@ def read(options: ForceOptions, recording: Recording) -> Pushes:
 
     A run's zero is what it would read at no force, by its own straight line over the force.
     """
-    if options.force not in recording.names("force"):
-        there = ", ".join(recording.names("force")) or "none"
-        raise DataError(f"push tests: no column {options.force!r} of role force (there are: {there})")
+    if lacking := options.missing_input(recording):
+        raise DataError(lacking)
     force = recording.array(options.force)
     place = np.zeros(len(force)) if options.axis is None else position(recording, options.axis)
     away = options.outwards * (place - options.chuck_face)

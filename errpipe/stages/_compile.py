@@ -164,9 +164,7 @@ def _acts_on(
     out = {}
     for name, on in wanted.items():
         if name not in known:
-            raise UsageError(
-                f"export: acts_on: {name!r} is not exported ({', '.join(known)}).{did_you_mean(name, known)}"
-            )
+            raise UsageError(f"export: {not_exported(name, known)}")
         factor = on.factor
         if factor is None:
             factor = 0.5 if components.parse(name).kind == "diameter" else 1.0
@@ -174,6 +172,11 @@ def _acts_on(
             raise UsageError(f"export: acts_on: {name}: a factor of 0 corrects nothing")
         out[name] = (on.axis, factor)
     return out
+
+
+def not_exported(name: str, known: Sequence[str]) -> str:
+    """What is said of a component of `acts_on` that is none of those known."""
+    return f"acts_on: {name!r} is not exported ({', '.join(known)}).{did_you_mean(name, known)}"
 
 
 def _guarded(pair: Lowered, guard: SensorGuard, inputs: Sequence[TableInput]) -> Lowered:

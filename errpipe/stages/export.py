@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
+from errpipe.domain import components
 from errpipe.domain.recording import Recording
 from errpipe.errors import GateError
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
-from errpipe.stages._compile import CompileOptions, compile_model
+from errpipe.stages._compile import CompileOptions, compile_model, not_exported
 from errpipe.stages._signed import SignOptions
 from errpipe.validation.codes import Code
 from errpipe.yamlfile import quantity
@@ -52,6 +53,16 @@ class Export(CompileOptions, SignOptions, Stage):
     gives: ClassVar[tuple[str, ...]] = ("table",)
     writes: ClassVar[tuple[str, ...]] = (_artefacts.TABLE, _artefacts.TWIN, _artefacts.MODEL, "export.json")
 
+    def missing_input(self, recording: Recording) -> str:
+        """What cannot be of the axes stated to correct its components (a header is enough), in words; or ''."""
+        for name in self.acts_on:
+            if name not in recording.components():
+                return not_exported(name, recording.components())
+        by_column = {c.component for c in recording.manifest.columns.values() if c.acts_on is not None}
+        stated = by_column | set(self.acts_on)
+        without = [c for c in recording.components() if components.parse(c).direction in "RD" and c not in stated]
+        return _no_axis(without) if self.targets and without and without == list(recording.components()) else ""
+
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe.domain.error_model import joined
         from errpipe.stages import _plausible, _proof
@@ -80,6 +91,11 @@ class Export(CompileOptions, SignOptions, Stage):
         summary = {"table": _artefacts.TABLE, "largest_difference_from_the_model_um": worst}
         held = {p["component"]: p["rows_held_back"] for p in proof if p["rows_held_back"]}
         return summary | ({"rows_held_back": ", ".join(f"{n} {rows}" for n, rows in held.items())} if held else {})
+
+
+def _no_axis(names: Sequence[str]) -> str:
+    stated = f"acts_on: {{{names[0]}: {{axis: X, factor: 0.5}}}}"
+    return f"no axis corrects {' and '.join(names)}: state which one it acts on, such as {stated}"
 
 
 def _gate(model: ErrorModel, fits: Sequence[ErrorModel], options: Export, context: Context) -> Passed:
@@ -130,11 +146,7 @@ def _write(context: Context, table: CompensationTable, model: ErrorModel, option
         from errpipe.stages.targets import write_targets
 
         if not any(o.axis for o in table.outputs):
-            named = " and ".join(o.name for o in table.outputs)
-            raise GateError(
-                f"export: no axis corrects {named}: state which one it acts on, such as "
-                f"acts_on: {{{table.outputs[0].name}: {{axis: X, factor: 0.5}}}}"
-            )
+            raise GateError(f"export: {_no_axis([o.name for o in table.outputs])}")
 
         files += write_targets(table, options.targets, context.folder, remarks)
     return files

@@ -257,8 +257,11 @@ def _of_the_other(r: Response, on: np.ndarray, off: np.ndarray) -> float | None:
     return _slope(a, b)
 
 
+MOST_ROWS = 3  # rows that a file's values are shifted by: lines of its header (name, unit, a blank one)
+
+
 def shifted_rows(r: Response) -> Finding | None:
-    """Both directions agree only when each is moved by one target: the deviations are shifted by a row."""
+    """Both directions agree only when each is moved by some targets: the deviations are shifted by as many rows."""
     if r.direction is None or r.position is None:
         return None
     up, down = _curve(r, 1.0), _curve(r, -1.0)
@@ -266,13 +269,15 @@ def shifted_rows(r: Response) -> Finding | None:
     if shared.size < 9:
         return None
     a, b = (np.array([c[x] for x in shared]) for c in (up, down))
-    gaps = {k: _scatter(a[1 + k : a.size - 1 + k] - b[1 - k : b.size - 1 - k]) for k in (-1, 0, 1)}
+    far = min(MOST_ROWS, (a.size - 7) // 2)
+    gaps = {k: _scatter(a[far + k : a.size - far + k] - b[far - k : b.size - far - k]) for k in range(-far, far + 1)}
     best = min(gaps, key=lambda k: gaps[k])
-    if best == 0 or not is_rearranged(r, gaps[0] ** 2, gaps[best] ** 2, a.size - 2, noise_of_difference(r)):
+    if best == 0 or not is_rearranged(r, gaps[0] ** 2, gaps[best] ** 2, a.size - 2 * far, noise_of_difference(r)):
         return None
-    better, which = gaps[0] / max(gaps[best], 1e-12), "the row before" if best == 1 else "the row after"
-    evidence = f"both directions agree {better:.3g} times better with each value at its neighbour"
-    meant = f"deviations that belong to {which} (a header counted as a row, or a value logged one target late)"
+    rows = "row" if abs(best) == 1 else f"{abs(best)} rows"
+    better, which = gaps[0] / max(gaps[best], 1e-12), f"the {rows} {'before' if best > 0 else 'after'}"
+    evidence = f"both directions agree {better:.3g} times better with each value {'a ' * (abs(best) == 1)}{rows} away"
+    meant = f"deviations that belong to {which} (headers counted as rows, or values logged late)"
     level = level_of_rearranged(r, gaps[0] ** 2, gaps[best] ** 2)
     return Finding("shifted-rows", r.column, evidence, meant, level)
 

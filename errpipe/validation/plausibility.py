@@ -68,7 +68,10 @@ def too_large(name: str, largest: float, unit: str, travel: float | None, limit:
     if unit not in ("um", "urad") or not np.isfinite(largest) or largest <= allowed:
         return None
     fits = [text for factor, text in SCALES if largest / factor <= allowed / 2]
-    meant = fits[0] if fits else "absolute readings instead of deviations, or a wrong column"
+    as_travel = unit == "um" and travel is not None and 0.5 < largest / (1e3 * travel) < 2.0
+    meant = " or ".join(
+        ["absolute readings instead of deviations,"] * (as_travel or not fits) + (fits[:1] or ["a wrong column"])
+    )
     if largest < 5 * allowed:  # no unit is wrong by less than 25
         meant = "a true error that large (repair the machine, or allow it), or readings from an axis out of reference"
     basis = "set by `limit`" if limit is not None else "the larger of 0.5 mm and 1/1000 of the travel"

@@ -36,9 +36,10 @@ def problems(pipeline: Any, data: bool = True) -> list[Problem]:
     for number, stage in enumerate(pipeline.stages):
         try:
             recording, of_source = _source(stage, pipeline, seen, data)
-            all_problems += of_source
-            seen[stage.label] = recording
-            places = [*_machine(stage, data), *_of_stage(stage, recording), *_tests(stage, pipeline, seen)]
+            all_problems, seen[stage.label] = [*all_problems, *of_source], recording
+            several = hasattr(stage, "acts_on") and len(pipeline.links.get(stage.label, {}).get("error_model", ())) > 1
+            of_stage = _of_stage(stage, None if several else recording)  # its components may be another recording's
+            places = [*_machine(stage, data), *of_stage, *_tests(stage, pipeline, seen)]
         except ErrpipeError as err:
             places = [((), str(err))]
         for place, text in places:
@@ -229,11 +230,10 @@ def _of_stage(stage: Any, recording: Recording | None) -> Iterator[tuple[Place, 
                 yield ("rules", k, "trust", j), _no_column(recording, name)
     yield from _responses(stage, recording)
     if hasattr(stage, "missing_input") and (lacking := stage.missing_input(recording)):
-        yield ("family",), lacking
+        yield ("family",) if "family" in stage.model_fields_set else (), lacking
     yield from _holdout(stage, recording)
     yield from _pairs(stage, recording)
-    if getattr(stage, "iso230_2", False):
-        yield from _iso230(recording)
+    yield from _iso230(recording) if getattr(stage, "iso230_2", False) else ()
 
 
 def _targets(stage: Any) -> Iterator[tuple[Place, str]]:

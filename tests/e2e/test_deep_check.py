@@ -252,3 +252,24 @@ def test_a_thermal_family_without_a_temperature(family: str, where: Path, capsys
     assert re.search(r"p[.]yaml:5:\d+  .*has no temperature", capsys.readouterr().err)
     assert main(["run", "p.yaml", "--out", "../out"]) == 2
     assert "has no temperature" in capsys.readouterr().err
+
+
+def test_push_tests_without_their_force_or_place_and_a_diameter_without_an_axis(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(Path(__file__).parents[2] / "examples" / "cutting-force", tmp_path / "lathe")
+    pipeline, manifest = tmp_path / "lathe" / "pipeline.yaml", tmp_path / "lathe" / "push-tests" / "recording.yaml"
+    assert main(["check", str(pipeline)]) == 0
+    manifest.write_text(manifest.read_text("utf-8").replace('"E_X"}', '"E_D"}'), encoding="utf-8")
+    text = pipeline.read_text("utf-8").replace("component: E_X", "component: E_D")
+    faults = {
+        "no axis corrects E_D": ("", ""),
+        "'E_Q' is not exported (E_D)": ("- kind: export", "- kind: export\n    acts_on: {E_Q: {axis: X}}"),
+        "no column 'G'": ("force: F ", "force: G "),
+        "axis X": ("axis: Z", "axis: X"),
+    }
+    for words, (old, new) in faults.items():
+        pipeline.write_text(text.replace(old, new), encoding="utf-8")
+        capsys.readouterr()
+        assert main(["check", str(pipeline)]) == 2
+        assert words in re.sub(r"\s+", " ", "".join(capsys.readouterr()))

@@ -108,6 +108,18 @@ def test_spikes_at_rare_reversals_are_physics():
     assert touched(report, "outliers") == [777]
 
 
+def test_the_last_target_of_a_stroke_may_lie_further_off_than_the_others():
+    """A steep scale error at targets of which the last is 1.8 steps away; a reading that is off is still found."""
+    targets = np.r_[np.arange(18.0), 18.8] * 40
+    there_and_back = np.tile(np.r_[targets, targets[::-1]], 5)
+    error = 0.1 * there_and_back + noise(190)
+    run, t = np.repeat(np.arange(5), 38), np.arange(190.0)
+    assert outlying(error, run, t, 6.0, position=there_and_back).size == 0
+    error[[18, 103]] += 2.0
+    assert list(outlying(error, run, t, 6.0, position=there_and_back)) == [18, 103]
+    assert len(outlying(error, run, t, 6.0)) > 2  # as it was: the ends were taken for outliers
+
+
 def test_beside_a_twin_the_difference_is_judged():
     shape = 30 * np.sin(np.arange(600) * 1.3)  # so rough in time that the record itself shows nothing
     error = shape + noise(600)

@@ -175,6 +175,8 @@ def test_the_limit_names_the_unit_that_would_fit() -> None:
     problems = plausibility.too_large("EXX", 12_000.0, "um", 300.0)
     assert problems is not None and "um that were declared as mm" in problems.meant
     assert plausibility.too_large("ECC", 999.0, "urad", None) is None
+    as_far_as_the_travel = plausibility.too_large("EXX", 310_000.0, "um", 300.0)
+    assert as_far_as_the_travel is not None and as_far_as_the_travel.meant.startswith("absolute readings")
     assert plausibility.too_large("ECC", 1001.0, "urad", None) is not None
     assert plausibility.too_large("F_X", 1e9, "N", None) is None
 

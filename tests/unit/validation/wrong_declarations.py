@@ -176,7 +176,7 @@ def shuffled(f: pd.DataFrame) -> pd.Series:
     return out
 
 
-def _one_later(f: pd.DataFrame, by: int) -> pd.Series:
+def _later(f: pd.DataFrame, by: int) -> pd.Series:
     return pd.Series(np.roll(f.EXX.to_numpy(), by))
 
 
@@ -314,8 +314,9 @@ WRONG: tuple[Wrong, ...] = (
         "the row number as the run", _column("run", lambda f: [str(i) for i in range(len(f))]), "run-per-row", "row num"
     ),
     # rows
-    Wrong("errors one row late", _error(lambda f: _one_later(f, 1)), "shifted-rows", "row before"),
-    Wrong("errors one row early", _error(lambda f: _one_later(f, -1)), "shifted-rows", "row after"),
+    Wrong("errors one row late", _error(lambda f: _later(f, 1)), "shifted-rows", "row before"),
+    Wrong("errors one row early", _error(lambda f: _later(f, -1)), "shifted-rows", "row after"),
+    Wrong("errors three rows late", _error(lambda f: _later(f, 3)), "shifted-rows", "3 rows before"),
     # positions, time and temperatures
     Wrong("positions in inch declared as mm", _column("x", lambda f: f.x / INCH), "outside-travel", "inch"),
     Wrong("positions in m declared as mm", _column("x", lambda f: f.x / 1000), "as-large-as-travel", "position in m"),
