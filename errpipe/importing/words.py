@@ -239,7 +239,8 @@ def plain(text: object) -> str:
 def kind_by_name(header: str) -> str | None:
     """What a column holds by its header, or None."""
     text = _measured(header)
-    kind = next((kind for pattern, kind in WORDS if re.search(pattern, text)), None)
+    texts = [text.rpartition(":")[2], text] if re.search(r"[^\W\d]:(?=\S)", text) else [text]  # `TARGET_DU:X-PosAct`
+    kind = next((kind for said in texts for pattern, kind in WORDS if re.search(pattern, said)), None)
     return "error" if kind in ("command", "actual", "position") and difference(header) else kind  # `Soll-Ist`
 
 
