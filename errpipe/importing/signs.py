@@ -86,7 +86,10 @@ _SWITCHED_ON = re.compile(
     r"\b(?:comp\w*|korrektur\w*|kompensation\w*|correction\w*)\W+(?:was |is |ist |war )?"
     r"(?:on|active|aktiv|enabled|ein|an)\b|\b(?:with|mit|after|nach) (?:\w+ )?(?:comp\w*|korrektur|kompensation)\b"
 )
-_OF_THE_AIR = re.compile(r"temp|air|luft|environment|umgebung|material|wavelength|wellenlaenge|dead ?path|20 ?°")
+_OF_THE_AIR = re.compile(
+    r"temp|air|luft|environment|umgebung|material|wavelength|wellenlaenge|dead ?path|20 ?°|expan|ausdehn"
+    r"|therm|refract|ppm|factor|faktor"
+)
 
 
 def compensated(above: list[str]) -> list[str]:

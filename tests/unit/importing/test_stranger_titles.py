@@ -91,7 +91,19 @@ def test_a_title_that_may_say_corrections_is_asked_about(tmp_path: Path, title: 
     holds_the_truth(imported(tmp_path, tmp_path / "f.csv", sign="commanded-minus-actual"))
 
 
-@pytest.mark.parametrize("title", ["Compensation: off", "Correction: none", "Temp. compensation", "After correction"])
+@pytest.mark.parametrize(
+    "title",
+    [
+        *(
+            "Compensation: off",
+            "Correction: none",
+            "Temp. compensation",
+            "After correction",
+            "Correction factor 1.00027",
+        ),
+        *("Expansion correction 11.7 ppm/K", "Error compensation type: incremental", "Backlash compensation = 0"),
+    ],
+)
 def test_a_setting_is_no_title_of_corrections(tmp_path: Path, title: str) -> None:
     (tmp_path / "f.csv").write_text("\n".join([title, *wide(BARE)]), encoding="utf-8")
     holds_the_truth(imported(tmp_path, tmp_path / "f.csv"))
