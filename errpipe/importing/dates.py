@@ -222,7 +222,11 @@ _EAST_ASIAN = str.maketrans({"年": "/", "月": "/", "日": " ", "時": ":", "�
 
 
 def _usual_signs(text: str) -> str:
-    """`7:00:00,5` with a point, `Mar 1, 2025 7:00` with a blank, `2. März 2026` in English, `07.58.00` with colons."""
+    """`7:00:00,5` with a point, `Mar 1, 2025 7:00` with a blank, `2. März 2026` in English, `07.58.00` with colons.
+
+    Also a date in quotes, and `2021/06/12-12:54:51` with a blank between date and clock.
+    """
+    text = re.sub(r"^(\d{1,4}[/.-]\d\d?[/.-]\d{1,4})[-_](?=\d\d?:\d\d)", r"\1 ", text.strip("\"' "))
     text = re.sub(r",(?=\d)", ".", text.translate(_EAST_ASIAN)).replace(",", " ")
     text = re.sub(r"(?<=\d) ?([AaPp])\.?[Mm]\.?$", r" \1M", text)
     text = re.sub(r"(:\d\d:\d\d):(\d{1,3})$", r"\1.\2", text)  # `08:00:00:250`, as data loggers write

@@ -24,7 +24,7 @@ from errpipe.importing.header import (
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, filled_cells, number, of_one_mark
 from errpipe.importing.units import split_header, unit_of
 from errpipe.importing.units_above import units_of_columns
-from errpipe.importing.words import kind_by_name
+from errpipe.importing.words import is_correction, is_following_error, kind_by_name
 
 DEEPEST_HEADER = 200  # lines above the data: the longest preamble seen, of a laser's own file, has 60
 MOST_REMARKS = 50  # lines below a table that are kept as remarks
@@ -135,9 +135,11 @@ def _merged(names: list[str], numbers: list[list[float | None]]) -> list[str]:
 
 
 def _said_by_name(name: str) -> list[str]:
-    """Lines that state the axis, and the component, by which a sheet or file is named."""
+    """Lines that state the axis, the component, and whether corrections, by which a sheet or file is named."""
+    text = name.replace("_", " ")
+    kind = [text] if is_correction(text) or is_following_error(text) else []
     axis = [f"Axis: {letter} ({BY_NAME} {name!r})" for letter in _axis_of_sheet(name)]
-    return axis + [f"Component: {found} ({BY_NAME})" for found in re.findall(COMPONENT, name.replace("_", " "))]
+    return [*kind, *axis, *(f"Component: {found} ({BY_NAME})" for found in re.findall(COMPONENT, text))]
 
 
 def _axis_of_sheet(name: str) -> list[str]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from errpipe.domain import components
+from errpipe.domain import components, units
 from errpipe.errors import DataError
 from errpipe.importing import order
 from errpipe.importing.columns import ColumnGuess
@@ -79,20 +79,26 @@ def readings_as_errors(p: Proposal, axis: str) -> None:
         entry = p.entries[name]
         if place is None or place not in p.data or entry["component"] != components.positioning(axis):
             continue
-        slope, unit = slope_of(p.data[place], p.data[name]), p.entries[place].get("unit", "mm")
-        stated = "no unit is stated" not in p.guesses.get(name, "no unit is stated")
-        if slope is None or abs(slope - 1.0) > ABSOLUTE or (stated and entry["unit"] != unit):
-            continue  # 1 um per inch, or per m, is an error of an axis
-        del p.entries[name]
+        values, unit = p.data[name], p.entries[place].get("unit", "mm")
+        if "no unit is stated" not in p.guesses.get(name, "no unit is stated") and entry["unit"] != unit:
+            values = _in_unit_of_places(values, entry["unit"], unit)
+        slope = slope_of(p.data[place], values)
+        if slope is None or abs(slope - 1.0) > ABSOLUTE:
+            continue
+        del p.entries[name], p.data[name]
         p.guesses.pop(name, None)
         name = p.put(
-            f"actual_{axis}" if name == entry["component"] else name,
-            p.data.pop(name),
-            role="actual",
-            axis=axis,
-            unit=unit,
+            f"actual_{axis}" if name == entry["component"] else name, values, role="actual", axis=axis, unit=unit
         )
         p.guesses[name] = f"it rises with {place} one for one: absolute readings in {unit}, not deviations"
+
+
+def _in_unit_of_places(values: np.ndarray, unit: str, of_places: str) -> np.ndarray:
+    """Readings in the unit of the positions: 1 um per inch is an error of an axis, 25.4 mm per inch are readings."""
+    of_readings, places = units.conversion("error", unit), units.conversion("position", of_places)
+    assert of_readings is not None and places is not None  # both roles have units
+    part = 1e-3 if of_readings.unit == "um" else 180e-6 / np.pi  # mm or deg, in which positions are
+    return values * (of_readings.factor * part / places.factor)
 
 
 def _within_half_a_turn(p: Proposal, command: str, actual: str) -> None:

@@ -41,13 +41,19 @@ _OPPOSITE = re.compile(
 _ON_THE_SIGN = re.compile(
     r"\bvorzeichen|\bpositive? (error|deviation|value|reading)s?\b|\bpositive[rs]? (fehler|abweichung|wert)|符号"
     r"|\bsigns?\b(?![ -]?off)|\bsigne\b"
-    r"|^(?:e|err|error|fehler|dev\w*|abw\w*|abweichung|偏差|误差|誤差)(?: [xyz])?\W{0,2}"
+    r"|^(?:e|err|error|fehler|dev\w*|abw\w*|abweichung|erreur|ecart|errore|scostamento|desvi\w*|fout|hata"
+    r"|chyba|偏差|误差|誤差)(?: [xyz])?\W{0,2}"
     r"(?:=.*\w ?(?:-|minus)|:.* minus) ?[^\W\d]"
     r"|\b(?:corrections?|compensations?) (?:to be|to) \w+|\bare (?:the )?(?:corrections?|compensation)\b"
     r"|\b(?:invers\w*|invert\w*|negated|flipped|umgekehrt\w*) (?:error|dev|value|reading|fehler|abw|wert)"
     r"|\b(?:multiplied by|times|mal) ?\(?-"
     r"|\b(too|zu|trop|troppo|demasiado) (far|long|short|weit|kurz|lang|loin|court|corto|lungo|largo)\b"
     r"|\b(stops?|falls?|stays?|bleibt) (short|zurueck)\b"
+)
+# Settings of a control or a laser: `Compensation: none`, `Correction = 0`.
+_A_SETTING = re.compile(
+    r"\b(not?|none|keine?r?|yes|ja|nein|(?:in|de|un)?a[ck]ti(?:v|ef)\w*|(?:en|dis)abled|applied)\b"
+    r"|[:=] ?[+-]?\d"
 )
 _SIGN_MEANS = re.compile(  # `+ = the axis stops early`, `Pluswerte bedeuten ...`, not `+ = from below`
     r"(?:^|[\s(*;,:])(?:[+-]|plus\w*|minus\w*|positiv\w*|negativ\w*)"
@@ -80,7 +86,10 @@ _SWITCHED_ON = re.compile(
     r"\b(?:comp\w*|korrektur\w*|kompensation\w*|correction\w*)\W+(?:was |is |ist |war )?"
     r"(?:on|active|aktiv|enabled|ein|an)\b|\b(?:with|mit|after|nach) (?:\w+ )?(?:comp\w*|korrektur|kompensation)\b"
 )
-_OF_THE_AIR = re.compile(r"temp|air|luft|environment|umgebung|material|wavelength|wellenlaenge|dead ?path|20 ?°")
+_OF_THE_AIR = re.compile(
+    r"temp|air|luft|environment|umgebung|material|wavelength|wellenlaenge|dead ?path|20 ?°|expan|ausdehn"
+    r"|therm|refract|ppm|factor|faktor"
+)
 
 
 def compensated(above: list[str]) -> list[str]:
@@ -117,6 +126,14 @@ def _titles_corrections(line: str) -> bool:
     text, unit = split_header(line)
     rest = re.sub(words.CORRECTION, " ", words.plain(text))
     return unit is not None and words.is_correction(text) and _OF_CORRECTIONS.fullmatch(f" {rest} ") is not None
+
+
+def _may_title_corrections(line: str) -> bool:
+    """Whether a line above readings whose headers do not name them may: `Correction`, `Type: following error`."""
+    said = re.split("[:=：]", line)[-1]
+    of_a_control = words.is_correction(said) or words.is_following_error(said)
+    text = words.plain(line)
+    return of_a_control and not _A_SETTING.search(text) and not _OF_THE_AIR.search(text)
 
 
 def _stated(p: Proposal, name: str, options: ImportOptions) -> tuple[bool, str] | None:
@@ -200,4 +217,10 @@ def _ask(headers: tuple[str, ...], layout: Layout, why: str) -> None:
         raise DataError(
             f"a line says {line[:60]!r} of the sign, which is not understood: say it with --sign "
             "actual-minus-commanded (positive: the axis goes too far), or --sign commanded-minus-actual"
+        )
+    title = next(filter(_may_title_corrections, layout.above), None)
+    if title is not None and not any(words.kind_by_name(header) == "error" for header in headers):
+        raise DataError(
+            f"a line, sheet or file says {title[:60]!r}: are the readings deviations, positive where the axis goes too "
+            "far (--sign actual-minus-commanded), or the opposite (--sign commanded-minus-actual)?"
         )

@@ -55,6 +55,9 @@ _OTHER_QUANTITY = re.compile(
     r"|flow|fluss|debit|growth|displace|deviat|error|tilt|count|number|hours|stunden|volt|freq|veloc|accel|\bmass\b|weight"
     r"|length|ratio|percent|offset|setpoint|soll|strain|dehnung|gap|valve|pump"
 )
+_SET_POINT = re.compile(
+    r"(.*[^\W\d_]{2}.*?)[\W_]*(?:temp[a-z]*[\W_]*)?(?:target|set ?point|set|soll[a-z]*)"
+)  # `bed_target`
 LONGEST_WORD = 40  # letters: compounds are not longer, and what a pattern tries grows with them
 COLDEST, HOTTEST = 0.0, 120.0  # degC: of a machine that runs in a shop
 START = (5.0, 45.0)  # degC: a machine begins near the temperature of its shop; readings in degF begin above
@@ -92,6 +95,11 @@ def with_temperatures(
                 f"column {c.header!r} ({between}) is not used: it may be a temperature, but {doubt}; if it is one, say "
                 f"--set '{c.header}.role=temperature', and its unit where that is not degC"
             )
+    warm = [plain(h) for h, g in out.items() if g.kind == "temperature"]
+    for c in columns:
+        of = _SET_POINT.fullmatch(plain(c.header)) if out[c.header].kind == "command" else None
+        if of and c.unit in (None, "degC", "degF") and any(re.match(rf"{re.escape(of[1])}[\W_]", w) for w in warm):
+            out[c.header] = ColumnGuess("ignore", None, "the set point of a temperature")
     return out, notes
 
 

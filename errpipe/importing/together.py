@@ -18,6 +18,7 @@ from errpipe.importing.proposed import Proposal, slug
 from errpipe.importing.words import plain
 
 OF_A_MACHINE = ("command", "position", "actual")
+MAX_SHEETS_NAMED = 6  # sheets that a message names
 STALE_STEPS = 10.0  # of a log: a reading that is older than so many of its steps is none of the row
 
 
@@ -113,6 +114,26 @@ def of_one_test(part: Proposal, first: Proposal) -> bool:
     return part.entries.keys() == first.entries.keys() and all(
         [part.entries[n].get(k) for k in keys] == [e.get(k) for k in keys] for n, e in first.entries.items()
     )
+
+
+def runs_of_sheets(sheets: list[tuple[Proposal, str]]) -> list[tuple[Proposal, str]]:
+    """Sheets with their names; those that are runs of one test, by their names and columns, as one.
+
+    Raises DataError where they have the same columns and no names of runs: of two years, or copied and corrected.
+    """
+    alike = [(part, name) for part, name in sheets if of_one_test(part, sheets[0][0])]
+    parts, names = [part for part, _ in alike], [name for _, name in alike]
+    if len(parts) < 2:
+        return sheets
+    if not are_runs(names):
+        shown = ", ".join(names[:MAX_SHEETS_NAMED])
+        raise DataError(
+            f"sheets {shown} hold the same columns: which is meant? Choose one with --sheet (runs of one test: call "
+            "them Run 1, Run 2)"
+        )
+    joined = one_after_another(parts, sides_of_names(parts, names))
+    joined.notes.append(f"the sheets {', '.join(names)} are runs of one test")
+    return [(joined, ", ".join(names)), *(rest for rest in sheets if rest[1] not in names)]
 
 
 def sides_of_names(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]:

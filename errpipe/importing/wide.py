@@ -19,7 +19,7 @@ _RUN_AND_LETTER = re.compile(r"(?:run|lauf|[rl#])? ?(\d+) ?([a-z])")  # `R1f`, `
 _LETTER_AND_RUN = re.compile(r"[a-z] ?\d+|\d+ ?[a-z]")
 _DATE_WITHIN = re.compile(r"\b\d{1,4}([./-])\d{1,2}\1\d{2,4}(T[\d:.]+)?")  # of a run that is called by its day
 _NO_NAME = re.compile(r"column \d+'*")  # of a column without a header
-_INSTRUMENT = re.compile(r"\b(laser|sensor|probe|gauge|dial|channel|ch|kanal|taster|uhr|messuhr|t)\W?\d+\b")
+_INSTRUMENT = re.compile(r"\b(laser|sensor|enc|encoder|probe|gauge|dial|channel|ch|kanal|taster|uhr|messuhr|t)\W?\d+\b")
 ARROWS = "↑↓→←"
 _STATISTIC = re.compile(
     r"\b(mittel\w*|mw|mean|average|avg|median|sigma|std\w*|stabw\w*|streuung|umkehrspanne|reversal|hysteres[ei]s?|range|spanne"
@@ -126,18 +126,26 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     if len(readings) < 2:
         return None
     if len({(run, side) for _, run, side in readings}) < len(readings):
-        if len({run for _, run, _ in readings}) > 1 and all(side is None for _, _, side in readings):
-            first, other = next((a, b) for a, ra, _ in readings for b, rb, _ in readings if ra == rb and a is not b)
-            raise DataError(
-                f"columns {first.header!r} and {other.header!r} are both of one run, and neither states from which "
-                "side its targets were approached: write + and -, up and down, or fwd and rev into the header"
-            )
+        _refuse_runs_without_sides(readings)
         return None
     ways = [
         c for c in layout.columns if guesses[c.header].kind == "direction" and not any(c is r for r, _, _ in readings)
     ]
     way = ways[0] if ways and all(side is None for _, _, side in readings) else None
     return Wide(targets[0], readings, statistics, labels[0] if labels and not named else None, way)
+
+
+def _refuse_runs_without_sides(readings: list[tuple[RawColumn, str, float | None]]) -> None:
+    """Raise DataError for several columns of one run without a side; not for `theta_1`, `tau_1` of joints."""
+    if len({run for _, run, _ in readings}) < 2 or any(side is not None for _, _, side in readings):
+        return
+    first, other = next((a, b) for a, ra, _ in readings for b, rb, _ in readings if ra == rb and a is not b)
+    words = [{*re.findall(r"[^\W\d_]{2,}", guessing.plain(c.header))} for c in (first, other)]
+    if not all(words) or words[0] & words[1]:
+        raise DataError(
+            f"columns {first.header!r} and {other.header!r} are both of one run, and neither states from which "
+            "side its targets were approached: write + and -, up and down, or fwd and rev into the header"
+        )
 
 
 def _positive_side(header: str, headers: set[str]) -> str:

@@ -11,7 +11,7 @@ import re
 import unicodedata
 
 CORRECTION = (  # minus the deviation
-    r"\b(corrections?|\w*korrektur(en|wert|werte)?|corr|comp(ensation)?s?|\w*kompensation(swerte?)?|correzion[ei]"
+    r"\b(corrections?|\w*korrektur(en|werte?|tabelle|daten)?|corr|comp(ensation)?s?|\w*kompensation(s(werte?|tabelle|daten))?|correzion[ei]"
     r"|correccion(es)?|correctif|compensazion[ei]|compensacion(es)?|compensacao|correcao|correctie|compensatie|korekc\w*|korekt\w*|popraw\w*"
     r"|kompensac\w*|kompenzac\w*|korrigering\w*|kompensering\w*|duezeltme\w*|telafi\w*"
     r"|to apply|adjustments?|nachstell\w*|ausgleich(swerte?)?|verrechnung(swerte?)?)\b"
@@ -167,12 +167,13 @@ _OF_A_DIFFERENCE = (
     (
         0,
         r"soll\w*|nominal\w*|nom|nennwert|targets?|command\w*|cmd|set(?: ?point)?|sp|demand\w*|dem|programmed"
-        r"|prog|reference|ref|consign[ea]|theo\w*|cible|teoric\w*|objetivo|alvo|zadan\w*|задан\w*|指令\w*|目標\w*|目标\w*|理论\w*",
+        r"|prog|reference|ref|consign[ea]|comand\w*|program\w*|doel\w*|gewenst\w*|cilov\w*|hedef\w*|theo\w*|cible|teoric\w*|objetivo|alvo|zadan\w*|задан\w*|指令\w*|目標\w*|目标\w*|理论\w*",
     ),
     (1, r"encoder|enc|(?:glass ?)?scale|display|anzeige|dro|machine|maschine|control(?:ler)?|steuerung"),
     (
         2,
         r"ist\w*|actual|act|real|feedback|fbk?|pv|measured|meas|mess\w*|readings?|mesure\w*|releve\w*|misurat\w*|medid\w*"
+        r"|reel\w*|effettiv\w*|efectiv\w*|gemeten|werkelijk\w*|namer\w*|skutecn\w*|olcul\w*"
         r"|laser|interferometer|gauge|dial|indicator|zmierzon\w*|rzeczywist\w*|измерен\w*|фактич\w*|実測\w*|实测\w*|实际\w*",
     ),
 )
@@ -238,7 +239,8 @@ def plain(text: object) -> str:
 def kind_by_name(header: str) -> str | None:
     """What a column holds by its header, or None."""
     text = _measured(header)
-    kind = next((kind for pattern, kind in WORDS if re.search(pattern, text)), None)
+    texts = [text.rpartition(":")[2], text] if re.search(r"[^\W\d]:(?=\S)", text) else [text]  # `TARGET_DU:X-PosAct`
+    kind = next((kind for said in texts for pattern, kind in WORDS if re.search(pattern, said)), None)
     return "error" if kind in ("command", "actual", "position") and difference(header) else kind  # `Soll-Ist`
 
 

@@ -37,7 +37,6 @@ from errpipe.verbs import _as_written
 
 TABLE = "recording.csv"
 MAX_SHEETS = 64  # with measurements, of one file; the rest is not opened
-MAX_SHEETS_NAMED = 6  # other sheets that are named beside the one that is imported
 DIGITS = 12  # of a number in the table: more than any instrument has
 
 
@@ -136,23 +135,12 @@ def _of_any_sheet(
     if asked:  # the sheet before may be the one that is meant
         raise DataError(f"{file}: {asked}. Or, of the other sheets, --sheet {out[0][1]!r}")
     together.refuse_states([name for _, name in out], "sheets", "choose one with --sheet")
-    out = _with_runs_joined(out)
+    out = together.runs_of_sheets(out)
     proposal, name = out[0]
     if len(out) > 1:
-        others = ", ".join(other for _, other in out[1 : 1 + MAX_SHEETS_NAMED])
+        others = ", ".join(other for _, other in out[1 : 1 + together.MAX_SHEETS_NAMED])
         proposal.notes.append(f"{name} is imported; other sheets hold measurements too: {others} (--sheet chooses one)")
     return proposal, f"{kind}, {name}" if len(sheets) > 1 else kind
-
-
-def _with_runs_joined(sheets: list[tuple[Proposal, str]]) -> list[tuple[Proposal, str]]:
-    """Sheets with their names; those that are runs of one test, by their names and columns, as one."""
-    alike = [(part, name) for part, name in sheets if together.of_one_test(part, sheets[0][0])]
-    parts, names = [part for part, _ in alike], [name for _, name in alike]
-    if len(parts) < 2 or not together.are_runs(names):
-        return sheets
-    joined = together.one_after_another(parts, together.sides_of_names(parts, names))
-    joined.notes.append(f"the sheets {', '.join(names)} are runs of one test")
-    return [(joined, ", ".join(names)), *(rest for rest in sheets if rest[1] not in names)]
 
 
 def write(

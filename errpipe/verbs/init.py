@@ -24,7 +24,7 @@ class Template:
     """sample: function of `simulation.sample_recordings` that makes the recording; None: the pipeline simulates it.
 
     own: the pipeline for a recording of the user's, where it is another one; needs: roles of which that has a column,
-    at least of one. The targets stand in the pipeline.
+    at least of one; errors: components that it has all. The targets stand in the pipeline.
     """
 
     about: str
@@ -32,6 +32,7 @@ class Template:
     machine: str | None = None
     own: str | None = None
     needs: tuple[str, ...] = ()
+    errors: tuple[str, ...] = ()
 
 
 POSITIONING = ("positioning", "angular positioning")  # kinds of components of which ISO 230-2 has figures
@@ -43,7 +44,7 @@ TEMPLATES = {
     "diagnose-log": Template("a log of the control, diagnosed", "axis_log"),
     "spindle-drift": Template("spindle drift over seasons", None, own="spindle-drift-own", needs=HEAT),
     "gantry": Template("a gantry's Z reference, warming up", "gantry", needs=("temperature",)),
-    "drilled-plate": Template("a planar map from drilled plates", "drilled_plate"),
+    "drilled-plate": Template("a planar map from drilled plates", "drilled_plate", errors=("E_X", "E_Y")),
     "five-axis": Template("a five-axis machine, identified", None, "five-axis.machine.yaml"),
 }
 
@@ -130,6 +131,10 @@ def _filled(
         needs = TEMPLATES[name].needs
         if needs and not {*needs} & facts["roles"]:
             raise UsageError(f"{recording}: no column of role {' or '.join(needs)}, which template {name} needs")
+        absent = [c for c in TEMPLATES[name].errors if c not in facts["components"]]
+        if absent:
+            have = ", ".join(facts["components"])
+            raise UsageError(f"{recording}: no error of {absent[0]}, which template {name} needs (it has: {have})")
         if facts["others"]:
             also = f"  # recorded too: {', '.join(facts['others'])}"
             text = re.sub(r"(?m)^( +component: @COMPONENT@)$", rf"\g<1>{also}", text)
@@ -176,6 +181,7 @@ def _facts(folder: Path) -> dict[str, Any]:
         "both_directions": both,
         "sensors": recording.names("temperature"),
         "roles": roles,
+        "components": recorded,
         "others": [c for c in recorded if c != component],
         "recording": recording if place is not None and recording.manifest.columns[place].unit == "mm" else None,
     }

@@ -1,8 +1,9 @@
-"""Parquet tables (by pyarrow), and JSON: a record a line, a list of records, or a list for each column."""
+"""Parquet tables (by pyarrow), and JSON: a record a line, a list of records or rows, or a list for each column."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,15 @@ name = "Parquet or JSON"
 suffixes = (".parquet", ".json", ".jsonl", ".ndjson")
 binary = True  # a few bytes can state many rows
 _PARQUET = b"PAR1"
+DEEPEST = 5  # objects and lists within each other in which tables are looked for: a result of InfluxDB has 4
+MOST_SERIES = 20  # of a list, in which tables are looked for
+_NAMES = ("columns", "fields", "header")  # keys of the names of columns beside rows
 
 
 def sniff(path: Path, head: bytes) -> bool:
     """A Parquet file, or text that begins as records of JSON do; a line `[1] Circle` does not."""
     begin = "".join(head[:64].decode("utf-8-sig", "replace").split())
-    return head.startswith(_PARQUET) or begin.startswith(('{"', '[{"', "[{}"))
+    return head.startswith(_PARQUET) or begin.startswith(('{"', '[{"', "[{}", "[["))
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
@@ -60,20 +64,62 @@ def _json(path: Path) -> dict[str, list[Cell]]:
         document = [_line(path, n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip()]
     except RecursionError:
         raise DataError(f"{path}: JSON that is nested too deep for a table") from None
-    if isinstance(document, dict):
-        document = next(
-            (v for v in document.values() if isinstance(v, list) and v and isinstance(v[0], dict)), document
+    tables = list(_tables(document))
+    if not tables:
+        raise DataError(
+            f"{path}: JSON that is no table (allowed: a record a line, a list of records or of rows, lists by column, "
+            "also within one object)"
         )
+    columns = max(tables, key=lambda table: max(map(len, table.values())))
+    affordable(len(columns) * max(map(len, columns.values())), path)
+    return {n: [_cell(v) for v in values] for n, values in columns.items()}
+
+
+def _tables(document: Any, depth: int = DEEPEST) -> Iterator[dict[str, list[Any]]]:
+    """The columns of every table of a document: facts of the set-up beside the readings may be small ones.
+
+    A table is a list of records, lists by column (pandas: `list`), a list of rows beside the names of the columns
+    (`split`), or values by the number of the row (`columns`, `index`).
+    """
     if isinstance(document, dict):
-        lists = {k: v for k, v in document.items() if isinstance(v, list)}
+        inner, header = [*document.values()], next((h for k in _NAMES if isinstance(h := document.get(k), list)), None)
+        lists = {k: v for k, v in document.items() if isinstance(v, list) and v and not isinstance(v[0], list | dict)}
         if lists and len({*map(len, lists.values())}) == 1:
-            return {k: [_cell(v) for v in values] for k, values in lists.items()}
-    records = [_flat(r) for r in document if isinstance(r, dict)] if isinstance(document, list) else []
-    names = dict.fromkeys(n for r in records for n in r)
-    affordable(len(names) * len(records), path)
-    if not names:
-        raise DataError(f"{path}: JSON that is no table (allowed: a record a line, a list of records, lists by column)")
-    return {n: [_cell(r.get(n)) for r in records] for n in names}
+            yield lists
+        by_number = [v for v in inner if isinstance(v, dict) and _numbered(v)]
+        if by_number and len(by_number) == len(inner) and len({*map(len, by_number)}) == 1:
+            yield {k: [*v.values()] for k, v in document.items()}
+        if _numbered(document):
+            inner = [inner]
+    else:
+        inner, header = (document, None) if isinstance(document, list) else ([], None)
+        records = [_flat(r) for r in inner if isinstance(r, dict)]
+        if names := dict.fromkeys(n for r in records for n in r):
+            yield {n: [r.get(n) for r in records] for n in names}
+        yield from _of_rows(inner, None)
+        inner = inner[:MOST_SERIES]
+    for value in inner if depth else []:
+        if isinstance(value, list):
+            yield from _of_rows(value, header)
+        if isinstance(value, list | dict):
+            yield from _tables(value, depth - 1)
+
+
+def _numbered(values: dict[str, Any]) -> bool:
+    """Whether the keys count the rows: `0`, `1`, ..."""
+    return len(values) > 2 and [*values] == [str(n) for n in range(len(values))]
+
+
+def _of_rows(rows: list[Any], header: list[Any] | None) -> Iterator[dict[str, list[Any]]]:
+    """The columns of rows of one width, named by a header of that width, or by a first row of texts."""
+    if len(rows) < 2 or not all(isinstance(r, list) and len(r) == len(rows[0]) > 1 for r in rows):
+        return
+    if header is None and all(isinstance(v, str) for v in rows[0]):
+        header, rows = rows[0], rows[1:]
+    names = [*dict.fromkeys(map(str, header or []))]
+    if len(names) != len(rows[0]):
+        names = [f"column {i}" for i in range(1, len(rows[0]) + 1)]
+    yield dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
 
 
 def _line(path: Path, n: int, line: str) -> Any:

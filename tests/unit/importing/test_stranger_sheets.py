@@ -9,6 +9,7 @@ import pytest
 
 from errpipe.errors import DataError, UsageError
 from errpipe.importing import words
+from errpipe.importing.sheet import DoorOptions
 from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 from tests.unit.importing.test_first_hour import RUNS, SIDES, de, long
 
@@ -280,10 +281,11 @@ def test_forward_of_an_axis_that_goes_down_is_asked_about(tmp_path: Path) -> Non
         (["X run 1", "X run 2", "X run 3"], True),
         (["Messung 1 vor Komp", "Messung 2 nach Komp", "Messung 3 nach Komp"], False),
         (["Tabelle1", "Tabelle2", "Tabelle3"], False),
+        (["2024", "2025", "2026"], False),
     ],
 )
 def test_sheets_that_are_runs_are_joined(tmp_path: Path, names: list[str], joined: bool) -> None:
-    """Only the first of three runs was imported; sheets that may be of something else are named, as before."""
+    """Only the first of three runs was imported; sheets that may be of something else are asked about."""
     openpyxl = pytest.importorskip("openpyxl")
     book = openpyxl.Workbook()
     book.remove(book.active)
@@ -292,12 +294,12 @@ def test_sheets_that_are_runs_are_joined(tmp_path: Path, names: list[str], joine
         for row in [["Dir", "X [mm]", "Deviation [um]"], *rows_of_run(run)]:
             sheet.append(row)
     book.save(tmp_path / "f.xlsx")
-    recording = imported(tmp_path, tmp_path / "f.xlsx")
     if joined:
-        holds_the_truth(recording)
-    else:
-        assert len(recording) == 2 * TARGETS.size
-        assert "other sheets hold measurements too" in (tmp_path / "rec" / "recording.yaml").read_text("utf-8")
+        holds_the_truth(imported(tmp_path, tmp_path / "f.xlsx"))
+        return
+    with pytest.raises(DataError, match=r"which is meant|of several states"):
+        imported(tmp_path, tmp_path / "f.xlsx")
+    assert len(imported(tmp_path, tmp_path / "f.xlsx", DoorOptions(sheet=names[1]))) == 2 * TARGETS.size
 
 
 def rows_of_run(run: int) -> list[list[object]]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from errpipe.errors import DataError
-from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, prepared
+from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows, prepared
 
 RUNS = (1, 2, 3)
 
@@ -71,3 +71,60 @@ def test_before_and_after_are_no_sides(tmp_path: Path) -> None:
     (tmp_path / "f.csv").write_text("\n".join(lines), "utf-8")
     with pytest.raises(DataError, match="both"):
         prepared([tmp_path / "f.csv"])
+
+
+BARE = [f"{w} {r} [um]" for w in ("Forward", "Backward") for r in RUNS]
+
+
+@pytest.mark.parametrize(
+    "title",
+    [
+        *("Correction", "Korrekturwert", "X axis correction", "Pitch error compensation X", "Value;Correction"),
+        *("Type: correction", "Readings: corrections in um", "Correction à appliquer (µm)", "Following error X"),
+    ],
+)
+def test_a_title_that_may_say_corrections_is_asked_about(tmp_path: Path, title: str) -> None:
+    """They were taken as deviations, and doubled the error of the machine."""
+    (tmp_path / "f.csv").write_text("\n".join([title, *wide(BARE, -1.0)]), encoding="utf-8")
+    with pytest.raises(DataError, match="are the readings deviations"):
+        imported(tmp_path, tmp_path / "f.csv")
+    holds_the_truth(imported(tmp_path, tmp_path / "f.csv", sign="commanded-minus-actual"))
+
+
+@pytest.mark.parametrize(
+    "title",
+    [
+        *(
+            "Compensation: off",
+            "Correction: none",
+            "Temp. compensation",
+            "After correction",
+            "Correction factor 1.00027",
+        ),
+        *("Expansion correction 11.7 ppm/K", "Error compensation type: incremental", "Backlash compensation = 0"),
+    ],
+)
+def test_a_setting_is_no_title_of_corrections(tmp_path: Path, title: str) -> None:
+    (tmp_path / "f.csv").write_text("\n".join([title, *wide(BARE)]), encoding="utf-8")
+    holds_the_truth(imported(tmp_path, tmp_path / "f.csv"))
+
+
+def test_a_file_that_is_called_a_correction_is_asked_about(tmp_path: Path) -> None:
+    (tmp_path / "X_corrections.csv").write_text("\n".join(wide(BARE, -1.0)), encoding="utf-8")
+    with pytest.raises(DataError, match="'X corrections': are the readings"):
+        imported(tmp_path, tmp_path / "X_corrections.csv")
+    (tmp_path / "Korrekturtabelle X.csv").write_text("\n".join(wide(BARE, -1.0)), encoding="utf-8")
+    holds_the_truth(imported(tmp_path, tmp_path / "Korrekturtabelle X.csv"))
+
+
+@pytest.mark.parametrize("unit", ["mm", "inch", "m"])
+def test_absolute_readings_in_the_columns_of_the_runs(tmp_path: Path, unit: str) -> None:
+    """In inch they were deviations of 400 mm: the readings alone had been converted."""
+    per = {"mm": 1.0, "inch": 25.4, "m": 1000.0}[unit]
+    columns = [TARGETS + deviation(r, s) / 1000 for s in (1.0, -1.0) for r in RUNS]
+    rows = [";".join(f"{c[i] / per:.12f}" for c in (TARGETS, *columns)) for i in range(TARGETS.size)]
+    head = ";".join([f"Target [{unit}]", *(h.replace("um", unit) for h in BARE)])
+    (tmp_path / "f.csv").write_text("\n".join([head, *rows]), encoding="utf-8")
+    read = imported(tmp_path, tmp_path / "f.csv")
+    known = np.sort([d for *_, d in long_rows()])
+    assert np.sort(read.array(read.names("error", component="EXX")[0])) == pytest.approx(known, abs=1e-4)

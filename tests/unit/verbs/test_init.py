@@ -24,6 +24,10 @@ def test_a_template_that_needs_what_the_recording_lacks_is_refused(tmp_path: Pat
         init(tmp_path / "work", template, tmp_path / "recording")
     assert not (tmp_path / "work").exists()
 
+    with pytest.raises(UsageError, match=r"no error of E_X, which template drilled-plate needs \(it has: EXX\)"):
+        init(tmp_path / "work", "drilled-plate", tmp_path / "recording")
+    assert not (tmp_path / "work").exists()
+
 
 @pytest.mark.parametrize(("component", "figures"), [("EXX", "true"), ("EYX", "false")])
 def test_figures_of_iso_230_2_are_asked_for_of_a_positioning_alone(
