@@ -15,8 +15,7 @@ from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.terms._base import Parameter
 from errpipe.terms._driven import OfSimulatedForce
-from errpipe.terms._search import RATIO, Listed, Signals, Speeds, geometric, resolved_times
-from errpipe.terms._slack import Slack
+from errpipe.terms._search import COARSE_RATIO, Listed, Signals, Speeds, geometric, resolved_times
 
 SHARES = (0.3, 0.4, 0.5, 0.58, 0.66, 0.74, 0.82, 0.9, 0.95)  # of the largest force
 STEPS = 2.0  # sampling steps: the shortest time of a loop that rows resolve
@@ -31,7 +30,7 @@ class Loops(Listed):
 
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         shortest = STEPS * resolved_times(recording)[0]
-        return (0.0, *geometric(shortest, LONGEST, RATIO)) if shortest < LONGEST else (0.0,)
+        return (0.0, *geometric(shortest, LONGEST, COARSE_RATIO)) if shortest < LONGEST else (0.0,)
 
 
 class Saturation(OfSimulatedForce):
@@ -57,10 +56,6 @@ class Saturation(OfSimulatedForce):
         force, (limit, catch_up) = recording.array(self.column), nonlinear
         held = responses.limited(sessions(recording), recording.time(), force, limit, catch_up)
         return (held - force)[:, None]
-
-    def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
-        for factor in (0.6, 1.6) if nonlinear[1] > 0 else ():  # loops are damped more or less than critically
-            yield self.basis(recording, nonlinear[0], factor * nonlinear[1])[:, 0] - base[:, 0], 0.3
 
     def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
         limit, catch_up = self.nonlinear_values(parameters)
