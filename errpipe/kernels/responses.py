@@ -191,3 +191,26 @@ def vibration(run, t, u, frequency, damping, pause):
             rate = fade * (v * c - (decay * v + w * w * z) * s) + slope
         y[i, 0], y[i, 1] = q, rate / w
     return y
+
+
+@kernel
+def limited(run, t, f, limit, catch_up):
+    """A force f that stays within -limit..limit, and makes up for the impulse it lacked: shape of f.
+
+    The loop asks for f + J / T + S / (2 T)^2, J the impulse that was lacking, S its integral over time, T = catch_up
+    in s: a position loop that is damped critically. It has caught up over a gap of 5 T. 0: nothing is made up for.
+    """
+    y = np.empty(f.size)
+    lacking = behind = 0.0
+    for i in range(f.size):
+        dt = t[i] - t[i - 1] if i > 0 and run[i] == run[i - 1] else np.inf
+        if not dt < 5.0 * catch_up or np.isnan(f[i]):
+            dt = lacking = behind = 0.0
+        asked = f[i]
+        if catch_up > 0.0:
+            asked += lacking / catch_up + behind / (4.0 * catch_up * catch_up)
+        y[i] = min(max(asked, -limit), limit) if not np.isnan(asked) else asked
+        if dt > 0.0:
+            lacking += (f[i] - y[i]) * dt
+            behind += lacking * dt
+    return y

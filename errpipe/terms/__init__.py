@@ -77,6 +77,7 @@ TERMS: Choice[type[Term]] = Choice.of_files(
         "run_pose",
         "smooth_curve",
         "moving_mass",
+        "friction_gradient",
         "saturation",
         "dead_zone",
         "flexible_mode",

@@ -34,6 +34,11 @@ def tight_end(frame):
     return frame.assign(F_X=frame.F_X + 15 * np.sign(frame.v) * (1 + 0.7 * (frame.x - 200) / 150))
 
 
+def growing(frame):
+    """Guides out of parallel: as simulated in the middle, 24 N more from end to end."""
+    return frame.assign(F_X=frame.F_X + 24 * np.sign(frame.v) * ((frame.x - frame.x.min()) / np.ptp(frame.x) - 0.5))
+
+
 def since_turn(frame):
     """Time since the last reversal in s, long before the first."""
     t, side = frame.t.to_numpy(), np.sign(frame.v.to_numpy())
@@ -57,6 +62,7 @@ CASES = {
     "moving_mass": (no_mass, "mass", 80.0),
     "saturation": (limited, "limit", 18.0),
     "dead_zone": (play, "threshold", 4.0),
+    "friction_gradient": (growing, "growth", 24.0),
     "reversal_spike": (sticks, "height", -25.0),
     "coulomb_friction": (tight_end, "force", 15.0),
 }

@@ -38,6 +38,26 @@ def signals(*values: np.ndarray) -> Signals:
     return Signals(np.arange(values[0].size), values)
 
 
+# ---------------------------------------------------------------- a limit, and what the loop makes up for
+def test_a_limited_drive_catches_up_as_a_mass_in_a_critically_damped_loop_does():
+    t, mass, catch_up, limit = np.linspace(0.0, 3.0, 30001), 7.0, 0.05, 6.0
+    asked = lambda at: 10.0 * np.sin(3.0 * at) * np.exp(-((at - 1.0) ** 2))  # noqa: E731
+
+    def pushed(at, speed, place):
+        want = asked(at) + mass * (speed / catch_up + place / (2 * catch_up) ** 2)
+        return np.clip(want, -limit, limit)
+
+    def moves(at, state):  # how far the limited mass lags behind the one that is not
+        return [(asked(at) - pushed(at, *state)) / mass, state[0]]
+
+    lag = solve_ivp(moves, (0.0, 3.0), [0.0, 0.0], t_eval=t, rtol=1e-8, atol=1e-10, max_step=1e-3).y
+    made = responses.limited(np.zeros(t.size, dtype=np.int64), t, asked(t), limit, catch_up)
+    assert_allclose(made, pushed(t, *lag), atol=0.02)
+    assert np.abs(made - np.clip(asked(t), -limit, limit)).max() > 1.0  # it does make up for it
+    plain = responses.limited(np.zeros(t.size, dtype=np.int64), t, asked(t), limit, 0.0)
+    assert_allclose(plain, np.clip(asked(t), -limit, limit))
+
+
 # ---------------------------------------------------------------- a resonance
 @pytest.mark.parametrize("damping", [0.003, 0.05, 0.6])
 def test_vibration_against_a_linear_system(damping):

@@ -11,6 +11,7 @@ from errpipe.drivers.motion import direction, moving, unbroken
 from errpipe.kernels import responses
 from errpipe.terms.backlash import Backlash
 from errpipe.terms.coulomb_friction import CoulombFriction
+from errpipe.terms.friction_gradient import FrictionGradient
 from errpipe.terms.reversal_spike import ReversalSpike
 
 NOISE = 0.05  # mm/s
@@ -130,3 +131,24 @@ def test_a_spike_rises_over_travel_whatever_the_feed():
     columns = np.column_stack([base, *(column for column, _ in term.slack(recording, base, 0.04))][:4])
     left = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
     assert left.std() < 0.1 * y.std()
+
+
+def test_a_mass_that_brakes_harder_than_its_friction_runs_on_across_the_gap(there_and_back):
+    recording = traced(there_and_back, 0.0)  # it brakes at 204 mm/s2
+    plain = Backlash(axis="X").basis(recording)[:, 0]
+    heavy = Backlash(axis="X", column="a").basis(recording, 500.0)[:, 0]  # friction brakes harder than the drive
+    light = Backlash(axis="X", column="a").basis(recording, 100.0)[:, 0]
+    assert np.array_equal(heavy[1:], plain[1:])
+    braking = np.arange(plain.size) % 1200 // 600 == 0
+    braking &= np.arange(plain.size) % 600 > 552
+    assert np.array_equal(light[braking & (there_and_back != 0)], -plain[braking & (there_and_back != 0)])
+    assert np.array_equal(light[700:1100], -plain[700:1100])  # at rest it stays on the side where it came to lie
+
+
+def test_friction_that_grows_along_the_axis(there_and_back):
+    recording = traced(there_and_back, 0.0)
+    (term,) = FrictionGradient.bind(recording, "F_X")
+    x = recording.array("x")
+    assert term.length == pytest.approx(np.ptp(x))
+    expected = np.sign(there_and_back) * (x - 0.5 * (x.min() + x.max())) / np.ptp(x)
+    assert np.allclose(term.basis(recording)[:, 0], expected)
