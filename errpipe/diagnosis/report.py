@@ -39,6 +39,8 @@ UNSIZED = 0.6  # upper limit of the confidence of a finding whose size is not si
 PREDICTED = 0.5  # of the mismatch left on held-out rows, up to which names predict well (a gantry's bed leaves 0.14)
 UNSURE = 0.75  # and of one that stands beside a gain far off (two things are said to be wrong, and other names may do
 # without one of them), or beside shapes that held-out rows prove, or that fewer than half of the folds find again
+SHAPED = 0.02  # of the whole held-out variance: what shapes predict beside names that are not sure then. Chosen on a
+# wind-up that stood for a withheld hysteresis (0.046) and a real gantry's bed, which is right (at most 0.004)
 UNPROVED = 0.45  # upper limit of the confidence of a finding that held-out rows do not bear out, or that noise may play
 
 
@@ -101,7 +103,8 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
     """
     slow = case.held.names > PREDICTED * case.held.before
     far = slow and gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes)
-    most, shaped = [1.0] * len(made), case.held.shape_share() >= unnamed.HELD_OUT_SHARE
+    left = (case.held.names / max(case.held.before, 1e-300)) ** 2
+    most, shaped = [1.0] * len(made), case.held.shape_share() * min(left, 1.0) >= SHAPED
     for k, (m, s) in enumerate(zip(made, indicators, strict=True)):
         wanders = case.over_noise < 0.0 or (slow and s.wandering > s.gain)
         a_gain = any(plausible.gain_of_a_part(case, other) for other in made[: k + 1])  # or beside one

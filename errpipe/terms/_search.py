@@ -165,9 +165,10 @@ class Speeds(Listed):
         return tuple(fastest * s for s in self.shares)
 
     def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
-        """Smallest and largest speed tried, of what fades."""
-        tried = self.values(term, "", recording, Signals())
-        return (tried[0], tried[-1]) if self.fades else super().limits(term, recording)
+        """Of what fades up to the largest speed tried; it may fade within less than the smallest."""
+        if not self.fades:
+            return super().limits(term, recording)
+        return 0.0, self.values(term, "", recording, Signals())[-1]
 
 
 @dataclass(frozen=True)
