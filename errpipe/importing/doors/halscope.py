@@ -24,21 +24,22 @@ def sniff(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
-    """A column of times and one per signal, a row per sample. Raises DataError where no line holds names and values."""
+    """A column of times and one per signal, a row per sample. Raises DataError where a line has other names."""
     text = path.read_text(encoding="latin-1")
     found = _PERIOD.match(text)
     period = NANO * int(found.group(1)) if found else 0.0
-    signals: dict[str, list[Cell]] = {}
-    for line in text.splitlines()[1:]:
-        words = line.split()
-        of_line = dict(zip(words[0::2], words[1::2], strict=False))  # a signal on two channels stands there twice
-        for signal, word in of_line.items():
-            value = number(word, comma="," in word)
-            if value is not None:
-                signals.setdefault(signal, []).append(value)
-    rows = min(map(len, signals.values()), default=0)  # the last line may be torn
-    if not rows:
+    samples = [line.split() for line in text.splitlines()[1:] if line.strip()]
+    names = samples[0][0::2] if samples else []
+    if not names or len(samples[0]) % 2:
         raise DataError(f"{path}: no line of names and values below the sampling period")
-    affordable(rows * (len(signals) + 1), path)
-    cells: list[list[Cell]] = [[period * i, *(v[i] for v in signals.values())] for i in range(rows)]
+    signals = [*dict.fromkeys(names)]  # a signal on two channels stands there twice
+    if samples[-1][0::2] != names or len(samples[-1]) % 2:
+        samples.pop()  # torn
+    affordable(len(samples) * (len(signals) + 1), path)
+    cells: list[list[Cell]] = []
+    for i, words in enumerate(samples):
+        if words[0::2] != names or len(words) % 2:
+            raise DataError(f"{path}: sample {i + 1} has other names than the first one: {' '.join(words)[:60]!r}")
+        value = dict(zip(names, words[1::2], strict=True))
+        cells.append([period * i, *(number(value[signal], comma="," in value[signal]) for signal in signals)])
     return [Sheet(path.stem, cells, ["t [s]", *signals], [f"a sample each {period:g} s, as the file states"]).limited()]

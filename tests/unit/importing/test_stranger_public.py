@@ -12,6 +12,7 @@ import pytest
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
 from errpipe.importing import words
+from errpipe.importing.doors import halscope
 from errpipe.importing.sheet import DoorOptions
 from tests.unit.importing.known_test import holds_the_truth, imported, long_rows, prepared
 
@@ -35,6 +36,17 @@ def test_a_trace_of_halscope(tmp_path: Path, mark: str) -> None:
     recording = imported(tmp_path, tmp_path / "halscope.log", axis="X")
     assert recording.array("EXX") == pytest.approx(-5.0, abs=1e-6)
     assert np.diff(recording.time()) == pytest.approx(0.002)
+
+
+def test_a_sample_of_halscope_that_is_no_number_leaves_the_others_in_their_rows(tmp_path: Path) -> None:
+    lines = [f"a {'nan' if i == 3 else f'{i:+.3f}'} b {2 * i:+.3f}" for i in range(6)]
+    (tmp_path / "s.log").write_text("\n".join(["Sampling period is 1000000 nSec ", "", *lines]))
+    (sheet,) = halscope.read(tmp_path / "s.log", DoorOptions())
+    assert [row[1:] for row in sheet.rows if row[1] is not None] == [[i, 2.0 * i] for i in range(6) if i != 3]
+    assert [row[0] for row in sheet.rows] == pytest.approx([1e-3 * i for i in range(6)])
+    (tmp_path / "s.log").write_text("\n".join(["Sampling period is 1000000 nSec ", "", *lines[:3], "a +1", lines[4]]))
+    with pytest.raises(DataError, match="sample 4 has other names"):
+        halscope.read(tmp_path / "s.log", DoorOptions())
 
 
 DOCUMENTS: dict[str, Any] = {
