@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from errpipe.cli import _verbs
@@ -109,3 +111,22 @@ def test_every_link_of_the_page_leads_somewhere(page: Path) -> None:
 def test_a_dead_link_is_noticed() -> None:
     links = "[a](docs/none.md) [b](docs/trials.md#none) [c](docs/trials.md#attacks)"
     assert dead_links(TOP / "README.md", links) == ["docs/none.md", "docs/trials.md#none"]
+
+
+def stated_constants(page: str) -> dict[str, list[float]]:
+    """Constants of the diagnosis, by `module.NAME`, as the table of its page states them."""
+    rows = re.findall(r"^\| (`\w+\.[A-Z_]+`(?:, `\w+\.[A-Z_]+`)*) \| ([^|]+) \|", page, re.M)
+    return {
+        name: [float(v) for v in value.split(", ")]
+        for names, values in rows
+        for name, value in zip(re.findall(r"`([^`]+)`", names), values.split("; "), strict=True)
+    }
+
+
+def test_constants_of_the_diagnosis_are_those_of_the_code() -> None:
+    stated = stated_constants((TOP / "docs" / "diagnosis.md").read_text(encoding="utf-8"))
+    assert len(stated) > 50
+    for name, value in stated.items():
+        module, constant = name.split(".")
+        known = getattr(importlib.import_module(f"errpipe.diagnosis.{module}"), constant)
+        assert value == pytest.approx(list(np.atleast_1d(known))), name
