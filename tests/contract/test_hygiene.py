@@ -70,6 +70,46 @@ def idle(name: str, tree: ast.Module) -> list[str]:
     return out
 
 
+def numeric(value: ast.expr | None) -> bool:
+    """Whether a value is a number, or a table of numbers, as it is written."""
+    if isinstance(value, ast.Constant):
+        return type(value.value) in (int, float)
+    parts = (
+        list(ast.iter_child_nodes(value)) if isinstance(value, ast.Tuple | ast.List | ast.BinOp | ast.UnaryOp) else []
+    )
+    return any(map(numeric, parts)) and all(numeric(p) for p in parts if isinstance(p, ast.expr))
+
+
+def bare_numbers(source: str) -> list[str]:
+    """Constants of a module without a word on unit or source, there or above the lines in a row that they stand in.
+
+    A ratio of units (`UM_PER_MM`) says it by its name.
+    """
+    lines, bare = source.splitlines(), []
+    for node in ast.parse(source).body:
+        if not isinstance(node, ast.Assign | ast.AnnAssign) or not numeric(node.value):
+            continue
+        first = node.lineno
+        while first > 1 and re.match(r"#|\w+(, \w+)*(: [^=]+)? = ", lines[first - 2]):
+            first -= 1
+        name = ast.unparse(node).partition(" = ")[0]
+        if "#" not in "".join(lines[first - 1 : node.end_lineno]) and "_PER_" not in name:
+            bare.append(f"{node.lineno}: {name}")
+    return bare
+
+
+def test_every_number_says_its_unit_or_source() -> None:
+    files = {p.relative_to(ROOT).as_posix(): bare_numbers(p.read_text("utf-8")) for p in ROOT.glob("errpipe/**/*.py")}
+    assert {name: bare for name, bare in files.items() if bare} == {}
+
+
+def test_a_number_without_a_word_is_seen() -> None:
+    source = (
+        "A = 1.0\n\nB = 2  # s\nC = (1, 2)\n# two in a row, um\nD = -3\nE = 4.0 * 2\n\nUM_PER_MM = 1e3\nF = x + 1\n"
+    )
+    assert bare_numbers(source) == ["1: A"]
+
+
 def test_no_path_of_one_machine_and_no_registry() -> None:
     wrong = []
     for path in tracked():
