@@ -137,7 +137,7 @@ def scratch() -> Iterator[None]:
 def _temporary(path: Path) -> Iterator[tuple[int, str]]:
     """A new hidden file beside `path`, and its name. What killed processes left of the same file is removed.
 
-    It is locked in this block, however the process ends: so those that are still written are told from those left.
+    It is locked in this block, however the process ends: so those that are still written are known from those left.
     """
     prefix = f".{path.name[:100]}."
     try:

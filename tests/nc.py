@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from errpipe.ncprogram.correct import Deviation, Setup, Summary, rewrite
+from errpipe.ncprogram.correct import Summary, rewrite
+from errpipe.ncprogram.modal import Setup
+from errpipe.ncprogram.writer import Deviation
 
 
 def correct(text: str, deviation: Deviation, setup: Setup, **how: Any) -> tuple[str, Summary]:

@@ -275,14 +275,14 @@ class Recording:
     a fixed rate has it. `inferred`: temperatures and pressures run straight to the next row, and in the pauses of a
     series of parts the rest (spindle, coolant) is at 0.
     past: for a batch of a longer recording, what the rows before it leave behind.
-    apart: whether slow effects start anew with every run; else they live on through runs that follow in time.
+    separate_runs: whether slow effects start anew with every run; else they live on through runs that follow in time.
     """
 
     manifest: Manifest
     frame: pd.DataFrame
     between: Literal["held", "inferred"] = "held"
     past: Past | None = None
-    apart: bool = False
+    separate_runs: bool = False
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -366,11 +366,11 @@ class Recording:
     def take(self, rows: Any) -> Recording:
         """The recording with only the rows of a boolean mask, an index array or a slice (which copies nothing)."""
         frame = self.frame[rows] if getattr(rows, "dtype", None) == "bool" else self.frame.iloc[rows]
-        return Recording(self.manifest, frame.reset_index(drop=True), self.between, apart=self.apart)
+        return Recording(self.manifest, frame.reset_index(drop=True), self.between, separate_runs=self.separate_runs)
 
     def each_run_alone(self) -> Recording:
         """The same rows, with slow effects that start anew in every run."""
-        return self if self.apart else replace(self, apart=True)
+        return self if self.separate_runs else replace(self, separate_runs=True)
 
     def with_values(self, columns: dict[str, Any]) -> Recording:
         """The rows with other values (arrays) in some columns, each of them held until the next row."""
@@ -379,4 +379,4 @@ class Recording:
     def with_columns(self, columns: dict[str, Any], kinds: dict[str, Column]) -> Recording:
         """The recording with further columns (arrays) of the given kinds."""
         manifest = self.manifest.model_copy(update={"columns": {**self.manifest.columns, **kinds}})
-        return Recording(manifest, self.frame.assign(**columns), self.between, self.past, self.apart)
+        return Recording(manifest, self.frame.assign(**columns), self.between, self.past, self.separate_runs)

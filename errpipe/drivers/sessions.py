@@ -22,7 +22,7 @@ def sessions(recording: Recording) -> np.ndarray:
 
 def _sessions(recording: Recording) -> np.ndarray:
     run = recording.run_codes()
-    if len(run) == 0 or recording.apart or recording.name("time") is None:
+    if len(run) == 0 or recording.separate_runs or recording.name("time") is None:
         return run
     step = np.diff(recording.time())
     goes_on = (step >= 0) & (step <= LONGEST_PAUSE)
@@ -40,8 +40,8 @@ def in_order_of_time(recording: Recording) -> Recording:
     first = np.r_[0, np.flatnonzero(np.diff(run)) + 1]
     last = np.r_[first[1:], t.size] - 1
     order = np.argsort(t[first], kind="stable")
-    apart = np.isfinite(t).all() and np.all(t[first[order][1:]] > t[last[order][:-1]])
-    if not apart or np.all(np.diff(order) > 0):
+    in_turn = np.isfinite(t).all() and np.all(t[first[order][1:]] > t[last[order][:-1]])
+    if not in_turn or np.all(np.diff(order) > 0):
         return recording
     return recording.take(np.concatenate([np.arange(first[k], last[k] + 1) for k in order]))
 

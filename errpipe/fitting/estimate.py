@@ -68,12 +68,12 @@ def without_columns(response: np.ndarray, sigma: float, rows: int) -> Estimate:
     return Estimate(none, none, response, 0.0, (), np.empty((0, 0)), noise, float(rows), float(rows))
 
 
-def _linear(design, problem, spec, penalties, priors, folds, rows_effective=None) -> solve.Solution:
+def _linear(design, problem, spec, penalties, priors, folds) -> solve.Solution:
     y = problem.response
     if spec.method == "ridge":
         return solve.ridge(design, y, _shrunk(problem), folds=[_within(problem, f) for f in folds])
     if penalties:
-        solution = solve.penalised(design, y, penalties, priors=priors, rows_effective=rows_effective)
+        solution = solve.penalised(design, y, penalties, priors=priors)
         if spec.method == "linear":
             return solution
         first = solve.robust(design, y, penalty=_sum(penalties, solution.strength), priors=priors, loss=spec.loss)

@@ -24,6 +24,8 @@ from errpipe.errors import DataError
 from errpipe.kernels import responses
 from errpipe.yamlfile import quantity
 
+SWEEPS = 3  # rounds of exchange of each start (by judgement)
+
 
 class DesignOptions(Frozen):
     """What the machine may do, and what the model may be."""
@@ -105,32 +107,23 @@ def usage(options: DesignOptions, days: int = 12, seed: int = 0) -> list[Plan]:
     return plans
 
 
-def propose(
-    done: Sequence[Plan],
-    options: DesignOptions | None = None,
-    reference: Sequence[Plan] | None = None,
-    *,
-    starts: int = 3,
-    sweeps: int = 3,
-    seed: int = 0,
-) -> Plan:
+def propose(done: Sequence[Plan], options: DesignOptions | None = None, *, starts: int = 3) -> Plan:
     """The best next day by the criterion, after the days done. Raises DataError where no plan keeps the limits."""
     options = options or DesignOptions()
-    used = list(reference) if reference is not None else usage(options, seed=seed)
-    rows = np.vstack([basis(p, options) for p in used])
+    rows = np.vstack([basis(p, options) for p in usage(options)])
     weight = rows.T @ rows / len(rows)
     known = information(done, options)
     standing_segments = round(options.standing * options.segments)
     if standing_segments > options.segments or (standing_segments and 0.0 not in options.levels):
         raise DataError("experiment design: the spindle must stand, but standing still is not among the levels")
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     best: tuple[float, tuple[float, ...]] = (np.inf, ())
     for _ in range(starts):
         speeds = list(map(float, rng.choice(options.levels, options.segments)))
         for k in range(standing_segments - speeds.count(0.0)):
             speeds[k] = 0.0
         value = _cost(known, speeds, options, weight)
-        for _ in range(sweeps):
+        for _ in range(SWEEPS):
             before = value
             for place in range(options.segments):
                 value = _exchange(known, speeds, place, standing_segments, value, options, weight)

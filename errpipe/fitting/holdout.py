@@ -159,11 +159,6 @@ def calendar(recording: Recording, of: str) -> np.ndarray:
     return np.array([known[m] for m in days], dtype=object)
 
 
-def block_numbers(recording: Recording, count: int) -> np.ndarray:
-    """Number 0..count-1 of the equal-length stretch of consecutive rows each row lies in, shape (rows,)."""
-    return np.minimum(np.arange(len(recording)) * count // max(len(recording), 1), count - 1)
-
-
 def _automatic(recording: Recording, scheme: HoldOut) -> HoldOut:
     runs = np.unique(recording.run_codes()[measured(recording)]).size
     if runs > MOST_RUNS:
@@ -182,7 +177,7 @@ def _folds(recording: Recording, scheme: HoldOut) -> Iterator[Fold]:
         yield from _halves(recording, scheme.gap)
         return
     if scheme.blocked:
-        codes = block_numbers(recording, scheme.blocks)
+        codes = np.minimum(np.arange(len(recording)) * scheme.blocks // max(len(recording), 1), scheme.blocks - 1)
         order = [(f"block {k + 1} of {scheme.blocks}", k) for k in range(scheme.blocks)]
     else:
         codes, unique = pd.factorize(labels(recording, scheme.of))

@@ -1,4 +1,4 @@
-"""Models judged by rows that had no say in them: residuals of held-out groups, and what they size.
+"""Models judged by held-out rows: residuals of held-out groups, and what they size.
 
 Where a recording has nuisance (the datum of a run, the pose of a workpiece), it is solved for on the judged rows
 too, for the model and for doing nothing alike, and the degrees of freedom that costs are counted.

@@ -21,6 +21,7 @@ HUBER = 1.345  # 95 % efficiency on normal noise (Huber 1981)
 TUKEY = 4.685  # the same for the biweight (Beaton and Tukey 1974)
 MAD = 1.4826  # median absolute deviation -> standard deviation of normal noise
 LOWEST_RANK = 1e-11  # of the largest scaled pivot; below it a direction is rounding
+MAX_ROUNDS = 60  # of reweighting (by judgement)
 REML_STEPS = 80  # at most, of the strengths of penalties; a few dozen settle them
 
 
@@ -136,7 +137,6 @@ def robust(
     penalty: np.ndarray | None = None,
     priors: Sequence[Prior] = (),
     loss: str = "tukey",
-    iterations: int = 60,
 ) -> Solution:
     """Iteratively reweighted least squares: Huber's to a start, then Tukey's biweight, which drops gross outliers.
 
@@ -147,7 +147,7 @@ def robust(
     least = 1e-12 * (1e-300 + np.abs(response).max())
     scale = max(scale_of(solution.residual, solution.degrees), least)
     for stage in ("huber",) if loss == "huber" else ("huber", "tukey"):
-        for _ in range(iterations):
+        for _ in range(MAX_ROUNDS):
             weights = row_weights(solution.residual / scale, stage)
             new = least_squares(design, response, weights=weights, penalty=penalty, priors=priors, noise=scale)
             moved = np.abs(new.residual - solution.residual).max(initial=0.0)
@@ -180,12 +180,7 @@ def influence(standard: np.ndarray, loss: str) -> tuple[np.ndarray, np.ndarray]:
 
 @one_thread()
 def ridge(
-    design: np.ndarray,
-    response: np.ndarray,
-    shrunk: np.ndarray,
-    *,
-    folds: Sequence[tuple[np.ndarray, np.ndarray]] = (),
-    strengths: np.ndarray | None = None,
+    design: np.ndarray, response: np.ndarray, shrunk: np.ndarray, *, folds: Sequence[tuple[np.ndarray, np.ndarray]] = ()
 ) -> Solution:
     """Ridge on the columns marked in `shrunk`, its strength by held-out groups (folds) or else by GCV.
 
@@ -194,7 +189,7 @@ def ridge(
     """
     spread = spread_of(design, shrunk)
     unit = np.diag(np.where(shrunk, spread**2, 0.0)) * response.size
-    tried = np.logspace(-7, 2, 28) if strengths is None else np.asarray(strengths)
+    tried = np.logspace(-7, 2, 28)
     folds = [fold for fold in folds if fold[0].any() and fold[1].any()]  # a run without a sensor has no usable row
     if folds:
         scores = np.array([_fold_errors(design, response, unit * s, folds) for s in tried])

@@ -134,8 +134,8 @@ def covariance(
         if penalty is not None:
             spread = spread + noise.sigma**2 * noise.inflation() * penalty
         modelled = inverse @ spread @ inverse
-        runs, apart = between_runs(sequence, jacobian, scores)
-        return larger(modelled, inverse @ apart @ inverse, runs)
+        runs, middle = between_runs(sequence, jacobian, scores)
+        return larger(modelled, inverse @ middle @ inverse, runs)
 
 
 def larger(modelled: np.ndarray, seen: np.ndarray, runs: int) -> np.ndarray:
@@ -177,6 +177,6 @@ def degrees_of_freedom(rows: int, parameters: float, noise: Noise) -> float:
     return max((rows - parameters) / memory, 2.0)
 
 
-def half_width(standard_error: np.ndarray | float, degrees: float, level: float = 0.95) -> np.ndarray | float:
-    """Half width of a parameter's interval with `degrees` of freedom behind its noise."""
-    return standard_error * student_quantile(0.5 + level / 2.0, max(degrees, 2.0))
+def half_width(standard_error: np.ndarray | float, degrees: float) -> np.ndarray | float:
+    """Half width of a parameter's 95 % interval with `degrees` of freedom behind its noise."""
+    return standard_error * student_quantile(0.975, max(degrees, 2.0))

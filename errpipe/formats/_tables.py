@@ -90,7 +90,7 @@ def _csv_blocks(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
             except pa.ArrowInvalid as err:
                 problems = list(itertools.islice(_wrong_cells(data, line, names, kinds, label), MAX_PROBLEMS))
                 raise DataError("\n".join(problems) or f"{label}: cannot be read as CSV: {err}") from None
-            return Block(table, lambda row: f"{label}:{_line_of_row(data, line, row)}")
+            return Block(table, lambda row: f"{label}:{next(itertools.islice(_lines(data, line), row, None))[0]}")
 
         yield from _in_order(parsed, _text_blocks(stream, label))
 
@@ -203,10 +203,6 @@ def _lines(data: bytes, line: int) -> Iterator[tuple[int, bytes]]:
     for number, text in enumerate(data.split(b"\n"), line):
         if text.strip(b"\r"):
             yield number, text.rstrip(b"\r")
-
-
-def _line_of_row(data: bytes, line: int, row: int) -> int:
-    return next(itertools.islice(_lines(data, line), row, None))[0]
 
 
 def _wrong_cells(data: bytes, line: int, names: list[str], kinds: Kinds, label: str) -> Iterator[str]:

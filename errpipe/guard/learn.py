@@ -23,6 +23,7 @@ from errpipe.guard.rows import Healthy, rows_of
 HORIZON_S = 5400.0
 SETTLE_S = 1800.0
 FREEZE_S = 300.0  # heaters and pumps switch every few minutes, so a healthy reading moves within this
+FALSE_ALARMS = 0.5  # expected per 1000 hours, all sensors together
 RIDGES = np.logspace(-5, 1, 13)  # times the mean square of the readings: half a decade apart
 MAX_CORRELATION = 0.8  # of a fault at most shows in another sensor's residual; above, noise picks the wrong one
 SELECTION_MARGIN = 1.1  # times: the lowest of many thresholds is lower than it should be
@@ -38,23 +39,14 @@ LEAST_ACTIVITY = 1e-8  # of the median liveliness: below it a frozen sensor woul
 LEAST_HOURS = 10.0  # h of recording to learn from
 
 
-def learn(
-    recording: Recording,
-    sensors: Sequence[str] | None = None,
-    *,
-    group: str | None = None,
-    false_alarms: float = 0.5,
-    horizon_s: float = HORIZON_S,
-    freeze_s: float = FREEZE_S,
-) -> g.SensorGuard:
+def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.SensorGuard:
     """Learn from a recording whose sensors were healthy (clean it first).
 
-    sensors: default all temperatures. group: column whose labels are left out one by one (default: runs).
-    false_alarms: expected alarms per 1000 hours, all sensors together. Raises DataError where there are fewer
-    than two sensors, two groups, or ten hours.
+    sensors: default all temperatures. Runs are left out one by one. Raises DataError where there are fewer than two
+    sensors, two runs, or ten hours.
     """
     names = tuple(sensors) if sensors is not None else recording.names("temperature")
-    rows = rows_of(recording, names, group)
+    rows = rows_of(recording, names)
     hours = float(sum(np.ptp(rows.t[rows.run == r]) for r in np.unique(rows.run)) / 3600)
     groups = int(np.unique(rows.group).size)
     if len(names) < 2 or groups < 2 or hours < LEAST_HOURS:
@@ -62,11 +54,11 @@ def learn(
             f"a sensor guard needs two sensors, two groups and 10 hours of readings"
             f" (found: {len(names)}, {groups}, {hours:.1f})"
         )
-    per_hour = false_alarms / 1000 / KINDS
-    test = _test(rows, horizon_s, per_hour)
+    per_hour = FALSE_ALARMS / 1000 / KINDS
+    test = _test(rows, HORIZON_S, per_hour)
     estimate, largest = _estimate(rows)
-    late, largest_late = _late_estimate(rows, horizon_s)
-    alive = rows.lagged((rows.x - rows.lagged(rows.x, freeze_s)) ** 2, freeze_s)
+    late, largest_late = _late_estimate(rows, HORIZON_S)
+    alive = rows.lagged((rows.x - rows.lagged(rows.x, FREEZE_S)) ** 2, FREEZE_S)
     diagonal = np.sqrt(np.diag(test.precision))
     return g.SensorGuard(
         sensors=tuple(
@@ -80,15 +72,15 @@ def learn(
                 past=tuple(map(float, late[i, len(names) :])),
                 reach=float(max(REACH * max(largest[i], largest_late[i]), 1e-3)),
                 lively=float(np.quantile(alive[:, i], ACTIVE)) or None,
-                still=_still(alive[:, i], rows, per_hour / len(names), freeze_s),
+                still=_still(alive[:, i], rows, per_hour / len(names), FREEZE_S),
             )
             for i, name in enumerate(names)
         ),
         threshold=test.threshold,
-        horizon_s=horizon_s,
-        freeze_s=freeze_s,
+        horizon_s=HORIZON_S,
+        freeze_s=FREEZE_S,
         settle_s=SETTLE_S,
-        false_alarms=false_alarms,
+        false_alarms=FALSE_ALARMS,
         hours=hours,
         correlation=test.correlation(),
     )
@@ -124,8 +116,8 @@ def _test(rows: Healthy, horizon_s: float, per_hour: float) -> _Test:
             worst[out] = np.max(np.abs(recent[out] @ precision) / np.sqrt(np.diag(precision)), axis=1)
         level = SELECTION_MARGIN * rows.rare(worst, per_hour)
         tried.append(_Test(_precision(recent, ridge), max(level, 1e-9)))
-    apart = [one for one in tried if one.correlation() <= MAX_CORRELATION]
-    return min(apart, key=_Test.smallest) if apart else tried[-1]
+    separable = [one for one in tried if one.correlation() <= MAX_CORRELATION]
+    return min(separable, key=_Test.smallest) if separable else tried[-1]
 
 
 def _precision(values: np.ndarray, ridge: float) -> np.ndarray:

@@ -71,12 +71,11 @@ class Healthy:
         return out
 
 
-def rows_of(recording: Recording, names: tuple[str, ...], group: str | None) -> Healthy:
-    """The rows in which every sensor has a reading. group: column that is left out by label (default: runs)."""
+def rows_of(recording: Recording, names: tuple[str, ...]) -> Healthy:
+    """The rows in which every sensor has a reading, grouped by run."""
     x = np.column_stack([recording.array(n) for n in names]) if names else np.zeros((len(recording), 0))
     whole = np.isfinite(x).all(axis=1)
-    labels = recording.run_codes() if group is None else np.unique(recording.frame[group], return_inverse=True)[1]
-    return Healthy(x[whole], sessions(recording)[whole], recording.time()[whole], labels[whole])
+    return Healthy(x[whole], sessions(recording)[whole], recording.time()[whole], recording.run_codes()[whole])
 
 
 def return_level(largest: np.ndarray, per_block: float, max_shape: float = MAX_SHAPE) -> float:

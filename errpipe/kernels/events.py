@@ -41,23 +41,6 @@ def travelled(run, x):
     return y
 
 
-@kernel
-def approach_overrun(run, x, d, length, overrun):
-    """As `responses.approach`, but each change of direction adds `overrun` mm of travel that no row shows."""
-    z = np.empty(x.size)
-    state = 0.0
-    for i in range(x.size):
-        if i == 0 or run[i] != run[i - 1]:
-            state = d[i]
-        else:
-            way = abs(x[i] - x[i - 1])
-            if d[i] != d[i - 1]:
-                way += overrun
-            state = d[i] - (d[i] - state) * np.exp(-way / length)
-        z[i] = state
-    return z
-
-
 def stretches(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Starts and ends (half open) of the stretches of True, each shape (stretches,)."""
     edges = np.diff(np.r_[False, flags, False].astype(np.int8))

@@ -130,15 +130,21 @@ def direction_of_travel(run, x, threshold, start):
 
 
 @kernel
-def approach(run, x, d, length):
-    """z -> d exponentially over travelled length; starts saturated at the first direction of a run."""
+def approach(run, x, d, length, overrun=0.0):
+    """z -> d exponentially over travelled length; starts saturated at the first direction of a run.
+
+    overrun: mm of travel that each change of direction adds and no row shows.
+    """
     z = np.empty(x.size)
     state = 0.0
     for i in range(x.size):
         if i == 0 or run[i] != run[i - 1]:
             state = d[i]
         else:
-            state = d[i] - (d[i] - state) * np.exp(-abs(x[i] - x[i - 1]) / length)
+            way = abs(x[i] - x[i - 1])
+            if d[i] != d[i - 1]:
+                way += overrun
+            state = d[i] - (d[i] - state) * np.exp(-way / length)
         z[i] = state
     return z
 

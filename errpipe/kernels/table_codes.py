@@ -1,5 +1,6 @@
 """Numbers that stand in a compiled table and in the status of its cycle (`schemas/ect-2.md`)."""
 
+# operations of nodes; flags of inputs, nodes and outputs; bits of the status
 CONSTANT, INPUT, AFFINE, FIRST, LAG, PRODUCT, POWER, CLIP, SWITCH, DIRECTION, APPROACH, LOOKUP = range(1, 13)
 OPTIONAL, FADE_ON_DEFAULT, HAS_VALID, HAS_MAX_RATE, HAS_STALE, HAS_HOLD = 1, 2, 4, 8, 16, 32
 SLOW, START_ZERO = 1, 2

@@ -14,26 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from errpipe.kernels import bare_kernel
+from errpipe.kernels import table_codes as codes
 from errpipe.kernels.elementary import on_grid, towards
-from errpipe.kernels.table_codes import (
-    ACTIVE,
-    BEYOND_PROFILE,
-    FADED,
-    FADING,
-    HOLD,
-    HOLDING,
-    KEEP,
-    LARGEST,
-    LOST,
-    NOT_FINITE,
-    NOWHERE,
-    ON,
-    OPTIONAL,
-    PERIODIC,
-    RAMPING,
-    RUNNING,
-    WAITING,
-)
 from errpipe.kernels.table_limits import limit
 from errpipe.kernels.table_nodes import run_nodes
 from errpipe.kernels.table_readings import condition, show
@@ -80,11 +62,11 @@ def reset(program, state):
     for i in range(state.inputs.size):
         own = state.inputs[i]
         own.raw = np.nan
-        own.anchor = NOWHERE
+        own.anchor = codes.NOWHERE
         own.left = 1.0
         own.wait = own.good = own.age = own.now = own.value = 0.0
         own.seen = own.fault = own.source = own.rejected = 0
-        own.usable = 1 if program.inputs[i].flags & OPTIONAL else 0
+        own.usable = 1 if program.inputs[i].flags & codes.OPTIONAL else 0
     for n in range(state.nodes.size):
         own = state.nodes[n]
         own.value = own.memory = 0.0
@@ -130,14 +112,14 @@ def run_profiles(profiles, values, same_grid, inputs, out):
         if not same_grid[p]:
             last = np.int64(profile.count) - 1
             s = (inputs[profile.input].value - profile.start) * profile.inverse_step
-            if profile.flags & PERIODIC:
+            if profile.flags & codes.PERIODIC:
                 turns = s * profile.inverse_turn
                 whole = int(turns)
                 if turns < whole:
                     whole -= 1
                 s = s - float(whole) * last
             elif s < 0.0 or s > last:
-                status |= BEYOND_PROFILE
+                status |= codes.BEYOND_PROFILE
             j, f = on_grid(s, last)
         left, right = values[first + j], values[first + j + 1]
         out[p] = (left + f * (right - left)) * profile.scale
@@ -151,7 +133,7 @@ def sum_components(pairs, profiles, nodes, fade, out):
     for k in range(pairs.size):
         pair = pairs[k]
         part = profiles[pair.profile] * nodes[pair.node].value
-        if not pair.flags & KEEP:
+        if not pair.flags & codes.KEEP:
             part = part * fade
         out[pair.component] += part
 
@@ -175,9 +157,9 @@ def sum_outputs(outputs, terms, components, nodes, state):
             if term.count > 3:
                 part = part * nodes[term.n3].value
             total = total + part
-        if not (total >= -LARGEST and total <= LARGEST):
+        if not (total >= -codes.LARGEST and total <= codes.LARGEST):
             total = 0.0
-            status |= NOT_FINITE
+            status |= codes.NOT_FINITE
         state[o].deviation = total
     return status
 
@@ -194,7 +176,7 @@ def cycle(program, state, readings, fresh, dt, replay, mode):
     slow = replay or common.until_slow == 0
     common.until_slow = (program.slow_every if slow else common.until_slow) - 1
     old = program.rules == 1
-    status = RUNNING | condition(
+    status = codes.RUNNING | condition(
         program.inputs, program.substitutes, state.inputs, readings, fresh, dt, replay or old, program.thermal_s
     )
     show(program.inputs, state.inputs, slow or old, not old)
@@ -211,26 +193,26 @@ def cycle(program, state, readings, fresh, dt, replay, mode):
         not (replay or old),
     )
     if common.unready > 0:
-        status |= WAITING
-    target = fade_target(state.inputs, status & LOST)
+        status |= codes.WAITING
+    target = fade_target(state.inputs, status & codes.LOST)
     common.fade = towards(common.fade, target, dt, 0.0 if replay or common.fade < 0.0 else program.fade_s)
     if common.fade < 1.0:
-        status |= FADING
+        status |= codes.FADING
     if common.fade <= 0.0:
-        status |= FADED
+        status |= codes.FADED
     status |= run_profiles(program.profiles, program.values, program.same_grid, state.inputs, state.profiles)
     sum_components(program.pairs, state.profiles, state.nodes, common.fade, state.components)
     status |= sum_outputs(program.outputs, program.terms, state.components, state.nodes, state.outputs)
-    if mode == HOLD:
-        status |= HOLDING
+    if mode == codes.HOLD:
+        status |= codes.HOLDING
     else:
-        common.ramp = towards(common.ramp, 1.0 if mode == ON else 0.0, dt, 0.0 if replay else program.ramp_s)
+        common.ramp = towards(common.ramp, 1.0 if mode == codes.ON else 0.0, dt, 0.0 if replay else program.ramp_s)
     if common.ramp >= 1.0:
-        status |= ACTIVE
+        status |= codes.ACTIVE
     elif common.ramp > 0.0:
-        status |= RAMPING
-    status |= limit(program.outputs, state.outputs, common.ramp, dt, replay, mode == HOLD, not old)
-    common.status = status & ~LOST
+        status |= codes.RAMPING
+    status |= limit(program.outputs, state.outputs, common.ramp, dt, replay, mode == codes.HOLD, not old)
+    common.status = status & ~codes.LOST
     common.heartbeat = (common.heartbeat + 1) & 0xFFFFFFFF
 
 
@@ -252,7 +234,7 @@ def replay(program, state, fresh, row, columns, t, run, goes_on, before, begin, 
         goes_on, before = True, t[k]
         for i in range(row.size):
             row[i] = columns[i, k]
-        cycle(program, state, row, fresh, dt, True, ON)
+        cycle(program, state, row, fresh, dt, True, codes.ON)
         for o in range(state.outputs.size):
             deviation[o, k] = state.outputs[o].deviation
             correction[o, k] = state.outputs[o].correction

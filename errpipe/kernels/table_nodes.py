@@ -5,23 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from errpipe.kernels import bare_kernel
+from errpipe.kernels import table_codes as codes
 from errpipe.kernels.elementary import exp, moved_side, on_lines, power
-from errpipe.kernels.table_codes import (
-    AFFINE,
-    APPROACH,
-    CLIP,
-    CONSTANT,
-    DIRECTION,
-    FIRST,
-    INPUT,
-    LAG,
-    LARGEST,
-    NOT_FINITE,
-    POWER,
-    PRODUCT,
-    START_ZERO,
-    SWITCH,
-)
 
 
 @bare_kernel
@@ -46,7 +31,7 @@ def recall(own, x, way, threshold, started):
 @bare_kernel
 def is_ready(node, operands, state, inputs):
     """Whether everything below a node has had an accepted reading."""
-    if node.op == INPUT:
+    if node.op == codes.INPUT:
         return inputs[node.other].usable != 0
     below = True
     begin = np.int64(node.first)
@@ -61,7 +46,7 @@ def lag(own, node, u, dt, replay, started):
     before, y = own.memory, own.value
     own.memory = u
     if not started:
-        return 0.0 if node.flags & START_ZERO else u
+        return 0.0 if node.flags & codes.START_ZERO else u
     if replay:
         alpha = exp(-(dt / (node.a if before >= y else node.b)))
     else:
@@ -98,28 +83,28 @@ def run_nodes(which, nodes, operands, lookups, state, inputs, common, dt, replay
         u = 0.0
         if node.count > 0:
             u = state[operands[begin].number].value
-        if op == INPUT:
+        if op == codes.INPUT:
             u = inputs[node.other].value
-        elif op == AFFINE:
+        elif op == codes.AFFINE:
             u = node.a
             for k in range(begin, begin + node.count):
                 u = u + operands[k].weight * state[operands[k].number].value
-        elif op == PRODUCT:
+        elif op == codes.PRODUCT:
             for k in range(begin + 1, begin + node.count):
                 u = u * state[operands[k].number].value
-        elif op == LAG:
+        elif op == codes.LAG:
             u = lag(own, node, u, dt, replay, started)
-        elif op == FIRST:
+        elif op == codes.FIRST:
             u = own.value if started else u
-        elif op == CONSTANT:
+        elif op == codes.CONSTANT:
             u = node.a
-        elif op == POWER:
+        elif op == codes.POWER:
             u = power(u, node.a)
-        elif op == CLIP:
+        elif op == codes.CLIP:
             u = node.a if u < node.a else node.b if u > node.b else u
-        elif op == SWITCH:
+        elif op == codes.SWITCH:
             u = 1.0 if u >= node.a else 0.0 if u <= node.b else own.value
-        elif op == DIRECTION:
+        elif op == codes.DIRECTION:
             known = 0.0
             if node.count > 1:
                 known = state[operands[begin + 1].number].value
@@ -128,14 +113,14 @@ def run_nodes(which, nodes, operands, lookups, state, inputs, common, dt, replay
             if recalls:
                 recall(own, u, 1 if known > 0.0 else -1 if known < 0.0 else 0, node.a, started)
             u, own.memory = moved_side(u, known, own.value, own.memory, node.a)
-        elif op == APPROACH:
+        elif op == codes.APPROACH:
             if recalls:
                 recall(own, u, 0, node.b, started)
             u = approach(own, node, u, state[operands[begin + 1].number].value, started)
         else:
             u = on_lines(lookups, node.other, np.int64(node.others) - 1, (u - node.a) * node.c)
-        if not (u >= -LARGEST and u <= LARGEST):
+        if not (u >= -codes.LARGEST and u <= codes.LARGEST):
             u = 0.0
-            status |= NOT_FINITE
+            status |= codes.NOT_FINITE
         own.value = u
     return status

@@ -12,24 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from errpipe.kernels import bare_kernel, kernel
+from errpipe.kernels import table_codes as codes
 from errpipe.kernels.elementary import power
-from errpipe.kernels.table_codes import (
-    AFFINE,
-    APPROACH,
-    CLIP,
-    DIRECTION,
-    HAS_VALID,
-    INPUT,
-    KEEP,
-    LAG,
-    LARGEST,
-    LOOKUP,
-    PERIODIC,
-    POWER,
-    PRODUCT,
-    START_ZERO,
-    SWITCH,
-)
 
 BLOCK = 128  # points; the rows of a block of 21 curves lie in 40 kB (64 costs a fifth more, 256 as much)
 
@@ -125,10 +109,10 @@ def node_block(node, first, operands, lookups, nodes, inputs, out):
     """One node over a block; one that has a state as in the first cycle of a run."""
     op = node.op
     end = first + node.count
-    if op == INPUT:
+    if op == codes.INPUT:
         copy_block(inputs[node.other], out)
         return
-    if op == AFFINE:
+    if op == codes.AFFINE:
         out[:] = node.a
         for k in range(first, end):
             weight = operands[k].weight
@@ -137,32 +121,32 @@ def node_block(node, first, operands, lookups, nodes, inputs, out):
                 out[i] = out[i] + weight * u[i]
         return
     u = nodes[operands[first].number]
-    if op == PRODUCT:
+    if op == codes.PRODUCT:
         copy_block(u, out)
         for k in range(first + 1, end):
             v = nodes[operands[k].number]
             for i in range(out.size):
                 out[i] = out[i] * v[i]
-    elif op == POWER:
+    elif op == codes.POWER:
         for i in range(out.size):
             out[i] = power(u[i], node.a)
-    elif op == CLIP:
+    elif op == codes.CLIP:
         for i in range(out.size):
             out[i] = node.a if u[i] < node.a else node.b if u[i] > node.b else u[i]
-    elif op == SWITCH:
+    elif op == codes.SWITCH:
         for i in range(out.size):
             out[i] = 1.0 if u[i] >= node.a else 0.0
-    elif op == DIRECTION:
+    elif op == codes.DIRECTION:
         out[:] = node.b
         if node.count > 1:
             v = nodes[operands[first + 1].number]
             for i in range(out.size):
                 out[i] = 1.0 if v[i] > 0.0 else -1.0 if v[i] < 0.0 else node.b
-    elif op == APPROACH:
+    elif op == codes.APPROACH:
         copy_block(nodes[operands[first + 1].number], out)
-    elif op == LAG and node.flags & START_ZERO:
+    elif op == codes.LAG and node.flags & codes.START_ZERO:
         out[:] = 0.0
-    elif op == LOOKUP:
+    elif op == codes.LOOKUP:
         last = np.int64(node.others) - 1
         table = lookups[np.int64(node.other) : np.int64(node.other) + last + 1]
         top = float(last)
@@ -199,7 +183,7 @@ def sum_pairs(pairs, opens, alone, profiles, nodes, fixed, moves, inside, sums):
         node, factor = nodes[n], fixed[n]
         if opens[k]:
             total[:] = 0.0
-        if not pairs[k].flags & KEEP:
+        if not pairs[k].flags & codes.KEEP:
             if moves[n]:
                 for i in range(total.size):
                     total[i] = total[i] + profile[i] * node[i] * inside[i]
@@ -262,7 +246,7 @@ def sum_terms(terms, first, count, sums, nodes, part, total):
 def bound_block(total):
     """What is no number that a table may hold counts as 0."""
     for i in range(total.size):
-        total[i] = total[i] if total[i] >= -LARGEST and total[i] <= LARGEST else 0.0
+        total[i] = total[i] if total[i] >= -codes.LARGEST and total[i] <= codes.LARGEST else 0.0
 
 
 @bare_kernel
@@ -272,7 +256,7 @@ def profile_blocks(program, plan, inputs, sums, j, f):
         if plan.width[p] > 0:
             own = program.profiles[p]
             if not program.same_grid[p]:
-                top, periodic = float(own.count) - 1.0, own.flags & PERIODIC
+                top, periodic = float(own.count) - 1.0, own.flags & codes.PERIODIC
                 place_block(inputs[own.input], own.start, own.inverse_step, own.inverse_turn, top, periodic, j, f)
             knots = plan.knots[plan.first[p] : plan.first[p + 1]]
             row = sums[plan.row[p]]
@@ -332,7 +316,7 @@ def run_blocks(program, plan, points, moving, node_fixed, node_moves, fade, buff
             channel = program.inputs[moving[i]]
             row = inputs[moving[i]]
             missing += clip_block(points[i, begin:end], channel.low, channel.high, row)
-            if channel.flags & HAS_VALID:
+            if channel.flags & codes.HAS_VALID:
                 fade_block(channel, row, inside)
                 if program.rules > 1:
                     clip_block(row, channel.valid_low, channel.valid_high, row)

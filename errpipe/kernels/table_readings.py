@@ -8,20 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from errpipe.kernels import bare_kernel
-from errpipe.kernels.table_codes import (
-    DEFAULTED,
-    FADE_ON_DEFAULT,
-    HAS_HOLD,
-    HAS_MAX_RATE,
-    HAS_STALE,
-    HAS_VALID,
-    HELD,
-    LARGEST,
-    LOST,
-    OPTIONAL,
-    SLOW_KINDS,
-    SUBSTITUTED,
-)
+from errpipe.kernels import table_codes as codes
 
 
 @bare_kernel
@@ -63,13 +50,13 @@ def condition(inputs, substitutes, state, readings, fresh, dt, unwatched, therma
             own.wait = 0.0
         v = own.raw
         fault = 0
-        if not (v >= -LARGEST and v <= LARGEST):
+        if not (v >= -codes.LARGEST and v <= codes.LARGEST):
             fault = 1
-        elif channel.flags & HAS_STALE and own.wait > channel.stale:
+        elif channel.flags & codes.HAS_STALE and own.wait > channel.stale:
             fault = 2
         elif v < channel.low or v > channel.high:
             fault = 3
-        elif channel.flags & HAS_MAX_RATE and not follows(channel, own, v, fresh[i], unwatched, thermal_s):
+        elif channel.flags & codes.HAS_MAX_RATE and not follows(channel, own, v, fresh[i], unwatched, thermal_s):
             fault = 4
         own.fault = fault
         own.source = 0
@@ -88,11 +75,11 @@ def show(inputs, state, every, clamped):
     for i in range(inputs.size):
         channel = inputs[i]
         own = state[i]
-        if channel.kind >= SLOW_KINDS and not every:
+        if channel.kind >= codes.SLOW_KINDS and not every:
             continue
         v = own.now
         own.left = 1.0
-        if channel.flags & HAS_VALID:
+        if channel.flags & codes.HAS_VALID:
             outside = channel.valid_low - v if v < channel.valid_low else v - channel.valid_high
             if outside > 0.0:
                 own.left = 1.0 - outside / channel.margin
@@ -111,7 +98,7 @@ def substitute(inputs, substitutes, state):
         if own.fault == 0:
             continue
         own.source = 3
-        if channel.flags & OPTIONAL:
+        if channel.flags & codes.OPTIONAL:
             own.now = channel.default
             continue
         begin = np.int64(channel.first)
@@ -130,14 +117,14 @@ def substitute(inputs, substitutes, state):
             own.now = v
             own.usable = 1
             own.source = 1
-            status |= SUBSTITUTED
-        elif own.seen and (not channel.flags & HAS_HOLD or own.age < channel.hold):
+            status |= codes.SUBSTITUTED
+        elif own.seen and (not channel.flags & codes.HAS_HOLD or own.age < channel.hold):
             own.now = own.good
             own.source = 2
-            status |= HELD
+            status |= codes.HELD
         else:
             own.now = channel.default
-            status |= DEFAULTED
-            if channel.flags & FADE_ON_DEFAULT:
-                status |= LOST
+            status |= codes.DEFAULTED
+            if channel.flags & codes.FADE_ON_DEFAULT:
+                status |= codes.LOST
     return status

@@ -12,27 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from errpipe.kernels import bare_kernel
+from errpipe.kernels import table_codes as codes
 from errpipe.kernels.arithmetic import EXP, LOG2_E
 from errpipe.kernels.elementary import exp, moved_side
-from errpipe.kernels.table_codes import (
-    ACTIVE,
-    APPROACH,
-    AT_MAGNITUDE,
-    BEYOND_PROFILE,
-    DIRECTION,
-    FADED,
-    FADING,
-    FIRST,
-    HAS_MAGNITUDE,
-    HAS_MAX_RATE,
-    HAS_VALID,
-    LAG,
-    LARGEST,
-    OPTIONAL,
-    PERIODIC,
-    RUNNING,
-    SWITCH,
-)
 from errpipe.kernels.table_position import BLOCK, Buffers, fade_block, node_block, profile_blocks, sum_pairs, sum_terms
 from errpipe.kernels.table_readings import follows
 
@@ -54,7 +36,7 @@ def all_in_range(values):
     """Whether every value is a number that a table may hold."""
     sane = 0
     for k in range(values.size):
-        sane += values[k] >= -LARGEST and values[k] <= LARGEST
+        sane += values[k] >= -codes.LARGEST and values[k] <= codes.LARGEST
     return sane == values.size
 
 
@@ -94,8 +76,8 @@ def accept_block(channel, own, v, dt, thermal_s, out):
     inside = 0
     for k in range(v.size):
         inside += v[k] >= channel.low and v[k] <= channel.high
-    whole, watched = inside == v.size, channel.flags & HAS_MAX_RATE
-    if not whole and not channel.flags & OPTIONAL:
+    whole, watched = inside == v.size, channel.flags & codes.HAS_MAX_RATE
+    if not whole and not channel.flags & codes.OPTIONAL:
         return False
     last = v[v.size - 1]
     if whole and not watched:
@@ -117,7 +99,7 @@ def accept_block(channel, own, v, dt, thermal_s, out):
     if last >= channel.low and last <= channel.high:
         own.good, own.seen, own.usable = last, 1, 1
     else:
-        own.fault = 3 if last >= -LARGEST and last <= LARGEST else 1
+        own.fault = 3 if last >= -codes.LARGEST and last <= codes.LARGEST else 1
         own.source = 3
     return True
 
@@ -127,7 +109,7 @@ def show_block(channel, own, v, inside, clamped):
     """What the table sees of accepted readings `v`, and what validity leaves of it."""
     last = v.size - 1
     own.left = 1.0
-    if channel.flags & HAS_VALID:
+    if channel.flags & codes.HAS_VALID:
         low, high = channel.valid_low, channel.valid_high
         outside = low - v[last] if v[last] < low else v[last] - high
         if outside > 0.0:
@@ -155,7 +137,7 @@ def lag_block(own, u, up, down, out):
 def state_block(node, own, u, v, dt, decay, out):
     """A node that has a state, over a block, `v` being its second operand; False where it has none."""
     op = node.op
-    if op == LAG:
+    if op == codes.LAG:
         up, down = decay[0, : u.size], decay[1, : u.size]
         decay_block(dt, node.a, up)
         if node.b == node.a:
@@ -163,20 +145,20 @@ def state_block(node, own, u, v, dt, decay, out):
         else:
             decay_block(dt, node.b, down)
         lag_block(own, u, up, down, out)
-    elif op == FIRST:
+    elif op == codes.FIRST:
         out[:] = own.value
-    elif op == SWITCH:
+    elif op == codes.SWITCH:
         y = own.value
         for k in range(u.size):
             y = 1.0 if u[k] >= node.a else 0.0 if u[k] <= node.b else y
             out[k] = y
-    elif op == DIRECTION:
+    elif op == codes.DIRECTION:
         side, memory = own.value, own.memory
         for k in range(u.size):
             side, memory = moved_side(u[k], v[k] if node.count > 1 else 0.0, side, memory, node.a)
             out[k] = side
         own.memory = memory
-    elif op == APPROACH:
+    elif op == codes.APPROACH:
         way, left, y = decay[0, : u.size], decay[1, : u.size], own.value
         for k in range(u.size):
             way[k] = abs(u[k] - (own.memory if k == 0 else u[k - 1]))
@@ -196,7 +178,7 @@ def beyond_block(profile, x, status):
     last = float(profile.count) - 1.0
     for k in range(x.size):
         s = (x[k] - profile.start) * profile.inverse_step
-        status[k] |= BEYOND_PROFILE if s < 0.0 or s > last else 0
+        status[k] |= codes.BEYOND_PROFILE if s < 0.0 or s > last else 0
 
 
 @bare_kernel
@@ -205,11 +187,11 @@ def limit_block(output, own, deviation, correction, status):
     last = deviation.size - 1
     for k in range(deviation.size):
         correction[k] = -deviation[k]
-    if output.flags & HAS_MAGNITUDE:
+    if output.flags & codes.HAS_MAGNITUDE:
         most = output.magnitude
         for k in range(deviation.size):
             target = correction[k]
-            status[k] |= AT_MAGNITUDE if target > most or target < -most else 0
+            status[k] |= codes.AT_MAGNITUDE if target > most or target < -most else 0
             target = most if target > most else target
             correction[k] = -most if target < -most else target
     own.deviation, own.limited = deviation[last], correction[last]
@@ -259,10 +241,15 @@ def block(program, plan, workspace, state, columns, begin, end, deviation, corre
     ):
         return False
     for k in range(size):
-        marks[k] = RUNNING | ACTIVE | (FADING if inside[k] < 1.0 else 0) | (FADED if inside[k] <= 0.0 else 0)
+        marks[k] = (
+            codes.RUNNING
+            | codes.ACTIVE
+            | (codes.FADING if inside[k] < 1.0 else 0)
+            | (codes.FADED if inside[k] <= 0.0 else 0)
+        )
     for p in range(program.profiles.size):
         own = program.profiles[p]
-        if own.input >= 0 and not program.same_grid[p] and not own.flags & PERIODIC:
+        if own.input >= 0 and not program.same_grid[p] and not own.flags & codes.PERIODIC:
             beyond_block(own, buffers.inputs[own.input, :size], marks)
     profile_blocks(program, plan, buffers.inputs, buffers.sums, buffers.intervals, buffers.spare[2])
     sum_pairs(program.pairs, plan.opens, plan.alone, buffers.profiles, buffers.nodes, workspace.node_fixed,

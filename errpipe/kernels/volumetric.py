@@ -14,7 +14,7 @@ import numpy as np
 
 from errpipe.kernels import kernel
 
-MOVE, TURN, ERROR = 0, 1, 2
+MOVE, TURN, ERROR = 0, 1, 2  # kinds of steps along a chain
 UM = 1e-3  # mm per um; also um per (mm urad)
 URAD = 1e-6  # rad
 DEG = np.pi / 180.0  # rad

@@ -89,10 +89,10 @@ def judge(
         progress(number / len(names), f"without {name}")
         fitted = identify(model, obs.take(rest))
         rows = np.flatnonzero(group == number)
-        sat_out = obs.take(rows)
-        before = _without_setup(model, sat_out, np.zeros(len(fitted.mean)), fitted.noise)
-        after = _without_setup(model, sat_out, np.where(used, fitted.mean, 0.0), fitted.noise)
-        certain = np.median(sat_out.noise) / sat_out.noise
+        held_out = obs.take(rows)
+        before = _without_setup(model, held_out, np.zeros(len(fitted.mean)), fitted.noise)
+        after = _without_setup(model, held_out, np.where(used, fitted.mean, 0.0), fitted.noise)
+        certain = np.median(held_out.noise) / held_out.noise
         out.append(HeldOutGroup(name, rows, before * certain, after * certain))
     return out
 

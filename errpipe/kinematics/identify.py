@@ -8,7 +8,7 @@ does not observe keeps its prior width and is named (`observability`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -193,13 +193,12 @@ def identify(
     obs: Observations,
     *,
     noise: float | None = None,
-    sizes: Mapping[str, float] | None = None,
     power: float | None = None,
     iterations: int = 2,
 ) -> Identified:
     """Solve for all components and set-up parameters.
 
-    noise (um), sizes (prior standard deviation by family, um or urad) and power are estimated where not given.
+    noise (um) and power are estimated where not given, as the prior sizes of the families are.
     Raises DataError where readings are missing or fewer than 8.
     """
     if len(obs) < 8 or not np.isfinite(obs.value).all():
@@ -209,11 +208,12 @@ def identify(
     design = plain / obs.noise[:, None]
     spreads = model.prior.spreads(obs.nuisance_spread)
     seen = np.flatnonzero(design.any(axis=0))  # a column that no reading depends on keeps its prior
+    known = np.array([np.nan] * len(FAMILIES) + [np.nan if v is None else v for v in (power, noise)], dtype=float)
     offset, hyper = np.zeros(len(obs)), np.empty(0)  # no prior sizes estimated yet
     for _ in range(max(1, iterations)):
         moments = evidence.Moments.of(design[:, seen], (obs.value - offset) / obs.noise)
         start = hyper if hyper.size else None
-        hyper = evidence.learn(spreads.take(seen), moments, _known(sizes, power, noise), start)
+        hyper = evidence.learn(spreads.take(seen), moments, known, start)
         mean, cov = np.zeros(design.shape[1]), np.diag(spreads.of(hyper) ** 2)
         mean[seen], cov[np.ix_(seen, seen)] = evidence.solve(spreads.take(seen), moments, hyper)
         curvature = bending_of_lengths(chain, model, obs, plain, mean)
@@ -244,9 +244,3 @@ def bending_of_lengths(chain: Chain, model: Parametrisation, obs: Observations, 
     np.add.at(comps.T, model.prior.component, (model.functions(obs.q) * mean[:p]).T)
     deviation = synthesis.first_order(chain, obs.q, comps, obs.tip)
     return np.where(lengths, reading(chain, obs, deviation, mean[p:]) - design @ mean, 0.0)
-
-
-def _known(sizes: Mapping[str, float] | None, power: float | None, noise: float | None) -> np.ndarray:
-    """Hyperparameters that the caller fixes; NaN where they are estimated."""
-    given = [(sizes or {}).get(f) for f in FAMILIES] + [power, noise]
-    return np.array([np.nan if v is None else v for v in given], dtype=float)

@@ -79,7 +79,7 @@ class Observations:
         return out
 
 
-def _build(q, tip, weights, value, columns, label, socket=None, noise=1.0, seconds=0.0) -> Observations:
+def _build(q, tip, weights, value, columns, label, socket=None, seconds=0.0) -> Observations:
     """columns: list of (name, spread, column)."""
     n = len(q)
     value = np.full(n, np.nan) if value is None else np.asarray(value, dtype=float)
@@ -92,7 +92,7 @@ def _build(q, tip, weights, value, columns, label, socket=None, noise=1.0, secon
         tuple(name for name, *_ in columns),
         np.array([s for _, s, _ in columns], dtype=float),
         np.full((n, 3), np.nan) if socket is None else np.broadcast_to(socket, (n, 3)).copy(),
-        np.full(n, float(noise)),
+        np.ones(n),
         np.full(n, label, dtype=object),
         seconds,
     )
@@ -106,8 +106,6 @@ def distance(
     value: np.ndarray | None = None,
     label: str = "1",
     seconds: float = 0.0,
-    length: bool = True,
-    noise: float = 1.0,
 ) -> Observations:
     """Length of a bar (or beam) from a socket on the workpiece to the tool: ball bar, telescoping bar, tracker range.
 
@@ -118,12 +116,9 @@ def distance(
     ray = pose[:, 0] - np.asarray(socket, dtype=float)
     unit = ray / np.linalg.norm(ray, axis=1, keepdims=True)
     columns = [(f"{label}: socket {d}", SHIFT, -unit[:, i]) for i, d in enumerate("XYZ")]
-    if length:
-        columns.append((f"{label}: bar length", LENGTH, np.ones(len(q))))
+    columns.append((f"{label}: bar length", LENGTH, np.ones(len(q))))
     columns += _ball_columns(chain, pose, unit[:, None, :], label)
-    return _build(
-        q, tip, np.hstack([unit, np.zeros_like(unit)]), value, columns, label, socket, noise=noise, seconds=seconds
-    )
+    return _build(q, tip, np.hstack([unit, np.zeros_like(unit)]), value, columns, label, socket, seconds)
 
 
 def along(

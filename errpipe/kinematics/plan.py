@@ -18,6 +18,7 @@ from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import Chain, combinations
 
 SHOWN = 20.0  # nats that a newly observed combination counts for: observing all comes before observing precisely
+MOST_BLOCKS = 24  # of a plan (by judgement)
 MIN_GAIN = 1e-3  # nats per second below which a block is not worth its time
 
 
@@ -60,31 +61,22 @@ class Plan:
         return o.concatenate([b.observations for b in self.blocks])
 
 
-def propose(
-    chain: Chain,
-    *,
-    means: Means | None = None,
-    sockets: Sequence[Sequence[float]] | None = None,
-    without: tuple[str, ...] = (),
-    positions: int = 40,
-    most: int = 24,
-    seed: int = 0,
-) -> Plan:
-    """A measuring plan for a telescoping bar. sockets: places in the workpiece frame, mm (chosen where left out).
+def propose(chain: Chain, *, means: Means | None = None, without: tuple[str, ...] = (), positions: int = 40) -> Plan:
+    """A measuring plan for a telescoping bar.
 
     without: components not to be identified (growth). Raises DataError where the bar reaches no position.
     """
     means = means or Means(tools=default_tools(chain))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     blocks = []
-    for socket in default_sockets(chain) if sockets is None else sockets:
+    for socket in default_sockets(chain):
         for length, offset in means.tools:
             blocks += _blocks(chain, np.asarray(socket, dtype=float), length, offset, means, positions, rng)
     if not blocks:
         raise DataError(f"a bar of {means.reach[0]:g}..{means.reach[1]:g} mm reaches no position from these sockets")
     model = observability.coarse(chain, without)
     gains = [observability.information(model, b.observations, means.noise)[0] for b in blocks]
-    chosen = _greedy(gains, blocks, means, most)
+    chosen = _greedy(gains, blocks, means)
     order = sorted(chosen, key=lambda i: (blocks[i].socket, blocks[i].length, blocks[i].offset, i))
     picked = tuple(blocks[i] for i in order)
     minutes = _seconds(picked, means) / 60.0
@@ -158,12 +150,12 @@ def _short_path(q: np.ndarray, box: np.ndarray) -> np.ndarray:
     return q[order]
 
 
-def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Means, most: int) -> list[int]:
+def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Means) -> list[int]:
     """Greedy selection by information gain per second until all is observed or no block reaches MIN_GAIN."""
     p = len(gains[0])
     known = np.eye(p)
     chosen: list[int] = []
-    while len(chosen) < most:
+    while len(chosen) < MOST_BLOCKS:
         variances = np.linalg.eigvalsh(np.linalg.inv(known))
         if variances.max() <= observability.UNOBSERVED:
             break

@@ -158,7 +158,7 @@ def _rows_at_targets(recording: Recording, rows: np.ndarray, axes: set[str]) -> 
     return rows & rows_of_axis
 
 
-def direct_folds(recording: Recording, most: int = MOST_FOLDS) -> tuple[str, list[tuple[str, np.ndarray, np.ndarray]]]:
+def direct_folds(recording: Recording) -> tuple[str, list[tuple[str, np.ndarray, np.ndarray]]]:
     """Folds of direct records: whole runs where every component has several, else every so many targets.
 
     Returns the scheme in words and (label, train, test) masks.
@@ -180,10 +180,14 @@ def direct_folds(recording: Recording, most: int = MOST_FOLDS) -> tuple[str, lis
             known = np.isfinite(p)
             number[known] = direct.targets_of(p[known])[1]
     out = [
-        (f"targets {k + 1}, {k + 1 + most} ...", number % most != k, (number % most == k) & (number >= 0))
-        for k in range(most)
+        (
+            f"targets {k + 1}, {k + 1 + MOST_FOLDS} ...",
+            number % MOST_FOLDS != k,
+            (number % MOST_FOLDS == k) & (number >= 0),
+        )
+        for k in range(MOST_FOLDS)
     ]
-    return f"every {most}th target", out
+    return f"every {MOST_FOLDS}th target", out
 
 
 def _sides(recording: Recording, component: str, rows: np.ndarray) -> set[float]:

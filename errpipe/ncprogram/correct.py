@@ -20,22 +20,8 @@ import numpy as np
 
 from errpipe.errors import DataError
 from errpipe.kernels import nc_blocks
+from errpipe.ncprogram import modal
 from errpipe.ncprogram.blocks import MAX_LINE, Block, parse, refuse
-from errpipe.ncprogram.modal import (
-    LARGEST_COORDINATE,
-    LARGEST_RADIUS,
-    LINEAR,
-    MM_PER_INCH,
-    MOTIONS,
-    OFF_M,
-    PLANES,
-    ROTARY,
-    STOPS_M,
-    Motion,
-    Setup,
-    State,
-    advance,
-)
 from errpipe.ncprogram.paths import MAX_SEGMENTS, segments
 from errpipe.ncprogram.writer import Deviation, Writer
 
@@ -57,7 +43,7 @@ def rewrite(
     chunks: Iterable[bytes],
     write: Callable[[bytes], object],
     deviation: Deviation,
-    setup: Setup,
+    setup: modal.Setup,
     *,
     chord_error: float = 0.001,
     longest: float = 25.0,
@@ -87,9 +73,9 @@ class _Reader:
     here: (6,) where the axes stand, mm and deg, NaN where that is not known; the state's own position may be older.
     """
 
-    def __init__(self, setup: Setup, writer: Writer, chord_error: float, longest: float, bulk: bool):
+    def __init__(self, setup: modal.Setup, writer: Writer, chord_error: float, longest: float, bulk: bool):
         self.setup, self.writer, self.limits, self.bulk = setup, writer, (chord_error, longest), bulk
-        self.state = State(position=_start(setup))
+        self.state = modal.State(position=_start(setup))
         self.here = np.array(self.state.position, dtype=float)
         self.cursor = np.array([0, 1, 0, 0, -1, 0], dtype=np.int64)
         self.room = np.empty(len(nc_blocks.LETTERS)), np.empty(len(self.here))
@@ -124,17 +110,17 @@ class _Reader:
         full, error = nc_blocks.read(data, cursor, self.here, self.mode, writer.rows, *self.room)
         _, _, writer.used, writer.texts, motion, _ = cursor.tolist()
         self.chord_error = max(self.chord_error, error)
-        if before[0] != writer.used and MOTIONS[motion] != self.state.motion:
-            self.state = replace(self.state, motion=MOTIONS[motion])
+        if before[0] != writer.used and modal.MOTIONS[motion] != self.state.motion:
+            self.state = replace(self.state, motion=modal.MOTIONS[motion])
         return full and writer.used > 0
 
     def _mode(self) -> nc_blocks.Mode:
         """The modal state as the bulk reader takes it."""
         state, (chord_error, longest) = self.state, self.limits
-        self.cursor[nc_blocks.MOTION] = MOTIONS.index(state.motion) if state.motion else -1
-        first, second, through = (LINEAR.index(letter) for letter in PLANES[state.plane])
+        self.cursor[nc_blocks.MOTION] = modal.MOTIONS.index(state.motion) if state.motion else -1
+        first, second, through = (modal.LINEAR.index(letter) for letter in modal.PLANES[state.plane])
         return nc_blocks.Mode(
-            scale=MM_PER_INCH if state.inch else 1.0,
+            scale=modal.MM_PER_INCH if state.inch else 1.0,
             absolute=state.absolute,
             first=first,
             second=second,
@@ -144,8 +130,8 @@ class _Reader:
             longest=float(longest),
             chord_error=float(chord_error),
             segments=MAX_SEGMENTS,
-            coordinate=LARGEST_COORDINATE,
-            radius=LARGEST_RADIUS,
+            coordinate=modal.LARGEST_COORDINATE,
+            radius=modal.LARGEST_RADIUS,
             line=MAX_LINE,
         )
 
@@ -153,7 +139,7 @@ class _Reader:
         """Read any line word by word. Raises DataError for what is not understood."""
         block = parse(number, source)
         before = replace(self.state, position=tuple(None if v != v else v for v in self.here.tolist()))
-        self.state, motion = advance(block, before, self.setup)
+        self.state, motion = modal.advance(block, before, self.setup)
         if block.delete and (motion is not None or self.state != before):
             raise refuse(number, source, "a motion or mode that a block delete switch may skip")
         self.here[:] = [math.nan if v is None else v for v in self.state.position]
@@ -170,13 +156,13 @@ class _Reader:
         self._refuse_unknown(block, points)
         self._refuse_stop_between(block, points)
         self.writer.path(block, points, _prefix(block, motion))
-        if stops := [w.text for w in block.words if w.code in STOPS_M]:
+        if stops := [w.text for w in block.words if w.code in modal.STOPS_M]:
             self.writer.line(" ".join(stops))
         self.cursor[nc_blocks.MOVES] += 1
 
     @staticmethod
     def _refuse_unknown(block: Block, points: np.ndarray) -> None:
-        missing = [LINEAR[n] for n in range(3) if np.isnan(points[:, n]).any()]
+        missing = [modal.LINEAR[n] for n in range(3) if np.isnan(points[:, n]).any()]
         if missing:
             where = (
                 f"where {' and '.join(missing)} stands is not known yet, at the start or behind a tool change or "
@@ -186,7 +172,7 @@ class _Reader:
 
     @staticmethod
     def _refuse_stop_between(block: Block, points: np.ndarray) -> None:
-        stops = OFF_M & set(block.codes("M"))
+        stops = modal.OFF_M & set(block.codes("M"))
         if stops and len(points) > 1:
             why = (
                 f"{sorted(stops)[0]} beside a motion of {len(points)} segments: controls differ in whether it acts "
@@ -203,17 +189,17 @@ def _source(raw: bytes) -> str:
         raise DataError(f"not UTF-8 text (byte 0x{err.object[err.start]:02x})") from None
 
 
-def _prefix(block: Block, motion: Motion) -> str:
+def _prefix(block: Block, motion: modal.Motion) -> str:
     """The block's line number and all its words but those of the path and what stops the program behind it."""
-    left_out = {"G2", "G3"} | STOPS_M
+    left_out = {"G2", "G3"} | modal.STOPS_M
     kept = [w.text for w in block.words if w.letter not in "XYZABCIJKRP" and w.code not in left_out]
     straight = "G1" if motion.mode in ("G2", "G3") else ""
     return " ".join(part for part in (block.number, *kept, straight) if part)
 
 
-def _start(setup: Setup) -> tuple[float | None, ...]:
+def _start(setup: modal.Setup) -> tuple[float | None, ...]:
     if setup.start is None:
-        return (None,) * (len(LINEAR) + len(ROTARY))
+        return (None,) * (len(modal.LINEAR) + len(modal.ROTARY))
     zero = setup.offsets.get("G54", (0.0, 0.0, 0.0))
     if not all(math.isfinite(v) for v in (*setup.start, *zero)):
         raise DataError("the start or an offset is not a number")

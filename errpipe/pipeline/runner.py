@@ -19,19 +19,8 @@ from typing import Any
 from errpipe import files, jsonfile
 from errpipe.errors import ConfigError, DataError, UsageError, VerifyError
 from errpipe.files import inside
+from errpipe.pipeline import lock
 from errpipe.pipeline.graph import ancestors, reads_of
-from errpipe.pipeline.lock import (
-    Record,
-    changes,
-    code_of,
-    exclusive_lock,
-    hash_file,
-    label_inputs,
-    read_lock,
-    refuse_outside,
-    scratch,
-    write_lock,
-)
 from errpipe.pipeline.spec import Pipeline, missing_inputs
 from errpipe.pipeline.stage import Context, Stage
 from errpipe.pipeline.step import NO_CALLBACKS, Callbacks, Step
@@ -71,16 +60,16 @@ def run(
     Raises what a stage raises; stages that finished before stay recorded.
     """
     work = _Work(pipeline, out, to, force)
-    with exclusive_lock(out, callbacks.waiting):
-        work.records = read_lock(out)
+    with lock.exclusive_lock(out, callbacks.waiting):
+        work.records = lock.read_lock(out)
         work.remove_leftovers()
         try:
             steps = _in_order(work, callbacks) if jobs <= 1 else _side_by_side(work, callbacks, jobs)
         finally:
-            shutil.rmtree(scratch(out) / "work", ignore_errors=True)
+            shutil.rmtree(lock.scratch(out) / "work", ignore_errors=True)
         if to is None:
             work.drop_removed_stages()
-        write_lock(out, work.records)
+        lock.write_lock(out, work.records)
     return steps
 
 
@@ -146,7 +135,7 @@ class _Work:
         if self.out.exists() and not self.out.is_dir():
             raise UsageError(f"{out}: is a file (a folder for the outputs is needed)")
         self._look_at_inputs()
-        self.records = read_lock(self.out)
+        self.records = lock.read_lock(self.out)
 
     def _look_at_inputs(self) -> None:
         missing = missing_inputs(self.pipeline, self.selected)
@@ -158,39 +147,39 @@ class _Work:
                 if path.is_dir() and resolved.is_relative_to(path.resolve()):
                     raise UsageError(f"{self.out}: lies inside {path}, which stage {stage.label} reads")
 
-    def record(self, stage: Stage) -> Record:
+    def record(self, stage: Stage) -> lock.Record:
         """What would be recorded of a stage now, outputs apart: hashes every input."""
-        inputs = {label: hash_file(path) for label, path in label_inputs(stage.inputs()).items()}
+        inputs = {label: lock.hash_file(path) for label, path in lock.label_inputs(stage.inputs()).items()}
         for name in reads_of(self.pipeline.links, stage.label):
             outputs = self.records[name].outputs if name in self.records else {}
             inputs |= {f"{name}/{file}": digest for file, digest in outputs.items()}
         sources = {slot: list(names) for slot, names in self.pipeline.links[stage.label].items()}
-        return Record(stage.kind, code_of(stage), stage.parameters(), sources, inputs)
+        return lock.Record(stage.kind, lock.code_of(stage), stage.parameters(), sources, inputs)
 
-    def reasons(self, stage: Stage, new: Record) -> list[str]:
+    def reasons(self, stage: Stage, new: lock.Record) -> list[str]:
         """Why the stage must run; [] where it need not."""
         old = self.records.get(stage.label)
         if old is None:
             return ["has not run"]
         texts = ["forced"] if stage.label in self.force else []
-        texts += changes(old, new)
+        texts += lock.changes(old, new)
         if self._journal(stage).is_file():
             texts.append("interrupted while its outputs were put in place")
         for file, digest in sorted(old.outputs.items()):
             path = inside(self.out, f"{stage.label}/{file}", VerifyError)
             if not path.is_file():
                 texts.append(f"output {file} is missing")
-            elif hash_file(path) != digest:
+            elif lock.hash_file(path) != digest:
                 texts.append(f"output {file} was edited")
         return texts
 
     def _journal(self, stage: Stage) -> Path:
         """Names of outputs that may be in place before the lock file lists them; deleted afterwards."""
-        return scratch(self.out) / f"{stage.label}.json"
+        return lock.scratch(self.out) / f"{stage.label}.json"
 
-    def execute(self, stage: Stage, record: Record, callbacks: Callbacks) -> tuple[Record, Path]:
+    def execute(self, stage: Stage, record: lock.Record, callbacks: Callbacks) -> tuple[lock.Record, Path]:
         """Run the stage in its scratch folder; the full record and that folder. Raises what the stage raises."""
-        folder = scratch(self.out) / "work" / stage.label
+        folder = lock.scratch(self.out) / "work" / stage.label
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         links = self.pipeline.links[stage.label]
@@ -204,16 +193,16 @@ class _Work:
         with files.scratch():
             summary = dict(stage.run(context) or {})
         jsonfile.dumps(summary)  # raises before anything is published where a stage's summary cannot be written
-        outputs = {path.relative_to(folder).as_posix(): hash_file(path) for path in _all_files(folder)}
+        outputs = {path.relative_to(folder).as_posix(): lock.hash_file(path) for path in _all_files(folder)}
         lacking = sorted(set(stage.outputs()) - set(outputs))
         if lacking:
             raise RuntimeError(f"stage {stage.label} did not write {', '.join(lacking)}")
-        for label, path in label_inputs(stage.inputs()).items():
-            if record.inputs.get(label) != hash_file(path):
+        for label, path in lock.label_inputs(stage.inputs()).items():
+            if record.inputs.get(label) != lock.hash_file(path):
                 raise DataError(f"{path}: changed while stage {stage.label} was reading it; run again")
         return replace(record, outputs=outputs, summary=summary), folder
 
-    def finish(self, stage: Stage, reasons: Sequence[str], record: Record, folder: Path) -> Step:
+    def finish(self, stage: Stage, reasons: Sequence[str], record: lock.Record, folder: Path) -> Step:
         """Move the outputs to their place and write the lock file."""
         own = self.out / stage.label
         journal = self._journal(stage)
@@ -226,7 +215,7 @@ class _Work:
         for name in sorted(stale - set(record.outputs)):
             _remove(own, name)
         self.records[stage.label] = record
-        write_lock(self.out, self.records)
+        lock.write_lock(self.out, self.records)
         journal.unlink(missing_ok=True)
         return replace(self.step(stage, "run", reasons), written=tuple(written))
 
@@ -238,8 +227,8 @@ class _Work:
 
     def remove_leftovers(self) -> None:
         """Remove what an interrupted run left half written."""
-        shutil.rmtree(scratch(self.out) / "work", ignore_errors=True)
-        for folder in (self.out, scratch(self.out)):
+        shutil.rmtree(lock.scratch(self.out) / "work", ignore_errors=True)
+        for folder in (self.out, lock.scratch(self.out)):
             for path in folder.glob(".*.tmp"):
                 path.unlink(missing_ok=True)
 
@@ -249,7 +238,7 @@ class _Work:
         for name in [name for name in self.records if name not in names]:
             for file, digest in self.records.pop(name).outputs.items():
                 path = inside(self.out, f"{name}/{file}", VerifyError)
-                if path.is_file() and hash_file(path) == digest:
+                if path.is_file() and lock.hash_file(path) == digest:
                     _remove(self.out / name, file)
 
 
@@ -259,7 +248,11 @@ def _all_files(folder: Path) -> list[Path]:
 
 def _publish(source: Path, target: Path) -> bool:
     """Move one file to its place, whole and on disk; only where the bytes differ. True if moved."""
-    if target.is_file() and target.stat().st_size == source.stat().st_size and hash_file(target) == hash_file(source):
+    if (
+        target.is_file()
+        and target.stat().st_size == source.stat().st_size
+        and lock.hash_file(target) == lock.hash_file(source)
+    ):
         return False
     target.parent.mkdir(parents=True, exist_ok=True)
     with open(source, "rb") as stream:
@@ -275,7 +268,7 @@ def _names_in(journal: Path) -> list[str]:
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise VerifyError(f"{journal}: is not a list of names; it was not written by errpipe")
     for name in names:
-        refuse_outside(journal, name)
+        lock.refuse_outside(journal, name)
     return names
 
 

@@ -11,13 +11,13 @@ from errpipe.registry import minisign
 from errpipe.tables import ect
 
 
-def read_table(path: Path, key: minisign.PublicKey, signature: Path | None = None) -> CompensationTable:
-    """A `.ect` file whose signature (default: FILE.minisig) is that key's; what was checked is what is read.
+def read_table(path: Path, key: minisign.PublicKey) -> CompensationTable:
+    """A `.ect` file whose signature (FILE.minisig) is that key's; what was checked is what is read.
 
     Raises VerifyError where the table is unsigned, was changed after it was signed, or is signed by another key.
     """
     data = files.read(Path(path), ect.MAX_FILE_BYTES, VerifyError)
-    minisign.verify(data, minisign.signature_of(path, signature), key, str(path))
+    minisign.verify(data, minisign.signature_of(path), key, str(path))
     return ect.loads(data)
 
 

@@ -95,7 +95,7 @@ def _block(r: ResponseDiagnosis, trace: Trace, equations: Mapping[str, str]) -> 
         "findings": [_finding(f, equations) for f in r.findings],
         "overview": _overview(r, trace),
         "shape": _shape(r, trace),
-        "rivals": _rivals(r),
+        "rivals": [_rivals_of(f) for f in [f for f in r.findings if f.rivals][:2]],
         "located": _located(r),
         "largest_share": _largest_share(r) + _between_runs(r),
         "changes": [_change(c, r.unit) for c in r.changes],
@@ -241,10 +241,6 @@ def _against(f: Finding, trace: Trace) -> str:
     if not many:
         return next((n for n in trace.inputs if np.unique(trace.inputs[n]).size > 2), "")
     return max(many, key=lambda n: np.unique(trace.inputs[n]).size)
-
-
-def _rivals(r: ResponseDiagnosis) -> list[str]:
-    return [_rivals_of(f) for f in [f for f in r.findings if f.rivals][:2]]
 
 
 def _rivals_of(f: Finding) -> str:

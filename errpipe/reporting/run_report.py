@@ -10,6 +10,7 @@ import numpy as np
 
 from errpipe.reporting import page, run_figures, svg
 
+MOST_INPUTS, BINS = 9, 12  # inputs in a figure; means along each
 LONG = 3 * 86400.0  # s; a longer recording is mostly pauses and is drawn by row number
 
 
@@ -132,9 +133,9 @@ def by_group(r: Response) -> str:
         return svg.to_svg(canvas, f"{r.component} rms by left-out group")
 
 
-def residuals(r: Response, most: int = 9) -> str:
+def residuals(r: Response) -> str:
     """Held-out residual against every input: structure here is missing physics."""
-    chosen = list(r.inputs.items())[:most]
+    chosen = list(r.inputs.items())[:MOST_INPUTS]
     if not chosen:
         return ""
     columns = min(3, len(chosen))
@@ -154,13 +155,13 @@ def residuals(r: Response, most: int = 9) -> str:
         return svg.to_svg(canvas, f"{r.component} held-out residual against every input")
 
 
-def _trend(axes: Any, x: np.ndarray, y: np.ndarray, bins: int = 12) -> None:
+def _trend(axes: Any, x: np.ndarray, y: np.ndarray) -> None:
     """Means of equal shares of the rows: a flat line means no remaining dependence."""
     good = np.isfinite(x) & np.isfinite(y)
-    if good.sum() < 4 * bins or np.ptp(x[good]) == 0:
+    if good.sum() < 4 * BINS or np.ptp(x[good]) == 0:
         return
     order = np.argsort(x[good], kind="stable")
-    parts = np.array_split(order, bins)
+    parts = np.array_split(order, BINS)
     axes.plot([x[good][p].mean() for p in parts], [y[good][p].mean() for p in parts], color=svg.INK, lw=1.2)
 
 

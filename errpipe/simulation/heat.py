@@ -81,11 +81,11 @@ def conduct(
     )
 
 
-def growth(screw: Screw, theta: np.ndarray, x: np.ndarray, reference: float = 20.0) -> np.ndarray:
+def growth(screw: Screw, theta: np.ndarray, x: np.ndarray) -> np.ndarray:
     """How far the nut is pushed beyond its place by the screw's expansion between 0 and x, um.
 
     theta: (n, PIECES) degC; x: (n,) mm. The integral of expansion over length, exact for pieces of one temperature.
     """
     piece = screw.length / PIECES
     part = np.clip(np.asarray(x)[:, None] / piece - np.arange(PIECES), 0.0, 1.0)
-    return screw.expansion * 1e-3 * piece * np.sum(part * (theta - reference), axis=1)
+    return screw.expansion * 1e-3 * piece * np.sum(part * (theta - 20.0), axis=1)

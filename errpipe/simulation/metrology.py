@@ -108,13 +108,12 @@ def record(
     *,
     noise: float = 0.5,
     setup: float = 100.0,
-    directions: str = "XYZ",
 ) -> Recording:
     """Play the runs. noise (um) on each reading; setup: typical size of set-up errors, um (and urad of a pose)."""
     rng = np.random.default_rng(seed)
     frames, constants = [], {"protocol": Constant(value=protocol)}
     for run in runs:
-        frames.append(_play(chain, values, run, rng, noise, setup, protocol, directions))
+        frames.append(_play(chain, values, run, rng, noise, setup, protocol))
         constants |= _constants(chain, run)
     frame = pd.concat(frames, ignore_index=True)
     columns = {"run": Column(role="run")}
@@ -139,7 +138,7 @@ def record(
     return Recording(manifest, frame)
 
 
-def _play(chain, values, run: Run, rng, noise, setup, protocol, directions) -> pd.DataFrame:
+def _play(chain, values, run: Run, rng, noise, setup, protocol) -> pd.DataFrame:
     tip = chain.tip(run.length, run.offset)
     comps = components_at(chain, values, run.q)
     ideal = synthesis.ideal_pose(chain, run.q, tip)
@@ -167,7 +166,7 @@ def _play(chain, values, run: Run, rng, noise, setup, protocol, directions) -> p
         middle = ideal[:, 0].mean(axis=0)
         turn = rng.normal(0, setup * 1e-6, 3) if protocol != "r_test" else np.zeros(3)
         moved = point + np.cross(turn, point - middle) + rng.normal(0, setup * 1e-3, 3)
-        for d in directions:
+        for d in "XYZ":
             i = "XYZ".index(d)
             out[f"E_{d}"] = (moved - ideal[:, 0])[:, i] * 1e3 + rng.normal(0, noise, len(run.q))
     return pd.DataFrame(out)

@@ -60,13 +60,10 @@ def compare_targets(table: Path) -> dict[str, Any]:
 def together(targets: Iterable[Any]) -> list[tuple[Any, ...]]:
     """Every choice of two or more targets whose files one controller adds up."""
 
-    def add_up(a: Any, b: Any) -> bool:
-        return b.name in a.goes_with or a.name in b.goes_with
-
     targets = tuple(targets)
     most = max((len(t.goes_with) for t in targets), default=0) + 1
     choices = [c for size in range(2, most + 1) for c in combinations(targets, size)]
-    return [c for c in choices if all(add_up(a, b) for a, b in combinations(c, 2))]
+    return [c for c in choices if all((b.name in a.goes_with or a.name in b.goes_with) for a, b in combinations(c, 2))]
 
 
 def write_together(table: CompensationTable, parts: Sequence[Any]) -> tuple[list[dict[str, str]], Any]:

@@ -7,7 +7,7 @@ import struct
 from errpipe.domain import table as t
 
 MAGIC = b"ECT\x00\r\n\x1a\n"  # a transfer in text mode damages it
-VERSIONS = (1, 2)
+VERSIONS = (1, 2)  # of the format, oldest first
 HEADER = struct.Struct("<8sIIIII4xdddd")  # magic, version, header size, file size, crc, slow_every, cycles, ramp, fade
 HEADER_SIZE = 512
 CRC_FROM = 24  # the checksum covers everything behind itself

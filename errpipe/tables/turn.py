@@ -66,14 +66,14 @@ def _between_turns(bare: Curve, axis: str, low: float, high: float) -> float:
     if high - low <= TURN * (1.0 + SAME_STEP):
         return 0.0
     at = np.linspace(low + TURN, high, SAMPLES)
-    apart = float(np.abs(bare(at) - bare(low + np.mod(at - low, TURN))).max())
-    if apart > ALIKE * float(np.ptp(bare(np.linspace(low, high, SAMPLES)))):
+    differs = float(np.abs(bare(at) - bare(low + np.mod(at - low, TURN))).max())
+    if differs > ALIKE * float(np.ptp(bare(np.linspace(low, high, SAMPLES)))):
         raise GateError(
             f"{axis} was measured from {low:g} to {high:g} deg and turns on: a table repeats with every turn, this "
-            f"curve over {axis} differs by up to {apart:.3g} from its first one. Give its positions within one turn, "
+            f"curve over {axis} differs by up to {differs:.3g} from its first one. Give its positions within one turn, "
             "or a term that repeats (harmonics of 360 deg)"
         )
-    return apart
+    return differs
 
 
 def _bridge(x: np.ndarray, length: float, ends: np.ndarray, slopes: np.ndarray, *, straight: bool) -> np.ndarray:

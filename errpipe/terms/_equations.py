@@ -13,9 +13,9 @@ CURVE_POINTS = 1200  # linear interpolation then leaves less than 1e-4 of a tanh
 MAX_INPUT = 1e12  # no input is larger
 
 
-def times(driver: Driver, weight: float, offset: float = 0.0) -> Affine:
-    """offset + weight * driver."""
-    return Affine(offset=offset, weights=(weight,), of=(driver,))
+def times(driver: Driver, weight: float) -> Affine:
+    """weight * driver."""
+    return Affine(weights=(weight,), of=(driver,))
 
 
 def sign(name: str) -> Clip:

@@ -13,7 +13,7 @@ from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import direction, direction_column, position, position_name, share, travel
 from errpipe.drivers.sessions import sessions
-from errpipe.kernels.events import approach_overrun
+from errpipe.kernels import responses
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import as_positioning, axes_acting, is_radial
@@ -69,7 +69,7 @@ class FrictionHysteresis(Term):
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         if self.overrun:
             run, side = sessions(recording), direction(recording, self.axis)
-            z = approach_overrun(run, position(recording, self.axis), side, nonlinear[0], self.overrun)
+            z = responses.approach(run, position(recording, self.axis), side, nonlinear[0], self.overrun)
         else:
             z = drive(Approach(axis=self.axis, length=nonlinear[0]), recording)
         return (-0.5 * z * share(recording, self.axis, self.radial))[:, None]

@@ -30,7 +30,7 @@ STILL = 0.05  # of a jump, within which a reading stands still before it
 
 
 class SensorFault(Term):
-    """A sensor that the simulation reads lied for a while: stuck, dead or stepped.
+    """A sensor that the simulation reads was wrong for a while: stuck, dead or stepped.
 
     Equation   deviation = gain * (T_true - T_read) on rows first..last, 0 elsewhere; T_true drawn through the gap,
                or T_read less the step with which the stretch begins and ends

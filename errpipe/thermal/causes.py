@@ -40,6 +40,11 @@ OIL_RANGE = (-5.0, 55.0)  # degC of the table of it, held beyond
 HEATED = (3.0, 2.7)  # K/h: default thresholds, on above, off below; a turning centre at rest showed -5..2.0
 HYSTERESIS = 0.15  # hysteresis of the threshold, as share of half the distance between standing and running
 STANDING = 0.5  # largest heat of a standstill as share of that of running: above it, a slower speed
+MIXES = (
+    0.0,
+    0.25,
+    0.5,
+)  # how far towards the room a follower may begin, from the temperature of the machine's own body
 VALLEY = 0.35  # largest density between two modes over that of the lower peak; a uniform distribution gives 0.5
 NEIGHBOURS = (0.03, 30)  # nearest neighbours for the density estimate: share of the rows, and least number
 
@@ -185,14 +190,12 @@ def causes(
     placed: Sensors,
     late: Sequence[float],
     slow: Sequence[float],
-    mixes: Sequence[float] = (0.0,),
-    thinning: float = 0.0,
+    thinning: float,
     rows: np.ndarray | None = None,
 ) -> tuple[Cause, ...]:
     """The dictionary: bodies, bodies while running (lags `late`, s), followers of the room (lags `slow`, s).
 
-    mixes: how far towards the room a follower may begin, 0..1; thinning: of the oil whose friction heats, 1/K; rows:
-    mask of those that may be looked at.
+    thinning: of the oil whose friction heats, 1/K; rows: mask of those that may be looked at.
     """
     out = [Cause(f"rise of {n}", "body", d.rise(n)) for n in placed.bodies]
     state = running(recording, placed, rows)
@@ -212,7 +215,7 @@ def causes(
                 f"{n} {mix:g}",
             )
             for n in placed.starts
-            for mix in mixes
+            for mix in MIXES
             for tau in slow
         ]
     return tuple(out)

@@ -323,7 +323,7 @@ def _stacked(ranked: Sequence[int], judged: _Judged) -> dict[int, float]:
     if not kept:
         return {}
     part, whole = _weights(kept, judged), _weights(kept, judged, whole=True)
-    chosen = part if _better(judged.by_group(whole) - judged.by_group(part)) else whole
+    chosen = part if (_chance(judged.by_group(whole) - judged.by_group(part)) < LEVEL) else whole
     return {k: w for k, w in chosen.items() if w > 0.0}
 
 
@@ -338,11 +338,6 @@ def _weights(kept: Sequence[int], judged: _Judged, whole: bool = False) -> dict[
     if weights.sum() > 1.0 or whole:
         weights, _ = nnls(np.vstack([design, np.full(len(kept), WHOLE)]), np.r_[right, WHOLE])
     return dict(zip(kept, map(float, weights), strict=True))
-
-
-def _better(gained: np.ndarray) -> bool:
-    """Whether improvements in mean square, one per run, are more than chance at `LEVEL`."""
-    return _chance(gained) < LEVEL
 
 
 def _chance(gained: np.ndarray) -> float:

@@ -175,7 +175,7 @@ def _thermal_states(recording: Recording) -> np.ndarray:
         sensors = thermal_causes.sensors(recording)
     except DataError:
         return thermal_causes.columns(recording, [d.rise(n) for n in names])
-    causes = thermal_causes.causes(recording, sensors, options.late, options.slow, options.mixes, options.thinning)
+    causes = thermal_causes.causes(recording, sensors, options.late, options.slow, options.thinning)
     return thermal_causes.columns(recording, [c.driver for c in causes])
 
 

@@ -43,6 +43,9 @@ from errpipe.thermal.season_options import SeasonOptions
 
 Rows = np.ndarray | None  # a mask or label of each row; None: all of them, grouped by run
 CAUSE_BEYOND = 1.0  # of the span seen of each cause
+CORRECTION_LAGS = (900.0, 3600.0, 14400.0)  # s: of its temperatures
+CORRECTION_PENALTY = 3e-3  # ridge strength on columns of unit root mean square
+CORRECTION_WIDTH = 0.8  # K: runs whose starts differ by more teach each other little
 SLOPE_WIDTH = 0.5  # K: width of the kernel over start temperatures in `correction_slope`
 SLOPE_PRIOR = 1.0  # um2: regularisation of that ratio; a correction below 1 um on held-out runs counts little
 WITNESSES = 2.0  # prior of that ratio, in runs with no improvement: one run is little evidence
@@ -87,10 +90,8 @@ class Problem:
         self.sensors = causes.sensors(
             recording, room=options.room, spindle=options.spindle, bed=options.bed, use=options.sensors
         )
-        self.causes = causes.causes(
-            recording, self.sensors, options.late, options.slow, options.mixes, options.thinning, rows
-        )
-        self.further = _correction_drivers(recording, self.sensors, options, rows) if options.correction else ()
+        self.causes = causes.causes(recording, self.sensors, options.late, options.slow, options.thinning, rows)
+        self.further = _correction_drivers(recording, self.sensors, rows) if options.correction else ()
         self.core = causes.columns(recording, [c.driver for c in self.causes])
         self.extra = causes.columns(recording, self.further)
         names = self.sensors.all()
@@ -166,9 +167,7 @@ class Problem:
         warmth = self.warmth()
         warmth_of = {g: float(warmth[self.rows & (self.group == g)][0]) for g in groups}
         parts = {g: self.triangles[g] for g in groups}
-        return local.fit(
-            parts, self.count, warmth_of, core, self.options.correction_width, self.options.correction_penalty
-        )
+        return local.fit(parts, self.count, warmth_of, core, CORRECTION_WIDTH, CORRECTION_PENALTY)
 
     def start_distance(self, gains: _Gains) -> np.ndarray:
         """How far outside the seen starts each row's run began, mean over sensors, K."""
@@ -384,14 +383,12 @@ def _sum(parts: Sequence[Part]) -> d.Driver:
     return d.Affine(weights=tuple(g for _, g, _ in parts), of=tuple(node for _, _, node in parts))
 
 
-def _correction_drivers(
-    recording: Recording, sensors: causes.Sensors, options: SeasonOptions, rows: np.ndarray | None
-) -> tuple[d.Driver, ...]:
+def _correction_drivers(recording: Recording, sensors: causes.Sensors, rows: Rows) -> tuple[d.Driver, ...]:
     nodes: list[d.Driver] = [d.rise(n) for n in sensors.all()]
     reference = sensors.room or sensors.bodies[0]
     others = [n for n in sensors.all() if n != reference]
-    nodes += [causes.lagged_difference(n, reference, tau) for n in others for tau in options.correction_lags]
+    nodes += [causes.lagged_difference(n, reference, tau) for n in others for tau in CORRECTION_LAGS]
     state = causes.running(recording, sensors, rows)
     if state is not None:
-        nodes += [d.lag(state, tau) for tau in options.correction_lags[:2]]
+        nodes += [d.lag(state, tau) for tau in CORRECTION_LAGS[:2]]
     return tuple(nodes)

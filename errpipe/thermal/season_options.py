@@ -22,9 +22,6 @@ class SeasonOptions(Frozen):
     slow: tuple[float, ...] = quantity(
         "s", "Lags of parts without a sensor that follow the room.", (3600.0, 7200.0, 14400.0, 28800.0)
     )
-    mixes: tuple[float, ...] = quantity(
-        "1", "How far towards the room these parts may begin, from the machine's own temperature.", (0.0, 0.25, 0.5)
-    )
     # a mineral oil of 32 to 68 mm2/s loses so much of its viscosity per kelvin at 20 to 30 degC
     thinning: float = quantity(
         "1/K", "Loss of viscosity of the oil whose friction heats while the spindle runs.", 0.05, ge=0
@@ -34,9 +31,6 @@ class SeasonOptions(Frozen):
         2, ge=0, le=20, description="How often runs that fitted badly are given more weight: towards the worst day."
     )
     correction: bool = Field(True, description="Whether a data-driven part may be added where it was learnt.")
-    correction_lags: tuple[float, ...] = quantity("s", "Lags of its temperatures.", (900.0, 3600.0, 14400.0))
-    correction_penalty: float = quantity("1", "Ridge strength on columns of unit root mean square.", 3e-3, gt=0)
-    correction_width: float = quantity("K", "Runs whose starts differ by more teach each other little.", 0.8, gt=0)
     fade: float = quantity(
         "K", "Start this much outside what was seen (mean over sensors): the correction is gone.", 0.4, gt=0
     )

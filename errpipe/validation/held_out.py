@@ -1,4 +1,4 @@
-"""Figures from rows that had no say: every one beside doing nothing and the noise floor.
+"""Figures from held-out rows: every one beside doing nothing and the noise floor.
 
 "Do nothing" and partial gains compete with the full model on the same rows; the least of them within 1 % of the best
 wins, if runs agree on it by more than chance (`significance`). The 90 % interval that covers a group comes from the

@@ -76,5 +76,5 @@ def model_for(inside: Sequence[Any], data: Mapping[str, Any]) -> type[BaseModel]
     counts = [_matches(model, data) for model in models]
     if max(counts) > 0:
         return models[counts.index(max(counts))]
-    untold = [model for model in models if not tags_of(model)]
-    return untold[0] if len(untold) == 1 else None
+    untagged = [model for model in models if not tags_of(model)]
+    return untagged[0] if len(untagged) == 1 else None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ import pytest
 from errpipe.cli.app import main
 from errpipe.simulation import folder, sample_recordings
 from errpipe.tables import ect
-from errpipe.validation.codes import Code
+from errpipe.validation.codes import EXPLANATIONS
 from errpipe.verbs import show
 from tests.unit.targets.machines import too_long_at_plus_x
 
@@ -37,7 +36,7 @@ def test_formats_and_targets(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Sign" in said(capsys, "targets", "linuxcnc_screw")
 
 
-@pytest.mark.parametrize("code", [*get_args(Code), *"0123456", "GateError", "ConfigError", "DataError", "VerifyError"])
+@pytest.mark.parametrize("code", [*EXPLANATIONS, *"0123456", "GateError", "ConfigError", "DataError", "VerifyError"])
 def test_everything_that_is_refused_is_explained(code: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert said(capsys, "explain", code).startswith(f"{code}: ")
 

@@ -71,7 +71,7 @@ def test_too_little_to_learn_from_is_refused():
 
 def test_the_test_is_a_regression_of_each_sensor_on_all_others(guard):
     """Rows of the precision matrix over their diagonal are the regression's coefficients; the ridge enters alike."""
-    source = rows.rows_of(simulated_sensors.machine(25, seed=1), NAMES, None)
+    source = rows.rows_of(simulated_sensors.machine(25, seed=1), NAMES)
     recent = source.x - source.lagged(source.x, guard.horizon_s)
     precision = np.array([s.precision for s in guard.sensors])
     square = np.linalg.inv(precision)
