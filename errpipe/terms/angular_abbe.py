@@ -51,13 +51,15 @@ class AngularAbbe(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[AngularAbbe]:
-        if direction_of(component) is None or own_axis(component) is not None:
+        pointing, own = direction_of(component), own_axis(component)
+        if pointing is None:
             return
-        pointing = direction_of(component)
         levers: list[tuple[str | None, str]] = []
         levers += [(a, position_name(recording, a)) for a in axes(recording) if a != pointing]
         levers += [(None, n) for n in recording.names("overhang")]
         for axis in axes(recording):
+            if own not in (None, axis):  # EXX: how X tilts, over where the others stand
+                continue
             low, high = travel(recording, axis)
             for letter, lever in levers:
                 values = recording.array(lever)
