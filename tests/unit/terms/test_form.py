@@ -91,6 +91,22 @@ def test_an_expansion_may_grow_from_either_end_and_be_counted_from_any_temperatu
         assert (np.std(rest) > 0.05) == bool(left), np.std(rest)
 
 
+def test_a_product_of_rises_may_be_counted_from_any_two_temperatures():
+    t, rng = 60.0 * np.arange(300), np.random.default_rng(4)
+    one, other = 24 + np.cumsum(rng.standard_normal((2, 300)), axis=1) / 5
+    kinds = {"t": {"role": "time", "unit": "s"}}
+    kinds |= {n: {"role": "temperature", "unit": "degC", "location": n} for n in ("spindle", "column")}
+    made = recording({"t": t, "spindle": one, "column": other}, kinds)
+    library = hypotheses.build(made, "E_Z", np.arange(300), made, (np.zeros(300), np.zeros(300)))
+    both = ("spindle", "column")
+    (i,) = (
+        k for k, h in enumerate(library.hypotheses) if isinstance(h.terms[0], ThermalInteraction) and h.drivers == both
+    )
+    form = np.column_stack([np.ones(300), library.block(i, made, np.arange(300))[:, : library.textbook(i)]])
+    hidden = (one - 20.0) * (other - 22.5)
+    assert np.std(hidden - form @ np.linalg.lstsq(form, hidden, rcond=None)[0]) < 1e-9 * np.std(hidden)
+
+
 def to_and_fro(pause: float):
     """An axis that swings once in 2 s, logged at 100 Hz in five runs with a pause between them."""
     t = np.tile(0.01 * np.arange(600), 5) + np.repeat(np.arange(5) * (6.0 + pause), 600)
