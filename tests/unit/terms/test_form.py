@@ -63,6 +63,15 @@ def test_an_angle_may_be_zero_at_one_end():
     assert np.std(left) < 1e-9 * np.std(hidden)
 
 
+def test_an_angle_has_no_more_degrees_than_its_places_determine_with_one_to_spare():
+    """Four places left out one after the other do not tell a third degree from the other two."""
+    for places, order in ((3, 1), (4, 2), (9, 3)):
+        x, y = (v.ravel() for v in np.meshgrid(np.linspace(0, 600, places), np.linspace(0, 300, 20)))
+        kinds = {n: {"role": "position", "axis": n.upper(), "unit": "mm"} for n in "xy"}
+        (term, *_) = AngularAbbe.bind(recording({"x": x, "y": y}, kinds), "EXX")
+        assert (term.axis, term.lever, term.order) == ("X", "y", order)
+
+
 def test_a_screw_that_is_held_elsewhere_moves_at_its_fixed_end_too():
     t, x = 60.0 * np.arange(200), np.tile(np.linspace(0, 600, 10), 20)
     kinds = {"t": {"role": "time", "unit": "s"}, "x": {"role": "position", "axis": "X", "unit": "mm"}}
