@@ -85,7 +85,8 @@ def modelled(case: Case, k: int) -> Modelled:
         linear = [_wider(e, w) for e, w in zip(linear, _linear(hypothesis, b, wide, scale), strict=True)]
     estimates = linear + _amplitudes(linear, cov, scale)
     if not hypothesis.mask:
-        between = _between_stretches(scene, block[:, :cores])
+        own, sd = case.library.textbook(f.index), 2.0 * max(f.size, 3.0) * case.sigma * freedom
+        between = min((_between_stretches(scene, block[:, :k], sd, cores) for k in (cores, own)), key=np.trace)
         uneven = _linear(hypothesis, b, between, scale) + _amplitudes(linear, between, scale)
         estimates = [_wider(e, u) for e, u in zip(estimates, uneven, strict=True)]
     largest = {p.name for p in hypothesis.terms[0].linear() if p.at_largest}
@@ -168,22 +169,21 @@ def _dependence(case: Case, scene: Scene, block, b) -> float:
     return float(np.clip(np.sum(sums**2) / max(np.sum(score**2), 1e-300), 1.0, 200.0))
 
 
-def _between_stretches(scene: Scene, core: np.ndarray) -> np.ndarray:
+def _between_stretches(scene: Scene, form: np.ndarray, sd: np.ndarray, cores: int) -> np.ndarray:
     """Covariance of the textbook form's sizes by the jackknife: each of a few stretches of neighbouring rows left out.
 
-    A real part is stronger here than there and today than tomorrow; many rows do not average that out. Scaled to
-    Student's quantile for so few stretches, in the units of `_linear`.
+    A real part is stronger here than there and today than tomorrow. Scaled to Student's quantile for so few stretches,
+    in the units of `_linear`. form: alone, or with the reference or end from which it counts; sd: of each column.
     """
     inside = scene.active
-    columns = np.column_stack([scene.table.W[:, inside.index], whiten(core, scene.table.run, scene.table.colour)])
-    prior = np.r_[(scene.sigma / np.maximum(inside.sd, 1e-300)) ** 2, np.zeros(core.shape[1])]
+    columns = np.column_stack([scene.table.W[:, inside.index], whiten(form, scene.table.run, scene.table.colour)])
+    prior = (scene.sigma / np.maximum(np.r_[inside.sd, np.full(cores, np.inf), sd[cores : form.shape[1]]], 1e-300)) ** 2
     edges = np.linspace(0, scene.table.n, STRETCHES + 1).astype(int)
     parts = [(columns[a:b].T @ columns[a:b], columns[a:b].T @ scene.data.y[a:b]) for a, b in itertools.pairwise(edges)]
     products, seen = sum(p for p, _ in parts), sum(s for _, s in parts)
     firm = np.diag(prior + 1e-9 * np.diag(products) + 1e-300)
-    sizes = np.array([np.linalg.solve(products - p + firm, seen - s)[-core.shape[1] :] for p, s in parts])
-    off = sizes - sizes.mean(axis=0)
-    return (STUDENT / 1.96 / WIDER) ** 2 * (STRETCHES - 1) / STRETCHES * off.T @ off
+    sizes = np.array([np.linalg.solve(products - p + firm, seen - s)[inside.index.size :][:cores] for p, s in parts])
+    return (STUDENT / 1.96 / WIDER * (STRETCHES - 1)) ** 2 / STRETCHES * np.atleast_2d(np.cov(sizes.T))
 
 
 def _linear(h: Hypothesis, b, cov, scale) -> list[Estimate]:

@@ -14,6 +14,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import axes, position, position_name, travel
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
+from errpipe.terms._lines import at_targets
 from errpipe.terms._place import direction_of, own_axis
 from errpipe.terms._slack import Slack, chebyshev
 from errpipe.yamlfile import quantity
@@ -51,18 +52,22 @@ class AngularAbbe(Term):
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[AngularAbbe]:
-        if direction_of(component) is None or own_axis(component) is not None:
+        pointing, own = direction_of(component), own_axis(component)
+        if pointing is None:
             return
-        pointing = direction_of(component)
         levers: list[tuple[str | None, str]] = []
         levers += [(a, position_name(recording, a)) for a in axes(recording) if a != pointing]
         levers += [(None, n) for n in recording.names("overhang")]
         for axis in axes(recording):
+            if own not in (None, axis):  # EXX: how X tilts, over where the others stand
+                continue
             low, high = travel(recording, axis)
+            x = position(recording, axis)
+            spare = np.unique(at_targets(x[~np.isnan(x)])).size - 2  # each place may be left out
             for letter, lever in levers:
                 values = recording.array(lever)
                 if letter != axis and np.nanmax(values) > np.nanmin(values):
-                    yield cls(axis=axis, lever=lever, low=low, high=high)
+                    yield cls(axis=axis, lever=lever, low=low, high=high, order=int(np.clip(spare, 1, 3)))
 
     def _powers(self, x: np.ndarray) -> np.ndarray:
         unit = (2 * np.asarray(x, dtype=float) - self.low - self.high) / (self.high - self.low)

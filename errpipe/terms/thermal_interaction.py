@@ -34,6 +34,7 @@ class ThermalInteraction(Driven):
     second: str = Field(description="Column of the other temperature; the same one for a square.")
     reference: Reference = REFERENCE
     family = "thermal"
+    form = "any shape"  # all that departs is where the rises are counted from
     rowwise = True
     simulated_log_odds = -15.0
     gains = (Parameter("gain", "um/K2", (0.05, 0.5), (-20.0, 20.0), "shift per kelvin squared"),)

@@ -26,3 +26,20 @@ def test_the_size_of_a_lag_that_departures_play_is_that_of_the_lag():
     (first, *_) = [f for f in found if f.effect == "coolant_effect"]
     (shift,) = [p for p in first.parameters if p.name == "shift"]
     assert shift.ci95[0] <= -5.9 <= shift.ci95[1]
+
+
+def test_an_axis_that_tilts_is_seen_in_its_own_deviation_and_its_angle_has_a_size():
+    """Two of five runs show the angle, and where it is zero: each left out alone the other tells both."""
+    rng, n = np.random.default_rng(8), 90
+    x, height = rng.uniform(-400.0, 0.0, n), np.repeat([160.0, 0.0, 0.0, 0.0, 40.0], n // 5)
+    hidden = 0.05 * height * (x + 400.0) / 400.0
+    columns = {"run": np.repeat(list("abcde"), n // 5), "t": 90.0 * np.arange(n), "z": x, "x": height}
+    kinds = {"run": {"role": "run"}, "t": {"role": "time", "unit": "s"}}
+    kinds |= {n: {"role": "position", "axis": n.upper(), "unit": "mm"} for n in "zx"}
+    columns |= {"E": hidden + 0.1 * np.std(hidden) * rng.standard_normal(n), "S": np.zeros(n)}
+    kinds |= {"E": {"role": "error", "component": "EZZ", "unit": "um"}}
+    kinds |= {"S": {"role": "simulated", "component": "EZZ", "unit": "um"}}
+    (response,) = diagnose(recording(columns, kinds))[0].responses
+    assert response.findings[0].effect == "angular_abbe"
+    angle = response.findings[0].parameters[0]
+    assert 0.0 < angle.ci95[0] <= 25.0 <= angle.ci95[1]

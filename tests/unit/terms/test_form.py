@@ -63,6 +63,15 @@ def test_an_angle_may_be_zero_at_one_end():
     assert np.std(left) < 1e-9 * np.std(hidden)
 
 
+def test_an_angle_has_no_more_degrees_than_its_places_determine_with_one_to_spare():
+    """Four places left out one after the other do not tell a third degree from the other two."""
+    for places, order in ((3, 1), (4, 2), (9, 3)):
+        x, y = (v.ravel() for v in np.meshgrid(np.linspace(0, 600, places), np.linspace(0, 300, 20)))
+        kinds = {n: {"role": "position", "axis": n.upper(), "unit": "mm"} for n in "xy"}
+        (term, *_) = AngularAbbe.bind(recording({"x": x, "y": y}, kinds), "EXX")
+        assert (term.axis, term.lever, term.order) == ("X", "y", order)
+
+
 def test_a_screw_that_is_held_elsewhere_moves_at_its_fixed_end_too():
     t, x = 60.0 * np.arange(200), np.tile(np.linspace(0, 600, 10), 20)
     kinds = {"t": {"role": "time", "unit": "s"}, "x": {"role": "position", "axis": "X", "unit": "mm"}}
@@ -89,6 +98,22 @@ def test_an_expansion_may_grow_from_either_end_and_be_counted_from_any_temperatu
     for hidden, left in ((11e-3 * (x + 300) * (warm - 18), 0.0), (1e-5 * x**2 * (warm - 18), 1.0)):
         rest = hidden - form @ np.linalg.lstsq(form, hidden, rcond=None)[0]
         assert (np.std(rest) > 0.05) == bool(left), np.std(rest)
+
+
+def test_a_product_of_rises_may_be_counted_from_any_two_temperatures():
+    t, rng = 60.0 * np.arange(300), np.random.default_rng(4)
+    one, other = 24 + np.cumsum(rng.standard_normal((2, 300)), axis=1) / 5
+    kinds = {"t": {"role": "time", "unit": "s"}}
+    kinds |= {n: {"role": "temperature", "unit": "degC", "location": n} for n in ("spindle", "column")}
+    made = recording({"t": t, "spindle": one, "column": other}, kinds)
+    library = hypotheses.build(made, "E_Z", np.arange(300), made, (np.zeros(300), np.zeros(300)))
+    both = ("spindle", "column")
+    (i,) = (
+        k for k, h in enumerate(library.hypotheses) if isinstance(h.terms[0], ThermalInteraction) and h.drivers == both
+    )
+    form = np.column_stack([np.ones(300), library.block(i, made, np.arange(300))[:, : library.textbook(i)]])
+    hidden = (one - 20.0) * (other - 22.5)
+    assert np.std(hidden - form @ np.linalg.lstsq(form, hidden, rcond=None)[0]) < 1e-9 * np.std(hidden)
 
 
 def to_and_fro(pause: float):
