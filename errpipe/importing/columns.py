@@ -156,6 +156,8 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return "ignore", "its values are no numbers"
     if kind == "time" and KIND_OF_UNIT.get(unit or "", "time") != "time":
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
+    if kind == "time" and plain(column.header) in ("min", "h") and not values.rises_evenly(column):
+        return "ignore", UNKNOWN  # the smallest of the runs
     if kind == "position" and unit in OF_SMALL_LENGTHS and not values.too_large_for_a_deviation(column):
         return "error", f"its unit ({unit}: too small for a position)"
     if kind == "actual" and unit in SMALL_ANGLES:
