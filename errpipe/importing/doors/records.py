@@ -39,13 +39,20 @@ def _parquet(path: Path) -> dict[str, list[Cell]]:
         file = parquet.ParquetFile(path)
         affordable(file.metadata.num_rows * file.metadata.num_columns, path)
         table = file.read(use_threads=False)
-        return {n: _column(table[n]) for n in dict.fromkeys(table.column_names)}
+        return {_with_unit(f): _column(table[f.name]) for f in {f.name: f for f in table.schema}.values()}
     except (DataError, MemoryError):
         raise
     except Exception as err:  # pyarrow raises ArrowInvalid, OSError, KeyError, ... for damaged files
         raise DataError(
             f"{path}: not a Parquet file that can be read ({type(err).__name__}): export it anew, or as CSV"
         ) from None
+
+
+def _with_unit(field: Any) -> str:
+    """The name of a field, and the unit that its metadata state."""
+    stated = {k.decode(errors="replace").lower(): v.decode(errors="replace") for k, v in (field.metadata or {}).items()}
+    unit = stated.get("unit") or stated.get("units")
+    return f"{field.name} [{unit}]" if unit else str(field.name)
 
 
 def _column(values: Any) -> list[Cell]:
