@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 from pathlib import Path
 
@@ -121,3 +122,16 @@ def test_what_a_printer_writes_is_named(tmp_path: Path) -> None:
     saved = ["#*# [bed_mesh default]", "#*# points =", "#*#   0.0125, 0.0100", "#*#   0.0225, 0.0150"]
     with pytest.raises(DataError, match="Klipper"):
         prepared([written(tmp_path / "printer.cfg", saved)])
+
+
+def test_runs_and_other_tables_of_one_json(tmp_path: Path) -> None:
+    parts = [[r for r in ROWS if r[0] == run] for run in (1, 2, 3)]
+    runs = [{"x_cmd_mm": [r[2] for r in p], "direction": [r[1] for r in p], "EXX_um": [r[3] for r in p]} for p in parts]
+    file = tmp_path / "test.json"
+    file.write_text(json.dumps({"run": runs, "air": {"hour": [1, 2, 3, 4], "degC": [20.1, 20.2, 20.1, 20.3]}}))
+    assert imported(tmp_path, file).frame.shape[0] == len(ROWS)  # the first run alone was taken
+    proposal, _ = prepared([file])
+    assert any("left out: air" in note for note in proposal.notes)
+    file.write_text(json.dumps({"before": runs[0], "later": runs[1]}))
+    with pytest.raises(DataError, match=r"which is meant|two states|choose one"):
+        prepared([file])
