@@ -12,10 +12,11 @@ import pyarrow.parquet as pq
 import pytest
 import scipy.io
 
-from errpipe.errors import DataError
+from errpipe.errors import DataError, UsageError
 from tests.unit.importing.known_test import holds_the_truth, imported, long_rows, prepared
 
 ROWS = [(int(run), side, target, d) for run, target, side, d in long_rows()]
+TARGETS = [*enumerate((0, 100, 200, 300))]
 NAMES = ("run", "direction", "x_cmd_mm", "exx_um")
 
 
@@ -135,3 +136,12 @@ def test_runs_and_other_tables_of_one_json(tmp_path: Path) -> None:
     file.write_text(json.dumps({"before": runs[0], "later": runs[1]}))
     with pytest.raises(DataError, match=r"which is meant|two states|choose one"):
         prepared([file])
+
+
+@pytest.mark.parametrize("said", ["EXX.role=actual", "EXX.unit=um", "Run 1 +.role=actual"])
+def test_what_a_person_says_of_a_column_that_is_made_is_not_ignored(tmp_path: Path, said: str) -> None:
+    lines = ["Axis X", "Target mm;Run 1 + [mm];Run 1 - [mm]", *(f"{x};0.00{k};0.00{k + 2}" for k, x in TARGETS)]
+    file = written(tmp_path / "wide.csv", lines)
+    assert prepared([file], sets=["EXX.unit=mm"])[0].rows == 8
+    with pytest.raises(UsageError, match="would be ignored"):
+        prepared([file], sets=[said])
