@@ -48,6 +48,13 @@ def test_objects_of_numpy_are_not_loaded(tmp_path: Path) -> None:
         prepared([tmp_path / "o.npy"])
 
 
+def test_an_array_that_states_more_than_memory_holds_is_refused(tmp_path: Path) -> None:
+    header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({1 << 44},), }}".ljust(117) + "\n"
+    (tmp_path / "a.npy").write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode())
+    with pytest.raises(DataError, match="of memory"):
+        prepared([tmp_path / "a.npy"])
+
+
 def test_a_table_of_a_database(tmp_path: Path) -> None:
     file = tmp_path / "shop.db"
     with sqlite3.connect(file) as database:
