@@ -139,8 +139,7 @@ def _one_direction(targets: np.ndarray, readings: list[np.ndarray], component: s
     if few:
         raise DataError(
             f"ISO 230-2: {component} at target {targets[few[0]]:g} has {readings[few[0]].size} reading(s) going {name}"
-            f" (allowed: at least {MIN_CYCLES}, the standard wants 5); where the turning points were read from one side "
-            "only, set iso230_2: false in the stage validate: the model is judged without these figures"
+            f" (allowed: at least {MIN_CYCLES}, the standard wants 5)"
         )
     mean = np.array([r.mean() for r in readings])
     s = np.array([r.std(ddof=1) for r in readings])

@@ -152,3 +152,14 @@ def test_what_a_person_says_of_a_column_that_is_made_is_not_ignored(tmp_path: Pa
     assert prepared([file], sets=["EXX.unit=mm"])[0].rows == 8
     with pytest.raises(UsageError, match="would be ignored"):
         prepared([file], sets=[said])
+
+
+def test_the_end_of_summer_time_in_a_row_per_value_is_asked_about(tmp_path: Path) -> None:
+    """Values of the second hour fell on those of the first: 36 of 126 readings were lost, the others mixed."""
+    lines = ["Tag;Zeitstempel;Wert"]
+    for k, (_, _, x, d) in enumerate(ROWS):
+        minute = 140 + k  # from 2:20 in summer time
+        clock = f"25.10.2026 {(minute if minute < 180 else minute - 60) // 60:02d}:{minute % 60:02d}:00"
+        lines += [f"X.Soll;{clock};{x:.3f}", f"X.Ist;{clock};{x + d / 1000:.4f}"]
+    with pytest.raises(DataError, match="the end of summer time"):
+        prepared([written(tmp_path / "historian.csv", lines)])
