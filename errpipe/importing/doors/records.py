@@ -16,6 +16,7 @@ binary = True  # a few bytes can state many rows
 _PARQUET = b"PAR1"
 DEEPEST = 5  # objects and lists within each other in which tables are looked for: a result of InfluxDB has 4
 FEWEST_ROWS = 3  # of a table beside the largest: fewer are facts of the set-up
+LONGEST_TEXT = 200  # letters of a text that is a remark
 MOST_SERIES = 20  # of a list, in which tables are looked for
 _NAMES = ("columns", "fields", "header")  # keys of the names of columns beside rows
 
@@ -29,13 +30,13 @@ def sniff(path: Path, head: bytes) -> bool:
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
     """A row per record. Raises DataError for a damaged file, and for JSON that is no table."""
     if path.read_bytes()[:4] == _PARQUET:
-        return [_sheet(path.stem, _parquet(path), [])]
+        return [_sheet(path.stem, _parquet(path), [], [])]
     return [s for s in _json(path) if options.sheet in (None, s.name)]
 
 
-def _sheet(name: str, columns: dict[str, list[Cell]], notes: list[str]) -> Sheet:
+def _sheet(name: str, columns: dict[str, list[Cell]], notes: list[str], above: list[str]) -> Sheet:
     rows: list[list[Cell]] = [[*cells] for cells in zip(*columns.values(), strict=True)]
-    return Sheet(name, rows, [*columns], notes).limited()
+    return Sheet(name, rows, [*columns], notes, above).limited()
 
 
 def _parquet(path: Path) -> dict[str, list[Cell]]:
@@ -91,10 +92,10 @@ def _json(path: Path) -> list[Sheet]:
     affordable(sum(len(t) * _rows(t) for _, t in alike), path)
     others = [at for at, t in tables if at and not {*t} & {*largest} and _rows(t) >= FEWEST_ROWS and _is_flat(t)]
     notes = [f"tables of other columns are left out: {', '.join(dict.fromkeys(others))}"] if others else []
-    return [
-        _sheet(at if len(alike) > 1 and at else path.stem, {n: [_cell(v) for v in of] for n, of in t.items()}, [*notes])
-        for at, t in alike
-    ]
+    facts = document.items() if isinstance(document, dict) else ()
+    above = [f"{k}: {v}" for k, v in facts if isinstance(v, str) and len(v) <= LONGEST_TEXT]  # `Axis: X`
+    named = [(at if len(alike) > 1 and at else path.stem, t) for at, t in alike]
+    return [_sheet(n, {k: [*map(_cell, of)] for k, of in t.items()}, [*notes], above) for n, t in named]
 
 
 def _rows(table: dict[str, list[Any]]) -> int:
