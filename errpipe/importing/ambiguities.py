@@ -178,10 +178,12 @@ _DIAMETERS = re.compile(
 def refuse_diameters(layout: Layout, guesses: dict[str, columns.ColumnGuess], options: ImportOptions) -> None:
     """Raise DataError where positions of an axis are diameters, as a lathe shows X: readings may be halved or not."""
     places = [c for c in layout.columns if guesses[c.header].kind in PLACES and c.numeric]
-    place = next((c for c in places if columns.axis_in(c.header) and columns.is_diameter(c.header)), None)
+    above = words.axis_above(layout.above)
+    place = next((c for c in places if (columns.axis_in(c.header) or above) and columns.is_diameter(c.header)), None)
     line = next((x for x in layout.above if _DIAMETERS.search(words.plain(x)) and places), None)
     place = place or (places[0] if line is not None else None)
-    if place is None or {place.header, slug(place.header)} & {*options.sets}:
+    said = {} if place is None else options.sets.get(place.header) or options.sets.get(slug(place.header)) or {}
+    if place is None or "role" in said:
         return
     raise DataError(
         f"{'a line above' if line else 'a header'} says diameters ({line or place.header!r}): write positions and "

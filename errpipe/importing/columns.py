@@ -105,7 +105,7 @@ def guess(column: RawColumn) -> ColumnGuess:
 
 
 def _guess(column: RawColumn, axis: str | None) -> ColumnGuess:
-    if column.numeric and component_in(column.header.strip()) == column.header.strip():
+    if column.numeric and component_in(column.header.strip()) == column.header.strip().upper():
         return ColumnGuess("error", axis, f"its name ({column.header}, a component of ISO 230-1)")
     if (kind := kind_by_name(column.header)) is not None:
         kind, why = _settled(kind, column)
@@ -156,6 +156,8 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return "ignore", "its values are no numbers"
     if kind == "time" and KIND_OF_UNIT.get(unit or "", "time") != "time":
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
+    if kind == "time" and plain(column.header) in ("min", "h") and not values.rises_evenly(column):
+        return "ignore", UNKNOWN  # the smallest of the runs
     if kind == "position" and unit in OF_SMALL_LENGTHS and not values.too_large_for_a_deviation(column):
         return "error", f"its unit ({unit}: too small for a position)"
     if kind == "actual" and unit in SMALL_ANGLES:
@@ -211,6 +213,8 @@ def axis_in(text: str) -> str | None:
 
 def component_in(text: str) -> str | None:
     """The ISO 230-1 component that a header names, or None."""
+    if lower := re.match(r"(e[xyzabc][xyzabc])(?![^\W_])", text):  # `exx_um`
+        return components.parse(lower[1].upper()).name
     for word in re.findall(r"[A-Z][A-Z0-9_]{2,4}", text):
         try:
             return components.parse(word).name

@@ -41,7 +41,11 @@ _BY_TEXT: tuple[tuple[str, str, str], ...] = (
     (r"^kw\.\w+|^kopf\.achs_nr", "axis compensation values (kw. ...) of a TwinCAT or ISG CNC", ""),
     (r"ST_PositionCompensationTable", "a position compensation table of TwinCAT NC", ""),
     (r"^\[[XYZABC][+-]\]\s*$[\s\S]*^Error0\s*=", "a screw map of Mach4", ""),
-    (r"^\[(bed_mesh|axis_twist_compensation|skew_correction)\b", "a configuration of Klipper with compensations", ""),
+    (
+        r"^(#\*# )?\[(bed_mesh|axis_twist_compensation|skew_correction)\b",
+        "a configuration of Klipper with compensations",
+        "",
+    ),
     (r"^RepRapFirmware height map", "a height map of RepRapFirmware", "G29 S2"),
     (r"^M421 I\d", "a mesh (M421) of Marlin", "M420 S0"),
     (

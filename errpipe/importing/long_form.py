@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from errpipe.importing import quality
-from errpipe.importing.dates import seconds
+from errpipe.importing.dates import refuse_an_hour_back, seconds
 from errpipe.importing.header import is_moment, is_word
 from errpipe.importing.layout import RawColumn
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number
@@ -48,12 +48,14 @@ def unstacked(sheet: Sheet) -> Sheet:
     qualities = [i for i, text in enumerate(header) if quality.named(text) and i not in (*names, time, value)]
     wrong = np.any([quality.bad([row[i] for row in body]) for i in qualities], axis=0) if qualities else None
     counts: dict[str, int] = {}
+    stamps: dict[str, list[Cell]] = {}
     table: dict[str, dict[str, Cell]] = {}
     for k, row in enumerate(body):
         signal = " ".join(filter(None, (_NODE.sub("", label(row[i])) for i in names))) + (
             f" [{label(row[unit])}]" if unit is not None and row[unit] else ""
         )
         counts[signal] = counts.get(signal, 0) + 1
+        stamps.setdefault(signal, []).append(row[time])
         table.setdefault(label(row[time]), {}).setdefault(
             signal, None if wrong is not None and wrong[k] else row[value]
         )
@@ -61,6 +63,15 @@ def unstacked(sheet: Sheet) -> Sheet:
     if len(counts) > MOST_SIGNALS or len(counts) - len(few) < 2:
         return sheet
     counts = {s: n for s, n in counts.items() if s not in few}
+    for signal in counts:  # before values of one hour are put beside those of the next one of the same name
+        column = RawColumn(
+            header[time] if header else "time", None, stamps[signal], np.full(len(stamps[signal]), np.nan)
+        )
+        if (since := seconds(column)) is not None:
+            refuse_an_hour_back(column, since[0])
+    again = sum(counts.values()) - sum(sum(s in counts for s in values) for values in table.values())
+    if again:
+        sheet.notes.append(f"{again} further values of a signal at a time that has one were left out")
     if wrong is not None and wrong.any():
         sheet.notes.append(f"{int(wrong.sum())} values of bad quality were left out")
     left = [f"signals of less than {FEWEST_VALUES} values were left out: {', '.join(few)}"[:160]] if few else []

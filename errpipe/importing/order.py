@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -128,11 +129,11 @@ def _directions_and_runs(p: Proposal, axis: str) -> None:
         return
     if p.first("direction") is None and p.side is not None:
         set_side(p, axis, p.side, f"the header, or a line above it, states {p.side!r}")
-    x = p.data[place]
+    x = _counted_on(p, place)
     _turn_there_and_back(p, x)
     if p.first("direction") is None:
         _refuse_copied_rows(p, x)
-        moves = motion_sides(x)
+        moves = motion_sides(x, p.data.get(p.first("run") or ""))
         _sides_of_labels(p, moves)
         if moves is not None and np.unique(moves).size == 2:
             p.put(
@@ -161,7 +162,7 @@ def sides_of_falling_runs(p: Proposal) -> None:
     place = p.first("command", axis) or p.first("position", axis)
     if axis is None or place not in p.data or p.first("direction") is not None or is_log(p, axis):
         return
-    x = p.data[place]
+    x = _counted_on(p, place)
     labels = np.asarray(p.data.get(p.first("run") or "", [""] * x.size), dtype=str)
     side = np.zeros(x.size)
     for label in dict.fromkeys(labels.tolist()):
@@ -229,11 +230,18 @@ def _repeated(x: np.ndarray, runs: list[str] | None) -> bool:
     return x.size > 3 and len(set(pairs)) <= 0.6 * len(pairs)
 
 
-def motion_sides(x: np.ndarray) -> np.ndarray | None:
+def _counted_on(p: Proposal, place: str) -> np.ndarray:
+    """Positions as they stand; of an angle counted on where it passes 360 = 0."""
+    x: np.ndarray = p.data[place]
+    turns = p.entries[place].get("unit") in ("deg", "rad") and np.isfinite(x).all()
+    return np.round(np.unwrap(p.canonical(place), period=360.0), 9) if turns else x
+
+
+def motion_sides(x: np.ndarray, runs: Sequence[str] | None = None) -> np.ndarray | None:
     """+1 where positions rise, -1 where they fall; None where unordered.
 
     Readings of one visit stand one after another. Where the axis turns, twice as many as elsewhere are of two visits:
-    the second half belongs to the way back.
+    the second half belongs to the way back. The first target of a run is approached as the next one is.
     """
     first = np.flatnonzero(np.r_[True, np.diff(x) != 0])
     places, readings = x[first], np.diff(np.r_[first, x.size])
@@ -245,6 +253,10 @@ def motion_sides(x: np.ndarray) -> np.ndarray | None:
         if i + 1 < step.size and step[i + 1] == -step[i]:
             step[i] = 0  # back to the first target, to pass all of them the same way again
     way = np.r_[step[np.flatnonzero(step)[0]], step]
+    labels = np.asarray([""] * x.size if runs is None else runs, dtype=str)
+    begins = 1 + np.flatnonzero(labels[1:] != labels[:-1])
+    if begins.size + 1 == np.unique(labels).size:
+        way[np.isin(first, begins)] = 0
     for i in np.flatnonzero(way == 0):
         later = way[i + 1 :][way[i + 1 :] != 0]
         way[i] = later[0] if later.size else way[i - 1]

@@ -36,6 +36,12 @@ TESTS: tuple[tuple[str, str, str, str], ...] = (
         "E_Y; where commanded and measured positions stand in the file, --axis X imports X alone",
     ),
     (
+        "frequency response",
+        r"^\W*(freq(uency|uenz|uence)?|hz)\b",
+        "a frequency response, of an input shaper or a hammer test",
+        "it holds no positions, and errpipe compensates positions; it has no use here",
+    ),
+    (
         "inspection print",
         r"^\W*posn\b|\bdprnt\b|\bfeature no\b.*\d|\binspection (report|print)\b|\btchpr|\bmeasuring log\b|messprotokoll"
         r"|^\W*(n\d+ )?x ?-?\d+[.,]\d*\W+y ?-?\d|\bdim loc|\bcmm\b",

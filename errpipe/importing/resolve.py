@@ -16,14 +16,11 @@ from errpipe.errors import DataError
 from errpipe.importing import ambiguities, dates, order, readings, signs, simulated, speeds
 from errpipe.importing import columns as guessing
 from errpipe.importing.layout import EMPTY, Layout, RawColumn
-from errpipe.importing.proposed import ImportOptions, Proposal
-from errpipe.importing.temperatures import START
-from errpipe.importing.units import PER_LENGTH, plain_unit, split_header
+from errpipe.importing.proposed import ImportOptions, Proposal, slug
+from errpipe.importing.units import PER_LENGTH, plain_unit
+from errpipe.importing.unstated import PLACES, resolve_units
 from errpipe.importing.words import axis_above
 
-COLDEST_K = 200.0  # K: no machine is so cold
-LONGEST_STEP = 0.5  # s: a log of a moving axis with longer ones is seldom; in ms it is usual
-PLACES = ("command", "position", "actual")
 NO_DEVIATION = "no column holds a deviation"
 
 
@@ -140,65 +137,6 @@ def unit_by_size(values: np.ndarray) -> str:
     return "um"
 
 
-def _refuse_warm_without_a_unit(p: Proposal) -> None:
-    """Raise DataError where temperatures without a unit are all above what a shop and a cold machine have in degC."""
-    temperatures = [n for n, e in p.entries.items() if e["role"] == "temperature" and np.isfinite(p.data[n]).any()]
-    unstated = [n for n in temperatures if "no unit is stated" in p.guesses.get(n, "")]
-    if unstated and len(unstated) == len(temperatures) and min(np.nanmin(p.data[n]) for n in unstated) > START[1]:
-        sets = " ".join(f"--set {n}.unit=degF" for n in unstated)
-        raise DataError(
-            f"no unit is stated for {', '.join(unstated)}, and no reading is below {START[1]:g}: degF, or degC of a "
-            f"warm machine? Say it, with {sets} (or degC)"
-        )
-
-
-def resolve_units(p: Proposal, layout: Layout) -> None:
-    """Raise DataError where a length without a unit may be inches: beside inches, or with no unit in the file.
-
-    A temperature without one is not taken as degC beside another in degF.
-    """
-    _refuse_warm_without_a_unit(p)
-    for n in [n for n, e in p.entries.items() if e["role"] == "temperature" and e.get("unit") == "K"]:
-        if np.nanmax(p.data[n], initial=0.0) < COLDEST_K:
-            raise DataError(
-                f"{n!r} is in K and nowhere above {np.nanmax(p.data[n], initial=0.0):g}: a rise, counted from the "
-                f"start? Where it may stand for a temperature, say --set {n}.unit=degC, else --set {n}.role=ignore"
-            )
-    time = p.first("time")
-    if time in p.data and "no unit is stated" in p.guesses.get(time, "") and order.is_log(p):
-        step = float(np.nanmedian(np.abs(np.diff(p.data[time]))))
-        if step > LONGEST_STEP:
-            raise DataError(
-                f"no unit is stated for {time!r}, in which a moving axis is logged every {step:g}: s, or ms? Say it, "
-                f"with --set {time}.unit=ms (or s)"
-            )
-    other_scale = next((n for n, e in p.entries.items() if e.get("unit") == "degF"), None)
-    for name in [n for n, e in p.entries.items() if e["role"] == "temperature" and other_scale]:
-        if "no unit is stated" in p.guesses.get(name, ""):
-            raise DataError(
-                f"no unit is stated for {name!r}, and {other_scale!r} is in degF: say it, with "
-                f"--set {name}.unit=degC (or degF)"
-            )
-    stated = {c.unit or "" for c in layout.columns} | {split_header(line)[1] or "" for line in layout.above}
-    inches = any(u.endswith("inch") for u in stated)
-    metric = any(u.endswith(("um", "mm", "nm")) or u in ("m", "cm", "urad", "arcsec") for u in stated)
-    for name, why in p.guesses.items():
-        entry = p.entries[name]
-        if "no unit is stated" not in why or entry.get("unit") not in ("mm", "um"):
-            continue
-        written = [h for h, n in p.names.items() if n == name]
-        if entry["role"] in PLACES and any(re.search(r"[ _/]m$", text) for text in (name, *written)):
-            raise DataError(
-                f"no unit is stated for {name!r}: metres, or measured? Say it, with --set {name}.unit=m (or mm)"
-            )
-        narrow = entry["role"] in PLACES and np.ptp(p.data[name][np.isfinite(p.data[name])]) < readings.NARROW
-        if inches or (narrow and not metric):
-            raise DataError(
-                f"no unit is stated for {name!r}, and it may be inches: say it, with "
-                f"--set {name}.unit={entry['unit']} (or inch, m)"
-            )
-
-
 _EXTERNAL_INSTRUMENT = re.compile(r"laser|interferom|dial|indicator|messuhr", re.IGNORECASE)
 _MEASURED = re.compile(rf"{_EXTERNAL_INSTRUMENT.pattern}|meas|mess|gauge|probe|taster|reading|mesur|misur|medid", re.I)
 _OWN_SCALE = re.compile(r"encoder|(?<![a-z])enc(?![a-z])|display|read_?out|(?<![a-z])dro(?![a-z])|scale", re.IGNORECASE)
@@ -307,7 +245,8 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     ambiguities.refuse(p, layout, options)
     _refuse_one_of_several_axes(p, layout, options)
     resolve_units(p, layout)
-    unknown = [c for c in layout.columns if _may_be_a_place(p, c)]
+    said = {header for name in options.sets for header in (name, slug(name))}
+    unknown = [c for c in layout.columns if not {c.header, slug(c.header)} & said and _may_be_a_place(p, c)]
     ambiguities.refuse_without_position(p, bool(unknown))
     for name, entry in p.entries.items():
         letter, _ = entry.pop("_axis", None), entry.pop("_headers", None)

@@ -174,7 +174,7 @@ def per_length(header: str) -> bool:
 
 def unit_of(text: str) -> str | None:
     """The unit that a text is, or None. Capital Nm is a torque, nm a length; a part of a length is `0.1 um`."""
-    plain = text.strip().strip(".:")
+    plain = text.strip().lstrip(":").rstrip(".:")  # `.0001"` begins with its point
     if plain in ("Nm", "N m"):
         return "N m"
     word = plain.lower().replace(" ", "")

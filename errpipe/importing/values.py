@@ -18,9 +18,13 @@ SCATTER = "a figure of scatter by its name and its values, none of them negative
 
 def ticks(column: RawColumn) -> bool:
     """Whether a column called `t ...` rises by even steps: `t_NI` of a card of that name."""
+    return plain(column.header).startswith("t ") and rises_evenly(column)
+
+
+def rises_evenly(column: RawColumn) -> bool:
+    """Whether the values rise by even steps, as a clock's do."""
     steps = np.diff(column.values)
-    even = steps.size > 3 and bool(np.ptp(steps) <= 0.01 * np.median(steps) and np.median(steps) > 0)
-    return even and plain(column.header).startswith("t ")
+    return steps.size > 3 and bool(np.ptp(steps) <= 0.01 * np.median(steps) and np.median(steps) > 0)
 
 
 def too_large_for_a_deviation(column: RawColumn) -> bool:

@@ -12,7 +12,7 @@ from errpipe.importing import columns as guessing
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.sheet import label, number
 from errpipe.importing.units_above import UNITS_OF_READINGS, unit_above
-from errpipe.importing.words import THERE_AND_BACK
+from errpipe.importing.words import THERE_AND_BACK, kind_by_name
 
 _TOKEN = re.compile(r"\d+|[^\W\d_]+|[+\-−↑↓→←<>]+")
 _RUN_AND_LETTER = re.compile(r"(?:run|lauf|[rl#])? ?(\d+) ?([a-z])")  # `R1f`, `run 2 r`
@@ -91,7 +91,9 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     targets = targets or [c for c in places if said[c.header][0] is None]
     names = [re.sub(r"\d+", "", guessing.plain(c.header)) for c in numeric[:2]]
     alike = len(names) == 2 and names[0] == names[1] != ""  # `j1`, `j2`: joints
-    if not targets and numeric and guesses[numeric[0].header].kind != "time" and _rises(numeric[0]) and not alike:
+    first = numeric[0].header if numeric else ""
+    no_place = not first or alike or guesses[first].kind == "time" or kind_by_name(first) == "ignore"  # of a spectrum
+    if not targets and not no_place and _rises(numeric[0]):
         unsaid = [c for c in numeric[1:] if said[c.header] == (None, None) and _rises(c)]
         targets = numeric[:1] if not _counts(numeric[0]) else [c for c in unsaid if not _counts(c)][:1]
     if len(targets) > 1 and all(np.array_equal(c.values, targets[0].values, equal_nan=True) for c in targets):

@@ -61,13 +61,14 @@ GROUP = rf"^({'|'.join(GROUPS.values())})[ -]?(no\.?|nr\.?|id|name|number|nummer
 WORDS: tuple[tuple[str, str], ...] = (
     (SIMULATED, "simulated"),
     (r"\b(limite?|grenz(e|wert)|toleran(ce|z)|[lu]sl|uncertainty|\w*unsicherheit|incertitude)\b|\bu ?\(k", "ignore"),
+    (r"^(freq(uency|uenz|uence)?|hz)\b", "ignore"),
     (GROUP, "group"),
     (
         r"(zeit|time|datum|date|stamp|(?<!mess)uhr|horodat|heure|\bora\b|\bfecha\b|\bhora\b|elapsed|duration|\bdauer\b|時刻|時間|时间|日時)",
         "time",
     ),
     (
-        r"^(t|ts|sec|sek|x value|seconds|sekunden|secondes|secondi|segundos|minutes|minuten|minuti|minutos|hours"
+        r"^(t|ts|sec|sek|min|h|x value|seconds|sekunden|secondes|secondi|segundos|minutes|minuten|minuti|minutos|hours"
         r"|stunden|heures|horas)$",
         "time",
     ),

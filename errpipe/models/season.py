@@ -41,6 +41,17 @@ class Season(Family):
 
         return HoldOut(scheme="leave-one-group-out", of=self.options.environment)
 
+    def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
+        """Without a scheme: each environment in turn, or runs where the recording names less than two."""
+        from errpipe.errors import DataError
+
+        try:
+            return super().folds(recording, scheme)
+        except DataError:
+            if scheme is not None or self.options.environment != SeasonOptions().environment:
+                raise
+            return super().folds(recording, "auto")
+
     def missing_input(self, recording: Recording) -> str:
         """A temperature is needed."""
         text = f"thermal model of {self.component}: the recording has no temperature"

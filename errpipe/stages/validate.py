@@ -71,7 +71,12 @@ class Validate(Stage):
         if self.iso230_2:
             from errpipe.validation import iso230_2
 
-            document["iso230_2"] = iso230_2.figures(recording).model_dump(mode="json")
+            try:
+                document["iso230_2"] = iso230_2.figures(recording).model_dump(mode="json")
+            except DataError as err:
+                raise DataError(
+                    f"{err}. With iso230_2: false, validate judges the model without these figures"
+                ) from None
         _write_rows(context.folder / HELD_OUT, rows)
         return document | {"model": _artefacts.fingerprint_of(model)}
 

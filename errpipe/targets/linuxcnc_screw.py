@@ -5,11 +5,12 @@ Order     position ascending, value going up, value going down; at most 256 rows
 Traps     no header, no comment, no comma, no empty line: the reader stops at the first odd line WITHOUT a message.
           A compensation file switches BACKLASH of that joint off. Held beyond both ends. motmod smooths the value: a
           step just above a quarter of the joint's acceleration x period^2 waits until the value itself has come closer.
+Inches    a screw file cannot name its unit: errpipe-mm.hal keeps LinuxCNC from starting unless LINEAR_UNITS = mm.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -18,6 +19,12 @@ from errpipe.targets import _sample
 from errpipe.targets._base import HOMED_AT_ONCE, ByHand, Curve, ReadBack, expect
 from errpipe.targets._screw_map import ScrewMap
 
+GUARD = "errpipe-mm.hal"
+ONLY_IN_MM = """\
+# The screw files beside this one are in mm. A machine in inches would be moved by 25.4 times its correction: here it
+# does not start ("program 'expr' failed").
+loadusr -w expr [TRAJ]LINEAR_UNITS : m
+"""
 MOST = 256  # points that the motion module keeps of a joint (EMCMOT_COMP_SIZE)
 
 
@@ -33,6 +40,7 @@ class LinuxcncScrew(ScrewMap):
     holds = ("screw", "both directions")
     source = "LinuxCNC: src/emc/motion/usrmotintf.cc (usrmotLoadComp), docs ini-config COMP_FILE"
     activation = (
+        f"[HAL] HALFILE = {GUARD}: with LINEAR_UNITS = inch, where a file acts 25.4 times, LinuxCNC does not start",
         "[JOINT_n] COMP_FILE = <axis>.comp",
         "[JOINT_n] COMP_FILE_TYPE = 1",
         "read back joint.n.backlash-filt after each move: it is the value of the file",
@@ -57,6 +65,15 @@ class LinuxcncScrew(ScrewMap):
 
     most = MOST
     error_um = 0.05  # finer than any screw repeats
+
+    @classmethod
+    def write(cls, table: CompensationTable) -> dict[str, str]:
+        return {**super().write(table), GUARD: ONLY_IN_MM}
+
+    @classmethod
+    def read_back(cls, files: Mapping[str, str]) -> ReadBack:
+        expect(files.get(GUARD, ONLY_IN_MM) == ONLY_IN_MM, GUARD, "keeps no machine in inches from these files")
+        return super().read_back({name: text for name, text in files.items() if name != GUARD})
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:

@@ -75,7 +75,8 @@ def judged(
         _of_one_run(document)
     if family.seasonal:
         tables = seasons.documents(recording, family, progress)
-        _cover(document, tables["seasons"])
+        if "seasons" in tables:
+            _cover(document, tables["seasons"])
         document |= tables
     return document, by_component
 

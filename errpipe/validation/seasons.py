@@ -151,7 +151,9 @@ def documents(
     def train(recording: Recording, component: str, rows: np.ndarray) -> Any:
         return family.train(recording, rows)  # type: ignore[attr-defined]  # seasonal families have it
 
-    out = {"seasons": table(recording, component, train, family.scheme)}
+    out = {}
+    if family.folds(recording, None)[0] == holdout.name(family.scheme):  # else it names less than two seasons
+        out["seasons"] = table(recording, component, train, family.scheme)
     if any(recording.manifest.columns[n].of == "day" for n in recording.names("group")):
         progress(0.7, "trained on the past alone")
         out["forward"] = table(recording, component, train, "forward:month", in_season=False)

@@ -74,13 +74,31 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
 
 
 def _refuse_unknown_sets(parts: Iterable[Proposal], options: ImportOptions) -> None:
-    """Raise UsageError for a `--set` of a column that no file has: it would be ignored."""
+    """Raise UsageError for a `--set` of a column that no file has, or that is made of others: it would be ignored."""
+    parts = list(parts)
     known = dict.fromkeys(name for part in parts for name in (*sorted(part.headers), *part.entries))
     written = {*known, *map(slug, known)}
     for name in (n for n in options.sets if n not in written and slug(n) not in written):
         raise UsageError(
             f"--set {name}: no such column (columns: {', '.join(known)}).{did_you_mean(name, list(known))}"
         )
+    for part in parts:
+        of_file = {*part.headers, *map(slug, part.headers)}
+        for name, keys in options.sets.items():
+            entry = part.entries.get(part.names.get(name, slug(name)))
+            idle = [
+                k
+                for k in ("role", "unit")
+                if entry and name not in of_file and keys.get(k, entry.get(k)) != entry.get(k)
+            ]
+            if entry is None and name in of_file and keys.get("role", "ignore") in resolve.PLACES:
+                idle = ["role"]  # a column of readings of a wide layout
+            if idle:
+                why = part.guesses.get(part.names.get(name, slug(name)), "its readings become deviations")
+                raise UsageError(
+                    f"--set {name}.{idle[0]} would be ignored ({why.split(';')[0]}): say it of columns of the file, or "
+                    "write a column of targets, one of readings, and one of runs"
+                )
 
 
 def _refuse_twice(files: Sequence[Path]) -> None:

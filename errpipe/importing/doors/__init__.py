@@ -27,7 +27,9 @@ from errpipe.importing.doors import (
     markup,
     matlab,
     mtconnect,
+    numpy_arrays,
     records,
+    sqlite,
     tdms,
 )
 from errpipe.importing.sheet import DoorOptions, Sheet
@@ -37,6 +39,8 @@ DOORS: tuple[ModuleType, ...] = (
     tdms,
     hdf5,
     matlab,
+    numpy_arrays,
+    sqlite,
     mtconnect,
     markup,
     halscope,
@@ -85,6 +89,8 @@ def _refuse_known(path: Path, head: bytes) -> None:
         raise DataError(f"{path}: {what}")
     if path.name.startswith(("~$", ".~lock.")):
         raise DataError(f"{path}: what a spreadsheet leaves beside a file that is open in it: name that file")
+    if head[4:19] in (b"Standard Jet DB", b"Standard ACE DB"):
+        raise DataError(f"{path}: a database of Access: export the table as CSV or as an Excel workbook")
     if head.startswith((b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"7z\xbc\xaf")):
         raise DataError(f"{path}: a packed file: unpack it first")
 

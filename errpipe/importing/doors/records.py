@@ -15,6 +15,8 @@ suffixes = (".parquet", ".json", ".jsonl", ".ndjson")
 binary = True  # a few bytes can state many rows
 _PARQUET = b"PAR1"
 DEEPEST = 5  # objects and lists within each other in which tables are looked for: a result of InfluxDB has 4
+FEWEST_ROWS = 3  # of a table beside the largest: fewer are facts of the set-up
+LONGEST_TEXT = 200  # letters of a text that is a remark
 MOST_SERIES = 20  # of a list, in which tables are looked for
 _NAMES = ("columns", "fields", "header")  # keys of the names of columns beside rows
 
@@ -26,10 +28,15 @@ def sniff(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
-    """One sheet, a row per record. Raises DataError for a damaged file, and for JSON that is no table."""
-    columns = _parquet(path) if path.read_bytes()[:4] == _PARQUET else _json(path)
+    """A row per record. Raises DataError for a damaged file, and for JSON that is no table."""
+    if path.read_bytes()[:4] == _PARQUET:
+        return [_sheet(path.stem, _parquet(path), [], [])]
+    return [s for s in _json(path) if options.sheet in (None, s.name)]
+
+
+def _sheet(name: str, columns: dict[str, list[Cell]], notes: list[str], above: list[str]) -> Sheet:
     rows: list[list[Cell]] = [[*cells] for cells in zip(*columns.values(), strict=True)]
-    return [Sheet(path.stem, rows, [*columns]).limited()]
+    return Sheet(name, rows, [*columns], notes, above).limited()
 
 
 def _parquet(path: Path) -> dict[str, list[Cell]]:
@@ -39,13 +46,20 @@ def _parquet(path: Path) -> dict[str, list[Cell]]:
         file = parquet.ParquetFile(path)
         affordable(file.metadata.num_rows * file.metadata.num_columns, path)
         table = file.read(use_threads=False)
-        return {n: _column(table[n]) for n in dict.fromkeys(table.column_names)}
+        return {_with_unit(f): _column(table[f.name]) for f in {f.name: f for f in table.schema}.values()}
     except (DataError, MemoryError):
         raise
     except Exception as err:  # pyarrow raises ArrowInvalid, OSError, KeyError, ... for damaged files
         raise DataError(
             f"{path}: not a Parquet file that can be read ({type(err).__name__}): export it anew, or as CSV"
         ) from None
+
+
+def _with_unit(field: Any) -> str:
+    """The name of a field, and the unit that its metadata state."""
+    stated = {k.decode(errors="replace").lower(): v.decode(errors="replace") for k, v in (field.metadata or {}).items()}
+    unit = stated.get("unit") or stated.get("units")
+    return f"{field.name} [{unit}]" if unit else str(field.name)
 
 
 def _column(values: Any) -> list[Cell]:
@@ -56,7 +70,8 @@ def _column(values: Any) -> list[Cell]:
     return [_cell(v) for v in values.to_pylist()]
 
 
-def _json(path: Path) -> dict[str, list[Cell]]:
+def _json(path: Path) -> list[Sheet]:
+    """The largest table and those of the same columns, which may be runs or axes; of others, where they are, a note."""
     text = path.read_text("utf-8-sig", errors="replace")
     try:
         document = json.loads(text)
@@ -70,13 +85,29 @@ def _json(path: Path) -> dict[str, list[Cell]]:
             f"{path}: JSON that is no table (allowed: a record a line, a list of records or of rows, lists by column, "
             "also within one object)"
         )
-    columns = max(tables, key=lambda table: max(map(len, table.values())))
-    affordable(len(columns) * max(map(len, columns.values())), path)
-    return {n: [_cell(v) for v in values] for n, values in columns.items()}
+    _, largest = max(tables, key=lambda table: _rows(table[1]))
+    alike = [(at, t) for at, t in tables if [*t] == [*largest] and _rows(t) >= FEWEST_ROWS]
+    alike = [(at, t) for k, (at, t) in enumerate(alike) if all(t != before for _, before in alike[:k])]
+    alike = alike or [("", largest)]
+    affordable(sum(len(t) * _rows(t) for _, t in alike), path)
+    others = [at for at, t in tables if at and not {*t} & {*largest} and _rows(t) >= FEWEST_ROWS and _is_flat(t)]
+    notes = [f"tables of other columns are left out: {', '.join(dict.fromkeys(others))}"] if others else []
+    facts = document.items() if isinstance(document, dict) else ()
+    above = [f"{k}: {v}" for k, v in facts if isinstance(v, str) and len(v) <= LONGEST_TEXT]  # `Axis: X`
+    named = [(at if len(alike) > 1 and at else path.stem, t) for at, t in alike]
+    return [_sheet(n, {k: [*map(_cell, of)] for k, of in t.items()}, [*notes], above) for n, t in named]
 
 
-def _tables(document: Any, depth: int = DEEPEST) -> Iterator[dict[str, list[Any]]]:
-    """The columns of every table of a document: facts of the set-up beside the readings may be small ones.
+def _rows(table: dict[str, list[Any]]) -> int:
+    return max(map(len, table.values()))
+
+
+def _is_flat(table: dict[str, list[Any]]) -> bool:
+    return not any(isinstance(v, list | dict) for values in table.values() for v in values)
+
+
+def _tables(document: Any, depth: int = DEEPEST, at: str = "") -> Iterator[tuple[str, dict[str, list[Any]]]]:
+    """Keys to, and columns of, every table of a document: facts of the set-up beside the readings may be small ones.
 
     A table is a list of records, lists by column (pandas: `list`), a list of rows beside the names of the columns
     (`split`), or values by the number of the row (`columns`, `index`).
@@ -85,24 +116,26 @@ def _tables(document: Any, depth: int = DEEPEST) -> Iterator[dict[str, list[Any]
         inner, header = [*document.values()], next((h for k in _NAMES if isinstance(h := document.get(k), list)), None)
         lists = {k: v for k, v in document.items() if isinstance(v, list) and v and not isinstance(v[0], list | dict)}
         if lists and len({*map(len, lists.values())}) == 1:
-            yield lists
+            yield at, lists
         by_number = [v for v in inner if isinstance(v, dict) and _numbered(v)]
         if by_number and len(by_number) == len(inner) and len({*map(len, by_number)}) == 1:
-            yield {k: [*v.values()] for k, v in document.items()}
+            yield at, {k: [*v.values()] for k, v in document.items()}
         if _numbered(document):
             inner = [inner]
     else:
         inner, header = (document, None) if isinstance(document, list) else ([], None)
         records = [_flat(r) for r in inner if isinstance(r, dict)]
         if names := dict.fromkeys(n for r in records for n in r):
-            yield {n: [r.get(n) for r in records] for n in names}
-        yield from _of_rows(inner, None)
+            yield at, {n: [r.get(n) for r in records] for n in names}
+        yield from ((at, rows) for rows in _of_rows(inner, None))
         inner = inner[:MOST_SERIES]
-    for value in inner if depth else []:
+    keys = [*document] if isinstance(document, dict) and len(document) == len(inner) else range(1, len(inner) + 1)
+    for key, value in zip(keys, inner, strict=True) if depth else ():
+        where = f"{at} {key}".strip()
         if isinstance(value, list):
-            yield from _of_rows(value, header)
+            yield from ((where, rows) for rows in _of_rows(value, header))
         if isinstance(value, list | dict):
-            yield from _tables(value, depth - 1)
+            yield from _tables(value, depth - 1, where)
 
 
 def _numbered(values: dict[str, Any]) -> bool:

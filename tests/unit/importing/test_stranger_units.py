@@ -48,6 +48,7 @@ def holds(found: tuple[np.ndarray, np.ndarray], within: float = 0.06) -> None:
         ("Error [10^-4 mm]", 10),
         ("Error (1/100 mm)", 0.1),
         ('Error (0.0001")', 1 / 2.54),
+        ('Error (.0001")', 1 / 2.54),  # its point was taken for the end of a sentence
         ("Error (microinches)", 1000 / INCH),
         ("Error (mil)", 1 / INCH),
     ],

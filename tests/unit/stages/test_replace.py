@@ -33,7 +33,7 @@ def test_no_screw_file_of_an_axis_outlives_its_table(exported: Path) -> None:
     (exported / "note.txt").write_text("mine")
     assert {"linuxcnc_screw/y.comp", "weihong_axeserr/axeserr.dat"} <= names(exported)
     targets.export(exported.parent / "x.ect", ["linuxcnc_screw"], exported)
-    files = {"linuxcnc_screw/x.comp", "linuxcnc_screw/CHECKLIST.md"}
+    files = {f"linuxcnc_screw/{name}" for name in ("x.comp", "errpipe-mm.hal", "CHECKLIST.md")}
     assert names(exported) == files | {"table.ect", "table.json", "export.json", "note.txt"}
     assert not (exported / "weihong_axeserr").exists() and verify(exported)["checks"]
 

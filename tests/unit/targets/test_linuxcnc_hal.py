@@ -14,7 +14,7 @@ from errpipe.domain import driver as d
 from errpipe.domain.table import CompensationTable, TableInput
 from errpipe.drivers.lowered import Lowered
 from errpipe.errors import GateError, VerifyError
-from errpipe.targets import linuxcnc_hal
+from errpipe.targets import linuxcnc_hal, linuxcnc_screw
 from errpipe.targets.linuxcnc_hal import COMPONENT, JOINTS, SHIFT, LinuxcncHal
 from tests.unit.targets import machines
 
@@ -106,11 +106,12 @@ def test_halcompile_takes_any_title(tmp_path):
 @pytest.mark.parametrize(
     ("units", "starts"), [("mm", True), ("metric", True), ("inch", False), ("in", False), ("1", False)]
 )
-@pytest.mark.parametrize("name", [JOINTS, SHIFT])
+@pytest.mark.parametrize("name", [JOINTS, SHIFT, linuxcnc_screw.GUARD])
 def test_a_machine_in_inches_does_not_start(name, units, starts):
     """It took corrections in mm as inches, at positions in inches: 25.4 times too far, at the wrong place."""
-    text = LinuxcncHal.write(machines.too_long_at_plus_x())[name]
+    target = linuxcnc_screw.LinuxcncScrew if name == linuxcnc_screw.GUARD else LinuxcncHal
+    text = target.write(machines.too_long_at_plus_x())[name]
     waited, loaded = re.search(r"^loadusr -w (.*)\n(.*)$", text, re.M).groups()
-    assert loaded == "loadrt errpipe"  # halcmd ends at a program that fails; nothing is loaded yet
+    assert loaded == ("loadrt errpipe" if target is LinuxcncHal else "")  # nothing is loaded before it
     done = subprocess.run(waited.replace("[TRAJ]LINEAR_UNITS", units).split(), capture_output=True, check=False)
     assert (done.returncode == 0) == starts

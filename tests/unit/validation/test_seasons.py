@@ -15,7 +15,7 @@ from errpipe.fitting import holdout
 from errpipe.models.season import Season
 from errpipe.thermal import arithmetic
 from errpipe.thermal.season import SeasonOptions
-from errpipe.validation import seasons
+from errpipe.validation import held_out, seasons
 
 COLUMNS = {
     "run": Column(role="run"),
@@ -122,6 +122,18 @@ def test_a_season_model_is_judged_like_every_other_model(recording):
     assert told.label == "spring" and (np.sort(told.rows) == np.flatnonzero(fold.test)).all()
     assert_allclose(told.before, arithmetic.since_start_of(recording, "E_D")[told.rows])
     assert told.rms(told.after) < told.rms(told.before) and (told.outside >= 0).all()
+
+
+def test_one_season_is_judged_by_its_runs(recording):
+    """`check` found nothing to say of it, and `validate` refused it: no group 'season'."""
+    columns = {name: column for name, column in recording.manifest.columns.items() if column.of != "season"}
+    manifest = recording.manifest.model_copy(update={"columns": columns})
+    one = Recording(manifest, recording.frame.drop(columns="season"))
+    family = Season(family="season", component="E_D")
+    document, _ = held_out.judged(one, family)
+    assert document["scheme"] == "leave-one-run-out" and "seasons" not in document
+    with pytest.raises(DataError, match="no group 'hall'"):  # one that a person names is not replaced
+        family.model_copy(update={"options": SeasonOptions(environment="hall")}).folds(one, None)
 
 
 def test_learning_curve_counts_hours_of_the_rows_that_fit(recording):
