@@ -138,8 +138,9 @@ def test_a_shift_of_a_recording_is_drawn_and_where_it_stands_is_said(tmp_path: P
     said = capsys.readouterr().out
     assert "100% of it goes with run number: on average +0 um near 1, +5 near" in said
     assert "run number" in figure.read_text(encoding="utf-8")
-    record(tmp_path / "all", 6, as_read=lambda um: um + 5.0)
-    main(["compare", str(tmp_path / "old"), str(tmp_path / "all"), "--figure", str(figure)])
+    for name, reading in (("low", 1.0), ("high", 6.0)):
+        record(tmp_path / name, 2, as_read=lambda um, r=reading: r)
+    main(["compare", str(tmp_path / "low"), str(tmp_path / "high"), "--figure", str(figure)])
     assert "new - old, um" in figure.read_text(encoding="utf-8")
     main(["compare", str(tmp_path / "old"), str(tmp_path / "old"), "--figure", str(figure)])
     assert "no difference" in figure.read_text(encoding="utf-8")
