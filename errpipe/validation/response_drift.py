@@ -18,6 +18,7 @@ from errpipe.validation.cusum import level_drift
 
 WEAKEST_RUN = 0.25  # of the median rms of the prediction: a run that hardly moved shows nothing of the size
 NO_RESPONSE = 0.3  # of what is predicted: compensated machines leave less than a third, worn ones show more than that
+FEWEST = 3  # runs of a group before and since a change, from which they have a mean and a scatter
 TINY = 1e-12  # um2: a mean square of which the logarithm exists
 HALF = 0.5  # of a change of the mean: what the median of the same runs must show of it
 UNITS = {1000.0: "1000", 25.4: "25.4", 1.0 / 25.4: "1/25.4", 0.001: "1/1000"}  # um for mm, inch for mm and back
@@ -42,13 +43,15 @@ def drifts(
         level = _of_runs(measured - prediction, run)
         if moved := _moved(level, reference, run):
             since, before, after = moved
-            levels.append({"component": component, "since": labels[since], "size_um": after - before})
+            regime = _regime(recording, level, reference, since)
+            levels.append({"component": component, "since": labels[since], "size_um": after - before, "regime": regime})
         squares = _of_runs((measured - prediction) ** 2, run)
         logarithms = {c: float(np.log(max(square, TINY))) for c, square in squares.items()}
         if (moved := _moved(logarithms, reference, run)) and moved[2] > moved[1]:
             since, *both = moved
             before, after = np.exp(0.5 * np.array(both)).tolist()
-            rms.append({"component": component, "since": labels[since], "before_um": before, "after_um": after})
+            entry = {"component": component, "since": labels[since], "before_um": before, "after_um": after}
+            rms.append({**entry, "regime": _regime(recording, logarithms, reference, since)})
         slopes, strength = _slopes(measured, prediction, run)
         if moved := _moved(slopes, reference, run, strength):
             since, before, after = moved
@@ -58,6 +61,33 @@ def drifts(
             means = meaning(0.0 if as_noisy and abs(factor) < NO_RESPONSE else factor)
             sizes.append({"component": component, "since": labels[since], "factor": factor, "meaning": means})
     return {"residuals": levels, "sizes": sizes, "rms": rms}
+
+
+def _regime(recording: Recording, figures: Mapping[int, float], reference: np.ndarray, since: int) -> str:
+    """The group of runs that alone moved, such as 'duty_cycle TM'; '' where others did, too, or too few runs tell.
+
+    figures: one per run, by its code. A group moved by the mean of its runs since then less that of its own before; the
+    others did not where each moved by less than half of it, and by less than it by three standard errors.
+    """
+    run = recording.run_codes()
+    for name in recording.names("group"):
+        groups = recording.frame[name].astype(str).to_numpy()
+        label = {c: groups[np.argmax(run == c)] for c in figures}
+        moved: list[tuple[float, float, str]] = []
+        for one in sorted(set(label.values())):
+            own = [c for c in figures if label[c] == one]
+            before = [figures[c] for c in own if reference[run == c].any()]
+            after = [figures[c] for c in own if c >= since and not reference[run == c].any()]
+            if min(len(before), len(after)) >= FEWEST:
+                error = np.sqrt(sum(np.var(side, ddof=1) / len(side) for side in (before, after)))
+                moved.append((float(np.mean(after) - np.mean(before)), float(error), one))
+        moved.sort(key=lambda m: -abs(m[0]))
+        if len(moved) > 1 and all(
+            abs(m[0]) < HALF * abs(moved[0][0]) and abs(moved[0][0] - m[0]) > 3.0 * np.hypot(moved[0][1], m[1])
+            for m in moved[1:]
+        ):
+            return f"{recording.manifest.columns[name].of or name} {moved[0][2]}"
+    return ""
 
 
 def meaning(factor: float) -> str:
