@@ -102,3 +102,13 @@ def test_a_level_that_moved_in_one_duty_cycle_alone_says_which() -> None:
     assert level["regime"] == "duty_cycle milling"
     (level,) = changed(still, np.where(np.arange(OLD + NEW) >= OLD, 8.0, 0.0), cycle=cycle)["residuals"]
     assert level["regime"] == ""
+
+
+def test_a_level_that_moved_in_a_third_of_the_runs_is_no_odd_run() -> None:
+    number = np.arange(OLD + NEW)
+    cycle = np.where(number % 3 == 1, "milling", "idle")
+    shift = np.where((number >= OLD) & (cycle == "milling"), 8.0, 0.0)
+    (level,) = changed(np.ones(OLD + NEW), shift, cycle=cycle)["residuals"]
+    assert level["regime"] == "duty_cycle milling" and level["size_um"] == pytest.approx(8.0, abs=0.5)
+    one = np.where(number == 13, 8.0, 0.0)
+    assert not changed(np.ones(OLD + NEW), one, cycle=cycle)["residuals"]
