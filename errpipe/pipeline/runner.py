@@ -150,9 +150,11 @@ class _Work:
     def record(self, stage: Stage) -> lock.Record:
         """What would be recorded of a stage now, outputs apart: hashes every input."""
         inputs = {label: lock.hash_file(path) for label, path in lock.label_inputs(stage.inputs()).items()}
+        taken = {need.type for need in stage.takes.values()}
         for name in reads_of(self.pipeline.links, stage.label):
             outputs = self.records[name].outputs if name in self.records else {}
-            inputs |= {f"{name}/{file}": digest for file, digest in outputs.items()}
+            unread = {f for f, kind in self.pipeline.stage(name).file_types.items() if kind not in taken}
+            inputs |= {f"{name}/{file}": digest for file, digest in outputs.items() if file not in unread}
         sources = {slot: list(names) for slot, names in self.pipeline.links[stage.label].items()}
         return lock.Record(stage.kind, lock.code_of(stage), stage.parameters(), sources, inputs)
 

@@ -135,6 +135,7 @@ class Stage(Options, ABC):
     code_version: ClassVar[int] = 1  # raise it when the same inputs give other outputs
     takes: ClassVar[Mapping[str, Need]] = {}  # slot -> the artefact it needs of an earlier stage
     gives: ClassVar[tuple[str, ...]] = ()  # types of the artefacts in its folder
+    file_types: ClassVar[Mapping[str, str]] = {}  # file -> type: who takes no such artefact does not read it
     variant_key: ClassVar[str] = ""  # discriminating key of several classes of one kind
     default_variant: ClassVar[str] = ""  # its value where it is not written
 

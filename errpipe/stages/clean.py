@@ -37,6 +37,7 @@ class Clean(Stage):
     )
     takes: ClassVar[Mapping[str, Need]] = {"recording": Need("recording")}
     gives: ClassVar[tuple[str, ...]] = ("recording", "cleaning")
+    file_types: ClassVar[Mapping[str, str]] = {"cleaning.json": "cleaning"}
     writes: ClassVar[tuple[str, ...]] = ("recording.yaml", "recording.parquet", "cleaning.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:

@@ -37,6 +37,7 @@ class Ingest(Stage):
 
     takes: ClassVar[Mapping[str, Need]] = {"simulated": Need("raw_recording", optional=True)}
     gives: ClassVar[tuple[str, ...]] = ("recording", "ingestion")
+    file_types: ClassVar[Mapping[str, str]] = {"ingest.json": "ingestion"}
     writes: ClassVar[tuple[str, ...]] = ("recording.yaml", "recording.parquet", "ingest.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:

@@ -197,21 +197,22 @@ def _change(component: str, unit: str, states: States, old: np.ndarray, new: np.
 
 def _goes_with(readings: Mapping[str, np.ndarray], gap: np.ndarray) -> tuple[str, float, Bins]:
     """The input with the largest correlation ratio (Pearson 1905) to the difference, and the difference over it."""
-    best: tuple[str, float, Bins] = ("", 0.0, ())
+    best: tuple[str, float, Bins] = ("", -1.0, ())
     total = float(np.var(gap))
     for name, values in readings.items():
         span = float(np.ptp(values))
-        if span == 0.0 or total == 0.0:
+        if not span > 0.0:  # one value, or empty cells
             continue
         part = np.minimum(((values - values.min()) / span * BINS).astype(int), BINS - 1)
         rows: Sequence[np.ndarray] = [gap[part == k] for k in range(BINS)]
         middle = [float(values[part == k].mean()) if r.size else 0.0 for k, r in enumerate(rows)]
         between = sum(r.size * (float(r.mean()) - float(gap.mean())) ** 2 for r in rows if r.size) / gap.size
-        if between / total > best[1]:
+        share = between / total if total > 0.0 else 0.0  # of a shift: it is drawn over the first input
+        if share > best[1]:
             filled = [(m, r) for m, r in zip(middle, rows, strict=True) if r.size]
             bins = tuple((m, float(r.mean()), float(r.min()), float(r.max())) for m, r in filled)
-            best = (name, between / total, bins)
-    return best
+            best = (name, share, bins)
+    return best[0], max(best[1], 0.0), best[2]
 
 
 def rows_changed(old: Recording, new: Recording) -> dict[str, dict[str, float]]:
@@ -233,6 +234,32 @@ def rows_changed(old: Recording, new: Recording) -> dict[str, dict[str, float]]:
             rms = float(np.sqrt(np.sum(difference**2) / a.size))
             out[name] = {"rows": int(differ.sum()), "largest": largest, "rms": rms}
     return out
+
+
+def of_rows(old: Recording, new: Recording, name: str) -> Change:
+    """How far a column of deviations differs over the rows of the runs that both hold, in its unit.
+
+    It may go with a numeric column of the old recording, or with the number of the run there, from 1.
+    """
+    labels = shared_runs(old, new)
+    before, after = (_rows_of(r, labels) for r in (old, new))
+    a, b = (part[name].to_numpy(dtype=float) for part in (before, after))
+    judged = np.flatnonzero(np.isfinite(b - a))
+    numbers = {label: float(k) for k, label in enumerate(old.run_labels(), 1)}
+    of_run = np.sort(_labels(old)[np.isin(_labels(old), labels)], kind="stable")
+    kinds = old.manifest.columns
+    known = [n for n in kinds if n in before and kinds[n].role not in ("run", "group", "error", "simulated", "ignore")]
+    readings = {"run number": np.array([numbers[label] for label in of_run])}
+    readings |= {n: before[n].to_numpy(dtype=float) for n in known if pd.api.types.is_numeric_dtype(before[n])}
+    unit = kinds[name].unit or ""
+    if judged.size == 0:
+        return Change(name, unit, 0.0, 0.0, {}, 0.0, 0.0, "", 0.0, ())
+    gap = (b - a)[judged]
+    worst, largest = int(judged[np.argmax(np.abs(gap))]), float(np.abs(gap).max())
+    goes_with = _goes_with({n: v[judged] for n, v in readings.items()}, gap)
+    at = {n: float(v[worst]) for n, v in readings.items()}
+    rms = float(np.sqrt(np.mean(gap**2)))
+    return Change(name, unit, largest, rms, at, float(a[worst]), float(b[worst]), *goes_with, settled=largest)
 
 
 def shared_runs(old: Recording, new: Recording) -> list[str]:

@@ -18,6 +18,8 @@ from errpipe.validation.cusum import level_drift
 
 WEAKEST_RUN = 0.25  # of the median rms of the prediction: a run that hardly moved shows nothing of the size
 NO_RESPONSE = 0.3  # of what is predicted: compensated machines leave less than a third, worn ones show more than that
+FEWEST = 3  # runs of a group before and since a change, from which they have a mean and a scatter
+NO_GROUPS: Mapping[str, Mapping[int, str]] = {}
 TINY = 1e-12  # um2: a mean square of which the logarithm exists
 HALF = 0.5  # of a change of the mean: what the median of the same runs must show of it
 UNITS = {1000.0: "1000", 25.4: "25.4", 1.0 / 25.4: "1/25.4", 0.001: "1/1000"}  # um for mm, inch for mm and back
@@ -34,21 +36,24 @@ def drifts(
     reference: rows of the model's own runs.
     """
     levels, sizes, rms = [], [], []
+    groups = _groups(recording)
     for component, prediction in predictions.items():
         name = recording.name("error", component=component)
         if name is None:
             continue
         measured, run, labels = recording.array(name), recording.run_codes(), recording.run_labels()
         level = _of_runs(measured - prediction, run)
-        if moved := _moved(level, reference, run):
+        if moved := _moved(level, reference, run, groups=groups):
             since, before, after = moved
-            levels.append({"component": component, "since": labels[since], "size_um": after - before})
+            regime = _regime(groups, level, reference, run, since)
+            levels.append({"component": component, "since": labels[since], "size_um": after - before, "regime": regime})
         squares = _of_runs((measured - prediction) ** 2, run)
         logarithms = {c: float(np.log(max(square, TINY))) for c, square in squares.items()}
-        if (moved := _moved(logarithms, reference, run)) and moved[2] > moved[1]:
+        if (moved := _moved(logarithms, reference, run, groups=groups)) and moved[2] > moved[1]:
             since, *both = moved
             before, after = np.exp(0.5 * np.array(both)).tolist()
-            rms.append({"component": component, "since": labels[since], "before_um": before, "after_um": after})
+            entry = {"component": component, "since": labels[since], "before_um": before, "after_um": after}
+            rms.append({**entry, "regime": _regime(groups, logarithms, reference, run, since)})
         slopes, strength = _slopes(measured, prediction, run)
         if moved := _moved(slopes, reference, run, strength):
             since, before, after = moved
@@ -58,6 +63,45 @@ def drifts(
             means = meaning(0.0 if as_noisy and abs(factor) < NO_RESPONSE else factor)
             sizes.append({"component": component, "since": labels[since], "factor": factor, "meaning": means})
     return {"residuals": levels, "sizes": sizes, "rms": rms}
+
+
+def _groups(recording: Recording) -> dict[str, dict[int, str]]:
+    """What a grouping is (duty_cycle, season, day, its column's name) -> code of each run -> its label."""
+    run, out = recording.run_codes(), {}
+    for name in recording.names("group"):
+        labels = recording.frame[name].astype(str).to_numpy()
+        kind = recording.manifest.columns[name].of or name
+        out[kind] = {c: labels[np.argmax(run == c)] for c in dict.fromkeys(run.tolist())}
+    return out
+
+
+def _sides(figures: Mapping[int, float], codes: Mapping[int, str], label: str, old: set[int], since: int) -> list[list]:
+    """Figures of a group's runs among the old ones, and since a run; [] where fewer than FEWEST are on a side."""
+    own = [c for c in figures if codes[c] == label]
+    sides = [[figures[c] for c in own if c in old], [figures[c] for c in own if c not in old and c >= since]]
+    return sides if min(map(len, sides)) >= FEWEST else []
+
+
+def _regime(groups, figures: Mapping[int, float], reference: np.ndarray, run: np.ndarray, since: int) -> str:
+    """The group of runs that alone moved, such as 'duty_cycle TM'; '' where others did, too, or too few runs tell.
+
+    figures: one per run, by its code. A group moved by the mean of its runs since then less that of its own before; the
+    others did not where each moved by less than half of it, and by less than it by three standard errors.
+    """
+    old = {c for c in figures if reference[run == c].any()}
+    for kind, codes in groups.items():
+        moved: list[tuple[float, float, str]] = []
+        for label in sorted(set(codes.values())):
+            if sides := _sides(figures, codes, label, old, since):
+                error = np.sqrt(sum(np.var(side, ddof=1) / len(side) for side in sides))
+                moved.append((float(np.mean(sides[1]) - np.mean(sides[0])), float(error), label))
+        moved.sort(key=lambda m: -abs(m[0]))
+        if len(moved) > 1 and all(
+            abs(m[0]) < HALF * abs(moved[0][0]) and abs(moved[0][0] - m[0]) > 3.0 * np.hypot(moved[0][1], m[1])
+            for m in moved[1:]
+        ):
+            return f"{kind} {moved[0][2]}"
+    return ""
 
 
 def meaning(factor: float) -> str:
@@ -102,11 +146,16 @@ def _slopes(measured: np.ndarray, prediction: np.ndarray, run: np.ndarray) -> tu
 
 
 def _moved(
-    figures: Mapping[int, float], reference: np.ndarray, run: np.ndarray, strength: Mapping[int, float] | None = None
+    figures: Mapping[int, float],
+    reference: np.ndarray,
+    run: np.ndarray,
+    strength: Mapping[int, float] | None = None,
+    groups: Mapping[str, Mapping[int, str]] = NO_GROUPS,
 ) -> tuple[int, float, float] | None:
     """The run since when a figure per run has another level, and its means before and after; None where it has not.
 
-    strength: what a figure's standard error is inversely proportional to, where that differs between runs.
+    strength: what a figure's standard error is inversely proportional to, where that differs between runs. Where most
+    runs stay and those of a group do not, the means are that group's.
     """
     old = [c for c in figures if reference[run == c].any()]
     new = [c for c in figures if c not in old]
@@ -121,6 +170,13 @@ def _moved(
         return None
     later = [figures[c] for c in new[drift[1] :]]
     after = float(np.median(later))
-    if abs(after - before) < HALF * abs(float(np.mean(later)) - before):
-        return None  # one odd run, such as a night of swapped sensors
-    return new[drift[1]], before, after
+    least = HALF * abs(float(np.mean(later)) - before)
+    if abs(after - before) >= least:
+        return new[drift[1]], before, after
+    for codes in groups.values():
+        for label in sorted(set(codes.values())):
+            if sides := _sides(figures, codes, label, set(old), new[drift[1]]):
+                before, after = float(np.mean(sides[0])), float(np.median(sides[1]))
+                if abs(after - before) >= least:
+                    return new[drift[1]], before, after
+    return None  # one odd run, such as a night of swapped sensors

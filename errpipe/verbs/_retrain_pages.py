@@ -74,17 +74,22 @@ def _fitted(document: Mapping[str, Any]) -> list[str]:
     return [*([says] if says else []), *document["narrower"]]
 
 
+def _regime(d: Mapping[str, Any]) -> str:
+    return f", in runs of {d['regime']} alone" if d.get("regime") else ""
+
+
 def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
     lines = ["## Drift", ""]
     if not any(drift.values()):
         return [*lines, "Neither the sensors nor the champion's residual left what they were when it was fitted."]
     said = [f"Sensor {d['column']} {_word(d)} since run {d['since']}: {d['size']:+.2g} K." for d in drift["inputs"]]
     said += [
-        f"The champion's residual of {d['component']} moved since run {d['since']}: {d['size_um']:+.3g} um on average."
+        f"The champion's residual of {d['component']} moved since run {d['since']}{_regime(d)}: "
+        f"{d['size_um']:+.3g} um on average."
         for d in drift["residuals"]
     ]
     said += [
-        f"The champion leaves {d['after_um']:.3g} um rms of {d['component']} since run {d['since']}, "
+        f"The champion leaves {d['after_um']:.3g} um rms of {d['component']} since run {d['since']}{_regime(d)}, "
         f"{d['before_um']:.3g} um before."
         for d in drift["rms"]
     ]

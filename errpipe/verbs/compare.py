@@ -30,7 +30,10 @@ MAX_LISTED = 12  # lines of one kind in a text; the JSON document has all
 
 @dataclass
 class Comparison:
-    """kind: of what. says: sentences. parts: plain data. largest, rms: um (urad, N), None without a figure."""
+    """kind: of what. says: sentences. parts: plain data. largest, rms: um (urad, N), None without a figure.
+
+    changes, findings: what is drawn; of a finding its name, its size before and after, um rms.
+    """
 
     kind: str
     says: list[str] = field(default_factory=list)
@@ -38,6 +41,7 @@ class Comparison:
     largest: float | None = None
     rms: float | None = None
     changes: list[tuple[str, Change]] = field(default_factory=list)
+    findings: list[tuple[str, float, float]] = field(default_factory=list)
 
     def widen(self, largest: float, rms: float) -> None:
         """Widen the figures by those of one part."""
@@ -65,7 +69,7 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
     if figure is not None:
         from errpipe.verbs._compare_page import draw
 
-        jsonfile.write_text(figure, draw(result.changes))
+        jsonfile.write_text(figure, draw(result.changes, result.findings))
         result.says.append(str(figure))
     figures = {"largest_um": result.largest, "rms_um": result.rms, "within": within}
     return {"compare": VERSION, "kind": result.kind, **figures, **result.parts, "says": result.says}
@@ -146,7 +150,8 @@ def _parameters(out: Comparison, old: ErrorModel, new: ErrorModel) -> None:
         within = None if a.ci95 is None else inside
         moved.append({"parameter": name, "old": a.value, "new": b.value, "unit": a.unit, "within_ci95": within})
         word = "" if within is None else ", inside its 95 % interval" if inside else ", outside its 95 % interval"
-        out.says.append(f"{name}: {a.value:.4g} -> {b.value:.4g} {a.unit}{word}")
+        if f"{a.value:.4g}" != f"{b.value:.4g}":
+            out.says.append(f"{name}: {a.value:.4g} -> {b.value:.4g} {a.unit}{word}")
     out.parts["parameters"] = moved
 
 
@@ -176,18 +181,24 @@ def _fields(out: Comparison, old: Compensation, new: Compensation) -> None:
         if c.largest == 0.0:
             out.says.append(f"{c.component}: the same")
             continue
-        place = ", ".join(f"{name} = {value:.5g}" for name, value in c.at.items())
         out.says.append(f"{c.component}: differs by at most {c.largest:.4g} {c.unit} ({c.rms:.4g} rms over validity)")
         if c.settled < SETTLED * c.largest:
             out.says.append(f"    by at most {c.settled:.4g} {c.unit} once settled: they follow a step at other rates")
-        out.says.append(f"    most at {place}: {c.old:+.4g} -> {c.new:+.4g} {c.unit}")
-        if c.goes_with and c.share > 0.1:
-            means = [b[1] for b in c.by_bin]
-            low, high = means.index(min(means)), means.index(max(means))
-            out.says.append(
-                f"    {c.share:.0%} of it goes with {c.goes_with}: on average {means[low]:+.3g} {c.unit} near "
-                f"{c.by_bin[low][0]:.4g}, {means[high]:+.3g} near {c.by_bin[high][0]:.4g}"
-            )
+        out.says += _where(c)
+
+
+def _where(c: Change) -> list[str]:
+    """Lines that say where a response differs most, and what the difference goes with."""
+    place = ", ".join(f"{name} = {value:.5g}" for name, value in c.at.items())
+    says = [f"    most at {place}: {c.old:+.4g} -> {c.new:+.4g} {c.unit}"]
+    if c.goes_with and c.share > 0.1:
+        means = [b[1] for b in c.by_bin]
+        low, high = means.index(min(means)), means.index(max(means))
+        says.append(
+            f"    {c.share:.0%} of it goes with {c.goes_with}: on average {means[low]:+.3g} {c.unit} near "
+            f"{c.by_bin[low][0]:.4g}, {means[high]:+.3g} near {c.by_bin[high][0]:.4g}"
+        )
+    return says
 
 
 # ---------------------------------------------------------------- recordings, diagnoses, run folders
@@ -212,6 +223,10 @@ def _recordings(old: Path, new: Path) -> Comparison:
         out.says.append(
             f"{name}: {figures['rows']} rows of shared runs differ, by at most {figures['largest']:.4g} {unit}"
         )
+        if own[name].role == "error":
+            change = changes.of_rows(before, after, name)
+            out.changes.append((name, change))
+            out.says += _where(change)
     lone = [n for r in (before, after) for n in r.names("error") if n not in alike]
     if lone:
         out.says.append(f"deviations that only one of the two holds: {', '.join(dict.fromkeys(lone))}")
@@ -242,6 +257,7 @@ def _diagnoses(old: Path, new: Path) -> Comparison:
             was, now = (side.get(effect) for side in effects)
             size = [f.rms_um if f is not None else 0.0 for f in (was, now)]
             out.widen(abs(size[1] - size[0]), abs(size[1] - size[0]))
+            out.findings.append((f"{name}: {effect}", size[0], size[1]))
             _finding(out, name, effect, was, now, a.unit)
         figures = [r.holdout.rms_after_um for r in (a, b)]
         if figures[0] != figures[1]:
@@ -316,6 +332,7 @@ def _part(out: Comparison, stage: str, file: str, old: Path, new: Path, same: bo
         out.widen(comparison.largest, comparison.rms or 0.0)
         out.changes += [(f"{stage}: {name}", c) for name, c in comparison.changes]
     out.says += [f"{stage}: {line}" for line in comparison.says]
+    out.findings += [(f"{stage}: {name}", was, now) for name, was, now in comparison.findings]
     return {"largest_um": comparison.largest, "rms_um": comparison.rms, **comparison.parts}
 
 
@@ -326,7 +343,7 @@ def _validation(out: Comparison, stage: str, old: Path, new: Path) -> dict[str, 
     for name in (n for n in sides[0] if n in sides[1]):
         a, b = (side[name]["rms_after"] for side in sides)
         rms_left[name] = [a, b]
-        if a != b:
+        if f"{a:.4g}" != f"{b:.4g}":
             out.says.append(f"{stage}: {name} {a:.4g} -> {b:.4g} {sides[0][name]['unit']} rms on held-out rows")
     return rms_left
 

@@ -140,6 +140,11 @@ def test_a_template_under_make(tmp_path: Path) -> None:
     assert make(site, "-n", *words)[1] == []
     assert make(site, *words) == (0, ["run"]) and make(site, *words) == (0, [])
 
+    # a table that was deleted is made again, and is what it was
+    (site / "out/export/table.ect").unlink()
+    assert make(site, *words) == (0, ["install", "run"]) and make(site, *words) == (0, [])
+    assert (site / "out/export/table.ect").read_bytes() == table
+
     # noise in place of the machine's error: the gate says no, the old table stays, and make comes back to it
     rows = next((site / DATA).glob("*.csv"))
     lines = rows.read_text().splitlines()

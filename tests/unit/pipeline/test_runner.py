@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from errpipe import stages
+from errpipe.cli.app import main
 from errpipe.errors import ConfigError, DataError, UsageError
 from errpipe.pipeline import lock, runner
 from errpipe.pipeline.spec import load_pipeline
@@ -263,3 +265,18 @@ def test_inputs_of_one_name_are_told_apart(tmp_path: Path) -> None:
         (tmp_path / folder / "data" / "x.txt").write_text(folder)
     labels = lock.label_inputs([tmp_path / "a" / "data", tmp_path / "b" / "data", tmp_path / "a" / "data" / "x.txt"])
     assert sorted(labels) == ["data (2)/x.txt", "data/x.txt", "x.txt"]
+
+
+def test_readings_written_otherwise_make_no_other_table(tmp_path: Path) -> None:
+    """A remark in the manifest and 1.50 for 1.5 are other bytes of the same recording: ingest alone runs."""
+    site = tmp_path / "mill"
+    assert main(["init", "--template", "dial-gauge", str(site)]) == 0
+    assert main(["run", str(site / "pipeline.yaml"), "--out", str(site / "out"), "--to", "export"]) == 0
+    before = (site / "out/export/table.ect").read_bytes()
+    with (site / "recording/recording.yaml").open("a") as stream:
+        stream.write("# by the night shift\n")
+    rows = site / "recording/recording.csv"
+    rows.write_text(rows.read_text().replace("24.99\n", "24.990\n", 1))
+    steps = runner.run(load_pipeline(site / "pipeline.yaml", stages.STAGES), site / "out", to="export")
+    assert [step.name for step in steps if step.action == "run"] == ["ingest"]
+    assert (site / "out/export/table.ect").read_bytes() == before

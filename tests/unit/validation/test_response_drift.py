@@ -21,6 +21,7 @@ def changed(
     least_noise: float = 0.0,
     lost: float = 0.0,
     moving: float = 1.0,
+    cycle: np.ndarray | None = None,
 ) -> dict[str, list]:
     """Drifts of 18 runs of which each is read by a factor and with an offset, um; lost: motion lost in new ones, um.
 
@@ -38,6 +39,8 @@ def changed(
     )
     columns = {"run": Column(role="run"), "e": Column(role="error", component="E_Z", unit="um")}
     frame = pd.DataFrame({"run": RUN.astype(str), "e": measured})
+    if cycle is not None:
+        columns["cycle"], frame["cycle"] = Column(role="group", of="duty_cycle"), cycle[RUN]
     recording = Recording(Manifest(recording=1, tables=("t.csv",), columns=columns), frame)
     return response_drift.drifts(recording, REFERENCE, {"E_Z": prediction})
 
@@ -89,3 +92,23 @@ def test_one_odd_run_is_no_change() -> None:
     factor = np.ones(OLD + NEW)
     factor[OLD + 2] = -0.5
     assert changed(factor, np.zeros(OLD + NEW))["sizes"] == []
+
+
+def test_a_level_that_moved_in_one_duty_cycle_alone_says_which() -> None:
+    cycle = np.array(["milling", "idle", "milling"] * 6)
+    shift = np.where((np.arange(OLD + NEW) >= OLD) & (cycle == "milling"), 8.0, 0.0)
+    still = np.ones(OLD + NEW)
+    (level,) = changed(still, shift, cycle=cycle)["residuals"]
+    assert level["regime"] == "duty_cycle milling"
+    (level,) = changed(still, np.where(np.arange(OLD + NEW) >= OLD, 8.0, 0.0), cycle=cycle)["residuals"]
+    assert level["regime"] == ""
+
+
+def test_a_level_that_moved_in_a_third_of_the_runs_is_no_odd_run() -> None:
+    number = np.arange(OLD + NEW)
+    cycle = np.where(number % 3 == 1, "milling", "idle")
+    shift = np.where((number >= OLD) & (cycle == "milling"), 8.0, 0.0)
+    (level,) = changed(np.ones(OLD + NEW), shift, cycle=cycle)["residuals"]
+    assert level["regime"] == "duty_cycle milling" and level["size_um"] == pytest.approx(8.0, abs=0.5)
+    one = np.where(number == 13, 8.0, 0.0)
+    assert not changed(np.ones(OLD + NEW), one, cycle=cycle)["residuals"]

@@ -129,6 +129,23 @@ def test_a_changed_reading_a_new_run_and_a_lost_column(tmp_path: Path, capsys: p
     assert answer["only_in_new"]["run"] == ["day 5"] and answer["only_in_old"]["run"] == []
 
 
+def test_a_shift_of_a_recording_is_drawn_and_where_it_stands_is_said(tmp_path: Path, capsys: Any) -> None:
+    """From run day 3 on 5 um more: no column of the recording explains it, the number of the run does."""
+    record(tmp_path / "old", 6)
+    record(tmp_path / "new", 6, read_from=3, as_read=lambda um: um + 5.0)
+    figure = tmp_path / "f.svg"
+    assert main(["compare", str(tmp_path / "old"), str(tmp_path / "new"), "--figure", str(figure)]) == 0
+    said = capsys.readouterr().out
+    assert "100% of it goes with run number: on average +0 um near 1, +5 near" in said
+    assert "run number" in figure.read_text(encoding="utf-8")
+    for name, reading in (("low", 1.0), ("high", 6.0)):
+        record(tmp_path / name, 2, as_read=lambda um, r=reading: r)
+    main(["compare", str(tmp_path / "low"), str(tmp_path / "high"), "--figure", str(figure)])
+    assert "new - old, um" in figure.read_text(encoding="utf-8")
+    main(["compare", str(tmp_path / "old"), str(tmp_path / "old"), "--figure", str(figure)])
+    assert "no difference" in figure.read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("change", [("EXX", "Abw", 1), ("component: EXX", "component: EYX", -1)])
 def test_deviations_that_the_other_does_not_hold_are_within_no_limit(
     tmp_path: Path, capsys: pytest.CaptureFixture, change: tuple[str, str, int]
@@ -173,6 +190,8 @@ def test_a_finding_that_is_new_counts_with_its_whole_size(tmp_path: Path, capsys
     code, answer = asked(old, new, "--max-um", "5", capsys=capsys)
     assert code == 4 and answer["largest_um"] == 6.0
     assert answer["responses"]["EXX"]["effects"] == [["backlash"], ["backlash", "sag"]]
+    assert main(["compare", str(old), str(new), "--figure", str(tmp_path / "f.svg")]) == 0
+    assert "EXX: sag" in (tmp_path / "f.svg").read_text(encoding="utf-8")
 
 
 def test_a_response_that_is_gone_counts_with_what_was_found_in_it(
