@@ -161,7 +161,8 @@ def build(
     starts = 1 if count >= MANY_STARTS else count
     with (turn := recording.derived.setdefault(Library, InTurn()))():
         like, turn.left = turn.left, None  # its memory is free before more is asked for
-        made = _with_columns(every, recording, rows, like if like and np.array_equal(like.rows, rows) else None)
+        like = like if like and np.array_equal(like.rows, rows) else None
+        made = _with_columns(every, recording, rows, like)
         turn.left = library = Library(made, run, folds(run, session[rows])[0], starts)
         library.rows = rows
     return library
