@@ -2,6 +2,8 @@
 
 Each quantity is varied alone; the exponent is the slope of a straight line through log(cost) over log(size). The
 exponent for points is 1 at best; where it is below, a part of the cost does not grow.
+
+    python -m bench.bench_growth --million 100       # rows of a run up to so many, and nothing else (5 GB of disk)
 """
 
 from __future__ import annotations
@@ -12,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.figure import Figure, main, seconds
+from bench.figure import Figure, asked_rows, main, seconds
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
 from errpipe.drivers.lowered import Lowered
 from errpipe.tables import ComponentSource, MonomialSource, OutputSource, batch, compile_table, pack
 
 POINTS = (10_000, 100_000, 1_000_000, 10_000_000, 100_000_000)
-ROWS = (10_000, 100_000, 1_000_000, 10_000_000)  # of 100 million: `python -m bench.bench_history --million 100`
+ROWS = (10_000, 100_000, 1_000_000, 10_000_000)
 NODES = (31, 301, 3_001, 30_001)
 SIZES = (2, 4, 8, 16, 32)
 CYCLES = 20_000
@@ -99,6 +101,8 @@ def figures() -> list[Figure]:
         "components of a cycle": (SIZES, "ns", lambda n: cycle_ns(table(2, n))),
         "rows of a run, ingest to validate": (ROWS, "s", command_s),
     }
+    if (most := asked_rows(0)) > ROWS[-1]:
+        measured = {"rows of a run, ingest to validate": ((*ROWS, most), "s", command_s)}
     out = []
     for what, (sizes, unit, cost) in measured.items():
         costs, span = [cost(size) for size in sizes], f"{sizes[0]} to {sizes[-1]}"

@@ -17,9 +17,10 @@ from time import process_time
 
 import numpy as np
 
-from bench.figure import Figure, main, seconds, spread
+from bench.figure import Figure, asked_rows, main, seconds, spread
 
 ROWS, ROUNDS = 2_000_000, 9  # rounds: each in turns, of which the shortest counts
+PIECE = 1 << 20  # rows that are made at once: whole groups of rows of the file
 AIM, MEMORY_AIM = 1.5, 1000.0  # of the time of bare reading; MB
 COLUMNS = ("x", "T_nut", "T_bed", "EXX")
 MANIFEST = """recording: 1
@@ -47,13 +48,17 @@ def write(folder: Path, rows: int = ROWS) -> Path:
     from errpipe.domain.recording import Recording
     from errpipe.formats import manifest_folder
 
-    rng, k = np.random.default_rng(1), np.arange(rows)
-    x, nut, bed = 250 + 250 * np.sin(k / 300), 22 + 4 * np.sin(22 * k / rows), 21 + 2 * np.sin(13 * k / rows)
-    exx = 3 + 0.01 * x + 0.011 * x * (nut - 20) + 2 * bed + rng.normal(size=rows)
-    frame = pd.DataFrame({"run": (k // (rows // 40)).astype(str), "t": k * 1.0, "x": x, "T_nut": nut, "T_bed": bed})
     (folder / "recording.yaml").write_text(MANIFEST, "utf-8")
-    manifest = manifest_folder.canonical(manifest_folder.load_manifest(folder))
-    manifest_folder.write(Recording(manifest, frame.assign(EXX=exx)), folder)
+    manifest, rng = manifest_folder.canonical(manifest_folder.load_manifest(folder)), np.random.default_rng(1)
+
+    def piece(first: int) -> Recording:
+        k = np.arange(first, min(first + PIECE, rows))
+        x, nut, bed = 250 + 250 * np.sin(k / 300), 22 + 4 * np.sin(22 * k / rows), 21 + 2 * np.sin(13 * k / rows)
+        exx = 3 + 0.01 * x + 0.011 * x * (nut - 20) + 2 * bed + rng.normal(size=k.size)
+        frame = pd.DataFrame({"run": (k // (rows // 40)).astype(str), "t": k * 1.0, "x": x, "T_nut": nut, "T_bed": bed})
+        return Recording(manifest, frame.assign(EXX=exx))
+
+    manifest_folder.write_pieces(map(piece, range(0, rows, PIECE)), manifest, lambda: manifest, folder)
     return folder
 
 
@@ -139,7 +144,7 @@ def stage(folder: Path, to: str = "validate") -> tuple[float, float]:
 
 def stage_by_stage() -> list[Figure]:
     """Each stage of the command on the rows that `--million` asks for."""
-    millions = int(sys.argv[sys.argv.index("--million") + 1])
+    millions = asked_rows(ROWS) // 1_000_000
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "raw"
         folder.mkdir()

@@ -1,6 +1,8 @@
 """`errpipe predict` from Parquet to Parquet beside reading and writing as many columns bare.
 
 Each in a process of its own, for its peak memory; processor time, start of the interpreter and imports included.
+
+    python -m bench.bench_predict --million 100       # as many rows (12 GB of disk)
 """
 
 from __future__ import annotations
@@ -13,9 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.figure import Figure, main
+from bench.figure import Figure, asked_rows, main
 
-ROWS = int(os.environ.get("BENCH_PREDICT_ROWS", "20000000"))  # the start of Numba counts for a tenth
+ROWS = 20_000_000  # the start of Numba counts for a tenth
+PIECE = 1 << 20  # rows that are made at once: whole groups of rows of the file
 RUNS, SENSORS, REPEATS = 50, 4, 2
 AIM, MEMORY_AIM = 2.0, 1.0  # times bare reading and writing; GB
 BARE = """
@@ -28,7 +31,7 @@ with pq.ParquetWriter(sys.argv[2], read.schema_arrow.empty_table().select(names)
 """
 
 
-def write(folder: Path) -> None:
+def write(folder: Path, count: int) -> None:
     """A recording of runs, time, a position and temperatures; a table of one curve and a lag per temperature."""
     import pandas as pd
 
@@ -45,14 +48,15 @@ def write(folder: Path) -> None:
         "x": Column(role="position", axis="X", unit="mm"),
         **{n: Column(role="temperature", unit="degC", location=n) for n in names},
     }
-    values = {
-        "run": np.repeat([str(n) for n in range(RUNS)], -(-ROWS // RUNS))[:ROWS],
-        "t": np.arange(ROWS, dtype=float),
-        "x": TRAVEL * (0.5 + 0.5 * np.sin(np.arange(ROWS) / 50)),
-        **{n: 22 + rng.normal(0, 1, ROWS).round(2) for n in names},
-    }
     manifest = Manifest(recording=1, title="bench", tables=("rows.parquet",), columns=columns)
-    manifest_folder.write(Recording(manifest, pd.DataFrame(values)), folder)
+
+    def piece(first: int) -> Recording:
+        k = np.arange(first, min(first + PIECE, count))
+        x = TRAVEL * (0.5 + 0.5 * np.sin(k / 50))
+        frame = pd.DataFrame({"run": (k * RUNS // count).astype(str), "t": k * 1.0, "x": x})
+        return Recording(manifest, frame.assign(**{n: 22 + rng.normal(0, 1, k.size).round(2) for n in names}))
+
+    manifest_folder.write_pieces(map(piece, range(0, count, PIECE)), manifest, lambda: manifest, folder)
     ect.write(table(SENSORS, 0), folder / "table.ect")
 
 
@@ -68,18 +72,20 @@ def cost(*arguments: str) -> tuple[float, float]:
 
 def figures() -> list[Figure]:
     """Time against bare reading and writing, time and peak memory."""
+    count = asked_rows(ROWS)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        subprocess.run([sys.executable, "-c", f"from bench.bench_predict import *; write(Path({name!r}))"], check=True)
-        table, rows = str(folder / "table.ect"), str(folder / "recording.parquet")
+        write_it = f"from bench.bench_predict import *; write(Path({name!r}), {count})"
+        subprocess.run([sys.executable, "-c", write_it], check=True)
+        table, read = str(folder / "table.ect"), str(folder / "recording.parquet")
         ours = ("-m", "errpipe", "predict", table, name, "--out", str(folder / "p.parquet"))
         cost(*ours)  # compiles
-        bare, done = (sorted(cost(*c) for _ in range(REPEATS)) for c in (("-c", BARE, rows, str(folder / "b")), ours))
+        bare, done = (sorted(cost(*c) for _ in range(REPEATS)) for c in (("-c", BARE, read, str(folder / "b")), ours))
     peer = {"peer": "pyarrow, bare", "times": bare[0][0] / done[0][0], "lacks": "a prediction, checks of the rows"}
     apart = done[-1][0] / done[0][0] - 1.0
     return [
         Figure("predict, Parquet to Parquet, over bare", done[0][0] / bare[0][0], "x", apart, AIM, **peer),
-        Figure(f"predict of {ROWS} rows", done[0][0], "s", apart, **peer),
+        Figure(f"predict of {count} rows", done[0][0], "s", apart, **peer),
         Figure("its peak memory", done[0][1], "GB", 0.0, MEMORY_AIM),
     ]
 

@@ -50,6 +50,11 @@ def seconds(run: Callable[[], object], repeats: int = 5, clock: Callable[[], flo
     return sorted(times)
 
 
+def asked_rows(otherwise: int) -> int:
+    """Rows that `--million N` asks for, else `otherwise`."""
+    return int(sys.argv[sys.argv.index("--million") + 1]) * 1_000_000 if "--million" in sys.argv else otherwise
+
+
 def spread(times: list[float]) -> float:
     """How far the middle run lay above the shortest, relative to it."""
     return times[len(times) // 2] / times[0] - 1.0

@@ -65,7 +65,7 @@ def diagnose(
 
 
 def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> tuple[Diagnosis, list[Rows]]:
-    from errpipe.diagnosis import derived, empirical, judge, prepare, report, thinning
+    from errpipe.diagnosis import derived, empirical, hypotheses, judge, prepare, report, thinning
     from errpipe.fitting.side_by_side import side_by_side
 
     progress(0.0, "reading the recording")
@@ -87,6 +87,10 @@ def _diagnose(recording: Recording, progress: Callable[[float, str], None]) -> t
         inputs = report.inputs(case, response)
         held = [p.hypothesis for p in case.decomposition.parts]
         parts = tuple(one for h in held for one in zip(h.terms, h.nonlinear, strict=True))
+        shares[k] = 1.0
+        if at_once == 1 or any(0.0 < share < 1.0 for share in shares):  # no third table in memory
+            turn = case.recording.derived[hypotheses.Library]
+            turn.left = None if turn.left is case.library else turn.left
         return response, Rows(case.y, residual, case.run, contribution, inputs, parts)
 
     at_once = SIDE_BY_SIDE if len(recording) <= MANY_ROWS else 1

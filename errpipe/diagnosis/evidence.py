@@ -16,6 +16,7 @@ import copy
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ AT_ONCE = 64  # columns filtered together
 WORTH = 2e-3  # s of one fold's products, from which those of the others are formed in two threads
 MIN_TEXTBOOK_SHARE = 0.25  # threshold: below this share of its textbook form a hypothesis is penalised,
 MAX_TEXTBOOK_PENALTY = 60.0  # up to this log Bayes factor at a share of 0
+Copied = tuple[list[tuple[int, int]], np.ndarray]  # fingerprints of columns, and these whitened, shape (k, rows)
 SIZES = np.geomspace(0.15, 600.0, 14)  # sizes tried, in units of the noise
 
 
@@ -45,7 +47,7 @@ class Table:
     costs nothing.
     """
 
-    def __init__(self, run: np.ndarray, blocks: Iterable[np.ndarray], fold: np.ndarray, room: int = 4096):
+    def __init__(self, run: np.ndarray, blocks: Iterable[np.ndarray | Copied], fold: np.ndarray, room: int = 4096):
         self.run, self.n, self.fold = run, run.size, fold
         self.colour = USUAL
         self.rows = [np.flatnonzero(fold == f) for f in range(int(fold.max()) + 1)]
@@ -53,8 +55,10 @@ class Table:
         self._store = np.zeros((run.size, room), order="F")
         self._seen: dict[tuple[int, int], int] = {}
         self.width = 0
+        self._still = Lock()  # held while the columns change
         self._forget_products()
         self.places = [self._put(block) for block in blocks]
+        self.names = list(self._seen)  # of these columns, what each is known by
 
     def _forget_products(self) -> None:
         self._at = np.full(self.width, -1)  # place among the known columns, -1: its products are not known
@@ -64,10 +68,11 @@ class Table:
 
     def recolour(self, colour: Colour) -> None:
         """Whiten every column by another model of the noise, in place; signals (`Data`) must be made again."""
-        for k in range(0, self.width, AT_ONCE):
-            columns = self._store[:, k : min(k + AT_ONCE, self.width)]
-            columns[:] = recolour(columns, self.run, self.colour, colour)
-        self.colour = colour
+        with self._still:
+            for k in range(0, self.width, AT_ONCE):
+                columns = self._store[:, k : min(k + AT_ONCE, self.width)]
+                columns[:] = recolour(columns, self.run, self.colour, colour)
+            self.colour = colour
         self._forget_products()
 
     def forget(self, width: int) -> None:
@@ -126,28 +131,32 @@ class Table:
         """Whitened columns, shape (rows, columns so far)."""
         return self._store[:, : self.width]
 
-    def _put(self, block: np.ndarray) -> np.ndarray:
+    def copied(self, index: np.ndarray) -> Copied | None:
+        """Columns for another table of the same rows; None where these are whitened by another colour by now."""
+        with self._still:
+            return ([self.names[k] for k in index], self._store.T[index]) if self.colour == USUAL else None
+
+    def _put(self, block: np.ndarray | Copied) -> np.ndarray:
         """Store a block's columns, shared ones once; returns their indices."""
-        where: list[int] = []
-        fresh: list[int] = []
-        each = np.ascontiguousarray(block.T, dtype=float)
-        for j, column in enumerate(each):
-            at = self._seen.setdefault(noise.fingerprint(column), self.width + len(fresh))
-            if at == self.width + len(fresh):
-                fresh.append(j)
-            where.append(at)
-        self.add((each if len(fresh) == len(each) else each[fresh]).T)
+        copied = isinstance(block, tuple)
+        names, each = block if isinstance(block, tuple) else (None, np.ascontiguousarray(block.T, dtype=float))
+        where = [self._seen.setdefault(n, len(self._seen)) for n in names or map(noise.fingerprint, each)]
+        fresh = [where.index(at) for at in range(self.width, len(self._seen))]
+        self.add((each if len(fresh) == len(each) else each[fresh]).T, copied)
         return np.array(where, dtype=int)
 
-    def add(self, columns: np.ndarray) -> np.ndarray:
+    def add(self, columns: np.ndarray, whitened: bool = False) -> np.ndarray:
         """Append columns (rows, k); returns their indices."""
         first, last = self.width, self.width + columns.shape[1]
         if last > self._store.shape[1]:
             grown = np.zeros((self.n, 2 * last), order="F")
             grown[:, :first] = self.W
             self._store = grown
-        each = np.ascontiguousarray(columns.T, dtype=float)
-        noise.whiten_each(self.run, each, self._store.T[first:last], *self.colour.filter())
+        if whitened:
+            self._store[:, first:last] = columns
+        else:
+            each = np.ascontiguousarray(columns.T, dtype=float)
+            noise.whiten_each(self.run, each, self._store.T[first:last], *self.colour.filter())
         self.width = last
         return np.arange(first, last)
 
@@ -174,8 +183,7 @@ class Data:
     @property
     def n(self) -> int:
         """Rows that take part."""
-        out = 0 if self.without is None else self.table.rows[self.without].size
-        return self.table.n - out
+        return self.table.n - (0 if self.without is None else self.table.rows[self.without].size)
 
     @property
     def yy(self) -> float:
@@ -250,8 +258,7 @@ class Scene:
     """A signal with some columns active: coefficients, residual, and log Bayes factors of further hypotheses."""
 
     def __init__(self, data: Data, active: Active, sigma: float):
-        table = data.table
-        self.table, self.data, self.active, self.sigma = table, data, active, sigma
+        self.table, self.data, self.active, self.sigma = data.table, data, active, sigma
         self.n = data.n
         i = active.index
         self.Zy_all = data.products()

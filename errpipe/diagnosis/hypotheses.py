@@ -12,6 +12,7 @@ import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from errpipe.diagnosis.coloured import Colour
 from errpipe.diagnosis.evidence import Listed, Table
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
-from errpipe.fitting.side_by_side import ahead
+from errpipe.fitting.side_by_side import InTurn, ahead
 from errpipe.kernels import evidence
 from errpipe.terms import MANY_STARTS, Signals, Term, search_of
 from errpipe.terms import TERMS as ALL_TERMS
@@ -61,7 +62,7 @@ class Library:
 
         starts: columns in which a body's state at the start of each session stands.
         """
-        self.starts = starts
+        self.starts, self.rows = starts, np.zeros(0, dtype=int)  # rows: those of the recording, once they are known
         self.hypotheses: list[Hypothesis] = []
         self.cores: list[int] = []
         self.freedoms: list[np.ndarray] = []
@@ -82,7 +83,15 @@ class Library:
             self.gain_sd = np.array([np.nan if sd is None else sd for sd in known], dtype=float)
         return self._together
 
-    def _listed(self, h: Hypothesis, block: Block, cores: int) -> np.ndarray:
+    def copied(self, h: Hypothesis) -> Made | None:
+        """A hypothesis as it was made for this response, for another one on the same rows; None where it was not."""
+        for i in self._families.get(h.key, ()):
+            if i < len(self.table.places) - 1 and self.hypotheses[i].nonlinear == h.nonlinear:
+                columns = self.table.copied(self.places[i])
+                return columns and (h, (columns, self.freedoms[i], self.scales[i]), self.cores[i])
+        return None
+
+    def _listed(self, h: Hypothesis, block: Block, cores: int) -> Any:
         """Store a hypothesis; returns its columns."""
         columns, freedom, scale = block
         self._families.setdefault(h.key, []).append(len(self.hypotheses))
@@ -148,17 +157,24 @@ def build(
     still = tuple(signal - motion @ (motion.T @ signal) for signal in signals)
     seen = Signals(rows, still, signals[0] if signals else None, motion)
     every = enumerate_all(recording, component, raw or recording, seen)
-    session = sessions(recording)
-    count = np.unique(session).size
+    count = np.unique(session := sessions(recording)).size
     starts = 1 if count >= MANY_STARTS else count
-    return Library(_with_columns(every, recording, rows), run, folds(run, session[rows])[0], starts)
+    with (turn := recording.derived.setdefault(Library, InTurn()))():
+        like, turn.left = turn.left, None  # its memory is free before more is asked for
+        like = like if like and np.array_equal(like.rows, rows) else None
+        made = _with_columns(every, recording, rows, like)
+        turn.left = library = Library(made, run, folds(run, session[rows])[0], starts)
+        library.rows = rows
+    return library
 
 
-def _with_columns(every: Iterable[Hypothesis], recording: Recording, rows: np.ndarray) -> Iterator[Made]:
-    """Hypotheses whose core columns vary on these rows, one at a time."""
+def _with_columns(every: Iterable[Hypothesis], recording: Recording, rows: np.ndarray, like: Any) -> Iterator[Made]:
+    """Hypotheses whose core columns vary on these rows, one at a time; like: a library on the same rows."""
     taken = slice(None) if rows.size == len(recording) else rows  # a slice copies nothing
 
     def made(hypothesis: Hypothesis) -> tuple[Hypothesis, Block | None, int]:
+        if like is not None and (copied := like.copied(hypothesis)):
+            return copied
         core, slack, rel = columns_of(hypothesis, recording)
         return hypothesis, scaled(core[taken], slack[taken], rel, for_table=True), core.shape[1]
 
@@ -190,7 +206,7 @@ def folds(run: np.ndarray, session: np.ndarray | None = None) -> tuple[np.ndarra
     return dealt[block], f"{count} blocks of neighbouring rows in {FOLDS} groups"
 
 
-Block = tuple[np.ndarray, np.ndarray, np.ndarray]  # columns (rows, k), their freedoms (k,) and scales (k,)
+Block = tuple[Any, np.ndarray, np.ndarray]  # columns (rows, k) or `Copied`, their freedoms (k,) and scales (k,)
 Made = tuple[Hypothesis, Block, int]  # its scaled block, and the number of its core columns
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -155,10 +154,9 @@ def condition(recording: Recording) -> Recording:
             if not usable(values):
                 dropped.append(name)
                 continue
-            filled = fill(t, values, session)
-            columns[name] = (
-                filled if role == "force" else smooth(filled, segments(filled, run, _long(~np.isfinite(values))))
-            )
+            columns[name] = filled = fill(t, values, session)
+            if role != "force":
+                columns[name] = smooth(filled, segments(filled, run, _long(~np.isfinite(values))))
     for role in (*BETWEEN, *STEPWISE):
         for name in recording.names(role):
             values = recording.array(name)
@@ -168,7 +166,7 @@ def condition(recording: Recording) -> Recording:
             columns[name] = hold(values, session) if role in STEPWISE else fill(t, values, session)
     columns |= motion(recording, columns)
     frame = recording.frame.assign(**columns).drop(columns=dropped)
-    return Conditioned(recording.manifest, frame, between="inferred")
+    return Recording(recording.manifest, frame, between="inferred")
 
 
 def followed(recording: Recording, conditioned: Recording, pair: Pair) -> Recording:
@@ -190,24 +188,7 @@ def followed(recording: Recording, conditioned: Recording, pair: Pair) -> Record
         size = float(np.sqrt((noise @ noise) * (y @ y)))
         if size > 0 and abs(noise @ y) / size > FOLLOWED / np.sqrt(same.sum() / 3.0):  # second differences overlap
             kept[name] = read
-    return (
-        Conditioned(recording.manifest, conditioned.frame.assign(**kept), between="inferred") if kept else conditioned
-    )
-
-
-class Conditioned(Recording):
-    """A recording whose columns are read thousands of times and never change: they are kept as arrays."""
-
-    @cached_property
-    def _arrays(self) -> dict[str, np.ndarray]:
-        return {}
-
-    def array(self, name: str) -> np.ndarray:
-        """One column as float64, shape (rows,), not to be written to."""
-        if name not in self._arrays:
-            self._arrays[name] = super().array(name)
-            self._arrays[name].flags.writeable = False
-        return self._arrays[name]
+    return Recording(recording.manifest, conditioned.frame.assign(**kept), between="inferred") if kept else conditioned
 
 
 def segments(values: np.ndarray, run: np.ndarray, held: np.ndarray) -> np.ndarray:

@@ -56,10 +56,7 @@ def chance(case: Case, k: int | None = None, surrogates: int = SURROGATES, whole
     block = int(np.clip(2 * case.run.size / rows, LEAST_BLOCK, max(case.run.size // FEWEST_BLOCKS, 1)))
     turned, scheme = surrogate_signals(scene.residual(), case.run, block, surrogates)
     best = best_gains(case, scene, turned)
-    if k is not None:
-        gain = accepted[k].gain
-    else:
-        gain = float(best_gains(case, scene, scene.data.y[:, None])[0])
+    gain = float(best_gains(case, scene, scene.data.y[:, None])[0]) if k is None else accepted[k].gain
     return Chance(_p(best, gain), gain, float(np.quantile(best, 0.95)), scheme, rows, best)
 
 

@@ -12,7 +12,7 @@ from contextvars import ContextVar, copy_context
 from functools import partial
 from threading import Lock
 from time import perf_counter
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 AT_ONCE = 2  # pieces: what they leave to Python's lock keeps no more cores busy
 WORTH = 0.05  # s of the first piece, below which handing over between threads costs as much as it brings
@@ -71,6 +71,26 @@ def ahead(work: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
                 yield waiting.popleft().result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+class InTurn:
+    """A context manager for one thread at a time; `left` is what the one before left there.
+
+    The core of those that wait for their turn is free for what is made `ahead`.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self.left = Lock(), cast("Any", None)
+
+    @contextmanager
+    def __call__(self) -> Iterator[None]:
+        """The turn of this thread."""
+        with self._lock:
+            token = _inside.set(False)
+            try:
+                yield
+            finally:
+                _inside.reset(token)
 
 
 class WhileAnyInside:

@@ -13,6 +13,7 @@ MOST_CELLS = 12_000_000  # about 1 GB of Python objects at 80 bytes each would b
 MINUS = str.maketrans(
     {"−": "-", "–": "-", "－": "-", "＋": "+", "．": ".", "，": ",", "\u00a0": "", "\u202f": "", "\u2009": ""}
 )
+_USUAL = re.compile(r"[+-]?[0-9]{1,20}(\.[0-9]{0,18})?")  # the same by every rule below, without their time
 _PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")  # D: the exponent of Fortran
 _COMMA = re.compile(r"[+-]?\d*,\d+([eEdD][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+")
@@ -66,6 +67,8 @@ def number(cell: Any, comma: bool) -> float | None:
         return float(cell)
     if not cell:
         return None
+    if isinstance(cell, str) and _USUAL.fullmatch(cell):
+        return float(cell)
     text = str(cell).strip().translate(MINUS)
     if " " in text:  # of thousands, or behind a sign: `12 345`, `- 5.2`
         text = _BLANK_WITHIN.sub("", text)

@@ -32,6 +32,25 @@ def test_responses_side_by_side_are_judged_as_one_after_the_other(monkeypatch: p
     assert [r.component for r in judged.responses] == ["EXX", "EYX", "EZX"]
 
 
+@pytest.mark.parametrize("before", ["as made", "in its own noise", "on other rows"])
+def test_a_response_takes_columns_of_the_one_before_to_the_bit(before: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(long, "ROWS", 600)
+    recording, alone = (long.linear_axis(6, 0.02, ("EXX", "EYX")) for _ in range(2))
+    rows, made = np.arange(600), []
+    first = hypotheses.build(recording, "EXX", rows[: 590 if before == "on other rows" else 600])
+    if before == "in its own noise":
+        first.recolour(Colour(30.0, 0.5))
+    of = hypotheses.columns_of
+    monkeypatch.setattr(hypotheses, "columns_of", lambda h, *a: made.append(h) or of(h, *a))
+    taken, own = (hypotheses.build(r, "EYX", rows) for r in (recording, alone))
+    assert np.array_equal(taken.table.W, own.table.W)
+    assert taken.table.names == own.table.names
+    for one in ("places", "freedoms", "scales"):
+        assert all(map(np.array_equal, getattr(taken, one), getattr(own, one)))
+    assert [h.key for h in taken.hypotheses] == [h.key for h in own.hypotheses]
+    assert (len(made) < 1.5 * len(own.hypotheses)) == (before == "as made")
+
+
 @pytest.mark.parametrize("width", [1, 4, 6])
 def test_a_column_of_a_table_is_the_filtered_one_to_the_bit(width: int) -> None:
     rng = np.random.default_rng(3)

@@ -297,6 +297,14 @@ def test_marks_of_thousands(cells: list[str], comma: bool, values: list[float | 
     assert [number(c, comma) for c in of_one_mark(cells, comma)] == values
 
 
+@pytest.mark.parametrize("comma", [True, False])
+def test_usual_numbers_are_read_by_the_first_rule_alone(comma: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    texts = ["12", "-0.5", "+3.", "007", "1.234"]
+    by_all = [number(f"{t} ", comma) for t in texts]
+    monkeypatch.setattr("errpipe.importing.sheet._PLAIN", None)  # the last of the other rules
+    assert [number(t, comma) for t in texts] == by_all == [12.0, -0.5, 3.0, 7.0, 1.234]
+
+
 @pytest.mark.parametrize(("text", "value"), [("12 345", 12345.0), ("- 5.2", -5.2), ("12 13", None), ("1 2 3", None)])
 def test_blanks_within_a_number(text: str, value: float | None) -> None:
     assert number(text, comma=False) == value
