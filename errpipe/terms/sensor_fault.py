@@ -25,6 +25,7 @@ from errpipe.terms._warm import sensors
 SEEN = 3.0
 ROWS_EACH_SIDE = 5  # rows on either side of a jump whose medians give its step
 MOST_JUMPS, MOST_STRETCHES = 6, 24  # of a sensor, that are tried
+LEAST_READINGS = 30  # of a sensor, of which failures are sought
 LEAST_ROWS = 8  # of a stretch; one in which a sensor stands still has four times as many, or a thirtieth of all
 ALIKE = 2.0  # factor between a jump off and the jump back
 LINES = (8, 24)  # readings of the straight lines on either side of a jump,
@@ -129,12 +130,25 @@ class SensorFault(Term):
 
 
 def _switched(recording: Recording) -> np.ndarray:
-    """Do coolant or spindle start, stop or change beside a row? A sensor may feel it at once. Shape (rows,)."""
-    out = np.zeros(len(recording), dtype=bool)
+    """Do coolant or spindle start, stop or change beside a row, or two sensors jump at once? Then it is no failure.
+
+    Shape (rows,).
+    """
+    t, out = recording.time(), np.zeros(len(recording))
     for name in (*recording.names("coolant"), *recording.names("spindle_speed")):
-        turned = np.flatnonzero(np.diff(recording.array(name)))
-        for beside in range(-1, 3):
-            out[np.clip(turned + beside, 0, out.size - 1)] = True
+        out += 2 * _beside_rows(np.flatnonzero(np.diff(recording.array(name))) + 1, out.size)
+    for name in recording.names("temperature"):
+        read, finite = recording.array(name), np.isfinite(recording.array(name))
+        if finite.sum() >= LEAST_READINGS:
+            out += _beside_rows(np.array([*jumps(_filled(read), t, finite)], dtype=int), out.size)
+    return out >= 2
+
+
+def _beside_rows(rows: np.ndarray, n: int) -> np.ndarray:
+    """1 at these rows and two on either side, else 0, shape (n,)."""
+    out = np.zeros(n)
+    for beside in range(-2, 3):
+        out[np.clip(rows + beside, 0, n - 1)] = 1
     return out
 
 
@@ -208,32 +222,42 @@ def _others(recording: Recording, sensor: str) -> np.ndarray:
 def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = None) -> dict[tuple[int, int], bool]:
     """First and last row of stretches where a sensor is missing, stands still, or sits between two jumps.
 
-    True: the readings alone show that it failed there. It reads nothing or nought, jumps off and back by as much or to
-    the end, or stands still as it does nowhere else. switched: rows beside which something starts or stops.
+    True: the readings alone show that it failed there. It reads nothing or nought, jumps off and back by as much, stands
+    still until it jumps, or stands still as it does nowhere else. switched: rows at which a jump has another cause.
     """
     n = values.size
     finite = np.isfinite(values)
-    if finite.sum() < 30:
+    if finite.sum() < LEAST_READINGS:
         return {}
-    out, long = dict.fromkeys(silent(values), True), max(4 * LEAST_ROWS, n // 30)
-    filled = np.interp(np.arange(n), np.flatnonzero(finite), values[finite])
+    out, long, filled = dict.fromkeys(silent(values), True), max(4 * LEAST_ROWS, n // 30), _filled(values)
     typical = np.median(np.abs(filled))
     if typical > 5.0:  # a dead channel reads nought
         out |= dict.fromkeys(_stretches(finite & (np.abs(values) < 0.05 * typical), LEAST_ROWS), True)
     step = jumps(filled, t, finite if switched is None else finite & ~switched)
+
+    def alone(*rows: int) -> bool:
+        """Are these jumps without a natural cause, and is jumping no habit of the reading elsewhere?"""
+        least = min(step.get(row, 0.0) for row in rows)
+        return least > 0 and all(2.0 * size < least for row, size in step.items() if row not in rows)
+
     edges = sorted(step)
     for i, a in enumerate(edges):
-        ends = [b - 1 for b in [*edges[i + 1 :], n] if b - a >= LEAST_ROWS]
-        both = {end: step[a] and step.get(end + 1, False) and step_of(values, a, end, t) != 0.0 for end in ends}
-        out |= {(a, end): seen for end, seen in both.items()}
+        for b in (b for b in [*edges[i + 1 :], n] if b - a >= LEAST_ROWS):
+            out[a, b - 1] = alone(a, b) and step_of(values, a, b - 1, t) != 0.0
         start = _still_from(filled, a, long)
-        out |= {(start, a - 1): step[a] and start > 0} if a - start >= long else {}
+        out |= {(start, a - 1): alone(a) and start > 0} if a - start >= long else {}
     ranges = _rolling_range(filled, 9)
     stuck = ranges <= 0.3 * np.median(ranges) + 1e-12
     for a, b in _stretches(stuck & finite, long)[:3]:
         rarely = np.mean(np.delete(stuck, slice(a, b + 1))) < RARELY
         out.setdefault((max(a - 4, 0), min(b + 4, n - 1)), bool(rarely and ranges[a : b + 1].max() <= 1e-12))
     return dict(sorted(sorted(out.items(), key=lambda one: not one[1])[:MOST_STRETCHES]))
+
+
+def _filled(values: np.ndarray) -> np.ndarray:
+    """Readings with straight lines through those that are missing, shape (rows,)."""
+    finite = np.flatnonzero(np.isfinite(values))
+    return np.interp(np.arange(values.size), finite, values[finite])
 
 
 def _still_from(read: np.ndarray, a: int, long: int) -> int:
@@ -256,14 +280,14 @@ def _still_from(read: np.ndarray, a: int, long: int) -> int:
     return start
 
 
-def jumps(filled: np.ndarray, t: np.ndarray, usable: np.ndarray) -> dict[int, bool]:
-    """Rows from which a reading is off at once, the surest: straight lines through the readings on either side
-    miss each other halfway between them.
+def jumps(filled: np.ndarray, t: np.ndarray, usable: np.ndarray) -> dict[int, float]:
+    """Rows from which a reading is off at once, the surest, and by how much: straight lines through the readings on
+    either side miss each other halfway between them.
 
-    False beside a pause, in which bodies cool by themselves, or beside rows that are not usable: these come last.
+    Nought beside a pause, in which bodies cool by themselves, or beside rows that are not usable: these come last.
     """
     clock, pause = _running(t), np.diff(t)
-    short, long = (_missed(clock, filled, k)[1] for k in LINES)
+    (step, short), (_, long) = (_missed(clock, filled, k) for k in LINES)
     sure = np.where(short > CHANCE, np.maximum(short, long), 0.0)  # what bends misses by long lines alone
     highest = np.lib.stride_tricks.sliding_window_view(np.pad(sure, LINES[0] // 2), LINES[0] + 1).max(axis=1)
     rows = np.flatnonzero((sure > JUMP) & (sure == highest))
@@ -271,7 +295,7 @@ def jumps(filled: np.ndarray, t: np.ndarray, usable: np.ndarray) -> dict[int, bo
         (pause[rows - 1] <= 2.0 * _beside(pause)[rows - 1]) & (pause[rows - 1] > 0) & usable[rows] & usable[rows - 1]
     )
     first = np.lexsort((-sure[rows], ~plain))[:MOST_JUMPS]
-    return {int(rows[k]): bool(plain[k]) for k in sorted(first, key=lambda k: rows[k])}
+    return {int(rows[k]): float(np.abs(step[rows[k]]) * plain[k]) for k in first}
 
 
 def _running(t: np.ndarray) -> np.ndarray:
