@@ -222,8 +222,8 @@ def _others(recording: Recording, sensor: str) -> np.ndarray:
 def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = None) -> dict[tuple[int, int], bool]:
     """First and last row of stretches where a sensor is missing, stands still, or sits between two jumps.
 
-    True: the readings alone show that it failed there. It reads nothing or nought, jumps off and back by as much, stands
-    still until it jumps, or stands still as it does nowhere else. switched: rows at which a jump has another cause.
+    True: the readings alone show that it failed there. It reads nothing or nought, jumps off and back by as much,
+    stands still until it jumps, or as it does nowhere else. switched: rows at which a jump has another cause.
     """
     n = values.size
     finite = np.isfinite(values)
