@@ -347,12 +347,6 @@ def _stretches(flags: np.ndarray, least: int) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in zip(*stretches(flags), strict=True) if b - a >= least]
 
 
-def _rolling_median(values: np.ndarray, width: int) -> np.ndarray:
-    half = width // 2
-    padded = np.pad(values, half, mode="reflect") if values.size > half else np.pad(values, half, mode="edge")
-    return np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1)
-
-
 def _rolling_range(values: np.ndarray, width: int) -> np.ndarray:
     half = width // 2
     window = np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="edge"), width)
