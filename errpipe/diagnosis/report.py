@@ -27,6 +27,7 @@ from errpipe.diagnosis.hypotheses import Hypothesis
 from errpipe.domain.diagnosis import Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis, Rival, Significance
 
 CLOSE = 4.0  # log Bayes factor below which a rival is listed as indistinguishable
+TIED = 1.1  # and (a likelihood ratio of 3) below which names in part share the confidence of their class by likelihood
 ALIKE = 0.97  # or share of the contribution that the rival's textbook form explains, above which it is listed too
 MOSTLY = 0.5  # share of the mismatch that is one offset per run, above which the report says so
 MOST_NUMBERS = 4  # parameters in a sentence; of a wave the amplitudes of its strongest orders and the period
@@ -144,10 +145,8 @@ def _surrogate_test(case: Case, f: Finding, whole: significance.Chance) -> dict[
         return {}
     chance = significance.chance(case, place[0], whole=whole)
     what = "none" if chance.p * (significance.SURROGATES + 1) < 1.5 else f"{chance.p:.0%}"
-    sentence = (
-        f" Of {significance.SURROGATES} searches where nothing was hidden, {what} came as far (p = {chance.p:.2g})."
-    )
-    return {"p_search": chance.p, "says": f.says + sentence}
+    says = f" Of {significance.SURROGATES} searches where nothing was hidden, {what} came as far (p = {chance.p:.2g})."
+    return {"p_search": chance.p, "says": f.says + says}
 
 
 def _rms(v: np.ndarray) -> float:
@@ -206,8 +205,9 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
     every = [r for r in other if r[1] < CLOSE or _fitted_rival(case, made, r[2])[1] < 1 - ALIKE]
     close = every[:4]
     outside = min((r[1] for r in other if r not in every), default=50.0)
-    class_confidence = confidence.of_class(replace(indicators[k], margin=max(outside, indicators[k].margin)))
-    class_confidence = max(class_confidence, confidence.naming(indicators[k]))
+    name = confidence.naming(indicators[k])
+    of_class = max(name, confidence.of_class(replace(indicators[k], margin=max(outside, indicators[k].margin))))
+    alike = 1.0 + sum(float(np.exp(-r[1])) for r in other if h.mask and 0.0 <= r[1] < TIED)
     sentence = ""
     if rivals:
         rival = close[0] if close else rivals[0]
@@ -222,14 +222,14 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
     plain = [t.model_dump(mode="json", exclude_defaults=True) | {"term": t.term} for t in made.hypothesis.terms]
     return Finding(
         effect=h.effect,
-        confidence=round(confidence.naming(indicators[k]), 3),
+        confidence=round(min(name, of_class / alike), 3),
         drivers=h.drivers,
         where=locate.where(h, case.recording, made.hypothesis.nonlinear[0]),
         parameters=tuple(
             FoundParameter(name=e.name, value=e.value, unit=e.unit, ci95=(e.low, e.high)) for e in made.estimates
         ),
         indistinguishable_from=tuple(r[0] for r in close),
-        confidence_of_class=round(class_confidence, 3) if close else None,
+        confidence_of_class=round(of_class, 3) if close else None,
         would_separate=sentence,
         says=_says(case, h.effect, h.drivers, made),
         rms_um=float(np.std(made.contribution)),

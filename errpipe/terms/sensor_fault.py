@@ -20,9 +20,18 @@ from errpipe.terms._place import linear_axes_acting
 from errpipe.terms._slack import Slack
 from errpipe.terms._warm import sensors
 
+# Log odds of a fault that readings show: it is there, open is only whether the simulation reads that sensor. Half of
+# the odds against each one of some twenty other effects
+SEEN = 3.0
 ROWS_EACH_SIDE = 5  # rows on either side of a jump whose medians give its step
+MOST_JUMPS, MOST_STRETCHES = 6, 24  # of a sensor, that are tried
+LEAST_READINGS = 30  # of a sensor, of which failures are sought
 LEAST_ROWS = 8  # of a stretch; one in which a sensor stands still has four times as many, or a thirtieth of all
 ALIKE = 2.0  # factor between a jump off and the jump back
+LINES = (8, 24)  # readings of the straight lines on either side of a jump,
+JUMP = 7.0  # and standard errors by which these must miss each other: bodies bend as they warm. Short ones at least by
+CHANCE = 4.5  # what chance exceeds in one of 100,000 rows
+RARELY = 0.05  # share of the other rows in which a reading stands still, below which that is no habit of it
 # Of the fault: prior standard deviation of what the reading drawn through the gap misses (chosen on 40 faults)
 DRAWN = 0.3
 BENDS = 4  # half waves along the stretch, from which that may be made
@@ -54,10 +63,10 @@ class SensorFault(Term):
     in_part = "never"
     form = "any shape"  # what it would have read is drawn from the other sensors
     prior_log_odds = -3.0
-    _silent: bool = PrivateAttr(False)  # did it read nothing? Then that it failed is seen, and no choice among jumps
+    _seen: bool = PrivateAttr(False)  # do the readings alone show that it failed, and when? Then that is no choice
 
     def log_prior_odds(self) -> float:
-        return 0.0 if self._silent else self.prior_log_odds
+        return SEEN if self._seen else self.prior_log_odds
 
     def linear(self) -> tuple[Parameter, ...]:
         unit = "um/m/K" if self.axis else "um/K"
@@ -69,13 +78,14 @@ class SensorFault(Term):
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[SensorFault]:
         if is_deviation(component):
+            switched = _switched(recording)
             for sensor in recording.names("temperature"):
-                gaps = set(silent(recording.array(sensor)))
-                for first, last in suspicious(recording.array(sensor), recording.time()):
-                    stepped = (False, True) if step_of(recording.array(sensor), first, last) else (False,)
+                read = recording.array(sensor)
+                for (first, last), seen in suspicious(read, recording.time(), switched).items():
+                    stepped = (False, True) if step_of(read, first, last, recording.time()) else (False,)
                     for axis, how in itertools.product((None, *linear_axes_acting(recording, component)), stepped):
                         term = cls(sensor=sensor, first=first, last=last, axis=axis, stepped=how)
-                        term._silent = (first, last) in gaps
+                        term._seen = seen
                         yield term
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
@@ -83,7 +93,7 @@ class SensorFault(Term):
         rows = np.arange(len(read))
         inside = (rows >= self.first) & (rows <= self.last)
         if self.stepped:
-            lie = np.full(len(read), -step_of(read, self.first, self.last))
+            lie = np.full(len(read), -step_of(read, self.first, self.last, recording.time()))
         else:
             before = read[: self.first][np.isfinite(read[: self.first])]
             held = np.where(np.isfinite(read), read, before[-1] if before.size else np.nanmedian(read))
@@ -119,13 +129,38 @@ class SensorFault(Term):
         return (term for term in cls.bind(raw, component) if term.sensor in recording.frame.columns)
 
 
-def step_of(values: np.ndarray, first: int, last: int) -> float:
-    """Step by which readings of a stretch are off: they jump by it and back, or to the end; else 0."""
-    a, b = first, last + 1
-    ends = (max(a - ROWS_EACH_SIDE, 0), a), (a, a + ROWS_EACH_SIDE), (b - ROWS_EACH_SIDE, b), (b, b + ROWS_EACH_SIDE)
-    level = [np.median(read) if (read := values[low:high]).size else np.nan for low, high in ends]
-    on, off = level[1] - level[0], level[2] - level[3]
-    off = on if b == values.size else off
+def _switched(recording: Recording) -> np.ndarray:
+    """Do coolant or spindle start, stop or change beside a row, or two sensors jump at once? Then it is no failure.
+
+    Shape (rows,).
+    """
+    t, out = recording.time(), np.zeros(len(recording))
+    for name in (*recording.names("coolant"), *recording.names("spindle_speed")):
+        out += 2 * _beside_rows(np.flatnonzero(np.diff(recording.array(name))) + 1, out.size)
+    for name in recording.names("temperature"):
+        read, finite = recording.array(name), np.isfinite(recording.array(name))
+        if finite.sum() >= LEAST_READINGS:
+            out += _beside_rows(np.array([*jumps(_filled(read), t, finite)], dtype=int), out.size)
+    return out >= 2
+
+
+def _beside_rows(rows: np.ndarray, n: int) -> np.ndarray:
+    """1 at these rows and two on either side, else 0, shape (n,)."""
+    out = np.zeros(n)
+    for beside in range(-2, 3):
+        out[np.clip(rows + beside, 0, n - 1)] = 1
+    return out
+
+
+def step_of(values: np.ndarray, first: int, last: int, t: np.ndarray | None = None) -> float:
+    """Step by which readings of a stretch are off: they jump by it and back, or to the end; else 0. t: their times."""
+    finite = np.flatnonzero(np.isfinite(values))
+    clock = np.arange(values.size, dtype=float) if t is None else _running(t)
+    step = _missed(clock[finite], values[finite], LINES[0])[0]
+    ends = [k for k in np.searchsorted(finite, (first, last + 1)) if k < finite.size]
+    if not ends:
+        return 0.0
+    on, off = step[ends[0]], -step[ends[-1]] if len(ends) == 2 else step[ends[0]]
     return float(on + off) / 2 if on * off > 0 and max(on / off, off / on) < ALIKE else 0.0
 
 
@@ -184,38 +219,122 @@ def _others(recording: Recording, sensor: str) -> np.ndarray:
     return np.column_stack(columns)
 
 
-def suspicious(values: np.ndarray, t: np.ndarray) -> list[tuple[int, int]]:
-    """First and last row of stretches where a sensor is missing, stands still, or sits between two jumps."""
+def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = None) -> dict[tuple[int, int], bool]:
+    """First and last row of stretches where a sensor is missing, stands still, or sits between two jumps.
+
+    True: the readings alone show that it failed there. It reads nothing or nought, jumps off and back by as much,
+    stands still until it jumps, or as it does nowhere else. switched: rows at which a jump has another cause.
+    """
     n = values.size
     finite = np.isfinite(values)
-    if finite.sum() < 30:
-        return []
-    out, long = silent(values), max(4 * LEAST_ROWS, n // 30)
-    filled = np.interp(np.arange(n), np.flatnonzero(finite), values[finite])
-    step = np.abs(np.diff(filled))
-    usual = np.median(step) + 1e-9
-    wide = _rolling_median(step, 25)
-    pause = np.diff(t)
-    beside = np.maximum(np.r_[pause[1:], 0.0], np.r_[0.0, pause[:-1]])
-    jumps = np.flatnonzero((step > 10 * np.maximum(wide, usual)) & (step > 0.35)) + 1
-    jumps = jumps[finite[np.minimum(jumps, n - 1)] & finite[np.maximum(jumps - 1, 0)]]
+    if finite.sum() < LEAST_READINGS:
+        return {}
+    out, long, filled = dict.fromkeys(silent(values), True), max(4 * LEAST_ROWS, n // 30), _filled(values)
     typical = np.median(np.abs(filled))
     if typical > 5.0:  # a dead channel reads nought
-        out += _stretches(finite & (np.abs(values) < 0.05 * typical), LEAST_ROWS)
-    stuck = _rolling_range(filled, 9) <= 0.3 * np.median(_rolling_range(filled, 9)) + 1e-12
-    stuck_stretches = _stretches(stuck & finite, long)
-    paused = pause[jumps - 1] > 2.0 * beside[jumps - 1]  # bodies cool by themselves then: such jumps come last
-    strongest = jumps[np.lexsort((-step[jumps - 1], paused))][:4]
-    edges = np.sort(strongest)
+        out |= dict.fromkeys(_stretches(finite & (np.abs(values) < 0.05 * typical), LEAST_ROWS), True)
+    step = jumps(filled, t, finite if switched is None else finite & ~switched)
+
+    def alone(*rows: int) -> bool:
+        """Are these jumps without a natural cause, and is jumping no habit of the reading elsewhere?"""
+        least = min(step.get(row, 0.0) for row in rows)
+        return least > 0 and all(2.0 * size < least for row, size in step.items() if row not in rows)
+
+    edges = sorted(step)
     for i, a in enumerate(edges):
-        out += [(int(a), int(b) - 1) for b in edges[i + 1 :] if b - a >= LEAST_ROWS]
-        out += [(int(a), n - 1)] if n - a >= LEAST_ROWS else []
-        off = np.abs(_rolling_median(filled[:a], 9) - np.median(filled[max(a - ROWS_EACH_SIDE, 0) : a]))
-        away = np.flatnonzero(off > usual + STILL * step[a - 1])
-        start = int(away[-1]) + 1 if away.size else 0  # stood still until it jumped
-        out += [(start, int(a) - 1)] if a - start >= long else []
-    out += stuck_stretches[:3]
-    return sorted(set(out))[:24]
+        for b in (b for b in [*edges[i + 1 :], n] if b - a >= LEAST_ROWS):
+            out[a, b - 1] = alone(a, b) and step_of(values, a, b - 1, t) != 0.0
+        start = _still_from(filled, a, long)
+        out |= {(start, a - 1): alone(a) and start > 0} if a - start >= long else {}
+    ranges = _rolling_range(filled, 9)
+    stuck = ranges <= 0.3 * np.median(ranges) + 1e-12
+    for a, b in _stretches(stuck & finite, long)[:3]:
+        rarely = np.mean(np.delete(stuck, slice(a, b + 1))) < RARELY
+        out.setdefault((max(a - 4, 0), min(b + 4, n - 1)), bool(rarely and ranges[a : b + 1].max() <= 1e-12))
+    return dict(sorted(sorted(out.items(), key=lambda one: not one[1])[:MOST_STRETCHES]))
+
+
+def _filled(values: np.ndarray) -> np.ndarray:
+    """Readings with straight lines through those that are missing, shape (rows,)."""
+    finite = np.flatnonzero(np.isfinite(values))
+    return np.interp(np.arange(values.size), finite, values[finite])
+
+
+def _still_from(read: np.ndarray, a: int, long: int) -> int:
+    """Row from which a reading stands still until it jumps at row a: means over 9 and 27 rows stay where they were.
+
+    That is within 4.5 of their standard errors and a part of the jump.
+    """
+    before, moves = read[max(a - long, 0) : a], np.abs(np.diff(read))
+    least = 1.4826 * float(np.median(np.abs(np.diff(before, 2)))) / np.sqrt(6.0)
+    least = max(least, float(moves.min(initial=np.inf, where=moves > 1e-9)) / np.sqrt(12.0))
+    level, noise = float(before.mean()), float(before.std())
+    if noise > 2.0 * least:  # it moves
+        return a
+    size = abs(float(np.median(read[a : a + ROWS_EACH_SIDE])) - level)
+    start = 0
+    for k in (9, 27):
+        mean = np.convolve(np.pad(read[:a], (k // 2, 0), mode="edge"), np.full(k, 1 / k), mode="valid")
+        away = np.flatnonzero(np.abs(mean - level) > 4.5 * noise / np.sqrt(k) + STILL * size)
+        start = max(start, int(away[-1]) + 1 if away.size else 0)
+    return start
+
+
+def jumps(filled: np.ndarray, t: np.ndarray, usable: np.ndarray) -> dict[int, float]:
+    """Rows from which a reading is off at once, the surest, and by how much: straight lines through the readings on
+    either side miss each other halfway between them.
+
+    Nought beside a pause, in which bodies cool by themselves, or beside rows that are not usable: these come last.
+    """
+    clock, pause = _running(t), np.diff(t)
+    (step, short), (_, long) = (_missed(clock, filled, k) for k in LINES)
+    sure = np.where(short > CHANCE, np.maximum(short, long), 0.0)  # what bends misses by long lines alone
+    highest = np.lib.stride_tricks.sliding_window_view(np.pad(sure, LINES[0] // 2), LINES[0] + 1).max(axis=1)
+    rows = np.flatnonzero((sure > JUMP) & (sure == highest))
+    plain = (
+        (pause[rows - 1] <= 2.0 * _beside(pause)[rows - 1]) & (pause[rows - 1] > 0) & usable[rows] & usable[rows - 1]
+    )
+    first = np.lexsort((-sure[rows], ~plain))[:MOST_JUMPS]
+    return {int(rows[k]): float(np.abs(step[rows[k]]) * plain[k]) for k in first}
+
+
+def _running(t: np.ndarray) -> np.ndarray:
+    """A clock that stands in pauses and does not start anew with each run, shape (rows,)."""
+    pause = np.diff(t)
+    going = np.where(pause > 0, pause, np.median(pause[pause > 0]) if (pause > 0).any() else 1.0)
+    return np.r_[0.0, np.cumsum(np.minimum(going, 2.0 * _beside(going)))]
+
+
+def _beside(pause: np.ndarray) -> np.ndarray:
+    """The longer one of the times before and after each time between two readings, shape (rows - 1,)."""
+    return np.maximum(np.r_[pause[1:], 0.0], np.r_[0.0, pause[:-1]])
+
+
+def _missed(clock: np.ndarray, read: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """By how much lines through k readings on either side miss each other before each row, also in standard errors.
+
+    Shapes (rows,), nought where there are fewer readings on a side.
+    """
+    step, sure, n = np.zeros(read.size), np.zeros(read.size), read.size
+    if n < 2 * k:
+        return step, sure
+    at, values = (np.lib.stride_tricks.sliding_window_view(v, k) for v in (clock, read))
+    middle, level = at.mean(axis=1), values.mean(axis=1)
+    along = at - middle[:, None]
+    spread = np.sum(along**2, axis=1)
+    slope = np.sum(along * values, axis=1) / spread
+    left = np.maximum(np.sum((values - level[:, None]) ** 2, axis=1) - slope**2 * spread, 0.0) / (k - 2)
+    between = (clock[k : n - k + 1] + clock[k - 1 : n - k]) / 2
+    before, after = slice(0, n - 2 * k + 1), slice(k, n - k + 1)
+    back, on = between - middle[before], between - middle[after]
+    inside = slice(k, n - k + 1)
+    step[inside] = level[after] + slope[after] * on - level[before] - slope[before] * back
+    moves = np.abs(np.diff(read))
+    coarse = float(moves[moves > 1e-9].min()) if (moves > 1e-9).any() else 0.0
+    noise = np.maximum((left[before] + left[after]) / 2, max(float(np.median(left)), coarse**2 / 12, 1e-18))
+    leverage = 2 / k + back**2 / spread[before] + on**2 / spread[after]
+    sure[inside] = np.abs(step[inside]) / np.sqrt(noise * leverage)
+    return step, sure
 
 
 def silent(values: np.ndarray) -> list[tuple[int, int]]:
@@ -226,12 +345,6 @@ def silent(values: np.ndarray) -> list[tuple[int, int]]:
 def _stretches(flags: np.ndarray, least: int) -> list[tuple[int, int]]:
     """First and last row of the stretches of True that have so many rows."""
     return [(int(a), int(b) - 1) for a, b in zip(*stretches(flags), strict=True) if b - a >= least]
-
-
-def _rolling_median(values: np.ndarray, width: int) -> np.ndarray:
-    half = width // 2
-    padded = np.pad(values, half, mode="reflect") if values.size > half else np.pad(values, half, mode="edge")
-    return np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1)
 
 
 def _rolling_range(values: np.ndarray, width: int) -> np.ndarray:

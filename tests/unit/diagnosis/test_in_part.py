@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from errpipe.diagnosis import holdout, judge, prepare, unnamed
+from errpipe.diagnosis import holdout, judge, model, prepare, report, unnamed
 from errpipe.diagnosis.hypotheses import columns_of
 from errpipe.diagnosis.partial import may_act_in_part, partitions
 from errpipe.terms import NEVER
@@ -49,6 +49,25 @@ def test_an_effect_acts_for_a_while_that_no_run_begins_or_ends():
     kept = {g.kind: g for g in partitions(case.recording, case.pair.rows)}
     assert set(kept) == {"runs", "x", "t"}
     assert np.ptp(np.bincount(kept["t"].code)) < 0.1 * t.size / 14  # as many rows in each
+
+
+def test_names_in_part_that_nothing_tells_apart_share_the_confidence_of_their_class(monkeypatch):
+    columns, kinds, noise = positioning()
+    simulated, t = 20e-3 * columns["x"], columns["t"]
+    inside = (t > np.quantile(t, 0.36)) & (t < np.quantile(t, 0.79))
+    case = judged(columns, kinds, "EXX", simulated + 1.5 * (columns["T"] - 20) * inside + 0.5 * noise, simulated)
+    known = [report.indicators_of(case, 0, holdout.held_out(case))]
+    limits = {"never": 0.0, "always": 50.0}
+    made = model.modelled(case, 0)
+    said = {}
+    for what, limit in limits.items():
+        monkeypatch.setattr(report, "TIED", limit)
+        said[what] = report.finding(case, 0, made, known)
+    alone, shared = said["never"], said["always"]
+    assert alone.where and 0 <= alone.rivals[0].lost_by < report.CLOSE
+    share = 1 + sum(np.exp(-r.lost_by) for r in alone.rivals if r.lost_by >= 0)
+    assert abs(shared.confidence - min(alone.confidence, alone.confidence_of_class / share)) < 0.01
+    assert shared.confidence < alone.confidence - 0.02
 
 
 def test_a_body_that_warms_may_act_on_a_stretch_but_what_goes_with_time_not():

@@ -7,7 +7,7 @@ import numpy as np
 from errpipe.diagnosis import hypotheses
 from errpipe.domain.recording import Recording
 from errpipe.terms import sensor_fault
-from errpipe.terms.sensor_fault import SensorFault, reconstructed, suspicious
+from errpipe.terms.sensor_fault import SEEN, SensorFault, reconstructed, step_of, suspicious
 from tests.unit.diagnosis.machines import recording
 
 ROWS = 200
@@ -60,7 +60,7 @@ def test_a_sensor_that_reads_nothing_is_seen_to_have_failed() -> None:
         {n: {"role": "temperature", "unit": "degC"} for n in "abc"} | {"t": {"role": "time", "unit": "s"}},
     )
     odds = {(h.sensor, h.first, h.last): h.log_prior_odds() for h in SensorFault.bind(made, "EXX")}
-    assert odds.pop(("b", 81, 139)) == 0.0
+    assert odds.pop(("b", 81, 139)) == SEEN
     assert all(o == SensorFault.prior_log_odds for o in odds.values())
 
 
@@ -79,7 +79,7 @@ def test_a_failure_that_is_seen_shares_its_odds_with_no_jump_of_another_sensor(m
     made = _with_failures()
     monkeypatch.setattr(hypotheses, "TERMS", (SensorFault,))
     odds = {(h.terms[0].sensor, h.terms[0].first): h.prior for h in hypotheses.enumerate_all(made, "E_Z", made, None)}
-    assert len(odds) > 3 and odds.pop(("b", 81)) == 0.0
+    assert len(odds) > 3 and odds.pop(("b", 81)) == SEEN
     assert all(o <= SensorFault.prior_log_odds - np.log(len(odds)) for o in odds.values())
 
 
@@ -89,3 +89,68 @@ def test_what_it_should_have_read_is_no_departure(monkeypatch) -> None:
     made = _with_failures()
     library = hypotheses.build(made, "E_Z", np.arange(ROWS), made)
     assert all(library.textbook(i) == library.places[i].size > 1 for i in range(len(library.hypotheses)))
+
+
+def _warming(rows: int, noise: float, seed: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    """Times and readings of a body that warms by 15 K."""
+    t = 60.0 * np.arange(rows)
+    return t, 20 + 15 * (1 - np.exp(-t / 3000)) + np.random.default_rng(seed).normal(0, noise, rows)
+
+
+def test_a_jump_is_seen_whatever_its_size_beside_the_noise() -> None:
+    t, read = _warming(400, 0.02)
+    for step in (0.25, 2.5):
+        assert suspicious(read + step * ((t > 6000) & (t < 15000)), t)[101, 249]
+    assert not any(suspicious(read, t).values())
+
+
+def test_a_jump_of_a_body_that_warms_has_the_size_of_the_jump() -> None:
+    t, read = _warming(200, 0.01)
+    read[20:60] -= 1.2
+    read[[19, 61]] = np.nan
+    assert abs(step_of(read, 20, 59, t) + 1.2) < 0.1
+
+
+def test_readings_that_come_slower_and_pauses_are_no_jumps() -> None:
+    often = np.cumsum(np.r_[np.full(150, 4.0), np.full(100, 60.0), np.full(150, 4.0)])
+    warm = 20 + 15 * (1 - np.exp(-np.maximum(often - 600, 0) / 3000)) + np.random.default_rng(6).normal(0, 0.03, 400)
+    assert not any(suspicious(warm, often).values())
+    cold = np.where(np.arange(400) < 200, warm, warm - 5)
+    assert not any(suspicious(cold, often + 50000.0 * (np.arange(400) >= 200)).values())
+
+
+def test_a_sensor_that_stood_still_from_a_slow_time_on_is_seen_by_its_jump() -> None:
+    rows, t, noise = np.arange(400), 60.0 * np.arange(400), np.random.default_rng(7).normal(0, 0.02, 400)
+    stood = np.where((rows >= 180) & (rows < 330), 180, rows)
+    read = 22 - 0.4 * np.cos(stood / 70) + noise
+    ((first, last),) = [ab for ab, seen in suspicious(read, t).items() if seen]
+    assert abs(first - 180) < 25 and last == 329
+
+
+def test_a_sensor_that_jumps_again_and_again_is_not_seen_to_fail() -> None:
+    t, read = _warming(500, 0.02)
+    for k in range(3):
+        read += 1.0 * ((t > 6000 * (k + 1)) & (t < 6000 * (k + 1) + 3000))
+    assert len(suspicious(read, t)) > 5 and not any(suspicious(read, t).values())
+
+
+def test_sensors_that_jump_at_once_did_not_fail() -> None:
+    t, read = _warming(ROWS, 0.02)
+    off = 2.0 * ((t > 6000) & (t < 9000))
+    kinds = {n: {"role": "temperature", "unit": "degC"} for n in "ab"} | {"t": {"role": "time", "unit": "s"}}
+    for other, seen in ((read, True), (read + off, False)):
+        made = recording({"t": t, "a": read + off, "b": other}, kinds)
+        assert (max(h.log_prior_odds() for h in SensorFault.bind(made, "EXX")) == SEEN) == seen
+
+
+def test_what_goes_with_the_spindle_is_not_seen_to_be_a_failure() -> None:
+    t, rows = _warming(ROWS, 0.01)[0], np.arange(ROWS)
+    on = (rows >= 60) & (rows < 120)
+    noise = np.random.default_rng(8).normal(0, 0.02, ROWS)
+    columns = {"t": t, "a": 20 + 3.0 * on + noise, "b": 20 + rows / 100, "n": 3000.0 * on}
+    kinds = {n: {"role": "temperature", "unit": "degC"} for n in "ab"} | {"t": {"role": "time", "unit": "s"}}
+    for n, seen in (("n", False), ("a", True)):
+        role = {"role": "spindle_speed", "unit": "rpm"} if n == "n" else {"role": "ignore"}
+        made = recording(columns | {"n": columns["n"]}, kinds | {"n": role})
+        odds = {(h.first, h.last): h.log_prior_odds() for h in SensorFault.bind(made, "EXX") if h.sensor == "a"}
+        assert (odds[60, 119] == SEEN) == seen
