@@ -24,7 +24,7 @@ from errpipe.terms._warm import sensors
 # the odds against each one of some twenty other effects
 SEEN = 3.0
 ROWS_EACH_SIDE = 5  # rows on either side of a jump whose medians give its step
-MOST_JUMPS, MOST_STRETCHES = 6, 24  # of a sensor, that are tried
+MOST_JUMPS, MOST_STRETCHES = 6, 16  # of a sensor, that are tried: seen ones first, those between natural jumps last
 LEAST_READINGS = 30  # of a sensor, of which failures are sought
 LEAST_ROWS = 8  # of a stretch; one in which a sensor stands still has four times as many, or a thirtieth of all
 ALIKE = 2.0  # factor between a jump off and the jump back
@@ -78,11 +78,9 @@ class SensorFault(Term):
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[SensorFault]:
         if is_deviation(component):
-            switched = _switched(recording)
             for sensor in recording.names("temperature"):
-                read = recording.array(sensor)
-                for (first, last), seen in suspicious(read, recording.time(), switched).items():
-                    stepped = (False, True) if step_of(read, first, last, recording.time()) else (False,)
+                for (first, last), seen in _failures(recording, sensor).items():
+                    stepped = (False, True) if _step_in(recording, sensor, first, last) else (False,)
                     for axis, how in itertools.product((None, *linear_axes_acting(recording, component)), stepped):
                         term = cls(sensor=sensor, first=first, last=last, axis=axis, stepped=how)
                         term._seen = seen
@@ -93,7 +91,7 @@ class SensorFault(Term):
         rows = np.arange(len(read))
         inside = (rows >= self.first) & (rows <= self.last)
         if self.stepped:
-            lie = np.full(len(read), -step_of(read, self.first, self.last, recording.time()))
+            lie = np.full(len(read), -_step_in(recording, self.sensor, self.first, self.last))
         else:
             before = read[: self.first][np.isfinite(read[: self.first])]
             held = np.where(np.isfinite(read), read, before[-1] if before.size else np.nanmedian(read))
@@ -129,6 +127,24 @@ class SensorFault(Term):
         return (term for term in cls.bind(raw, component) if term.sensor in recording.frame.columns)
 
 
+def _failures(recording: Recording, sensor: str) -> dict[tuple[int, int], bool]:
+    """Stretches in which a sensor may have failed, as `suspicious` has them; kept, for every response asks again."""
+    if "switched" not in recording.derived:
+        recording.derived["switched"] = _switched(recording)
+    if ("failures", sensor) not in recording.derived:
+        found = suspicious(recording.array(sensor), recording.time(), recording.derived["switched"])
+        recording.derived["failures", sensor] = found
+    return recording.derived["failures", sensor]
+
+
+def _step_in(recording: Recording, sensor: str, first: int, last: int) -> float:
+    """Step by which a sensor's readings of a stretch are off, or 0; its steps before each row are kept."""
+    if ("steps", sensor) not in recording.derived:
+        recording.derived["steps", sensor] = _steps(recording.array(sensor), recording.time())
+    finite, step = recording.derived["steps", sensor]
+    return _step_between(finite, step, first, last)
+
+
 def _switched(recording: Recording) -> np.ndarray:
     """Do coolant or spindle start, stop or change beside a row, or two sensors jump at once? Then it is no failure.
 
@@ -154,9 +170,18 @@ def _beside_rows(rows: np.ndarray, n: int) -> np.ndarray:
 
 def step_of(values: np.ndarray, first: int, last: int, t: np.ndarray | None = None) -> float:
     """Step by which readings of a stretch are off: they jump by it and back, or to the end; else 0. t: their times."""
+    return _step_between(*_steps(values, t), first, last)
+
+
+def _steps(values: np.ndarray, t: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that are read, and the step before each of them, shapes (k,)."""
     finite = np.flatnonzero(np.isfinite(values))
     clock = np.arange(values.size, dtype=float) if t is None else _running(t)
-    step = _missed(clock[finite], values[finite], LINES[0])[0]
+    return finite, _missed(clock[finite], values[finite], LINES[0])[0]
+
+
+def _step_between(finite: np.ndarray, step: np.ndarray, first: int, last: int) -> float:
+    """The same from `_steps`."""
     ends = [k for k in np.searchsorted(finite, (first, last + 1)) if k < finite.size]
     if not ends:
         return 0.0
@@ -233,17 +258,18 @@ def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = 
     typical = np.median(np.abs(filled))
     if typical > 5.0:  # a dead channel reads nought
         out |= dict.fromkeys(_stretches(finite & (np.abs(values) < 0.05 * typical), LEAST_ROWS), True)
-    step = jumps(filled, t, finite if switched is None else finite & ~switched)
+    step, known = jumps(filled, t, finite if switched is None else finite & ~switched), _steps(values, t)
 
     def alone(*rows: int) -> bool:
         """Are these jumps without a natural cause, and is jumping no habit of the reading elsewhere?"""
         least = min(step.get(row, 0.0) for row in rows)
         return least > 0 and all(2.0 * size < least for row, size in step.items() if row not in rows)
 
-    edges = sorted(step)
+    edges, natural = sorted(step), set()
     for i, a in enumerate(edges):
         for b in (b for b in [*edges[i + 1 :], n] if b - a >= LEAST_ROWS):
-            out[a, b - 1] = alone(a, b) and step_of(values, a, b - 1, t) != 0.0
+            natural |= {(a, b - 1)} if not step[a] and not step.get(b) else set()
+            out[a, b - 1] = alone(a, b) and _step_between(*known, a, b - 1) != 0.0
         start = _still_from(filled, a, long)
         out |= {(start, a - 1): alone(a) and start > 0} if a - start >= long else {}
     ranges = _rolling_range(filled, 9)
@@ -251,7 +277,7 @@ def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = 
     for a, b in _stretches(stuck & finite, long)[:3]:
         rarely = np.mean(np.delete(stuck, slice(a, b + 1))) < RARELY
         out.setdefault((max(a - 4, 0), min(b + 4, n - 1)), bool(rarely and ranges[a : b + 1].max() <= 1e-12))
-    return dict(sorted(sorted(out.items(), key=lambda one: not one[1])[:MOST_STRETCHES]))
+    return dict(sorted(sorted(out.items(), key=lambda one: (not one[1], one[0] in natural))[:MOST_STRETCHES]))
 
 
 def _filled(values: np.ndarray) -> np.ndarray:
