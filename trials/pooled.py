@@ -150,10 +150,8 @@ def main() -> None:
         rows += [figures] if figures else []
     nothing, own, pooled = np.exp(np.mean(np.log(rows), axis=0))
     better, worst = sum(row[2] < row[1] for row in rows), max(row[2] / row[1] for row in rows)
-    print(
     print(f"{len(rows)} judged: {nothing:.2f}, {own:.2f}, {pooled:.2f} um (geometric means)")
     print(f"pooled better in {better}, at worst {worst:.2f} times the own fit")
-    )
 
 
 if __name__ == "__main__":
