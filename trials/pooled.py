@@ -4,8 +4,9 @@ python -m trials.pooled --seed 39 [--fleets 20]
 python -m trials.pooled --from RECORDING
 
 A simulated fleet has ten machines of a type with fifteen runs each and a new one with two. Of a real recording with
-days each month is a machine, and one month after the other is the new one, where two of its runs leave others to judge;
-the models are every spindle temperature beside every other one. Both go through `errpipe fleet` with `pool: true`.
+days each month is a machine, and one after the other is the new one, by every two runs in a row of it that leave
+others to judge; the models are every spindle temperature beside every other one. Both go through `errpipe fleet` with
+`pool: true`.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ def left(
 
 
 def of_months(folder: Path) -> Iterator[tuple[str, list[float]]]:
-    """Every month that two of its runs leave others of, and every model: its name and what is left."""
+    """Every two runs in a row of a month that leave others of it, and every model: its name and what is left."""
     recording = manifest_folder.read(folder)
     manifest, columns = (folder / "recording.yaml").read_text(encoding="utf-8"), recording.manifest.columns
     frame = pd.read_csv(folder / recording.manifest.tables[0])
@@ -113,14 +114,19 @@ def of_months(folder: Path) -> Iterator[tuple[str, list[float]]]:
     day = next(n for n in recording.names("group") if columns[n].of == "day")
     months, warm = frame[day].astype(str).str[:7], recording.names("temperature")
     pairs = [(s, t) for s in warm if "spindle" in s for t in warm if "spindle" not in t]
-    for new in sorted(set(months)):
-        first = list(dict.fromkeys(frame[run][months == new]))[:FEW]
+    runs_of_months = {m: list(dict.fromkeys(frame[run][months == m])) for m in sorted(set(months))}
+    for new, first in (
+        (m, runs[k : k + FEW]) for m, runs in runs_of_months.items() for k in range(len(runs) - FEW + 1)
+    ):
         judged = frame[(months == new) & ~frame[run].isin(first)]
         machines = {m: frame[(months == m) & ((months != new) | frame[run].isin(first))] for m in sorted(set(months))}
         for pair in pairs if len(judged) else ():
             terms = ", ".join(f"{{term: thermal_drift, sensor: {sensor}}}" for sensor in pair)
             pipeline = PIPELINE.format(component=columns[response].component, terms=terms)
-            yield f"{new} by {', '.join(pair)}", left(machines, new, judged, manifest, pipeline)
+            yield (
+                f"{new} from {', '.join(map(str, first))} by {', '.join(pair)}",
+                left(machines, new, judged, manifest, pipeline),
+            )
 
 
 def of_fleets(seed: int, fleets: int, first: int = 0) -> Iterator[tuple[str, list[float]]]:
@@ -143,8 +149,9 @@ def main() -> None:
         print(f"{name}: {shown}", flush=True)
         rows += [figures] if figures else []
     nothing, own, pooled = np.exp(np.mean(np.log(rows), axis=0))
-    better = sum(row[2] < row[1] for row in rows)
-    print(f"{len(rows)} judged: {nothing:.2f}, {own:.2f}, {pooled:.2f} um (geometric means); pooled better in {better}")
+    better, worst = sum(row[2] < row[1] for row in rows), max(row[2] / row[1] for row in rows)
+    print(f"{len(rows)} judged: {nothing:.2f}, {own:.2f}, {pooled:.2f} um (geometric means)")
+    print(f"pooled better in {better}, at worst {worst:.2f} times the own fit")
 
 
 if __name__ == "__main__":

@@ -3,8 +3,9 @@
     estimate_i ~ N(parameter_i, S_i),   parameter_i ~ N(mean, T)        (Lindley and Smith 1972)
 
 mean and T come from all machines of a type by maximum likelihood (EM, Dempster, Laird and Rubin 1977); a machine's
-pooled parameter is its posterior mean under them (empirical Bayes, Efron and Morris 1975). A machine without an
-estimate has the type's mean.
+pooled parameter is its posterior mean under them (empirical Bayes, Efron and Morris 1975). T's correlations are drawn
+towards none, as if as many uncorrelated machines more as there are parameters had been seen: a few machines leave T
+singular, and every other machine would be forced into the line or plane that they span.
 """
 
 from __future__ import annotations
@@ -50,13 +51,15 @@ def pooled(estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray]) -
     unit = np.where(unit > 0, unit, 1.0)
     values, errors = values / unit, errors / np.outer(unit, unit)
     mean, spread = values.mean(axis=0), np.cov(values.T).reshape(len(unit), len(unit)) + 1e-9 * np.eye(len(unit))
+    known = len(values) / (len(values) + len(unit))  # share of a correlation that is believed
+    shares = known + (1.0 - known) * np.eye(len(unit))
     for _ in range(STEPS):
         before = spread
         gains = spread @ _inverse(spread + errors)  # (machines, p, p)
         means = mean + np.einsum("ijk,ik->ij", gains, values - mean)
         mean = means.mean(axis=0)
         around = means - mean
-        spread = _symmetric((spread - gains @ spread).mean(axis=0) + around.T @ around / len(values))
+        spread = _symmetric((spread - gains @ spread).mean(axis=0) + around.T @ around / len(values)) * shares
         if np.abs(spread - before).max() < CONVERGED * float(np.trace(before)):
             break
     return Pool(mean * unit, spread * np.outer(unit, unit), len(values))

@@ -51,6 +51,17 @@ def test_the_type_is_found_and_its_units_do_not_matter() -> None:
     assert pooled(estimates[:3], covariances[:3]) is None
 
 
+def test_four_machines_do_not_force_a_parameter_to_follow_the_others() -> None:
+    """Independent parameters: of what four machines show of their correlations, little is believed."""
+    rng = np.random.default_rng(8)
+    for _ in range(20):
+        estimates = list(rng.normal([40.0, 5.0, -6.0], [8.0, 2.0, 1.0], (4, 3)))
+        few = pooled(estimates, [np.diag([25.0, 1.0, 1.0])] * 4)
+        assert few is not None
+        size = np.sqrt(np.diag(few.spread))
+        assert np.all(np.abs(few.spread) <= np.outer(size, size) * (4 / 7 + 1e-6) + np.diag(size**2))
+
+
 def test_machines_alike_are_those_that_the_data_do_not_tell_apart() -> None:
     estimates = [np.array([v, 0.0]) for v in (0.0, 0.1, 5.0, 5.1, 20.0)]
     assert homogeneous_groups(estimates, [0.01 * np.eye(2)] * 5) == [[0, 1], [2, 3]]
