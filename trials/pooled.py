@@ -26,12 +26,8 @@ from errpipe.domain.error_model import ErrorModel
 from errpipe.formats import manifest_folder
 from errpipe.validation.predict import predict
 
-MACHINES, RUNS, FEW, JUDGED = (
-    10,
-    15,
-    2,
-    20,
-)  # machines of the type, runs of each, runs of the new one, runs that judge it
+MACHINES, RUNS = 10, 15  # machines of the type, and runs of each
+FEW, JUDGED = 2, 20  # runs of the new one, and runs that judge it
 PLACES = np.r_[np.arange(0.0, 601.0, 60.0), np.arange(600.0, -1.0, -60.0)]  # mm
 MANIFEST = """recording: 1
 tables: [recording.csv]
