@@ -57,6 +57,7 @@ _BY_TEXT: tuple[tuple[str, str, str], ...] = (
 )
 _BY_NAME: tuple[tuple[str, str, str], ...] = (
     (r".*\.comp", "a screw compensation (COMP_FILE) of LinuxCNC", "COMP_FILE taken out of the INI file"),
+    (r".*\.hal", "wiring (HALFILE) of LinuxCNC", "COMP_FILE and HALFILE of the compensation taken out of the INI file"),
     (r"screw_?map.*\.(dat|txt|csv)", "a screw map of Mach3 or Mach4", ""),
     (r"axeserr.*\.dat", "a screw error file of a Weihong control", ""),
     (r"lscrw.*", "a leadscrew table of a FAGOR control", ""),

@@ -140,9 +140,9 @@ def _failures(recording: Recording, sensor: str) -> dict[tuple[int, int], bool]:
 def _step_in(recording: Recording, sensor: str, first: int, last: int) -> float:
     """Step by which a sensor's readings of a stretch are off, or 0; its steps before each row are kept."""
     if ("steps", sensor) not in recording.derived:
-        recording.derived["steps", sensor] = _steps(recording.array(sensor), recording.time())
+        recording.derived["steps", sensor] = steps(recording.array(sensor), recording.time())
     finite, step = recording.derived["steps", sensor]
-    return _step_between(finite, step, first, last)
+    return step_between(finite, step, first, last)
 
 
 def _switched(recording: Recording) -> np.ndarray:
@@ -168,20 +168,15 @@ def _beside_rows(rows: np.ndarray, n: int) -> np.ndarray:
     return out
 
 
-def step_of(values: np.ndarray, first: int, last: int, t: np.ndarray | None = None) -> float:
-    """Step by which readings of a stretch are off: they jump by it and back, or to the end; else 0. t: their times."""
-    return _step_between(*_steps(values, t), first, last)
-
-
-def _steps(values: np.ndarray, t: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def steps(values: np.ndarray, t: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Rows that are read, and the step before each of them, shapes (k,)."""
     finite = np.flatnonzero(np.isfinite(values))
     clock = np.arange(values.size, dtype=float) if t is None else _running(t)
     return finite, _missed(clock[finite], values[finite], LINES[0])[0]
 
 
-def _step_between(finite: np.ndarray, step: np.ndarray, first: int, last: int) -> float:
-    """The same from `_steps`."""
+def step_between(finite: np.ndarray, step: np.ndarray, first: int, last: int) -> float:
+    """Step by which readings of a stretch are off: they jump by it and back, or to the end; else 0. Of `steps`."""
     ends = [k for k in np.searchsorted(finite, (first, last + 1)) if k < finite.size]
     if not ends:
         return 0.0
@@ -258,7 +253,7 @@ def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = 
     typical = np.median(np.abs(filled))
     if typical > 5.0:  # a dead channel reads nought
         out |= dict.fromkeys(_stretches(finite & (np.abs(values) < 0.05 * typical), LEAST_ROWS), True)
-    step, known = jumps(filled, t, finite if switched is None else finite & ~switched), _steps(values, t)
+    step, known = jumps(filled, t, finite if switched is None else finite & ~switched), steps(values, t)
 
     def alone(*rows: int) -> bool:
         """Are these jumps without a natural cause, and is jumping no habit of the reading elsewhere?"""
@@ -269,7 +264,7 @@ def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = 
     for i, a in enumerate(edges):
         for b in (b for b in [*edges[i + 1 :], n] if b - a >= LEAST_ROWS):
             natural |= {(a, b - 1)} if not step[a] and not step.get(b) else set()
-            out[a, b - 1] = alone(a, b) and _step_between(*known, a, b - 1) != 0.0
+            out[a, b - 1] = alone(a, b) and step_between(*known, a, b - 1) != 0.0
         start = _still_from(filled, a, long)
         out |= {(start, a - 1): alone(a) and start > 0} if a - start >= long else {}
     ranges = _rolling_range(filled, 9)

@@ -7,7 +7,7 @@ import numpy as np
 from errpipe.diagnosis import hypotheses
 from errpipe.domain.recording import Recording
 from errpipe.terms import sensor_fault
-from errpipe.terms.sensor_fault import SEEN, SensorFault, reconstructed, step_of, suspicious
+from errpipe.terms.sensor_fault import SEEN, SensorFault, reconstructed, step_between, steps, suspicious
 from tests.unit.diagnosis.machines import recording
 
 ROWS = 200
@@ -108,7 +108,7 @@ def test_a_jump_of_a_body_that_warms_has_the_size_of_the_jump() -> None:
     t, read = _warming(200, 0.01)
     read[20:60] -= 1.2
     read[[19, 61]] = np.nan
-    assert abs(step_of(read, 20, 59, t) + 1.2) < 0.1
+    assert abs(step_between(*steps(read, t), 20, 59) + 1.2) < 0.1
 
 
 def test_readings_that_come_slower_and_pauses_are_no_jumps() -> None:
