@@ -13,7 +13,7 @@ from errpipe.domain.recording import Recording
 
 MOST_PARTS = 5  # effects that a simulation is taken to consist of; more are not told apart by one response
 BEAM = 6  # beam width: states kept at each step
-ALTERNATIVES = 12  # decompositions returned
+ALTERNATIVES = 3  # decompositions returned
 MOST_MOVES = 6  # effects tried as an addition to a state
 MAX_BEHIND = 40.0  # log evidence below the best up to which a decomposition is returned
 COARSE = (0.004, 0.08)  # misfit of textbook forms relative to the signal; it stands in for the noise
@@ -156,7 +156,7 @@ class _Work:
             return [Decomposition((), 0.0, np.zeros_like(self.y), 0.0)]
         self.data = Data(self.library.table, self.y)
         beam: list[tuple[float, Chosen]] = [(self._worth([]), [])]
-        visited: dict[tuple, tuple[float, Chosen]] = {(): beam[0]}
+        visited: dict[tuple, float] = {(): beam[0][0]}
         done: set[tuple] = set()
         for _ in range(4 * MOST_PARTS):
             left = [state for _, state in beam if tuple(state) not in done]  # moves from others were all seen
@@ -166,8 +166,7 @@ class _Work:
             if [w for w, _ in best] == [w for w, _ in beam]:
                 break
             beam = best
-        every = sorted(visited.values(), key=lambda w: -w[0])
-        made = [self._result(state, worth) for worth, state in self._different(every)]
+        made = [self._result(state, worth) for worth, state in self._different(beam)]
         made = [d for d in made if d.leftover < NO_SUM] or [Decomposition((), 1.0, self.y, 0.0)]
         return [d for d in made if all(p.certainty > EARNED for p in d.parts)] or made
 
@@ -208,7 +207,7 @@ class _Work:
             moves += [[*others[:p], k, *others[p:]] for k in self._candidates(others, 5) if k[0] != chosen[p][0]]
         return moves
 
-    def _judged(self, moves: list[Chosen], seen: dict[tuple, tuple[float, Chosen]]) -> list[tuple[float, Chosen]]:
+    def _judged(self, moves: list[Chosen], seen: dict[tuple, float]) -> list[tuple[float, Chosen]]:
         """Those states that were not seen before, with what they are worth; their products are formed all at once."""
         out = []
         together = [np.zeros(0, dtype=int), *(self.library.places[i] for move in moves for i, _ in move)]
@@ -217,8 +216,8 @@ class _Work:
             name = tuple(sorted(i for i, _ in move))
             if name not in seen:
                 tuned = self._tuned(move)
-                seen[name] = (self._worth(tuned), tuned)
-                out.append(seen[name])
+                seen[name] = self._worth(tuned)
+                out.append((seen[name], tuned))
         return out
 
     def _tuned(self, chosen: Chosen) -> Chosen:

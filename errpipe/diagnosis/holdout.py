@@ -20,7 +20,6 @@ from errpipe.terms import NEVER
 AGAIN = 0.5  # share of the folds in which a name that brings little, or that shapes stand beside, must be found again
 KEPT = 0.5  # share of the log Bayes factor that held-out rows must confirm: of 33 right names 32 keep 0.89 or more, the
 # other has less than 0.5 anyway; of false ones on nulls 2 of 4 keep none (first 12201, 13101, second 12202, 13102)
-FIXED = 8.0  # what a name pays whatever the number of rows (prior odds, sizes, columns), in log Bayes factor
 BETTER = 0.95  # threshold: rms on held-out rows, over that of the other explanation
 
 
@@ -137,8 +136,7 @@ def _acts_in_part(library: Library) -> np.ndarray:
 def _without_fold(search: Search, fold: int) -> Search:
     """The same search, a fold taking no part."""
     data, known = search.data.hold_out(fold), (search.nuisance, search.sigma, search.prior)
-    fewer = (1.0 - data.n / search.data.n) * (search.threshold + FIXED)  # a name at the threshold loses so much
-    part = Search(search.library, data, *known, search.threshold - fewer, search.threshold_more - fewer, search.rows)
+    part = Search(search.library, data, *known, search.threshold, search.threshold_more, search.rows)
     part.weighed = search.weighed
     return part
 

@@ -12,7 +12,7 @@ from errpipe.diagnosis.coloured import whiten
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.gains import DATUM, WHOLE, Nuisance
 from errpipe.diagnosis.left_out import LeftOut
-from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
+from errpipe.diagnosis.search import MISSING, Explanation, Search, settled
 from errpipe.terms import NEVER
 
 GAIN_SD = 0.10  # prior standard deviation of a simulation's gain less 1 (usual: 0..15 %)
@@ -27,7 +27,6 @@ KNOWN = 0.05  # rms that a decomposition leaves, over the signal's, up to which 
 SURE = 15.0  # log Bayes factor from which a part is certain to be in the simulation
 MAX_GAIN_PENALTY = 60.0  # largest penalty, in log evidence, of gains beyond the limits: the decomposition may be wrong
 ALL_ONE = 6.0  # threshold: log odds that the gains of all parts but one are 1 rather than off as usual
-FULLY = 3  # decompositions of which the whole explanation is judged: those whose best single effect is likeliest
 TRUST = 0.3  # weight of the decomposition's evidence: its residual is misfit, not noise
 EXACT_SD = 0.03  # prior standard deviation of such gains, relative to the usual
 
@@ -74,30 +73,20 @@ def likeliest(
     it is tried, too.
     """
 
-    def worth(d: parts.Decomposition, known, search: Search, chosen) -> float:
-        too_far = gains.excess(search.scene(chosen), gains.totals(known[1], known[3])[1], search.rows)[0]
+    def scored(d: parts.Decomposition):
+        nuisance, kinds, columns, sizes = recalibration(simulated, d, library)
+        search, e = settled(library, data, nuisance, log_prior(library, d), noise)
+        chosen = [(f.index, f.size) for f in e.accepted]
+        too_far = gains.excess(search.scene(chosen), gains.totals(kinds, sizes)[1], search.rows)[0]
         cost = MISSING * len(chosen) + min(too_far, MAX_GAIN_PENALTY)
-        return TRUST * d.worth + search.evidence(chosen) - cost
+        return TRUST * d.worth + search.evidence(chosen) - cost, (d, (nuisance, kinds, columns, sizes)), e.accepted
 
-    def scored(d: parts.Decomposition, known):
-        search, e = settled(library, data, known[0], log_prior(library, d), noise)
-        return worth(d, known, search, [(f.index, f.size) for f in e.accepted]), (d, known), e.accepted
-
-    def with_best_effect(d: parts.Decomposition, known) -> float:
-        search = Search(library, data, known[0], noise, log_prior(library, d), MISSING, MORE)
-        best = search.score([])
-        k = int(np.argmax(best.gain + search.prior))
-        return worth(d, known, search, [(k, float(best.size[k]))] if best.gain[k] + search.prior[k] > MISSING else [])
-
-    ways = [(d, recalibration(simulated, d, library)) for d in alternatives]
-    if holding is None and len(ways) == 1:
-        return ways[0]
-    if len(ways) > FULLY:
-        ways = sorted(ways, key=lambda way: -with_best_effect(*way))[:FULLY]
-    best = max((scored(*way) for way in ways), key=lambda t: t[0])
+    if holding is None and len(alternatives) == 1:
+        return alternatives[0], recalibration(simulated, alternatives[0], library)
+    best = max(map(scored, alternatives), key=lambda t: t[0])
     if holding is not None:
         for finding in best[2]:
-            others = (scored(d, recalibration(simulated, d, library)) for d in holding(best[1][0], finding.index))
+            others = map(scored, holding(best[1][0], finding.index))
             best = max([best, *others], key=lambda t: t[0])
     return best[1]
 
