@@ -313,7 +313,10 @@ def jumps(filled: np.ndarray, t: np.ndarray, usable: np.ndarray) -> dict[int, fl
     highest = np.lib.stride_tricks.sliding_window_view(np.pad(sure, LINES[0] // 2), LINES[0] + 1).max(axis=1)
     rows = np.flatnonzero((sure > JUMP) & (sure == highest))
     plain = (
-        (pause[rows - 1] <= 2.0 * _beside(pause)[rows - 1]) & (pause[rows - 1] > 0) & usable[rows] & usable[rows - 1]
+        (pause[rows - 1] <= 2.0 * _longer_neighbour(pause)[rows - 1])
+        & (pause[rows - 1] > 0)
+        & usable[rows]
+        & usable[rows - 1]
     )
     first = np.lexsort((-sure[rows], ~plain))[:MOST_JUMPS]
     return {int(rows[k]): float(np.abs(step[rows[k]]) * plain[k]) for k in first}
@@ -323,10 +326,10 @@ def _running(t: np.ndarray) -> np.ndarray:
     """A clock that stands in pauses and does not start anew with each run, shape (rows,)."""
     pause = np.diff(t)
     going = np.where(pause > 0, pause, np.median(pause[pause > 0]) if (pause > 0).any() else 1.0)
-    return np.r_[0.0, np.cumsum(np.minimum(going, 2.0 * _beside(going)))]
+    return np.r_[0.0, np.cumsum(np.minimum(going, 2.0 * _longer_neighbour(going)))]
 
 
-def _beside(pause: np.ndarray) -> np.ndarray:
+def _longer_neighbour(pause: np.ndarray) -> np.ndarray:
     """The longer one of the times before and after each time between two readings, shape (rows - 1,)."""
     return np.maximum(np.r_[pause[1:], 0.0], np.r_[0.0, pause[:-1]])
 
