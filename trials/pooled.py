@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
+import json
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -79,7 +80,7 @@ def simulated(seed: int) -> tuple[dict[str, pd.DataFrame], pd.DataFrame]:
 def left(
     machines: dict[str, pd.DataFrame], new: str, judged: pd.DataFrame, manifest: str, pipeline: str
 ) -> list[float]:
-    """rms of the judged rows: uncompensated, by the new machine's own fit, by the pooled one, um; [] without fit."""
+    """rms of the judged rows, um: uncompensated, by the new machine's own fit (nan: none), by the pooled one; or []."""
     with tempfile.TemporaryDirectory() as name, contextlib.redirect_stdout(io.StringIO()):
         here = Path(name)
         for folder, frame in [*((here / "recordings" / m, f) for m, f in machines.items()), (here / "judged", judged)]:
@@ -93,12 +94,15 @@ def left(
         paths = [here / f"out/machines/{new}/fit/error_model.json", here / f"out/pooled/{new}/error_model.json"]
         if not all(path.is_file() for path in paths):
             return []
+        machines_of = json.loads((here / "out/fleet.json").read_text(encoding="utf-8"))["machines"]
+        borrows = next(m["borrows"] for m in machines_of if m["name"] == new)
         recording = manifest_folder.read(here / "judged")
         (response,) = recording.names("error")
         measured = recording.array(response)
         models = [ErrorModel.model_validate_json(path.read_text(encoding="utf-8")) for path in paths]
         rests = [measured, *(measured - predict(m, recording)[f"{response}_predicted"].to_numpy() for m in models)]
-        return [float(np.sqrt(np.mean(rest**2))) for rest in rests]
+        nothing, own, pooled = (float(np.sqrt(np.mean(rest**2))) for rest in rests)
+        return [nothing, np.nan if borrows else own, pooled]
 
 
 def of_months(folder: Path) -> Iterator[tuple[str, list[float]]]:
@@ -141,13 +145,18 @@ def main() -> None:
     a = parser.parse_args()
     rows = []
     for name, figures in of_months(a.folder) if a.folder else of_fleets(a.seed, a.fleets):
-        shown = "{:.2f} uncompensated, {:.2f} own fit, {:.2f} pooled, um".format(*figures) if figures else "no fit"
+        shown = "{:.2f} uncompensated, {:.2f} own fit, {:.2f} pooled, um".format(*figures) if figures else "not judged"
         print(f"{name}: {shown}", flush=True)
         rows += [figures] if figures else []
-    nothing, own, pooled = np.exp(np.mean(np.log(rows), axis=0))
-    better, worst = sum(row[2] < row[1] for row in rows), max(row[2] / row[1] for row in rows)
-    print(f"{len(rows)} judged: {nothing:.2f}, {own:.2f}, {pooled:.2f} um (geometric means)")
-    print(f"pooled better in {better}, at worst {worst:.2f} times the own fit")
+    figures = np.array(rows).reshape(-1, 3)
+    for what, some in (("with a fit of its own", True), ("without one", False)):
+        part = figures[np.isfinite(figures[:, 1]) == some]
+        if len(part):
+            means = ", ".join(f"{m:.2f}" for m in np.exp(np.mean(np.log(part), axis=0)) if np.isfinite(m))
+            harmed = int(np.sum(part[:, 2] > part[:, 0]))
+            print(f"{len(part)} {what}: {means} um (geometric means); {harmed} worse than uncompensated")
+            ratio = part[:, 2] / part[:, 1]
+            print(f"pooled better in {np.sum(ratio < 1)}, at worst {ratio.max():.2f} times the own fit" if some else "")
 
 
 if __name__ == "__main__":

@@ -82,13 +82,15 @@ def _linear(design, problem, spec, penalties, priors, folds) -> solve.Solution:
         return replace(again, strength=solution.strength)
     if spec.method == "robust":
         return solve.robust(design, y, priors=priors, loss=spec.loss)
-    noise = _noise_guess(design, y) if priors else 1.0
+    noise = _noise_guess(problem.sequence, design, y) if priors else 1.0
     return solve.least_squares(design, y, priors=priors, noise=noise)
 
 
-def _noise_guess(design: np.ndarray, y: np.ndarray) -> float:
-    solution = solve.least_squares(design, y)
-    return float(np.sqrt(np.sum(solution.residual**2) / max(y.size - solution.degrees, 1.0)))
+def _noise_guess(sequence: np.ndarray, design: np.ndarray, y: np.ndarray) -> float:
+    """Standard deviation of the noise that priors are weighed against: of as few rows as are independent."""
+    residual = solve.least_squares(design, y).residual
+    noise = uncertainty.noise_model(sequence, design, residual, None)
+    return noise.sigma * float(np.sqrt(y.size / uncertainty.rows_effective(sequence, noise)))
 
 
 def _with_effective_rows(problem, nonlinear, penalties, priors, solution) -> solve.Solution:
@@ -193,7 +195,7 @@ def _priors(problem: Problem, spec: ModelSpec) -> list[solve.Prior]:
         for prior in component.priors:
             for slot in problem.slots:
                 for k, p in enumerate(slot.free):
-                    if slot.block == b and slot.term.term == prior.term and p.name == prior.parameter:
+                    if slot.block == b and p.name == prior.parameter and prior.concerns(slot.term):
                         priors.append(solve.Prior(slot.columns.start + k, prior.value, prior.spread))
     return priors
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, model_validator
 
 from errpipe.domain.recording import Frozen
 from errpipe.fitting.holdout import HoldOut
-from errpipe.terms import TERMS, Term
+from errpipe.terms import TERMS, Term, plain
 from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
@@ -21,9 +21,17 @@ class PriorSpec(Frozen):
     """What is known of a parameter before the fit: Gaussian with mean `value` and standard deviation `spread`."""
 
     term: str = Field(description="Id of the term.")
+    where: dict[str, Any] = Field(
+        {}, description="Fields of the term, as {sensor: T_nut}, where the response has several of this id."
+    )
     parameter: str = Field(description="Name of one of its linear parameters.")
     value: float = quantity("of the parameter", "What it is thought to be.")
     spread: float = quantity("of the parameter", "One standard deviation.", gt=0)
+
+    def concerns(self, term: Term) -> bool:
+        """Whether it is this term's parameter that is known."""
+        fields = plain(term)
+        return self.term == term.term and all(fields.get(key) == value for key, value in self.where.items())
 
 
 class ComponentSpec(Frozen):
@@ -32,6 +40,23 @@ class ComponentSpec(Frozen):
     component: str = Field(description="Response of the recording, such as EXX or E_Z.")
     terms: tuple[AnyTerm, ...] = Field((), description="Terms whose sum is the deviation; none: do nothing.")
     priors: tuple[PriorSpec, ...] = Field((), description="What is known before.")
+
+    @model_validator(mode="after")
+    def _each_prior_has_one_term(self) -> ComponentSpec:
+        for prior in self.priors:
+            terms = [t for t in self.terms if prior.concerns(t)]
+            if len(terms) != 1:
+                allowed = ", ".join(dict.fromkeys(t.term for t in self.terms)) or "none"
+                hint = "say which by `where`" if terms else f"allowed: {allowed}"
+                raise ValueError(f"priors of {self.component}: {len(terms)} terms {prior.term} ({hint})")
+            names = [p.name for p in terms[0].linear() if p.name not in terms[0].fixed]
+            if prior.parameter not in names:
+                allowed = ", ".join(names) or "none"
+                raise ValueError(
+                    f"priors of {self.component}: no linear parameter {prior.parameter} of {prior.term}"
+                    f" (allowed: {allowed})"
+                )
+        return self
 
 
 class ModelSpec(Frozen):

@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pandas as pd
 
 from errpipe import jsonfile
 from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Recording
-from errpipe.fitting import pooling
 from errpipe.pipeline.lock import read_lock
 from errpipe.stages import _artefacts
 from errpipe.stages.validate import HELD_OUT
 from errpipe.validation.cusum import level_drift
 from errpipe.validation.held_out import in_short
 from errpipe.validation.input_drift import sensor_drift
+from errpipe.verbs import _fleet_types
 from errpipe.verbs._retrain_pages import plain_text
 
 if TYPE_CHECKING:
     from errpipe.pipeline.spec import Pipeline
 
-MIRRORED = (6.0, 2.0)  # spreads that a machine of the other sign is away from its type, at least, and turned, at most
-FEWEST_ALIKE = 5  # machines of a type below which no spread between them is known
 VERSION = 1  # of the document's layout
 WRITERS = 8  # files that wait for the disk at a time
 DOCUMENT, PAGE, POOLED = "fleet.json", "fleet.md", "pooled"
@@ -100,7 +96,9 @@ def write_report(
 ) -> dict[str, Any]:
     """Write fleet.json and fleet.md, and the pooled models where asked for; the document."""
     keep = ("name", "state", "message", "responses", "drift", "model")
-    rows = [{"type": types[r["name"]], **{key: r[key] for key in keep}} for r in results]
+    rows = [
+        {"type": types[r["name"]], "borrows": r.get("borrows", False), **{key: r[key] for key in keep}} for r in results
+    ]
     for path in (out / POOLED).glob(f"*/{_artefacts.MODEL}") if pool else ():
         if models.get(path.parent.name) is None:  # of an earlier run of the fleet
             path.unlink()
@@ -140,21 +138,6 @@ def _copies(results: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     return [names for names in by_digest.values() if len(names) > 1]
 
 
-def _mirrored(names: Sequence[str], estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray]) -> list[str]:
-    """Machines whose parameters lie far from those of the others, and with the other sign among them."""
-    if len(names) < FEWEST_ALIKE:
-        return []
-    values = np.array(estimates)
-    centre = np.median(values, axis=0)
-    errors = np.sqrt(np.median([np.diag(c) for c in covariances], axis=0))
-    spread = np.maximum(1.4826 * np.median(np.abs(values - centre), axis=0), errors)  # 1.4826: of normal deviates
-    away, turned = (
-        np.sqrt(np.mean(((sign * values - centre) / np.where(spread > 0.0, spread, np.inf)) ** 2, axis=1))
-        for sign in (1.0, -1.0)
-    )
-    return [n for n, a, t in zip(names, away, turned, strict=True) if a > MIRRORED[0] and t < MIRRORED[1]]
-
-
 def _sort_key(row: Mapping[str, Any]) -> tuple[int, float, str]:
     """Failed ones first, then by the largest rms that is left on held-out rows."""
     largest_rms = max((c["rms_after"] for c in row["responses"].values()), default=0.0)
@@ -164,70 +147,18 @@ def _sort_key(row: Mapping[str, Any]) -> tuple[int, float, str]:
 def _type(
     name: str, rows: Sequence[Mapping[str, Any]], of_machines: Mapping[str, ErrorModel | None], out: Path, pool: bool
 ) -> dict[str, Any]:
-    """Machines of a type that are alike, and its pooled parameters."""
+    """Machines of a type that are alike, and its pooled parameters; models of machines that borrowed are pooled."""
     models = {r["name"]: m for r in rows if r["type"] == name and (m := of_machines[r["name"]]) is not None}
-    by_response = {}
-    for component in dict.fromkeys(c.component for m in models.values() for c in m.components):
-        names, keys, estimates, covariances = _estimates(models, component)
-        pooled = pooling.pooled(estimates, covariances)
-        by_response[component] = {
-            "parameters": list(keys),
-            "machines": names,
-            "alike": [[names[k] for k in group] for group in pooling.homogeneous_groups(estimates, covariances)],
-            "mirrored": _mirrored(names, estimates, covariances),
-        }
-        if pooled is not None:
-            by_response[component] |= {"mean": pooled.mean.tolist(), "spread": pooled.spread.tolist()}
-            if pool:
-                shrunk = [pooled.shrunk(e, c) for e, c in zip(estimates, covariances, strict=True)]
-                by_response[component]["pooled"] = {n: m.tolist() for n, (m, _) in zip(names, shrunk, strict=True)}
-                for machine, (mean, covariance) in zip(names, shrunk, strict=True):
-                    models[machine] = with_parameters(models[machine], component, mean, covariance)
+    borrowed = {r["name"]: models.pop(r["name"]) for r in rows if r["borrows"] and r["name"] in models}
+    responses = _fleet_types.responses(models)
     if pool:
+        for component, response in responses.items():
+            _fleet_types.draw_together(models, component, response)
+        models |= borrowed
         paths = [out / POOLED / machine / _artefacts.MODEL for machine in models]
         with ThreadPoolExecutor(WRITERS) as writers:
             list(writers.map(jsonfile.write, paths, map(_artefacts.model_json, models.values())))
-    return {"type": name, "responses": by_response}
-
-
-def _estimates(
-    models: Mapping[str, ErrorModel], component: str
-) -> tuple[list[str], tuple[str, ...], list[np.ndarray], list[np.ndarray]]:
-    """Estimates and covariances of the machines whose model of a response has the commonest parameters."""
-    parts = {n: c for n, m in models.items() for c in m.components if c.component == component and c.parameter_names}
-    keys_of = {n: _keys(c) for n, c in parts.items()}
-    keys = Counter(keys_of.values()).most_common(1)[0][0] if parts else ()
-    same = {n: c for n, c in parts.items() if keys_of[n] == keys}
-    values = [np.array([p.value for t in c.terms for p in t.parameters]) for c in same.values()]
-    errors = [np.array(c.covariance)[: v.size, : v.size] for v, c in zip(values, same.values(), strict=True)]
-    return list(same), keys, values, errors
-
-
-def _keys(component: Any) -> tuple[str, ...]:
-    """What each parameter is: its term as declared, and its name."""
-    return tuple(
-        f"{jsonfile.dumps(t.term, indent=None).strip()}.{p.name}" for t in component.terms for p in t.parameters
-    )
-
-
-def with_parameters(model: ErrorModel, component: str, values: np.ndarray, covariance: np.ndarray) -> ErrorModel:
-    """The model with other parameters of one response; 95 % intervals follow from the covariance."""
-    spread, parts, at = np.sqrt(np.maximum(np.diag(covariance), 0.0)), [], 0
-    for c in model.components:
-        if c.component != component:
-            parts.append(c)
-            continue
-        terms = []
-        for term in c.terms:
-            parameters = []
-            for p in term.parameters:
-                v, s = float(values[at]), float(spread[at])
-                changed = {"value": v, "standard_error": s, "ci95": (v - 1.96 * s, v + 1.96 * s)}
-                parameters.append(p.model_copy(update=changed | {"note": "drawn towards the machines of its type"}))
-                at += 1
-            terms.append(term.model_copy(update={"parameters": tuple(parameters)}))
-        parts.append(c.model_copy(update={"terms": tuple(terms)}))
-    return model.model_copy(update={"components": tuple(parts)})
+    return {"type": name, "responses": responses}
 
 
 def lines(document: Mapping[str, Any]) -> list[str]:

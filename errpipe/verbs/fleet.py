@@ -20,12 +20,13 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from errpipe import jsonfile, yamlfile
-from errpipe.errors import ErrpipeError, UsageError
+from errpipe.errors import ErrpipeError, NotIdentifiable, UsageError
 from errpipe.yamlfile import Options
 
 MACHINES, TIMES = "machines", "times.csv"
 WORKER = "errpipe.verbs._fleet_worker"
 ATTEMPTS = 3  # of a machine whose worker dies; the last one alone in its pool, so that no other can be the cause
+BORROWS = "fitted with the parameters of its type as priors, for its own runs are not enough: "
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 Progress = Callable[[float, str], None]
 
@@ -74,6 +75,7 @@ def fleet(
     from errpipe.pipeline.spec import load_pipeline
     from errpipe.stages import STAGES
     from errpipe.verbs._fleet_report import model_of, write_report
+    from errpipe.verbs._fleet_types import borrowing
 
     spec: Fleet = yamlfile.load(Path(file), Fleet)
     root = Path(file).parent.absolute()
@@ -82,18 +84,30 @@ def fleet(
     if spec.recordings is not None and Path(out).resolve().is_relative_to((root / spec.recordings).resolve()):
         raise UsageError(f"{out}: inside {spec.recordings}, where it would be read as a machine")
     _refuse_for_all(lambda sets: load_pipeline(pipeline, STAGES, sets=sets), [task[2] for task in tasks])
-    run = _on_cluster(tasks, scheduler) if scheduler else _in_processes(tasks, jobs)
+    types = {m.name: m.type for m in machines_of(spec, root)}
     results: dict[str, dict[str, Any]] = {}
-    with ThreadPoolExecutor(1) as reader:  # models are checked while other machines run
-        reader.submit(importlib.import_module, "errpipe.fitting.pooling")  # for the report, while workers import
-        models = {}
-        for result in run:
+    models: dict[str, Future[Any]] = {}
+
+    def run(some: Sequence[Task]) -> None:
+        for result in _on_cluster(some, scheduler) if scheduler else _in_processes(some, jobs):
             name = result["name"]
             results[name], models[name] = result, reader.submit(model_of, result)
             progress(len(results) / len(tasks), f"{name}: {result['state']}")
+
+    with ThreadPoolExecutor(1) as reader:  # models are checked while other machines run
+        reader.submit(importlib.import_module, "errpipe.fitting.pooling")  # for the report, while workers import
+        run(tasks)
+        undetermined = [name for name, result in results.items() if result.get("undetermined")] if spec.pool else []
+        if undetermined:
+            own = {name: model.result() for name, model in models.items()}
+            why = {name: results[name]["message"].partition(f"; {MACHINES}/")[0] for name in undetermined}
+            run(again := borrowing(tasks, undetermined, results, own, types))
+            for _, name, *_ in again:
+                results[name]["borrows"] = results[name]["state"] != "failed"
+                if results[name]["borrows"]:
+                    results[name]["message"] = "; ".join(filter(None, (results[name]["message"], BORROWS + why[name])))
+        read = {name: model.result() for name, model in models.items()}
     ordered = [results[task[1]] for task in tasks]
-    types = {m.name: m.type for m in machines_of(spec, root)}
-    read = {name: model.result() for name, model in models.items()}
     document = write_report(spec.title, spec.pool, types, ordered, read, Path(out))
     rows = [f"{r['name']},{r['seconds']:.2f},{r['peak_mb']:.0f},{r['attempts']}" for r in ordered]
     jsonfile.write_text(Path(out) / TIMES, "\n".join(["machine,seconds,peak_mb,attempts", *rows, ""]))
@@ -153,7 +167,7 @@ def run_machine(pipeline: str, name: str, sets: Sequence[str], out: str) -> dict
     from errpipe.verbs._fleet_report import facts
 
     begin, state, message = time.perf_counter(), "done", ""
-    figures: dict[str, Any] = {"responses": {}, "drift": [], "model": ""}
+    figures: dict[str, Any] = {"responses": {}, "drift": [], "model": "", "undetermined": False}
     folder, brought_up_to_date = Path(out) / MACHINES / name, set()
     callbacks = runner.Callbacks(finished=lambda step: brought_up_to_date.add(step.name))
     _reset_peak()
@@ -163,6 +177,7 @@ def run_machine(pipeline: str, name: str, sets: Sequence[str], out: str) -> dict
         figures = facts(spec, folder)
     except ErrpipeError as err:
         state, message = ("refused" if err.exit_code == 4 else "failed"), str(err).replace(out, "OUT")
+        figures["undetermined"] = isinstance(err, NotIdentifiable)
     except Exception as err:
         state, message = "failed", f"internal error, please report it: {type(err).__name__}: {err}"
     message += _of_earlier(folder, brought_up_to_date) if state != "done" else ""

@@ -228,7 +228,7 @@ def test_rows_that_lack_a_sensor_are_left_out_and_none_left_is_refused(axis):
     holes = Recording(y.manifest, y.frame.assign(T_nut=y.frame["T_nut"].where(y.frame.index % 3 > 0)))
     assert fit(holes, spec_of(OFFSET, SCALE), calibrate=False).components[0].rows == 320
     empty = Recording(y.manifest, y.frame.assign(T_nut=np.nan))
-    with pytest.raises(DataError, match="no row has both EXX and everything its terms need"):
+    with pytest.raises(DataError, match=r"no row has both EXX and everything its terms need"):
         fit(empty, spec_of(OFFSET, SCALE))
 
 
@@ -312,3 +312,21 @@ def test_lowered_pairs_add_up_to_the_model(axis):
 def test_an_option_that_a_term_does_not_have_is_refused():
     with pytest.raises(DataError, match="error model: term offset: axis: extra inputs"):
         term_of(FittedTerm(term={"term": "offset", "axis": "X"}, parameters=()))
+
+
+def test_a_prior_names_one_parameter_of_one_term(axis):
+    """A prior that means nothing was passed over in silence; one that means two terms settled both."""
+    both = [{"term": "thermal_drift", "sensor": s} for s in ("T_nut", "T_bed")]
+
+    def spec(**prior):
+        prior = {"term": "thermal_drift", "parameter": "gain", "value": 1.0, "spread": 0.5} | prior
+        return ModelSpec.model_validate({"components": [{"component": "EXX", "terms": both, "priors": [prior]}]})
+
+    with pytest.raises(ValueError, match=r"2 terms thermal_drift .say which by `where`"):
+        spec()
+    with pytest.raises(ValueError, match=r"0 terms thermal_drfit .allowed: thermal_drift"):
+        spec(term="thermal_drfit")
+    with pytest.raises(ValueError, match=r"no linear parameter gian of thermal_drift .allowed: gain"):
+        spec(parameter="gian", where={"sensor": "T_bed"})
+    prior = spec(where={"sensor": "T_bed"}).components[0].priors[0]
+    assert [prior.concerns(t) for t in spec(where={"sensor": "T_bed"}).components[0].terms] == [False, True]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from errpipe.verbs._fleet_report import _copies, _mirrored
+from errpipe.verbs._fleet_report import _copies
+from errpipe.verbs._fleet_types import _mirrored
 
 
 def test_the_same_readings_under_several_names_are_found() -> None:
