@@ -1,7 +1,8 @@
 """A simulated year of nightly retraining: does it promote when it should, never a worse model, and name what drifts?
 
     python examples/retraining/year.py OUT [--seed 1] [--every 1]        # the year, through `errpipe retrain`
-    python examples/retraining/year.py --quiet-years 200 [--seed 1]      # how often a quiet machine sees a promotion
+    python examples/retraining/year.py OUT --quiet [--seed 1]            # one in which nothing changes, likewise
+    python examples/retraining/year.py --quiet-years 200 [--seed 1]      # many of these, by a refit without the command
     python examples/retraining/year.py --naming 20 [--drift 0.25]        # nights until the drifting sensor is named
 
 The machine is simulated here and shares no code with the models: a screw that expands, a room with seasons, a nut
@@ -111,26 +112,29 @@ def residual(model: Path, nights: list[dict[str, np.ndarray]]) -> float:
     return float(np.sqrt(np.mean((np.concatenate([n["true"] for n in nights]) - predicted) ** 2)))
 
 
-def year(out: Path, seed: int, every: int, until: int = 365, drift: float = DRIFT_PER_NIGHT) -> dict[str, object]:
-    """The year: every `every` nights the shop retrains; what happened, and what it was truly worth.
+def year(
+    out: Path, seed: int, every: int, until: int = 365, drift: float = DRIFT_PER_NIGHT, quiet: bool = False
+) -> dict[str, Any]:
+    """The year, or a quiet one in which nothing changes: every `every` nights the shop retrains.
 
-    It goes on from the night after the last one where OUT holds the begin of this year.
+    What happened, and what it was truly worth. It goes on from the night after the last one where OUT holds the begin
+    of this year.
     """
     rng = np.random.default_rng(seed)
-    nights = [night(k, rng, drift=drift) for k in range(365)]
-    state = _begun(out, {"seed": seed, "every": every, "drift": drift}, nights)
+    nights = [night(k, rng, quiet, drift) for k in range(365)]
+    state = _begun(out, {"seed": seed, "every": every, "drift": drift, "quiet": quiet}, nights)
     for today in range(state["next"], until, every):
         kept = range(max(0, today - KEPT), today)
         write(out / "recording", {k: nights[k] for k in kept})
         folders = ["--champion", str(out / "champion"), "--out", str(out / "retrain")]
         code = errpipe(["retrain", str(out / "axis.yaml"), *folders])
         document = json.loads((out / "retrain/retrain.json").read_text(encoding="utf-8"))
-        for drift in document["drift"]["inputs"]:
-            if drift["blamed"]:
-                state["sensors_named"].setdefault(drift["column"], today)
-            state["alarms"].setdefault(drift["column"], today)
+        for alarm in document["drift"]["inputs"]:
+            if alarm["blamed"]:
+                state["sensors_named"].setdefault(alarm["column"], today)
+            state["alarms"].setdefault(alarm["column"], today)
         if code == 0:
-            sound = [n for k, n in enumerate(nights) if today <= k < today + 14 and k != SWAP]
+            sound = [n for k, n in enumerate(nights) if today <= k < today + 14 and (quiet or k != SWAP)]
             models = (out / name / "fit/error_model.json" for name in ("champion", "retrain/run"))
             before, after = (residual(model, sound) for model in models)
             state["worse_promotions"] += after > 1.02 * before  # two per cent is within what two weeks can tell
@@ -219,7 +223,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--every", type=int, default=1, help="nights between retrainings")
     parser.add_argument("--until", type=int, default=365, help="stop before this night; the same command goes on")
-    parser.add_argument("--quiet-years", type=int, default=0)
+    parser.add_argument("--quiet", action="store_true", help="a year in which nothing changes")
+    parser.add_argument("--quiet-years", type=int, default=0, help="as many, by the decision on a plain refit alone")
     parser.add_argument("--naming", type=int, default=0, help="machines of which the drifting sensor is to be named")
     parser.add_argument("--drift", type=float, default=DRIFT_PER_NIGHT, help="K a night")
     a = parser.parse_args()
@@ -232,7 +237,7 @@ def main() -> None:
         harmed = sum(quiet_year(1000 * a.seed + k) for k in range(a.quiet_years))
         print(f"{harmed} of {a.quiet_years} quiet years saw a promotion that made the machine worse")
         return
-    print(json.dumps(year(a.out, a.seed, a.every, a.until, a.drift), indent=1))
+    print(json.dumps(year(a.out, a.seed, a.every, a.until, a.drift, a.quiet), indent=1))
 
 
 if __name__ == "__main__":
