@@ -5,7 +5,7 @@ python -m trials.pooled --from RECORDING
 
 A simulated fleet has ten machines of a type with fifteen runs each and a new one with two. Of a real recording with
 days each month is a machine, and one after the other is the new one, by every two runs in a row of it that leave
-others to judge; the models are every spindle temperature beside every other one. Both go through `errpipe fleet` with
+others to judge; the models are every spindle temperature beside one or two others. Both go through `errpipe fleet` with
 `pool: true`.
 """
 
@@ -17,6 +17,7 @@ import io
 import json
 import tempfile
 from collections.abc import Iterator
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -113,18 +114,19 @@ def of_months(folder: Path) -> Iterator[tuple[str, list[float]]]:
     (run,), (response,) = recording.names("run"), recording.names("error")
     day = next(n for n in recording.names("group") if columns[n].of == "day")
     months, warm = frame[day].astype(str).str[:7], recording.names("temperature")
-    pairs = [(s, t) for s in warm if "spindle" in s for t in warm if "spindle" not in t]
+    beside = [t for t in warm if "spindle" not in t]
+    choices = [(s, *more) for s in warm if "spindle" in s for n in (1, 2) for more in combinations(beside, n)]
     runs_of_months = {m: list(dict.fromkeys(frame[run][months == m])) for m in sorted(set(months))}
     for new, first in (
         (m, runs[k : k + FEW]) for m, runs in runs_of_months.items() for k in range(len(runs) - FEW + 1)
     ):
         judged = frame[(months == new) & ~frame[run].isin(first)]
         machines = {m: frame[(months == m) & ((months != new) | frame[run].isin(first))] for m in sorted(set(months))}
-        for pair in pairs if len(judged) else ():
-            terms = ", ".join(f"{{term: thermal_drift, sensor: {sensor}}}" for sensor in pair)
+        for sensors in choices if len(judged) else ():
+            terms = ", ".join(f"{{term: thermal_drift, sensor: {sensor}}}" for sensor in sensors)
             pipeline = PIPELINE.format(component=columns[response].component, terms=terms)
             yield (
-                f"{new} from {', '.join(map(str, first))} by {', '.join(pair)}",
+                f"{new} from {', '.join(map(str, first))} by {', '.join(sensors)}",
                 left(machines, new, judged, manifest, pipeline),
             )
 

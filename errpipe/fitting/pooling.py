@@ -16,13 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 
-from errpipe.fitting.statistics import chi2_quantile
+from errpipe.fitting.statistics import chi2_quantile, normal_quantile, student_quantile
 
 STEPS = 200  # of EM, which converges slowly where machines hardly differ
 CONVERGED = 1e-5  # convergence threshold: relative change of the spread per step
 REGULAR = 1e-5  # smallest over largest diagonal element of a Cholesky factor: the inverse keeps six digits
 SIGNIFICANT = 0.05  # p of two machines of one type that differ
-LEAST_MACHINES = 4  # fewer give no estimate of the spread between machines
+LEAST_MACHINES = 4  # fewer give no estimate of the spread between machines that would better a fit of its own
+LEAST_TO_BORROW = 3  # as few may lend to a machine that has no fit of its own
 
 
 @dataclass(frozen=True)
@@ -33,18 +34,25 @@ class Pool:
     spread: np.ndarray
     machines: int
 
+    def of_a_further_machine(self) -> np.ndarray:
+        """Standard deviation of each parameter of a machine that is not among them, (p,): Student's t as a Gaussian."""
+        variance = np.diag(self.spread) * (1.0 + 1.0 / self.machines)
+        return np.sqrt(variance) * student_quantile(0.975, self.machines - 1) / normal_quantile(0.975)
+
     def shrunk(self, estimate: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Posterior mean and covariance of one machine's parameters, (p,) and (p, p)."""
         gain = self.spread @ _inverse(self.spread + covariance)
         return self.mean + gain @ (estimate - self.mean), _symmetric(self.spread - gain @ self.spread)
 
 
-def pooled(estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray]) -> Pool | None:
-    """The type behind some machines' estimates, or None where they are too few.
+def pooled(
+    estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray], least: int = LEAST_MACHINES
+) -> Pool | None:
+    """The type behind some machines' estimates, or None where they are fewer than `least`.
 
     estimates: (p,) each, in any units; covariances: (p, p) each.
     """
-    if len(estimates) < LEAST_MACHINES:
+    if len(estimates) < least:
         return None
     values, errors = np.array(estimates), np.array(covariances)
     unit = np.sqrt(np.maximum(values.var(axis=0), np.median([np.diag(e) for e in errors], axis=0)))

@@ -20,15 +20,15 @@ UNLIMITED = 1e12  # variance inflation that is allowed where every parameter has
 Task = tuple[str, str, list[str], str]  # pipeline, machine, its keys of the pipeline, OUT
 
 
-def responses(models: Mapping[str, ErrorModel]) -> dict[str, dict[str, Any]]:
+def responses(models: Mapping[str, ErrorModel], least: int = pooling.LEAST_MACHINES) -> dict[str, dict[str, Any]]:
     """What the machines of a type have in common of each response, from their models by name.
 
-    Mean and spread (covariance between machines) of the parameters where machines are enough.
+    Mean and spread (covariance between machines) of the parameters where at least so many machines have them.
     """
     out: dict[str, dict[str, Any]] = {}
     for component in dict.fromkeys(c.component for m in models.values() for c in m.components):
         names, keys, estimates, covariances = _estimates(models, component)
-        pooled = pooling.pooled(estimates, covariances)
+        pooled = pooling.pooled(estimates, covariances, least)
         out[component] = {
             "parameters": list(keys),
             "machines": names,
@@ -68,7 +68,7 @@ def borrowing(
     out = []
     for pipeline, name, sets, folder in tasks:
         alike = {n: m for n, kind in types.items() if kind == types[name] and (m := models[n]) is not None}
-        known = responses(alike) if name in undetermined else {}
+        known = responses(alike, pooling.LEAST_TO_BORROW) if name in undetermined else {}
         if known and all("mean" in response for response in known.values()):
             stage = str(results[next(iter(alike))]["model"]).partition("/")[0]
             components = jsonfile.dumps([_component(n, r) for n, r in known.items()], indent=None).strip()
@@ -81,9 +81,8 @@ def _component(name: str, response: Mapping[str, Any]) -> dict[str, Any]:
     """One response of a type as a fit declares it: a prior for each linear parameter, the others fixed."""
     from errpipe.fitting.spec import ComponentSpec  # every term is loaded: only where one borrows
 
-    machines = len(response["machines"])
-    # a further machine differs by the spread, and the mean is known by as many machines as there are
-    spreads = np.sqrt(np.diag(np.array(response["spread"])) * (1.0 + 1.0 / machines))
+    pool = pooling.Pool(np.array(response["mean"]), np.array(response["spread"]), len(response["machines"]))
+    spreads = pool.of_a_further_machine()
     terms: dict[str, dict[str, float]] = {}
     known: dict[tuple[str, str], float] = {}
     for key, value, spread in zip(response["parameters"], response["mean"], spreads, strict=True):
