@@ -79,6 +79,8 @@ def resolution(values: np.ndarray) -> float:
     if distinct.size < 2:
         return 0.0
     distinct = distinct[np.r_[True, np.diff(distinct) > 1e-6 * np.ptp(distinct)]]
+    if distinct.size < 2:  # a million values and more, as dense as that: no display shows them
+        return 0.0
     step = float(np.diff(distinct).min())
     # Steps of 0.05 come back from text as 0.04999999999999716: compare in units of the step.
     ratio = (distinct - distinct[0]) / step

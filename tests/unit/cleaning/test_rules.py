@@ -189,6 +189,7 @@ def test_a_step_is_read_off_a_column_of_text():
     assert resolution(values) == 0.05
     assert resolution(np.random.default_rng(0).standard_normal(100)) == 0.0
     assert resolution(np.array([1.0, 1.0])) == 0.0
+    assert resolution(np.linspace(0.0, 1.0, 1_100_000)) == 0.0  # denser than any display: was an internal error
     commanded = np.linspace(0.0, 600.0, 88)
     derived = 1e3 * ((commanded + 0.01 * np.arange(88) % 7) - commanded)  # 10 um, but for the arithmetic
     assert resolution(derived) == pytest.approx(10.0)
