@@ -131,8 +131,18 @@ class SinumerikCec(Target):
             )
             blocks += _four(len(blocks), axes, factors)
         named = "".join(f"; AX{n} = {letter}\n" for n, letter in enumerate(axes, 1))
-        sign = "; sign: value = deviation, taken to move the axis by minus the value; not proved (CHECKLIST.md, step 3)\n"
-        return {FILE: f"%_N_NC_CEC_INI\n; {CAUTION}\n" + sign + named + remarks + "CHANDATA(1)\n" + "".join(blocks) + "M17\n"}
+        sign = (
+            "; sign: value = deviation, taken to move the axis by minus the value; not proved (CHECKLIST.md, step 3)\n"
+        )
+        return {
+            FILE: f"%_N_NC_CEC_INI\n; {CAUTION}\n"
+            + sign
+            + named
+            + remarks
+            + "CHANDATA(1)\n"
+            + "".join(blocks)
+            + "M17\n"
+        }
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
