@@ -192,6 +192,8 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     if kind in ("position", "command", "actual") and unit == "counts":
         return "counts", "its unit (counts)"
+    if kind == "counts" and (unit in OF_SMALL_LENGTHS or unit in OF_DEVIATIONS):
+        return "error", f"its unit ({unit})"  # divisions of a dial, with what one is
     if kind in ("velocity", "feed") and unit in ("rpm",):
         return "spindle_speed", f"its unit ({unit})"
     return kind, ""
