@@ -141,3 +141,16 @@ def test_the_unit_above_rows_without_a_header_is_that_of_columns_that_a_person_n
     assert imported(tmp_path, file, door).frame["EXX"].abs().max() == pytest.approx(
         max(abs(d) for *_, d in long_rows()), abs=0.01
     )
+
+
+def test_a_load_in_percent_is_no_humidity(tmp_path: Path) -> None:
+    rows = [f"{x:.1f},{d:.2f},{30 + k % 5}%" for k, (_, x, _, d) in enumerate(long_rows())]
+    text = "\n".join(["X axis", "Target mm,Dev um,Spindle load %", *rows])
+    assert not imported(tmp_path, write(tmp_path, text)).names("humidity")
+
+
+def test_places_as_designed_and_as_built(tmp_path: Path) -> None:
+    rows = [f"{x / 1e3:.6f},0.1,{(x + d / 1e3) / 1e3:.8f},0.1" for _, x, _, d in long_rows()]
+    text = "\n".join(["Design_X(m),Design_Y(m),AsBuilt_X(m),AsBuilt_Y(m)", *rows])
+    frame = imported(tmp_path, write(tmp_path, text)).frame
+    assert frame["EXX"].to_numpy() == pytest.approx([d for *_, d in long_rows()], abs=2e-2)
