@@ -115,9 +115,7 @@ def _guess(column: RawColumn, axis: str | None) -> ColumnGuess:
         return ColumnGuess("error", axis, f"its name ({column.header!r}) and unit ({column.unit})")
     if KIND_OF_UNIT.get(column.unit or "") == "error" and values.is_scatter(column):
         return ColumnGuess("ignore", axis, values.SCATTER)
-    if column.unit == "%" and re.search(
-        r"load|last|torque|moment|override|duty|power|leistung|utili", plain(column.header)
-    ):
+    if column.unit == "%" and re.search(_SHARES, plain(column.header)):
         return ColumnGuess("ignore", axis, "a share in %, and by its name no humidity")
     if column.unit in KIND_OF_UNIT and column.numeric:
         return ColumnGuess(KIND_OF_UNIT[column.unit], axis, f"its unit ({column.unit})")
