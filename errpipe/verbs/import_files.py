@@ -128,10 +128,8 @@ def _of_any_sheet(
 ) -> tuple[Proposal, str]:
     """The proposal of the first sheet of a file that holds measurements, and what was opened; others are named."""
     kind, sheets = open_file(file, door)
-    sheets = with_legend(sheets)
-    out: list[tuple[Proposal, str]] = []
-    problems, asked = dict[str, list[str]](), ""
-    for sheet in sheets:
+    out, problems, asked = list[tuple[Proposal, str]](), dict[str, list[str]](), ""
+    for sheet in with_legend(sheets):
         if len(out) == MAX_SHEETS:
             break
         try:
