@@ -58,6 +58,7 @@ _ANY_ANGLE = (
 OF_SMALL_LENGTHS = ("um", "urad", "arcsec", "nm", "0.001 inch", "0.0001 inch", "microinch")
 OF_DEVIATIONS = ("um", "urad", "nm", "arcsec", "mrad")
 UNKNOWN = "neither its name, its unit nor its values identify it"
+_SHARES = r"load|last|torque|moment|override|duty|power|leistung|utili"  # in %, and no humidity
 PLACES = ("error", "counts")  # kinds of units in which a place may be logged, too: um, arcsec, counts
 # Symbols of physics that are letters of axes as well: `v [mm/s]` is no velocity of the axis V.
 SYMBOLS = {"velocity": "V", "feed": "V", "acceleration": "A", "temperature": "C", "pressure": "B"}
@@ -114,6 +115,8 @@ def _guess(column: RawColumn, axis: str | None) -> ColumnGuess:
         return ColumnGuess("error", axis, f"its name ({column.header!r}) and unit ({column.unit})")
     if KIND_OF_UNIT.get(column.unit or "") == "error" and values.is_scatter(column):
         return ColumnGuess("ignore", axis, values.SCATTER)
+    if column.unit == "%" and re.search(_SHARES, plain(column.header)):
+        return ColumnGuess("ignore", axis, "a share in %, and by its name no humidity")
     if column.unit in KIND_OF_UNIT and column.numeric:
         return ColumnGuess(KIND_OF_UNIT[column.unit], axis, f"its unit ({column.unit})")
     if _side(column) is not None and column.values.size > 3:
@@ -192,6 +195,8 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     if kind in ("position", "command", "actual") and unit == "counts":
         return "counts", "its unit (counts)"
+    if kind == "counts" and (unit in OF_SMALL_LENGTHS or unit in OF_DEVIATIONS):
+        return "error", f"its unit ({unit})"  # divisions of a dial, with what one is
     if kind in ("velocity", "feed") and unit in ("rpm",):
         return "spindle_speed", f"its unit ({unit})"
     return kind, ""

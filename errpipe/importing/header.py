@@ -9,12 +9,14 @@ import numpy as np
 
 from errpipe.importing.blocks import COMMENT
 from errpipe.importing.facts import OF_A_FACT
-from errpipe.importing.sheet import Cell, filled_cells, label, number
+from errpipe.importing.sheet import Cell, Sheet, filled_cells, label, number
 from errpipe.importing.units import split_header, unit_of
 from errpipe.importing.units_above import UNITS
 from errpipe.importing.words import kind_by_name
 
+DEEPEST_LEGEND = 200  # rows of a legend, and of a sheet above its data: the longest preamble seen has 60
 NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
+_CHANNEL = re.compile(r"[^\W\d_]{0,8}\W?\d[\d-]*")  # `CH1`, `AI-03`
 _WORD = re.compile(
     r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?|open|burn ?out|over ?(range|flow)|no ?sensor)$).*[^\W\d_]",
     re.IGNORECASE,
@@ -152,11 +154,32 @@ def named_above(names: list[str], above: list[list[Cell]]) -> list[str]:
     """Names of channels as lines above call them: `CH1` below `CH1,Spindle,TEMP`; as they are where two agree."""
     called = {label(row[0]): label(row[1]) for row in above if len(row) > 1 and is_word(row[1])}
     bare = [split_header(n)[0] for n in names]
-    numbered = [n for n in bare if re.fullmatch(r"[^\W\d_]{0,8}\W?\d[\d-]*", n) and n in called]
+    numbered = [n for n in bare if _CHANNEL.fullmatch(n) and n in called]
     unique = len({called[n] for n in numbered}) == len(numbered) > 1
     return [
         n.replace(b, f"{b} {called[b]}", 1) if unique and b in numbered else n for n, b in zip(names, bare, strict=True)
     ]
+
+
+def with_legend(sheets: list[Sheet]) -> list[Sheet]:
+    """The sheets with the names and units that a sheet of words gives to channels of another: `CH1 | Bearing | degC`.
+
+    A legend has a row for each of at least two cells of a header, the channel first. It stays among the sheets.
+    """
+    for legend in sheets if len(sheets) > 1 else []:
+        said = [[label(c) for c in filled_cells(row)] for row in legend.rows]
+        called = {
+            row[0]: row[1] + (f" [{row[2]}]" if len(row) > 2 and unit_of(row[2]) else "")
+            for row in said
+            if len(row) > 1 and _CHANNEL.fullmatch(row[0]) and is_word(row[1])
+        }
+        for sheet in (s for s in sheets if s is not legend):
+            heads = [row for row in sheet.rows[:DEEPEST_LEGEND] if sum(label(c) in called for c in row) > 1]
+            if sheet.header is None and len(heads) == 1 and len(called) < DEEPEST_LEGEND:
+                at = next(r for r, row in enumerate(sheet.rows) if row is heads[0])
+                sheet.rows[at] = [f"{label(c)} {called[label(c)]}" if label(c) in called else c for c in heads[0]]
+                sheet.notes.append(f"the sheet {legend.name!r} names the channels")
+    return sheets
 
 
 def metres(names: list[str]) -> list[str]:

@@ -21,7 +21,7 @@ from errpipe.importing.header import (
     named_above,
     names_of,
 )
-from errpipe.importing.sheet import Cell, Sheet, decimal_comma, filled_cells, number, of_one_mark
+from errpipe.importing.sheet import Cell, Sheet, decimal_comma, filled_cells, is_sexagesimal, number, of_one_mark
 from errpipe.importing.units import split_header, unit_of
 from errpipe.importing.units_above import units_of_columns
 from errpipe.importing.words import is_correction, is_following_error, kind_by_name
@@ -93,9 +93,10 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     names, units, used = names_of(rows, head_rows, max(map(len, rows[start:])))
     above = [" ".join(str(c) for c in row if c not in (None, "")) for row in rows[: start - used]]
     above += [*sheet.above, *_said_by_name(sheet.name)]
+    called = names if used else [*stated, *names[len(stated) :]]
     units = [
         u or a or unit_in_cells.get(i)
-        for i, (u, a) in enumerate(zip(units, units_of_columns(rows, start - used, names), strict=True))
+        for i, (u, a) in enumerate(zip(units, units_of_columns(rows, start - used, called), strict=True))
     ]
     names = named_above(_merged(names, numbers[start:]), rows[: start - used]) if used else names
     if stated:
@@ -190,7 +191,8 @@ def _first_data_row(name: str, rows: list[list[Cell]], numbers: list[list[float 
     for r in range(min(len(filled), DEEPEST_HEADER)):
         block = range(r, min(r + 3, len(filled)))
         full = all(filled[i] >= max(2, 0.6 * width) and counts[i] >= max(1, 0.4 * filled[i]) for i in block)
-        if full and not is_header(rows[r], numbers, r):
+        fact = counts[r] == 1 and width > 2 == filled[r] and is_word(rows[r][0])
+        if full and not fact and not is_header(rows[r], numbers, r):
             return r
     raise DataError(f"{name}: no block of numbers below a header in the first {DEEPEST_HEADER} lines")
 
@@ -243,6 +245,8 @@ def _layout(
                 "thousands, with the mark of the other columns)"
             ) from None
         values = np.array([v if (v := number(c, comma)) is not None else np.nan for c in cells])
+        if any(map(is_sexagesimal, cells)):
+            stated = "deg"
         part, _, base = (stated or unit or "").partition(" ")
         if base == "degC" and part.startswith("0."):  # `Bed [0.1 °C]`
             values, stated = values * float(part), base

@@ -24,7 +24,7 @@ _VALUE = re.compile(
     r"(?:var ?)?(value|state|payload|wert|reading|messwert|valeur|valore|valor)( ?\(?(float|double|num(ber|eric)?)\)?)?"
 )
 _NODE = re.compile(r"^ns=\d+;[sigb]=")  # of an OPC UA server, before the name
-_UNIT = re.compile(r"(unit|einheit|units|unite|uom)s?")
+_UNIT = re.compile(r"(?:eng(?:ineering)? ?)?(unit|einheit|units|unite|uom)s?")
 
 
 def unstacked(sheet: Sheet) -> Sheet:

@@ -20,6 +20,9 @@ FEWEST_VISITS = 6  # readings; fewer do not show which positions are targets
 DENSE_PLACES = 100  # different commands: a log, not a test of targets
 
 
+SHARED = 3  # visits to the last digit of a place that is a target
+
+
 def refuse_swapped(p: Proposal, command: str, actual: str) -> None:
     """Raise DataError where the actual position comes back to equal places to the last digit, and the command does not.
 
@@ -35,6 +38,15 @@ def refuse_swapped(p: Proposal, command: str, actual: str) -> None:
             f"{actual!r} comes back to the same {places} places to the last digit, and {command!r} does not: are the "
             f"names swapped? Say --set {command}.role=actual --set {actual}.role=command; where a gauge stood at these "
             f"places and the machine was read, --set {command}.role=command --set {actual}.role=actual"
+        )
+    targets, visits = np.unique(x, return_counts=True)
+    targets = targets[visits >= SHARED]
+    swapped = np.isin(y, targets) & ~np.isin(x, targets)
+    if swapped.sum() >= SHARED and swapped.sum() > 0.8 * np.sum(~np.isin(x, targets)):
+        raise DataError(
+            f"in {int(swapped.sum())} rows, from row {int(np.argmax(swapped)) + 1} on, {actual!r} holds the targets of "
+            f"the other rows and {command!r} does not: were the two exchanged there? Put these cells right, or leave "
+            "the rows out"
         )
 
 

@@ -44,7 +44,7 @@ TESTS: tuple[tuple[str, str, str, str], ...] = (
     (
         "inspection print",
         r"^\W*posn\b|\bdprnt\b|\bfeature no\b.*\d|\binspection (report|print)\b|\btchpr|\bmeasuring log\b|messprotokoll"
-        r"|^\W*(n\d+ )?x ?-?\d+[.,]\d*\W+y ?-?\d|\bdim loc|\bcmm\b",
+        r"|^\W*(n\d+ )?x ?-?\d+[.,]\d*\W+y ?-?\d|\bdim loc|\bcmm\b|^dmismn\b|\bfeat/",
         "an inspection print of a CMM or of the machine's own probe",
         "it lacks rows that state axis, nominal and actual place of each feature: write them as a table "
         "`Feature;Axis;Nominal;Actual` (Hole 1;X;50.000;50.012), in mm, which is imported",

@@ -27,6 +27,7 @@ from errpipe.importing import (
     rows_of,
     signs,
     simulated,
+    speeds,
     wide,
 )
 from errpipe.importing import columns as guessing
@@ -56,6 +57,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         c.unit = unit_of(unit or "") or unit
     no_reading.blank(layout)
     quality.blank(layout)
+    speeds.read_switches(layout)
     if (of_a_ball_bar := circle.proposal(layout, options)) is not None:
         return of_a_ball_bar
     layout = wide.unpivoted(rows_of.one_machine(rows_of.one_axis(layout, options), options))

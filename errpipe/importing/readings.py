@@ -127,6 +127,8 @@ def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
     moving = [a for a in letters if (c := p.first("command", a)) in p.data and np.ptp(p.data[c]) > 0]
     if options.axis is not None:
         letters = [options.axis]
+    elif len(moving) == 1:  # the others stand: `Nominal Y` of a tracker along X
+        letters = [a for a in letters if a in moving or p.first("command", a) not in p.data]
     elif len(moving) > 1 and p.rows < order.DENSE_ROWS:
         raise DataError(
             f"axes {', '.join(moving)} move together, and no column holds deviations: a cloud of points is a recording "

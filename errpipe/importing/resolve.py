@@ -72,6 +72,11 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
             f"{_turns(component)}"
         )
     values, unit, why = plain_unit(values, unit, why)
+    if standard == "urad" and unit in ("um", "mm", "nm"):
+        raise DataError(
+            f"readings in {unit} are no {component}, which is an angle: say what was displaced, with --set "
+            "COLUMN.component=E_X (E_R: along a bar) of each column, and --set COLUMN.role=ignore of the others"
+        )
     if unit is None and standard == "urad":
         raise DataError(
             f"no unit is stated for the angles of {component}: say it with --unit (arcsec, urad, mrad, mdeg, deg)"

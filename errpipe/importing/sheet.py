@@ -23,6 +23,9 @@ _DOUBTFUL = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
 _GROUPS = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}(?:\1\d{3})+")
 _BLANK_WITHIN = re.compile(r"(?<=\d) (?=\d{3}(?!\d))|(?<=^[+-]) +")
 _GROUPED_BY_COMMAS = re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?")
+_SEXAGESIMAL = re.compile(  # 15°00'01.86", -0° 0′ 2″
+    r"([+-]?)(\d{1,4})\s*[°º]\s*([0-5]?\d)\s*['’′]\s*(?:([0-5]?\d(?:[.,]\d+)?)\s*(?:\"|″|”|''|′′))?"
+)
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,9 @@ def number(cell: Any, comma: bool) -> float | None:
         text = _BLANK_WITHIN.sub("", text)
     if len(text) > 40:
         return None
+    if (parts := _SEXAGESIMAL.fullmatch(text)) is not None:
+        degrees = int(parts[2]) + int(parts[3]) / 60.0 + float((parts[4] or "0").replace(",", ".")) / 3600.0
+        return -degrees if parts[1] == "-" else degrees
     if _MINUS_BEHIND.fullmatch(text):  # as some planning systems write: 5,2-
         text = f"-{text[:-1]}"
     if _GROUPED_BY_MARKS.fullmatch(text):
@@ -83,6 +89,11 @@ def number(cell: Any, comma: bool) -> float | None:
     elif not comma and _GROUPED_BY_COMMAS.fullmatch(text):
         text = text.replace(",", "")
     return float(text.upper().replace("D", "E")) if _PLAIN.fullmatch(text) else None
+
+
+def is_sexagesimal(cell: Cell) -> bool:
+    """Whether a cell is an angle in degrees, minutes and seconds, which `number` reads in degrees."""
+    return isinstance(cell, str) and _SEXAGESIMAL.fullmatch(cell.strip().translate(MINUS)) is not None
 
 
 def of_one_mark(cells: list[Cell], comma: bool, thousands: bool = True) -> list[Cell]:

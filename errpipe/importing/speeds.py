@@ -1,4 +1,4 @@
-"""Velocities without a unit: what the change of the position in time says of it."""
+"""Speeds that are not stated as such: velocities without a unit, spindles that are on or off."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ import re
 import numpy as np
 
 from errpipe.domain import units
+from errpipe.importing.layout import Layout
 from errpipe.importing.proposed import Proposal
+from errpipe.importing.sheet import label, number
+from errpipe.importing.words import kind_by_name, plain
 
 OF_ONE = 1.3  # factor within which a scale is that of a unit: noise and delay shift it, units differ by 6 at least
 FOLLOWS = 0.9  # correlation with the change of the position: below it, it is no velocity of this axis
@@ -17,6 +20,35 @@ _SCALES = {
     "deg": {"deg/s": 1.0, "rad/s": np.pi / 180.0, "rpm": 1.0 / 6.0, "mdeg/s": 1e3, "deg/min": 60.0},
 }
 _OF_A_MOTOR = re.compile(r"motor|servo|drive|antrieb", re.IGNORECASE)
+
+
+_ON = ("on", "ein", "an", "marche", "acceso", "encendido", "running", "run")
+_OFF = ("off", "aus", "arret", "spento", "apagado", "stopped", "stop", "standstill")
+_SWITCHED = re.compile(r"^(spindle|spindel|broche|mandrino|husillo)( ?(on|state|status|on ?off))?$")
+_SPEED = re.compile(r"(\d[\d.,' ]*\d|\d+)\s*(?:rpm|min-1|1/min|u/min|tr/min|r/min)")
+
+
+def read_switches(layout: Layout) -> None:
+    """Spindles and coolants that are written as on and off in numbers, in place: rpm by a line above; 1 and 0.
+
+    Of a spindle whose speed no line states, or several, a note says what to write.
+    """
+    said = {number(m[1], comma=False) for line in layout.above for m in _SPEED.finditer(plain(line))} - {None}
+    for c in layout.columns:
+        spindle = _SWITCHED.match(plain(c.header)) is not None
+        words = {plain(label(x)) for x in c.cells if x not in (None, "")}
+        if c.numeric or not words or not words <= {*_ON, *_OFF} or not (spindle or kind_by_name(c.header) == "coolant"):
+            continue
+        if spindle and len(said) != 1:
+            layout.notes.append(
+                f"{c.header}: on and off, and no line above states one speed: write `Spindle speed: 8000 rpm` there, "
+                "or a column of the speed"
+            )
+            continue
+        speed = said.copy().pop() if spindle else 1.0
+        c.cells = [None if x in (None, "") else (speed if plain(label(x)) in _ON else 0.0) for x in c.cells]
+        c.values = np.array([np.nan if x is None else x for x in c.cells])
+        c.unit = "rpm" if spindle else c.unit
 
 
 def units_by_positions(p: Proposal) -> None:

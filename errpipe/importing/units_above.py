@@ -19,20 +19,20 @@ UNITS = re.compile(r"(?:(?:y_)?unit|einheit|unidad|unità|unité)(?:s|en|es|_lab
 def units_of_columns(rows: list[list[Cell]], end: int, names: list[str]) -> list[str | None]:
     """The units of a line above the header that holds nothing else: `Units,mm,um`, or LabVIEW's `Y_Unit_Label`.
 
-    `Units: inch` is one of the positions; whether of the readings as well, their size says.
+    `Units: inch` (mm, m) is one of the positions; whether of the readings as well, their size says.
     """
     width = len(names)
     for row in rows[max(end - DEEPEST, 0) : end]:
         cells = [label(c) for c in row[1:]]
-        filled = [label(c) for c in filled_cells(row)]
+        filled = [label(c).lstrip("#%/;! ") for c in filled_cells(row)]
         if len(filled) == 1 and UNITS.match(filled[0]):
             cells = [word for word in re.split(r"[\s:=]+", filled[0])[1:] if word]
         if not filled or not UNITS.match(filled[0]) or not all(unit_of(c) for c in cells if c):
             continue
         units = [unit_of(c) if c else None for c in cells]
-        if [u for u in units if u] == ["inch"] and len([c for c in cells if c]) == 1:
+        if units.count(None) == len(units) - 1 and (of_all := next(filter(None, units))) in ("inch", "mm", "m"):
             places = ("command", "position", "actual")
-            return ["inch" if kind_by_name(n) in places and not split_header(n)[1] else None for n in names]
+            return [of_all if kind_by_name(n) in places and not split_header(n)[1] else None for n in names]
         if label(row[0]).lower().startswith("y_"):
             return ([None, *units] + [None] * width)[:width]
         if len([u for u in units if u]) == width:

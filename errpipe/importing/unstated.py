@@ -73,6 +73,8 @@ def resolve_units(p: Proposal, layout: Layout) -> None:
     stated = {c.unit or "" for c in layout.columns} | {split_header(line)[1] or "" for line in layout.above}
     inches = any(u.endswith("inch") for u in stated)
     metric = any(u.endswith(("um", "mm", "nm")) or u in ("m", "cm", "urad", "arcsec") for u in stated)
+    places = [n for n, e in p.entries.items() if e["role"] in PLACES and e.get("unit") == "mm" and n in p.data]
+    widest = max((np.ptp(v[np.isfinite(v)]) for n in places if np.isfinite(v := p.data[n]).any()), default=0.0)
     for name, why in p.guesses.items():
         entry = p.entries[name]
         if "no unit is stated" not in why or entry.get("unit") not in ("mm", "um"):
@@ -82,7 +84,7 @@ def resolve_units(p: Proposal, layout: Layout) -> None:
             raise DataError(
                 f"no unit is stated for {name!r}: metres, or measured? Say it, with --set {name}.unit=m (or mm)"
             )
-        narrow = entry["role"] in PLACES and np.ptp(p.data[name][np.isfinite(p.data[name])]) < readings.NARROW
+        narrow = entry["role"] in PLACES and widest < readings.NARROW  # places of one file have one unit
         if inches or (narrow and not metric):
             raise DataError(
                 f"no unit is stated for {name!r}, and it may be inches: say it, with "

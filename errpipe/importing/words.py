@@ -121,14 +121,15 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(velocity|geschw|\bvel\b|speed)", "velocity"),
     (r"(accel|beschl)", "acceleration"),
     (
-        r"(target|soll|ziel|nominal|\bnom\b|nenn(wert|mass|laenge)|calibrated( (value|length|position))?$"
+        r"(target|soll|ziel|nominal|\bdesign\b|\bnom\b|nenn(wert|mass|laenge)|calibrated( (value|length|position))?$"
         r"|kalibrier(wert|ter wert|te laenge|t)$"
         r"|command|\bcmd|\bnoml\b|set ?(point|pos)|\bpos ?set\b|demand|ref(erence)?\b|consign[ea]"
         r"|theorique|cible|teoric|objetivo|\balvo\b|doelpos|malpos|zadan|cilov|hedef|gewenst|boervaerd|borvard|celpoz|目標|目标|指令|задан|целев|목표)",
         "command",
     ),
     (
-        r"(actual|\b[xyzabcuvw]?\d?ist\b|ist(wert|mass)|\bprobed\b|\bangetastet|\bfbk\b|measured|\bmeas\b|gemessen|messwert|reading|anzeige|feedback|\bfb\b|\bactl?\b|encoder"
+        r"(actual|\bas ?-?built"
+        r"|\b[xyzabcuvw]?\d?ist\b|ist(wert|mass)|\bprobed\b|\bangetastet|\bfbk\b|measured|\bmeas\b|gemessen|messwert|reading|anzeige|feedback|\bfb\b|\bactl?\b|encoder"
         r"|laser|dial|indicator|uhr|\bmesure|releve|misurat|\bmedid|display|read ?out|\bdro\b|\bgemeten|\bwerkelijk"
         r"|aervaerd|arvard|uppmaett|zmierzon|rzeczywist|skutecn|namer|oelcuelen|olculen|\bgercek|\bmert\b|tenyleg|\breale?\b|\breelle\b|\bmisura\b|lectura|leitura|lettura|実測|实测|測定値|测量|测定|实际"
         r"|измерен|фактич|действит|측정|실제)",

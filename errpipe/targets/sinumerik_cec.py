@@ -1,9 +1,12 @@
 """SINUMERIK cross-error compensation ($AN_CEC): sag, straightness, squareness, and screw errors in both directions.
 
-Value     the ERROR of the output axis in mm, taken to have the sense of the leadscrew table (positive moves minus);
-          the manual's excerpts do not say so, and a public program writes such files with the other sign, minus the
-          deviation: prove it on the machine with the three-point list before cutting. The base axis counts by its set
-          point; outside MIN..MAX the end values hold (828D manual of 08/2018, p. 299).
+Value     the ERROR of the output axis in mm: a positive value is taken to move it in minus, as in the leadscrew table.
+          Derived, not proved. For it: the manual draws one figure for both tables, in which the values are points of
+          the error curve (p. 237), and of the leadscrew table it says that positive moves minus. A public program
+          wrote minus the deviation in one version, and in a longer one the deviation. No sentence of the manual and
+          no control was found that settles it: turn the weight on at a dial gauge before cutting (step 3 below, two
+          minutes). The base axis counts by its set point; outside MIN..MAX the end values hold (828D manual of
+          08/2018, p. 299).
 Direction table DIRECTION 1 acts in plus, -1 in minus, 0 in both: a screw error in two directions is two tables.
 Products  a correction that is a curve over one axis times a curve over another (an axis that tilts along its way times
           the height of the tool) is the product of two tables: MULT_BY_TABLE of the first is the second's number, its
@@ -60,20 +63,21 @@ class SinumerikCec(Target):
     name = "sinumerik_cec"
     controller = "SINUMERIK 840D sl, 828D"
     confidence = "experimental"
-    sign = "a positive value moves the output axis in minus (as the leadscrew table; prove it on the machine)"
+    sign = "a positive value moves the output axis in minus (as the leadscrew table: derived, not proved; see step 3)"
     limits = "8 tables of 200 points, equidistant; sums of curves and (4 tables each) products; no temperature"
     holds = ("screw", "both directions", "cross")
     remark = {"": "; {}"}
     numbering = "AX{1}"
-    source = "Function Manual Extended Functions 6FC5397-1BP40-3BA1, K3 (p. 245, 248 to 252, 264); 802D sl p. 222"
+    source = "Function Manual Extended Functions 6FC5397-1BP40-3BA1, K3 (p. 237, 245, 248 to 252, 264); 802D sl p. 222"
     activation = (
         "MD18342 points per table; the option for sag compensation, else alarm 8040",
         "MD32710 CEC_ENABLE = 0 while the file is loaded, then 1 for each output axis; SD41300 CEC_TABLE_ENABLE[n] "
         "= 1; reference again",
-        "SD41310 CEC_TABLE_WEIGHT[n] = 1; read the compensation value in the axis' service screen at three points, and "
-        "measure one of them clear of any part: if an axis is off by twice its error there, this control takes values "
-        "with the other sign: SD41300 = 0, turn the sign of every value of the axis' tables (of a product: of its "
-        "first and third table), load again",
+        "prove the sign, two minutes, clear of any part: dial gauge on the output axis, standing where $AN_CEC of its "
+        "table is largest; SD41310 CEC_TABLE_WEIGHT[n] from 0 to 1: of a positive value the axis must go in minus, by "
+        "that value. Goes it in plus, this control takes values with the other sign: SD41300 = 0, turn the sign of "
+        "every value of the axis' tables (of a product: of its first and third table), load again; then compare the "
+        "three points below",
         "MD32720 CEC_MAX_SUM (mm) above the largest value of the list below, MD32730 CEC_MAX_VELO: the control limits "
         "the sum and its rate with an alarm, and goes on",
         "tables with MULT_BY_TABLE (products): enable all four of a product or none; basic system metric (MD10240 = 1)",
@@ -127,7 +131,18 @@ class SinumerikCec(Target):
             )
             blocks += _four(len(blocks), axes, factors)
         named = "".join(f"; AX{n} = {letter}\n" for n, letter in enumerate(axes, 1))
-        return {FILE: f"%_N_NC_CEC_INI\n; {CAUTION}\n" + named + remarks + "CHANDATA(1)\n" + "".join(blocks) + "M17\n"}
+        sign = (
+            "; sign: value = deviation, taken to move the axis by minus the value; not proved (CHECKLIST.md, step 3)\n"
+        )
+        return {
+            FILE: f"%_N_NC_CEC_INI\n; {CAUTION}\n"
+            + sign
+            + named
+            + remarks
+            + "CHANDATA(1)\n"
+            + "".join(blocks)
+            + "M17\n"
+        }
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:

@@ -33,6 +33,10 @@ EXPLANATIONS: dict[str, str] = {
         "The slope of the deviation grows by more than 60 um/m for each kelvin of every temperature; aluminium has 23. "
         "The error or the temperature is in another unit, or another sensor is meant."
     ),
+    "exchanged-sensors": (
+        "From one run on two temperatures read in each other's place, as the runs before show: plugs were exchanged. "
+        "Exchange the readings back, or give both columns the role ignore."
+    ),
     "jump": (
         "The error steps by exactly 1 mm, 0.1 inch or 1 inch between neighbours: a dial gauge went through a "
         "full turn that was not counted."
@@ -44,6 +48,11 @@ EXPLANATIONS: dict[str, str] = {
     "mixed-sign": "One run or one direction holds the curve of the others with the other sign.",
     "mixed-units": (
         "One run or one direction holds the same curve, or the same targets, 25.4 or 1000 times larger than the others."
+    ),
+    "new-zero": (
+        "From one run to the next every target shifts by one amount, several times what runs differ by otherwise: the "
+        "zero of the instrument was set anew, or the axis was homed. Take the shift out of the readings from that run "
+        "on, or leave the runs on one side of it out."
     ),
     "not-a-temperature": "A temperature column follows the position back and forth within every run.",
     "other-zero": (

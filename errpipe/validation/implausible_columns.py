@@ -9,6 +9,7 @@ import numpy as np
 
 from errpipe.domain import components
 from errpipe.domain.recording import Recording
+from errpipe.validation import odd_runs
 from errpipe.validation.plausibility_finding import Finding
 
 MIN_MOVES = 10  # steps or rows; with fewer a check returns nothing
@@ -81,7 +82,8 @@ def direction_against_motion(recording: Recording) -> Iterator[Finding]:
             evidence = f"{place} rises from row to row through all runs, and it changes all the same"
             yield Finding("direction-not-of-motion", side, evidence, "another position (this one counts the rows)")
             continue
-        agree = float(np.mean(np.sign(step[moved]) == d[1:][moved]))
+        same = np.sign(step[moved]) == d[1:][moved]
+        agree = float(np.mean(same))
         rising = float(np.mean(step[moved] > 0))
         sweeps = np.count_nonzero(np.diff(np.sign(step[moved]))) < SWEEPS * moved.sum()
         sweeps &= BOTH_WAYS < rising < 1 - BOTH_WAYS  # a table sorted by targets rises from first to last on both sides
@@ -93,6 +95,19 @@ def direction_against_motion(recording: Recording) -> Iterator[Finding]:
                 f"the axis sweeps up and down, but it follows the motion of {place} in {100 * agree:.0f} % of the steps"
             )
             yield Finding("direction-not-of-motion", side, evidence, "another column, or the sign of the motion")
+        elif against := _runs_against_motion(run[1:][moved], same):
+            labels = ", ".join(recording.run_labels()[k] for k in against)
+            evidence = f"in run {labels} it is the opposite of the motion of {place}, and not in the others"
+            yield Finding("reversed-direction", side, evidence, "+1 when approached from below (the position rises)")
+
+
+def _runs_against_motion(run: np.ndarray, same: np.ndarray) -> list[int]:
+    """Codes of runs in which a direction is against the motion, where the others follow it; run, same: (moves,)."""
+    codes = np.unique(run)
+    agree = np.array([same[run == k].mean() for k in codes])
+    moves = np.array([np.sum(run == k) for k in codes])
+    against = (agree <= 0.1) & (moves >= MIN_MOVES)
+    return codes[against].tolist() if np.all(agree[~against] >= 1 - BOTH_WAYS / 2) else []
 
 
 def travel(recording: Recording) -> Iterator[Finding]:
@@ -295,6 +310,28 @@ def copies(recording: Recording) -> Iterator[Finding]:
                 break
 
 
+REFERENCE = (0.5, 1 / 3)  # of the runs, from the first: those that others are compared with
+APART = 2.0  # K between two sensors, whose exchange is else neither certain nor of any weight
+
+
+def sensors_of_some_runs(recording: Recording) -> Iterator[Finding]:
+    """Temperatures that from some run on read in each other's place, or in another unit, as the runs before show."""
+    run = recording.run_codes()
+    order = list(dict.fromkeys(run.tolist()))
+    for share in REFERENCE:
+        odd = odd_runs.odd_from_there_on(recording, np.isin(run, order[: int(share * len(order))]))
+        if not odd:
+            continue
+        names, labels = odd[0].what.split(" and "), {o.run for o in odd}
+        rows = np.isin(run, [c for c in order if recording.run_labels()[c] in labels])
+        evidence = f"{odd[0].says} from run {odd[0].run} on, in {len(odd)} runs"
+        if len(names) == 1:
+            yield Finding("temperature-range", names[0], evidence, "another unit in part of the file", "ask")
+        elif np.nanmedian(np.abs(recording.array(names[0])[rows] - recording.array(names[1])[rows])) > APART:
+            yield Finding("exchanged-sensors", odd[0].what, evidence, "plugs that were exchanged", "ask")
+        return
+
+
 CHECKS: tuple[Callable[[Recording], Iterator[Finding]], ...] = (
     axis_of_component,
     direction_against_motion,
@@ -305,5 +342,6 @@ CHECKS: tuple[Callable[[Recording], Iterator[Finding]], ...] = (
     warm_everywhere,
     fahrenheit,
     temperature_of_position,
+    sensors_of_some_runs,
     copies,
 )

@@ -151,6 +151,49 @@ def shuffled_rows(r: Response) -> Finding | None:
     return None
 
 
+FEWEST_STEPS = 10  # from run to run: fewer show no usual one
+NEW_ZERO = 8.0  # times the usual step (1.4826 times the median size), normal: once in 1e15
+BEYOND_OTHERS = 3.0  # times the largest other step
+LEAST_ZERO_UM = 3.0  # um (urad): what homing repeats to, and no cause to look for
+FLAT = 0.2  # of a step: scatter of the targets about their line, beyond which the shape changed as well
+
+
+def new_zero(r: Response) -> Finding | None:
+    """Steps from run to run that are the same at every target, far beyond the others; heat turns the line as well.
+
+    What heat shifts is proportional to what it turns, about the place where the scale is held: that is taken out.
+    """
+    codes = list(dict.fromkeys(r.run.tolist()))
+    if r.position is None or r.component.kind == "force" or len(codes) <= FEWEST_STEPS:
+        return None
+    levels = np.round(np.asarray(r.position), 3)
+    shared = levels
+    for k in codes:
+        shared = np.intersect1d(shared, levels[r.run == k])
+    if shared.size < MIN_FINITE_ROWS or not np.ptp(shared):
+        return None
+    means = np.array([means_at(levels[r.run == k], r.deviation[r.run == k], shared) for k in codes])
+    slope, shift = np.polyfit(shared - shared.mean(), np.diff(means, axis=0).T, 1)
+    line = np.outer(shared - shared.mean(), slope) + shift
+    rough = (np.diff(means, axis=0).T - line).std(axis=0)
+    place = 0.0  # where heat shifts nothing, mm from the middle
+    for _ in range(20):
+        weight = 1.0 / np.maximum(np.abs(shift - place * slope), 1e-3)
+        place = float(np.sum(weight * shift * slope) / max(np.sum(weight * slope**2), 1e-12))
+    step = shift - place * slope
+    usual = 1.4826 * float(np.median(np.abs(step)))
+    large = np.flatnonzero((np.abs(step) > max(NEW_ZERO * usual, LEAST_ZERO_UM)) & (rough < FLAT * np.abs(step)))
+    rest = np.abs(np.delete(step, large)).max(initial=0.0)
+    if not 0 < large.size <= max(1, step.size // 10) or np.abs(step[large]).min() < BEYOND_OTHERS * rest:
+        return None
+    at = ", ".join(f"run {r.recording.run_labels()[codes[k + 1]]} by {step[k]:+.3g}" for k in large[:3])
+    evidence = f"every target shifts at once, from {at} {r.component.unit} (other runs by {rest:.2g} at most)"
+    meant = (
+        "the zero of the instrument was set anew (take that out of the readings from there on), or the axis was homed"
+    )
+    return Finding("new-zero", r.column, evidence, meant, "ask")
+
+
 def _curves(r: Response, groups: Sequence[np.ndarray]) -> np.ndarray | None:
     """Mean deviation of each group at the targets that all share, less its own line; None where it is undetermined."""
     levels = np.round(np.asarray(r.position), 3)
@@ -167,4 +210,4 @@ def _curves(r: Response, groups: Sequence[np.ndarray]) -> np.ndarray | None:
     return curves if curves.std(axis=1).min() > MIN_SCATTER_UM else None
 
 
-CHECKS: tuple[Check, ...] = (mixed_sign, repeated_run, mixed_positions, mirrored_rows, shuffled_rows)
+CHECKS: tuple[Check, ...] = (mixed_sign, repeated_run, mixed_positions, mirrored_rows, shuffled_rows, new_zero)

@@ -21,6 +21,7 @@ from errpipe.validation.response_drift import UNITS, meaning
 
 ODD = 4.0  # root of an F ratio: by chance once in years of nights, and then without a cause
 SOUND = 3.0  # root of an F ratio of a sound run; and how much less of an odd one its cause, undone, leaves
+LASTING, FEWEST_LASTING = 0.8, 3  # of the odd runs, and runs: those that one cause must explain
 AS_BEFORE = 2.0  # times the rms that the champion leaves in its own runs, their largest: a run that fits it
 UNLIKE = 5.0  # times that: a run that does not
 LIKELY = 2.0  # times the largest prediction of the champion's runs: beyond it the prediction is in doubt
@@ -42,25 +43,50 @@ def odd_sensors(recording: Recording, reference: np.ndarray) -> list[OddRun]:
 
     reference: rows that fitted the champion, (rows,). Empty where there are too few sensors or reference runs to know.
     """
-    names, run, labels = recording.names("temperature"), recording.run_codes(), recording.run_labels()
+    labels, (as_read, causes) = recording.run_labels(), _causes(recording, reference, SOUND)
+    new = list(as_read)
+    found = [(c, cause) for c, cause in causes.items() if cause is not None and _stands_alone(new, c, as_read, causes)]
+    return [OddRun(labels[c], *cause) for c, cause in found]
+
+
+def odd_from_there_on(recording: Recording, reference: np.ndarray) -> list[OddRun]:
+    """The runs beside the reference rows, (rows,), that one cause explains, where it does so in nearly all odd ones.
+
+    Readings that are put right may lie beside the reference, for a machine goes on to warm; far nearer than as read.
+    """
+    labels, (_, causes) = recording.run_labels(), _causes(recording, reference, np.inf)
+    usual = max(causes.values(), key=list(causes.values()).count, default=None)
+    runs = [c for c, cause in causes.items() if cause == usual]
+    if usual is None or len(runs) < max(FEWEST_LASTING, LASTING * len(causes)):
+        return []
+    return [OddRun(labels[c], *usual) for c in runs]
+
+
+def _causes(
+    recording: Recording, reference: np.ndarray, sound: float
+) -> tuple[dict[int, float], dict[int, tuple[str, str] | None]]:
+    """Distance of every new run from the reference, and of each odd one the cause that, undone, leaves less than sound.
+
+    Both by code; empty where there are too few sensors or reference runs.
+    """
+    names, run = recording.names("temperature"), recording.run_codes()
     old, new = old_and_new(run, reference)
     if len(names) < 2 or len(old) < FEWEST_RUNS or not new:
-        return []
+        return {}, {}
     readings = np.column_stack([recording.array(n) for n in names])
     good = np.isfinite(readings).all(axis=1)
     means = {c: readings[good & (run == c)].mean(axis=0) for c in (*old, *new) if (good & (run == c)).any()}
     old, new = [c for c in old if c in means], [c for c in new if c in means]
     if len(old) < len(names) + FEWEST_RUNS:
-        return []
+        return {}, {}
     distance = _distance(np.array([means[c] for c in old]))
     as_read = {c: distance(means[c]) for c in new}
     causes: dict[int, tuple[str, str] | None] = {}
     for code in [c for c in new if as_read[c] > ODD]:
         tried = [(distance(mean), what, says) for what, says, mean in _put_right(means[code], names)]
         left, *cause = min(tried)
-        causes[code] = (cause[0], cause[1]) if left < min(SOUND, as_read[code] / SOUND) else None
-    found = [(c, cause) for c, cause in causes.items() if cause is not None and _stands_alone(new, c, as_read, causes)]
-    return [OddRun(labels[c], *cause) for c, cause in found]
+        causes[code] = (cause[0], cause[1]) if left < min(sound, as_read[code] / SOUND) else None
+    return as_read, causes
 
 
 def _distance(reference: np.ndarray) -> Callable[[np.ndarray], float]:

@@ -25,6 +25,7 @@ from errpipe.importing import features, order, other_tests, repeated_runs, resol
 from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
+from errpipe.importing.header import with_legend
 from errpipe.importing.layout import lay_out
 from errpipe.importing.long_form import unstacked
 from errpipe.importing.pairs import paired
@@ -127,9 +128,8 @@ def _of_any_sheet(
 ) -> tuple[Proposal, str]:
     """The proposal of the first sheet of a file that holds measurements, and what was opened; others are named."""
     kind, sheets = open_file(file, door)
-    out: list[tuple[Proposal, str]] = []
-    problems, asked = dict[str, list[str]](), ""
-    for sheet in sheets:
+    out, problems, asked = list[tuple[Proposal, str]](), dict[str, list[str]](), ""
+    for sheet in with_legend(sheets):
         if len(out) == MAX_SHEETS:
             break
         try:

@@ -6,12 +6,13 @@ import json
 import os
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from errpipe.errors import UsageError, did_you_mean
+from errpipe.errors import DataError, UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
@@ -160,6 +161,7 @@ def _facts(folder: Path) -> dict[str, Any]:
 
     from errpipe.domain import components
     from errpipe.formats import manifest_folder
+    from errpipe.validation import iso230_2
 
     recording = manifest_folder.read(folder)
     recorded = recording.components()
@@ -175,7 +177,11 @@ def _facts(folder: Path) -> dict[str, Any]:
     runs, roles = len(recording.run_labels()), {c.role for c in recording.manifest.columns.values()}
     words = {"AXIS": axis, "COMPONENT": component, "DEGREE": str(max(1, min(10, targets // 2)))}
     words["HOLDOUT"] = "{scheme: leave-one-run-out}" if runs > 1 else "{scheme: blocks, blocks: 5}"
-    words["ISO"] = "true" if both and runs >= 2 and components.parse(component).kind in POSITIONING else "false"
+    words["ISO"] = "false"
+    if both and components.parse(component).kind in POSITIONING:
+        with suppress(DataError):  # a target that was visited once from a side
+            iso230_2.figures(recording, component=component)
+            words["ISO"] = "true"
     return {
         "words": words,
         "both_directions": both,

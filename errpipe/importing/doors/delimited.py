@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from errpipe.errors import DataError, UsageError
+from errpipe.importing.header import is_word
 from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
 from errpipe.importing.units import unit_of
 
@@ -99,8 +100,9 @@ def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
         if len(row) != width > 1 < len(row):
             if r > first and all(map(_figure, row)):
                 raise DataError(f"{path}:{r + 1}  {len(row)} numbers, not {width}: a gap between blanks has no column")
-            if r < first and not any(map(_figure, row)):
-                row = _names_with_blanks(line, width)
+            named = _names_with_blanks(line, width) if r < first else []
+            if r < first and (not any(map(_figure, row)) or (len(named) == width and all(map(is_word, named)))):
+                row = named
         yield row
 
 

@@ -128,6 +128,8 @@ def _tables(document: Any, depth: int = DEEPEST, at: str = "") -> Iterator[tuple
         if names := dict.fromkeys(n for r in records for n in r):
             yield at, {n: [r.get(n) for r in records] for n in names}
         yield from ((at, rows) for rows in _of_rows(inner, None))
+        if long := _of_series(inner):
+            yield at, long
         inner = inner[:MOST_SERIES]
     keys = [*document] if isinstance(document, dict) and len(document) == len(inner) else range(1, len(inner) + 1)
     for key, value in zip(keys, inner, strict=True) if depth else ():
@@ -136,6 +138,22 @@ def _tables(document: Any, depth: int = DEEPEST, at: str = "") -> Iterator[tuple
             yield from ((where, rows) for rows in _of_rows(value, header))
         if isinstance(value, list | dict):
             yield from _tables(value, depth - 1, where)
+
+
+def _of_series(series: list[Any]) -> dict[str, list[Any]]:
+    """A row per value of series that each hold one list of values with their times, as historians write a signal.
+
+    `[{"NodeId": "X.ActPos", "DataValues": [{"SourceTimestamp": ..., "Value": 1.0}]}, ...]`; {} for any other list.
+    """
+    rows: list[dict[str, Any]] = []
+    for one in series if len(series) > 1 else []:
+        lists = [v for v in one.values() if isinstance(v, list)] if isinstance(one, dict) else []
+        records = lists[0] if len(lists) == 1 and all(isinstance(r, dict) for r in lists[0]) else []
+        if not records or not all(any(k.lower() == "value" for k in r) for r in records):
+            return {}
+        own = {k: v for k, v in one.items() if not isinstance(v, list | dict)}
+        rows += [own | _flat(r) for r in records]
+    return {n: [r.get(n) for r in rows] for n in dict.fromkeys(n for r in rows for n in r)}
 
 
 def _numbered(values: dict[str, Any]) -> bool:

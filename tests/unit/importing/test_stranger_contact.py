@@ -130,10 +130,6 @@ DOUBTS = {
         "X axis;\nNo.;Error [um]\n" + "\n".join(f"{i};{x / 60}" for i, x in enumerate(SEVEN, 1)),
         "no position of X",
     ),
-    "degrees, minutes, seconds": (
-        "Axis C\nTarget;Error [arcsec]\n" + "\n".join(f"{30 * i}°00'00\";{np.sin(i):.2f}" for i in range(12)),
-        "no position of C",
-    ),
     "torn decimal commas": (
         "Run,X mm,Error um\n" + "\n".join(f"1,{x:.1f},{x / 60:.1f}".replace(".", ",") for x in SEVEN),
         "decimal marks and separators",

@@ -43,6 +43,17 @@ def test_figures_of_iso_230_2_are_asked_for_of_a_positioning_alone(
     assert f"iso230_2: {figures}" in (tmp_path / "work" / "pipeline.yaml").read_text()
 
 
+def test_figures_of_iso_230_2_are_not_asked_for_where_a_target_was_visited_once(tmp_path: Path) -> None:
+    """They were wherever there were two runs, and the pipeline ended there."""
+    made = sample_recordings.laser()
+    place = made.name("command", axis="X") or made.name("position", axis="X")
+    frame = made.frame.copy()
+    frame.loc[frame.index[0], place] += 0.5
+    recording_folder.write(tmp_path / "recording", Recording(made.manifest, frame))
+    init(tmp_path / "work", "laser-iso230", tmp_path / "recording")
+    assert "iso230_2: false" in (tmp_path / "work/pipeline.yaml").read_text()
+
+
 def test_the_pipeline_of_a_drift_looks_for_sensors_that_stand_still(tmp_path: Path) -> None:
     """A sensor stuck from 60 % of the rows on and ever after: 2.9 um left of the next season, now 1.8; healthy 1.1."""
     recording_folder.write(tmp_path / "recording", sample_recordings.gantry())
