@@ -19,6 +19,7 @@ DEPENDENT = 1.8  # rows per independent row of the residual, above which rows ar
 CERTAIN = 150.0  # log Bayes factor above which no wandering noise would explain as much
 COLOUR_PRICE = 6.0  # log of the number of colours that are tried
 ROUNDED = 1.15  # threshold: rms over that of rounding (a sixth of a step of noise beside it)
+MOST_STEPS = 6  # steps of a gauge that jumps now and then
 EXPLAINED = 20.0  # log Bayes factor by which another noise must be likelier where names leave white noise
 
 
@@ -120,10 +121,45 @@ def only_noise(case: Case) -> bool:
     bare = coloured.autoregression(residual(case, []), case.run)
     if bare.comes_in_events():
         return False
+    gain = linear_gain(case, bare, residual(case), _freedom(case, chosen))
+    return gain < 0.0 and linear_gain(case, bare, *_textbook_alone(case, _nonlinear(case))) < 0.0
+
+
+def _freedom(case: Case, chosen: list[tuple[int, float]]) -> float:
+    """Effective number of parameters of the findings."""
     used = [case.search.scene(way).freedom_used() for way in (chosen, [])]
-    nonlinear = sum(len(f.hypothesis.nonlinear[0]) for f in case.explanation.accepted)
-    gain = linear_gain(case, bare, residual(case), used[0] - used[1] + nonlinear)
-    return gain < 0.0 and linear_gain(case, bare, *_textbook_alone(case, nonlinear)) < 0.0
+    return used[0] - used[1] + _nonlinear(case)
+
+
+def _nonlinear(case: Case) -> int:
+    return sum(len(f.hypothesis.nonlinear[0]) for f in case.explanation.accepted)
+
+
+def only_steps(case: Case) -> bool:
+    """Are a few steps in time (a gauge that jumps), beside noise that is a linear process, as likely as the names?
+
+    The steps are found one by one by least squares beside the recalibration; each costs a place and a size.
+    """
+    chosen, rows = case.chosen(), case.y.size
+    if not chosen or case.taken_back:
+        return False
+    bare = coloured.autoregression(residual(case, []), case.run)
+    names = linear_gain(case, bare, residual(case), _freedom(case, chosen))
+    basis = np.linalg.qr(case.recal)[0]
+    for count in range(1, MOST_STEPS + 1):
+        left = case.y - basis @ (basis.T @ case.y)
+        power = np.arange(rows, 0.0, -1.0) - np.sum(_from_each_row_on(basis) ** 2, axis=1)
+        gain = np.where(power > 1.0, _from_each_row_on(left) ** 2 / np.maximum(power, 1.0), 0.0)
+        step = np.arange(rows) >= np.argmax(gain)
+        basis = np.linalg.qr(np.column_stack([basis, step]))[0]
+        if linear_gain(case, bare, case.y - basis @ (basis.T @ case.y), 2.0 * count) > names:
+            return True
+    return False
+
+
+def _from_each_row_on(values: np.ndarray) -> np.ndarray:
+    """Sum of each row and those after it, shape as given: what a step at that row picks up."""
+    return np.cumsum(values[::-1], axis=0)[::-1]
 
 
 def rounded(case: Case) -> bool:

@@ -14,6 +14,7 @@ from errpipe.diagnosis import (
     holdout,
     locate,
     model,
+    own_noise,
     plausible,
     separate,
     significance,
@@ -105,9 +106,10 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
     slow = case.held.names > PREDICTED * case.held.before
     far = slow and gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes)
     left = (case.held.names / max(case.held.before, 1e-300)) ** 2
+    jumps = own_noise.only_steps(case)
     most, shaped = [1.0] * len(made), case.held.shape_share() * min(left, 1.0) >= SHAPED
     for k, (m, s) in enumerate(zip(made, indicators, strict=True)):
-        wanders = case.over_noise < 0.0 or (slow and s.wandering > s.gain)
+        wanders = jumps or case.over_noise < 0.0 or (slow and s.wandering > s.gain)
         a_gain = any(plausible.gain_of_a_part(case, other) for other in made[: k + 1])  # or beside one
         if wanders or a_gain or plausible.only_a_wave_in_time(m, after):
             most[k] = UNPROVED
