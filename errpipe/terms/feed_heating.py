@@ -12,7 +12,7 @@ from errpipe.domain.components import is_at_tool
 from errpipe.domain.driver import Lag
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import position, position_name
+from errpipe.drivers.motion import axes, position, position_name
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.kernels.events import travelled
@@ -60,7 +60,8 @@ class FeedHeating(Term):
             known = recording.manifest.axis(axis)
             end = known.drive_end if known is not None and known.drive_end is not None else 0.0
             yield cls(axis=axis, column=recording.name("velocity", axis=axis), fixed_end=end)
-            for feed in recording.names("feed", axis=axis):  # a warm-up is read now and then
+            alone = axes(recording) + axes(recording, "rotary") == (axis,)  # a feed that names no axis is its own
+            for feed in recording.names("feed", axis=None if alone else axis):  # a warm-up is read now and then
                 if np.nanstd(recording.array(feed)) > 0:
                     yield cls(axis=axis, column=feed, cycled=True, fixed_end=end)
 

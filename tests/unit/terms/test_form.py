@@ -171,6 +171,14 @@ def test_a_screw_is_warmed_by_viscous_friction_where_the_nut_works():
         assert np.std(left) < 0.05 * np.std(warm * x)
 
 
+@pytest.mark.parametrize(("second", "heats"), [(None, True), ("B", False)])
+def test_a_feed_that_names_no_axis_heats_the_only_one(second, heats):
+    kinds = {"x": {"role": "position", "axis": "X", "unit": "mm"}, "f": {"role": "feed", "unit": "mm/min"}}
+    kinds |= {"b": {"role": "position", "axis": second, "unit": "deg"}} if second else {}
+    made = recording({"x": [0.0, 9.0, 3.0], "f": [900.0, 0.0, 900.0], "b": [0.0, 1.0, 2.0]}, kinds)
+    assert ("f" in [term.column for term in FeedHeating.bind(made, "EXX")]) is heats
+
+
 def test_a_product_of_rises_may_be_counted_from_one_value_on_two_days():
     """Bodies are not reset overnight: counted from each morning the square leaves a rise of the second day alone."""
     t = np.r_[60.0 * np.arange(200), 60.0 * np.arange(200) + 90000.0]
