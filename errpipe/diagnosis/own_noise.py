@@ -115,24 +115,20 @@ def only_noise(case: Case) -> bool:
     A wave in noise whose spectrum is high there, or a bow in a random walk, is no finding. What comes in events,
     such as friction that turns with the motion, is no linear process, however well one follows it from row to row.
     """
-    chosen = case.chosen()
-    if not chosen:
+    if not case.chosen():
         return False
     bare = coloured.autoregression(residual(case, []), case.run)
     if bare.comes_in_events():
         return False
-    gain = linear_gain(case, bare, residual(case), _freedom(case, chosen))
-    return gain < 0.0 and linear_gain(case, bare, *_textbook_alone(case, _nonlinear(case))) < 0.0
+    return _gain_of_names(case, bare) < 0.0
 
 
-def _freedom(case: Case, chosen: list[tuple[int, float]]) -> float:
-    """Effective number of parameters of the findings."""
-    used = [case.search.scene(way).freedom_used() for way in (chosen, [])]
-    return used[0] - used[1] + _nonlinear(case)
-
-
-def _nonlinear(case: Case) -> int:
-    return sum(len(f.hypothesis.nonlinear[0]) for f in case.explanation.accepted)
+def _gain_of_names(case: Case, bare: coloured.Autoregression) -> float:
+    """By how much the log evidence of noise grows with the names, in full or their textbook forms. bare: without."""
+    used = [case.search.scene(way).freedom_used() for way in (case.chosen(), [])]
+    nonlinear = sum(len(f.hypothesis.nonlinear[0]) for f in case.explanation.accepted)
+    in_full = linear_gain(case, bare, residual(case), used[0] - used[1] + nonlinear)
+    return max(in_full, linear_gain(case, bare, *_textbook_alone(case, nonlinear)))
 
 
 def only_steps(case: Case) -> bool:
@@ -140,11 +136,10 @@ def only_steps(case: Case) -> bool:
 
     The steps are found one by one by least squares beside the recalibration; each costs a place and a size.
     """
-    chosen, rows = case.chosen(), case.y.size
-    if not chosen or case.taken_back:
+    if not case.chosen() or case.taken_back:
         return False
-    bare = coloured.autoregression(residual(case, []), case.run)
-    names = linear_gain(case, bare, residual(case), _freedom(case, chosen))
+    rows, bare = case.y.size, coloured.autoregression(residual(case, []), case.run)
+    names = _gain_of_names(case, bare)
     basis = np.linalg.qr(case.recal)[0]
     for count in range(1, MOST_STEPS + 1):
         left = case.y - basis @ (basis.T @ case.y)
