@@ -12,7 +12,7 @@ from errpipe.diagnosis.case import Case, SetUp, chosen_of, left_by, residual
 from errpipe.diagnosis.evidence import Data
 from errpipe.diagnosis.hypotheses import Block, Hypothesis, columns_of, scaled
 from errpipe.diagnosis.search import Explanation, Search, settled
-from errpipe.fitting.noise_floor import rounding
+from errpipe.fitting.noise_floor import beside_steps, rounding
 from errpipe.terms import search_of
 
 DEPENDENT = 1.8  # rows per independent row of the residual, above which rows are not taken as independent
@@ -118,43 +118,28 @@ def only_noise(case: Case) -> bool:
     if not case.chosen():
         return False
     bare = coloured.autoregression(residual(case, []), case.run)
-    if bare.comes_in_events():
-        return False
-    return _gain_of_names(case, bare) < 0.0
+    return not bare.comes_in_events() and _gain_of_names(case, bare) < 0.0
 
 
 def _gain_of_names(case: Case, bare: coloured.Autoregression) -> float:
     """By how much the log evidence of noise grows with the names, in full or their textbook forms. bare: without."""
     used = [case.search.scene(way).freedom_used() for way in (case.chosen(), [])]
     nonlinear = sum(len(f.hypothesis.nonlinear[0]) for f in case.explanation.accepted)
-    in_full = linear_gain(case, bare, residual(case), used[0] - used[1] + nonlinear)
-    return max(in_full, linear_gain(case, bare, *_textbook_alone(case, nonlinear)))
+    library, rows = case.library, case.pair.rows
+    blocks = [library.block(i, case.recording, rows)[:, : library.cores[i]] for i, _ in case.chosen()]
+    columns = np.column_stack([case.recal, *blocks])
+    textbook = case.y - columns @ np.linalg.lstsq(columns, case.y, rcond=None)[0]
+    ways = (residual(case), used[0] - used[1]), (textbook, columns.shape[1] - case.recal.shape[1])
+    return max(linear_gain(case, bare, left, count + nonlinear) for left, count in ways)
 
 
 def only_steps(case: Case) -> bool:
-    """Are a few steps in time (a gauge that jumps), beside noise that is a linear process, as likely as the names?
-
-    The steps are found one by one by least squares beside the recalibration; each costs a place and a size.
-    """
+    """Are a few steps in time (a gauge that jumps), each a place and a size, in such noise as likely as the names?"""
     if not case.chosen() or case.taken_back:
         return False
-    rows, bare = case.y.size, coloured.autoregression(residual(case, []), case.run)
-    names = _gain_of_names(case, bare)
-    basis = np.linalg.qr(case.recal)[0]
-    for count in range(1, MOST_STEPS + 1):
-        left = case.y - basis @ (basis.T @ case.y)
-        power = np.arange(rows, 0.0, -1.0) - np.sum(_from_each_row_on(basis) ** 2, axis=1)
-        gain = np.where(power > 1.0, _from_each_row_on(left) ** 2 / np.maximum(power, 1.0), 0.0)
-        step = np.arange(rows) >= np.argmax(gain)
-        basis = np.linalg.qr(np.column_stack([basis, step]))[0]
-        if linear_gain(case, bare, case.y - basis @ (basis.T @ case.y), 2.0 * count) > names:
-            return True
-    return False
-
-
-def _from_each_row_on(values: np.ndarray) -> np.ndarray:
-    """Sum of each row and those after it, shape as given: what a step at that row picks up."""
-    return np.cumsum(values[::-1], axis=0)[::-1]
+    bare = coloured.autoregression(residual(case, []), case.run)
+    names, left = _gain_of_names(case, bare), beside_steps(case.y, case.recal, MOST_STEPS)
+    return any(linear_gain(case, bare, rest, 2.0 * count) > names for count, rest in enumerate(left, 1))
 
 
 def rounded(case: Case) -> bool:
@@ -164,15 +149,6 @@ def rounded(case: Case) -> bool:
     """
     rounded_away = rounding(case.recording.array(case.pair.error)[case.pair.rows])
     return float(np.std(residual(case, []))) < ROUNDED * rounded_away
-
-
-def _textbook_alone(case: Case, nonlinear: int) -> tuple[np.ndarray, int]:
-    """Residual of the textbook forms without departures from them, (rows,), and how many parameters they take."""
-    library, rows = case.library, case.pair.rows
-    blocks = [library.block(i, case.recording, rows)[:, : library.cores[i]] for i, _ in case.chosen()]
-    columns = np.column_stack([case.recal, *blocks])
-    count = columns.shape[1] - case.recal.shape[1] + nonlinear
-    return case.y - columns @ np.linalg.lstsq(columns, case.y, rcond=None)[0], count
 
 
 def linear_gain(case: Case, before: coloured.Autoregression, after: np.ndarray, freedom: float) -> float:

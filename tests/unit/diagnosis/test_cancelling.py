@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from errpipe.diagnosis import own_noise, plausible, report
+from errpipe.diagnosis import plausible, report
 from errpipe.terms import search_of
 from errpipe.terms.stribeck_friction import StribeckFriction
 
@@ -49,7 +49,7 @@ def test_a_name_that_folds_do_not_find_again_or_that_leaves_a_shape_is_not_sure(
     """What acts in part is not searched for in the folds; a shape in the little that a name leaves says nothing."""
     for name in ("gain_of_a_part", "only_a_wave_in_time", "no_size"):
         monkeypatch.setattr(plausible, name, lambda *_: False)
-    monkeypatch.setattr(own_noise, "only_steps", lambda _: False)
+    monkeypatch.setattr(report, "only_steps", lambda _: False)
     held = SimpleNamespace(names=left, before=1.0, again=again, shape_share=lambda: shapes)
     indicators = [SimpleNamespace(agreement=agreement, gain=600.0, wandering=0.0)]
     case = SimpleNamespace(held=held, over_noise=np.inf)
