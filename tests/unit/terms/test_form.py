@@ -179,6 +179,15 @@ def test_a_feed_that_names_no_axis_heats_the_only_one(second, heats):
     assert ("f" in [term.column for term in FeedHeating.bind(made, "EXX")]) is heats
 
 
+def test_a_screw_warms_no_faster_than_its_axis_turns():
+    """A faster memory of the way is the direction of approach: lost motion was taken for it."""
+    stroke = np.linspace(0, 600, 20)
+    kinds = {"t": {"role": "time", "unit": "s"}, "x": {"role": "position", "axis": "X", "unit": "mm"}}
+    made = recording({"t": 6.0 * np.arange(400), "x": np.tile(np.r_[stroke, stroke[::-1]], 10)}, kinds)
+    term = FeedHeating(axis="X")
+    assert term.nonlinear()[0].search.limits(term, made)[0] > 100.0  # rows are 6 s apart
+
+
 def test_a_product_of_rises_may_be_counted_from_one_value_on_two_days():
     """Bodies are not reset overnight: counted from each morning the square leaves a rise of the second day alone."""
     t = np.r_[60.0 * np.arange(200), 60.0 * np.arange(200) + 90000.0]
