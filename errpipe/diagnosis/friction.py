@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from errpipe.diagnosis import units
+from errpipe.diagnosis import model, units
 from errpipe.diagnosis.case import Case
 from errpipe.domain.diagnosis import Finding, FoundParameter
 from errpipe.drivers.motion import is_rotary
@@ -25,7 +25,6 @@ BLOCKS = 40  # stretches of rows, resampled for standard errors
 BETTER = 0.97  # ratio of held-out rms, two laws to one: threshold below which two laws are accepted
 MAX_LOSS = 1.02  # ratio of held-out rms to the best sharpness's, up to which another one widens the interval
 SIGNIFICANT = 4.0  # standard errors by which a parameter must differ between the ways
-WIDER = 1.25  # factor on the standard errors, as in model.py
 PARTS = {kind.reports_as: kind.friction_part for kind in TERMS if kind.friction_part}
 
 
@@ -61,7 +60,7 @@ class ByDirection:
 
     def _in_units(self, name: str, k: int, unit: str) -> FoundParameter:
         unit, factor = units.reported(unit, self.response, self.rotary)
-        value, reach = self.law.value[k] * factor, 1.96 * WIDER * np.sqrt(self.law.covariance[k, k]) * factor
+        value, reach = self.law.value[k] * factor, 1.96 * model.WIDER * np.sqrt(self.law.covariance[k, k]) * factor
         return FoundParameter(
             name=name, value=float(value), unit=unit, ci95=(float(value - reach), float(value + reach))
         )

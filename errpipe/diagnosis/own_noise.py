@@ -12,13 +12,14 @@ from errpipe.diagnosis.case import Case, SetUp, chosen_of, left_by, residual
 from errpipe.diagnosis.evidence import Data
 from errpipe.diagnosis.hypotheses import Block, Hypothesis, columns_of, scaled
 from errpipe.diagnosis.search import Explanation, Search, settled
-from errpipe.fitting.noise_floor import rounding
+from errpipe.fitting.noise_floor import beside_steps, rounding
 from errpipe.terms import search_of
 
 DEPENDENT = 1.8  # rows per independent row of the residual, above which rows are not taken as independent
 CERTAIN = 150.0  # log Bayes factor above which no wandering noise would explain as much
 COLOUR_PRICE = 6.0  # log of the number of colours that are tried
 ROUNDED = 1.15  # threshold: rms over that of rounding (a sixth of a step of noise beside it)
+MOST_STEPS = 6  # steps of a gauge that jumps now and then
 EXPLAINED = 20.0  # log Bayes factor by which another noise must be likelier where names leave white noise
 
 
@@ -114,16 +115,31 @@ def only_noise(case: Case) -> bool:
     A wave in noise whose spectrum is high there, or a bow in a random walk, is no finding. What comes in events,
     such as friction that turns with the motion, is no linear process, however well one follows it from row to row.
     """
-    chosen = case.chosen()
-    if not chosen:
+    if not case.chosen():
         return False
     bare = coloured.autoregression(residual(case, []), case.run)
-    if bare.comes_in_events():
-        return False
-    used = [case.search.scene(way).freedom_used() for way in (chosen, [])]
+    return not bare.comes_in_events() and _gain_of_names(case, bare) < 0.0
+
+
+def _gain_of_names(case: Case, bare: coloured.Autoregression) -> float:
+    """By how much the log evidence of noise grows with the names, in full or their textbook forms. bare: without."""
+    used = [case.search.scene(way).freedom_used() for way in (case.chosen(), [])]
     nonlinear = sum(len(f.hypothesis.nonlinear[0]) for f in case.explanation.accepted)
-    gain = linear_gain(case, bare, residual(case), used[0] - used[1] + nonlinear)
-    return gain < 0.0 and linear_gain(case, bare, *_textbook_alone(case, nonlinear)) < 0.0
+    library, rows = case.library, case.pair.rows
+    blocks = [library.block(i, case.recording, rows)[:, : library.cores[i]] for i, _ in case.chosen()]
+    columns = np.column_stack([case.recal, *blocks])
+    textbook = case.y - columns @ np.linalg.lstsq(columns, case.y, rcond=None)[0]
+    ways = (residual(case), used[0] - used[1]), (textbook, columns.shape[1] - case.recal.shape[1])
+    return max(linear_gain(case, bare, left, count + nonlinear) for left, count in ways)
+
+
+def only_steps(case: Case) -> bool:
+    """Are a few steps in time (a gauge that jumps), each a place and a size, in such noise as likely as the names?"""
+    if not case.chosen() or case.taken_back:
+        return False
+    bare = coloured.autoregression(residual(case, []), case.run)
+    names, left = _gain_of_names(case, bare), beside_steps(case.y, case.recal, MOST_STEPS)
+    return any(linear_gain(case, bare, rest, 2.0 * count) > names for count, rest in enumerate(left, 1))
 
 
 def rounded(case: Case) -> bool:
@@ -133,15 +149,6 @@ def rounded(case: Case) -> bool:
     """
     rounded_away = rounding(case.recording.array(case.pair.error)[case.pair.rows])
     return float(np.std(residual(case, []))) < ROUNDED * rounded_away
-
-
-def _textbook_alone(case: Case, nonlinear: int) -> tuple[np.ndarray, int]:
-    """Residual of the textbook forms without departures from them, (rows,), and how many parameters they take."""
-    library, rows = case.library, case.pair.rows
-    blocks = [library.block(i, case.recording, rows)[:, : library.cores[i]] for i, _ in case.chosen()]
-    columns = np.column_stack([case.recal, *blocks])
-    count = columns.shape[1] - case.recal.shape[1] + nonlinear
-    return case.y - columns @ np.linalg.lstsq(columns, case.y, rcond=None)[0], count
 
 
 def linear_gain(case: Case, before: coloured.Autoregression, after: np.ndarray, freedom: float) -> float:

@@ -55,8 +55,9 @@ def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
 
 
 def no_size(m: model.Modelled) -> bool:
-    """Does no linear parameter differ significantly from 0, alone or jointly?"""
-    return m.joint < model.CHI2_95.get(m.cores, 2.0 * m.cores)
+    """Does no linear parameter differ significantly from 0, alone (the interval that is stated) or jointly?"""
+    spans_zero = m.cores == 1 and m.estimates[0].low <= 0.0 <= m.estimates[0].high
+    return spans_zero or m.joint < model.CHI2_95.get(m.cores, 2.0 * m.cores)
 
 
 def not_in_full(m: model.Modelled) -> bool:

@@ -29,7 +29,7 @@ class Pair:
 
     rows: indices into the recording, in its order; mismatch = error - simulated there, in `unit`.
     reversed: one of the two columns counts the other way round: mismatch = error + simulated.
-    run: run code of each of these rows; outliers: indices (into the recording) set aside.
+    outliers: indices (into the recording) set aside.
     """
 
     component: str

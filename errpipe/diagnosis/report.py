@@ -7,23 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from errpipe.diagnosis import (
-    confidence,
-    friction,
-    gains,
-    holdout,
-    locate,
-    model,
-    plausible,
-    separate,
-    significance,
-    unnamed,
-    whiteness,
-)
+from errpipe.diagnosis import confidence, friction, gains, holdout, locate, model, plausible, significance, unnamed
 from errpipe.diagnosis.case import Case, needs_recalibration, own_datums, residual
 from errpipe.diagnosis.derived import FAST
 from errpipe.diagnosis.gains import WHOLE, Nuisance
 from errpipe.diagnosis.hypotheses import Hypothesis
+from errpipe.diagnosis.own_noise import only_steps
+from errpipe.diagnosis.separate import would_separate
+from errpipe.diagnosis.whiteness import whiteness
 from errpipe.domain.diagnosis import Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis, Rival, Significance
 
 CLOSE = 4.0  # log Bayes factor below which a rival is listed as indistinguishable
@@ -89,7 +80,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
         regimes=locate.regimes(case.recording, case.pair.rows, before, after, recalibrated, floor),
         changes=locate.changes(case.recording, case.pair.rows, recalibrated),
         between_runs=locate.between_runs(case.run, recalibrated if datums is None else recalibrated + datums, floor),
-        whiteness=whiteness.whiteness(case),
+        whiteness=whiteness(case),
         significance=surrogates,
     )
     says = in_words(out) + (f" {law.says()}" if law else "") + _datums(case)
@@ -105,9 +96,10 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
     slow = case.held.names > PREDICTED * case.held.before
     far = slow and gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes)
     left = (case.held.names / max(case.held.before, 1e-300)) ** 2
+    jumps = only_steps(case)
     most, shaped = [1.0] * len(made), case.held.shape_share() * min(left, 1.0) >= SHAPED
     for k, (m, s) in enumerate(zip(made, indicators, strict=True)):
-        wanders = case.over_noise < 0.0 or (slow and s.wandering > s.gain)
+        wanders = jumps or case.over_noise < 0.0 or (slow and s.wandering > s.gain)
         a_gain = any(plausible.gain_of_a_part(case, other) for other in made[: k + 1])  # or beside one
         if wanders or a_gain or plausible.only_a_wave_in_time(m, after):
             most[k] = UNPROVED
@@ -213,7 +205,7 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
         rival = close[0] if close else rivals[0]
         cores = sum(len(t.linear()) for t in made.hypothesis.terms)
         fitted = (made.hypothesis, np.array([e.value for e in made.estimates[:cores]]))
-        sentence = separate.would_separate(
+        sentence = would_separate(
             case.recording, fitted, _fitted_rival(case, made, rival[2])[0], case.sigma, case.pair.unit
         )
     term = made.hypothesis.terms[0]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from errpipe.domain.recording import Recording
@@ -46,6 +48,18 @@ def rounding(readings: np.ndarray) -> float:
         return 0.0
     counts = steps / steps.min()
     return float(steps.min() / np.sqrt(12.0)) if np.abs(counts - np.round(counts)).max() < OFF_STEP else 0.0
+
+
+def beside_steps(y: np.ndarray, columns: np.ndarray, most: int) -> Iterator[np.ndarray]:
+    """What columns (rows, k) and 1, 2, ... `most` steps at a row each leave of y (rows,), found one by one."""
+    basis, rows = np.linalg.qr(columns)[0], y.size
+    for _ in range(most):
+        known = np.column_stack([basis, y - basis @ (basis.T @ y)])
+        picked = np.cumsum(known[::-1], axis=0)[::-1]  # by a step from each row on
+        power = np.arange(rows, 0.0, -1.0) - np.sum(picked[:, :-1] ** 2, axis=1)
+        gain = np.where(power > 1.0, picked[:, -1] ** 2 / np.maximum(power, 1.0), 0.0)
+        basis = np.linalg.qr(np.column_stack([basis, np.arange(rows) >= np.argmax(gain)]))[0]
+        yield y - basis @ (basis.T @ y)
 
 
 def _of_pairs(recording: Recording, rows: np.ndarray, values: np.ndarray) -> float | None:

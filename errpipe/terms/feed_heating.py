@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -12,7 +12,7 @@ from errpipe.domain.components import is_at_tool
 from errpipe.domain.driver import Lag
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
-from errpipe.drivers.motion import position, position_name
+from errpipe.drivers.motion import axes, direction, position, position_name
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.kernels.events import travelled
@@ -20,12 +20,25 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._equations import magnitude, times
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import linear_axes_acting
+from errpipe.terms._search import Times
 from errpipe.terms._slack import Slack, bent, start_states, unit_interval
 from errpipe.yamlfile import quantity
 
 PER_MINUTE = 1.0 / 60.0  # mm/s in a feed of 1 mm/min
 VISCOUS = 0.5  # prior standard deviation of the heat of viscous friction over that of dry friction: as much as it
+OF_SESSION = 4.5  # of the longest time constant sought (a third of a session): a single stroke is no limit
 WHERE_IT_WORKS = 0.2  # and of what a screw that is warm in one half grows more there
+
+
+class SlowerThanStrokes(Times):
+    """A time constant no shorter than the time between two turns: in less, a screw is warm in places and no slope."""
+
+    def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
+        low, high = super().limits(term, recording)
+        run, side = sessions(recording), direction(recording, term.axis)
+        turns = np.r_[True, (np.diff(side) != 0) | (np.diff(run) != 0)]
+        strokes = np.diff(np.r_[recording.time()[turns], recording.time()[-1]])
+        return max(low, min(float(np.median(strokes)), high / OF_SESSION)), high
 
 
 class FeedHeating(Term):
@@ -46,7 +59,7 @@ class FeedHeating(Term):
     family = "thermal"
     form = "any start"
     gains = (Parameter("slope", "um/m", (10.0, 60.0), (-1000.0, 1000.0), "slope at 100 mm/s, warmed through"),)
-    searched = (Parameter("tau", "s", (1000.0, 6000.0), (100.0, 40000.0), "time constant"),)
+    searched = (Parameter("tau", "s", (1000.0, 6000.0), (100.0, 40000.0), "time constant", search=SlowerThanStrokes()),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         names = (position_name(recording, self.axis), self.column, recording.name("feed", axis=self.axis))
@@ -60,7 +73,8 @@ class FeedHeating(Term):
             known = recording.manifest.axis(axis)
             end = known.drive_end if known is not None and known.drive_end is not None else 0.0
             yield cls(axis=axis, column=recording.name("velocity", axis=axis), fixed_end=end)
-            for feed in recording.names("feed", axis=axis):  # a warm-up is read now and then
+            alone = axes(recording) + axes(recording, "rotary") == (axis,)  # a feed that names no axis is its own
+            for feed in recording.names("feed", axis=None if alone else axis):  # a warm-up is read now and then
                 if np.nanstd(recording.array(feed)) > 0:
                     yield cls(axis=axis, column=feed, cycled=True, fixed_end=end)
 

@@ -49,10 +49,18 @@ def test_a_name_that_folds_do_not_find_again_or_that_leaves_a_shape_is_not_sure(
     """What acts in part is not searched for in the folds; a shape in the little that a name leaves says nothing."""
     for name in ("gain_of_a_part", "only_a_wave_in_time", "no_size"):
         monkeypatch.setattr(plausible, name, lambda *_: False)
+    monkeypatch.setattr(report, "only_steps", lambda _: False)
     held = SimpleNamespace(names=left, before=1.0, again=again, shape_share=lambda: shapes)
     indicators = [SimpleNamespace(agreement=agreement, gain=600.0, wandering=0.0)]
     case = SimpleNamespace(held=held, over_noise=np.inf)
     assert report._most(case, [SimpleNamespace()], indicators, np.zeros(3)) == [most]
+
+
+@pytest.mark.parametrize(("low", "nothing"), [(-1.0, True), (0.5, False)])
+def test_a_size_whose_stated_interval_spans_zero_may_be_none(low, nothing):
+    """Stretches of rows may widen the interval of a size that rows alone make significant."""
+    made = SimpleNamespace(joint=50.0, cores=1, estimates=(SimpleNamespace(low=low, high=9.0),))
+    assert plausible.no_size(made) is nothing
 
 
 def test_friction_that_falls_up_to_the_highest_speed_is_at_its_limit():

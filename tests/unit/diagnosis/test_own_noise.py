@@ -29,6 +29,11 @@ def test_noise_does_not_hide_an_effect(machine, kind):
     assert noise.judged(names, noise.said(case)) == {"right": True, "sure_and_wrong": False}
 
 
+def test_a_gauge_that_jumps_now_and_then_is_no_drift():
+    case, _ = noise.case(39304, "trace", "jumps", hidden=False)
+    assert max((confidence for _, confidence in noise.said(case)), default=0.0) <= 0.45
+
+
 @pytest.mark.parametrize(("keep", "white"), [(0.9, 0.0), (0.99, 0.3), (0.0, 1.0)])
 def test_the_colour_of_noise_is_found(keep, white):
     rng = np.random.default_rng(3)

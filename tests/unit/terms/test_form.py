@@ -171,6 +171,23 @@ def test_a_screw_is_warmed_by_viscous_friction_where_the_nut_works():
         assert np.std(left) < 0.05 * np.std(warm * x)
 
 
+@pytest.mark.parametrize(("second", "heats"), [(None, True), ("B", False)])
+def test_a_feed_that_names_no_axis_heats_the_only_one(second, heats):
+    kinds = {"x": {"role": "position", "axis": "X", "unit": "mm"}, "f": {"role": "feed", "unit": "mm/min"}}
+    kinds |= {"b": {"role": "position", "axis": second, "unit": "deg"}} if second else {}
+    made = recording({"x": [0.0, 9.0, 3.0], "f": [900.0, 0.0, 900.0], "b": [0.0, 1.0, 2.0]}, kinds)
+    assert ("f" in [term.column for term in FeedHeating.bind(made, "EXX")]) is heats
+
+
+def test_a_screw_warms_no_faster_than_its_axis_turns():
+    """A faster memory of the way is the direction of approach: lost motion was taken for it."""
+    stroke = np.linspace(0, 600, 20)
+    kinds = {"t": {"role": "time", "unit": "s"}, "x": {"role": "position", "axis": "X", "unit": "mm"}}
+    made = recording({"t": 6.0 * np.arange(400), "x": np.tile(np.r_[stroke, stroke[::-1]], 10)}, kinds)
+    term = FeedHeating(axis="X")
+    assert term.nonlinear()[0].search.limits(term, made)[0] > 100.0  # rows are 6 s apart
+
+
 def test_a_product_of_rises_may_be_counted_from_one_value_on_two_days():
     """Bodies are not reset overnight: counted from each morning the square leaves a rise of the second day alone."""
     t = np.r_[60.0 * np.arange(200), 60.0 * np.arange(200) + 90000.0]
