@@ -94,9 +94,9 @@ def likeliest(
 def recalibration(
     simulated: np.ndarray, d: parts.Decomposition, library: hypotheses.Library
 ) -> tuple[Active, list[Nuisance], np.ndarray, np.ndarray]:
-    """Datum, gain of the whole signal, gain of each part that earned its place; what they are, columns and sizes."""
+    """Datum, gain of the whole simulated signal, gain of each of its parts; what they are, columns and sizes."""
     columns, sd, kinds = [simulated - simulated.mean()], [GAIN_SD], [DATUM, WHOLE]
-    whole = [p for p in together(d.parts) if d.plain or p.certainty > parts.EARNED]
+    whole = together(d.parts)
     least = float(np.sqrt(np.mean([np.var(p.contribution) for p in whole]))) if d.plain else 0.0
     effects = [part.hypothesis.effect for part in whole]
     for part in whole:
