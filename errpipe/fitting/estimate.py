@@ -82,13 +82,11 @@ def _linear(design, problem, spec, penalties, priors, folds) -> solve.Solution:
         return replace(again, strength=solution.strength)
     if spec.method == "robust":
         return solve.robust(design, y, priors=priors, loss=spec.loss)
-    noise = _noise_guess(design, y) if priors else 1.0
+    first = solve.least_squares(design, y)
+    if not priors:
+        return first
+    noise = float(np.sqrt(np.sum(first.residual**2) / max(y.size - first.degrees, 1.0)))
     return solve.least_squares(design, y, priors=priors, noise=noise)
-
-
-def _noise_guess(design: np.ndarray, y: np.ndarray) -> float:
-    solution = solve.least_squares(design, y)
-    return float(np.sqrt(np.sum(solution.residual**2) / max(y.size - solution.degrees, 1.0)))
 
 
 def _with_effective_rows(problem, nonlinear, penalties, priors, solution) -> solve.Solution:

@@ -75,10 +75,10 @@ class Functions:
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Values, shape (n, functions), without regard to output; held at the edge of the box."""
-        fx, fy = (self._one(v, r) for v, r in ((x, self.box.x), (y, self.box.y)))
+        fx, fy = (self._functions_along(v, r) for v, r in ((x, self.box.x), (y, self.box.y)))
         return fx[:, self.in_x] * fy[:, self.in_y]
 
-    def _one(self, v: np.ndarray, travel: tuple[float, float]) -> np.ndarray:
+    def _functions_along(self, v: np.ndarray, travel: tuple[float, float]) -> np.ndarray:
         t = np.clip((v - travel[0]) / (travel[1] - travel[0]), 0.0, 1.0)
         return np.column_stack([np.ones_like(t), (t - 0.5) * np.sqrt(12.0), beam_modes(t, self.modes)])
 
@@ -140,7 +140,7 @@ class PlanarModel:
         out: dict[str, Any] = {"C0Y": float(self.mean[2])}
         for axis, travel, own, other in (("X", box.x, f.in_x, f.in_y), ("Y", box.y, f.in_y, f.in_x)):
             p = np.linspace(*travel, count)
-            values = f._one(p, travel)
+            values = f._functions_along(p, travel)
             for k, d in enumerate("XY"):
                 used = (f.output == k) & (other == 0) & (own > 0)
                 curve = values[:, own[used]] @ self.mean[3:][used]
@@ -156,7 +156,7 @@ class PlanarModel:
         """
         f, out = self.functions, []
         x, y = np.linspace(*f.box.x, 65), np.linspace(*f.box.y, 65)
-        fx, fy = f._one(x, f.box.x), f._one(y, f.box.y)
+        fx, fy = f._functions_along(x, f.box.x), f._functions_along(y, f.box.y)
         for k, name in enumerate(("E_X", "E_Y")):
             used = (f.output == k) & (f.in_x > 0) & (f.in_y > 0)
             core = np.zeros((f.modes + 2, f.modes + 2))

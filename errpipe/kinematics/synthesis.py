@@ -36,14 +36,14 @@ def second_order_bound(chain: Chain, q: np.ndarray, comps: np.ndarray, tip: np.n
     return k.second_order_bound(*chain.factors, q, tip, comps)
 
 
-def remainder(chain: Chain, q: np.ndarray, comps: np.ndarray, tip: np.ndarray | None = None) -> dict[str, float]:
+def remainder(chain: Chain, q: np.ndarray, comps: np.ndarray) -> dict[str, float]:
     """What first order leaves out at these poses: largest and rms distance of the tool point, and its bound, um."""
-    difference = exact(chain, q, comps, tip)[:, :3] - first_order(chain, q, comps, tip)[:, :3]
+    difference = exact(chain, q, comps)[:, :3] - first_order(chain, q, comps)[:, :3]
     size = np.linalg.norm(difference, axis=1)
     return {
         "largest_um": float(size.max()),
         "rms_um": float(np.sqrt(np.mean(size**2))),
-        "bound_um": float(second_order_bound(chain, q, comps, tip).max()),
+        "bound_um": float(second_order_bound(chain, q, comps).max()),
     }
 
 
