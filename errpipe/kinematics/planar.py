@@ -22,7 +22,6 @@ from errpipe.errors import DataError
 from errpipe.kinematics import evidence
 from errpipe.kinematics.basis import beam_modes, wave_numbers
 
-FAMILIES = ("scale and squareness", "curves", "map", "own map")
 TYPICAL = np.array([10.0, 3.0, 2.0, 1.0, 2.0, 2.0])  # prior: um rms by family; power; noise um
 CERTAINTY = np.array([1.0, 1.0, 1.0, 1.0, 0.4, 3.0])  # prior sd of the logarithm of each
 SHIFT, TURN = 2000.0, 2000.0  # um, urad: CMM datum against the machine's
@@ -95,11 +94,9 @@ class PlanarModel:
     mean: np.ndarray
     covariance: np.ndarray
     noise: float
-    sizes: dict[str, float]
     power: float
     setup: dict[str, tuple[float, float, float]]
     rows: int
-    weights: np.ndarray
 
     def design(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """d(E_X, E_Y)/d(parameter), shape (2, n, parameters)."""
@@ -181,20 +178,18 @@ def fit_plate(recording: Recording, *, rows: np.ndarray | None = None, modes: in
     functions = Functions.of(box, min(modes, max(1, int(np.sqrt(len(x) / 4)))))
     design, spreads = _design(functions, x, y, run, used)
     inliers = np.tile(_inliers(x, y, run, used, np.column_stack([ex, ey])), 2)
-    mean, cov, hyper, weight = _reweighted(design, spreads, np.r_[ex, ey], inliers, len(used))
+    mean, cov, hyper = _reweighted(design, spreads, np.r_[ex, ey], inliers, len(used))
     p = 3 + len(functions.output)
     labels = recording.run_labels()
     poses = mean[p : p + 3 * len(used)].reshape(-1, 3)
     setup = {labels[r]: (float(a), float(b), float(c)) for r, (a, b, c) in zip(used, poses, strict=True)}
-    sizes = dict(zip(FAMILIES, map(float, hyper[:4]), strict=True))
-    learnt = functions, mean[:p], cov[:p, :p], float(hyper[-1]), sizes, float(hyper[-2])
-    return PlanarModel(*learnt, setup, len(x), weight.reshape(2, -1).T ** 2)
+    return PlanarModel(functions, mean[:p], cov[:p, :p], float(hyper[-1]), float(hyper[-2]), setup, len(x))
 
 
 def _reweighted(
     design: np.ndarray, spreads: evidence.Spreads, readings: np.ndarray, weight: np.ndarray, runs: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Mean, covariance, prior sizes and weights of iteratively reweighted least squares (Huber's weights)."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean, covariance and prior sizes by iteratively reweighted least squares (Huber's weights)."""
     known, hyper, plausible = np.full(6, np.nan), np.empty(0), weight > 0  # no prior sizes estimated yet
     if runs < 2:
         known[3] = 1e-6
@@ -204,7 +199,7 @@ def _reweighted(
         mean, cov = evidence.solve(spreads, moments, hyper)
         standardised = np.abs(readings - design @ mean) / hyper[-1]
         weight = plausible * np.sqrt(np.minimum(1.0, HUBER / np.maximum(standardised, 1e-12)))
-    return mean, cov, hyper, weight
+    return mean, cov, hyper
 
 
 def without_setup(x: np.ndarray, y: np.ndarray, deviation: np.ndarray, fit: np.ndarray | None = None) -> np.ndarray:

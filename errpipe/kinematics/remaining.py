@@ -84,13 +84,13 @@ def of_truth(chain: Chain, truth: MachineErrors, model: MachineErrors) -> Remain
 def without_pose(chain: Chain, field: Field, q: np.ndarray) -> Field:
     """A field less the rigid shift and rotation of the workpiece that fit it best at q (least squares)."""
     middle = synthesis.ideal_pose(chain, q)[:, 0].mean(axis=0)
-    pose, *_ = np.linalg.lstsq(_pose_columns(chain, q, None, middle).reshape(-1, 6), field(q).ravel(), rcond=None)
-    return lambda at: field(at) - _pose_columns(chain, at, None, middle) @ pose
+    pose, *_ = np.linalg.lstsq(_pose_columns(chain, q, middle).reshape(-1, 6), field(q).ravel(), rcond=None)
+    return lambda at: field(at) - _pose_columns(chain, at, middle) @ pose
 
 
-def _pose_columns(chain: Chain, q: np.ndarray, tip: np.ndarray | None, middle: np.ndarray) -> np.ndarray:
+def _pose_columns(chain: Chain, q: np.ndarray, middle: np.ndarray) -> np.ndarray:
     """Deviation of the tool point per shift (um) and turn (urad) of the workpiece about `middle`, (n, 3, 6)."""
-    arm = (synthesis.ideal_pose(chain, q, tip)[:, 0] - middle) * 1e-3
+    arm = (synthesis.ideal_pose(chain, q)[:, 0] - middle) * 1e-3
     turns = [np.cross(axis, arm) for axis in np.eye(3)]
     shifts = [np.broadcast_to(axis, arm.shape) for axis in np.eye(3)]
     return np.stack([*shifts, *turns], axis=2)
@@ -146,7 +146,7 @@ def expected(identified: Identified) -> Expected:
     read = np.unique(prior.component[identified.mean != 0.0])
     if all(parse(chain.components[c]).kind == "positioning" for c in read):
         rows = np.where(np.isin(prior.component, read), rows, 0.0)
-    columns = _pose_columns(chain, q, None, synthesis.ideal_pose(chain, q)[:, 0].mean(axis=0))
+    columns = _pose_columns(chain, q, synthesis.ideal_pose(chain, q)[:, 0].mean(axis=0))
     pose, _ = np.linalg.qr(columns.reshape(-1, 6))
     rows = (rows - pose @ (pose.T @ rows)).reshape(count, 3, -1)
     by_axis = np.einsum("nai,nip->anp", np.linalg.pinv(synthesis.linear_motion(chain, q)), rows)

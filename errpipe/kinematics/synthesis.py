@@ -30,9 +30,9 @@ def jacobian(chain: Chain, q: np.ndarray, tip: np.ndarray | None = None) -> np.n
     return k.jacobian(*chain.factors, q, tip, len(chain.components))
 
 
-def second_order_bound(chain: Chain, q: np.ndarray, comps: np.ndarray, tip: np.ndarray | None = None) -> np.ndarray:
+def second_order_bound(chain: Chain, q: np.ndarray, comps: np.ndarray) -> np.ndarray:
     """Upper bound of |exact - first order| of the tool point, um, shape (n,)."""
-    q, comps, tip = _rows(chain, q, comps, tip)
+    q, comps, tip = _rows(chain, q, comps, None)
     return k.second_order_bound(*chain.factors, q, tip, comps)
 
 
