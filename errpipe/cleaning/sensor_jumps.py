@@ -43,9 +43,7 @@ class SensorJumps(Rule):
             if not at:
                 continue
             run = recording.run_codes()
-            rows = np.unique(
-                np.concatenate([np.flatnonzero(run == run[row])[_rows_before_in_run(run, row) :] for row in at])
-            )
+            rows = np.unique(np.concatenate([row + np.flatnonzero(run[row:] == run[row]) for row in at]))
             unit = "K" if name in temperatures else recording.manifest.columns[name].unit or "um"
             reason = f"jumps by {_step(values, at[0]):.3g} {unit} from one reading to the next and stays there"
             if name in temperatures and rows.size > DEAD_SHARE * values.size:
@@ -76,11 +74,6 @@ def _drifts(recording: Recording) -> list[str]:
     """Deviations that have no position, nor a simulation to compare with, beside temperatures."""
     others = [n for role in ("position", "command", "simulated") for n in recording.names(role)]
     return list(recording.names("error")) if recording.names("temperature") and not others else []
-
-
-def _rows_before_in_run(run: np.ndarray, row: int) -> int:
-    """How many rows of its run stand before a row."""
-    return int(np.count_nonzero(run[:row] == run[row]))
 
 
 def _step(values: np.ndarray, row: int) -> float:

@@ -17,10 +17,10 @@ def command(
     simulation: Path = typer.Option(
         None, "--simulation", metavar="FILE", help="CSV, error model or FMU where the recording holds no twin."
     ),
-    apply: Path = typer.Option(
+    apply: Path | None = typer.Option(
         None, "--apply", metavar="DIR", help="Folder for the corrected simulation: recording, terms, patch, FMU."
     ),
-    against: Path = typer.Option(
+    against: Path | None = typer.Option(
         None, "--against", metavar="FINDINGS", help="An earlier diagnosis.json: is each effect still there?"
     ),
     json: bool = Json,

@@ -13,14 +13,14 @@ _By = typer.Option([], "--by", metavar="GROUP", help="Its labels name a duty cyc
 
 
 def command(
-    recording: Path = typer.Argument(None, metavar="RECORDING", help="Folder of the days recorded so far."),
+    recording: Path | None = typer.Argument(None, metavar="RECORDING", help="Folder of the days recorded so far."),
     log: Path = typer.Option(None, "--log", metavar="FOLDER", help="Recording of temperatures: further duty cycles."),
     component: str = typer.Option(None, "--component", help="The error that is modelled, such as E_D."),
     by: list[str] = _By,
     least: float = typer.Option(
         None, "--least", min=0.0, help="Stop below so many um rms taken away; default: a reading's noise."
     ),
-    speed: float = typer.Option(None, "--speed", min=1.0, help="Plan speeds up to this one, rpm."),
+    speed: float | None = typer.Option(None, "--speed", min=1.0, help="Plan speeds up to this one, rpm."),
     hours: float = typer.Option(8.0, "--hours", min=0.5, max=48.0, help="Length of a day of speeds."),
     noise: float = typer.Option(1.0, "--noise", min=1e-3, help="Standard deviation of a reading, um, for speeds."),
     standing: float = typer.Option(0.0, "--standing", min=0.0, max=1.0, help="Least share at rest, for speeds."),

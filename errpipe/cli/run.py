@@ -67,7 +67,7 @@ def command(
     title, steps = known
     result = {"title": title, "out": str(folder), "stages": [_plain(step) for step in steps]}
     lines = [
-        f"{s.name}: {', '.join(_said(key, short_value(value)) for key, value in sorted(s.summary.items()))}"
+        f"{s.name}: {', '.join(_entry_text(key, short_value(value)) for key, value in sorted(s.summary.items()))}"
         for s in steps
         if s.summary
     ]
@@ -75,7 +75,7 @@ def command(
     print_result("run", result, [*lines, *pages], as_json=json)
 
 
-def _said(key: str, value: str) -> str:
+def _entry_text(key: str, value: str) -> str:
     """An entry of a stage's summary in words: a key that ends in `_um` brings its unit."""
     name = key.removesuffix("_um")
     return f"{key} {value}" if name == key else f"{name.replace('_', ' ')} {value} um"

@@ -99,7 +99,7 @@ class Stretches:
         return self.take(slice(None)).to_pandas()
 
 
-def _taken(values: Any, rows: np.ndarray) -> Any:
+def _taken(values: Any, rows: np.ndarray | slice) -> Any:
     """Some rows of a column; of labels by numpy, which takes a third of pyarrow's time."""
     if isinstance(rows, slice) and not isinstance(values, Stretches):
         return values[rows]

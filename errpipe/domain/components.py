@@ -187,23 +187,23 @@ def _squareness(pair: tuple[str, str]) -> str:
 
 
 def _location(axis: str) -> list[str]:
-    line = ABOUT.get(_own(axis), "Z")
+    line = ABOUT.get(_principal(axis), "Z")
     return [f"{d}0{axis}" for d in "XYZABC" if d != line]
 
 
-def _own(axis: str) -> str:
+def _principal(axis: str) -> str:
     return _PARALLEL.get(axis[0], axis[0])
 
 
 def _is_linear(axis: str) -> bool:
-    return _own(axis) in "XYZ"
+    return _principal(axis) in "XYZ"
 
 
 def _location_kind(direction: str, axis: str) -> Kind:
     """Of the spindle and of a linear frame's origin a drift, else where and how an axis' line lies."""
     if axis == "S" or (_is_linear(axis) and direction not in ABOUT):
         return "drift"
-    if not _is_linear(axis) and direction == _own(axis):
+    if not _is_linear(axis) and direction == _principal(axis):
         return "zero position"
     return SQUARENESS if direction in ABOUT else "axis offset"
 

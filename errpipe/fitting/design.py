@@ -45,7 +45,6 @@ class Problem:
     slots: tuple[Slot, ...]
     width: int
     unknowns: tuple[Parameter, ...]
-    dropped: int = 0
     _still: dict[int, np.ndarray] = field(default_factory=dict)
 
     def columns_of(self, slot: Slot, nonlinear: np.ndarray) -> np.ndarray:
@@ -167,33 +166,22 @@ def slots_of(
 
 def _stack(recording, components, mask, slots, width, unknowns) -> Problem:
     middle = np.array([_middle(p) for p in unknowns])
-    run, kept, response, sequence, dropped = recording.run_codes(), [], [], [], 0
+    run, kept, response, sequence = recording.run_codes(), [], [], []
     probe = Problem(recording, components, (), np.empty(0), np.empty(0), slots, width, unknowns)
     for b, component in enumerate(components):
         y = recording.array(response_name(recording, component)).astype(float)
-        usable = np.isfinite(y) & mask
-        complete = usable.copy()
+        complete = np.isfinite(y) & mask
         for slot in slots:
             if slot.block in (b, -1):
                 complete &= np.isfinite(probe.basis_of(slot, b, middle)).all(axis=1)
-        dropped += int(np.count_nonzero(usable & ~complete))
         chosen = np.flatnonzero(complete)
         if chosen.size == 0:
             raise DataError(f"fit: no row has both {component} and everything its terms need")
         kept.append(chosen)
         response.append(y[chosen] - fixed_part(recording, b, slots)[chosen])
         sequence.append(run[chosen] + b * (int(run.max()) + 1))
-    return Problem(
-        recording,
-        components,
-        tuple(kept),
-        np.concatenate(response),
-        np.concatenate(sequence),
-        slots,
-        width,
-        unknowns,
-        dropped,
-    )
+    stacked = tuple(kept), np.concatenate(response), np.concatenate(sequence)
+    return Problem(recording, components, *stacked, slots, width, unknowns)
 
 
 def _middle(parameter: Parameter) -> float:

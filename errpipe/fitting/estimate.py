@@ -82,15 +82,13 @@ def _linear(design, problem, spec, penalties, priors, folds) -> solve.Solution:
         return replace(again, strength=solution.strength)
     if spec.method == "robust":
         return solve.robust(design, y, priors=priors, loss=spec.loss)
-    noise = _noise_guess(problem.sequence, design, y) if priors else 1.0
-    return solve.least_squares(design, y, priors=priors, noise=noise)
-
-
-def _noise_guess(sequence: np.ndarray, design: np.ndarray, y: np.ndarray) -> float:
-    """Standard deviation of the noise that priors are weighed against: of as few rows as are independent."""
-    residual = solve.least_squares(design, y).residual
-    noise = uncertainty.noise_model(sequence, design, residual, None)
-    return noise.sigma * float(np.sqrt(y.size / uncertainty.rows_effective(sequence, noise)))
+    first = solve.least_squares(design, y)
+    if not priors:
+        return first
+    # priors are weighed against as few rows as are independent
+    noise = uncertainty.noise_model(problem.sequence, design, first.residual, None)
+    sigma = noise.sigma * float(np.sqrt(y.size / uncertainty.rows_effective(problem.sequence, noise)))
+    return solve.least_squares(design, y, priors=priors, noise=sigma)
 
 
 def _with_effective_rows(problem, nonlinear, penalties, priors, solution) -> solve.Solution:

@@ -16,14 +16,14 @@ __all__ = ["ComponentSpec", "ModelSpec", "PriorSpec", "evaluate", "fit", "term_o
 NORMAL90 = 1.645  # standard deviations: half of the central 90 % of a normal distribution
 
 
-def fit(recording: Recording, spec: ModelSpec, *, rows: np.ndarray | None = None, calibrate: bool = True) -> ErrorModel:
-    """Fit every component of `spec` on the rows of a mask (all where None).
+def fit(recording: Recording, spec: ModelSpec, *, calibrate: bool = True) -> ErrorModel:
+    """Fit every component of `spec` on all rows.
 
     calibrate: refit without each hold-out group to size the 90 % prediction interval. Where the specification asks
     for selection, terms that held-out rows do not need are left out. Raises DataError where a response or a needed
     column is missing, NotIdentifiable where the rows cannot distinguish parameters.
     """
-    mask = np.ones(len(recording), dtype=bool) if rows is None else np.asarray(rows, dtype=bool)
+    mask = np.ones(len(recording), dtype=bool)
     chosen = select(recording, spec, mask) if spec.selection == "held-out" else spec
     model = solved(recording, chosen, mask)
     if not calibrate:

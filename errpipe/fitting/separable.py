@@ -61,14 +61,14 @@ def search(
     """
     with one_thread():
         basis = _orthonormal(still)
-        unexplained = _without(basis, response[:, None])[:, 0]
+        unexplained = _orthogonal_to(basis, response[:, None])[:, 0]
 
         def residual(inner: np.ndarray) -> np.ndarray:
             outer = np.array([u.from_search_scale(v) for u, v in zip(unknowns, inner, strict=True)])
             columns = moving(outer)
             if not np.isfinite(columns).all():  # the term is undefined here on these rows
                 return unexplained
-            columns = _without(basis, columns)
+            columns = _orthogonal_to(basis, columns)
             return unexplained - columns @ _coefficients(columns, unexplained)
 
         starts = _sweep(residual, unknowns) if begin is None else [begin]
@@ -115,7 +115,7 @@ def _orthonormal(columns: np.ndarray) -> np.ndarray:
     return u[:, s > 1e-10 * s.max(initial=0.0)]
 
 
-def _without(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def _orthogonal_to(basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return columns - basis @ (basis.T @ columns) if basis.shape[1] else columns
 
 

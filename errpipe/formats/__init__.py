@@ -32,7 +32,8 @@ def detect(path: Path) -> ModuleType:
     matches = [f for f in FORMATS if f.sniff(path)]
     if len(matches) != 1:
         names = ", ".join(f.name for f in matches or FORMATS)
-        what = "fits several formats" if matches else f"is of no known format{_hint(path)}"
+        hint = f": the folder has no {manifest_folder.MANIFEST}" if path.is_dir() else ""
+        what = "fits several formats" if matches else f"is of no known format{hint}"
         raise DataError(f"{path}: {what} (allowed: {names})")
     return matches[0]
 
@@ -66,7 +67,3 @@ def by_name(name: str) -> ModuleType:
     if name not in known:
         raise UsageError(f"no format is named {name!r} (allowed: {', '.join(known)}).{did_you_mean(name, known)}")
     return known[name]
-
-
-def _hint(path: Path) -> str:
-    return f": the folder has no {manifest_folder.MANIFEST}" if path.is_dir() else ""

@@ -308,7 +308,7 @@ def _values(block: _tables.Block, manifest: Manifest, converts: dict[str, Any], 
             continue
         raw[column_name] = values = cells.to_numpy()  # a missing cell becomes NaN
         if role in ALLOWED:
-            _one_of(values, ALLOWED[role], role, column_name, block)
+            _check_codes(values, ALLOWED[role], role, column_name, block)
         convert = converts[column_name]
         values = values if convert is None or convert.identity else convert(values)
         unit = None if convert is None else convert.unit
@@ -324,10 +324,10 @@ def _values(block: _tables.Block, manifest: Manifest, converts: dict[str, Any], 
     return out
 
 
-def _one_of(values: np.ndarray, allowed: tuple[float, ...], role: str, column_name: str, block: _tables.Block) -> None:
-    wrong = ~np.isnan(values)
-    for value in allowed:
-        wrong &= values != value
+def _check_codes(
+    values: np.ndarray, allowed: tuple[float, ...], role: str, column_name: str, block: _tables.Block
+) -> None:
+    wrong = ~np.isnan(values) & ~np.isin(values, allowed)
     if wrong.any():
         row = int(np.argmax(wrong))
         words = " or ".join(f"{a:+g}" if role == "direction" else f"{a:g}" for a in allowed)

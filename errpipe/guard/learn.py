@@ -55,9 +55,9 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
             f" (found: {len(names)}, {groups}, {hours:.1f})"
         )
     per_hour = FALSE_ALARMS / 1000 / KINDS
-    test = _test(rows, HORIZON_S, per_hour)
+    test = _test(rows, per_hour)
     estimate, largest = _estimate(rows)
-    late, largest_late = _late_estimate(rows, HORIZON_S)
+    late, largest_late = _late_estimate(rows)
     alive = rows.lagged((rows.x - rows.lagged(rows.x, FREEZE_S)) ** 2, FREEZE_S)
     diagonal = np.sqrt(np.diag(test.precision))
     return g.SensorGuard(
@@ -72,7 +72,7 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
                 past=tuple(map(float, late[i, len(names) :])),
                 reach=float(max(REACH * max(largest[i], largest_late[i]), 1e-3)),
                 lively=float(np.quantile(alive[:, i], ACTIVE)) or None,
-                still=_still(alive[:, i], rows, per_hour / len(names), FREEZE_S),
+                still=_still(alive[:, i], rows, per_hour / len(names)),
             )
             for i, name in enumerate(names)
         ),
@@ -104,9 +104,9 @@ class _Test:
         return float(np.sum(self.threshold**2 / np.diag(self.precision)))
 
 
-def _test(rows: Healthy, horizon_s: float, per_hour: float) -> _Test:
+def _test(rows: Healthy, per_hour: float) -> _Test:
     """The ridge that detects the smallest faults, of those that tell the sensors from each other; else the largest."""
-    recent = rows.x - rows.lagged(rows.x, horizon_s)
+    recent = rows.x - rows.lagged(rows.x, HORIZON_S)
     tried = []
     for ridge in RIDGES:
         worst = np.empty(len(recent))
@@ -143,14 +143,14 @@ def _estimate(rows: Healthy) -> tuple[np.ndarray, np.ndarray]:
     return _regress(shift, ridge), np.max(np.abs(left(ridge, rise)), axis=0)
 
 
-def _late_estimate(rows: Healthy, horizon_s: float) -> tuple[np.ndarray, np.ndarray]:
+def _late_estimate(rows: Healthy) -> tuple[np.ndarray, np.ndarray]:
     """Weights (sensors, 2 sensors) of the others' readings and of the same through a lag; and the largest residuals, K.
 
     Of every sensor the ridge that leaves least of runs left out and of the colder or warmer half of them left out: the
     weights must carry over to surroundings that are not those of the runs.
     """
     rise = rows.rises()
-    both = np.hstack([rise, rows.lagged(rise, horizon_s)])
+    both = np.hstack([rise, rows.lagged(rise, HORIZON_S)])
     shift = rows.centred(both)
     count = rise.shape[1]
     weights, largest = np.zeros((count, 2 * count)), np.zeros(count)
@@ -202,12 +202,12 @@ def _believable(rows: Healthy, i: int) -> dict[str, float]:
     return {"low": low - margin, "high": high + margin, "max_rate": MAX_RATE * fastest}
 
 
-def _still(alive: np.ndarray, rows: Healthy, per_hour: float, freeze_s: float) -> float | None:
+def _still(alive: np.ndarray, rows: Healthy, per_hour: float) -> float | None:
     """The stillness that a healthy sensor reaches at the stated rate; None where it stands still when healthy.
 
     Near 0 a square of noise is distributed as a power, so minus its logarithm has Gumbel's tail.
     """
-    late = rows.since() > WARM_UP * freeze_s
+    late = rows.since() > WARM_UP * FREEZE_S
     if not late.any() or alive[late].min() <= 0:
         return None
     kept = Healthy(rows.x[late], rows.run[late], rows.t[late], rows.group[late])

@@ -31,7 +31,6 @@ class Unobserved:
     """A combination of components that a test does not observe. left: share of its prior variance that remains."""
 
     components: tuple[str, ...]
-    weights: tuple[float, ...]
     left: float
 
     def sentence(self) -> str:
@@ -99,9 +98,7 @@ def _name(chain: Chain, model: ident.Parametrisation, vector: np.ndarray, left: 
     weight = np.sqrt(np.bincount(model.prior.component, weights=vector**2, minlength=len(chain.components)))
     ranked = np.argsort(-np.round(weight, 6), kind="stable")  # equal weights: the machine's order
     order = [int(i) for i in ranked if weight[i] > NAMED] or [int(ranked[0])]
-    return Unobserved(
-        tuple(chain.components[i] for i in order), tuple(round(float(weight[i]), 3) for i in order), float(left)
-    )
+    return Unobserved(tuple(chain.components[i] for i in order), float(left))
 
 
 def _merged(unobserved: tuple[Unobserved, ...]) -> tuple[Unobserved, ...]:

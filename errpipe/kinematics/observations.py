@@ -243,7 +243,7 @@ def concatenate(parts: Sequence[Observations], shared: bool = False) -> Observat
         nuisance_names=tuple(names),
         nuisance_spread=np.array(spread),
         seconds=sum(p.seconds for p in parts),
-        own=_own(parts),
+        own=_component_weights(parts),
         **_paths(parts),
     )
 
@@ -264,7 +264,7 @@ def _paths(parts: Sequence[Observations]) -> dict[str, np.ndarray]:
     return {"path": path, "path_weights": weights}
 
 
-def _own(parts: Sequence[Observations]) -> np.ndarray | None:
+def _component_weights(parts: Sequence[Observations]) -> np.ndarray | None:
     """Weights on components of all parts; NaN rows for parts that read the tool."""
     count = next((p.own.shape[1] for p in parts if p.own is not None), 0)
     if not count:

@@ -22,7 +22,6 @@ from errpipe.errors import DataError
 from errpipe.kinematics import evidence
 from errpipe.kinematics.basis import beam_modes, wave_numbers
 
-FAMILIES = ("scale and squareness", "curves", "map", "own map")
 TYPICAL = np.array([10.0, 3.0, 2.0, 1.0, 2.0, 2.0])  # prior: um rms by family; power; noise um
 CERTAINTY = np.array([1.0, 1.0, 1.0, 1.0, 0.4, 3.0])  # prior sd of the logarithm of each
 SHIFT, TURN = 2000.0, 2000.0  # um, urad: CMM datum against the machine's
@@ -75,10 +74,10 @@ class Functions:
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Values, shape (n, functions), without regard to output; held at the edge of the box."""
-        fx, fy = (self._one(v, r) for v, r in ((x, self.box.x), (y, self.box.y)))
+        fx, fy = (self._functions_along(v, r) for v, r in ((x, self.box.x), (y, self.box.y)))
         return fx[:, self.in_x] * fy[:, self.in_y]
 
-    def _one(self, v: np.ndarray, travel: tuple[float, float]) -> np.ndarray:
+    def _functions_along(self, v: np.ndarray, travel: tuple[float, float]) -> np.ndarray:
         t = np.clip((v - travel[0]) / (travel[1] - travel[0]), 0.0, 1.0)
         return np.column_stack([np.ones_like(t), (t - 0.5) * np.sqrt(12.0), beam_modes(t, self.modes)])
 
@@ -95,11 +94,9 @@ class PlanarModel:
     mean: np.ndarray
     covariance: np.ndarray
     noise: float
-    sizes: dict[str, float]
     power: float
     setup: dict[str, tuple[float, float, float]]
     rows: int
-    weights: np.ndarray
 
     def design(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """d(E_X, E_Y)/d(parameter), shape (2, n, parameters)."""
@@ -140,7 +137,7 @@ class PlanarModel:
         out: dict[str, Any] = {"C0Y": float(self.mean[2])}
         for axis, travel, own, other in (("X", box.x, f.in_x, f.in_y), ("Y", box.y, f.in_y, f.in_x)):
             p = np.linspace(*travel, count)
-            values = f._one(p, travel)
+            values = f._functions_along(p, travel)
             for k, d in enumerate("XY"):
                 used = (f.output == k) & (other == 0) & (own > 0)
                 curve = values[:, own[used]] @ self.mean[3:][used]
@@ -156,7 +153,7 @@ class PlanarModel:
         """
         f, out = self.functions, []
         x, y = np.linspace(*f.box.x, 65), np.linspace(*f.box.y, 65)
-        fx, fy = f._one(x, f.box.x), f._one(y, f.box.y)
+        fx, fy = f._functions_along(x, f.box.x), f._functions_along(y, f.box.y)
         for k, name in enumerate(("E_X", "E_Y")):
             used = (f.output == k) & (f.in_x > 0) & (f.in_y > 0)
             core = np.zeros((f.modes + 2, f.modes + 2))
@@ -181,20 +178,18 @@ def fit_plate(recording: Recording, *, rows: np.ndarray | None = None, modes: in
     functions = Functions.of(box, min(modes, max(1, int(np.sqrt(len(x) / 4)))))
     design, spreads = _design(functions, x, y, run, used)
     inliers = np.tile(_inliers(x, y, run, used, np.column_stack([ex, ey])), 2)
-    mean, cov, hyper, weight = _reweighted(design, spreads, np.r_[ex, ey], inliers, len(used))
+    mean, cov, hyper = _reweighted(design, spreads, np.r_[ex, ey], inliers, len(used))
     p = 3 + len(functions.output)
     labels = recording.run_labels()
     poses = mean[p : p + 3 * len(used)].reshape(-1, 3)
     setup = {labels[r]: (float(a), float(b), float(c)) for r, (a, b, c) in zip(used, poses, strict=True)}
-    sizes = dict(zip(FAMILIES, map(float, hyper[:4]), strict=True))
-    learnt = functions, mean[:p], cov[:p, :p], float(hyper[-1]), sizes, float(hyper[-2])
-    return PlanarModel(*learnt, setup, len(x), weight.reshape(2, -1).T ** 2)
+    return PlanarModel(functions, mean[:p], cov[:p, :p], float(hyper[-1]), float(hyper[-2]), setup, len(x))
 
 
 def _reweighted(
     design: np.ndarray, spreads: evidence.Spreads, readings: np.ndarray, weight: np.ndarray, runs: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Mean, covariance, prior sizes and weights of iteratively reweighted least squares (Huber's weights)."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean, covariance and prior sizes by iteratively reweighted least squares (Huber's weights)."""
     known, hyper, plausible = np.full(6, np.nan), np.empty(0), weight > 0  # no prior sizes estimated yet
     if runs < 2:
         known[3] = 1e-6
@@ -204,7 +199,7 @@ def _reweighted(
         mean, cov = evidence.solve(spreads, moments, hyper)
         standardised = np.abs(readings - design @ mean) / hyper[-1]
         weight = plausible * np.sqrt(np.minimum(1.0, HUBER / np.maximum(standardised, 1e-12)))
-    return mean, cov, hyper, weight
+    return mean, cov, hyper
 
 
 def without_setup(x: np.ndarray, y: np.ndarray, deviation: np.ndarray, fit: np.ndarray | None = None) -> np.ndarray:

@@ -68,11 +68,11 @@ def of_truth(chain: Chain, truth: MachineErrors, model: MachineErrors) -> Remain
     def true(q: np.ndarray) -> np.ndarray:
         return synthesis.exact(chain, q, truth.at(q))[:, :3]
 
-    def left(q: np.ndarray) -> np.ndarray:
+    def residual(q: np.ndarray) -> np.ndarray:
         return true(q) - synthesis.first_order(chain, q, model.at(q))[:, :3]
 
     q = places(chain)
-    before, after = (without_pose(chain, field, q) for field in (true, left))
+    before, after = (without_pose(chain, field, q) for field in (true, residual))
     figures = {}
     for name, field in (("before", before), ("after", after)):
         size = np.linalg.norm(field(q), axis=1)
@@ -84,24 +84,24 @@ def of_truth(chain: Chain, truth: MachineErrors, model: MachineErrors) -> Remain
 def without_pose(chain: Chain, field: Field, q: np.ndarray) -> Field:
     """A field less the rigid shift and rotation of the workpiece that fit it best at q (least squares)."""
     middle = synthesis.ideal_pose(chain, q)[:, 0].mean(axis=0)
-    pose, *_ = np.linalg.lstsq(_pose_columns(chain, q, None, middle).reshape(-1, 6), field(q).ravel(), rcond=None)
-    return lambda at: field(at) - _pose_columns(chain, at, None, middle) @ pose
+    pose, *_ = np.linalg.lstsq(_pose_columns(chain, q, middle).reshape(-1, 6), field(q).ravel(), rcond=None)
+    return lambda at: field(at) - _pose_columns(chain, at, middle) @ pose
 
 
-def _pose_columns(chain: Chain, q: np.ndarray, tip: np.ndarray | None, middle: np.ndarray) -> np.ndarray:
+def _pose_columns(chain: Chain, q: np.ndarray, middle: np.ndarray) -> np.ndarray:
     """Deviation of the tool point per shift (um) and turn (urad) of the workpiece about `middle`, (n, 3, 6)."""
-    arm = (synthesis.ideal_pose(chain, q, tip)[:, 0] - middle) * 1e-3
+    arm = (synthesis.ideal_pose(chain, q)[:, 0] - middle) * 1e-3
     turns = [np.cross(axis, arm) for axis in np.eye(3)]
     shifts = [np.broadcast_to(axis, arm.shape) for axis in np.eye(3)]
     return np.stack([*shifts, *turns], axis=2)
 
 
-def spread(identified: Identified, tip: np.ndarray | None = None) -> Callable[[np.ndarray], np.ndarray]:
+def spread(identified: Identified) -> Callable[[np.ndarray], np.ndarray]:
     """Size of the standard error of the predicted tool point at q, um, shape (n,)."""
 
     def size(q: np.ndarray) -> np.ndarray:
         parts = np.array_split(q, max(1, len(q) // PIECE))
-        return np.concatenate([np.linalg.norm(identified.predict(p, tip)[1], axis=1) for p in parts])
+        return np.concatenate([np.linalg.norm(identified.predict(p)[1], axis=1) for p in parts])
 
     return size
 
@@ -129,7 +129,7 @@ class Expected:
         return figures | {"axes": axes, "left_alone": list(self.left_alone)}
 
 
-def expected(identified: Identified, tip: np.ndarray | None = None, count: int = JUDGED) -> Expected:
+def expected(identified: Identified) -> Expected:
     """Expected benefit of a compensation from the posterior, where no reading can be held out.
 
     With m the identified field, c what of it is compensated and the true one m + e, e ~ N(0, S), compensating leaves
@@ -139,17 +139,17 @@ def expected(identified: Identified, tip: np.ndarray | None = None, count: int =
     (a screw compensation), it is judged along its own line, so the others count neither before nor after.
     """
     chain, prior = identified.model.chain, identified.model.prior
-    q = mirrored_places(chain, count, JUDGED_SEED)
+    q = mirrored_places(chain, JUDGED, JUDGED_SEED)
     count = len(q)
-    jac = synthesis.jacobian(chain, q, tip)[:, :3]
+    jac = synthesis.jacobian(chain, q)[:, :3]
     rows = (jac[:, :, prior.component] * identified.model.functions(q)[:, None, :]).reshape(3 * count, -1)
     read = np.unique(prior.component[identified.mean != 0.0])
     if all(parse(chain.components[c]).kind == "positioning" for c in read):
         rows = np.where(np.isin(prior.component, read), rows, 0.0)
-    columns = _pose_columns(chain, q, tip, synthesis.ideal_pose(chain, q, tip)[:, 0].mean(axis=0))
+    columns = _pose_columns(chain, q, synthesis.ideal_pose(chain, q)[:, 0].mean(axis=0))
     pose, _ = np.linalg.qr(columns.reshape(-1, 6))
     rows = (rows - pose @ (pose.T @ rows)).reshape(count, 3, -1)
-    by_axis = np.einsum("nai,nip->anp", np.linalg.pinv(synthesis.linear_motion(chain, q, tip)), rows)
+    by_axis = np.einsum("nai,nip->anp", np.linalg.pinv(synthesis.linear_motion(chain, q)), rows)
     whole = by_axis.reshape(-1, rows.shape[2])
     kept = _not_harmful(identified, [whole, *by_axis])
     part = np.where(kept[prior.component], identified.mean, 0.0)
@@ -189,7 +189,7 @@ def _not_harmful(identified: Identified, fields: Sequence[np.ndarray]) -> np.nda
         fewer = {int(k): np.where(np.arange(names.size) == k, 0.0, kept) for k in np.flatnonzero(kept)}
         kept = fewer[max(fewer, key=lambda k: margin(fewer[k]))]
     if kept.any():
-        out[names] = (kept > 0.0) | ~own.any(axis=0)  # what is zero is left as it is anyway
+        out[names] = (kept > 0.0) | ~own.any(axis=0)  # a component of zero changes nothing
     return out
 
 

@@ -85,9 +85,7 @@ def _numbers(values: np.ndarray) -> list[float]:
     return [round(float(v), 4) + 0.0 for v in values]
 
 
-def errors(
-    chain: Chain, parameters: Mapping[str, Any], nodes: int = 201, kept: Sequence[str] | None = None
-) -> MachineErrors:
+def errors(chain: Chain, parameters: Mapping[str, Any], kept: Sequence[str] | None = None) -> MachineErrors:
     """The components that `document` wrote, or those of them in `kept`; the others are zero.
 
     Raises VerifyError where they are of another machine or version.
@@ -97,6 +95,7 @@ def errors(
     if parameters["machine"] != chain.machine.name:
         raise VerifyError(f"the identification is of machine {parameters['machine']!r}, not of {chain.machine.name!r}")
     values: dict[str, Any] = {row["component"]: float(row["value"]) for row in parameters["constants"]}
+    nodes = 201  # of a curve over its axis, at least
     for name, curve in parameters["curves"].items():
         values[name] = interpolated(curve)
         nodes = max(nodes, len(curve["value"]))

@@ -30,20 +30,20 @@ def jacobian(chain: Chain, q: np.ndarray, tip: np.ndarray | None = None) -> np.n
     return k.jacobian(*chain.factors, q, tip, len(chain.components))
 
 
-def second_order_bound(chain: Chain, q: np.ndarray, comps: np.ndarray, tip: np.ndarray | None = None) -> np.ndarray:
+def second_order_bound(chain: Chain, q: np.ndarray, comps: np.ndarray) -> np.ndarray:
     """Upper bound of |exact - first order| of the tool point, um, shape (n,)."""
-    q, comps, tip = _rows(chain, q, comps, tip)
+    q, comps, tip = _rows(chain, q, comps, None)
     return k.second_order_bound(*chain.factors, q, tip, comps)
 
 
-def remainder(chain: Chain, q: np.ndarray, comps: np.ndarray, tip: np.ndarray | None = None) -> dict[str, float]:
+def remainder(chain: Chain, q: np.ndarray, comps: np.ndarray) -> dict[str, float]:
     """What first order leaves out at these poses: largest and rms distance of the tool point, and its bound, um."""
-    difference = exact(chain, q, comps, tip)[:, :3] - first_order(chain, q, comps, tip)[:, :3]
+    difference = exact(chain, q, comps)[:, :3] - first_order(chain, q, comps)[:, :3]
     size = np.linalg.norm(difference, axis=1)
     return {
         "largest_um": float(size.max()),
         "rms_um": float(np.sqrt(np.mean(size**2))),
-        "bound_um": float(second_order_bound(chain, q, comps, tip).max()),
+        "bound_um": float(second_order_bound(chain, q, comps).max()),
     }
 
 

@@ -195,7 +195,11 @@ class _Work:
         with files.scratch():
             summary = dict(stage.run(context) or {})
         jsonfile.dumps(summary)  # raises before anything is published where a stage's summary cannot be written
-        outputs = {path.relative_to(folder).as_posix(): lock.hash_file(path) for path in _all_files(folder)}
+        outputs = {
+            path.relative_to(folder).as_posix(): lock.hash_file(path)
+            for path in sorted(folder.rglob("*"))
+            if path.is_file()
+        }
         lacking = sorted(set(stage.outputs()) - set(outputs))
         if lacking:
             raise RuntimeError(f"stage {stage.label} did not write {', '.join(lacking)}")
@@ -242,10 +246,6 @@ class _Work:
                 path = inside(self.out, f"{name}/{file}", VerifyError)
                 if path.is_file() and lock.hash_file(path) == digest:
                     _remove(self.out / name, file)
-
-
-def _all_files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
 def _publish(source: Path, target: Path) -> bool:

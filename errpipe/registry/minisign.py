@@ -95,7 +95,7 @@ def read_secret(path: Path) -> SecretKey:
     """A secret key file without a password, its owner's only. Raises VerifyError."""
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-    data = _line(path, 1, 158, "secret key")
+    data = _line(path, 158, "secret key")
     if stat.S_IMODE(path.stat().st_mode) & 0o077:
         raise VerifyError(f"{path}: others can read this secret key (allowed: chmod 600)")
     if data[:2] != ALGORITHM or data[4:6] != CHECKSUM:
@@ -112,7 +112,7 @@ def read_secret(path: Path) -> SecretKey:
 
 def read_public(path: Path) -> PublicKey:
     """A public key file. Raises VerifyError."""
-    data = _line(path, 1, 42, "public key")
+    data = _line(path, 42, "public key")
     if data[:2] != ALGORITHM:
         raise VerifyError(f"{path}: not a minisign public key")
     return PublicKey(data[2:10], data[10:])
@@ -175,11 +175,12 @@ def _text(path: Path) -> str:
         raise VerifyError(f"{path}: not a text file of minisign") from None
 
 
-def _line(path: Path, number: int, length: int, what: str) -> bytes:
+def _line(path: Path, length: int, what: str) -> bytes:
+    """The bytes of a key file's second line; the first is a comment."""
     lines = _text(path).split("\n")
-    if len(lines) <= number:
+    if len(lines) < 2:
         raise VerifyError(f"{path}: not a minisign {what}")
-    return _decoded(lines[number], length, f"{path}: the {what}")
+    return _decoded(lines[1], length, f"{path}: the {what}")
 
 
 def _decoded(text: str, length: int, what: str) -> bytes:

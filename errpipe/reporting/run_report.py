@@ -81,17 +81,14 @@ def render(report: RunReport) -> str:
             "before_after": before_after(r),
             "groups": by_group(r) if len(r.table) > 1 else "",
             "residuals": residuals(r),
-            "time": _over_time(r) if r.time is not None else "",
+            "time": run_figures.against_time(r.time, r.deviation, r.predicted, r.groups, r.band, r.component, r.unit)
+            if r.time is not None
+            else "",
             "plane": _over_plane(r) if r.plane else "",
         }
         for r in report.responses
     ]
     return page.render("run.html.j2", {"title": report.title or "errpipe run", "report": report, "blocks": blocks})
-
-
-def _over_time(r: Response) -> str:
-    assert r.time is not None
-    return run_figures.against_time(r.time, r.deviation, r.predicted, r.groups, r.band, r.component, r.unit)
 
 
 def _over_plane(r: Response) -> str:

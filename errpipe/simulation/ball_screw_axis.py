@@ -6,7 +6,6 @@ short waves, the bearing's seat moves with its own temperature. Equal seeds give
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,11 +51,11 @@ class Simulated:
     noise: np.ndarray
 
 
-def simulate(seed: int = 1, truth: Truth = Truth(), states: Sequence[tuple[float, float]] = STATES) -> Simulated:
-    """One session: the axis warms up and rests, and is measured after each of `states`."""
+def simulate(seed: int = 1, truth: Truth = Truth()) -> Simulated:
+    """One session: the axis warms up and rests, and is measured after each of `STATES`."""
     rng = np.random.default_rng(seed)
     screw = heat.Screw()
-    program = _program(states)
+    program = _program()
     air = _room(program.end, rng)
     warm = heat.conduct(screw, program.speed, program.low, program.high, air, float(air[0]))
     at = np.minimum((program.row_time / heat.STEP).astype(int), warm.time.size - 1)
@@ -65,7 +64,8 @@ def simulate(seed: int = 1, truth: Truth = Truth(), states: Sequence[tuple[float
     exact = exact - 0.5 * truth.backlash * program.direction
     exact[~program.measured] = np.nan
     noise = _noise(rng, program.run_number, truth)
-    columns = {name: _sensor(rng, values[at], truth) for name, values in _sensed(warm).items()}
+    sensed = {"T_nut": warm.nut, "T_bearing": warm.bearing, "T_bed": warm.bed, "T_air": warm.air}
+    columns = {name: _sensor(rng, values[at], truth) for name, values in sensed.items()}
     frame = pd.DataFrame(
         {
             "run": program.run,
@@ -114,10 +114,10 @@ def _visits(targets: np.ndarray) -> list[tuple[float, float]]:
     return [*up, *down] * CYCLES
 
 
-def _program(states: Sequence[tuple[float, float]]) -> _Program:
+def _program() -> _Program:
     rows, moves, t = [], [], 0.0
     targets = _targets()
-    for k, (minutes, speed) in enumerate(states):
+    for k, (minutes, speed) in enumerate(STATES):
         for start in np.arange(t, t + 60.0 * minutes, LOG_EVERY):
             side = 1.0 if int(start / LOG_EVERY) % 2 == 0 else -1.0
             middle = 400.0 + (200.0 * side if speed else 0.0)
@@ -163,10 +163,6 @@ def _noise(rng: np.random.Generator, run: np.ndarray, truth: Truth) -> np.ndarra
     out = truth.noise * (np.sqrt(1 - truth.noise_memory) * white + np.sqrt(truth.noise_memory) * slow)
     hit = rng.random(run.size) < truth.outliers
     return out + hit * truth.noise * rng.choice([-1.0, 1.0], run.size) * rng.uniform(8, 40, run.size)
-
-
-def _sensed(warm: heat.Temperatures) -> dict[str, np.ndarray]:
-    return {"T_nut": warm.nut, "T_bearing": warm.bearing, "T_bed": warm.bed, "T_air": warm.air}
 
 
 def _sensor(rng: np.random.Generator, exact: np.ndarray, truth: Truth) -> np.ndarray:

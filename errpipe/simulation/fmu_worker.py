@@ -158,13 +158,13 @@ def serve() -> None:
 # ---------------------------------------------------------------- the supervisor
 
 
-def prctl(option: int, value: int) -> None:
-    """Ask the kernel; where there is no such call (not Linux) nothing happens."""
+def switch_on(option: int) -> None:
+    """Switch on an option of prctl(2); where there is no such call (not Linux) nothing happens."""
     import contextlib
     import ctypes
 
     with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None, use_errno=True).prctl(option, value, 0, 0, 0)
+        ctypes.CDLL(None, use_errno=True).prctl(option, 1, 0, 0, 0)
 
 
 def threads_of(user: int) -> int:
@@ -183,7 +183,7 @@ def become(user: int) -> None:
     """Give up root's rights for good, and the right to gain any; at most MAX_THREADS more threads."""
     import resource
 
-    prctl(PR_SET_NO_NEW_PRIVS, 1)
+    switch_on(PR_SET_NO_NEW_PRIVS)
     most = threads_of(user or os.getuid()) + MAX_THREADS
     _, hard = resource.getrlimit(resource.RLIMIT_NPROC)
     most = most if hard == resource.RLIM_INFINITY else min(most, hard)
@@ -271,7 +271,7 @@ def size_mb(folder: str) -> int:
 
 def supervise(control: int, user: int, disk_mb: int) -> None:
     """Start the process that runs the FMU; end all of it on request, and exit with its exit code."""
-    prctl(PR_SET_CHILD_SUBREAPER, 1)
+    switch_on(PR_SET_CHILD_SUBREAPER)
     child = os.fork()
     if child == 0:
         os.close(control)

@@ -64,9 +64,9 @@ def growth(theta: np.ndarray) -> np.ndarray:
     return theta.mean(axis=1)
 
 
-def random_duty(segments: int, highest: float, length: float, steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """A duty cycle of random fluxes 0..highest: (times, flux), each (segments * steps,). length: Fo of a segment."""
+def random_duty(segments: int, steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A duty cycle of random fluxes 0..2.5 in segments of Fo 0.2: (times, flux), each (segments * steps,)."""
     rng = np.random.default_rng(seed)
-    level = np.repeat(rng.uniform(0.0, highest, segments), steps)
-    times = (np.arange(segments * steps) + 1) * (length / steps)
+    level = np.repeat(rng.uniform(0.0, 2.5, segments), steps)
+    times = (np.arange(segments * steps) + 1) * (0.2 / steps)
     return times, level

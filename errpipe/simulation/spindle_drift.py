@@ -34,6 +34,7 @@ class Day:
     duty: tuple[tuple[float, float], ...]
 
 
+COLUMN_LAG = 9000.0  # s, of the column behind the room
 WARM_UP = ((90, 6000), (40, 0), (60, 9000), (60, 0))  # (minutes, rpm)
 STAIRS = ((35, 2000), (35, 4000), (35, 6000), (35, 8000), (35, 3000), (50, 0))
 MIXED = ((20, 8000), (15, 0), (25, 4000), (10, 10000), (20, 0), (40, 7000), (30, 1000), (40, 0))
@@ -69,7 +70,7 @@ def _run(day: Day, rng: np.random.Generator) -> tuple[pd.DataFrame, np.ndarray]:
     theta = _bar(speed, room)
     keep = np.arange(0, speed.size, int(LOG_STEP / STEP))
     growth = EXPANSION * LENGTH * (theta.mean(axis=1) - 20.0)
-    column = 3.0 * _slow(room - 20.0, 9000.0)  # the column follows the room, late
+    column = 3.0 * _slow(room - 20.0)  # the column follows the room, late
     at = [int(s * PIECES) for s in SENSOR_AT]
     frame = pd.DataFrame({"run": day.label, "season": day.season, "t": keep * STEP, "n": speed[keep]})
     for name, values in (("T_front", theta[:, at[0]]), ("T_rear", theta[:, at[1]]), ("T_room", room)):
@@ -91,11 +92,11 @@ def _bar(speed: np.ndarray, room: np.ndarray) -> np.ndarray:
     return out
 
 
-def _slow(u: np.ndarray, tau: float) -> np.ndarray:
+def _slow(u: np.ndarray) -> np.ndarray:
     out = np.empty_like(u)
     out[0] = u[0]
     for k in range(1, u.size):
-        out[k] = out[k - 1] + (u[k - 1] - out[k - 1]) * STEP / tau
+        out[k] = out[k - 1] + (u[k - 1] - out[k - 1]) * STEP / COLUMN_LAG
     return out
 
 

@@ -222,11 +222,11 @@ def _terms(component: Any) -> list[dict[str, Any]]:
 
 def _term(term: Any, fitted: Any) -> dict[str, Any]:
     parameters = [{"name": p.name, "value": p.value, "ci95": p.ci95, "unit": p.unit} for p in fitted.parameters]
-    says, of = term.says(fitted.values()), _of_what(term)
+    says, of = term.says(fitted.values()), _bound_to(term)
     return {"says": says, "equation": equation(type(term)), "of": of, "parameters": parameters}
 
 
-def _of_what(term: Any) -> str:
+def _bound_to(term: Any) -> str:
     """What a term is bound to (axis, sensor, column), and the reference that its equation counts from."""
     from errpipe.terms import plain
 

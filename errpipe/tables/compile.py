@@ -138,7 +138,9 @@ def _pairs(
     pairs: list[t.Pair] = []
     for component, own_groups in zip(components, groups, strict=True):
         for group in own_groups:
-            keep = group.keeps(build) if component.keep is None else component.keep
+            keep = component.keep
+            if keep is None:  # kept where no validity box limits its driver
+                keep = all(build.inputs[name].valid is None for name in build.reads(group.driver))
             number = profiles[len(pairs)]
             pairs.append(t.Pair(component=component.name, profile=number, driver=group.driver, keep=keep))
     return pairs
@@ -189,10 +191,6 @@ class _Group:
     pairs: list[Lowered]
     start: float = 0.0  # of a period
     closing: float = 0.0  # largest change of the curve by which its turn was closed, in its unit
-
-    def keeps(self, build: Nodes) -> bool:
-        """Whether no validity box limits its driver."""
-        return all(build.inputs[name].valid is None for name in build.reads(self.driver))
 
     def curve(self, x: np.ndarray) -> np.ndarray:
         total = np.zeros(np.shape(x))

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -305,15 +304,11 @@ def _contradiction(expected: bytes, actual: bytes) -> str:
     pairs = enumerate(zip(expected, actual, strict=False))
     at = next((n for n, (a, b) in pairs if a != b and not 20 <= n < 24), min(len(expected), len(actual)))
     where = "header"
-    for number, offset in _offsets(actual):
+    for number, (_, offset) in _section_index(actual).items():
         if at >= offset:
             what, record = _records(actual)[number]
             where = f"{what}, record {(at - offset) // record.size}, byte {(at - offset) % record.size}"
     return f"contradicts itself at byte {at} ({where})"
-
-
-def _offsets(data: bytes) -> Iterable[tuple[int, int]]:
-    return ((number, offset) for number, (_, offset) in _section_index(data).items())
 
 
 def first_problem(err: ValidationError) -> str:

@@ -115,7 +115,8 @@ def _profile_record(p: t.Profile, first: int, inputs: dict[str, int]) -> bytes:
 
 
 def _output_record(o: t.Output, first: int) -> bytes:
-    flags = lay.output_flags(o)
+    has = {lay.HAS_MAGNITUDE: o.magnitude, lay.HAS_SLEW: o.slew, lay.HAS_ACCELERATION: o.acceleration}
+    flags = sum(flag for flag, value in has.items() if value is not None)
     units = lay.UNITS.index(o.unit) | lay.CORRECTION_UNITS.index(o.correction_unit) << 8
     limits = (o.magnitude or 0.0, o.slew or 0.0, o.acceleration or 0.0)
     return lay.OUTPUT.pack(o.name.encode(), o.axis.encode(), units, flags, first, len(o.terms), o.factor, *limits)

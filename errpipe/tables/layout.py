@@ -90,9 +90,3 @@ def input_flags(i: t.TableInput) -> int:
     has = {HAS_VALID: i.valid, HAS_MAX_RATE: i.max_rate, HAS_STALE: i.stale_after_s, HAS_HOLD: i.hold_s}
     said = OPTIONAL * i.optional | FADE_ON_DEFAULT * i.fade_on_default
     return said | sum(flag for flag, value in has.items() if value is not None)
-
-
-def output_flags(o: t.Output) -> int:
-    """The flags of an output's record."""
-    has = {HAS_MAGNITUDE: o.magnitude, HAS_SLEW: o.slew, HAS_ACCELERATION: o.acceleration}
-    return sum(flag for flag, value in has.items() if value is not None)

@@ -174,19 +174,19 @@ def uniform(table: CompensationTable, axis: str, over: str, most: int, error_um:
     fine = np.linspace(low, high, MOST_CURVE + 1)
     dense = curve(table, axis, over, fine)
 
-    def left(points: Points) -> float:
+    def interpolation_error_um(points: Points) -> float:
         grid = points.positions()
         gaps = (np.interp(fine, grid, np.interp(grid, fine, v)) - v for v in (dense.up, dense.down))
         return 1e3 * max(float(np.abs(gap).max()) for gap in gaps)
 
     for count in _counts(most, turns(table, over)):
         points = Points(low, (high - low) / (count - 1), count)
-        if left(points) <= error_um:
+        if interpolation_error_um(points) <= error_um:
             break
     for own in _own_grids(table, over):
-        if own.count <= points.count and left(own) <= error_um:
-            return own, left(own)
-    return points, left(points)
+        if own.count <= points.count and interpolation_error_um(own) <= error_um:
+            return own, interpolation_error_um(own)
+    return points, interpolation_error_um(points)
 
 
 def from_zero(table: CompensationTable, axis: str, grid: np.ndarray) -> np.ndarray:

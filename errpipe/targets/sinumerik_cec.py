@@ -106,7 +106,8 @@ class SinumerikCec(Target):
                 points = _sample.exact(_sample.uniform(table, axis, over, MOST, ERROR_UM)[0])
                 curve = _sample.at_nodes(table, axis, over, points.positions(), relative=rest)
                 if screws and over == axis:
-                    curve = _half_difference(curve)  # what one curve for both directions cannot say
+                    half = (curve.up - curve.down) / 2  # what one curve for both directions cannot express
+                    curve = Curve(curve.axis, curve.over, curve.positions, half, -half)
                     if float(np.abs(curve.up).max()) * 1e3 < SAME_UM:
                         continue
                 rest = True
@@ -182,12 +183,6 @@ class _Factors:
     points: tuple[Points, Points]
     values: tuple[np.ndarray, np.ndarray]
     rms: float
-
-
-def _half_difference(curve: Curve) -> Curve:
-    """What each direction adds to the mean of both."""
-    half = (curve.up - curve.down) / 2
-    return Curve(curve.axis, curve.over, curve.positions, half, -half)
 
 
 def _products(table: CompensationTable) -> list[_Factors]:

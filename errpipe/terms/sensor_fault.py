@@ -192,7 +192,7 @@ def reconstructed(recording: Recording, sensor: str, first: int, last: int) -> n
     """
     read = recording.array(sensor)
     if ("others", sensor) not in recording.derived:
-        recording.derived["others", sensor] = _others(recording, sensor)
+        recording.derived["others", sensor] = _regressors(recording, sensor)
     if ("others", sensor, first, last) not in recording.derived:
         good = np.isfinite(read)
         good[first : last + 1] = False
@@ -222,7 +222,7 @@ def _together(others: np.ndarray, read: np.ndarray, good: np.ndarray) -> np.ndar
     return np.array([size, np.linalg.lstsq(known.T @ known + ridge, known.T @ read[good], rcond=None)[0]])
 
 
-def _others(recording: Recording, sensor: str) -> np.ndarray:
+def _regressors(recording: Recording, sensor: str) -> np.ndarray:
     """A constant, the other temperatures and spindle speeds, each now and late, shape (rows, k)."""
     run, t = sessions(recording), recording.time()
     columns = [np.ones(len(recording))]
@@ -242,7 +242,7 @@ def _others(recording: Recording, sensor: str) -> np.ndarray:
 def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = None) -> dict[tuple[int, int], bool]:
     """First and last row of stretches where a sensor is missing, stands still, or sits between two jumps.
 
-    True: the readings alone show that it failed there. It reads nothing or nought, jumps off and back by as much,
+    True: the readings alone show that it failed there. It reads nothing or zero, jumps off and back by as much,
     stands still until it jumps, or as it does nowhere else. switched: rows at which a jump has another cause.
     """
     n = values.size
@@ -251,11 +251,11 @@ def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = 
         return {}
     out, long, filled = dict.fromkeys(silent(values), True), max(4 * LEAST_ROWS, n // 30), _filled(values)
     typical = np.median(np.abs(filled))
-    if typical > 5.0:  # a dead channel reads nought
+    if typical > 5.0:  # a dead channel reads zero
         out |= dict.fromkeys(_stretches(finite & (np.abs(values) < 0.05 * typical), LEAST_ROWS), True)
     step, known = jumps(filled, t, finite if switched is None else finite & ~switched), steps(values, t)
 
-    def alone(*rows: int) -> bool:
+    def is_unexplained(*rows: int) -> bool:
         """Are these jumps without a natural cause, and is jumping no habit of the reading elsewhere?"""
         least = min(step.get(row, 0.0) for row in rows)
         return least > 0 and all(2.0 * size < least for row, size in step.items() if row not in rows)
@@ -264,9 +264,9 @@ def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = 
     for i, a in enumerate(edges):
         for b in (b for b in [*edges[i + 1 :], n] if b - a >= LEAST_ROWS):
             natural |= {(a, b - 1)} if not step[a] and not step.get(b) else set()
-            out[a, b - 1] = alone(a, b) and step_between(*known, a, b - 1) != 0.0
+            out[a, b - 1] = is_unexplained(a, b) and step_between(*known, a, b - 1) != 0.0
         start = _still_from(filled, a, long)
-        out |= {(start, a - 1): alone(a) and start > 0} if a - start >= long else {}
+        out |= {(start, a - 1): is_unexplained(a) and start > 0} if a - start >= long else {}
     ranges = _rolling_range(filled, 9)
     stuck = ranges <= 0.3 * np.median(ranges) + 1e-12
     for a, b in _stretches(stuck & finite, long)[:3]:
@@ -309,7 +309,7 @@ def jumps(filled: np.ndarray, t: np.ndarray, usable: np.ndarray) -> dict[int, fl
     """
     clock, pause = _running(t), np.diff(t)
     (step, short), (_, long) = (_missed(clock, filled, k) for k in LINES)
-    sure = np.where(short > CHANCE, np.maximum(short, long), 0.0)  # what bends misses by long lines alone
+    sure = np.where(short > CHANCE, np.maximum(short, long), 0.0)  # residual of the long lines where the reading bends
     highest = np.lib.stride_tricks.sliding_window_view(np.pad(sure, LINES[0] // 2), LINES[0] + 1).max(axis=1)
     rows = np.flatnonzero((sure > JUMP) & (sure == highest))
     plain = (

@@ -78,8 +78,8 @@ EXPLANATIONS: dict[str, str] = {
         "screws get longer when warm, so the sign is reversed."
     ),
     "shuffled-rows": (
-        "One run jumps from target to target and has not the shape of the others, which are smooth and alike: its rows "
-        "stand in another order than its positions, or its measurement failed."
+        "One run jumps from target to target and does not have the shape of the others, which are smooth and alike: "
+        "its rows stand in another order than its positions, or its measurement failed."
     ),
     "temperature-jump": (
         "A temperature steps by more than 15 K from one row of a run to the next and comes back as suddenly. A sensor "

@@ -146,7 +146,7 @@ def shuffled_rows(r: Response) -> Finding | None:
             as_large = curves[k].std() > 0.5 * np.median(curves[rest].std(axis=1))
             if alike and as_large and np.max(match[k][rest]) < UNLIKE:
                 name = r.recording.run_labels()[int(labels[k])]
-                evidence = f"run {name} has not the shape of the others and jumps from target to target"
+                evidence = f"run {name} does not have the shape of the others and jumps from target to target"
                 return Finding("shuffled-rows", r.column, evidence, "its rows in another order, or a run that failed")
     return None
 

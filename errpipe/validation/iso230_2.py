@@ -73,7 +73,9 @@ def figures(recording: Recording, axis: str | None = None, component: str | None
     axis = axis or str(components.parse(component).axis)
     position, side, deviation = _rows(recording, axis, component)
     targets, index = _targets(position)
-    tables = {d: _by_target(index, targets.size, deviation, side == d) for d in NAMES if np.any(side == d)}
+    tables = {
+        d: [deviation[(side == d) & (index == k)] for k in range(targets.size)] for d in NAMES if np.any(side == d)
+    }
     directions = {d: _one_direction(targets, readings, component, NAMES[d]) for d, readings in tables.items()}
     cycles = min(min(d.cycles) for d in directions.values())
     facts: dict[str, Any] = {
@@ -128,10 +130,6 @@ def _targets(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             f"ISO 230-2: {position.size} readings at {targets.size} positions: not a test that repeats its targets"
         )
     return targets, number
-
-
-def _by_target(index: np.ndarray, count: int, deviation: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
-    return [deviation[rows & (index == k)] for k in range(count)]
 
 
 def _one_direction(targets: np.ndarray, readings: list[np.ndarray], component: str, name: str) -> Direction:

@@ -143,14 +143,16 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
         wrong += [] if figures["probability_worse"] <= MAX_HARM_PROBABILITY else [_harmful(name, figures)]
     for test, figures in (item for validation in validations for item in validation.items()):
         parts = {test: figures} | {f"{n} in {test}": f for n, f in figures["axes"].items() if n in kept}
-        wrong += [_not_better(name, part) for name, part in parts.items() if _not_improved(part)]
+        wrong += [
+            f"{name}: {part['rms_before']:.3g} -> {part['rms_after']:.3g} um on held-out measurements"
+            for name, part in parts.items()
+            if not part["rms_after"] < (1.0 - TIE) * part["rms_before"]
+        ]
     if wrong:
-        raise GateError(f"export: {'; '.join(wrong)}. Nothing was exported.{_measures_to_add(document)}")
+        measures = [m["measure"] for m in document.get("would_show", ())][:3]
+        advice = f" It would help to add: {'; '.join(measures)}." if measures else ""
+        raise GateError(f"export: {'; '.join(wrong)}. Nothing was exported.{advice}")
     return tuple(n for n, a in axes.items() if n in kept or a["probability_worse"] <= MAX_HARM_PROBABILITY)
-
-
-def _not_improved(figures: Mapping[str, float]) -> bool:
-    return not figures["rms_after"] < (1.0 - TIE) * figures["rms_before"]
 
 
 def _harmful(name: str, figures: Mapping[str, float]) -> str:
@@ -159,12 +161,3 @@ def _harmful(name: str, figures: Mapping[str, float]) -> str:
         f"{figures['left_rms_um']:.3g} left open; worse with it than without with a probability of "
         f"{figures['probability_worse']:.2g} (allowed: {MAX_HARM_PROBABILITY})"
     )
-
-
-def _not_better(name: str, figures: Mapping[str, float]) -> str:
-    return f"{name}: {figures['rms_before']:.3g} -> {figures['rms_after']:.3g} um on held-out measurements"
-
-
-def _measures_to_add(document: Mapping[str, Any]) -> str:
-    measures = [m["measure"] for m in document.get("would_show", ())][:3]
-    return f" It would help to add: {'; '.join(measures)}." if measures else ""

@@ -156,8 +156,8 @@ def responses(recording: Recording) -> list[Response]:
     for name in recording.names("error"):
         component = components.parse(str(recording.manifest.columns[name].component))
         d = recording.array(name)
-        place = _own(recording, ("command", "position"), component.axis)
-        side = _own(recording, ("direction",), component.axis)
+        place = _column_of_axis(recording, ("command", "position"), component.axis)
+        side = _column_of_axis(recording, ("direction",), component.axis)
         good = np.abs(d) < MAX_MAGNITUDE
         if place is not None:
             good &= np.abs(place) < MAX_MAGNITUDE
@@ -168,7 +168,7 @@ def responses(recording: Recording) -> list[Response]:
     return out
 
 
-def _own(recording: Recording, roles: Sequence[str], axis: str | None) -> np.ndarray | None:
+def _column_of_axis(recording: Recording, roles: Sequence[str], axis: str | None) -> np.ndarray | None:
     """The first column of one of the roles that belongs to an axis."""
     names = (recording.name(role, axis=axis) for role in roles if axis is not None)
     return next((recording.array(name) for name in names if name is not None), None)

@@ -53,14 +53,19 @@ def what_changed(
         return []
     least = max(least, LEAST_SHARE * beyond)
     while left > least and len(chosen) < MOST:
-        trials = {k: left - (_left(bases, [*chosen, k], r) - noise**2) for k in range(len(bases)) if k not in chosen}
+        trials = {
+            k: left - (_mean_square_residual(bases, [*chosen, k], r) - noise**2)
+            for k in range(len(bases))
+            if k not in chosen
+        }
         good = [k for k, taken in trials.items() if taken >= max(NEARLY * max(trials.values()), least)]
         if not good:
             break
         chosen.append(min(good, key=lambda k: (bases[k].shape[1], -trials[k])))
         left -= trials[chosen[-1]]
     out = [
-        _named(component.terms[k], bases[k], steps) for k, steps in zip(chosen, _steps(bases, chosen, r), strict=True)
+        _term_change(component.terms[k], bases[k], steps)
+        for k, steps in zip(chosen, _steps(bases, chosen, r), strict=True)
     ]
     if left > 0.5 * beyond:
         out.append(TermChange("", "something that the model has no term for", float(np.sqrt(left))))
@@ -120,12 +125,12 @@ def _steps(bases: Sequence[np.ndarray], chosen: Sequence[int], r: np.ndarray) ->
     return list(np.split(solved, np.cumsum([bases[k].shape[1] for k in chosen])[:-1]))
 
 
-def _left(bases: Sequence[np.ndarray], chosen: Sequence[int], r: np.ndarray) -> float:
+def _mean_square_residual(bases: Sequence[np.ndarray], chosen: Sequence[int], r: np.ndarray) -> float:
     steps = _steps(bases, chosen, r)
     return float(np.mean((r - sum(bases[k] @ s for k, s in zip(chosen, steps, strict=True))) ** 2))
 
 
-def _named(fitted: FittedTerm, basis: np.ndarray, steps: np.ndarray) -> TermChange:
+def _term_change(fitted: FittedTerm, basis: np.ndarray, steps: np.ndarray) -> TermChange:
     name, size = fitted.term["term"], float(np.sqrt(np.mean((basis @ steps) ** 2)))
     parameters = {p.name: p for p in fitted.parameters}
     if len(steps) > SHOWN:

@@ -44,7 +44,8 @@ def evaluate(table: Path, at: Mapping[str, float]) -> dict[str, Any]:
         f"correction {cycle.correction[name]:+.7f} {outputs[name].correction_unit}"
         for name, value in cycle.deviation.items()
     ]
-    notes, absent = _outside(compensation_table, at), _not_given(compensation_table, at)
+    notes = _outside(compensation_table, at)
+    absent = [f"{i.name} = {i.default:g}" for i in compensation_table.inputs if i.name not in at and not i.optional]
     return {
         "deviation": dict(cycle.deviation),
         "correction": dict(cycle.correction),
@@ -52,11 +53,6 @@ def evaluate(table: Path, at: Mapping[str, float]) -> dict[str, Any]:
         "not_given": absent,
         "says": [*says, *notes, *([f"not given, so at its default: {', '.join(absent)}"] if absent else [])],
     }
-
-
-def _not_given(table: CompensationTable, at: Mapping[str, float]) -> list[str]:
-    """Inputs that were not given, with their defaults, in words: that of a temperature may be far from the shop's."""
-    return [f"{i.name} = {i.default:g}" for i in table.inputs if i.name not in at and not i.optional]
 
 
 def _outside(table: CompensationTable, at: Mapping[str, float]) -> list[str]:

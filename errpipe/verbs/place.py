@@ -94,7 +94,7 @@ def bar(loss: float, most: int) -> tuple[dict[str, Any], list[str]]:
         if k == 0:
             times, flux = np.linspace(0.0, 0.5, 201)[1:], np.ones(200)
         else:
-            times, flux = spindle_bar.random_duty(20, 2.5, 0.2, 10, k)
+            times, flux = spindle_bar.random_duty(20, 10, k)
         theta = body.respond(times, flux)
         rows.append(theta[:, ::10])
         errors.append(spindle_bar.growth(theta))

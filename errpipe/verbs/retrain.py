@@ -161,7 +161,8 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     known = retraining.among(recording, retraining.run_keys(old_recording), retraining.run_contents(old_recording))
     prediction = predictions(old_model, recording)
     drift = _retrain_drift.drift(old_model, old_recording, recording, known)
-    wrong = {o["run"] for o in drift["runs"] if o["wrong"]} | _without_runs(pipeline)
+    left_out = {label for stage in pipeline.stages for label in getattr(stage, "without_runs", ())}
+    wrong = {o["run"] for o in drift["runs"] if o["wrong"]} | left_out
     scores = [s for s in earlier if s.run not in wrong]
     gates = [
         *_retrain_gates.responses(drift),
@@ -207,11 +208,6 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
         "change": {} if refused else change,
         "narrower": [] if refused else _retrain_gates.narrower(model),
     }
-
-
-def _without_runs(pipeline: Pipeline) -> set[str]:
-    """Labels of the runs that the pipeline leaves out: scored or not, they are no evidence."""
-    return {label for stage in pipeline.stages for label in getattr(stage, "without_runs", ())}
 
 
 def _last_stage_with(pipeline: Pipeline, artefact: str) -> str:

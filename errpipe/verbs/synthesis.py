@@ -72,16 +72,12 @@ def _expression(parts: list[dict[str, Any]]) -> str:
     """A sum of products, such as `L*cos(B) - 120`."""
     text = ""
     for part in parts:
-        value, names = part["coefficient"], [_function(n) for n in part["of"]]
+        value, named = part["coefficient"], [(n, *polynomials.function_of(n)) for n in part["of"]]
+        names = [f"{function}({axis})" if function else name for name, function, axis in named]
         size = [] if names and abs(abs(value) - 1.0) < ZERO else [f"{abs(value):g}"]
         text += f" {'-' if value < 0 else '+'} " + "*".join(size + names)
     text = text.removeprefix(" + ")
     return f"-{text.removeprefix(' - ')}" if text.startswith(" - ") else text
-
-
-def _function(name: str) -> str:
-    function, axis = polynomials.function_of(name)
-    return f"{function}({axis})" if function else name
 
 
 def _text(term: dict[str, Any]) -> str:

@@ -48,9 +48,9 @@ class Document:
         if self.problems:
             raise ConfigError(list(dict.fromkeys(self.problems)))
 
-    def validate(self, model: type[T] | Any, context: Mapping[str, Any] | None = None) -> T:
+    def validate(self, model: type[T] | Any) -> T:
         """The value as an instance of a pydantic model. Raises ConfigError with every problem of the file."""
-        validated = self.check(model, context)
+        validated = self.check(model)
         self.raise_problems()
         return validated  # type: ignore[return-value]
 

@@ -59,7 +59,7 @@ def extrapolate(seed: int = 1) -> dict[str, dict[str, float]]:
     """Place -> model -> rms on a random duty cycle as a share of its range, fitted on one warm-up to Fo 0.5."""
     bar = Bar(1.5)
     theta, grown = warm_up(bar, 0.5, 200)
-    times, flux = spindle_bar.random_duty(30, 2.5, 0.2, 20, seed)
+    times, flux = spindle_bar.random_duty(30, 20, seed)
     duty = bar.respond(times, flux)
     later = spindle_bar.growth(duty)
     out = {}

@@ -1,6 +1,7 @@
 """The recipes of CONTRIBUTING.md, followed word for word on a copy of the project: what a newcomer does must work.
 
-A term with a time constant, a format, a target and a stage are added, each one file, one registry entry and a sample.
+A term with a time constant, a format, a target, a stage, a cleaning rule and a model family are added, each one file,
+one registry entry and a sample.
 The commands of the text are run on the copy; then each new thing is used as the old ones are.
 """
 
@@ -35,7 +36,7 @@ def register(path: Path, lines: str) -> None:
     imports = [line for line in lines.splitlines() if line.startswith("from ")]
     (entry,) = (line.strip() for line in lines.splitlines() if not line.startswith("from "))
     text = path.read_text(encoding="utf-8")
-    start = re.search(r"^    \(|^[A-Z]+(: [^=]+)? = \(", text, re.M)
+    start = re.search(r"^    \(|^[A-Z_]+(: [^=]+)? = \(", text, re.M)
     assert start is not None, f"{path.name} holds no registry"
     path.write_text(
         text[: start.start()] + "\n".join(imports) + "\n\n" + start.group() + f"{entry} " + text[start.end() :],
@@ -80,7 +81,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return copy
 
 
-def test_the_text_has_four_recipes_of_one_file_and_one_registry_entry_each() -> None:
+def test_the_text_has_six_recipes_of_one_file_and_one_registry_entry_each() -> None:
     files = [where for kind, where, _ in steps() if kind == "file"]
     registries = [where for kind, where, _ in steps() if kind == "registry"]
     assert [where.split("/")[1] for where in files if where.startswith("errpipe/")] == [
@@ -88,8 +89,10 @@ def test_the_text_has_four_recipes_of_one_file_and_one_registry_entry_each() -> 
         "formats",
         "targets",
         "stages",
+        "cleaning",
+        "models",
     ]
-    assert len(registries) == 4
+    assert len(registries) == 6
 
 
 @pytest.mark.slow
@@ -104,6 +107,10 @@ def test_every_command_of_the_text_runs_on_a_copy(project: Path) -> None:
     whole = pd.read_parquet(project / "out/resampled/ingest/recording.parquet")
     assert len(resampled) == (len(whole) + 3) // 4
     assert {c["component"] for c in fitted["components"]} == {"EXX"}
+    blanked = json.loads((project / "out/mean-rise/clean/cleaning.json").read_text(encoding="utf-8"))
+    assert [rule["rule"] for rule in blanked["rules"]] == ["zero_readings"]
+    gain = json.loads((project / "out/mean-rise/validate/validation.json").read_text(encoding="utf-8"))["components"][0]
+    assert gain["rms_after"] < 0.5 * gain["rms_before"], gain
     assert all(c["rows"] <= len(resampled) for c in fitted["components"]), "fit read the rows that were left out"
 
 

@@ -113,6 +113,16 @@ def test_a_mixture_of_more_parts_than_a_sum_may_have_compiles() -> None:
     assert_allclose(table_values(table, model, fitted)["E_Z"], family.train(fitted).values(fitted), atol=1e-3)
 
 
+def test_a_bad_first_reading_weighs_less_in_a_zero_of_more_rows() -> None:
+    clean = machine(1)
+    first = np.diff(clean.run_codes(), prepend=-1) != 0
+    bad = Recording(clean.manifest, clean.frame.assign(E_Z=clean.array("E_Z") + 30.0 * first))
+    for count, moved in ((1, 30.0), (6, 5.0)):
+        rows = Rises(component="E_Z", datum_rows=count).datum_rows
+        responses = [linear.problem(recording, "E_Z", None, rows).response for recording in (clean, bad)]
+        assert_allclose((responses[0] - responses[1])[~first], moved, atol=1e-9)
+
+
 @pytest.mark.parametrize("family", [Season(component="E_Z"), Lagged(component="E_Z")], ids=["season", "lagged"])
 def test_folds_in_two_threads_are_judged_to_the_bit_as_one_by_one(family, monkeypatch) -> None:
     recording, threads, documents = machine(2, runs=2), set(), []

@@ -109,6 +109,16 @@ def test_gauges_at_three_places_give_each_its_compliance_and_the_table_their_sum
     assert said[5] * sign > 10  # 500 N
 
 
+def test_a_lathe_whose_axis_counts_towards_the_chuck_has_the_same_compliance():
+    ahead = gauged()
+    back = Recording(ahead.manifest, ahead.frame.assign(Z=300.0 - ahead.array("Z")))
+    said = evaluate(turning().fit(ahead).model, ahead)["E_X"]
+    turned = evaluate(turning(outwards=-1, chuck_face=300.0).fit(back).model, back)["E_X"]
+    np.testing.assert_allclose(turned, said, atol=1e-6)
+    with pytest.raises(DataError, match="give `chuck_face`"):
+        turning(chuck_face=300.0).fit(back)
+
+
 def test_gauges_that_sat_out_are_predicted_at_their_noise():
     recording = gauged()
     options = turning()

@@ -74,7 +74,7 @@ def test_the_lag_free_place_in_closed_form(loss, place):
 def test_linear_at_the_strategic_place_extrapolates_where_a_polynomial_elsewhere_does_not():
     bar = Bar(1.5)
     theta, grown = warm_up(bar, 0.5, 200)
-    times, flux = spindle_bar.random_duty(30, 2.5, 0.2, 20, seed=1)
+    times, flux = spindle_bar.random_duty(30, 20, seed=1)
     duty = bar.respond(times, flux)
     later = spindle_bar.growth(duty)
 
