@@ -16,7 +16,7 @@ import pytest
 import errpipe
 from errpipe.cli._verbs import first_line, verb
 from errpipe.cli.app import VERBS, main
-from errpipe.cli.run import _said
+from errpipe.cli.run import _entry_text
 from errpipe.errors import ConfigError, DataError, GateError, Problem, VerifyError
 from tests.unit.pipeline.stages_for_tests import STAGES, lay_out
 
@@ -156,8 +156,8 @@ def test_a_reader_that_has_gone_is_no_error(where: Path) -> None:
 
 
 def test_a_summary_says_its_unit() -> None:
-    assert _said("largest_difference_from_the_model_um", "0.0051") == "largest difference from the model 0.0051 um"
-    assert _said("E_Z", "24 -> 3 um") == "E_Z 24 -> 3 um"  # a component keeps its name
+    assert _entry_text("largest_difference_from_the_model_um", "0.0051") == "largest difference from the model 0.0051 um"
+    assert _entry_text("E_Z", "24 -> 3 um") == "E_Z 24 -> 3 um"  # a component keeps its name
 
 
 def test_run_then_plan(where: Path, capsys: pytest.CaptureFixture[str]) -> None:

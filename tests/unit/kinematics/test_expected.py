@@ -32,7 +32,7 @@ def test_the_probability_is_what_draws_from_the_posterior_say(whole):
     rng = np.random.default_rng(0)
     jac = remaining.synthesis.jacobian(chain, q, None)[:, :3]
     rows = (jac[:, :, solved.model.prior.component] * solved.model.functions(q)[:, None, :]).reshape(3 * len(q), -1)
-    pose = remaining._pose_columns(chain, q, None, remaining.synthesis.ideal_pose(chain, q)[:, 0].mean(axis=0))
+    pose = remaining._pose_columns(chain, q, remaining.synthesis.ideal_pose(chain, q)[:, 0].mean(axis=0))
     base, _ = np.linalg.qr(pose.reshape(-1, 6))
     rows = rows - base @ (base.T @ rows)
     true = rng.multivariate_normal(solved.mean, solved.covariance, 4000, method="eigh").T
