@@ -14,7 +14,7 @@ import numpy as np
 from errpipe.diagnosis.evidence import Scene
 
 LIMIT = 0.2  # how far the gain of a part can be off (0..15 %, and a margin for parts that are poorly separated)
-FAR_OFF = 0.5  # a gain less 1 that no simulation has unless it was fitted without what is missing
+FAR_OFF = 0.5  # a gain of a part less 1 that no simulation has unless it was fitted without what is missing
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ DATUM = Nuisance("datum", "datum")
 WHOLE = Nuisance("whole", "simulation")
 
 
-def of_parts(scene: Scene, nuisances: list[Nuisance], sizes: np.ndarray) -> np.ndarray:
-    """Gains less 1 of the parts, else of the whole, in a scene whose first active columns are the nuisances."""
-    rows = totals(nuisances, sizes)[1]
-    return rows @ scene.coefficients()[: rows.shape[1]]
+def far_off(scene: Scene, nuisances: list[Nuisance], sizes: np.ndarray) -> int:
+    """How many parts have a gain that far off in a scene whose first active columns are the nuisances."""
+    held, rows = totals(nuisances, sizes)
+    return int(np.count_nonzero(np.abs(rows @ scene.coefficients()[: rows.shape[1]]) > FAR_OFF)) if held else 0
 
 
 def totals(nuisances: list[Nuisance], sizes: np.ndarray) -> tuple[list[Nuisance], np.ndarray]:
@@ -62,9 +62,11 @@ def excess(scene: Scene, rows: np.ndarray, effective: float | None = None) -> tu
     The scene's first active columns are the nuisances that `rows` belong to.
     """
     b = scene.coefficients()
-    A = np.pad(rows, ((0, 0), (0, b.size - rows.shape[1])))
+    A = np.zeros((rows.shape[0], b.size))
+    A[:, : rows.shape[1]] = rows
     spread = A @ np.linalg.solve(scene.M, A.T)
-    held, aim = np.zeros(rows.shape[0], dtype=bool), np.zeros(rows.shape[0])
+    held = np.zeros(rows.shape[0], dtype=bool)
+    aim = np.zeros(rows.shape[0])
     at, cost = A @ b, 0.0
     first = np.abs(at) > LIMIT * 1.001
     for _ in range(rows.shape[0]):

@@ -313,8 +313,8 @@ def _with_dependent_rows(made: SetUp, search: Search, explanation: Explanation) 
     chosen = [chosen_of(e) for e in (explanation, wide_gains)]
     if search.rows:
         narrow, proved = (made.judged().of_explanation(*way) for way in ((search, chosen[0]), (other, chosen[1])))
-        far = np.abs(gains.of_parts(other.scene(chosen[1]), made.nuisances, made.sizes)) > gains.FAR_OFF
-        likelier = other.evidence(chosen[1]) > search.evidence(chosen[0]) + WIDE_PRICE + MORE * np.count_nonzero(far)
+        price = WIDE_PRICE + MORE * gains.far_off(other.scene(chosen[1]), made.nuisances, made.sizes)
+        likelier = other.evidence(chosen[1]) > search.evidence(chosen[0]) + price
         if proved < PROVED * narrow or (likelier and proved < narrow):
             return other, wide_gains, wide
     return search, explanation, nuisance

@@ -26,7 +26,6 @@ REVERSED = (
     " Recorded and simulated values have opposite signs: one of the two columns counts the other way round. That is "
     "set right first; check which of them is actual minus commanded."
 )
-INSTEAD = " Less than half of the simulation is in the recording: check that its column and its clock belong to it."
 AS_GOOD_AS_ONE = 0.3  # spread of the runs' datums, in noise rms, below which nothing is said of them
 UNSIZED = 0.6  # upper limit of the confidence of a finding whose size is not significant
 PREDICTED = 0.5  # of the mismatch left on held-out rows, up to which names predict well (a gantry's bed leaves 0.14)
@@ -95,15 +94,14 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
     Noise that wanders, or another name beside a far-off gain, is as likely; predicted held-out rows speak against it.
     """
     slow = case.held.names > PREDICTED * case.held.before
-    off = gains.of_parts(case.search.scene(case.chosen()), case.nuisances, case.sizes)
-    far, lost = slow and np.any(np.abs(off) > gains.FAR_OFF), np.all(off < -gains.FAR_OFF)
+    far = slow and gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes)
     left = (case.held.names / max(case.held.before, 1e-300)) ** 2
     jumps = only_steps(case)
     most, shaped = [1.0] * len(made), case.held.shape_share() * min(left, 1.0) >= SHAPED
     for k, (m, s) in enumerate(zip(made, indicators, strict=True)):
         wanders = jumps or case.over_noise < 0.0 or (slow and s.wandering > s.gain)
         a_gain = any(plausible.gain_of_a_part(case, other) for other in made[: k + 1])  # or beside one
-        if wanders or a_gain or lost or plausible.only_a_wave_in_time(m, after):
+        if wanders or a_gain or plausible.only_a_wave_in_time(m, after):
             most[k] = UNPROVED
         elif plausible.no_size(m):
             most[k] = UNSIZED
@@ -263,7 +261,8 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
     if not needed:
         return []
     scene = case.search.scene(case.chosen())
-    b, cov, m = scene.coefficients(), scene.covariance(), case.nuisance.index.size
+    b, cov = scene.coefficients(), scene.covariance()
+    m = case.nuisance.index.size
     parameters = []
     for nuisance, value, sd in _gains(case, b[:m], cov[:m, :m]):
         low, high = value - 2 * sd, value + 2 * sd
@@ -272,7 +271,6 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
         name = nuisance.label if nuisance.is_datum else f"gain of {nuisance.label} less 1"
         unit = case.pair.unit if nuisance.is_datum else "1"
         parameters.append(FoundParameter(name=name, value=value, unit=unit, ci95=(low, high)))
-    lost = np.all(gains.of_parts(scene, case.nuisances, case.sizes) < -gains.FAR_OFF)
     moved = case.recal @ b[:m]
     rms = float(np.std(moved + 2.0 * case.simulated if case.pair.reversed else moved))
     return [
@@ -282,7 +280,7 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
             drivers=(case.pair.simulated,),
             parameters=tuple(parameters),
             says="Datum or gains of the simulation are off; setting them right moves it by "
-            f"{rms:.3g} {case.pair.unit} rms." + (REVERSED if case.pair.reversed else INSTEAD if lost else ""),
+            f"{rms:.3g} {case.pair.unit} rms." + (REVERSED if case.pair.reversed else ""),
             rms_um=rms,
             compensable=False,
         )
