@@ -156,7 +156,9 @@ def test_a_reader_that_has_gone_is_no_error(where: Path) -> None:
 
 
 def test_a_summary_says_its_unit() -> None:
-    assert _entry_text("largest_difference_from_the_model_um", "0.0051") == "largest difference from the model 0.0051 um"
+    assert (
+        _entry_text("largest_difference_from_the_model_um", "0.0051") == "largest difference from the model 0.0051 um"
+    )
     assert _entry_text("E_Z", "24 -> 3 um") == "E_Z 24 -> 3 um"  # a component keeps its name
 
 
