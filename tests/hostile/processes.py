@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import os
 import resource
@@ -51,12 +52,15 @@ def forked(work: Callable[[], int], folder: Path) -> tuple[int | None, str]:
 
 
 def fresh(line: list[str]) -> subprocess.Popen[bytes]:
-    """The command line in an interpreter and a session of its own."""
+    """The command line in an interpreter and a session of its own, which Ctrl-C stops.
+
+    What a shell starts in the background ignores it, and so would all that tests start there.
+    """
     words = [sys.executable, "-m", "errpipe.cli.app", *line]
     env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
-    return subprocess.Popen(
-        words, env=env, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+    heard = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    null = subprocess.DEVNULL
+    return subprocess.Popen(words, env=env, start_new_session=True, stdout=null, stderr=null, preexec_fn=heard)
 
 
 def victim(work: Callable[[], int]) -> int:
