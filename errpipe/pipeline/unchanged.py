@@ -67,7 +67,8 @@ def _is_fresh(name: str, paths: Sequence[str], records: Mapping[str, Record], ou
     record = records[name]
     inputs = {label: hash_file(path) for label, path in label_inputs([Path(path) for path in paths]).items()}
     for other in {other for names in record.sources.values() for other in names}:
-        inputs |= {f"{other}/{file}": digest for file, digest in records[other].outputs.items()}
+        taken = {f"{other}/{file}": digest for file, digest in records[other].outputs.items()}
+        inputs |= {label: digest for label, digest in taken.items() if label in record.inputs}  # as `unread` of a stage
     outputs_kept = all(hash_file(out / name / file) == digest for file, digest in record.outputs.items())
     return inputs == record.inputs and outputs_kept and not (scratch(out) / f"{name}.json").exists()
 

@@ -10,7 +10,7 @@ import pytest
 from errpipe.pipeline import lock, runner, unchanged
 from errpipe.pipeline.spec import load_pipeline
 from errpipe.pipeline.step import NO_CALLBACKS, Step
-from tests.unit.pipeline.stages_for_tests import STAGES, TEXT, lay_out
+from tests.unit.pipeline.stages_for_tests import STAGES, TEXT, Take, lay_out
 
 SETS = ["scale.factor=2"]
 
@@ -32,6 +32,23 @@ def answer(sets: list[str] = SETS) -> tuple[str, list[Step]] | None:
 def test_the_answer_is_that_of_a_run(where: Path) -> None:
     steps = runner.run(load_pipeline(Path("p.yaml"), STAGES, sets=SETS), Path("out"))
     assert answer() == ("three stages", steps)
+
+
+def test_a_file_that_later_stages_do_not_read_is_no_input_of_theirs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Such as `ingest.json`: with it the note never answered, and every run looked at everything."""
+    monkeypatch.setattr(Take, "file_types", {"about.json": "facts"})
+    monkeypatch.setattr(Take, "outputs", lambda self: ("lines.txt", "about.json"))
+    plain = Take.run
+    monkeypatch.setattr(Take, "run", lambda self, c: (c.write_json("about.json", {}), plain(self, c))[1])
+    lay_out(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    pipeline = load_pipeline(Path("p.yaml"), STAGES)
+    runner.run(pipeline, Path("out"))
+    unchanged.note(pipeline, Path("out"), [])
+    assert lock.read_lock(Path("out"))["scale"].inputs.keys() == {"take/lines.txt"}
+    assert answer([]) is not None
 
 
 def _append(name: str) -> Callable[[], object]:
