@@ -71,7 +71,7 @@ def pipeline_model(stages: Choice[type[Stage]] | tuple[type[Stage], ...]) -> typ
     model = create_model(
         "Pipeline",
         __base__=_Header,
-        __doc__="A pipeline: stages in the order in which they stand; each reads what earlier ones wrote.",
+        __doc__="A pipeline: stages in order; each reads the outputs of earlier ones.",
         stages=(tuple[kinds, ...], Field(min_length=1, description="The stages, in order.")),
     )
     model.kinds = kinds
@@ -150,7 +150,7 @@ def missing_inputs(pipeline: Pipeline, stages: Sequence[Stage]) -> list[Problem]
         for wanted in stage.inputs() if stage in stages else ():
             if not wanted.exists():
                 place = _place_of(pipeline.document, number, pipeline.root, wanted)
-                problems.append(pipeline.document.problem(place, f"{wanted} is not there{files.nearest(wanted)}"))
+                problems.append(pipeline.document.problem(place, f"{wanted} does not exist{files.nearest(wanted)}"))
     return problems
 
 

@@ -186,7 +186,7 @@ def _overview(r: ResponseDiagnosis, trace: Trace) -> str:
                     place = int(np.argmax(trace.inputs[c.column] >= c.at))
                     a.axvline(x[place], color=svg.ALARM, lw=1.2, ls="--")
         axes[1].set_xlabel(label)
-        return svg.to_svg(canvas, f"Mismatch of {r.component} against time, with what each finding carries")
+        return svg.to_svg(canvas, f"Mismatch of {r.component} against time, with the contribution of each finding")
 
 
 def _finding_label(name: str, values: np.ndarray, unit: str) -> str:
@@ -231,7 +231,7 @@ def _shape(r: ResponseDiagnosis, trace: Trace) -> str:
             a.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
         for a in every[len(drawn) :]:
             a.set_visible(False)
-        return svg.to_svg(canvas, f"What each finding carries of {r.component}, against its driver")
+        return svg.to_svg(canvas, f"Contribution of each finding to {r.component}, against its driver")
 
 
 def _against(f: Finding, trace: Trace) -> str:

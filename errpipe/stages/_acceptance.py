@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from errpipe.terms import Term
 
 FORCES = "it is a drive force, not a deviation of the tool: for the drive's friction feed-forward, not for a table"
-RECALIBRATION = "the simulation itself is to be set right: no plain sum of terms stands for it in a table"
-REFITTED_NOTE = "the terms of the model before are fitted anew together with what was accepted"
+RECALIBRATION = "the simulation itself must be recalibrated: a table, as a plain sum of terms, cannot represent that"
+REFITTED_NOTE = "the terms of the previous model are refitted together with the accepted findings"
 UNKNOWN = "no known effect explains it, so it need not recur"
 
 

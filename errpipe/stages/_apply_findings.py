@@ -33,7 +33,7 @@ DOCUMENT = "apply.json"
 MIN_CONFIDENCE = 0.8  # as for a term of the error model (option `accept` of the stage)
 SAME = 0.02  # of a finding's largest value: largest difference allowed between its equation in the patch and its term
 OF_MEASURING = "an artefact of measuring: in the corrected recording, not in the patch of the machine's simulation"
-IN_SOME_RUNS = "it acted in some runs only: no equation states in which ones it will act"
+IN_SOME_RUNS = "it acted in some runs only: no equation predicts in which runs it will act"
 NO_EQUATION = "its term cannot be written as an equation of the inputs of a simulation"
 
 Progress = Callable[[float, str], None]
@@ -68,7 +68,7 @@ def apply_findings(
     document = {
         "apply": 1,
         "responses": [_response_document(c, why_not) for c in results],
-        "fmu": problem or "patch.fmu" if pieces else "nothing to put in",
+        "fmu": problem or "patch.fmu" if pieces else "nothing to add",
         "second_diagnosis": {
             r.component: {
                 "verdict": r.verdict,
@@ -89,8 +89,8 @@ def in_words(document: Mapping[str, Any]) -> list[str]:
     for r in document["responses"]:
         names = ", ".join(p["effect"].replace("_", " ") for p in r["put_in"]) or "nothing"
         before, after = r["rms_before_um"], r["rms_after_um"]
-        lines.append(f"{r['component']}: put into the simulation: {names}; {before:.3g} -> {after:.3g} {r['unit']} rms")
-        lines += [f"  not put in: {n['effect'].replace('_', ' ')} ({n['reason']})" for n in r["not_put_in"]]
+        lines.append(f"{r['component']}: added to the simulation: {names}; {before:.3g} -> {after:.3g} {r['unit']} rms")
+        lines += [f"  not added: {n['effect'].replace('_', ' ')} ({n['reason']})" for n in r["not_put_in"]]
         lines += [
             f"  not in the patch: {p['effect'].replace('_', ' ')} ({p['not_in_patch']})"
             for p in r["put_in"]
@@ -127,14 +127,14 @@ def _response_document(c: Corrected, why_not: Mapping[tuple[str, str], str]) -> 
 
 def terms_text(done: Sequence[Corrected]) -> str:
     """The accepted findings as YAML 1.2: `components` of a fit stage, every parameter fixed."""
-    lines = ["# What the simulation lacked, for `components:` of a fit stage; drop `fixed` to fit a parameter anew."]
+    lines = ["# Effects missing from the simulation, for `components:` of a fit stage; remove `fixed` to refit a parameter."]
     rows = []
     for c in done:
         terms = []
         for part in c.parts:
             where = part.finding.where.plain()
             says = f"  # acts in {flow(where)} only" if where else ""
-            says += "  # sets the gain right of what the simulation holds" if part.finding.effect == GAIN else ""
+            says += "  # corrects the gain of an effect that the simulation includes" if part.finding.effect == GAIN else ""
             for term, values in zip(part.terms, part.values, strict=True):
                 terms.append(f"      - {flow(plain(term) | {'fixed': values})}{says}")
         if (c.gain, c.offset) != (1.0, 0.0):

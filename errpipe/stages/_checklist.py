@@ -70,7 +70,7 @@ def checklist(
         lines += moves
     else:
         lines += ["Nothing of this table acts over a position or per kelvin: compare the outputs in two known states."]
-    lines += ["", "## What this format leaves behind", ""]
+    lines += ["", "## What this format cannot express", ""]
     lines += [
         f"- {x['axis']}: {x['rms_um']:.3g} {loss_unit(x['axis'])} rms of {x['table_rms_um']:.3g}, "
         f"at most {at_most(x['bound_um'])} {loss_unit(x['axis'])}"
@@ -140,13 +140,13 @@ def _one_turn(read: ReadBack, table: CompensationTable) -> list[ByHand]:
                 place = table.inputs[table.input_index(known[over])]
                 out.append(
                     f"{over}: the table repeats with every turn; its position must count on, from {place.low:g} to "
-                    f"{place.high:g} deg at most: one that falls from {high:g} to {low:g} deg is a reversal, and what "
-                    "a reversal changes stands wrong behind it"
+                    f"{place.high:g} deg at most: a drop from {high:g} to {low:g} deg is taken as a reversal, and what "
+                    "a reversal changes is wrong after it"
                 )
                 continue
             out.append(
-                f"{over}: the file holds one turn, {low:g} to {high:g} deg, and its ends beyond: the control must "
-                f"count {over} so, every turn anew; counted on, or from another place, the error can double"
+                f"{over}: the file covers one turn, {low:g} to {high:g} deg, and its ends are held beyond: the control "
+                f"must count {over} in this range in every turn; with any other count the error can double"
             )
     return [ByHand(says) for says in out]
 
@@ -206,9 +206,9 @@ def _at_the_axis(table: CompensationTable) -> list[str]:
             if output.axis and parsed.kind in ("diameter", "circular") and not term.factors:
                 along, less = 10.0 * term.weight, "less" if term.weight > 0 else "more"
                 says.append(
-                    f"a {components.describe(parsed.name)} of +10 um stands for {along:+g} um along {output.axis}, so "
+                    f"a {components.describe(parsed.name)} of +10 um corresponds to {along:+g} um along {output.axis}: "
                     f"{output.axis} is commanded {abs(along):g} um {less} (factor {term.weight:g}, from acts_on of "
-                    "the export or the recording; turn one piece before trusting its sign)"
+                    "the export or the recording; verify the sign on one turned part)"
                 )
     return says
 

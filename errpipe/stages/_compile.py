@@ -77,7 +77,7 @@ def _table_of(
     empty = [name for name, pairs in lowered.items() if not pairs]
     if len(empty) == len(lowered):
         behind = ", ".join(sorted({t for terms in uncompensated_terms(model).values() for t in terms})) or "no term"
-        raise GateError(f"export: a controller can compensate nothing of this model (it holds {behind})")
+        raise GateError(f"export: a controller can compensate nothing of this model (it contains {behind})")
     followed = [p for pairs in lowered.values() for p in pairs]
     _inputs.unknown_inputs(_inputs.read_by([p.driver for p in followed]), model)
     axes = {p.axis for p in followed if p.axis is not None and p.profile is not None}

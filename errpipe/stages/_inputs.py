@@ -164,8 +164,8 @@ def with_positions(model: ErrorModel, axes: Iterable[str], recording: Recording 
     for axis in sorted(set(axes) - set(travel(model))):
         kind = "rotary, travel: [0, 360]" if is_rotary(axis) else "linear, travel: [0, 500]"
         raise GateError(
-            f"export: {axis} stood at one position in the recording, and its travel is not stated: it is unknown where "
-            f"the correction holds. State it in the recording's manifest, such as constants: "
+            f"export: {axis} did not move in the recording, and its travel is not stated: it is unknown where the "
+            f"correction is valid. State the travel in the recording's manifest, such as constants: "
             f"{{{axis}: {{role: axis, kind: {kind}}}}}"
         )
     return model

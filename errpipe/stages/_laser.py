@@ -32,7 +32,7 @@ class Beam(Options):
         "without weather station was fixed at, often 20, 1013.25, 50. Left out: that of the record's first reading.",
         None,
     )
-    zero_each_run: bool = Field(False, description="Whether the display was set to zero anew at the start of each run.")
+    zero_each_run: bool = Field(False, description="Whether the display was zeroed at the start of each run.")
     air_uncertainty: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = quantity(
         "K, hPa, %",
         "Standard uncertainty of the sensors of the air: temperature (K), pressure (hPa), humidity (%). A "
@@ -49,7 +49,7 @@ def lasers(beams: Mapping[str, Beam]) -> dict[str, Laser]:
 
 
 LASERS: Any = Field(
-    {}, description="How the laser stood, by component: dead path, cosine and Abbe's offset are corrected."
+    {}, description="Set-up of the laser, by component: dead path, cosine error and Abbe offset are corrected."
 )
 SQUARES: Any = quantity(
     "urad",

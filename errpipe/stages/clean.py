@@ -27,11 +27,11 @@ class Clean(Stage):
     """Apply cleaning rules; refuse where one would remove more than its share."""
 
     kind: Literal["clean"]
-    rules: tuple[AnyRule, ...] = Field(DEFAULT, description="Rules in their order; default: the usual ones.")
+    rules: tuple[AnyRule, ...] = Field(DEFAULT, description="Rules, applied in this order; default: the standard rules.")
     rows_in_memory: int = quantity(
         "1",
-        "A longer recording is cleaned some whole runs at a time, and a longer run piece by piece: the "
-        "shares that rules may remove, and what they take over a whole run, are then those of the piece.",
+        "A longer recording is cleaned in batches of whole runs, and a longer run in pieces: limits on the share "
+        "removed, and statistics over a run, then refer to the batch or piece.",
         1_000_000,
         ge=1000,
     )

@@ -38,13 +38,13 @@ def diagnose(
     Raises UsageError, with one clear message, for input that cannot be used.
     """
     if apply is not None and Path(apply).resolve() in (Path(recording).resolve(), Path(out).resolve()):
-        raise UsageError(f"--apply {apply}: another folder is needed than the recording's and the diagnosis'")
+        raise UsageError(f"--apply {apply}: name a folder other than those of the recording and of the diagnosis")
     if (
         apply is not None
         and (Path(apply) / MANIFEST).exists()
         and not (Path(apply) / _apply_findings.DOCUMENT).exists()
     ):
-        raise UsageError(f"--apply {apply}: holds a recording that is no corrected simulation: name another folder")
+        raise UsageError(f"--apply {apply}: contains a recording that is not a corrected simulation: name another folder")
     half = 1.0 if apply is None else 0.5
     try:
         read, notes, parameters = with_simulation(manifest_folder.read(Path(recording)), simulation)
@@ -61,7 +61,7 @@ def diagnose(
         says += [*_apply_findings.in_words(applied), *(str(f) for f in sorted(Path(apply).iterdir()))]
         summary |= {"apply": applied}
     elif any(r.verdict == "missing_physics" for r in diagnosis.responses):
-        says.append("--apply DIR writes the simulation with what it lacks: recording, terms, patch.py, patch.fmu")
+        says.append("--apply DIR writes the simulation with the missing physics added: recording, terms, patch.py, patch.fmu")
     says.append(str(Path(out) / "report.html"))
     return summary
 
@@ -141,7 +141,7 @@ def with_simulation(
     read, twins, figures = external.with_twins(recording, external.by_name(recording, file), file, model)
     notes = [f"{t.component}: {note}" for t in twins for note in t.notes]
     notes += [
-        f"{file.name}: {p['parameter']} set right before anything was called missing: {p['start']:g} -> "
+        f"{file.name}: {p['parameter']} recalibrated before missing physics was searched for: {p['start']:g} -> "
         f"{p['value']:.4g} (allowed: {p['low']:g} to {p['high']:g})"
         for p in figures.get("parameters", ())
         if p["value"] != p["start"]

@@ -30,20 +30,20 @@ class Export(CompileOptions, SignOptions, Stage):
 
     kind: Literal["export"]
     guard: bool = Field(
-        False, description="Watch the temperatures against each other in the table, and stand in for one that fails."
+        False, description="Compare the temperatures with each other in the table, and replace one that fails."
     )
     targets: tuple[str, ...] = Field((), description="Controller formats to write, by name (`errpipe targets`).")
     limit: float | None = quantity(
-        "um", "Largest plausible correction; default: 0.5 mm, or 1/1000 of the travel where that is more.", None, gt=0
+        "um", "Largest plausible correction; default: 0.5 mm, or 1/1000 of the travel if that is larger.", None, gt=0
     )
     allow: tuple[Code, ...] = Field((), description="Implausible declarations that are true, by name.")
     ungated: bool = Field(
-        False, description="Export although nothing was judged, or what was judged is not better than nothing."
+        False, description="Export although the model was not validated, or is not better than no compensation."
     )
     readings_per_shift: Literal[1, 2, 4, 8, 16] | None = Field(
         None,
-        description="The table takes readings of the deviation, so many in eight hours, by an input "
-        "`datum_<component>`: the last reading minus what the table without it predicted then. None: no such input.",
+        description="Number of readings of the deviation in eight hours; the table gets an input `datum_<component>`: "
+        "the last reading minus the prediction without it at that time. None: no such input.",
     )
     takes: ClassVar[Mapping[str, Need]] = {
         "recording": Need("recording"),
@@ -95,7 +95,7 @@ class Export(CompileOptions, SignOptions, Stage):
 
 def _no_axis(names: Sequence[str]) -> str:
     stated = f"acts_on: {{{names[0]}: {{axis: X, factor: 0.5}}}}"
-    return f"no axis corrects {' and '.join(names)}: state which one it acts on, such as {stated}"
+    return f"no axis corrects {' and '.join(names)}: state the axis, such as {stated}"
 
 
 def _gate(model: ErrorModel, fits: Sequence[ErrorModel], options: Export, context: Context) -> Passed:

@@ -24,16 +24,16 @@ class Ingest(Stage):
         None, description="Folder with a recording manifest, or a file of a known format; default: the simulated one."
     )
     format: str | None = Field(None, description="Name of the file format; default: the one that recognises the file.")
-    options: dict[str, str | float | bool] = quantity("of each", "What the format itself asks for.", {})
+    options: dict[str, str | float | bool] = quantity("of each", "Options of the format.", {})
 
     compensated_by: InputPath | None = Field(
         None,
-        description="Table (.ect) that was switched on while it was recorded: what it corrects is added to the "
-        "deviations, which are then those of the machine itself.",
+        description="Table (.ect) that was active during the recording: its correction is removed from the "
+        "deviations, which are then those of the uncompensated machine.",
     )
-    compensated_since: str | None = Field(None, description="First run recorded with that table; default: all were.")
-    since_run: str | None = Field(None, description="First run that is kept: what came before is another machine's.")
-    without_runs: tuple[str, ...] = Field((), description="Runs that are left out: measured wrongly.")
+    compensated_since: str | None = Field(None, description="First run recorded with that table; default: the first of all.")
+    since_run: str | None = Field(None, description="First run that is used; earlier runs are discarded, such as those before a repair.")
+    without_runs: tuple[str, ...] = Field((), description="Runs that are not used, such as faulty measurements.")
 
     takes: ClassVar[Mapping[str, Need]] = {"simulated": Need("raw_recording", optional=True)}
     gives: ClassVar[tuple[str, ...]] = ("recording", "ingestion")
@@ -46,7 +46,7 @@ class Ingest(Stage):
 
         path = self.recording or context.maybe("simulated")
         if path is None:
-            raise UsageError("ingest: no recording is named and no simulate stage stands before it")
+            raise UsageError("ingest: no recording is named and there is no simulate stage before it")
         context.progress(0.1, "reading")
         if self.compensated_by is not None or self.since_run is not None or self.without_runs:
             return self._summary(context, *self._whole(context, path))

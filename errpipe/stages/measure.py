@@ -69,10 +69,10 @@ def _reading(test: Any) -> str:
     significant = [e.says for e in test.effects if e.ci95[0] * e.ci95[1] > 0]
     not_significant = [f"{e.effect.replace('_', ' ')} {e.where}" for e in test.effects if e.ci95[0] * e.ci95[1] <= 0]
     summary = (
-        f"Read off the plot, largest first: {'; '.join(significant)}." if significant else "Nothing systematic shows."
+        f"Read off the plot, largest first: {'; '.join(significant)}." if significant else "No systematic error is visible."
     )
     addition = f" Not significant (95 %): {', '.join(not_significant)}." if not_significant else ""
     return (
         f"After ISO 230-4, each circle about its own centre. {summary}{addition} As it appears where "
-        f"these circles lie: angles elsewhere in the volume add to it. What is left is {test.noise:.1f} um rms."
+        f"these circles lie: angles elsewhere in the volume add to it. The residual is {test.noise:.1f} um rms."
     )

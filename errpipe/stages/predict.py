@@ -27,8 +27,8 @@ from errpipe.validation.predict import Begin, Evaluate, Predictor, of_evaluator
 
 SILENT = (
     "no reading for too long in {} of {} rows: the last one is held there, without an interval unless the model widens "
-    "it, and before a first one nothing is predicted; a table with `guard: true` (export) stands in for a temperature "
-    "that the others tell"
+    "it, and before a first one nothing is predicted; a table with `guard: true` (export) replaces a temperature "
+    "by its estimate from the others"
 )
 ADDED_TO_PREDICTION = "added to the prediction: the table has no input for readings (readings_per_shift of its export)"
 
@@ -121,8 +121,8 @@ def _why_empty(source: ErrorModel | CompensationTable, without: list[str]) -> st
     if not hasattr(source, "fingerprint"):
         return f"empty for {names}: the model states no interval"
     return (
-        f"empty for {names}: a table carries the deviation alone; its interval stands in the error model that it was "
-        f"compiled from, which `{_artefacts.MODEL}` beside it would be (none there has the table's fingerprint)"
+        f"empty for {names}: a table contains the deviation only; its interval is in the error model that it was "
+        f"compiled from (no `{_artefacts.MODEL}` next to the table has its fingerprint)"
     )
 
 

@@ -136,13 +136,13 @@ def _readings(validation: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         levels, hours = c["readings"]["levels"], c["readings"]["shift_h"]
         rms = ", ".join(f"{level['per_shift']}: {level['rms']:.3g}" for level in levels)
         caption = (
-            f"Rows of the recording play the readings, with their noise; a shift is {hours:g} h. The share "
+            f"Rows of the recording serve as readings, with their noise; a shift is {hours:g} h. The share "
             "of a reading that is applied comes from the other groups. "
             f"All groups, readings per shift: rms in {c['unit']}: {rms}. "
             "An export takes readings with readings_per_shift; errpipe predict takes them from a file (--readings)."
         )
         out.append(
-            (f"{c['component']}: readings now and then", by_readings(levels, c["component"], c["unit"]), caption)
+            (f"{c['component']}: occasional readings", by_readings(levels, c["component"], c["unit"]), caption)
         )
     return out
 
@@ -241,12 +241,12 @@ def _group(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _notes(component: Any, figures: Mapping[str, Any]) -> list[str]:
-    worth = f", worth {component.rows_effective:.0f} independent ones" if component.rows_effective else ""
-    notes = [f"{component.rows} rows fitted{worth}. Every rms on this page is of rows that were held out."]
+    worth = f", equivalent to {component.rows_effective:.0f} independent rows" if component.rows_effective else ""
+    notes = [f"{component.rows} rows fitted{worth}. Every rms on this page is of held-out rows."]
     if figures["verdict"] != "model":
         notes.append(f"On held-out rows the best share of this correction is {100 * figures['gain']:.0f} %.")
     if component.half_width90 is not None:
-        more = "" if component.factor90 is None else " of a small prediction, in surroundings that were not seen"
+        more = "" if component.factor90 is None else " where the prediction is small, in a season not in the fit"
         notes.append(f"90 % of new deviations lie within ±{component.half_width90:.3g} {component.unit}{more}.")
     return notes
 
@@ -265,7 +265,7 @@ def _validity(model: Any) -> list[dict[str, Any]]:
 
 def _outside(model: Any, name: str) -> str:
     if not model.validity.fades:
-        return "fades by itself, never to a jump"
+        return "fades by design of the model, without a step"
     margin, unit = model.validity.margins.get(name), model.columns.get(name, {}).get("unit") or ""
     seen = model.validity.seen.get(name)
     fitted = f"; fitted from {seen[0]:.4g} to {seen[1]:.4g} only, the rest is an earlier model's range" if seen else ""
@@ -286,7 +286,7 @@ def _left_out(exported: Mapping[str, Mapping[str, Any]]) -> list[str]:
     out: list[str] = []
     for document in exported.values():
         left_out = [
-            f"{name} was left out of the table: on held-out rows it was not better than nothing."
+            f"{name} was left out of the table: on held-out rows it was not better than no compensation."
             for name in document["left_out"]
         ]
         out += [document["note"]] if document.get("note") else left_out
@@ -325,8 +325,8 @@ def _seasons(validation: Mapping[str, Any]) -> list[Any]:
 
     headings = {
         "seasons": "Seasons left out whole",
-        "forward": "Trained on past months alone",
-        "forward_daily": "Trained anew each day on the past alone",
+        "forward": "Trained on past months only",
+        "forward_daily": "Retrained each day on the past only",
     }
     out = []
     for key, heading in headings.items():
@@ -353,6 +353,6 @@ def _next_step(exported: Mapping[str, Any], refusal: str) -> str:
         return "add an export stage to compile this model into a table that a controller runs."
     if any("/" in row["file"] for document in exported.values() for row in document["files"]):
         return (
-            "follow CHECKLIST.md beside each controller file: its sign, the numbers to enter, three points to compare."
+            "follow CHECKLIST.md next to each controller file: its sign, the numbers to enter, three points to compare."
         )
     return "errpipe whatis on the exported table.ect shows what a cycle costs; errpipe verify re-reads every file."

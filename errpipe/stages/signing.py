@@ -106,11 +106,11 @@ def _same_kind(before: bytes, table: CompensationTable, machine: str, path: Path
     if old.machine and table.machine and old.machine != table.machine:
         reason = f"was made for {table.machine!r}, the one on record for {old.machine!r}"
     elif _outputs(old) != _outputs(table):
-        reason = f"corrects {_outputs(table)}, the one on record {_outputs(old)}, and a table is replaced whole"
+        reason = f"corrects {_outputs(table)}, the one on record {_outputs(old)}, and a table replaces all outputs"
     else:
         return
     raise GateError(
-        f"machine {machine}: {path} {reason}. Give it a name of its own in the registry, or say --other-outputs"
+        f"machine {machine}: {path} {reason}. Give it a separate name in the registry, or use --other-outputs"
     )
 
 
@@ -183,7 +183,7 @@ def log(registry: Path, machine: str | None, at: str | None, file: Path | None, 
     if file is not None:
         wanted = identity(file)
         if all(row["identity"] != wanted for row in rows):
-            raise VerifyError(f"{file}: table {wanted} was never on record in {registry}")
+            raise VerifyError(f"{file}: table {wanted} was never recorded in {registry}")
     if at is not None:  # before the file: another table may have taken its place by then
         then = _time(at)
         until = _time(f"{at}T23:59:59") if len(at) == len("2026-03-03") else then  # a date alone is the whole day

@@ -116,7 +116,7 @@ def export(
     files = [table] if isinstance(table, Path) else list(table)
     if public_key and len(files) > 1:
         raise UsageError(
-            "--public-key: several tables become one that nobody signed (export them, then `errpipe sign`)"
+            "--public-key: several tables become one, which is unsigned (export them, then `errpipe sign`)"
         )
     compensation_table, remarks, signature = (
         _signed(files[0], public_key) if public_key else (joined([_artefacts.read_table(f) for f in files]), (), "")
@@ -199,7 +199,7 @@ def sibling(table: CompensationTable, target: Any, lost: list[dict[str, Any]]) -
             best = size, ", ".join(o.name for o in parts if o is not target), in_words(lost_together)
     if best is None or best[0] >= 0.25 * _squares(lost):  # not even half of it
         return ""
-    return f"{best[1]} can say what {target.name} leaves behind; with both among the targets: {best[2]}."
+    return f"{best[1]} can express what {target.name} cannot; with both as targets the loss is {best[2]}."
 
 
 def with_own_content(table: CompensationTable, targets: Sequence[Any]) -> list[Any]:

@@ -145,10 +145,10 @@ def _section_index(data: bytes) -> dict[int, tuple[int, int]]:
         size = record.size * entry[2]
         at += size + -size % 8
         if at > len(data):
-            raise VerifyError(f"section {number} ({what}) ends behind the end of the file")
+            raise VerifyError(f"section {number} ({what}) extends past the end of the file")
         index[number] = entry[2], entry[3]
     if at != len(data):
-        raise VerifyError(f"{len(data) - at} bytes behind the last section")
+        raise VerifyError(f"{len(data) - at} bytes after the last section")
     return index
 
 

@@ -125,7 +125,7 @@ def _suspicious(results: Sequence[Mapping[str, Any]], types_of: Sequence[Mapping
     for kind in types_of:
         for component, response in kind["responses"].items():
             for name in response["mirrored"]:
-                out.append(f"{name}: {component} is that of its type with the other sign; which sign was declared?")
+                out.append(f"{name}: {component} has the opposite sign of the other machines of its type; was its sign declared correctly?")
     return out
 
 
@@ -180,7 +180,7 @@ def lines(document: Mapping[str, Any]) -> list[str]:
         for name, c in r["responses"].items():
             floor = "unknown" if c["noise_floor"] is None else f"{c['noise_floor']:.3g}"
             out.append(f"{head}| {name} | {c['rms_before']:.3g} | {c['rms_after']:.3g} {c['unit']} | {floor} |")
-    out += ["", "rms on held-out rows, in the unit beside `after`; the worst first.", "", "## What went wrong", ""]
+    out += ["", "rms on held-out rows, in the unit beside `after`; largest first.", "", "## What went wrong", ""]
     wrong = [*(f"{r['name']}: {r['message']}" for r in rows if r["message"]), *document["suspicious"]]
     out += [f"- {plain_text(text)}" for text in wrong] or ["Nothing."]
     out += ["", "## Machines that drift", ""]

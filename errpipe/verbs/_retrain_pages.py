@@ -28,7 +28,7 @@ def write_pages(document: Mapping[str, Any], out: Path) -> None:
 def write_failure(title: str, why: str, out: Path) -> None:
     """Write the pages of a look that judged nothing, in the place of those of the look before."""
     heading = f"# {plain_text(title or 'Retraining')}: not judged"
-    jsonfile.write_text(out / MARKDOWN, f"{heading}\n\n{plain_text(why)}\n\nThe champion stays.\n")
+    jsonfile.write_text(out / MARKDOWN, f"{heading}\n\n{plain_text(why)}\n\nThe champion is kept.\n")
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         '<testsuite name="errpipe retrain" tests="1" failures="0" errors="1" skipped="0">',

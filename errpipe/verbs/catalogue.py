@@ -44,12 +44,12 @@ def formats(name: str) -> dict[str, Any]:
     rows = [{"format": f.name, "how": "ingest", "about": _first_line(f.__doc__)} for f in FORMATS]
     rows += [{"format": name, "how": "identify", "about": what} for name, _, what, _ in TESTS]
     rows += [{"format": d.name, "how": "import", "about": _first_line(d.__doc__)} for d in DOORS]
-    says = ["Read by a pipeline as they are (ingest: {recording: FILE}):"]
+    says = ["Read directly by a pipeline (ingest: {recording: FILE}):"]
     says += [f"  {r['format']:<20} {r['about']}" for r in rows if r["how"] == "ingest"]
-    says += ["Turned into a recording first (errpipe import FILE --out FOLDER):"]
+    says += ["Converted to a recording first (errpipe import FILE --out FOLDER):"]
     says += [f"  {r['format']:<20} {r['about']}" for r in rows if r["how"] == "import"]
     says += [
-        "Tests of a machine as a whole (stage identify): imported where the file says its set-up, else written by hand:"
+        "Tests of a machine as a whole (stage identify): imported if the file states its set-up, else written by hand:"
     ]
     says += [f"  {r['format']:<20} {r['about']}" for r in rows if r["how"] == "identify"]
     return {"formats": rows, "says": says}
@@ -70,5 +70,5 @@ def explain(code: str) -> dict[str, Any]:
         raise UsageError(f"nothing is named {code!r} (allowed: {', '.join(known)}).{did_you_mean(code, known)}")
     says = [f"{code}: {known[code]}"]
     if code in EXPLANATIONS:
-        says.append(f"Where it is true all the same: export: {{allow: [{code}]}}, or errpipe export --allow {code}")
+        says.append(f"If the declaration is correct: export: {{allow: [{code}]}}, or errpipe export --allow {code}")
     return {"code": code, "explanation": known[code], "says": says}

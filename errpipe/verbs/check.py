@@ -99,7 +99,7 @@ def header_of(path: Path) -> Recording:
     for n, table in enumerate(manifest.tables):
         file = path.parent / table
         if not file.is_file():
-            document.problems.append(document.problem(("tables", n), "no such file beside the manifest"))
+            document.problems.append(document.problem(("tables", n), "no such file next to the manifest"))
         elif table.endswith(".parquet"):
             levels = None
         else:

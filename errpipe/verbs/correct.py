@@ -177,8 +177,8 @@ def _corrected_once(chunks: Iterator[bytes]) -> Iterator[bytes]:
             number, first = lines + chunk.count(b"\n", 0, at) + 1, chunk.rfind(b"\n", 0, at) + 1
             comment = chunk[first:].split(b"\n", 1)[0].decode(errors="replace").strip()
             raise DataError(
-                f"line {number}: {comment!r}: corrected once more it would be wrong by as much; correct the program of "
-                "before, or say --again"
+                f"line {number}: {comment!r}: this program is corrected already, and would be corrected twice; correct "
+                "the original program, or use --again"
             )
         lines += chunk.count(b"\n")
         yield chunk
@@ -207,7 +207,7 @@ def diameters(text: str) -> str:
     return word and (
         f"line {number}: {word} is a lathe's, and X was taken as a radius and no tool offset but that of G43, as "
         "LinuxCNC does: where the control counts X in diameters (Fanuc 1006#3 DIA, Siemens DIAMON), do not use the "
-        "corrected program; where T sets an offset, the correction is that of a place so far away"
+        "corrected program; if T sets an offset, the correction is evaluated at a position wrong by that offset"
     )
 
 
@@ -281,7 +281,7 @@ def outside_travel(table: CompensationTable, low: np.ndarray, high: np.ndarray) 
         n, (first, last) = MOVED.index(axis), _sample.span(table, axis)
         if low[n] < first - MAX_OVERRUN or high[n] > last + MAX_OVERRUN:
             way = f"from {round(low[n], 1):g} to {round(high[n], 1):g} mm of the machine"
-            outside.append(f"{axis} goes {way}, the table from {first:g} to {last:g}: beyond, its ends hold")
+            outside.append(f"{axis} moves {way}, the table covers {first:g} to {last:g}: its ends are held beyond")
     return "; ".join(outside)
 
 

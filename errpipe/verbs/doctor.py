@@ -44,4 +44,4 @@ def _cache() -> str:
         with tempfile.TemporaryFile(dir=folder):
             return f"{folder} (can be written)"
     except OSError as err:
-        return f"{folder} (cannot be written: {err.strerror}; compiled code is then made anew each time)"
+        return f"{folder} (cannot be written: {err.strerror}; code is then compiled again at every start)"

@@ -49,7 +49,7 @@ class Fleet(Options):
         None, description="Folder with one recording folder per machine, relative to this file: all are the fleet's."
     )
     stage: str = Field("ingest", description="Stage that reads a machine's recording.")
-    machines: tuple[FleetMachine, ...] = Field((), description="Machines, where they need keys of their own or a type.")
+    machines: tuple[FleetMachine, ...] = Field((), description="Machines that need their own keys or a type.")
     pool: bool = Field(False, description="Draw the parameters of each machine towards those of its type.")
 
     @model_validator(mode="after")

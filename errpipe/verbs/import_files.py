@@ -97,7 +97,7 @@ def _refuse_unknown_sets(parts: Iterable[Proposal], options: ImportOptions) -> N
             if idle:
                 why = part.guesses.get(part.names.get(name, slug(name)), "its readings become deviations")
                 raise UsageError(
-                    f"--set {name}.{idle[0]} would be ignored ({why.split(';')[0]}): say it of columns of the file, or "
+                    f"--set {name}.{idle[0]} would be ignored ({why.split(';')[0]}): set it for a column of the file, or "
                     "write a column of targets, one of readings, and one of runs"
                 )
 
@@ -221,7 +221,7 @@ def _refuse_changed(folder: Path, parts: dict[str, str]) -> None:
     if not _as_written.as_written(texts.get(manifest_folder.MANIFEST, ""), texts.get(TABLE, "")):
         raise UsageError(
             f"{', '.join(map(str, there.values()))}: changed since it was imported, or not written by an import: "
-            "nothing was written. Name another folder with --out, or say --overwrite to lose what stands there"
+            "nothing was written. Name another folder with --out, or use --overwrite to replace these files"
         )
 
 

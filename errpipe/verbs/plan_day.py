@@ -191,7 +191,7 @@ def _recorded(folder: Path) -> tuple[list[tuple[Any, Any]], float | None]:
     recording = manifest_folder.read(folder)
     name = recording.name("spindle_speed")
     if name is None:
-        raise DataError(f"{folder}: the recording has neither temperatures beside an error nor a spindle speed")
+        raise DataError(f"{folder}: the recording has neither an error with temperatures nor a spindle speed")
     run, t, v = recording.run_codes(), recording.time(), np.nan_to_num(recording.array(name))
     return [(t[run == r] - t[run == r][0], v[run == r]) for r in np.unique(run)], float(np.max(v, initial=0.0))
 

@@ -92,7 +92,7 @@ def _target(target: Any) -> Iterator[str]:
     for fact in ("sign", "limits", "confidence", "source"):
         yield f"**{fact.capitalize()}.** {_cell(getattr(target, fact))}  "
     if target.goes_with:
-        yield "**Goes with.** " + ", ".join(f"`{name}`" for name in target.goes_with) + "  "
+        yield "**Combined with.** " + ", ".join(f"`{name}`" for name in target.goes_with) + "  "
     yield from ("", "At the machine:", "")
     yield from (f"{i}. {_cell(step)}" for i, step in enumerate(target.activation, 1))
 

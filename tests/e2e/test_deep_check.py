@@ -40,7 +40,7 @@ stages:
 # what is wrong: (in the pipeline or the manifest: text, its replacement, words that the message holds)
 UNJUDGED = "an export that nothing judges"  # a run gets as far as its gate, and writes the report of a refusal
 PIPELINE_FAULTS = {
-    "recording not there": ("recording: rec", "recording: rek", "rek is not there"),
+    "recording not there": ("recording: rec", "recording: rek", "rek does not exist"),
     "no manifest in the folder": ("recording: rec", "recording: empty", "holds no recording.yaml"),
     "a table in place of a recording": ("recording: rec", "recording: rec/t.csv", "is a table, no recording"),
     "sensor is the error": ("sensor: T_nut", "sensor: EXX", "'EXX' is no temperature (role error)"),
@@ -136,7 +136,7 @@ MANIFEST_FAULTS = {
     "axis missing": ('"role": "direction", "axis": "X"', '"role": "direction"', "needs an axis"),
     "column misspelt": ("  T_air:", "  T_aire:", "no such column"),
     "column not declared": ("  T_air:", "  #T_air:", "'T_air' that is not declared"),
-    "table not there": ("t.csv", "u.csv", "no such file beside the manifest"),
+    "table not there": ("t.csv", "u.csv", "no such file next to the manifest"),
     "a word where numbers are": ("  run: ", "  x1: ", ""),
     "derived of nothing": (
         '"component": "EXX"',

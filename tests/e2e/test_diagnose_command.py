@@ -209,7 +209,7 @@ def test_applied_findings_leave_nothing_for_a_pipeline_to_find(tmp_path: Path) -
     from errpipe.stages import STAGES
 
     done, result = run(tmp_path, drift(6.0, twin=True), "--apply", "better")
-    assert done.returncode == 0 and "put into the simulation: backlash" in done.stdout
+    assert done.returncode == 0 and "added to the simulation: backlash" in done.stdout
     assert result["responses"][0]["verdict"] == "missing_physics"
     written = {p.name for p in (tmp_path / "better").iterdir()}
     assert written >= {"recording.yaml", "recording.parquet", "terms.yaml", "patch.py", "patch.fmu", "apply.json"}

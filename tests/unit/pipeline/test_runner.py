@@ -227,7 +227,7 @@ def test_an_out_folder_that_cannot_be(where: Path) -> None:
     with pytest.raises(UsageError, match="is a file"):
         runner.run(pipeline, where / "p.yaml")
     shutil.rmtree(where / "data")
-    with pytest.raises(ConfigError, match=r"p\.yaml:4:25  stages\[0\]\.files: .*data is not there"):
+    with pytest.raises(ConfigError, match=r"p\.yaml:4:25  stages\[0\]\.files: .*data does not exist"):
         runner.run(pipeline, where / "out")
 
 

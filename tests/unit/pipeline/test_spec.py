@@ -114,7 +114,7 @@ def test_inputs_that_are_not_there_are_pointed_at(tmp_path: Path) -> None:
     path = lay_out(tmp_path, text)
     pipeline = load_pipeline(path, STAGES)
     (problem,) = missing_inputs(pipeline, pipeline.stages)
-    assert str(problem) == f"{path}:4:12  stages[0].files: {tmp_path}/dat is not there. Did you mean {tmp_path}/data?"
+    assert str(problem) == f"{path}:4:12  stages[0].files: {tmp_path}/dat does not exist. Did you mean {tmp_path}/data?"
 
 
 def test_a_registry_of_one_stage_works(tmp_path: Path) -> None:

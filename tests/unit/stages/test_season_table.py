@@ -57,7 +57,7 @@ def test_a_table_with_its_model_beside_it_has_the_models_intervals(fitted, model
     manifest_folder.write(one, tmp_path / "rows")
     ect.write(table, tmp_path / "table.ect")
     alone = predict(tmp_path / "table.ect", tmp_path / "rows", tmp_path / "alone.csv")
-    assert "a table carries the deviation alone" in alone["intervals"]
+    assert "a table contains the deviation only" in alone["intervals"]
     assert pd.read_csv(tmp_path / "alone.csv")["E_D_lower"].isna().all()
     jsonfile.write(tmp_path / _artefacts.MODEL, _artefacts.model_json(model))
     both = predict(tmp_path / "table.ect", tmp_path / "rows", tmp_path / "both.csv")

@@ -64,7 +64,7 @@ def export(folder, x: np.ndarray, travel: tuple[float, float] | None = None) -> 
 
 def test_lost_motion_alone_at_one_position_is_refused_without_a_travel(tmp_path, capsys):
     assert export(tmp_path, np.full(160, 450.0)) == 4
-    assert "X stood at one position in the recording, and its travel is not stated" in capsys.readouterr().err
+    assert "X did not move in the recording, and its travel is not stated" in capsys.readouterr().err
     assert not (tmp_path / "out" / "export" / "table.ect").exists()
 
 

@@ -63,5 +63,5 @@ def test_apply_replaces_no_recording(tmp_path: Path, capsys: Any) -> None:
     before = (tmp_path / "other/recording.yaml").read_bytes()
     words = ["diagnose", str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--apply", str(tmp_path / "other")]
     assert main(words) == 2
-    assert "holds a recording that is no corrected simulation" in capsys.readouterr().err
+    assert "contains a recording that is not a corrected simulation" in capsys.readouterr().err
     assert (tmp_path / "other/recording.yaml").read_bytes() == before and not (tmp_path / "out").exists()

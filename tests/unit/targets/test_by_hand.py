@@ -316,7 +316,7 @@ def test_a_file_that_ends_after_a_turn_says_how_the_control_must_count(target, e
     moved = getattr(manual_readers, target.name)(files, "C")
     low = TURNS[ends][0]
     counts_on = all(abs(moved(low + x + 360.0, 1) - moved(low + x, 1)) < 1e-9 for x in (40.0, 130.0, 290.0))
-    assert (f"C: the file holds one turn, {low:g} to {low + 360:g} deg" in text) == (not counts_on), text
+    assert (f"C: the file covers one turn, {low:g} to {low + 360:g} deg" in text) == (not counts_on), text
 
 
 @pytest.mark.parametrize("name", ["c_runtime", "iec_st", "linuxcnc_hal", "feedback_inject"])

@@ -116,7 +116,7 @@ def test_numbers_by_hand_and_the_sibling_are_printed(tmp_path: Path) -> None:
     assert "MD38000 MM_ENC_COMP_MAX_POINTS = 13 or more" in text
     (rms,) = re.findall(r"with the numbers entered by hand: X (\S+) um rms", text)
     assert float(rms) < 0.3
-    assert "sinumerik_cec can say what sinumerik_lec leaves behind" in text
+    assert "sinumerik_cec can express what sinumerik_lec cannot" in text
     haas = (out / "haas_pitch/CHECKLIST.md").read_text()
     (value,) = re.findall(r"backlash value = (\S+) mm", haas)
     assert float(value) == pytest.approx(1e-3 * LOST, abs=2e-4) and "the datum of X keeps the constant" in haas
@@ -125,7 +125,7 @@ def test_numbers_by_hand_and_the_sibling_are_printed(tmp_path: Path) -> None:
 def test_two_files_of_one_control_ask_for_no_backlash_value(tmp_path: Path) -> None:
     out = exported(tmp_path, np.linspace(0, 600, 13), "sinumerik_lec", "sinumerik_cec")
     text = (out / "sinumerik_lec/CHECKLIST.md").read_text()
-    assert "MD32450 BACKLASH = 0.0000 mm" in text and "leaves behind; with both" not in text
+    assert "MD32450 BACKLASH = 0.0000 mm" in text and "cannot; with both" not in text
     assert "they lack X 0" in text
 
 

@@ -202,7 +202,7 @@ def test_a_recording_without_temperatures_is_not_only_asked_for_speeds(tmp_path,
     text = (folder / "recording.yaml").read_text(encoding="utf-8")
     (folder / "recording.yaml").write_text(text.replace("role: temperature, unit: degC", "role: ignore"))
     assert main(["plan-day", str(folder)]) == 3
-    assert "has neither temperatures beside an error nor a spindle speed" in capsys.readouterr().err
+    assert "has neither an error with temperatures nor a spindle speed" in capsys.readouterr().err
 
 
 def test_what_a_plan_of_errors_lacks_is_named(tmp_path, capsys):
