@@ -141,8 +141,8 @@ def _stuck(values: np.ndarray, others: list[np.ndarray]) -> tuple[np.ndarray, st
         if not comparable and (ratio < ALONE_LONGER or ranked[count - 1] < ALONE_SHORTEST):
             continue
         longest = int(lengths[chosen].max())
-        why = "while the other sensors moved" if comparable else f"{ratio:.0f} times as long as ever otherwise"
-        return rows[inside], f"stands still for up to {longest} rows, {why}"
+        why = "while the other sensors moved" if comparable else f"{ratio:.0f} times as long as any other stretch"
+        return rows[inside], f"frozen for up to {longest} rows, {why}"
     return rows[:0], ""
 
 

@@ -24,14 +24,14 @@ Sets = typer.Option(
     help="Set one key for this run; the value is YAML. Repeatable.",
     show_default=False,
 )
-Force = typer.Option([], "--force", metavar="STAGE", help="Run this stage in any case. Repeatable.")
+Force = typer.Option([], "--force", metavar="STAGE", help="Run this stage even if it is up to date. Repeatable.")
 At = typer.Option([], "--at", metavar="INPUT=VALUE", help="Value of one input, in its canonical unit. Repeatable.")
 SecretKey = typer.Option(..., "--key", envvar="ERRPIPE_KEY", metavar="FILE", help="The secret key (errpipe keygen).")
 PublicKey = typer.Option(
-    ..., "--public-key", envvar="ERRPIPE_PUBLIC_KEY", metavar="FILE", help="Whose signatures count."
+    ..., "--public-key", envvar="ERRPIPE_PUBLIC_KEY", metavar="FILE", help="The public key that verifies signatures."
 )
 Why = typer.Option(..., "--why", metavar="TEXT", help="The reason, one line; it is signed.")
-Time = typer.Option(None, "--time", metavar="TIME", help="When, ISO 8601, UTC where no zone is said; default: now.")
+Time = typer.Option(None, "--time", metavar="TIME", help="Time, ISO 8601, UTC if no zone is given; default: now.")
 Json = typer.Option(False, "--json", help="One JSON document on standard output, also on failure.")
 
 

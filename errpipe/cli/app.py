@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _closed_pipe()
     except KeyboardInterrupt as stop:
         what, code = ("terminated", 143) if isinstance(stop, _Terminated) else ("interrupted", 130)
-        return print_error(name, f"{what}; the same command goes on from here", code, as_json)
+        return print_error(name, f"{what}; the same command continues from here", code, as_json)
     except Exception as err:
         if debug:
             import traceback

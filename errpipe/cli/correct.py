@@ -21,13 +21,13 @@ def command(
     ),
     tool: list[str] = typer.Option([], "--tool", metavar="H1=LENGTH", help="Length of a tool, mm. Repeatable."),
     start: str | None = typer.Option(
-        None, "--start", metavar="X,Y,Z", help="Where the machine stands at the start, machine coordinates, mm."
+        None, "--start", metavar="X,Y,Z", help="Position at the start, machine coordinates, mm."
     ),
     chord_error: float = typer.Option(
         0.001, "--chord-error", min=1e-6, metavar="MM", help="Farthest a segment may lie from its arc."
     ),
     longest: float = typer.Option(25.0, "--longest", min=0.01, metavar="MM", help="Longest straight segment."),
-    again: bool = typer.Option(False, "--again", help="Correct a program that was corrected before, too."),
+    again: bool = typer.Option(False, "--again", help="Also accept a program that is already corrected."),
     json: bool = Json,
 ) -> None:
     """Rewrite an NC program so that the uncorrected machine cuts the part.

@@ -19,7 +19,7 @@ def command(
         None, "--recording", metavar="FOLDER", help="A recording of your own instead of the sample."
     ),
     target: list[str] = typer.Option(
-        [], "--target", metavar="NAME", help="A controller format instead of the usual ones. Repeatable."
+        [], "--target", metavar="NAME", help="A controller format instead of the default ones. Repeatable."
     ),
     json: bool = Json,
 ) -> None:

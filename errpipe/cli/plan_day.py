@@ -18,7 +18,7 @@ def command(
     component: str = typer.Option(None, "--component", help="The error that is modelled, such as E_D."),
     by: list[str] = _By,
     least: float = typer.Option(
-        None, "--least", min=0.0, help="Stop below so many um rms taken away; default: a reading's noise."
+        None, "--least", min=0.0, help="Stop if the gain is below so many um rms; default: the noise."
     ),
     speed: float | None = typer.Option(None, "--speed", min=1.0, help="Plan speeds up to this one, rpm."),
     hours: float = typer.Option(8.0, "--hours", min=0.5, max=48.0, help="Length of a day of speeds."),

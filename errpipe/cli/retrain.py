@@ -30,7 +30,7 @@ def command(
     champion: Path = typer.Option(..., "--champion", metavar="DIR", help="Run folder of the champion."),
     out: Path = typer.Option(..., "--out", "-o", metavar="DIR", help="Folder of the challenger and of the decision."),
     alpha: float = typer.Option(
-        0.05, "--alpha", min=1e-9, max=0.5, help="Chance of ever promoting a challenger that is no better."
+        0.05, "--alpha", min=1e-9, max=0.5, help="Probability of ever promoting a challenger that is no better."
     ),
     max_change_um: float | None = typer.Option(
         None, "--max-change-um", min=0.0, help="Largest change of the correction, um."

@@ -28,7 +28,7 @@ def command(
     to: str | None = To,
     sets: list[str] = Sets,
     force: list[str] = Force,
-    jobs: int = typer.Option(1, "--jobs", "-j", min=1, metavar="N", help="Stages that may run at a time."),
+    jobs: int = typer.Option(1, "--jobs", "-j", min=1, metavar="N", help="Number of stages that may run in parallel."),
     depfile: Path | None = typer.Option(None, "--depfile", metavar="FILE", help="Write the inputs as a rule for make."),
     depfile_target: str | None = typer.Option(
         None, "--depfile-target", metavar="NAME", help="Target of that rule; default: the stamp, else the lock file."

@@ -33,7 +33,7 @@ MIN_CLUSTERS, BLOCKS = 8, 40  # fewer sessions estimate the variance between the
 MOVED = 0.3  # rms of what goes with an effect's own columns beside its factor, over its rms then (17 degrees of a wave)
 MORE_LEFT = 1.5  # rms beside all factors over that of the earlier recording, from which it is said
 UNDECIDED = 0.5  # half width of the interval of k from which the state is `undecided`
-NEVER_ACTS = "what drives it never moves in this recording"
+NEVER_ACTS = "its driver never changes in this recording"
 
 State = Literal["unchanged", "larger", "smaller", "gone", "reversed", "moved", "undecided", "not judged"]
 CHANGED: tuple[State, ...] = ("larger", "smaller", "gone", "reversed", "moved")
@@ -246,8 +246,8 @@ def more_left(held: list[Held]) -> list[str]:
     """A sentence for each response of which more is left beside the earlier findings than there was."""
     left = {h.component: h for h in held if h.left is not None and h.left_then is not None}
     return [
-        f"{c}: beside them {h.left:.3g} {h.unit} rms is left, {h.left_then:.3g} in the earlier recording: diagnose "
-        "this one anew"
+        f"{c}: the residual is {h.left:.3g} {h.unit} rms, {h.left_then:.3g} in the earlier recording: diagnose "
+        "this recording again"
         for c, h in left.items()
         if (h.left or 0.0) > MORE_LEFT * (h.left_then or 0.0)
     ]

@@ -284,7 +284,7 @@ def _fitted(chosen: list[Candidate], y, session, unit: str, share: float, p: flo
     )
     text = " + ".join(f"{t.coefficient:.3g} {t.unit} * {t.column}" for t in terms).replace("+ -", "- ")
     says = (
-        f"Empirical, no mechanism: {text} (beside a constant) predicts {share:.0%} of the held-out variance "
+        f"Empirical, no mechanism: {text} (plus a constant) predicts {share:.0%} of the held-out variance "
         f"(p = {p:.2g} by {SURROGATES} surrogates)."
     )
     return Empirical(terms=terms, constant=float(b[-1]), unit=unit, share=share, p=p, scheme=scheme, says=says)

@@ -24,7 +24,7 @@ MOSTLY = 0.5  # share of the mismatch that is one offset per run, above which th
 MOST_NUMBERS = 4  # parameters in a sentence; of a wave the amplitudes of its strongest orders and the period
 REVERSED = (
     " Recorded and simulated values have opposite signs: one of the two columns counts the other way round. That is "
-    "set right first; check which of them is actual minus commanded."
+    "recalibrated first; check which of them is actual minus commanded."
 )
 AS_GOOD_AS_ONE = 0.3  # spread of the runs' datums, in noise rms, below which nothing is said of them
 UNSIZED = 0.6  # upper limit of the confidence of a finding whose size is not significant
@@ -116,8 +116,8 @@ def _datums(case: Case) -> str:
     if values is None or _rms(values) < AS_GOOD_AS_ONE * case.sigma:
         return ""
     return (
-        f" Each run starts with a datum of its own, {_rms(values):.3g} {case.pair.unit} rms from run to run, as an "
-        "instrument has that is zeroed anew; it is set right first and no part of what is named."
+        f" Each run has a separate datum, {_rms(values):.3g} {case.pair.unit} rms from run to run, as an "
+        "instrument has that is zeroed for each run; it is removed first and is not part of the findings."
     )
 
 
@@ -329,7 +329,7 @@ def in_words(r: ResponseDiagnosis) -> str:
         return f"{r.component}: recording and simulation agree within the noise ({r.noise_floor_um:.3g} {unit} rms)."
     if r.verdict == "recalibrate":
         return (
-            f"{r.component}: nothing is missing; with datum and gains set right {r.rms_before_um:.3g} becomes "
+            f"{r.component}: nothing is missing; with datum and gains recalibrated {r.rms_before_um:.3g} becomes "
             f"{r.rms_after_um:.3g} {unit} rms."
         )
     names = [f.effect.replace("_", " ") for f in r.findings if f.effect != "recalibration"]
@@ -338,7 +338,7 @@ def in_words(r: ResponseDiagnosis) -> str:
     before, after = r.holdout.rms_before_um, r.holdout.rms_after_um
     if after >= before:
         verb, them = ("is", "it") if one else ("are", "them")
-        each = f" {r.between_runs or 0.0:.0%} of the mismatch is one offset per run, as a datum that is set anew gives."
+        each = f" {r.between_runs or 0.0:.0%} of the mismatch is one offset per run, as from a new datum."
         return (
             f"{r.component}: {what} {verb} the best name{s} found, but unproved: held-out rows are no better "
             f"explained with {them} ({before:.3g} before, {after:.3g} {unit} rms after)."

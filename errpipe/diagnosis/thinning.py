@@ -165,7 +165,7 @@ def _screens(recording: Recording, turns: np.ndarray, usual: float) -> list[str]
             still = _without_motion(recording, mismatch)
             peaks = ", ".join(f"{f:.5g} Hz ({a:.3g} {unit})" for f, a in lines(still, usual))
             if peaks:
-                out.append(f"{component}: beside what goes with motion the spectrum of all rows holds lines at {peaks}")
+                out.append(f"{component}: with motion removed, the spectrum of all rows has lines at {peaks}")
     return out
 
 

@@ -198,7 +198,7 @@ def finding(case: Case, probability: float) -> Finding:
     if departs(case, case.held):  # the inputs of a name are right and its form is not
         h = case.explanation.accepted[0].hypothesis
         says = (
-            f"Structure goes with {' and '.join(h.drivers)} in a form that no effect of the vocabulary has: what "
+            f"Structure correlates with {' and '.join(h.drivers)} in a form that no effect of the vocabulary has: what "
             f"departs from the textbook form of {h.effect.replace('_', ' ')} predicts {case.held.departing():.0%} of "
             "the held-out variance."
         )
@@ -208,12 +208,12 @@ def finding(case: Case, probability: float) -> Finding:
         case.recording.name("time") or "row",
     )
     says = (
-        f"Structure remains that no effect of the vocabulary explains; it goes with {' and '.join(drivers)}. A "
+        f"Structure remains that no effect of the vocabulary explains; it correlates with {' and '.join(drivers)}. A "
         f"data-driven shape brings it from {case.sigma:.3g} to {case.remainder.rms:.3g} {case.pair.unit} rms."
         if shapes
         else f"On rows that sat out shapes over inputs predict {case.held.shape_share():.0%} of what the names leave."
         if unnamed_structure(case, case.held)
-        else f"What is left, {case.sigma:.3g} {case.pair.unit} rms, wanders and goes with no input."
+        else f"The residual, {case.sigma:.3g} {case.pair.unit} rms, drifts and correlates with no input."
     )
     if probability <= PROVISIONAL:
         says += " Held-out rows do not confirm it: a measurement that wanders looks alike."

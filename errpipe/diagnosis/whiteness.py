@@ -167,7 +167,7 @@ def _says(tests: list[WhitenessTest], p: float) -> str:
     description = lambda t: t.against if t.how == "level" else f"{t.against}, {t.how}"  # noqa: E731
     if not alarming:
         worst = description(min(tests, key=lambda t: t.p))
-        return f"What is left is noise: of {len(tests)} tests the strongest ({worst}) has p = {p:.2g} for all together."
+        return f"The residual is noise: the strongest of {len(tests)} tests ({worst}) has an adjusted p = {p:.2g}."
     where = description(alarming[0]) + (f" (and {len(alarming) - 1} more)" if len(alarming) > 1 else "")
     small = f"= {p:.1g}" if p > 1e-16 else "< 1e-16"
-    return f"What is left is not all noise: it still goes with {where}; of {len(tests)} tests together p {small}."
+    return f"The residual is not only noise: it correlates with {where}; adjusted p {small} of {len(tests)} tests."

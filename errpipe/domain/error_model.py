@@ -74,7 +74,7 @@ class ComponentModel(Frozen):
     component: str = Field(description="The response, such as EXX or E_Z.")
     unit: str = Field("um", description="Unit of the deviation.")
     terms: tuple[FittedTerm, ...] = Field(description="Terms whose sum is the deviation.")
-    nuisance: tuple[FittedTerm, ...] = Field((), description="Terms of the set-up, never compensated.")
+    nuisance: tuple[FittedTerm, ...] = Field((), description="Terms of the measuring set-up, never compensated.")
     parameter_names: tuple[str, ...] = Field((), description="Names of the covariance's rows and columns.")
     covariance: tuple[tuple[float, ...], ...] = quantity(
         "of the row's times the column's parameter", "Covariance of the parameters.", ()

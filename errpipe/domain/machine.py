@@ -84,7 +84,7 @@ class Tool(Frozen):
     mount: Vector | None = quantity("mm", "where it is held; the spindle's position where left out", None)
     direction: Direction = quantity("1", "from the mount to the tip", (0.0, 0.0, -1.0))
     length: float = quantity("mm", "from the mount along the direction", 0.0, ge=0)
-    offset: Vector = quantity("mm", "of the tip beside the length", (0.0, 0.0, 0.0))
+    offset: Vector = quantity("mm", "of the tip, added to the length", (0.0, 0.0, 0.0))
 
 
 class Machine(Frozen):

@@ -78,14 +78,14 @@ class Power(Operation):
 
 class Clip(Operation):
     op: Literal["clip"] = "clip"
-    low: Number = quantity("of the operand", "Lowest value let through.")
-    high: Number = quantity("of the operand", "Highest value let through.")
+    low: Number = quantity("of the operand", "Lowest output.")
+    high: Number = quantity("of the operand", "Highest output.")
 
 
 class Switch(Operation):
     op: Literal["switch"] = "switch"
-    on: Number = quantity("of the operand", "1 from here up.")
-    off: Number = quantity("of the operand", "0 from here down; between the two it stays.")
+    on: Number = quantity("of the operand", "1 at or above this value.")
+    off: Number = quantity("of the operand", "0 at or below this value; unchanged in between (hysteresis).")
 
 
 class Turning(Operation):

@@ -158,8 +158,8 @@ class ActsOn(Frozen):
     factor: float | None = quantity(
         "1",
         "Deviation along the axis per deviation of the component. A diameter on X: 0.5 (the default) where "
-        "the axis counts in radius, as the joints of a control do whatever the program says, 1 where its compensation "
-        "counts in diameter; with a minus where the tool stands on the minus side of the spindle. Others: 1.",
+        "the axis counts in radius, as joints of a control do in diameter programming too, 1 where its compensation "
+        "counts in diameter; negative where the tool is on the minus side of the spindle. Others: 1.",
         None,
         ge=-10,
         le=10,
@@ -170,7 +170,7 @@ class Column(Frozen):
     """What one column of the tables is."""
 
     role: Role = Field(description="What the column holds.")
-    unit: str | None = Field(None, description="Unit as it stands in the table.")
+    unit: str | None = Field(None, description="Unit of the values in the table.")
     axis: str | None = Field(None, description="Letter of the axis by ISO 841, such as X.")
     component: str | None = Field(None, description="Component by ISO 230-1, such as EXX, E_Z or F_X.")
     acts_on: ActsOn | None = Field(

@@ -105,7 +105,7 @@ class TableInput(Part):
     """
 
     name: Name = Field(description="Name of the channel.")
-    kind: Kind = Field(description="What the channel carries; motion and force are read every position cycle.")
+    kind: Kind = Field(description="Kind of quantity; motion and force are read every position cycle.")
     axis: Annotated[str, text(7, AXIS)] = Field("", description="Letter of the axis it belongs to.")
     unit: Annotated[str, text(15)] = Field("", description="Unit of the reading.")
     low: Number = quantity("of the input", "Lowest plausible reading.")
@@ -115,12 +115,14 @@ class TableInput(Part):
         "of the input", "Change that is no movement: noise and resolution of the reading (with max_rate).", 0.0
     )
     stale_after_s: Positive | None = quantity("s", "A reading older than this is rejected.", None)
-    substitute: tuple[Substitute, ...] = Field((), description="Summands of the reading's stand-in; none: no stand-in.")
+    substitute: tuple[Substitute, ...] = Field(
+        (), description="Summands of the reading's substitute; none: no substitute."
+    )
     substitute_offset: Number = quantity("of the input", "What is added to that sum.", 0.0)
     hold_s: Annotated[float, Field(ge=0, le=LARGEST_NUMBER)] | None = quantity(
-        "s", "How long the last accepted reading stands in; none: without end.", None
+        "s", "How long the last accepted reading is held; none: indefinitely.", None
     )
-    default: Number = quantity("of the input", "What stands in when nothing else is left.")
+    default: Number = quantity("of the input", "Value used if there is neither reading nor substitute.")
     optional: bool = Field(False, description="Absence is no fault (a direction the controller may know).")
     fade_on_default: bool = Field(True, description="While only the default is left, what is not `keep` fades out.")
     valid: tuple[Number, Number] | None = quantity("of the input", "Validity box: what the fit has seen.", None)
@@ -135,7 +137,9 @@ class TableInput(Part):
         if not self.low <= self.default <= self.high:
             raise ValueError(f"input {self.name}: default {self.default:g} lies outside {self.low:g}..{self.high:g}")
         if (self.valid is None) != (self.margin is None):
-            raise ValueError(f"input {self.name}: valid and margin come together (never a cliff)")
+            raise ValueError(
+                f"input {self.name}: valid and margin must be given together (a correction never ends in a step)"
+            )
         if self.noise > 0 and self.max_rate is None:
             raise ValueError(f"input {self.name}: noise {self.noise:g} without max_rate says nothing")
         if self.valid is not None and not self.valid[0] <= self.valid[1]:
@@ -158,7 +162,7 @@ class Profile(Part):
     input: Name | None = Field(None, description="Input it runs over; none: a constant.")
     start: Number = quantity("of the input", "Input at the first value.", 0.0)
     step: Positive = quantity("of the input", "Distance between two values.", 1.0)
-    scale: Positive = quantity("of the profile", "What one step of a value stands for.", 0.001)
+    scale: Positive = quantity("of the profile", "Size of one step of a value.", 0.001)
     periodic: bool = Field(False, description="Repeats beyond its ends, where others hold their end values.")
     values: tuple[Annotated[int, Field(ge=-LARGEST_VALUE, le=LARGEST_VALUE)], ...] = Field(
         min_length=1, description="Whole numbers; times `scale` they are the curve."
@@ -219,7 +223,7 @@ class Output(Part):
     axis: Annotated[str, text(7, AXIS)] = Field("", description="Letter of the axis that applies it.")
     unit: Literal["um", "urad"] = Field("um", description="Unit of the deviation that it corrects.")
     correction_unit: Literal["mm", "um", "urad", "deg", "rad"] = Field(
-        "mm", description="Unit the controller wants it in."
+        "mm", description="Unit in which the controller expects it."
     )
     magnitude: Positive | None = quantity("of the deviation", "Largest correction; none: no limit.", None)
     slew: Positive | None = quantity("of the deviation per s", "Largest rate of the correction.", None)

@@ -234,7 +234,9 @@ def survey(source: Source, spec: ModelSpec, scheme: holdout.HoldOut | str | None
         seen = None if all_measured else holdout.measured(batch)
         for label, first, end in stretches(batch):
             if label in lengths and label != last:
-                raise DataError(f"run {label} comes back after run {last}: in batches the rows of a run stand together")
+                raise DataError(
+                    f"run {label} appears again after run {last}: in batches the rows of a run must be contiguous"
+                )
             lengths[label] = lengths.get(label, 0) + int(end - first)
             last = label
             if seen is None or seen[first:end].any():

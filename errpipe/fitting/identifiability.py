@@ -103,7 +103,7 @@ def _words(direction, scaled, names, recording, component) -> str:
 def _is_constant(name: Named, component: str) -> str:
     what = " and ".join(name.drivers) or "its driver"
     return (
-        f"fit: {name} of {component} cannot be found: {what} never moves it away from zero on these rows."
+        f"fit: {name} of {component} cannot be estimated: {what} is zero or constant on all rows."
         f"\n     Leave the term out, or record a run in which {what} changes."
     )
 

@@ -120,7 +120,7 @@ def check_columns(names: list[str], kinds: Kinds, place: str) -> None:
     problems = []
     for name in dict.fromkeys(names):
         if names.count(name) > 1:
-            problems.append(f"{place}  column {name!r} stands {names.count(name)} times in the header (allowed: once)")
+            problems.append(f"{place}  column {name!r} occurs {names.count(name)} times in the header (allowed: once)")
     missing = [n for n, kind in kinds.items() if kind != "ignore" and n not in names]
     for name in dict.fromkeys(names):
         if name not in kinds:

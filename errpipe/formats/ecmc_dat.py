@@ -109,7 +109,7 @@ def _parse(path: Path) -> tuple[dict[int, float], dict[tuple[int, int, int], flo
         where: dict[Any, float] = targets if key == "TGT_DATA" else readings
         entry = index[0] if key == "TGT_DATA" else (WAYS[key], *index)
         if entry in where:
-            raise DataError(f"{path}:{line}  {text.partition('=')[0]} stands in the file twice")
+            raise DataError(f"{path}:{line}  {text.partition('=')[0]} occurs twice in the file")
         where[entry] = finite(value, f"{path}:{line}  {text.partition('=')[0]}")
     _complete(path, targets, readings, settings)
     line, unit = settings.get("UNIT", (0, DEFAULT_UNIT))

@@ -369,7 +369,7 @@ class _Order:
             of = f" of run {labels[run_of[i]]!r}" if run is not None else ""
             raise DataError(
                 f"{block.place(int(rows[i]))}  {time}: {values[i]:.12g} s comes after {before[i]:.12g} s{of}"
-                " (allowed: time that increases or stands still in a run)"
+                " (allowed: time that increases or repeats in a run)"
             )
         ends = np.flatnonzero(np.r_[run_of[1:] != run_of[:-1], True])
         self.last.update({labels[run_of[i]]: float(values[i]) for i in ends})

@@ -94,7 +94,7 @@ def _sections(path: Path) -> dict[str, list[_Line]]:
         if match := _SECTION.match(line.strip()):
             name = match[1].upper()
             if name in out and name in ("TARGET DATA", "DEVIATIONS"):
-                raise DataError(f"{path}:{number}  section {name}:: stands in the file twice")
+                raise DataError(f"{path}:{number}  section {name}:: occurs twice in the file")
             current = out.setdefault(name, [])
         elif line.strip():
             current.append((number, line.strip()))

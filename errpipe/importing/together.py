@@ -228,7 +228,7 @@ def add_log(p: Proposal, log: Proposal, stem: str) -> None:
 
 def _interleaved(p: Proposal, logged: pd.DataFrame, time: str, step: float) -> pd.DataFrame:
     """Rows of readings and of a log in the order of time, shape (both,); `run` is added where there is none."""
-    run = p.first("run") or p.put("run", None, "the run of the deviations; what was logged beside it", role="run")
+    run = p.first("run") or p.put("run", None, "the run of the deviations; what was logged with it", role="run")
     rows = pd.DataFrame(p.data)
     rows[run] = rows[run].astype(str) if run in rows else "1"
     spans = rows.groupby(run, sort=False)[time].agg(["min", "max"]).sort_values("min")

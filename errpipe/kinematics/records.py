@@ -318,7 +318,7 @@ def _square_columns(chain: Chain, records: list[Record], squares: Mapping[str, f
             raise DataError(f"squares.{square}: needs {pair[0]} and {pair[1]}, but {missing[0]} was not recorded")
         for component in pair:
             if component in out:
-                raise DataError(f"{component} cannot stand against two squares ({out[component][0]} and {square})")
+                raise DataError(f"{component} cannot be referred to two squares ({out[component][0]} and {square})")
             out[component] = (square, f"{square}: turn of the square")
     return out
 

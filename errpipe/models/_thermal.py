@@ -35,7 +35,7 @@ class ThermalFamily(Family):
     """A thermal model of one response: entrants that compete on groups left out of the rows it is fitted to."""
 
     component: str = Field(description="Response of the recording, such as E_D or E_Z.")
-    environment: str = Field("season", description="Group whose members stand for different surroundings.")
+    environment: str = Field("season", description="Group whose members differ in environment, such as seasons.")
     coverage: float = quantity("1", "Coverage of the prediction interval.", 0.9, gt=0.5, lt=1)
     datum_rows: int = Field(3, ge=1, description="First rows of a run whose mean is its zero.")
     documents: ClassVar[tuple[str, ...]] = (COMPETITION,)

@@ -19,7 +19,7 @@ class Auto(ThermalFamily):
     """Families compete on runs, seasons and duty cycles left out; their best mixture is fitted."""
 
     family: Literal["auto"] = Field("auto", description="Model family.")
-    among: tuple[str, ...] = Field((), description="Families that compete; all thermal ones where empty.")
+    among: tuple[str, ...] = Field((), description="Families that compete; empty: all thermal ones.")
 
     @field_validator("among")
     @classmethod

@@ -40,7 +40,7 @@ class Neural(ThermalFamily):
         with_ridge = Layer([*nodes, *rates(problem)], 0.0, UNITS, PENALTY_WITH_RIDGE, RIDGE)
         return [
             entrant(name, f"{called}, {UNITS} units", problem, layer)
-            for called, layer in ((name, alone), (f"{name} beside ridge", with_ridge))
+            for called, layer in ((name, alone), (f"{name} and ridge", with_ridge))
         ]
 
 

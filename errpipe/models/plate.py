@@ -31,9 +31,7 @@ class Plate(Family):
         "last",
         description="Plate that gives the errors of the machine: the last one, all of them, or the label of a run.",
     )
-    every: int = Field(
-        10, ge=2, description="Where there is one plate only: every so many of its holes are held out in turn."
-    )
+    every: int = Field(10, ge=2, description="With one plate only: every n-th of its holes is held out in turn.")
     measured_twice: tuple[str, str] | None = Field(
         None, description="Runs in which one plate was measured twice: what they differ by is the metrology floor."
     )

@@ -29,7 +29,9 @@ class Season(Family):
 
     family: Literal["season"] = Field("season", description="Model family.")
     component: str = Field(description="Response of the recording, such as E_D or E_Z.")
-    options: SeasonOptions = Field(SeasonOptions(), description="How it is fitted; the defaults are the tested ones.")
+    options: SeasonOptions = Field(
+        SeasonOptions(), description="Options of the fit; the defaults are those that were validated."
+    )
     documents: ClassVar[tuple[str, ...]] = (CAUSES,)
     seasonal: ClassVar[bool] = True
     competes: ClassVar[bool] = True

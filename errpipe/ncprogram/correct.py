@@ -165,8 +165,8 @@ class _Reader:
         missing = [modal.LINEAR[n] for n in range(3) if np.isnan(points[:, n]).any()]
         if missing:
             where = (
-                f"where {' and '.join(missing)} stands is not known yet, at the start or behind a tool change or "
-                "reference point (move it with G0 first, or say --start x,y,z)"
+                f"the position of {' and '.join(missing)} is not known at the start or after a tool change or "
+                "reference point (move it with G0 first, or give --start x,y,z)"
             )
             raise refuse(block.line, block.source, where)
 
@@ -175,8 +175,8 @@ class _Reader:
         stops = modal.OFF_M & set(block.codes("M"))
         if stops and len(points) > 1:
             why = (
-                f"{sorted(stops)[0]} beside a motion of {len(points)} segments: controls differ in whether it acts "
-                "before the motion or behind it (give it a line of its own)"
+                f"{sorted(stops)[0]} with a motion of {len(points)} segments: controls differ in whether it acts "
+                "before or after the motion (put it on a separate line)"
             )
             raise refuse(block.line, block.source, why)
 

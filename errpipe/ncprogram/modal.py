@@ -287,7 +287,9 @@ def _end(block: Block, state: State) -> tuple[float | None, ...]:
         elif state.absolute:
             end.append(given * scale)
         elif here is None:
-            raise refuse(block.line, block.source, f"an increment in {letter}, but where {letter} stands is not known")
+            raise refuse(
+                block.line, block.source, f"an increment in {letter}, but the position of {letter} is not known"
+            )
         else:
             end.append(here + given * scale)
     return tuple(end)

@@ -30,11 +30,11 @@ def segments(block: Block, motion: Motion, chord_error: float, longest: float) -
         error = 0.0
     for n, letter in enumerate(ROTARY, len(LINEAR)):
         if len(points) > 1 and np.isnan(start[n]) and block.value(letter) is not None:
-            raise refuse(block.line, block.source, f"where {letter} stands is not known yet (move it with G0 first)")
+            raise refuse(block.line, block.source, f"the position of {letter} is not known yet (move it with G0 first)")
         if len(points) > 1 and nc_paths.is_long_way_round(start[n], end[n]):
             why = (
-                f"{letter} from {start[n]:g} to {end[n]:g} is the long way round: an axis that counts on goes it, one "
-                "that takes the shorter way does not, but would in parts (give it two blocks of at most 180 deg)"
+                f"{letter} from {start[n]:g} to {end[n]:g} is the long way round: an axis that counts on takes it, one "
+                "that takes the shorter way would only do so in parts (use two blocks of at most 180 deg)"
             )
             raise refuse(block.line, block.source, why)
     return points, error

@@ -84,7 +84,7 @@ def write_pair(key: SecretKey, folder: Path) -> tuple[Path, Path]:
     secret, public = folder / "errpipe.key", folder / "errpipe.pub"
     for path in (secret, public):
         if path.exists() or path.is_symlink():
-            raise UsageError(f"{path}: is there already (a key is never overwritten)")
+            raise UsageError(f"{path}: exists already (a key is never overwritten)")
     with os.fdopen(os.open(secret, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as stream:
         stream.write(key.text())
     jsonfile.write_text(public, key.public.text())

@@ -67,7 +67,7 @@ def with_twins(
             by_component = csv_values(recording, how, _needed(file, "a CSV file"))
         case FromModel():
             if model is None:
-                raise UsageError("twin: no error model: name a file, or let a fit stage stand before it")
+                raise UsageError("twin: no error model: name a file, or put a fit stage before it")
             by_component = _model(recording, model)
         case FromFmu():
             from errpipe.simulation import fmu

@@ -50,7 +50,7 @@ class FmuOptions(Options):
     outputs: dict[str, FmuOutput] = Field(min_length=1, description="Response of the recording -> variable of the FMU.")
     parameters: dict[str, float] = quantity("of each", "Values to set before the start, in the FMU's units.", {})
     recalibrate: tuple[Tunable, ...] = Field(
-        (), max_length=MAX_TUNABLE, description="Parameters to set right on the recording."
+        (), max_length=MAX_TUNABLE, description="Parameters to fit to the recording."
     )
     step: float | None = quantity(
         "s", "Communication step; default: the FMU's own, else a quarter of the rows' step.", None, gt=0

@@ -77,7 +77,7 @@ class Plan:
         forward = np.diff(t)[np.diff(self.session) == 0]
         forward = forward[forward > 0]
         if not forward.size:
-            raise DataError(f"{self.name}: time stands still in every run: say the communication step (`step`)")
+            raise DataError(f"{self.name}: time does not advance in any run: state the communication step (`step`)")
         return float(np.median(forward)) / STEPS_PER_ROW
 
     def _unit(self, name: str, said: str | None) -> str:

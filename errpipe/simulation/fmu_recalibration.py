@@ -63,7 +63,9 @@ def recalibrated(
         }
         for n, a, b, x, s in zip(names, low, high, optimum.x, sensitive, strict=True)
     ]
-    plan.notes += [f"{t['parameter']} moves nothing but the datum: it stays open" for t in parameters if not t["shows"]]
+    plan.notes += [
+        f"{t['parameter']} changes only the datum: it is not determined" for t in parameters if not t["shows"]
+    ]
     plan.notes += [f"{t['parameter']} ends at a bound of what can be" for t in parameters if t["at_a_bound"]]
     return (values if improved else begin), parameters
 

@@ -16,7 +16,7 @@ class TwinOptions(Options):
     datum: Literal["absolute", "run_start"] | None = Field(
         None,
         description="What zero means: as simulated, or each run's first readings; default: absolute, and for an error "
-        "model what the model says.",
+        "model the one of the model.",
     )
     most_missing: float = quantity(
         "1", "Refuse a twin that leaves more than this share of the recorded rows empty.", 0.1, ge=0, lt=1
@@ -49,7 +49,7 @@ class FromCsv(TwinOptions):
     run: str | None = Field(
         None, description="Column with the run's label; needed where the recording's runs overlap in time."
     )
-    separator: Literal[",", ";", "\t"] = Field(",", description="What stands between two cells.")
+    separator: Literal[",", ";", "\t"] = Field(",", description="Separator between cells.")
     longest_gap: float | None = quantity(
         "s", "Nothing is interpolated over a longer step; default: ten usual steps.", None, gt=0
     )

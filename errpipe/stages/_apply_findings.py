@@ -127,14 +127,18 @@ def _response_document(c: Corrected, why_not: Mapping[tuple[str, str], str]) -> 
 
 def terms_text(done: Sequence[Corrected]) -> str:
     """The accepted findings as YAML 1.2: `components` of a fit stage, every parameter fixed."""
-    lines = ["# Effects missing from the simulation, for `components:` of a fit stage; remove `fixed` to refit a parameter."]
+    lines = [
+        "# Effects missing from the simulation, for `components:` of a fit stage; remove `fixed` to refit a parameter."
+    ]
     rows = []
     for c in done:
         terms = []
         for part in c.parts:
             where = part.finding.where.plain()
             says = f"  # acts in {flow(where)} only" if where else ""
-            says += "  # corrects the gain of an effect that the simulation includes" if part.finding.effect == GAIN else ""
+            says += (
+                "  # corrects the gain of an effect that the simulation includes" if part.finding.effect == GAIN else ""
+            )
             for term, values in zip(part.terms, part.values, strict=True):
                 terms.append(f"      - {flow(plain(term) | {'fixed': values})}{says}")
         if (c.gain, c.offset) != (1.0, 0.0):

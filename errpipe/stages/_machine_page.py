@@ -140,7 +140,7 @@ def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]
         sizes = {"before": machine_figures.size_of(chain, errors), "after": spread}
         caption = (
             "Before: the error as identified. After: what may remain once it is compensated, the standard error of the "
-            "identification. Its direction is not known; only a test at positions not used here would show the true residual."
+            "identification. Its direction is not known; a test at positions not used here would show the residual."
         )
     figures = [("Volumetric error, before and after", machine_figures.vectors(chain, q, before, after), caption)]
     if len(chain.linear) >= 2:

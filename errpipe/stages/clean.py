@@ -27,7 +27,9 @@ class Clean(Stage):
     """Apply cleaning rules; refuse where one would remove more than its share."""
 
     kind: Literal["clean"]
-    rules: tuple[AnyRule, ...] = Field(DEFAULT, description="Rules, applied in this order; default: the standard rules.")
+    rules: tuple[AnyRule, ...] = Field(
+        DEFAULT, description="Rules, applied in this order; default: the standard rules."
+    )
     rows_in_memory: int = quantity(
         "1",
         "A longer recording is cleaned in batches of whole runs, and a longer run in pieces: limits on the share "

@@ -44,7 +44,9 @@ def diagnose(
         and (Path(apply) / MANIFEST).exists()
         and not (Path(apply) / _apply_findings.DOCUMENT).exists()
     ):
-        raise UsageError(f"--apply {apply}: contains a recording that is not a corrected simulation: name another folder")
+        raise UsageError(
+            f"--apply {apply}: contains a recording that is not a corrected simulation: name another folder"
+        )
     half = 1.0 if apply is None else 0.5
     try:
         read, notes, parameters = with_simulation(manifest_folder.read(Path(recording)), simulation)
@@ -61,7 +63,9 @@ def diagnose(
         says += [*_apply_findings.in_words(applied), *(str(f) for f in sorted(Path(apply).iterdir()))]
         summary |= {"apply": applied}
     elif any(r.verdict == "missing_physics" for r in diagnosis.responses):
-        says.append("--apply DIR writes the simulation with the missing physics added: recording, terms, patch.py, patch.fmu")
+        says.append(
+            "--apply DIR writes the simulation with the missing physics added: recording, terms, patch.py, patch.fmu"
+        )
     says.append(str(Path(out) / "report.html"))
     return summary
 

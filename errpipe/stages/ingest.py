@@ -31,8 +31,12 @@ class Ingest(Stage):
         description="Table (.ect) that was active during the recording: its correction is removed from the "
         "deviations, which are then those of the uncompensated machine.",
     )
-    compensated_since: str | None = Field(None, description="First run recorded with that table; default: the first of all.")
-    since_run: str | None = Field(None, description="First run that is used; earlier runs are discarded, such as those before a repair.")
+    compensated_since: str | None = Field(
+        None, description="First run recorded with that table; default: the first of all."
+    )
+    since_run: str | None = Field(
+        None, description="First run that is used; earlier runs are discarded, such as those before a repair."
+    )
     without_runs: tuple[str, ...] = Field((), description="Runs that are not used, such as faulty measurements.")
 
     takes: ClassVar[Mapping[str, Need]] = {"simulated": Need("raw_recording", optional=True)}

@@ -69,7 +69,9 @@ def _reading(test: Any) -> str:
     significant = [e.says for e in test.effects if e.ci95[0] * e.ci95[1] > 0]
     not_significant = [f"{e.effect.replace('_', ' ')} {e.where}" for e in test.effects if e.ci95[0] * e.ci95[1] <= 0]
     summary = (
-        f"Read off the plot, largest first: {'; '.join(significant)}." if significant else "No systematic error is visible."
+        f"Read off the plot, largest first: {'; '.join(significant)}."
+        if significant
+        else "No systematic error is visible."
     )
     addition = f" Not significant (95 %): {', '.join(not_significant)}." if not_significant else ""
     return (

@@ -141,9 +141,7 @@ def _readings(validation: Mapping[str, Any]) -> list[tuple[str, str, str]]:
             f"All groups, readings per shift: rms in {c['unit']}: {rms}. "
             "An export takes readings with readings_per_shift; errpipe predict takes them from a file (--readings)."
         )
-        out.append(
-            (f"{c['component']}: occasional readings", by_readings(levels, c["component"], c["unit"]), caption)
-        )
+        out.append((f"{c['component']}: occasional readings", by_readings(levels, c["component"], c["unit"]), caption))
     return out
 
 

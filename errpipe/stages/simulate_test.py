@@ -39,7 +39,9 @@ class SimulateTest(Stage):
     ] = Field("point_cloud", description="Which test; direct: laser and level along each axis, both ways.")
     points: int = Field(150, ge=20, le=5000, description="Places of a point cloud, each seen with three tools.")
     targets: int = Field(17, ge=5, le=500, description="Targets along each axis of a direct measurement.")
-    cycles: int = Field(3, ge=1, le=50, description="Number of passes of each axis in both directions in a direct measurement.")
+    cycles: int = Field(
+        3, ge=1, le=50, description="Number of passes of each axis in both directions in a direct measurement."
+    )
     reversal: float = quantity("um", "Typical reversal of an axis in a direct measurement.", 4.0, ge=0)
     noise: float = quantity("um", "Standard deviation of a reading.", 0.5, gt=0)
     seed: int = Field(1, ge=0, description="Seed of the machine's errors and of the noise.")

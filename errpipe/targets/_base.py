@@ -31,12 +31,12 @@ CAUTION = "experimental: rests on experience, not on a manual or a run; prove th
 AS_THE_AXIS = "mm (deg for rotary axes): the axis must count in mm (deg); set to inches it would take them 25.4 times"
 
 # Of a control's own backlash value, where the table of an axis is the same in both directions.
-KEPT_BACKLASH = "stays as it was while measuring (the table knows no lost motion)"
+KEPT_BACKLASH = "stays as it was while measuring (the table has no lost motion)"
 
 # Of LinuxCNC, in its own screw files as in a component: tests/e2e/linuxcnc/test_closed_loop.py.
 HOMED_AT_ONCE = (
-    "after homing move each joint 1 mm up and down before touching off: one that is homed where it stands "
-    "(HOME_SEARCH_VEL = 0) jumps to its new position, which counts as a move; its lost motion may stand on the wrong "
+    "after homing move each joint 1 mm up and down before touching off: one that is homed in place "
+    "(HOME_SEARCH_VEL = 0) jumps to its new position, which counts as a move; its lost motion may be on the wrong "
     "side, and a COMP_FILE may not act at all, until it moves"
 )
 

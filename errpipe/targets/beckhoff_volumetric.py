@@ -29,8 +29,8 @@ class BeckhoffVolumetric(Target):
     name = "beckhoff_volumetric"
     controller = "TwinCAT CNC TF5280, ISG kernel"
     confidence = "documented"
-    sign = "a positive EXX means the axis goes too far (a deviation); the controller moves it in minus"
-    limits = "components over one axis; 5 compensations of 10 files; static: temperatures stand at their default"
+    sign = "a positive EXX means the axis travels too far (a deviation); the controller moves it in minus"
+    limits = "components over one axis; 5 compensations of 10 files; static: temperatures are at their default"
     unit = "mm and rad; positions in mm (deg)"
     holds = ("screw",)
     source = "TF5280 volumetric compensation, ISG CSV; ISG kernel units page"

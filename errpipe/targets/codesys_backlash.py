@@ -32,7 +32,7 @@ class CodesysBacklash(Target):
     remark = {"": "(* {} *)"}
     source = "SM3_Basic library documentation: SMC_BacklashCompensation, SMC_BACKLASH_STARTSTATE"
     activation = (
-        "declare a virtual master <axis>_Master for each axis beside the real <axis>_Slave; call it each bus cycle",
+        "declare a virtual master <axis>_Master for each axis besides the real <axis>_Slave; call it each bus cycle",
         "bring both to one position, then set bExecute; compare one position from both sides with an indicator",
     )
 

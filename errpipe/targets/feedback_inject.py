@@ -39,7 +39,7 @@ class FeedbackInject(Target):
     confidence = "verified"
     sign = "a positive correction takes counts off what the controller sees, so the loop moves the axis in plus"
     limits = (
-        "whole counts; quadrature A, B, Z with an index; a tenth of the count rate; whole table, computed beside it"
+        "whole counts; quadrature A, B, Z with an index; a tenth of the count rate; whole table, evaluated in parallel"
     )
     unit = "encoder counts: the correction in mm or deg times the scale that is filled in"
     holds = ("screw", "both directions", "cross", "temperature")

@@ -46,7 +46,7 @@ class HeidenhainCom(Target):
     holds = ("screw", "both directions", "cross")
     source = "MANUALplus 620 technical manual p. 716, 718; TNC 407 technical manual p. 153 to 156"
     activation = (
-        "take the first line of each file out: it says what this list says",
+        "remove the first line of each file: it repeats these instructions",
         "copy the .COM files and config.CMA to the control's table folder; one line ACTIVE *",
         "MP730 axis error compensation active; compare the position display at three points with a gauge",
         "compare them from above too: if an axis that is right from below is off by its error there, the control takes "
@@ -91,7 +91,7 @@ class HeidenhainCom(Target):
         expect(len(active) == 1, "CONFIG.CMA", f"{len(active)} active lines (one is needed)")
         curves = []
         for name in (word for word in active[0][2:] if word != "-"):
-            expect(f"{name}.COM" in files, "CONFIG.CMA", f"names {name}.COM, which is not there")
+            expect(f"{name}.COM" in files, "CONFIG.CMA", f"names {name}.COM, which does not exist")
             curves += _read(name, files[f"{name}.COM"])
         return ReadBack(curves=tuple(curves))
 

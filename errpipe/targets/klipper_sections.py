@@ -135,7 +135,7 @@ def _thermal(table: CompensationTable) -> str:
     most = max(lines, key=lambda line: abs(line.level))
     expect(abs(most.level) <= 1.0, FILE, "more than 1 mm/K")
     return (
-        "# the sensor itself (sensor_type, sensor_pin, min_temp, max_temp) stands in the same section of printer.cfg\n"
+        "# the sensor itself (sensor_type, sensor_pin, min_temp, max_temp) is in the same section of printer.cfg\n"
         f"# sensor {most.sensor} reference {most.reference:.4f}\n"
         f"[z_thermal_adjust]\ntemp_coeff: {-most.level:.9f}\nmax_z_adjustment: 1.0\n\n"
     )

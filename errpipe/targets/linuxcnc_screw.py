@@ -51,7 +51,7 @@ class LinuxcncScrew(ScrewMap):
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
         says = {
             True: "no BACKLASH (the file holds both directions)",
-            False: "no BACKLASH acts beside COMP_FILE, and the table knows no lost motion: measure both directions",
+            False: "BACKLASH has no effect with a COMP_FILE, and the table has no lost motion: measure both directions",
         }
         out = [
             ByHand(f"[JOINT_n] of {c.axis}: {says[_sample.depends_on_direction(table, c.axis)]}") for c in read.curves

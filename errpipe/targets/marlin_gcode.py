@@ -82,7 +82,7 @@ def _read_mesh(text: str) -> tuple[Plane, ...]:
         return ()
     counts = int(head[1]), int(head[2])
     fades = r"^M420 S1(?! Z0$)"
-    expect(re.search(fades, text, re.M) is None, FILE, "lets the mesh fade out with height (M420 S1 without Z0)")
+    expect(re.search(fades, text, re.M) is None, FILE, "fades out the mesh with height (M420 S1 without Z0)")
     rows = re.findall(r"^M421 I(\d+) J(\d+) Z(-?[\d.]+)$", text, re.M)
     expect(len(rows) == counts[0] * counts[1], FILE, f"{len(rows)} points in a mesh of {counts[0]} x {counts[1]}")
     values = np.full(counts, np.nan)

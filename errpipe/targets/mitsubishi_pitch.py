@@ -58,7 +58,9 @@ class MitsubishiPitch(ScrewMap):
         lines, first = [f"# {CAUTION}"], 1
         axes = [axis for _, axis in cls.own_axes(table)]
         if any(is_rotary(axis) for axis in axes):
-            raise GateError("mitsubishi_pitch: linear axes only (no manual that was read says how a turn is divided)")
+            raise GateError(
+                "mitsubishi_pitch: linear axes only (the manuals consulted do not state how a turn is divided)"
+            )
         for number, axis in enumerate(axes):
             points, _ = _sample.uniform(table, axis, axis, cls.most, cls.error_um)
             at, step, values = _divided(table, axis, points.step, cls.most)

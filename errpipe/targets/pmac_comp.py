@@ -77,7 +77,7 @@ class PmacComp(ScrewMap):
             if not _sample.turns(table, axis):
                 low, high = next((c.positions[0], c.positions[-1]) for c in read.curves if c.axis == axis)
                 says = f"software limits (I{number}13, I{number}14) within {low:g} to {high:g} {unit_of(axis)}"
-                out.append(ByHand(f"{axis}: {says}: beyond, the table begins again at its other end"))
+                out.append(ByHand(f"{axis}: {says}: beyond, the table repeats from its other end"))
         return tuple(out)
 
     @classmethod

@@ -75,11 +75,11 @@ class SinumerikCec(Target):
         "= 1; reference again",
         "prove the sign, two minutes, clear of any part: dial gauge on the output axis, standing where $AN_CEC of its "
         "table is largest; SD41310 CEC_TABLE_WEIGHT[n] from 0 to 1: of a positive value the axis must go in minus, by "
-        "that value. Goes it in plus, this control takes values with the other sign: SD41300 = 0, turn the sign of "
+        "that value. If it moves in plus, this control uses the opposite sign: SD41300 = 0, turn the sign of "
         "every value of the axis' tables (of a product: of its first and third table), load again; then compare the "
         "three points below",
         "MD32720 CEC_MAX_SUM (mm) above the largest value of the list below, MD32730 CEC_MAX_VELO: the control limits "
-        "the sum and its rate with an alarm, and goes on",
+        "the sum and its rate with an alarm, and continues",
         "tables with MULT_BY_TABLE (products): enable all four of a product or none; basic system metric (MD10240 = 1)",
         "MD32711 CEC_SCALING_SYSTEM = 1 (metric) of each output axis: 0 takes the values as inches",
         "to learn how this control reads a product, clear of any part: SD41300 = 0 for the second pair of the four, go "
@@ -166,7 +166,7 @@ class SinumerikCec(Target):
         numbers = sorted({int(n) for n in re.findall(r"\$AN_CEC\[(\d+),", text)})
         errors = {n: _read(text, n, letters) for n in numbers}
         links = {int(n): int(m) - 1 for n, m in re.findall(r"\$AN_CEC_MULT_BY_TABLE\[(\d+)\]=(\d+)", text) if int(m)}
-        expect(set(links.values()) <= set(numbers), FILE, "multiplies by a table that is not there")
+        expect(set(links.values()) <= set(numbers), FILE, "multiplies by a table that does not exist")
         for part in (set(links), set(links.values())):
             _check_products_cancel([errors[n] for n in sorted(part)])
         alone = [errors[n] for n in numbers if n not in links and n not in links.values()]

@@ -37,7 +37,7 @@ class SmoothiePitch(ScrewMap):
     source = "the firmware's own reader of pitch_compensation.dat, module key pitch_compensation.enable"
     activation = (
         "copy the file to the SD card; in config: pitch_compensation.enable true; reset",
-        "home, then compare three points with a gauge: without that line the file is not read, and nothing says so",
+        "home, then compare three points with a gauge: without that line the file is not read, without any warning",
     )
 
     @classmethod
@@ -80,7 +80,7 @@ def _rows(curve: Curve) -> list[str]:
 
 def _integrated(axis: str, rows: np.ndarray) -> Curve:
     x, extra = rows[:, 0], rows[:, 1] - 1.0
-    expect(extra[0] == 0.0 == extra[-1], FILE, f"{axis} goes on beyond its ends")
+    expect(extra[0] == 0.0 == extra[-1], FILE, f"{axis} does not end with a correction of 0")
     sums = np.r_[0.0, np.cumsum((extra[1:] + extra[:-1]) / 2 * np.diff(x))]
     value = sums - np.interp(0.0, x, sums)
     return Curve(axis, axis, x, value, value)

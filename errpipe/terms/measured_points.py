@@ -96,7 +96,9 @@ def _targets(x: np.ndarray, axis: str) -> tuple[float, ...]:
     """The places at which readings gather. Raises DataError where there are too many of them or fewer than two."""
     sorted_x = np.sort(x[np.isfinite(x)])
     if sorted_x.size == 0 or sorted_x[-1] == sorted_x[0]:
-        raise DataError(f"measured_points: the readings stand at one place of {axis} (at least two targets are needed)")
+        raise DataError(
+            f"measured_points: all readings are at one position of {axis} (at least two targets are needed)"
+        )
     near = SAME_TARGET * (sorted_x[-1] - sorted_x[0])
     starts = np.flatnonzero(np.r_[True, np.diff(sorted_x) > near])
     groups = np.split(sorted_x, starts[1:])

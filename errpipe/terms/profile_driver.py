@@ -30,7 +30,7 @@ class Factor(Frozen):
     lag: bool = Field(False, description="Acts through a first-order lag whose time constant is solved for.")
     tau: tuple[float, float] = quantity("s", "Bounds of that time constant.", (60.0, 30000.0))
     power: float | None = quantity("1", "sign(u) |u|^power.", None, gt=0)
-    unit: str = Field("K", description="Unit of the input, as it stands in the parameter's unit.")
+    unit: str = Field("K", description="Unit of the input, as used in the parameter's unit.")
 
     def driver(self, tau: float | None) -> d.Driver:
         """The factor as a driver, its time constant put in."""

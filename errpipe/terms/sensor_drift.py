@@ -26,7 +26,7 @@ class SensorDrift(Term):
     """
 
     term: Literal["sensor_drift"] = "sensor_drift"
-    restarts: bool = Field(False, description="Does the clock start anew with each run?")
+    restarts: bool = Field(False, description="Does the clock restart with each run?")
     family = "measurement"
     compensable = False
     artefact = "it is the instrument that drifts, not the machine: correct the reading"

@@ -146,7 +146,7 @@ def changes_with_place(recording: Recording, left: np.ndarray) -> str:
                 after += float(np.sum((y - np.polyval(np.polyfit(x, y, 1), x)) ** 2))
         if before - after > MUCH_BY_PLACE * before:
             return (
-                f"; {100 * (1 - after / before):.0f} % of what is left is a straight line over {name} in each run: a "
+                f"; {100 * (1 - after / before):.0f} % of the residual is a straight line over {name} in each run: a "
                 "thermal family is the same at every place, fit terms over the position instead"
             )
     return ""

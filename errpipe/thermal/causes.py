@@ -103,7 +103,7 @@ def sensors(
     bodies = tuple(n for n in names if n != room)
     if not bodies:
         raise DataError(
-            "thermal model: every temperature of the recording is that of the room (needed: one on the machine; "
+            "thermal model: every temperature of the recording is a room temperature (needed: one on the machine; "
             "correct its location in the manifest, or name the room's sensor with `room`)"
         )
     near = tuple(n for n in bodies if _SPINDLE.search(_place(recording, n)))

@@ -34,6 +34,6 @@ class SeasonOptions(Frozen):
     fade: float = quantity(
         "K", "Start this much outside what was seen (mean over sensors): the correction is gone.", 0.4, gt=0
     )
-    environment: str = Field("season", description="Group whose members stand for different surroundings.")
+    environment: str = Field("season", description="Group whose members differ in environment, such as seasons.")
     coverage: float = quantity("1", "Coverage of the prediction interval.", 0.9, gt=0.5, lt=1)
     datum_rows: int = Field(3, ge=1, description="First rows of a run whose mean is its zero.")

@@ -15,16 +15,16 @@ EXPLANATIONS: dict[str, str] = {
     ),
     "beyond-limit": (
         "The correction is larger than `export: {limit: ...}`; by default 0.5 mm or 1/1000 of the travel, "
-        "whichever is more (1 mm/m for angles). A machine that is that wrong needs its screw pitch or steps "
-        "per mm set right first."
+        "whichever is more (1 mm/m for angles). A machine with such an error needs its screw pitch or steps "
+        "per mm corrected first."
     ),
     "constant-deviation": (
-        "Every reading of the error column is the same number, or one fine reading stands in many rows. It is another "
-        "column, a value that was filled in, or the instrument did not log."
+        "Every reading of the error column is the same number, or one precise reading is repeated in many rows. "
+        "It is another column, a value that was filled in, or the instrument did not log."
     ),
     "copy-of-column": (
         "The error column is another column times a constant, row for row, or one run repeats another to the last "
-        "digit (a file imported twice). It holds no measurement of its own."
+        "digit (a file imported twice). It contains no independent measurement."
     ),
     "direction-not-of-motion": (
         "The axis sweeps up and down, but the direction column does not follow it. It is +1 when the position rises."
@@ -34,7 +34,7 @@ EXPLANATIONS: dict[str, str] = {
         "The error or the temperature is in another unit, or another sensor is meant."
     ),
     "exchanged-sensors": (
-        "From one run on two temperatures read in each other's place, as the runs before show: plugs were exchanged. "
+        "From one run on two temperatures are exchanged, as earlier runs show: their plugs were exchanged. "
         "Exchange the readings back, or give both columns the role ignore."
     ),
     "jump": (
@@ -42,8 +42,8 @@ EXPLANATIONS: dict[str, str] = {
         "full turn that was not counted."
     ),
     "mirrored-rows": (
-        "Both directions agree only when the readings of one are taken in the opposite order: the way back was written "
-        "in the order of the targets, the positions in the order of the measurement."
+        "Both directions agree only when the readings of one are taken in the opposite order: the return pass was "
+        "written in the order of the targets, the positions in the order of the measurement."
     ),
     "mixed-sign": "One run or one direction holds the curve of the others with the other sign.",
     "mixed-units": (
@@ -51,19 +51,19 @@ EXPLANATIONS: dict[str, str] = {
     ),
     "new-zero": (
         "From one run to the next every target shifts by one amount, several times what runs differ by otherwise: the "
-        "zero of the instrument was set anew, or the axis was homed. Take the shift out of the readings from that run "
-        "on, or leave the runs on one side of it out."
+        "instrument was zeroed again, or the axis was homed. Subtract the shift from the readings from that run "
+        "on, or leave out the runs before or after it."
     ),
     "not-a-temperature": "A temperature column follows the position back and forth within every run.",
     "other-zero": (
-        "The deviation stands at one large value everywhere and hardly varies: the readings count from another zero "
-        "than the positions do. Subtract the reading at the reference position, or set both to zero there."
+        "The deviation has one large value everywhere and hardly varies: the readings are counted from another zero "
+        "than the positions. Subtract the reading at the reference position, or set both to zero there."
     ),
     "outside-travel": (
         "Positions leave the travel of the manifest, or cover so little of it that their unit must be another one."
     ),
     "reversal-sign": (
-        "Approached from below the axis stands further than from above. Lost motion does the opposite; check "
+        "Approached from below the axis stops further than from above. Lost motion does the opposite; check "
         "the sign of the error and of the direction."
     ),
     "reversed-direction": ("The direction column is +1 when the position falls. It is +1 for an approach from below."),
@@ -71,7 +71,7 @@ EXPLANATIONS: dict[str, str] = {
     "run-per-row": ("The run column has a new label in every row. Held-out validation would leave out single rows."),
     "shifted-rows": (
         "The two directions agree much better when each deviation is moved to the neighbouring target: the "
-        "column is shifted by one row. Two F tests say so: chance gives it to fewer than one sound recording in 1000."
+        "column is shifted by one row. Two F tests show it, with fewer than one false alarm in 1000 recordings."
     ),
     "shrinks-when-warm": (
         "The slope of the deviation falls by 5 to 26 um/m for each kelvin of every temperature. Scales and "
@@ -79,7 +79,7 @@ EXPLANATIONS: dict[str, str] = {
     ),
     "shuffled-rows": (
         "One run jumps from target to target and does not have the shape of the others, which are smooth and alike: "
-        "its rows stand in another order than its positions, or its measurement failed."
+        "its rows are in another order than its positions, or its measurement failed."
     ),
     "temperature-jump": (
         "A temperature steps by more than 15 K from one row of a run to the next and comes back as suddenly. A sensor "
@@ -99,7 +99,7 @@ EXPLANATIONS: dict[str, str] = {
         "wrong than those with it off, or as wrong the other way round. The sign is reversed, or the error that was "
         "compensated is twice the true one (a radius beside a diameter, a double pass of a laser)."
     ),
-    "wrong-axis": "The component belongs to an axis that stands still, or whose position is not recorded.",
+    "wrong-axis": "The component belongs to an axis that does not move, or whose position is not recorded.",
 }
 
 if TYPE_CHECKING:

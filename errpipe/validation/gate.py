@@ -41,7 +41,9 @@ def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> Pa
         halves = any(v.get("scheme") == HALVES for v in validations)
         reasons = "; ".join(_reason(one, halves) for one in judged) or "no component was judged"
         more = " One run shows too little of the next one: measure further days, each as a run." if halves else ""
-        raise GateError(f"export: not better than nothing on held-out rows ({reasons}). Nothing was exported.{more}")
+        raise GateError(
+            f"export: not better than no compensation on held-out rows ({reasons}). Nothing was exported.{more}"
+        )
     return Passed(model.model_copy(update={"components": tuple(kept)}), tuple(left_out), tuple(judged))
 
 
@@ -50,7 +52,7 @@ def not_judged(model: ErrorModel) -> GateError:
     names = ", ".join(c.component for c in model.components)
     return GateError(
         f"export: no validation judged this model ({names}) on held-out rows (add a `validate` stage after the fit, or "
-        "say `ungated: true` to export it all the same)"
+        "set `ungated: true` to export it anyway)"
     )
 
 

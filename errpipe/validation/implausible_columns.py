@@ -79,7 +79,7 @@ def direction_against_motion(recording: Recording) -> Iterator[Finding]:
                 yield Finding("direction-not-of-motion", side, evidence, "a column that was not logged", "ask")
             continue
         if run[0] != run[-1] and x.size < DENSE_ROWS and np.all(np.diff(x) > 0):
-            evidence = f"{place} rises from row to row through all runs, and it changes all the same"
+            evidence = f"{place} rises from row to row through all runs, and yet it changes"
             yield Finding("direction-not-of-motion", side, evidence, "another position (this one counts the rows)")
             continue
         same = np.sign(step[moved]) == d[1:][moved]
@@ -305,7 +305,7 @@ def copies(recording: Recording) -> Iterator[Finding]:
                 slope *= float(np.ptp(d[good])) / float(np.ptp(u[good]))
                 evidence = f"it is {other} times {slope:.6g} and a constant, row for row"
                 yield Finding(
-                    "copy-of-column", name, evidence, "another column: this one holds no measurement of its own"
+                    "copy-of-column", name, evidence, "another column: this one contains no independent measurement"
                 )
                 break
 

@@ -56,7 +56,7 @@ def absolute_readings(r: Response) -> Finding | None:
         return Finding("absolute-readings", r.column, percent, meant)
     for ratio, words in UNITS:
         if abs(abs(share) / ratio - 1) < 1e-3 and residual < STRAIGHT * reach:
-            what = f"{percent}, {words} than the position and without any shape of its own"
+            what = f"{percent}, {words} than the position and otherwise without structure"
             return Finding("absolute-readings", r.column, what, "absolute readings whose unit is wrong as well")
     return None
 
@@ -90,7 +90,7 @@ def other_zero(r: Response) -> Finding | None:
     middle, spread = float(np.median(r.deviation)), float(np.ptp(r.deviation))
     if abs(middle) <= OTHER_ZERO_UM or spread > OF_ITS_ZERO * abs(middle):
         return None
-    evidence = f"the deviation stands at {middle:.6g} um everywhere and varies by {spread:.3g} um"
+    evidence = f"the deviation is {middle:.6g} um everywhere and varies by {spread:.3g} um"
     meant = "readings that count from another zero than the positions: subtract the reading at the reference position"
     return Finding("other-zero", r.column, evidence, meant)
 

@@ -116,7 +116,7 @@ def mirrored_rows(r: Response) -> Finding | None:
     if not is_rearranged(r, straight**2, mirrored**2, curves.shape[1], noise_of_difference(r)):
         return None
     evidence = f"both directions agree {straight / max(mirrored, 1e-12):.3g} times better when one is read backwards"
-    meant = "readings of the way back that stand in the order of the targets, not of the measurement (or the reverse)"
+    meant = "readings of the return pass listed in the order of the targets, not of the measurement (or the reverse)"
     return Finding("mirrored-rows", r.column, evidence, meant, level_of_rearranged(r, straight**2, mirrored**2))
 
 
@@ -188,9 +188,7 @@ def new_zero(r: Response) -> Finding | None:
         return None
     at = ", ".join(f"run {r.recording.run_labels()[codes[k + 1]]} by {step[k]:+.3g}" for k in large[:3])
     evidence = f"every target shifts at once, from {at} {r.component.unit} (other runs by {rest:.2g} at most)"
-    meant = (
-        "the zero of the instrument was set anew (take that out of the readings from there on), or the axis was homed"
-    )
+    meant = "the instrument was zeroed again (subtract the shift from the readings after it), or the axis was homed"
     return Finding("new-zero", r.column, evidence, meant, "ask")
 
 

@@ -137,7 +137,7 @@ def _one_direction(targets: np.ndarray, readings: list[np.ndarray], component: s
     if few:
         raise DataError(
             f"ISO 230-2: {component} at target {targets[few[0]]:g} has {readings[few[0]].size} reading(s) going {name}"
-            f" (allowed: at least {MIN_CYCLES}, the standard wants 5)"
+            f" (allowed: at least {MIN_CYCLES}, the standard requires 5)"
         )
     mean = np.array([r.mean() for r in readings])
     s = np.array([r.std(ddof=1) for r in readings])
@@ -173,13 +173,15 @@ def _both(up: Direction, down: Direction) -> dict[str, Any]:
 def _notes(targets: np.ndarray, cycles: int) -> tuple[str, ...]:
     notes = []
     if cycles < 5:
-        notes.append(f"{cycles} cycles; ISO 230-2 wants 5")
+        notes.append(f"{cycles} cycles; ISO 230-2 requires 5")
     length = float(np.ptp(targets))
     if targets.size < 5 or (length <= 2000 and targets.size < 5 * length / 1000):
-        notes.append(f"{targets.size} targets over {length:g}; ISO 230-2 wants 5 a metre and no fewer than 5")
+        notes.append(f"{targets.size} targets over {length:g}; ISO 230-2 requires 5 per metre and at least 5")
     steps = np.diff(targets)
     if steps.size > 1 and np.ptp(steps) < 1e-3 * steps.mean():
-        notes.append("equal steps between targets: a periodic error of that length, or a part of it, stays unseen")
+        notes.append(
+            "equal steps between targets: a periodic error of that length, or a fraction of it, is not detected"
+        )
     return tuple(notes)
 
 

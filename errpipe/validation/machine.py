@@ -133,7 +133,7 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
     if not validations:
         raise GateError(
             "export: no validation judged this identification on held-out measurements (add a `validate` stage "
-            "after it, or say `ungated: true` to export it all the same)"
+            "after it, or set `ungated: true` to export it anyway)"
         )
     volumetric = document["volumetric"]
     axes = volumetric["axes"]

@@ -163,7 +163,7 @@ def odd_responses(
         alone = [c for c in unlike if factors[c] is None]
         if alone and _few_in_a_row([new.index(c) for c in alone], len(new)) and max(sound) <= AS_BEFORE * usual:
             says = f"at most {max(sound):.3g} um of other new runs: of another machine, or a fault in measuring?"
-            out += [OddRun(labels[c], component, f"{left[c]:.3g} um rms are left of it, {says}", False) for c in alone]
+            out += [OddRun(labels[c], component, f"{left[c]:.3g} um rms of it remain, {says}", False) for c in alone]
     return out
 
 

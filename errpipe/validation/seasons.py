@@ -146,7 +146,7 @@ def documents(
 ) -> dict[str, Any]:
     """Tables of a seasonal family by their key in `validation.json`: seasons left out, and trained on the past."""
     (component,) = family.responses
-    progress(0.3, "seasons left out, beside runs left out")
+    progress(0.3, "seasons held out, compared with runs held out")
 
     def train(recording: Recording, component: str, rows: np.ndarray) -> Any:
         return family.train(recording, rows)  # type: ignore[attr-defined]  # seasonal families have it

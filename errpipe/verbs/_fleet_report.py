@@ -125,7 +125,7 @@ def _suspicious(results: Sequence[Mapping[str, Any]], types_of: Sequence[Mapping
     for kind in types_of:
         for component, response in kind["responses"].items():
             for name in response["mirrored"]:
-                out.append(f"{name}: {component} has the opposite sign of the other machines of its type; was its sign declared correctly?")
+                out.append(f"{name}: {component} has the opposite sign of its type; was it declared correctly?")
     return out
 
 

@@ -195,7 +195,7 @@ def _where(c: Change) -> list[str]:
         means = [b[1] for b in c.by_bin]
         low, high = means.index(min(means)), means.index(max(means))
         says.append(
-            f"    {c.share:.0%} of it goes with {c.goes_with}: on average {means[low]:+.3g} {c.unit} near "
+            f"    {c.share:.0%} of it correlates with {c.goes_with}: on average {means[low]:+.3g} {c.unit} near "
             f"{c.by_bin[low][0]:.4g}, {means[high]:+.3g} near {c.by_bin[high][0]:.4g}"
         )
     return says

@@ -97,7 +97,7 @@ def _refuse_unknown_sets(parts: Iterable[Proposal], options: ImportOptions) -> N
             if idle:
                 why = part.guesses.get(part.names.get(name, slug(name)), "its readings become deviations")
                 raise UsageError(
-                    f"--set {name}.{idle[0]} would be ignored ({why.split(';')[0]}): set it for a column of the file, or "
+                    f"--set {name}.{idle[0]} would be ignored ({why.split(';')[0]}): set it for a file's column, or "
                     "write a column of targets, one of readings, and one of runs"
                 )
 

@@ -39,7 +39,9 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
     labels = frame[group].astype(str).to_numpy(dtype=object) if group else np.full(len(frame), "all")
     clocks = [n for n in names if _is_clock(frame[n].to_numpy(float), labels)]
     if not (names := [n for n in names if n not in clocks]):
-        raise DataError(f"{file}: no candidate sensor position except {', '.join(clocks)}, which is a clock (equal steps)")
+        raise DataError(
+            f"{file}: no candidate sensor position except {', '.join(clocks)}, which is a clock (equal steps)"
+        )
     document, lines = judge(names, frame[names].to_numpy(float), frame[error].to_numpy(float), labels, most)
     notes = [f"not a sensor position but a clock: {', '.join(clocks)} (equal steps)"] if clocks else []
     return document | {"candidates": names, "clocks": clocks}, [f"candidates: {', '.join(names)}", *notes, *lines]

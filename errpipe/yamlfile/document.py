@@ -79,7 +79,7 @@ class Document:
             here = dotted(place[:depth]) or "the file"
             if isinstance(target, list):
                 if not isinstance(step, int) or not 0 <= step < len(target):
-                    raise UsageError(f"{origin}: {here} is a list of {len(target)}; {step!r} is none of its numbers")
+                    raise UsageError(f"{origin}: {here} is a list of {len(target)}; {step!r} is not one of its indices")
             elif not isinstance(target, dict):
                 raise UsageError(f"{origin}: {here} is {describe(target)}, not a mapping")
             else:

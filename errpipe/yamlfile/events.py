@@ -130,7 +130,7 @@ class Builder:
     def _alias(self, event: Any, place: Place) -> Any:
         name = event.anchor
         if name in self._open:
-            self._stop(event, place, f"the alias *{name} stands inside what it names")
+            self._stop(event, place, f"the alias *{name} is inside its own anchor")
         if name not in self._anchors:
             self._stop(event, place, f"the alias *{name} names nothing above.{did_you_mean(name, self._anchors)}")
         value = self._anchors[name]
@@ -156,7 +156,7 @@ class Builder:
             name = key.value
             if name in mapping:
                 first = (self.spots[(*place, name)].key or (0, 0))[0]
-                self._note(key.start_mark, (*place, name), f"stands twice in one mapping (first in line {first})")
+                self._note(key.start_mark, (*place, name), f"duplicate key in one mapping (first in line {first})")
                 self._value(next(self._events), (*place, f"{name} again"), key, depth + 1)
             else:
                 mapping[name] = None  # so that its own place is known while its value is read

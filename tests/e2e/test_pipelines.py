@@ -115,7 +115,7 @@ def test_a_model_no_better_than_nothing_is_not_exported(tmp_path, capsys):
     manifest_folder.write(Recording(recording.manifest, recording.frame.assign(EXX=noise)), tmp_path / "recording")
     (tmp_path / "p.yaml").write_text(PIPELINE)
     assert main(["run", str(tmp_path / "p.yaml"), "--out", str(tmp_path / "out")]) == 4
-    assert "not better than nothing on held-out rows" in capsys.readouterr().err
+    assert "not better than no compensation on held-out rows" in capsys.readouterr().err
     assert not (tmp_path / "out" / "export" / "table.ect").exists()
 
 

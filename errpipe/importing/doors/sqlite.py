@@ -26,7 +26,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     for beside in (Path(f"{path}-wal"), Path(f"{path}-journal")):
         if beside.is_file() and beside.stat().st_size:
             raise DataError(
-                f"{path}: open in another program, or not closed by it ({beside.name}): close it there first"
+                f"{path}: still open in another program, or not closed properly ({beside.name}): close it there first"
             )
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as database:

@@ -64,7 +64,7 @@ def test_a_recording_under_two_names_and_a_machine_of_the_other_sign_are_told(tm
     document = json.loads((tmp_path / "out/fleet.json").read_text(encoding="utf-8"))
     assert document["suspicious"] == [
         "m002, m003: the same readings; one recording under several names?",
-        "m004: EXX has the opposite sign of the other machines of its type; was its sign declared correctly?",
+        "m004: EXX has the opposite sign of its type; was it declared correctly?",
     ]
     page = (tmp_path / "out/fleet.md").read_text(encoding="utf-8")
     assert all(text in page for text in document["suspicious"])

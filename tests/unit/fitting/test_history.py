@@ -223,7 +223,7 @@ def test_what_cannot_be_done_in_batches_is_refused_by_name_where_batches_are_ask
 def test_a_run_that_comes_back_is_refused(tmp_path):
     recording = log(3000)
     recording.frame.loc[2900:, "run"] = "r0"
-    with pytest.raises(DataError, match="run r0 comes back after run r6"):
+    with pytest.raises(DataError, match="run r0 appears again after run r6"):
         Terms(**MODEL).fit_batches(on_disk(recording, tmp_path, 1000))
 
 

@@ -122,7 +122,7 @@ REFUSED = {
     ),
     "time that decreases": (
         {"rows": [*ROWS, "1,0.4,1,1,70,,0"]},
-        "recording.csv:5  t: 24 s comes after 30 s of run '1' (allowed: time that increases or stands still in a run)",
+        "recording.csv:5  t: 24 s comes after 30 s of run '1' (allowed: time that increases or repeats in a run)",
     ),
     "a row without a run": ({"rows": [*ROWS, ",1,1,1,70,,0"]}, "recording.csv:5  run: is empty"),
     "no rows": ({"rows": []}, "recording.csv: the table has a header but no rows"),

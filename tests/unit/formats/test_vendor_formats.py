@@ -66,7 +66,7 @@ WRONG_DAT = {
     "REF_DATA_FWD[1,2]=9.997": {
         "REF_DATA_FWD[1,2]=9,997": ":12  REF_DATA_FWD[1,2]: '9,997' is not a number",
         "REF_DATA_FWD[1]=9.997": ":12  REF_DATA_FWD[1]: REF_DATA_FWD is counted by [target,cycle]",
-        "REF_DATA_FWD[2,1]=9.997": ":12  REF_DATA_FWD[2,1] stands in the file twice",
+        "REF_DATA_FWD[2,1]=9.997": ":12  REF_DATA_FWD[2,1] occurs twice in the file",
         "": ": REF_DATA_FWD[1,2] is missing (POSITIONS=2, CYCLES=3)",
         "REF_DATA_FWD[1,2]=9.997\nREF_DATA_FWD[3,1]=3": ": REF_DATA_FWD[3,1] is beyond POSITIONS=2, CYCLES=3",
         "and now?": ":12  'and now?' is not KEY=value",

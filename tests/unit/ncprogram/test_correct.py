@@ -275,7 +275,7 @@ def test_a_stop_beside_a_motion_comes_behind_its_last_segment(stop):
 @pytest.mark.parametrize("off", ["M5", "M9"])
 def test_spindle_or_coolant_off_beside_a_cut_of_several_segments_is_refused(off):
     """LinuxCNC stops before the motion, others behind it: there the rest would be cut with a spindle that stands."""
-    with pytest.raises(DataError, match=f"line 2: {off} beside a motion of 4 segments"):
+    with pytest.raises(DataError, match=f"line 2: {off} with a motion of 4 segments"):
         correct(f"G90 G21 G54 G0 X0 Y0 Z0\nG1 X100 F100 {off}\n", no_deviation, SETUP)
     text, _ = correct(f"G90 G21 G54 G0 X0 Y0 Z0\nG0 Z100 {off}\n", no_deviation, SETUP)
     assert text.splitlines()[1] == f"G0 {off} Z100.0000"

@@ -87,7 +87,9 @@ def test_a_corrected_program_names_its_table_below_its_head_and_is_corrected_onc
     words[-1] = str(tmp_path / "once.ngc")
     assert main([*words, "--out", str(tmp_path / "twice.ngc")]) == 3 and not (tmp_path / "twice.ngc").exists()
     line = kept.count("\n") + 1
-    assert f"once.ngc, line {line}: {mark!r}: this program is corrected already" in " ".join(capsys.readouterr().err.split())
+    assert f"once.ngc, line {line}: {mark!r}: this program is corrected already" in " ".join(
+        capsys.readouterr().err.split()
+    )
     (tmp_path / "once.ngc").write_text(once.lower())  # an editor that has no capitals
     assert main([*words, "--out", str(tmp_path / "twice.ngc")]) == 3
     assert main([*words, "--out", str(tmp_path / "twice.ngc"), "--again"]) == 0

@@ -171,7 +171,7 @@ def test_a_parameter_that_only_moves_the_datum_stays(model: Path) -> None:
     tunable = [{"parameter": "level", "low": -50, "high": 50}]
     _, twin, figures = simulated(recorded(noise=0.1), model, recalibrate=tunable, step=20.0)
     assert figures["parameters"][0]["value"] == 0.0 and not figures["parameters"][0]["shows"]
-    assert any("moves nothing but the datum" in note for note in twin.notes)
+    assert any("changes only the datum" in note for note in twin.notes)
 
 
 def test_sessions_start_anew_and_runs_in_a_row_do_not(model: Path) -> None:

@@ -219,5 +219,5 @@ def test_a_mesh_that_fades_out_with_height_is_no_compensation():
     files = target.write(machines.bent())
     (name,) = files
     assert "\nM420 S1 Z0\n" in files[name]
-    with pytest.raises(VerifyError, match="fade out with height"):
+    with pytest.raises(VerifyError, match="fades out the mesh with height"):
         target.read_back({name: files[name].replace("M420 S1 Z0", "M420 S1")})

@@ -52,7 +52,7 @@ def test_a_case_worked_by_hand():
     assert values.E == 6.0  # 5 - (-1)
     assert values.M == 3.0  # 3 - 0
     assert values.A == 10.0  # 9 - (-1)
-    assert values.notes[0] == "3 cycles; ISO 230-2 wants 5"
+    assert values.notes[0] == "3 cycles; ISO 230-2 requires 5"
 
 
 def test_one_direction_alone_has_no_bidirectional_figures():

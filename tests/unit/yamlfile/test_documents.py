@@ -53,8 +53,8 @@ def test_quoted_scalars_are_texts() -> None:
         ("# only a comment\n", "f.yaml:1:1  the file is empty"),
         (
             "a: 1\na: 2\nb: {c: 1, c: 2}",
-            "f.yaml:2:1  a: stands twice in one mapping (first in line 1)\n"
-            "f.yaml:3:11  b.c: stands twice in one mapping (first in line 3)",
+            "f.yaml:2:1  a: duplicate key in one mapping (first in line 1)\n"
+            "f.yaml:3:11  b.c: duplicate key in one mapping (first in line 3)",
         ),
         (
             "a: !!python/name:os.system x",
@@ -75,7 +75,7 @@ def test_quoted_scalars_are_texts() -> None:
         ("a: \x07", "f.yaml:1:4  not YAML: the character U+0007 is not allowed"),
         ("? [a]\n: 1", "f.yaml:1:3  a key is a list, a mapping or an alias (a text is needed)"),
         ("a: *b", "f.yaml:1:4  a: the alias *b names nothing above."),
-        ("a: &b [*b]", "f.yaml:1:8  a[0]: the alias *b stands inside what it names"),
+        ("a: &b [*b]", "f.yaml:1:8  a[0]: the alias *b is inside its own anchor"),
         ('a: "\\ud800"', "f.yaml:1:4  a: half of a surrogate pair is not a character"),
     ],
 )
@@ -217,7 +217,7 @@ def test_values_can_be_assigned_and_keep_their_origin() -> None:
     with pytest.raises(ConfigError) as caught:
         document.validate(Model)
     assert str(caught.value) == "--set  terms[0].slope: -1 is not above 0 um/m"
-    with pytest.raises(UsageError, match="terms is a list of 1; 4 is none of its numbers"):
+    with pytest.raises(UsageError, match="terms is a list of 1; 4 is not one of its indices"):
         document.assign(("terms", 4, "slope"), 1, "--set")
     with pytest.raises(UsageError, match="version is the number 1, not a mapping"):
         document.assign(("version", "x"), 1, "--set")
