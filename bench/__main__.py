@@ -70,7 +70,8 @@ def confirmed(last: dict[str, Any], new: dict[str, Any]) -> list[str]:
 
 def page(benches: dict[str, Any], facts: dict[str, str]) -> str:
     """docs/performance.md."""
-    lines = ["# Performance", "", "Written by `make bench`; every ratio is of two runs in turns in one process.", ""]
+    about = "For those who plan hardware: run time and memory, as ratios to a reference. Written by `make bench`; "
+    lines = ["# Performance", "", about + "the two are run alternately in one process.", ""]
     lines += [f"* {name}: {text}" for name, text in facts.items()]
     for name, part in benches.items():
         lines += ["", f"## {name}", "", f"Peak memory of the bench: {part['peak_mb']} MB", ""]

@@ -14,9 +14,9 @@ from errpipe.yamlfile import quantity
 
 
 class Gaps(Rule):
-    """Hold a sensor over short holes; start a new run after a long pause in time.
+    """Hold a sensor over short gaps; start a new run after a long pause.
 
-    Held cells repeat the reading before the hole (nothing is looked up in the future). Longer holes stay empty.
+    Held cells repeat the reading before the gap (causal). Longer gaps stay empty.
     A split run keeps its old label in a group column, so that a hold-out can still leave it out whole.
     """
 

@@ -33,11 +33,11 @@ RARE_REVERSALS = 0.1  # where more rows than this are near a reversal (a to-and-
 
 
 class Outliers(Rule):
-    """Blank single readings of responses and sensors that stand far off their neighbours."""
+    """Blank single outliers of responses and sensors that differ strongly from their neighbours."""
 
     rule: Literal["outliers"] = "outliers"
     threshold: float = quantity(
-        "1", "Multiple of the robust scatter; 5 is reached by chance in large clean recordings.", 6.0, ge=3
+        "1", "Multiple of the robust standard deviation; 5 is reached by chance in large clean recordings.", 6.0, ge=3
     )
     most: float = quantity(
         "1", "Refuse to blank more than this share of a column's cells, and more than one.", 0.02, gt=0, le=1

@@ -14,7 +14,7 @@ MIN_VALUES = 20  # values; fewer say nothing about a lattice
 
 
 class Quantisation(Rule):
-    """Note every sensor and deviation that is displayed in steps coarser than its own noise."""
+    """Report every sensor and deviation whose resolution is coarser than its noise."""
 
     rule: Literal["quantisation"] = "quantisation"
     coarse: float = quantity(

@@ -37,7 +37,7 @@ CALM = 1.0  # K, hPa or %: where no sensor of its kind leaves this span, one tha
 class StuckSensors(Rule):
     """Set aside sensors that are empty, constant or mostly stuck; blank stuck and sentinel stretches of others.
 
-    One plausible value in every row is no failure where no sensor of its kind moved, as in a short test.
+    A constant plausible value is not a failure if no sensor of its kind changed, as in a short test.
     """
 
     rule: Literal["stuck_sensors"] = "stuck_sensors"

@@ -13,7 +13,7 @@ from errpipe.yamlfile import quantity
 
 
 class TimeOrder(Rule):
-    """Remove the fewest rows after which time never steps back in a run; and rows without a time.
+    """Remove the smallest number of rows such that time never decreases in a run; and rows without a time.
 
     A recording folder with such a step is already refused at the door; other sources may have it.
     """

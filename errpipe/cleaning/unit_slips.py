@@ -33,7 +33,9 @@ class UnitSlips(Rule):
     """Name columns in degF, K, inch, m or another unit than stated, by comparing them with the other columns."""
 
     rule: Literal["unit_slips"] = "unit_slips"
-    trust: tuple[str, ...] = Field((), description="Columns not to be judged (an oil that is truly at 68 degC).")
+    trust: tuple[str, ...] = Field(
+        (), description="Columns to exclude from this check (an oil that is really at 68 degC)."
+    )
 
     def find(self, recording: Recording) -> list[Action]:
         """Sensors to set aside. Raises DataError where a position, a speed or a response slips."""

@@ -63,7 +63,7 @@ class ModelSpec(Frozen):
     """A model to fit: one response or several, what is nuisance, and how to solve."""
 
     components: tuple[ComponentSpec, ...] = Field(min_length=1, description="Responses and their terms.")
-    nuisance: tuple[AnyTerm, ...] = Field((), description="Set-up, not machine: fitted, never compensated.")
+    nuisance: tuple[AnyTerm, ...] = Field((), description="Terms of the measuring set-up: fitted, never compensated.")
     method: Literal["linear", "ridge", "robust"] = Field(
         "linear", description="Least squares; ridge where sensors resemble each other; robust against outliers."
     )
@@ -73,7 +73,7 @@ class ModelSpec(Frozen):
     )
     holdout: HoldOut = Field(HoldOut(), description="Rows held out to size intervals, ridge and selection.")
     selection: Literal["none", "held-out"] = Field(
-        "none", description="held-out: leave out, one by one, terms without which held-out rows do no worse."
+        "none", description="held-out: backward elimination of terms that do not improve held-out rows."
     )
     most_inflation: float = quantity(
         "1", "Refuse a parameter whose variance the other columns inflate by more than this.", 200.0, gt=1

@@ -77,7 +77,7 @@ class ForceOptions(Frozen):
     sign: Literal[1, -1] = Field(1, description="Direction of the deviation under a positive force; 1: away from it.")
     workpiece: Body | None = Field(None, description="The workpiece that is cut.")
     tool: Body | None = Field(None, description="The tool that cuts, from its holder outwards.")
-    pushed_workpiece: Body | None = Field(None, description="What was pushed on in the tests; default: rigid.")
+    pushed_workpiece: Body | None = Field(None, description="Workpiece of the push tests; default: rigid.")
     pushed_tool: Body | None = Field(None, description="The tool of the tests; default: rigid.")
     gauge_datum: Literal["neighbour", "bed"] = Field(
         "neighbour",

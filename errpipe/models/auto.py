@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Auto(ThermalFamily):
-    """Families compete on runs, seasons and duty cycles left out; their best mixture is fitted."""
+    """Compare families on held-out runs, seasons and duty cycles, and fit their best weighted sum."""
 
     family: Literal["auto"] = Field("auto", description="Model family.")
     among: tuple[str, ...] = Field((), description="Families that compete; empty: all thermal ones.")

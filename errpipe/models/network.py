@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Network(ThermalFamily):
-    """Causes of known sign (`thermal.causes`) without a learnt correction and without fading."""
+    """Heat sources whose effect has a known sign (`thermal.causes`), without a learnt correction and without fading."""
 
     family: Literal["network"] = Field("network", description="Model family.")
     options: SeasonOptions = Field(SeasonOptions(), description="Causes and how they are weighed.")

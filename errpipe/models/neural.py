@@ -23,7 +23,7 @@ LAGS = (0.4, 0.8)  # which of the recording's time constants, as a share of thei
 
 
 class Neural(ThermalFamily):
-    """A multilayer perceptron of one hidden layer with tanh, zero where nothing has warmed up."""
+    """A multilayer perceptron with one hidden layer of tanh units; zero where all temperature rises are zero."""
 
     family: Literal["neural"] = Field("neural", description="Model family.")
     nonlinear: ClassVar[bool] = True

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 
 class NeuralVolume(Family):
-    """One layer of tanh units on positions and on rises of temperatures; no unit where nothing beats doing nothing."""
+    """One layer of tanh units on positions and temperature rises; no units if none improves on no compensation."""
 
     family: Literal["neural_volume"] = Field("neural_volume", description="Model family.")
     components: tuple[str, ...] = Field(("E_X", "E_Y", "E_Z"), min_length=1, description="Responses of the recording.")
-    units: int = Field(8, ge=1, le=32, description="Of the hidden layer, shared by all components.")
+    units: int = Field(8, ge=1, le=32, description="Units of the hidden layer, shared by all components.")
     competes: ClassVar[bool] = True
 
     @classmethod

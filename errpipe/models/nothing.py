@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Nothing(ThermalFamily):
-    """Predict no deviation. It is never exported; validation shows what is there to gain."""
+    """Predict no deviation. It is never exported; its validation shows the uncompensated error."""
 
     family: Literal["nothing"] = Field("nothing", description="Model family.")
 

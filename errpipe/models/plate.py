@@ -33,7 +33,7 @@ class Plate(Family):
     )
     every: int = Field(10, ge=2, description="With one plate only: every n-th of its holes is held out in turn.")
     measured_twice: tuple[str, str] | None = Field(
-        None, description="Runs in which one plate was measured twice: what they differ by is the metrology floor."
+        None, description="Runs in which one plate was measured twice: their difference is the noise floor."
     )
     documents: ClassVar[tuple[str, ...]] = (FIGURES,)
     default_scheme: ClassVar[str] = "leave-one-run-out"

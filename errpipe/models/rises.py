@@ -26,7 +26,7 @@ FREEDOMS = (0.1, 1.0, 10.0)  # of each run's own gains beside the common ones (`
 
 
 class Rises(ThermalFamily):
-    """Least squares, ridge, and gains that runs share (random effects of each run), on rises."""
+    """Least squares, ridge, or a random-effects model (one effect per run) on temperature rises."""
 
     family: Literal["rises"] = Field("rises", description="Model family.")
 

@@ -25,7 +25,7 @@ CAUSES = "season.json"
 
 
 class Season(Family):
-    """Causes of known sign, shrunk towards nothing, with a correction that fades where it was not learnt."""
+    """Heat sources with effects of known sign, shrunk towards zero, and a learnt correction that fades out."""
 
     family: Literal["season"] = Field("season", description="Model family.")
     component: str = Field(description="Response of the recording, such as E_D or E_Z.")

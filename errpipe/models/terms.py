@@ -26,7 +26,7 @@ class Terms(ModelSpec, Family):
 
     family: Literal["terms"] = Field("terms", description="Model family.")
     less_simulated: bool = Field(
-        False, description="Fit what a simulation leaves out: recorded less simulated values are the deviation."
+        False, description="Fit what a simulation omits: the deviation is recorded minus simulated."
     )
     rows_in_memory: int | None = quantity(
         "1",

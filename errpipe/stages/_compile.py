@@ -35,7 +35,7 @@ class CompileOptions(Options):
     )
     slew: float | None = quantity(
         "um/s",
-        "Largest rate of an axis' correction; default: what the axis' motion asks of it, at most 1 um/ms.",
+        "Largest rate of an axis' correction; default: from the axis motion, at most 1 um/ms.",
         None,
         gt=0,
         le=1e9,

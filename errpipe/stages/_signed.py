@@ -28,7 +28,7 @@ class SignOptions(Options):
         "that of this very table; else nothing is exported.",
     )
     public_key: InputPath | None = Field(
-        None, description="Whose signature counts, such as errpipe.pub.", validate_default=True
+        None, description="Public key that verifies the signature, such as errpipe.pub.", validate_default=True
     )
     signature: InputPath | None = Field(
         None, description="Signature made elsewhere (`errpipe sign`) of the table that this pipeline exports."

@@ -24,7 +24,7 @@ ANNOUNCED = ("blank cells", "set column aside")  # what is reported on the scree
 
 
 class Clean(Stage):
-    """Apply cleaning rules; refuse where one would remove more than its share."""
+    """Apply cleaning rules; refuse if one would remove more than its permitted share."""
 
     kind: Literal["clean"]
     rules: tuple[AnyRule, ...] = Field(

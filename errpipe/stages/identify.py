@@ -16,7 +16,7 @@ MACHINE = "machine.yaml"
 
 
 class Identify(Stage):
-    """Solve for all components of a machine from the readings of every ingested test together.
+    """Identify all components of a machine jointly from the readings of all ingested tests.
 
     A recording of error motions (EXX, EBX ...) is a laser or level record; any other states its protocol
     (docs/recordings.md lists them).
@@ -28,9 +28,9 @@ class Identify(Stage):
         None,
         ge=2,
         le=120,
-        description="Waves per error motion, shrunk to what the data say; default: as many as the targets can show.",
+        description="Waves per error motion, regularised by the data; default: as many as the targets resolve.",
     )
-    without: tuple[str, ...] = Field((), description="Components taken to be nothing, such as spindle growth.")
+    without: tuple[str, ...] = Field((), description="Components assumed to be zero, such as spindle growth.")
     lasers: dict[str, Beam] = LASERS
     squares: dict[str, float] = SQUARES
     takes: ClassVar[Mapping[str, Need]] = {

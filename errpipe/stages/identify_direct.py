@@ -14,7 +14,7 @@ from errpipe.stages.identify import IDENTIFICATION, Identify
 
 
 class IdentifyDirect(Identify):
-    """Solve for the components that laser and level read one by one, both ways, the beam's own errors taken out.
+    """Identify components measured singly by laser and level in both directions, with errors of the beam corrected.
 
     Writes what `identify` writes, for `export_volumetric`; and an error model of the components in the last recording
     before it, for `validate`, `export`, `report` and `errpipe predict`.

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Ingest(Stage):
-    """Read a recording through the door of its format: roles and units checked, values converted once."""
+    """Read a recording: roles and units are checked, values are converted to canonical units."""
 
     kind: Literal["ingest"]
     recording: InputPath | None = Field(

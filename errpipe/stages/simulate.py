@@ -15,7 +15,7 @@ class Simulate(Stage):
 
     kind: Literal["simulate"]
     machine: Literal["ball-screw-axis", "spindle-drift"] = Field(
-        "ball-screw-axis", description="What is simulated: an axis over nine thermal states, or a warming spindle."
+        "ball-screw-axis", description="Simulated machine: an axis in nine thermal states, or a spindle that warms up."
     )
     seed: int = Field(1, ge=0, description="Seed of the noise and of the room's weather.")
 

@@ -15,9 +15,9 @@ from errpipe.yamlfile import quantity
 
 
 class SimulateTest(Stage):
-    """One measuring protocol played on a machine, true by full transforms, with set-up errors and noise.
+    """Simulate one measuring protocol on a machine by full homogeneous transforms, with set-up errors and noise.
 
-    The seed is the machine: tests of one seed are of one machine.
+    The seed defines the machine: tests with equal seeds are of the same machine.
     """
 
     kind: Literal["simulate_test"]

@@ -19,9 +19,9 @@ MORE_RUNS = "; one half predicted by the other: how further runs go is not shown
 
 
 class Validate(Stage):
-    """Refit without each group, judge on it, beside doing nothing and the noise floor.
+    """Leave-one-group-out cross-validation, compared with no compensation and the noise floor.
 
-    An identified machine is identified again without each line, circle, plate, socket or run of its tests.
+    An identified machine is identified again with each line, circle, plate, socket or run of its tests held out.
     """
 
     kind: Literal["validate"]

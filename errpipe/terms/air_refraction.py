@@ -18,11 +18,11 @@ from errpipe.terms._warm import AIR_WORDS, mentions, sensors
 
 
 class AirRefraction(Term):
-    """The laser's wavelength was not corrected for the air: every length read is off by the air's refraction.
+    """The laser wavelength was not corrected for the refractive index of air: every length reads wrong in proportion.
 
     Equation   deviation = x * (per_kelvin (T - 20) + per_hpa (p - 1013.25))   [um] = [m] * [um/m]
     Assumes    the air along the beam is as warm as its sensor
-    Typical    0.93 um/m/K and -0.27 um/m/hPa, with either sign according to who reads whom
+    Typical    0.93 um/m/K and -0.27 um/m/hPa, with either sign, depending on the measuring set-up
     Moves      all axes alike, with the weather
     Source     Edlen 1966; ISO 230-1 annex on laser interferometers
     """

@@ -18,12 +18,12 @@ from errpipe.terms._warm import AIR_WORDS, REFERENCE, ROOM_WORDS, mentions, rise
 
 
 class AmbientDrift(Driven):
-    """The whole machine follows the room, hours later.
+    """The whole machine follows the room temperature with a lag of hours.
 
     Equation   tau dy/dt + y = T_room - T_ref;  deviation = gain * y       [um] = [um/K] * [K]
-    Assumes    one time constant for the structure; in step with the room at the start
+    Assumes    one time constant for the structure; in equilibrium with the room at the start
     Typical    1..6 um/K, tau 3000..40000 s
-    Moves      a daily wave, late and flattened
+    Moves      a daily wave, delayed and attenuated
     Source     ISO 230-3 (environmental temperature variation error)
     """
 

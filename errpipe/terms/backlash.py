@@ -28,7 +28,7 @@ PUSHED = -2.0  # log odds: a gap shows where an axis stops, mostly
 
 
 class Backlash(Term):
-    """The axis stops short on the side it came from: a step between the two directions of approach.
+    """The axis stops short of its target from either side: a step between the two directions of approach.
 
     Equation   deviation(d) = -lost_motion / 2 * d,  d = +1 or -1
                in fast logs also d = the side that the drive pushes on: sign(v) + a / braking, held at rest

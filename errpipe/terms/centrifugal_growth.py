@@ -10,12 +10,12 @@ from errpipe.terms._driven import OfSpindleSpeed
 
 
 class CentrifugalGrowth(OfSpindleSpeed):
-    """A turning spindle swells and its bearings shift: at once with speed, and gone as soon as it stops.
+    """Centrifugal load expands a rotating spindle and shifts its bearings: immediate with speed, and zero at rest.
 
     Equation   deviation = shift * (n / n_max)^2                     [um]
-    Assumes    no warming (that is `spindle_growth`)
+    Assumes    no heating (see `spindle_growth`)
     Typical    1..20 um at full speed
-    Moves      often against the growth: the spindle gets shorter as it swells
+    Moves      often opposite to thermal growth: the spindle shortens as its diameter expands
     Source     stress in a rotating cylinder; contact angle of preloaded ball bearings
     """
 

@@ -12,7 +12,7 @@ from errpipe.yamlfile import quantity
 
 
 class Chebyshev(CurveOverAxis):
-    """Any smooth deviation that only position decides: lead error, bow, the sum of both.
+    """Any smooth function of position: lead error, bow, or their sum.
 
     Equation   deviation(x) = sum c_k T_k(u),  u from -1 to 1 over the span, k = lowest..degree
     Assumes    the same at every temperature; held at its end values beyond the span

@@ -21,7 +21,7 @@ class ClockOffset(Term):
     Equation   deviation(t) = f(t - offset) - f(t), f the simulated signal
     Assumes    one constant offset; the signal is recorded without a break
     Typical    10..600 s
-    Moves      large where the signal is steep, nothing where it rests
+    Moves      large where the signal is steep, zero where it is constant
     Source     two loggers with their own clocks
     """
 

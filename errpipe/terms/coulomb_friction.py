@@ -23,10 +23,10 @@ GROWS = 0.3  # freedom of friction that grows along the travel (guides and cover
 
 
 class CoulombFriction(Term):
-    """Dry friction: the drive pushes with the same force whatever the speed, in the direction of motion.
+    """Coulomb (dry) friction: a constant drive force in the direction of motion, independent of speed.
 
     Equation   force = friction * tanh(v / sharpness)               [N]
-    Assumes    the same force both ways unless `by_direction`: then the mean of both and half their difference
+    Assumes    equal force in both directions, unless `by_direction`: then the mean of both and half their difference
     Typical    5..300 N
     Moves      positive friction: the drive pushes the way it moves
     Source     Coulomb 1785; sharpness 0 means a plain sign

@@ -18,7 +18,7 @@ from errpipe.terms._slack import Slack
 
 
 class CuttingCompliance(Driven):
-    """Tool, spindle and work give way to the cutting force; a slender boring bar with the cube of its overhang.
+    """Tool, spindle and workpiece deflect under the cutting force; a boring bar with the cube of its overhang.
 
     Equation   deviation = compliance * F * (l / 100 mm)^exponent     [um] = [um/kN] * [kN]
     Assumes    elastic; exponent 0 (the machine) to 3 (a bar clamped at one end)

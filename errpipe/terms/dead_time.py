@@ -21,12 +21,12 @@ LEAST, MOST = 0.02, 60.0  # sampling steps
 
 
 class DeadTime(Term):
-    """Bus, amplifier or filter take their time: a position or a force arrives later than simulated, else unchanged.
+    """Dead time of bus, amplifier or filter: a position or a force arrives later than simulated, otherwise unchanged.
 
     Equation   deviation(t) = f(t - delay) - f(t), f the axis' position or the simulated signal
-    Assumes    one delay; of a servo loop with gain Kv only the part that is no lag (that is `following_error`)
+    Assumes    one delay, in addition to the lag of a servo loop with gain Kv (see `following_error`)
     Typical    0.5..20 ms
-    Moves      along the path, so that it grows with speed and does not round corners
+    Moves      along the path: proportional to speed, without rounding of corners
     Source     dead time of sampled control loops (Franklin, Powell, Workman: half to two periods)
     """
 

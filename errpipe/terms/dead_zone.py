@@ -19,7 +19,7 @@ SHARES = (0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3)  # of the largest
 
 
 class DeadZone(OfSimulatedForce):
-    """A play or a dead band of the amplifier passes no small forces; larger ones come through less by as much.
+    """Play or a dead band of the amplifier: forces below the threshold are lost, larger ones are reduced by it.
 
     Equation   force = -clip(f, -threshold, threshold)               [N], f the simulated force
     Assumes    the same threshold both ways

@@ -42,12 +42,12 @@ class SlowerThanStrokes(Times):
 
 
 class FeedHeating(Term):
-    """The nut rubs on the screw and warms it: the screw gets longer the more the axis runs, and recovers at rest.
+    """Friction of the nut heats the screw: it expands with the distance travelled, and recovers at rest.
 
     Equation   tau dy/dt + y = |v| / 100 mm/s;  deviation = slope * (x - fixed_end) * y   [um] = [um/m] * [m]
-    Assumes    the whole screw warms alike and grows away from its fixed bearing; heat in proportion to the distance run
+    Assumes    the screw warms uniformly and expands from its fixed bearing; heat proportional to the distance travelled
     Typical    10..60 um/m at steady running, tau 1000..6000 s
-    Moves      positive slope: the axis goes ever further past its targets while it runs
+    Moves      positive slope: the axis travels further and further past its targets while it runs
     Source     Ni 1997; ISO 230-3 (linear motion of components)
     """
 

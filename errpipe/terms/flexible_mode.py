@@ -32,11 +32,11 @@ MAX_RESONANCES = 3  # resonances offered of each binding
 
 
 class FlexibleMode(Term):
-    """Column, slide or drive train is a spring-mass system: an acceleration or a force makes it ring.
+    """Column, slide or drive train is a spring-mass system that rings after an acceleration or a force.
 
     Equation   q'' + 2 damping w q' + w^2 q = w^2 u,  w = 2 pi frequency,  u = acceleration or force
                deviation = -compliance * q  (of a drive force: mass * q); with `ringing` q - u stands for q
-    Assumes    one mode, excited by what was recorded; rows at least five times as fast as it
+    Assumes    one mode, excited by a recorded signal; sampling rate at least five times its frequency
     Typical    frequency 5..300 Hz, damping 0.005..0.1, 1..10 um per m/s2
     Moves      positive compliance: against the acceleration, then back and forth at the natural frequency
     Source     single degree of freedom with base excitation; Altintas 2012, ch. 3; ISO 230-8

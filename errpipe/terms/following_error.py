@@ -24,11 +24,11 @@ MAX_SAMPLE_INTERVAL = 0.1  # s; of slower logs rows show a loop that has settled
 
 
 class FollowingError(Term):
-    """The axis is late: at speed v it stands lag * v behind its command.
+    """Following error: at speed v the axis is lag * v behind its command.
 
     Equation   deviation = -lag * v                                 [um] = [ms] * [mm/s]
                with `settles` v passes a first-order lag: the loop takes `settling` to reach its speed
-    Assumes    constant loop gain Kv = 1 / lag, no feed-forward left over; a clock that is late looks the same
+    Assumes    constant loop gain Kv = 1 / lag, no residual feed-forward; a delayed clock looks the same
     Typical    v / Kv; 0.01..60 ms
     Moves      positive lag: behind the command in either direction
     Source     position loop with gain Kv; ISO 230-4, Weck

@@ -22,11 +22,11 @@ ANYWHERE = 0.3  # freedom of the place where it is as simulated: friction that i
 
 
 class FrictionGradient(Term):
-    """A guide that is tighter at one end, a cover that folds up: dry friction that grows along the axis.
+    """Coulomb friction that increases along the axis: a guide tighter at one end, a folding cover.
 
     Equation   force = growth * sign(v) * (x - middle) / length      [N]
-    Assumes    the same growth both ways, in proportion to the way; friction in the middle as simulated
-               (else `coulomb_friction` beside it)
+    Assumes    equal in both directions, linear in position; friction at mid-travel as simulated
+               (else add `coulomb_friction`)
     Typical    5..200 N from end to end
     Moves      positive growth: the drive pushes harder towards the positive end, whichever way it moves
     Source     preload of guides out of parallel, telescopic covers; Coulomb 1785

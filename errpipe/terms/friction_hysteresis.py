@@ -25,7 +25,7 @@ MAX_OVERRUN_SHARE = 0.005  # and at most this share of the travel, for a stage o
 
 
 class FrictionHysteresis(Term):
-    """Guide and screw give way before they slip: after a reversal the deviation builds up over a short travel.
+    """Guide and screw deform elastically before they slip: a reversal error that builds up over a short travel.
 
     Equation   z -> d over the travelled length: dz = (d - z) |dx| / length;  deviation = -lost_motion / 2 * z
     Assumes    the last move was long, or is recorded; no dependence on speed. Where a direction column tells from

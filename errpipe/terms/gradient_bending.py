@@ -19,7 +19,7 @@ class GradientBending(Driven):
     """A column or bed that is warmer on one side than on the other bends, and the tool leans with it.
 
     Equation   deviation = gain * (T1 - T2)                          [um] = [um/K] * [K]
-    Assumes    the two sensors stand for the two sides
+    Assumes    the two sensors represent the two sides
     Typical    1..15 um/K (26 um/K for a column 1.5 m high and 0.5 m deep)
     Moves      nothing when both sides warm alike
     Source     bending of a strip, alpha h^2 / (2 b); Ni 1997

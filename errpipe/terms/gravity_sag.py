@@ -24,10 +24,10 @@ TOGETHER = 0.3  # prior standard deviation of the share of each: any may be as l
 
 
 class GravitySag(Term):
-    """A ram, quill or table hangs over and bends under its own weight: more with the square or cube of the overhang.
+    """A ram, quill or table bends under its own weight, with the square or cube of the overhang.
 
     Equation   deviation(l) = sag * (l / length)^exponent            [um]
-    Assumes    one overhang counts; small deflection
+    Assumes    only one overhang matters; small deflection
     Typical    5..40 um at full overhang, exponent 2..3
     Moves      negative sag: the free end hangs down; the same in both directions of travel
     Source     beam bending, F l^3 / (3 E I); Ni 1997, errors from load

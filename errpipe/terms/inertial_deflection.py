@@ -20,10 +20,10 @@ from errpipe.terms._warm import scaled
 
 
 class InertialDeflection(Term):
-    """Slide and column lean back when they are accelerated.
+    """Slide and column deflect under acceleration.
 
     Equation   deviation = -compliance * a                          [um] = [um/(m/s2)] * [m/s2]
-    Assumes    acceleration slow against the first natural frequency
+    Assumes    acceleration slow compared with the first natural frequency
     Typical    1..10 um per m/s2
     Moves      positive compliance: against the acceleration
     Source     mass * lever / stiffness; ISO 230-4

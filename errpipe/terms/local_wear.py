@@ -20,7 +20,7 @@ from errpipe.yamlfile import quantity
 
 
 class LocalWear(Term):
-    """One stretch of the guideway or screw is worn (or a scale is dirty there): a dip or bump in one place.
+    """One section of the guideway or screw is worn (or the scale is dirty there): a local dip or bump.
 
     Equation   deviation(x) = depth * exp(-(x - centre)^2 / (2 width^2))
     Assumes    one smooth stretch; the same in both directions

@@ -22,13 +22,13 @@ MAX_TARGETS = 400  # more places than any list of targets has: a log; `smooth_cu
 
 
 class MeasuredPoints(Term):
-    """A value for each target and, where both directions were measured, half of what differs between them.
+    """A value for each target and, if both directions were measured, half of the reversal value.
 
     Equation   deviation(x, d) = sum (p_k + d * r_k) * hat_k(x),  d = +1 or -1; hat_k: 1 at target k, 0 at the others
     Assumes    straight between targets, held beyond the first and last; the same at every temperature. What lies
                between two targets (a pitch error of the screw) is not seen
     Typical    p 1..50 um, r 1..10 um
-    Moves      where p is positive the axis goes too far; negative r: approached from below it stops short
+    Moves      where p is positive the axis travels too far; negative r: approached from below it stops short
     Source     ISO 230-2:2014, 3.8 and 3.9 (mean unidirectional deviation at a position), as least squares over the runs
     """
 

@@ -17,7 +17,7 @@ from errpipe.terms._equations import times
 
 
 class MovingMass(Term):
-    """The drive has to accelerate table, workpiece and screw: a force in proportion to acceleration.
+    """Inertia of table, workpiece and screw: a drive force proportional to acceleration.
 
     Equation   force = mass * a                                     [N] = [kg] * [m/s2]
     Assumes    one rigid mass; rotating inertia counted as mass

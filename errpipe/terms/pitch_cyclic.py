@@ -19,10 +19,10 @@ from errpipe.terms._slack import Slack
 
 
 class PitchCyclic(Term):
-    """The screw runs out once per turn ("drunken thread"): a wave with the lead, a tooth or a turn of the drive.
+    """Periodic error of the screw ("drunken thread") or drive: period of the lead, of a tooth or of a turn.
 
     Equation   deviation(x) = sum over orders k of sine_k sin(k a) + cosine_k cos(k a),  a = 2 pi x / (k_1 period)
-    Assumes    sampling finer than a quarter of the period and not in step with it; the same wave all along
+    Assumes    sampling finer than a quarter of the period, not synchronous with it; constant amplitude on the axis
     Typical    0.5..5 um; period 5..20 mm (the lead), of belts tooth and pulley, for rotary axes 360 deg / teeth
     Moves      positive sine: too far on the first half of each turn
     Source     ISO 230-2 (periodic positional error); Ni 1997, geometric errors

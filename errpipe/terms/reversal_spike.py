@@ -49,12 +49,12 @@ class DecayBeforeNextReversal(Times):
 
 
 class ReversalSpike(Term):
-    """When an axis turns round the drive sticks for an instant: a short spike, of its deviation or its force.
+    """At a reversal the drive sticks for an instant: a short spike of the deviation or the force.
 
     Equation   deviation = -height * d * (F / 1000 mm/min)^power * exp(-s / tau), s = time since the reversal
-    Assumes    friction is overcome anew at each reversal; the loop pulls the spike in
+    Assumes    static friction at each reversal; the position loop removes the spike
     Typical    2..15 um, tau 5..50 ms
-    Moves      positive height: the axis lags on the side it left
+    Moves      positive height: the axis lags behind its command after the reversal
     Source     quadrant glitches of circular tests, ISO 230-4
     """
 

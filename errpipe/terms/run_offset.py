@@ -12,10 +12,10 @@ from errpipe.terms._driven import PerRun
 
 
 class RunOffset(PerRun):
-    """A constant per run, for instruments that are zeroed anew each time. A nuisance: never compensated.
+    """A constant per run, for instruments that are zeroed before each run. A nuisance: never compensated.
 
     Equation   deviation = level of the row's run
-    Assumes    nothing of the machine hides in the levels; a drift from run to run would
+    Assumes    the levels contain no error of the machine; a drift from run to run would be absorbed
     Typical    0..100 um
     Moves      a positive level: the whole run reads too far
     Source     ISO 230-2, 2014, clause on the datum of a measuring run

@@ -19,7 +19,7 @@ class RunPose(PerRun):
     """Shift and rotation in a plane per run, shared by both deviations. A nuisance: never compensated.
 
     Equation   E_X = shift_X - rotation * y,  E_Y = shift_Y + rotation * x      [um] = [urad] * [mm] * 1e-3
-    Assumes    small angles; squareness stays with the machine, for a rotation moves both axes alike
+    Assumes    small angles; squareness remains an error of the machine, because a rotation affects both axes alike
     Typical    200 um, 100 urad
     Moves      positive rotation: the workpiece is turned counter-clockwise seen from +Z
     Source     rigid-body motion in a plane

@@ -18,13 +18,13 @@ from errpipe.terms._slack import Slack, chebyshev
 
 
 class ScaleError(Term):
-    """The lead of the screw or the pitch of the scale is off: the axis travels too far by a fixed share.
+    """The lead of the screw or the pitch of the scale is wrong: the axis travels too far by a constant fraction.
 
     Equation   deviation(x) = slope * x                            [um] = [um/m] * [m]
     Assumes    the same slope at every temperature (else `scale_expansion`); a measuring beam out of line looks
                the same (cosine error)
     Typical    5..50 um/m
-    Moves      positive slope: the axis travels past its target, more so far out
+    Moves      positive slope: the axis travels past its target, in proportion to position
     Source     ISO 230-2; Ni 1997, geometric errors
     """
 

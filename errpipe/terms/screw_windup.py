@@ -19,10 +19,10 @@ from errpipe.yamlfile import quantity
 
 
 class ScrewWindup(Term):
-    """Friction twists and stretches the screw: the longer the piece that carries the force, the larger the step.
+    """Friction twists and stretches the screw: the reversal error grows with the loaded length of the screw.
 
     Equation   deviation(d, x) = -step_at_far_end / 2 * d * |x - drive_end| / length
-    Assumes    the same friction both ways; no gap (add `backlash` for the part that does not grow)
+    Assumes    equal friction in both directions; no gap (add `backlash` for the constant part)
     Typical    2..15 um at the far end
     Moves      positive step: approached from below the axis stops short, most of all at the far end
     Source     axial compliance of a screw, force * length / (E A)

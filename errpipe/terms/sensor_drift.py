@@ -16,10 +16,10 @@ LOG_ODDS_OF_DRIFT = -30.0
 
 
 class SensorDrift(Term):
-    """The measuring device itself wanders: a deviation that grows with time, whatever the machine does.
+    """Drift of the measuring device: a deviation that grows with time, independent of the machine.
 
     Equation   deviation = rate * t                                  [um] = [um/h] * [h]
-    Assumes    steady; never compensated, for the machine has no part in it
+    Assumes    constant rate; never compensated, because it is not an error of the machine
     Typical    0.5..5 um/h
     Moves      one way, through pauses too
     Source     drift of probes and amplifiers (ISO 230-3, drift of the measuring set-up)

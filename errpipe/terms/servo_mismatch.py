@@ -15,7 +15,7 @@ from errpipe.terms._place import is_radial
 
 
 class ServoMismatch(Term):
-    """The two axes of a circle are not equally late: the circle becomes an ellipse at 45 degrees.
+    """The two axes of a circle have different lags (servo mismatch): the circle becomes an ellipse at 45 degrees.
 
     Equation   deviation = -lag_difference / 2 * (vx x - vy y) / R    [um] = [ms] * [mm/s]
                lag_difference = lag of the first axis minus lag of the second

@@ -13,12 +13,12 @@ from errpipe.yamlfile import quantity
 
 
 class SmoothCurve(CurveOverAxis):
-    """Any deviation that only position decides, as smooth as the measurements ask for.
+    """Any function of position; its smoothness is estimated from the measurements.
 
     Equation   deviation(x) = sum b_k B_k(x), cubic B-splines on equal stretches, strength of smoothing from the data
     Assumes    the same at every temperature; held at its end values beyond the span
     Typical    10..40 stretches, 1..50 um
-    Moves      where the curve is positive the axis goes too far
+    Moves      where the curve is positive the axis travels too far
     Source     Eilers and Marx 1996 (P-splines); Wood 2011 (restricted likelihood for the strength)
     """
 

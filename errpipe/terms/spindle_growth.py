@@ -17,10 +17,10 @@ from errpipe.terms._slack import Slack, difference_of_shape, start_states
 
 
 class SpindleGrowth(OfSpindleSpeed):
-    """The bearings heat the spindle, which grows: an exponential after each change of speed.
+    """The bearings heat the spindle, which expands: an exponential after each change of speed.
 
     Equation   tau dy/dt + y = (n / n_max)^exponent;  deviation = growth * y
-    Assumes    one body, the same warming and cooling unless tau_down differs
+    Assumes    one body; equal time constants for warming and cooling unless tau_down differs
     Typical    5..60 um at full speed, tau 600..6000 s, exponent 1..2
     Moves      positive growth: towards the work as the spindle warms
     Source     Ni 1997, spindle model; ISO 230-3 (ETVE)

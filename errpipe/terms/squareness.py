@@ -17,7 +17,7 @@ from errpipe.terms._place import direction_of, is_radial, own_axis
 
 
 class Squareness(Term):
-    """Two axes are not at right angles: moving along one shifts the tool along the other, in proportion.
+    """Two axes are not at right angles: motion along one shifts the tool along the other, in proportion.
 
     Equation   deviation(y) = angle * y                             [um] = [urad] * [m];  circle: angle * x y / R
     Assumes    straight guideways (the curved part is `straightness`)

@@ -27,7 +27,7 @@ def bows(x: np.ndarray, low: float, high: float, order: int) -> np.ndarray:
 
 
 class Straightness(Term):
-    """A guideway is not straight: moving along one axis shifts the tool sideways, smoothly and not in proportion.
+    """A guideway is not straight: motion along one axis shifts the tool sideways, smoothly and not linearly.
 
     Equation   deviation(x) = sum of b_k T_k(u), k = 2..order, u = position scaled to -1..1 over low..high
     Assumes    a smooth guideway; degree 1 belongs to squareness, degree 0 to the datum; ends held beyond low..high

@@ -21,10 +21,10 @@ from errpipe.terms._slack import AT_STANDSTILL, Slack, difference_of_shape, grad
 
 
 class StribeckFriction(Term):
-    """At creep the guide rubs dry; as speed grows it floats up on its oil and the friction falls.
+    """Stribeck friction: boundary friction at creep speed, which falls as an oil film builds up with speed.
 
     Equation   force = extra * sign(v) * exp(-(|v| / v_s)^2)         [N]
-    Assumes    no time of its own (steady sliding)
+    Assumes    no time constant (steady sliding)
     Typical    5..150 N, v_s 0.5..20 mm/s
     Moves      positive extra: more force at creep than at speed
     Source     Stribeck 1902; Armstrong-Helouvry 1994

@@ -18,10 +18,10 @@ from errpipe.terms._warm import REFERENCE, rise_driver, sensors
 
 
 class ThermalDrift(Driven):
-    """A part of the structure grows with its temperature and shifts the tool: an offset that follows a sensor.
+    """A part of the structure expands with its temperature and shifts the tool: an offset that follows a sensor.
 
     Equation   deviation(T) = gain * (T - T_ref)                    [um] = [um/K] * [K]
-    Assumes    the sensor has the temperature of the part, without delay (else `thermal_lag`)
+    Assumes    the sensor reads the temperature of the part, without delay (else `thermal_lag`)
     Typical    1..10 um/K
     Moves      positive gain: the warmer, the further in the positive direction
     Source     Ni 1997, thermal errors; ISO 230-3

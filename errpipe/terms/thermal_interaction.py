@@ -20,7 +20,7 @@ from errpipe.terms._warm import REFERENCE, rise_driver, sensors
 
 
 class ThermalInteraction(Driven):
-    """Two warm parts act together (a hot spindle in a hot column), or one acts more than in proportion.
+    """Two warm parts interact (a hot spindle in a hot column), or the effect of one is more than proportional.
 
     Equation   deviation = gain * (T1 - T_ref) * (T2 - T_ref)        [um] = [um/K2] * [K]^2
     Assumes    rises counted from the reference; T1 = T2 gives the square

@@ -26,12 +26,12 @@ MAX_RESIDUAL_SHARE = 0.9  # share of the sum of squares of one time constant, be
 
 
 class ThermalLag(Term):
-    """The part that moves is slower than its sensor: loops in the plane of deviation and temperature.
+    """The part that expands is slower than its sensor: hysteresis loops of deviation against temperature.
 
     Equation   tau dy/dt + y = T - T_ref;  deviation = gain * y          [um] = [um/K] * [K]
                with `along` the deviation is gain * y * x                [um] = [um/m/K] * [m] * [K]
                with `two_stages` gain_slow * y_slow of a second lag is added
-    Assumes    one time constant (or two), the same warming and cooling; in step with the sensor at the start
+    Assumes    one time constant (or two), equal for warming and cooling; in equilibrium with the sensor at the start
     Typical    time constant 600..15000 s, gain 1..10 um/K
     Moves      positive gain: the warmer, the further, late by about tau
     Source     lumped heat balance; Mares, Horejs, Havlik 2020 (transfer functions in the control)

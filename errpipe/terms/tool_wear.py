@@ -23,7 +23,7 @@ OWN_RATE = 0.5  # standard deviation of a tool's rate over the mean of all tools
 
 
 class ToolWear(Term):
-    """The edge wears back as it cuts: the work grows, until a fresh edge is put in.
+    """The cutting edge recedes by wear: the part becomes oversize until the tool is changed.
 
     Equation   deviation = wear * (s / 1000 m)^exponent               [um], s = length cut with this edge
     Assumes    the length cut starts at 0 with each tool, or where the label of `tool` changes; exponent < 1: fast at

@@ -19,7 +19,7 @@ from errpipe.terms._slack import Slack
 
 
 class TorqueRipple(Term):
-    """The motor's magnets pull unevenly (cogging, commutation): a force that repeats with position.
+    """Force ripple of the motor (cogging, commutation): a force that is periodic in position.
 
     Equation   force = sum over orders k of sine_k sin(k a) + cosine_k cos(k a),  a = 2 pi x / (k_1 period)   [N]
     Assumes    the same ripple at every speed

@@ -19,7 +19,7 @@ from errpipe.terms._slack import Slack
 
 
 class ViscousFriction(Term):
-    """Oil and grease: the drive force grows with speed.
+    """Viscous friction of oil and grease: the drive force grows with speed.
 
     Equation   force = damping * v                                  [N] = [N s/m] * [m/s]
     Assumes    in proportion to speed

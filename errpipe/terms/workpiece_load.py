@@ -19,10 +19,10 @@ from errpipe.yamlfile import quantity
 
 
 class WorkpieceLoad(Term):
-    """The mass on the table bends bed and guideway: more with its weight, and with where the table stands.
+    """The mass on the table deforms bed and guideway, in proportion to the mass and depending on the table's position.
 
     Equation   deviation = load / full_load * (settle + tilt * u + bend * u^2),  u = position scaled to 0..1
-    Assumes    elastic and in proportion to the mass
+    Assumes    elastic; proportional to the mass
     Typical    5..30 um at full load
     Moves      nothing on an empty table
     Source     elastic foundation; Ni 1997, errors from load

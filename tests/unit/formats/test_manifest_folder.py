@@ -140,7 +140,7 @@ REFUSED = {
     ),
     "a column twice": (
         {"header": HEADER + ",T", "rows": [r + ",20" for r in ROWS]},
-        "recording.csv:1  column 'T' stands 2 times in the header (allowed: once)",
+        "recording.csv:1  column 'T' occurs 2 times in the header (allowed: once)",
     ),
     "semicolons": (
         {"header": HEADER.replace(",", ";")},

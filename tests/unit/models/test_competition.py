@@ -173,7 +173,7 @@ def test_the_seasonal_family_competes_without_its_fade() -> None:
 def test_where_temperatures_say_nothing_nothing_is_exported() -> None:
     quiet = machine(5, runs=4, effect=0.0)
     for family in (Auto(component="E_Z", among=LINEAR), Nothing(component="E_Z")):
-        with pytest.raises(GateError, match="not better than nothing"):
+        with pytest.raises(GateError, match="not better than no compensation"):
             pass_gate(family.fit(quiet).model, [held_out(quiet, family)])
 
 

@@ -123,8 +123,8 @@ def test_arc_segments_stay_within_the_chord_error(chord):
         ("G93", "G93 is not understood"),
         ("G53 G1 Z0", "G53 is understood with G0"),
         ("G4 P1 G28 Z0", "G4 and G28 in one block contradict"),
-        ("M6\nG1 X5 Y5", "where Z stands is not known yet, at the start or behind a tool change"),
-        ("G28 Z0\nG91 G0 Z5", "an increment in Z, but where Z stands is not known"),
+        ("M6\nG1 X5 Y5", "the position of Z is not known at the start or after a tool change"),
+        ("G28 Z0\nG91 G0 Z5", "an increment in Z, but the position of Z is not known"),
         ("G56 G0 X0", "the work offset G56 was not given"),
         ("G43 H7", "the tool length of H7 was not given"),
         ("G1 X1 X2", "a word occurs twice"),
@@ -148,7 +148,7 @@ def test_what_is_not_understood_is_refused_with_its_line(line, why):
 
 
 def test_unknown_place_is_refused_not_guessed():
-    with pytest.raises(DataError, match="where X and Y stands is not known"):
+    with pytest.raises(DataError, match="the position of X and Y is not known"):
         correct("G90 G21 G54\nG1 Z10\n", no_deviation, Setup(offsets=SETUP.offsets))
 
 

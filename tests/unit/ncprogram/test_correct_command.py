@@ -38,7 +38,7 @@ def test_places_beyond_the_table_and_a_zero_that_was_not_stated_are_named(tmp_pa
     (tmp_path / "p.ngc").write_text("G90 G21 G54\nG0 X100 Y0 Z0\nG1 X800 F500\n")
     done = correct_file(tmp_path / "p.ngc", tmp_path / "t.ect", None, {})
     assert "G54 is taken as 0,0,0" in done["offsets"]
-    assert "X goes from 100 to 800 mm of the machine, the table from 0 to 500" in done["outside_what_was_measured"]
+    assert "X moves from 100 to 800 mm of the machine, the table covers 0 to 500" in done["outside_what_was_measured"]
     done = correct_file(tmp_path / "p.ngc", tmp_path / "t.ect", None, {}, offsets=["G54=-350,0,0"])
     assert "X goes from -250 to 450 mm" in done["outside_what_was_measured"] and "offsets" not in done
     done = correct_file(tmp_path / "p.ngc", tmp_path / "t.ect", None, {}, offsets=["G55=-350,0,0"])
@@ -111,7 +111,7 @@ def test_a_printed_program_is_the_written_one_to_the_byte_and_its_remarks_go_to_
     printed = capsys.readouterr()
     assert printed.out == (tmp_path / "o.ngc").read_text()
     assert all(len(line) <= 80 for line in printed.err.splitlines())
-    for remark in ("offsets: no --offset", "outside_what_was_measured: X goes", "whole_numbers: line 6"):
+    for remark in ("offsets: no --offset", "outside_what_was_measured: X moves", "whole_numbers: line 6"):
         assert remark in printed.err and remark in said
 
 

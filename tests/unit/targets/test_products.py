@@ -134,7 +134,7 @@ def test_a_file_whose_meaning_depends_on_the_reading_is_refused():
         CEC.read_back({FILE: changed})
     with pytest.raises(VerifyError, match="points"):
         CEC.read_back({FILE: "".join(lines)})
-    with pytest.raises(VerifyError, match="not there"):
+    with pytest.raises(VerifyError, match="does not exist"):
         CEC.read_back({FILE: text.replace("MULT_BY_TABLE[2]=4", "MULT_BY_TABLE[2]=9")})
 
 

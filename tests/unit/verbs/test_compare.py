@@ -136,7 +136,7 @@ def test_a_shift_of_a_recording_is_drawn_and_where_it_stands_is_said(tmp_path: P
     figure = tmp_path / "f.svg"
     assert main(["compare", str(tmp_path / "old"), str(tmp_path / "new"), "--figure", str(figure)]) == 0
     said = capsys.readouterr().out
-    assert "100% of it goes with run number: on average +0 um near 1, +5 near" in said
+    assert "100% of it correlates with run number: on average +0 um near 1, +5 near" in said
     assert "run number" in figure.read_text(encoding="utf-8")
     for name, reading in (("low", 1.0), ("high", 6.0)):
         record(tmp_path / name, 2, as_read=lambda um, r=reading: r)
