@@ -1,4 +1,4 @@
-"""Rows of a longer recording as arrays, without a pandas frame: making one takes as long as reading them."""
+"""Rows of a longer recording as arrays, without a pandas frame, which takes as long to build as to read."""
 
 from __future__ import annotations
 
@@ -77,8 +77,8 @@ class Batch(Recording):
 
 
 class Stretches:
-    """Labels of which each stands for a stretch of rows. starts: first row of each, (stretches,). A dictionary array
-    only where somebody asks for rows: making one takes a tenth of the time of reading a batch.
+    """Labels, each for a stretch of rows. starts: first row of each, (stretches,). A dictionary array
+    only on demand: constructing one takes a tenth of the time of reading a batch.
     """
 
     def __init__(self, labels: list[str], starts: np.ndarray, rows: int):

@@ -7,7 +7,7 @@
     E_R E_D        radial deviation in a circular test; deviation of a workpiece's diameter
     F_X F_C        drive force of a linear axis; drive torque of a rotary axis (N m, or N at a stated radius)
 
-Location errors are also written EC0Y, E_C0Y, E_{C0Y}; error motions E_XX, E_{XX}. `parse` takes them all.
+Location errors are also written EC0Y, E_C0Y, E_{C0Y}; error motions E_XX, E_{XX}. `parse` accepts them all.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def is_rotary(axis: str) -> bool:
 
 
 def parse(name: str) -> Component:
-    """The component a name stands for. Raises ValueError naming the nearest component."""
+    """The component of a name. Raises ValueError naming the nearest component."""
     if match := _MOTION.match(name):
         return _motion(*match.groups())
     if match := _LOCATION.match(name):

@@ -66,7 +66,7 @@ class Empirical(Frozen):
 
 
 class Finding(Frozen):
-    """An effect that the simulation lacks; `unknown` where no effect carries the structure; or `recalibration`."""
+    """An effect that the simulation lacks; `unknown` if no effect explains the structure; or `recalibration`."""
 
     effect: str
     confidence: float = Field(ge=0, le=1)
@@ -131,7 +131,7 @@ class ChangePoint(Frozen):
 
 
 class WhitenessTest(Frozen):
-    """Does what is left still go with an input? statistic: F with `dof` columns, or Ljung-Box's Q."""
+    """Test whether the residual correlates with an input. statistic: F with `dof` columns, or Ljung-Box's Q."""
 
     against: str
     how: str
@@ -141,7 +141,7 @@ class WhitenessTest(Frozen):
 
 
 class Whiteness(Frozen):
-    """All tests of what the best explanation leaves; p: for all together; slow_share: of the noise, estimated."""
+    """All tests of the residual of the best explanation; p: adjusted for all; slow_share: of the noise, estimated."""
 
     p: float
     slow_share: float
@@ -150,7 +150,7 @@ class Whiteness(Frozen):
 
 
 class Significance(Frozen):
-    """The search's best gain beside that on surrogates which hold nothing. gain, limit95: log Bayes factors."""
+    """The search's best gain, and that on surrogates without an effect. gain, limit95: log Bayes factors."""
 
     p: float
     gain: float

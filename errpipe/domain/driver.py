@@ -1,8 +1,8 @@
 """A driver: how an error's size follows the state of the machine, as a tree of few operations.
 
 Everything here is causal and cheap: a controller evaluates the same tree once per cycle. `domain/operations.py`
-states the operations, their parameters and what they do; here stands what each of them acts on.
-It stands in `domain/`, not with what evaluates it in `drivers/`, because error models and their schema hold drivers.
+defines the operations and their parameters; this file adds their operands.
+It is in `domain/`, not with its evaluation in `drivers/`, because error models and their schema contain drivers.
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ class _Values(dict[str, float]):
 class DatumReadings(Frozen):
     """How readings of the deviation now and then correct a component: by an input `datum_<component>` of the table.
 
-    The input holds the last reading minus what the model predicted when it was taken.
+    The input is the last reading minus the model's prediction at that time.
     """
 
     share: float = quantity("1", "Share of that difference that is applied.", ge=0, le=1)
@@ -109,7 +109,7 @@ class ComponentModel(Frozen):
 
 
 class Validity(Frozen):
-    """The box of what the fit has seen: column -> (lowest, highest); `margin` -> the fade outside it."""
+    """The range covered by the fitted rows: column -> (lowest, highest); `margin` -> the fade outside it."""
 
     ranges: dict[str, tuple[float, float]] = Field(
         {}, description="Column -> lowest and highest value it holds for.", json_schema_extra={"unit": "of the column"}
@@ -148,7 +148,7 @@ class ErrorModel(Frozen):
     def of(
         cls, manifest: Manifest, columns: Iterable[str], constants: Iterable[str] = (), **further: Any
     ) -> ErrorModel:
-        """With what the manifest of the fitted recording says of machine, title, some columns and some constants."""
+        """With machine, title, some columns and some constants from the manifest of the fitted recording."""
         given = ((manifest.columns, columns), (manifest.constants, constants))
         entries = [{n: known[n].model_dump(mode="json", exclude_none=True) for n in names} for known, names in given]
         facts = {"machine": manifest.machine, "title": manifest.title, "columns": entries[0], "constants": entries[1]}
@@ -192,7 +192,7 @@ def joined(models: Sequence[ErrorModel]) -> ErrorModel:
 
 
 def _common(boxes: Sequence[Validity]) -> Validity:
-    """The place that boxes have in common; empty (lowest above highest) where there is none."""
+    """The intersection of boxes; empty (lowest above highest) if there is none."""
     ranges: dict[str, tuple[float, float]] = {}
     seen: dict[str, tuple[float, float]] = {}
     margins: dict[str, float] = {}

@@ -2,7 +2,7 @@
 
     chain: [workpiece, Z', bed, X, Y, spindle, tool]
 
-A prime marks an axis that carries the workpiece (ISO 841); `bed` stands still. All points are in mm in the
+A prime marks an axis that carries the workpiece (ISO 841); `bed` is stationary. All points are in mm in the
 machine's coordinates (ISO 841) with every axis at 0. Axis coordinates count the way ISO 841 counts them: a
 positive motion moves the tool in the axis' direction as seen from the workpiece, whichever of the two moves.
 """
@@ -79,7 +79,7 @@ class Spindle(Frozen):
 
 
 class Tool(Frozen):
-    """Tool tip = mount + offset + length along `direction`; length and offset may be given anew at run time."""
+    """Tool tip = mount + offset + length along `direction`; length and offset may be changed at run time."""
 
     mount: Vector | None = quantity("mm", "where it is held; the spindle's position where left out", None)
     direction: Direction = quantity("1", "from the mount to the tip", (0.0, 0.0, -1.0))

@@ -6,7 +6,7 @@ take their parameters from here. `drivers/` evaluates a tree over a recording an
 
 Semantics of each operation at step k (dt = time since the step before). States start at the first step of a session: a
 controller's power-on; in a recording, a run, and with it the runs that follow it in time, because heat does
-not stop between runs (a prediction takes every run by itself):
+not stop between runs (a prediction evaluates every run separately):
 
     constant   value
     input      the named input (a column of a recording, a channel of a controller)

@@ -12,7 +12,7 @@ DIRECTIONS = ("E_X", "E_Y", "E_Z", "E_A", "E_B", "E_C")
 
 @dataclass(frozen=True)
 class Protocol:
-    """A test of a machine. Columns besides `run` and a position for each axis, constants besides the tool, mm."""
+    """A test of a machine. Further columns besides `run` and positions, further constants besides the tool, mm."""
 
     measures: str
     errors: tuple[str, ...]

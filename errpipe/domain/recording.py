@@ -1,8 +1,8 @@
 """A recording: what every column of a measurement *is* (the manifest), and its rows.
 
 The manifest is version 1 of the recording manifest; nothing is guessed from a column's name. A
-`Recording` always holds canonical units (mm, deg, s, mm/s, mm/min, rpm, degC, hPa, N, kg, um, urad, N):
-the door that read it has converted.
+`Recording` is always in canonical units (mm, deg, s, mm/s, mm/min, rpm, degC, hPa, N, kg, um, urad, N):
+readers convert when they read.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ class Derived(Frozen):
 
 
 class ActsOn(Frozen):
-    """The axis that corrects a component without an axis of its own."""
+    """The axis that corrects a component that belongs to no axis."""
 
     axis: str = Field(description="Letter of the axis, such as X.", pattern="^[A-Z][A-Z0-9]{0,6}$")
     factor: float | None = quantity(
@@ -255,7 +255,7 @@ class Manifest(Frozen):
 
 @dataclass
 class Past:
-    """What the rows before a batch leave behind. run, time: of the last one; states, later: driver -> its state at the
+    """State after the rows before a batch. run, time: of the last one; states, later: driver -> its state at the
     end of the rows before and of this batch.
     """
 
@@ -274,8 +274,8 @@ class Recording:
     between: what drives a slow effect from one row to the next. `held`: the row's value, as a control that reads it at
     a fixed rate has it. `inferred`: temperatures and pressures run straight to the next row, and in the pauses of a
     series of parts the rest (spindle, coolant) is at 0.
-    past: for a batch of a longer recording, what the rows before it leave behind.
-    separate_runs: whether slow effects start anew with every run; else they live on through runs that follow in time.
+    past: for a batch of a longer recording, the state after the rows before it.
+    separate_runs: whether slow effects restart with every run; else they continue through runs that follow in time.
     """
 
     manifest: Manifest
@@ -307,12 +307,12 @@ class Recording:
 
     @cached_property
     def _arrays(self) -> dict[str, np.ndarray]:
-        """The columns that were asked for: fits ask ten thousand times, and pandas is slow to answer."""
+        """Cache of requested columns: fits request them ten thousand times, and pandas is slow."""
         return {}
 
     @cached_property
     def derived(self) -> dict[Any, Any]:
-        """What follows from the rows (most: an array of a value per row), kept with them; nobody writes into it."""
+        """What follows from the rows (most: an array of a value per row), cached; read-only."""
         return {}
 
     def _array(self, name: str) -> np.ndarray:
@@ -369,7 +369,7 @@ class Recording:
         return Recording(self.manifest, frame.reset_index(drop=True), self.between, separate_runs=self.separate_runs)
 
     def each_run_alone(self) -> Recording:
-        """The same rows, with slow effects that start anew in every run."""
+        """The same rows, with slow effects that restart in every run."""
         return self if self.separate_runs else replace(self, separate_runs=True)
 
     def with_values(self, columns: dict[str, Any]) -> Recording:

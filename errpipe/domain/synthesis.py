@@ -1,6 +1,6 @@
 """The synthesis of a machine as plain data: outputs = sum of weight x component x product of drivers.
 
-What `kinematics` derives and a stage hands to `tables`; neither knows the other.
+Derived by `kinematics` and passed by a stage to `tables`, which do not import each other.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The compensation table: a compiled error model that a controller runs in a fixed-rate cycle.
 
 This model *is* the JSON twin (format version 2; version 1 is read and runs by its own rules); the binary twin `.ect`
-holds the same, bit for bit, and `schemas/ect-2.md` states both so that they can be implemented without reading this
+contains the same, bit for bit, and `schemas/ect-2.md` states both so that they can be implemented without reading this
 code. Every target and every evaluator sees only this.
 
     conditioned inputs -> nodes (drivers) -> profile(position) x node, summed per component
@@ -18,7 +18,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from errpipe.domain.operations import LARGEST_NUMBER, NotNegative, Number, Positive
-from errpipe.domain.table_nodes import (  # noqa: F401  # asked for as names of this module, `t.LagNode`
+from errpipe.domain.table_nodes import (  # noqa: F401  # used as names of this module, `t.LagNode`
     AffineNode,
     AnyNode,
     ApproachNode,
@@ -71,7 +71,7 @@ STATUS = (
     "holding",
 )
 STATUS_BIT = {name: 1 << n for n, name in enumerate(STATUS)}
-# Why a reading is rejected, and what stands in for it: the codes a controller shows per input.
+# Why a reading is rejected, and what replaces it: the codes a controller shows per input.
 FAULTS = ("none", "missing", "stale", "range", "rate")
 SOURCES = ("reading", "substitute", "held", "default")
 

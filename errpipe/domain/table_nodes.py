@@ -60,7 +60,7 @@ class SwitchNode(operations.Switch, Node):
 
 
 class DirectionNode(operations.Direction, Node):
-    """Operands: the position, and where there is one the input that knows the direction (sign, 0 unknown)."""
+    """Operands: the position, and, if there is one, the input of the direction (sign, 0 unknown)."""
 
     operands: ClassVar = (1, 2)
 
@@ -96,7 +96,7 @@ AnyNode = Annotated[
 
 
 def check_node(number: int, node: AnyNode, inputs: set[str]) -> None:
-    """Raise ValueError where a node reads a later one or what the table has not, or contradicts itself."""
+    """Raise ValueError if a node reads a later or missing one, or is inconsistent."""
     fewest, most = node.operands
     if not fewest <= len(node.of) <= most:
         raise ValueError(f"node {number} ({node.op}): {len(node.of)} operands (allowed: {fewest}..{most})")

@@ -1,7 +1,7 @@
-"""Units at the door: what each role may be written in, and how it becomes canonical.
+"""Units of input: which ones each role may use, and their conversion to canonical units.
 
 A conversion is affine, `canonical = (value - zero) * factor`, so that degF and K are as plain as inch.
-Everything behind the door is mm, deg, s, mm/s, mm/s2, mm/min, rpm, degC, hPa, N, kg; deviations um, urad; torques N m.
+After reading, all is in mm, deg, s, mm/s, mm/s2, mm/min, rpm, degC, hPa, N, kg; deviations um, urad; torques N m.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def conversion(role: str, unit: str | None) -> Conversion | None:
     raise ValueError(f"{unit!r} is not a unit of role {role} (allowed: {', '.join(allowed)}).")
 
 
-# Canonical as they stand among constants: a deviation, a temperature rise.
+# Canonical units among constants: a deviation, a temperature rise.
 _AS_THEY_STAND = ("um", "urad", "K", "%")
 
 

@@ -1,6 +1,6 @@
 """A recording manifest as a person writes it: everything that can be wrong before a table is opened.
 
-`Manifest` itself only says what the keys are. At the door every role that has a unit states one that fits its
+`Manifest` itself only defines the keys. When a manifest is read, every role with a unit must state one that fits its
 component, components are ISO 230-1, axes ISO 841, and no table lies outside the folder.
 """
 

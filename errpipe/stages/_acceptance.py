@@ -2,12 +2,12 @@
 
 Two ways to fit what was accepted:
 
-    whole      a `fit` stage stands before: its terms and the accepted ones together, on the whole deviation
+    whole      a `fit` stage precedes: its terms and the accepted ones together, on the whole deviation
     mismatch   none does: the accepted terms on recorded less simulated, the simulation being used as it stands
 
-What belongs to the measurement (air, drift) is fitted beside the accepted terms as nuisance, so that it does not bias
+Errors of the measurement (air, drift) are fitted together with the accepted terms as nuisance, so that it does not bias
 them, and is never compensated. A simulation whose own gains are off biases them too: where its values are plainly the
-sum of a few terms, these terms join the mismatch, and the table holds by how much their gains are off.
+sum of a few terms, these terms join the mismatch, and the table contains the errors of their gains.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Decision:
 
 
 def decide(diagnosis: Diagnosis, recording: Recording, accept: Accept, whole: bool = False) -> list[Decision]:
-    """One decision per finding, responses and findings in the diagnosis' order. whole: a model stands before."""
+    """One decision per finding, responses and findings in the diagnosis' order. whole: a model precedes."""
     made = []
     for response in diagnosis.responses:
         decided = [_decide(f, response, accept) for f in response.findings]
@@ -228,7 +228,7 @@ def _without_fixed(term: Term) -> dict[str, Any]:
 def fit_accepted(
     decisions: list[Decision], diagnosis: Diagnosis, existing: ModelSpec | None, recording: Recording
 ) -> tuple[ErrorModel, ModelSpec, list[Decision]]:
-    """Fit the accepted findings; one that is not identifiable beside the others is refused after all.
+    """Fit the accepted findings; one that is not identifiable together with the others is refused.
 
     Raises NotIdentifiable where the model before can already not be fitted, DataError without twins.
     """

@@ -84,7 +84,7 @@ def apply_findings(
 
 
 def in_words(document: Mapping[str, Any]) -> list[str]:
-    """What was put in and what is left, a line each."""
+    """What was added and the residual, one line each."""
     lines = []
     for r in document["responses"]:
         names = ", ".join(p["effect"].replace("_", " ") for p in r["put_in"]) or "nothing"

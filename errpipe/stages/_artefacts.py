@@ -65,12 +65,12 @@ def source_in(folder: Path) -> Source | None:
 
 
 def recordings_in(context: Context) -> dict[str, Recording]:
-    """Every recording behind the slot `recordings`, by the name of its stage."""
+    """Every recording of the slot `recordings`, by the name of its stage."""
     return {name: recording_in(folder) for name, folder in context.every("recordings").items()}
 
 
 def read_model(path: Path) -> ErrorModel:
-    """An error model from its JSON file. Raises VerifyError where it is none."""
+    """An error model from its JSON file. Raises VerifyError if it is not one."""
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Column
 
@@ -88,7 +88,7 @@ def read_model(path: Path) -> ErrorModel:
 
 
 def models_in(context: Context) -> list[ErrorModel]:
-    """Every error model behind the slot `error_model`, in file order."""
+    """Every error model of the slot `error_model`, in file order."""
     return [read_model(folder / MODEL) for folder in context.every("error_model").values()]
 
 
@@ -109,7 +109,7 @@ def validations_of(model: ErrorModel, folders: Iterable[Path]) -> list[dict[str,
 
 
 def write_model(context: Context, recording: Recording, model: ErrorModel, family: Family) -> ErrorModel:
-    """Write an error model and the procedure behind it into a stage's folder; the model as it was written."""
+    """Write an error model and its fitting procedure to a stage's folder; returns the model as written."""
     from errpipe.models import procedure
 
     inputs = {"recording": context.fingerprint}
@@ -120,7 +120,7 @@ def write_model(context: Context, recording: Recording, model: ErrorModel, famil
 
 
 def family_in(folder: Path) -> Family:
-    """The model family behind an error model in a stage's folder."""
+    """The model family of an error model in a stage's folder."""
     from errpipe.models import family_of
 
     return family_of(jsonfile.read(folder / PROCEDURE))
@@ -142,7 +142,7 @@ def write_table(folder: Path, table: CompensationTable) -> None:
 
 
 def read_table(path: Path) -> CompensationTable:
-    """A compensation table, binary or JSON twin. Raises DataError without a file, VerifyError where it is none."""
+    """A compensation table, binary or JSON twin. Raises DataError without a file, VerifyError if it is not a table."""
     from errpipe.tables import ect
 
     if not Path(path).exists():
@@ -151,7 +151,7 @@ def read_table(path: Path) -> CompensationTable:
 
 
 def model_or_table(path: Path) -> ErrorModel | CompensationTable:
-    """Whichever of the two a file holds. Raises DataError for neither, VerifyError for a damaged one."""
+    """The table or error model in a file. Raises DataError for neither, VerifyError for a damaged one."""
     from errpipe.tables import ect
 
     path = Path(path)

@@ -33,7 +33,7 @@ MIN_ZERO_SHIFT = 5e-5  # mm (deg): a smaller shift of a zero is not listed
 def checklist(
     target: Any, read: Any, lost: list[dict[str, Any]], table: CompensationTable, others: Sequence[str] = ()
 ) -> str:
-    """The text for one target. read: what the controller makes of its files; others: targets loaded besides."""
+    """The text for one target. read: its files as the controller reads them; others: targets loaded with it."""
     lines = [f"# {target.name}: {target.controller}", "", f"Sign: {target.sign}.", f"Limits: {target.limits}."]
     lines += [f"Unit: {target.unit}."]
     if _artefacts.UNGATED in table.title:
@@ -166,7 +166,7 @@ def _from_the_start(read: ReadBack, table: CompensationTable) -> list[ByHand]:
 
 
 def _with_numbers(table: CompensationTable, read: Any, numbers: Sequence[Any]) -> list[str]:
-    """What is left once the numbers are entered; nothing where they add nothing to the files."""
+    """The residual once the numbers are entered; empty if they add nothing to the files."""
     parts = tuple(number.curve for number in numbers if number.curve is not None)
     if not parts:
         return []
@@ -195,7 +195,7 @@ def _of_force(table: CompensationTable) -> list[str]:
 
 
 def _at_the_axis(table: CompensationTable) -> list[str]:
-    """How a component that has no axis of its own, such as a diameter, moves the axis that corrects it."""
+    """How a component that belongs to no axis, such as a diameter, moves the axis that corrects it."""
     says = []
     for output in table.outputs:
         for term in output.terms:

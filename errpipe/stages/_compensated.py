@@ -1,4 +1,4 @@
-"""Deviations measured with a table switched on: what the table took away is added, as if it had been off."""
+"""Deviations measured with an active table: its correction is removed, as if it had been off."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 TURN = 360.0  # deg
-USUAL = 1.5  # steps between targets: what is left of a turn beyond that was not measured
+USUAL = 1.5  # steps between targets: a larger gap in the turn counts as not measured
 
 
 class CompileOptions(Options):
@@ -111,7 +111,7 @@ def _table_of(
 
 
 def _not_measured(model: ErrorModel, pairs: Sequence[Lowered], recording: Recording | None) -> list[str]:
-    """What is bridged of a turn: where the ends of what was measured lie further apart than its targets do."""
+    """The interpolated part of a turn: where the measured ends are further apart than the targets."""
     import numpy as np
 
     from errpipe.stages import _inputs, _plausible
@@ -150,7 +150,7 @@ def _acts_on(
 ) -> dict[str, tuple[str, float]]:
     """Component -> (axis, factor). Raises UsageError for a component that is not exported, and for a factor of 0.
 
-    What the export states wins over what the recording states of the component's column.
+    Options of the export take precedence over the recording's column.
     """
     from errpipe.domain import components
 
@@ -175,7 +175,7 @@ def _acts_on(
 
 
 def not_exported(name: str, known: Sequence[str]) -> str:
-    """What is said of a component of `acts_on` that is none of those known."""
+    """The message for an unknown component of `acts_on`."""
     return f"acts_on: {name!r} is not exported ({', '.join(known)}).{did_you_mean(name, known)}"
 
 

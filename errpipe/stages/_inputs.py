@@ -38,7 +38,7 @@ CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {
     "depth_of_cut": ("other", 0.0, 1e4, None),
     "cut_length": ("other", 0.0, 1e9, None),
 }
-POSITIONS = ("command", "position")  # roles that say where an axis is, the first known one first
+POSITIONS = ("command", "position")  # roles that give the position of an axis, in order of preference
 STEPPING = ("speed", "coolant", "load", "tool", "other")  # kinds that may step, read once in a thermal cycle
 STEP_S = 0.5  # s until such a step is accepted: one bad sample that meets a thermal cycle is not
 STEP_NOISE = 0.02  # of the range that was seen: a spindle's own ripple
@@ -87,7 +87,7 @@ def _limited(channel: TableInput, rate: ReadingRate | None, silence: float, sens
 
 
 def _datum(name: str, unit: str, readings: DatumReadings) -> TableInput:
-    """The channel of the last reading minus the prediction of its time: 0 where there is none, it is old or wild."""
+    """The channel of the last reading minus its prediction: 0 if there is none, or it is stale or an outlier."""
     if problem := text_problem(name, 31, NAME):
         raise GateError(f"export: the input of readings {name!r} does not fit a table: {problem}")
     span: dict[str, Any] = {"low": -readings.bound, "high": readings.bound, "stale_after_s": readings.hold_s}
@@ -126,7 +126,7 @@ def _channel(name: str, facts: dict, model: ErrorModel) -> TableInput:
     if kind == "direction":
         return TableInput(name=name, kind=kind, axis=axis, low=low, high=high, default=0.0, optional=True)
     extra: dict[str, Any] = {"default": min(max(sum(seen) / 2 if seen else 0.0, low), high)}
-    if kind == "force":  # missing: no force, so no force correction, and everything else goes on
+    if kind == "force":  # missing: no force, so no force correction, and the rest continues
         extra = {"default": 0.0, "hold_s": 0.0, "fade_on_default": False}
     elif seen is not None and model.validity.fades and kind not in ("position", "velocity", "coolant"):
         margin = model.validity.margins.get(name) or FADE_SHARE * max(seen[1] - seen[0], 1e-3)
@@ -148,7 +148,7 @@ def travel(model: ErrorModel) -> dict[str, tuple[float, float]]:
 def with_positions(model: ErrorModel, axes: Iterable[str], recording: Recording | None) -> ErrorModel:
     """The model with the positions of all of `axes`, which its pairs follow though none of its terms reads them.
 
-    Raises GateError for an axis whose position was not recorded, and for one that stood still and has no stated travel.
+    Raises GateError for an axis whose position was not recorded, and for one without motion or a stated travel.
     """
     columns, ranges = dict(model.columns), dict(model.validity.ranges)
     for axis in sorted(axes):

@@ -1,4 +1,4 @@
-"""How laser and level stood, as a pipeline states it."""
+"""Set-up of laser and level, as stated in a pipeline."""
 
 from __future__ import annotations
 

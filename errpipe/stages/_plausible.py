@@ -1,4 +1,4 @@
-"""Plausibility before export, and what the exported correction will do, in one sentence for each axis."""
+"""Plausibility checks before export, and one sentence per axis on the effect of the correction."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def refuse_table(table: CompensationTable, allow: Sequence[str], limit: float | 
 
 
 class _Largest:
-    """The largest of some corrections of an axis, mm (deg), and its sentence; one of nearly the same size stays."""
+    """The largest correction of an axis, mm (deg), and its sentence; the first one of nearly equal size is used."""
 
     def __init__(self, axis: str) -> None:
         self.axis, self.size, self.says = axis, 0.0, ""
@@ -95,7 +95,7 @@ def _largest(table: CompensationTable, axis: str) -> _Largest:
 
 
 def of_table(table: CompensationTable) -> list[str]:
-    """One sentence for each axis that a table moves: where its correction is largest, and which way it goes."""
+    """One sentence for each axis that a table moves: where its correction is largest, and its direction."""
     largest = [says for axis in _sample.outputs_by_axis(table) if (says := _largest(table, axis).says)]
     return [*_jumps(table), *largest, *not_measured(table)]
 
@@ -127,7 +127,7 @@ def not_measured(table: CompensationTable) -> list[str]:
 
 
 def bridged(axis: str, low: float, high: float) -> str:
-    """What the title of a table states of a part of a turn that was not measured, deg."""
+    """The part of a turn that was not measured, deg, from the title of a table."""
     return f"{axis} not measured from {low:g} to {high:g} deg"
 
 

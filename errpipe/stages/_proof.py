@@ -1,4 +1,4 @@
-"""Proof of an export: the compiled table beside its error model on the recording's own rows."""
+"""Verification of an export: the compiled table against its error model on the recording's rows."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ ROUNDING_UM = 1e-6  # um (urad): sums in another order differ by 1e-12 of 1e5 um
 
 
 def compare(table: CompensationTable, model: ErrorModel, recording: Recording) -> list[dict[str, Any]]:
-    """Table beside model on the recording's own rows: largest and rms difference per component, um or urad.
+    """Table minus model on the recording's rows: largest and rms difference per component, um or urad.
 
-    Both read temperatures with short holes filled: what a table holds in place of a missing reading is no difference.
+    Both read temperatures with short gaps filled, so that values held for missing readings cause no difference.
     bound_um: what gridding and rounding may add. The table's guards may add more, where they reject a reading
     or fade outside what was seen: rows_held_back counts those rows. unguarded_difference_um: largest difference of the
     same table without its guards from the terms that it holds, with readings moved into its validity box, where its
@@ -67,7 +67,7 @@ def _unguarded(table: CompensationTable) -> CompensationTable:
 
 
 def _within_validity(table: CompensationTable, recording: Recording) -> Recording:
-    """The recording with every reading moved to the nearest one that the table is valid for: its bound holds there."""
+    """The recording with every reading clipped to the validity range of the table, where its bound applies."""
     boxes = {i.name: i.valid for i in table.inputs if i.valid is not None and i.name in recording}
     return recording.with_columns({n: np.clip(recording.array(n), *box) for n, box in boxes.items()}, {})
 
@@ -76,7 +76,7 @@ def remarks(proof: Sequence[Mapping[str, Any]], passed: Passed) -> list[str]:
     """Where the table's guards hold it back on its own recording, in words.
 
     Raises VerifyError where the table without guards differs from the model by more than its bound, and GateError
-    where the guards take away what the model gained on held-out rows: the table may do harm.
+    if the guards cancel the gain of the model on held-out rows: the table may do harm.
     """
     said = []
     for p in proof:

@@ -104,7 +104,7 @@ def _runs(path: Path, frame: pd.DataFrame, time: np.ndarray, recording: Recordin
 def differences(
     recording: Recording, readings: pd.DataFrame, component: str, predicted: np.ndarray, hold_s: float, bound: float
 ) -> tuple[np.ndarray, int, int]:
-    """Last reading minus what was predicted when it was taken, per row, NaN where there is none.
+    """Last reading minus its prediction, per row; NaN if there is none.
 
     Also how many readings are used, and how many are not accepted.
 

@@ -1,6 +1,6 @@
 """An export folder as a whole: files of the export before it go, and one that was interrupted is not verified.
 
-A screw file of an axis that the new table no longer corrects would else lie beside the new ones, as fresh as they.
+Otherwise a screw file of an axis that the new table no longer corrects would remain among the new files.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from errpipe.errors import ErrpipeError, VerifyError
 from errpipe.files import inside
 
 LIST = "export.json"
-REPLACING = "replacing"  # key of a list while files are exchanged: name -> SHA-256 of what may stand there
+REPLACING = "replacing"  # key of a list while files are exchanged: name -> permitted SHA-256
 STAGED = ".unfinished"
 
 
@@ -74,12 +74,12 @@ def _exchange(staged: Path, folder: Path) -> None:
     for name in sorted(after.keys() - same, key=lambda name: (name == LIST, name)):
         places[name].parent.mkdir(parents=True, exist_ok=True)
         os.replace(staged / name, places[name])
-    if LIST in same:  # it was taken for the list of an exchange meanwhile
+    if LIST in same:  # it served as the list of an exchange
         os.replace(staged / LIST, places[LIST])
 
 
 def _listed(folder: Path) -> dict[str, list[str]]:
-    """Name -> SHA-256 of the files of an earlier export; empty where there is none that says so."""
+    """Name -> SHA-256 of the files of an earlier export; empty without one."""
     try:
         document = jsonfile.read(folder / LIST)
     except ErrpipeError:
@@ -91,7 +91,7 @@ def _listed(folder: Path) -> dict[str, list[str]]:
 
 
 def _places(folder: Path, names: set[str]) -> dict[str, Path]:
-    """Where the named files stand that are there. Raises VerifyError for a name that leads out of the folder."""
+    """Paths of the named files that exist. Raises VerifyError for a name outside the folder."""
     places = {name: inside(folder, name, VerifyError) for name in names}
     return {name: path for name, path in places.items() if path.is_file() and not path.is_symlink()}
 

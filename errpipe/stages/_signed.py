@@ -42,7 +42,7 @@ class SignOptions(Options):
         return value
 
     def seal(self, table: CompensationTable, path: Path) -> tuple[str, ...]:
-        """Put the signature beside the table's file; the remarks for controllers' files, () where none is required.
+        """Write the signature next to the table's file; returns remarks for controllers' files, () if none is required.
 
         Raises VerifyError where there is no signature, or it is not of this table by this key.
         """

@@ -1,4 +1,4 @@
-"""A recording beside its simulation: effects that the simulation lacks, located, named, modelled and validated."""
+"""Compare a recording with its simulation: missing effects are located, named, modelled and validated."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def diagnose(
 ) -> dict[str, Any]:
     """Diagnose a recording folder into `out`: diagnosis.json and report.html.
 
-    simulation: where the recording holds no simulated twin: a CSV, an error model (.json) or an FMU.
+    simulation: if the recording has no simulated columns: a CSV, an error model (.json) or an FMU.
     apply: folder for the corrected simulation (see `stages._apply_findings`).
     Raises UsageError, with one clear message, for input that cannot be used.
     """
@@ -73,7 +73,7 @@ def diagnose(
 def against(recording: Path, findings: Path, out: Path, simulation: Path | None = None) -> dict[str, Any]:
     """Look for the findings of an earlier diagnosis.json in a later recording; writes against.json into `out`.
 
-    Returns lines for people, and `changed`: the effects that are not what they were. Raises UsageError for input that
+    Returns lines to print, and `changed`: the effects that changed. Raises UsageError for input that
     cannot be used, VerifyError where `findings` is no diagnosis.
     """
     if not Path(findings).is_file():
@@ -133,7 +133,7 @@ def judged(
 def with_simulation(
     recording: Recording, simulation: Path | None
 ) -> tuple[Recording, tuple[str, ...], list[dict[str, Any]]]:
-    """The recording beside a simulation of its own file, notes, and parameters: .csv, .json (an error model) or .fmu.
+    """The recording with a simulation from a file, notes, and parameters: .csv, .json (an error model) or .fmu.
 
     Tunable parameters of an FMU are calibrated on the recording first, so that no effect is named for their errors.
     """

@@ -101,7 +101,7 @@ def _no_axis(names: Sequence[str]) -> str:
 def _gate(model: ErrorModel, fits: Sequence[ErrorModel], options: Export, context: Context) -> Passed:
     """The model at the gain that was judged; the whole of it, marked in its title, where it is exported ungated.
 
-    fits: the models that it is joined of, each with validations of its own.
+    fits: the models of which it is composed, each with its validations.
     """
     from errpipe.fitting.recalibration import with_readings
     from errpipe.validation.gate import Passed, not_judged, pass_gate
@@ -124,7 +124,7 @@ def _gate(model: ErrorModel, fits: Sequence[ErrorModel], options: Export, contex
 
 
 def _guard(context: Context, recording: Recording) -> SensorGuard:
-    """Sensor guard: each sensor predicted from the others, learnt on the recording; written beside the table."""
+    """Sensor guard: each sensor predicted from the others by regression on the recording; written with the table."""
     from errpipe.guard import learn
     from errpipe.thermal.arithmetic import short_gaps_held
 

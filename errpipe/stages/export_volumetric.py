@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 STATES = 500  # random poses at which table and identified machine are compared
 ROUNDING = 2e-3  # um, as `verify` allows: gridding errors are the largest seen, and profiles are rounded to 1 nm
 LATTICE = "lattice.csv"
-OVERRUN = 5.0  # mm (deg) beyond the travel that a position may still read: room to come from the other side
+OVERRUN = 5.0  # mm (deg) beyond the travel that a position may still read: overrun to approach from the other side
 
 
 class ExportVolumetric(SignOptions, Stage):
@@ -173,7 +173,7 @@ def lattice(
 
 
 def reversals(document: Mapping[str, Any]) -> dict[str, tuple[float, float, float]]:
-    """Reversal line and its middle by component; what the 95 % interval does not separate from 0 is 0."""
+    """Reversal line and its middle by component; values not significant at 95 % are 0."""
     from errpipe.kinematics import records
 
     return {n: (*records.reversal_line(r), float(r["middle"])) for n, r in document.get("reversal", {}).items()}
@@ -232,7 +232,7 @@ def _inputs(chain: Any) -> list[TableInput]:
 def largest_difference(
     chain: Any, errors: Any, table: CompensationTable, turning: Mapping[str, tuple[float, float, float]] | None = None
 ) -> float:
-    """Table beside the identified machine at random poses, um: gridding and rounding. Every axis came from below.
+    """Table minus identified machine at random poses, um: gridding and rounding. Every axis approached from below.
 
     Both as a displacement of the tool point in the workpiece's frame: the directions in which the linear axes move it
     are taken at each pose, as rotary axes turn them.

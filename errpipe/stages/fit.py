@@ -51,7 +51,7 @@ class FitStage(Stage):
 
 
 def _stage_of(name: str) -> type[FitStage]:
-    """The stage of one family: its options beside those of every stage."""
+    """The stage of one family: its options and those of every stage."""
     family: Any = FAMILIES[name]
     title: Any = f"Fit{family.__name__}"
     made = create_model(title, __base__=(family, FitStage), __module__=__name__, __doc__=family.__doc__)

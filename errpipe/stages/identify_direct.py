@@ -1,4 +1,4 @@
-"""Laser and level records in, every component out: as an identification, and as an error model beside it."""
+"""From laser and level records to all components, as an identification and as an error model."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ class Ingest(Stage):
         return manifest_folder.write(self._kept(recording), context.folder), said
 
     def _kept(self, recording: Recording) -> Recording:
-        """The runs that are asked for. Raises DataError where none is left; one left out may be gone."""
+        """The requested runs. Raises DataError if none remains; an excluded run need not exist."""
         import numpy as np
 
         labels = recording.run_labels()

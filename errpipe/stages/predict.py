@@ -40,7 +40,7 @@ def predict(source: Path, recording: Path, out: Path, readings: Path | None = No
     memory does not grow with them, wherever the prediction is a table's, its interval needs no earlier rows, and no
     readings are given.
     readings: a file of the deviation read now and then (`stages/_readings.py`); rows after a reading are corrected by
-    it. Raises DataError where it cannot be used, or where a column is not what the compensation was made for.
+    it. Raises DataError where it cannot be used, or if a column is not the one that the compensation was made for.
     """
     compensation = _artefacts.model_or_table(source)
     manifest = manifest_folder.load_manifest(Path(recording))
@@ -85,7 +85,7 @@ def _with_readings(
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """The prediction corrected by readings, and in words what of them was used.
 
-    A table that takes readings is given them as its input; to another one the whole difference is added.
+    A table with an input for readings gets them there; otherwise the full difference is added.
     """
     table = _compiled(compensation) if isinstance(compensation, ErrorModel) else compensation
     channels = {i.name: i for i in table.inputs} if table is not None else {}
@@ -152,7 +152,7 @@ def _compiled(model: ErrorModel) -> CompensationTable | None:
 
 
 def _of_table(table: CompensationTable, path: Path):
-    """The predictor of a table, with the intervals of the model that stands beside it where it is the same one."""
+    """The predictor of a table, with the intervals of the model next to it if that is the same model."""
     beside = path.parent / _artefacts.MODEL
     if beside.is_file():
         model = _artefacts.read_model(beside)

@@ -201,7 +201,7 @@ def _plane(recording: Any, component: str, index: Any) -> dict[str, Any]:
 
 
 def _columns(recording: Any, model: Any, index: Any) -> dict[str, Any]:
-    """Label with unit -> values, what the model reads first (positions before all), then the other numbers."""
+    """Label with unit -> values: inputs of the model first (positions before others), then other columns."""
     columns = recording.manifest.columns
     responses = ("error", "simulated")
     numbers = [n for n, c in columns.items() if c.unit and c.role not in responses and n in recording.frame]
@@ -280,7 +280,7 @@ def _exported(exported: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]
 
 
 def _left_out(exported: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """What the gate left out, cut down, or never saw; what is to be loaded besides."""
+    """What the gate excluded, scaled down or did not check; which files must be loaded in addition."""
     out: list[str] = []
     for document in exported.values():
         left_out = [
@@ -300,7 +300,7 @@ def _left_out(exported: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _family_tables(folder: Path, validation: Mapping[str, Any]) -> list[Any]:
-    """What the model family adds to the report."""
+    """Sections of the model family in the report."""
     from errpipe.reporting.run_report import Table
 
     family = _artefacts.family_in(folder)

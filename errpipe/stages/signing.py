@@ -32,7 +32,7 @@ def keygen(folder: Path) -> dict[str, Any]:
 
 
 def sign(file: Path, secret: Path, comment: str) -> dict[str, Any]:
-    """Sign a file; a table's identity goes into the trusted comment. Raises VerifyError for a key that is none."""
+    """Sign a file; a table's identity goes into the trusted comment. Raises VerifyError for an invalid key."""
     key = minisign.read_secret(secret)
     words = [
         f"file {file.name}",
@@ -55,7 +55,7 @@ def verify_signature(file: Path, public: Path) -> dict[str, Any]:
 
 
 def identity(table: Path) -> str:
-    """The name by which a controller shows a table. Raises VerifyError where it is none."""
+    """The identity that a controller shows for a table. Raises VerifyError if it is not a table."""
     from errpipe.tables import ect
 
     return ect.fingerprint(_artefacts.read_table(table))
@@ -98,7 +98,7 @@ def _same_kind(before: bytes, table: CompensationTable, machine: str, path: Path
     """Raises GateError where a table is of another machine, axes or units than the one that it replaces.
 
     A controller runs one table: a table of Y alone in place of that of X ends the compensation of X, and one whose
-    corrections are in um moves an axis that takes mm 1000 times too far.
+    corrections are in um moves an axis that expects mm 1000 times too far.
     """
     from errpipe.tables import ect
 
@@ -142,7 +142,7 @@ def rollback(
 ) -> dict[str, Any]:
     """Put the table of an earlier entry back on record, and write it to a file.
 
-    Default: what was on the machine before its table was promoted. A second rollback so goes one further back, not to
+    Default: the table before the present one was promoted. A second rollback returns to one earlier, not to
     the table that the first one took off the machine.
     """
     store = _registry(registry, public)
@@ -151,7 +151,7 @@ def rollback(
         raise UsageError(f"machine {machine} has no history in {registry}")
     earlier = _before(past) if to is None else [e for e in past if e.number == to]
     if not earlier:
-        store.table(past[-1].table)  # one that was changed is refused as such, whatever was asked
+        store.table(past[-1].table)  # a modified one is refused as such, for every request
         raise UsageError(f"machine {machine}: no earlier table to go back to (--to: entries 1 to {len(past)})")
     data, when = store.table(earlier[-1].table), _time_after(past, time)
     entry = store.append(machine, "rollback", data, _why(why), when, minisign.read_secret(secret), len(past))

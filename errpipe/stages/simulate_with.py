@@ -1,4 +1,4 @@
-"""Another simulation beside the recording: each response gets its simulated twin."""
+"""An external simulation of the recording: each response gets a simulated column."""
 
 from __future__ import annotations
 

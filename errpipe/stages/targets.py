@@ -67,7 +67,7 @@ def together(targets: Iterable[Any]) -> list[tuple[Any, ...]]:
 
 
 def write_together(table: CompensationTable, parts: Sequence[Any]) -> tuple[list[dict[str, str]], Any]:
-    """Files of each part, each without what another holds, and what the controller makes of all. Raises GateError."""
+    """Files of each part, without duplicated content, and all as the controller reads them. Raises GateError."""
     files = [part.write_with(table, [o.name for o in parts if o is not part]) for part in parts]
     first, *rest = (part.read_back(own) for part, own in zip(parts, files, strict=True))
     return files, sum(rest, start=first)
@@ -106,10 +106,10 @@ def export(
     limit: float | None = None,
     public_key: Path | None = None,
 ) -> dict[str, Any]:
-    """The files of named targets, beside a copy of the table they come from, in a folder that `verify` reads.
+    """The files of named targets, with a copy of their table, in a folder that `verify` reads.
 
     table: tables of several axes are exported as one. allow, limit: as the options of the export stage (limit in um).
-    public_key: the table must be signed by it, and its signature goes along. Controllers' files of an export before it
+    public_key: the table must be signed by it, and its signature is copied. Controllers' files of an export before it
     go, where this one has none of that name. Raises GateError for an implausible correction, VerifyError where it is
     not signed, UsageError where tables do not join.
     """
@@ -140,7 +140,7 @@ def export(
 
 
 def _signed(table: Path, public_key: Path) -> tuple[CompensationTable, tuple[str, ...], str]:
-    """A table whose signature holds, the remarks for its files, the signature."""
+    """A table with a valid signature, the remarks for its files, the signature."""
     key, signature = minisign.read_public(public_key), minisign.signature_of(table)
     compensation_table = signed.read_table(table, key)
     return compensation_table, signed.remarks(compensation_table, signature, key), signature
@@ -156,9 +156,9 @@ def checksums(folder: Path, files: Iterable[dict[str, Any]], others: Iterable[st
 def write_targets(
     table: CompensationTable, names: Sequence[str], folder: Path, remarks: Sequence[str] = (), note: str = ""
 ) -> list[dict[str, Any]]:
-    """Write the files of each named target into a folder of its own. Raises UsageError for an unknown name.
+    """Write the files of each named target to a separate folder. Raises UsageError for an unknown name.
 
-    remarks: lines for people, such as the table's signature; written where a format has room for comments.
+    remarks: comment lines, such as the table's signature; written where a format has room for comments.
     note: a sentence for every checklist.
     """
     out = []
@@ -214,7 +214,7 @@ def with_own_content(table: CompensationTable, targets: Sequence[Any]) -> list[A
 
 
 def _with_companions(table: CompensationTable, target: Any, others: Sequence[str]) -> str:
-    """What is to be loaded besides, and what all of it leaves once the numbers are entered."""
+    """Which files must be loaded in addition, and the residual of all once the numbers are entered."""
     parts = [target, *chosen(others)]
     files, read = write_together(table, parts)
     entered = [

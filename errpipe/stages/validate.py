@@ -99,7 +99,7 @@ def _between(figures: Mapping[str, Any]) -> str:
 
 
 def headline(component: Mapping[str, Any]) -> str:
-    """The three numbers that matter, in one line; a fourth where the gate lets a part of the correction pass."""
+    """The three main figures in one line; a fourth if the gate accepts only a part of the correction."""
     floor, gain = component["noise_floor"], component["gain"]
     part = f"{component['rms_at_gain']:.3g} with {gain:g} of the correction, " if 0.0 < gain < 1.0 else ""
     return (

@@ -1,4 +1,4 @@
-"""The terms: one file per piece of physics, listed here by its file; a term is imported when it is asked for."""
+"""The terms: one file per piece of physics, listed here by its file; a term is imported on first use."""
 
 from __future__ import annotations
 

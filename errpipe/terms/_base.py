@@ -5,7 +5,7 @@ A term's value is linear in some parameters and may have non-linear ones inside 
     value(columns; linear, nonlinear) = basis(columns, *nonlinear) @ linear
 
 so a solver eliminates the linear part (variable projection) and searches only the few non-linear
-parameters. A term knows columns and units; it never knows how it will be solved.
+parameters. A term defines columns and units, and is independent of the solver.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Search(Protocol):
         """Values near the best one."""
 
     def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:
-        """Ends of the interval that neighbours from low to high stand for."""
+        """Ends of the interval represented by neighbours from low to high."""
 
     def limits(self, term: Any, recording: Recording) -> tuple[float, float]:
         """Smallest and largest value that the recording resolves."""
@@ -86,8 +86,8 @@ class Term(Frozen, ABC):
     family: ClassVar[str] = ""  # of effects; "" where the term is not an effect
     compensable: ClassVar[bool] = True  # False: an artefact of measuring, never to be compensated
     artefact: ClassVar[str] = ""  # why it is no fault of the machine; "" where it is one
-    nuisance: ClassVar[bool] = True  # may it be fitted beside accepted terms as a nuisance?
-    simulated_log_odds: ClassVar[float] = 0.0  # log prior odds that a simulation holds it, beside the others
+    nuisance: ClassVar[bool] = True  # may it be fitted with accepted terms as a nuisance?
+    simulated_log_odds: ClassVar[float] = 0.0  # log prior odds that a simulation includes it, relative to other effects
     misread: ClassVar[bool] = False  # does the simulation read a sensor that lies? Then it holds what a sensor drives
     gain_sd: ClassVar[float | None] = None  # where the linear parameter is known to be 1: within this
     physical_constant: ClassVar[bool] = False  # are the linear parameters constants of physics, within their bounds?
@@ -209,7 +209,7 @@ class Term(Frozen, ABC):
         return self.form in ("any reference", "any reference and end")
 
     def log_prior_odds(self) -> float:
-        """Log prior odds of this binding beside other effects."""
+        """Log prior odds of this binding relative to other effects."""
         return self.prior_log_odds
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Iterator[tuple[np.ndarray, float]]:
@@ -257,5 +257,5 @@ def fitted_term(term: Term, values: Iterable[float], unit: str, half_width95: fl
 def plain(term: Term) -> dict[str, Any]:
     """The term as declared, without defaults: what an error model stores."""
     stated = term.model_dump(mode="json", exclude_defaults=True)
-    full = term.model_dump(mode="json")  # what is nested stays whole: a union needs its `kind` and `op`
+    full = term.model_dump(mode="json")  # nested objects are kept complete: a union needs its `kind` and `op`
     return {key: value for key, value in full.items() if key in stated or key == "term"}

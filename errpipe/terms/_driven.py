@@ -38,7 +38,7 @@ class Driven(Term):
 
 
 class OfSpindleSpeed(Driven):
-    """What the spindle makes of its speed, stated at the highest one of the recording."""
+    """An effect of spindle speed, stated at the highest speed of the recording."""
 
     column: str = Field(description="Column of the spindle speed.")
     full_speed: float = quantity("rpm", "Speed at which the parameter is stated.")
@@ -83,7 +83,7 @@ class CurveOverAxis(Term):
 
 
 class PerRun(Term):
-    """Set-up that is made anew for each run. A nuisance: never compensated."""
+    """Set-up that is repeated for each run. A nuisance: never compensated."""
 
     runs: tuple[str, ...] = Field((), description="Labels of the runs; none: all of them.")
     compensable = False
@@ -110,7 +110,7 @@ class OfSimulatedForce(Term):
     compensable = False
     simulated_log_odds = NEVER
     nuisance = False
-    gain_sd = 0.15  # it has no size of its own beside its limit
+    gain_sd = 0.15  # it has no size parameter apart from its limit
     in_part = "never"
     gains = (Parameter("share", "1", (0.8, 1.2), (0.0, 2.0), "1 where it explains the mismatch in full"),)
 

@@ -39,7 +39,7 @@ def direction_of(component: str) -> str | None:
 def as_positioning(component: str) -> str:
     """The positioning deviation of the axis that a component belongs to (EXX of EYX), else the component.
 
-    What goes with a screw's turn or an axis' reversal pushes sideways, too.
+    Errors periodic with the screw, and reversal errors, also act sideways.
     """
     own = own_axis(component)
     return component if own is None else f"E{own}{own}"

@@ -1,7 +1,7 @@
 """Shapes over position that a term multiplies with a driver: level, line, polynomial, smooth curve, harmonics.
 
 A profile is linear in its parameters: value = basis(x) @ parameters. Outside its `span` a fitted
-polynomial or curve holds its end value, as a compensation table does; a line and harmonics go on.
+polynomial or curve holds its end value, as a compensation table does; a line and harmonics continue.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ TYPICAL_WIDTH = 5.0  # factor beyond the typical range that counts as one standa
 class Signals:
     """Signals in which values are located, on the judged rows (indices into the recording); the mismatch comes first.
 
-    values: less what goes with the axes' speeds and accelerations; motion: orthonormal columns of these (rows, k).
+    values: with the axes' speeds and accelerations projected out; motion: orthonormal columns of these (rows, k).
     """
 
     rows: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
@@ -37,16 +37,16 @@ class Signals:
     motion: np.ndarray | None = None
 
     def whole(self) -> np.ndarray:
-        """The mismatch as it is."""
+        """The mismatch, unmodified."""
         return self.values[0] if self.mismatch is None else self.mismatch
 
     def still(self, columns: np.ndarray) -> np.ndarray:
-        """Columns (rows, k) less what goes with the motion, as the values are."""
+        """Columns (rows, k) projected orthogonal to the motion, like the values."""
         return columns if self.motion is None else columns - self.motion @ (self.motion.T @ columns)
 
 
 def resolved_times(recording: Recording) -> tuple[float, float]:
-    """Sampling step and duration of the longest session in s; (1, 1) where time stands still."""
+    """Sampling step and duration of the longest session in s; (1, 1) if time does not advance."""
     t, session = recording.time(), sessions(recording)
     step = np.diff(t)[np.diff(session) == 0]
     step = step[step > 0]

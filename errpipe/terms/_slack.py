@@ -1,4 +1,4 @@
-"""Departures from a textbook form: slack columns beside a term's own, each with its freedom.
+"""Departures from a textbook form: slack columns added to a term's columns, each with its scale.
 
 A lead error is not quite straight, a wall has more than one time constant, the loop rings before a spike is gone.
 A freedom is the prior standard deviation of the column's coefficient relative to the size of the textbook form.

@@ -21,7 +21,7 @@ def scaled(driver: d.Driver, gain: float) -> d.Affine:
 
 
 def location(recording: Recording, sensor: str) -> str:
-    """What the manifest says about a sensor's place, lower case; its own name where it says nothing."""
+    """Location of a sensor from the manifest, lower case; its column name if none is stated."""
     return (recording.manifest.columns[sensor].location or sensor).lower()
 
 

@@ -1,4 +1,4 @@
-"""Follows the room temperature, delayed by hours."""
+"""The machine follows the room temperature with a lag of hours."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ class DeadTime(Term):
                 yield term, (float(near.x),)
 
     def _residual_squares(self, recording: Recording, signals: Signals, delay: float) -> float:
-        """Sum of squares that this delay leaves beside a datum and a gain of the signal."""
+        """Residual sum of squares of this delay with a datum and a gain of the signal."""
         rest = signals.whole() - self.basis(recording, delay)[signals.rows, 0]
         known = self._late(delay).signal(recording)[signals.rows]
         block = np.column_stack([np.ones(rest.size), known / max(float(np.abs(known).max()), 1e-300)])
@@ -98,7 +98,7 @@ class DeadTime(Term):
 
     def equation(self, parameters: Mapping[str, float]) -> tuple[Late, ...] | None:
         (delay,) = self.nonlinear_values(parameters)
-        return (self._late(delay, parameters["share"]),) if delay > 0 else None  # no simulation knows what comes
+        return (self._late(delay, parameters["share"]),) if delay > 0 else None  # no simulation anticipates
 
     def log_prior_odds(self) -> float:
         """Its delay is located without a grid, so that this holds its price; axes mostly lag in proportion to speed."""

@@ -93,7 +93,7 @@ class FlexibleMode(Term):
                             yield term, (best[0], damping)
 
     def _excited(self, recording: Recording, signals: Signals, frequency: float, damping: float) -> bool:
-        """Does the mismatch ring as the input says, all along, and not just as noise of that frequency does?
+        """Does the mismatch follow the input over the whole log, more than noise of that frequency would?
 
         Textbook: Wald test with cluster-robust variance (Liang and Zeger 1986) over blocks of neighbouring rows, for
         noise that rings loses its phase from block to block.
@@ -134,7 +134,7 @@ class FlexibleMode(Term):
         return frequency * float(np.exp(optimum[0])), float(np.exp(min(optimum[1], np.log(HIGHEST_DAMPING))))
 
     def _explained(self, recording: Recording, signals: Signals, frequency: float, damping: float) -> float:
-        """Sum of squares of the mismatch that a mode explains beyond what goes with the motion itself."""
+        """Sum of squares of the mismatch that a mode explains beyond columns of the motion itself."""
         state = self._state(recording, frequency, damping)[signals.rows]
         own = signals.still(state / np.maximum(np.sqrt(np.mean(state**2, axis=0)), 1e-300))
         s = own.T @ signals.values[0]

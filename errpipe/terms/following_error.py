@@ -60,7 +60,7 @@ class FollowingError(Term):
     def located(
         cls, recording: Recording, component: str, signals: Signals
     ) -> Iterator[tuple[FollowingError, tuple[float, ...]]]:
-        """In fast logs the loop's time constant that explains the mismatch best beside a datum."""
+        """In fast logs the loop's time constant that best explains the mismatch, together with a datum."""
         from scipy.optimize import minimize_scalar
 
         step, _ = resolved_times(recording)

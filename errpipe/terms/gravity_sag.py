@@ -79,7 +79,7 @@ class GravitySag(Term):
         return (reach ** nonlinear[0])[:, None]
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
-        """A moment, a load at the end and the beam's own weight bend it together, in shares that nobody states."""
+        """A moment, a load at the end and the beam's own weight bend it together, in unknown shares."""
         for exponent in LOADS:
             yield difference_of_shape(self.basis(recording, exponent)[:, 0], base[:, 0]), TOGETHER
 

@@ -40,7 +40,7 @@ class Harmonics(Term):
     sample = {"axis": "X", "search": (5.0, 50.0)}
 
     def settled(self, recording: Recording) -> Harmonics:
-        """The term with the step of its search written down: a quarter of what the travel can resolve."""
+        """The term with an explicit search step: a quarter of the resolution of the travel."""
         if self.period is not None or self.spacing is not None:
             return self
         x = position(recording, self.axis)

@@ -31,7 +31,7 @@ class MovingMass(Term):
     family = "friction"
     compensable = False
     gains = (Parameter("mass", "kg", (20.0, 5000.0), (-1e5, 1e5), "mass that is accelerated"),)
-    prior_log_odds = -6.0  # nearly every simulation of a drive force holds it
+    prior_log_odds = -6.0  # nearly every simulation of a drive force includes it
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[MovingMass]:

@@ -62,7 +62,7 @@ class ProfileDriver(Term):
     """A shape over position whose size follows the machine's state.
 
     Equation   deviation(x, state) = profile(x) * product of factors(state)
-    Assumes    the shape stays, only its size changes (Ni 1997: errors keep their profile, slopes vary)
+    Assumes    constant shape, only its size changes (Ni 1997: errors keep their profile, slopes vary)
     Typical    1..100 um
     Moves      positive gain: further where profile and driver are positive
     Source     Ni 1997, mixed error components
@@ -138,7 +138,7 @@ class ProfileDriver(Term):
         return self.profile.basis(position(recording, self.axis), self.rotary) * size
 
     def has_message(self, parameters: Mapping[str, float]) -> bool:
-        """Not where a curve is taken as it is, with a gain of 1: the table of curves shows it."""
+        """Not for a fixed curve with a gain of 1, which the table of curves shows."""
         return list(parameters.values()) != [1.0]
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:

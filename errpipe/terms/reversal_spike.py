@@ -126,7 +126,7 @@ class ReversalSpike(Term):
             near = travel[np.abs(since - tau) < NEAR * tau]
             for share_of_travel in RISES if near.size and np.median(near) > 0 else ():
                 yield base[:, 0] * np.exp(-travel / (share_of_travel * np.median(near))), 1.0
-        yield base[:, 0] * np.minimum(since / tau, 1e3), 0.4  # the loop takes its time: a Laguerre function
+        yield base[:, 0] * np.minimum(since / tau, 1e3), 0.4  # delayed response of the loop: a Laguerre function
 
     def _since_turn_travelled(self, recording: Recording, since: np.ndarray) -> np.ndarray:
         """Travel since the last reversal in mm (deg), shape (rows,); since: time, infinite before the first."""
@@ -139,7 +139,7 @@ class ReversalSpike(Term):
             return None  # the share of an axis in a radius is no operation of a driver
         tau, *power = self.nonlinear_values(parameters)
         side = Direction(axis=self.axis)
-        # a lag of the side is behind it by twice the spike, once the spike before has died away
+        # a lag of the side differs by twice the spike, once the previous spike has decayed
         spike: Driver = Affine(weights=(1.0, -1.0), of=(side, Lag(tau_up=tau, tau_down=tau, of=side)))
         if self.feed and power[0] > 0:
             spike = Product(of=(spike, Power(exponent=power[0], of=times(Input(name=self.feed), 1e-3))))

@@ -40,7 +40,7 @@ class Saturation(OfSimulatedForce):
                J the impulse that was lacking so far, S its integral; T = 0: clip(f, -limit, limit) - f
     Assumes    the same limit both ways; a position loop that is damped critically, and does not wind up
     Typical    limit 0.5..0.95 of the largest simulated force; T 1..50 ms
-    Moves      nothing while the force stays below the limit; then the loop catches up
+    Moves      nothing while the force is below the limit; then the loop catches up
     Source     current limit of servo drives; critical damping in the least overshoot of cascaded loops (Weck)
     """
 

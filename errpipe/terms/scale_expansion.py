@@ -22,7 +22,7 @@ class ScaleExpansion(Term):
     """Deviation proportional to position and to a temperature rise: the scale or screw gets longer.
 
     Equation   deviation(x, T) = coefficient * x * (T - T_ref)      [um] = [um/m/K] * [m] * [K]
-    Assumes    one temperature holds for the whole scale, fixed at x = 0; no delay (else `thermal_lag`)
+    Assumes    one temperature for the whole scale, fixed at x = 0; no delay (else `thermal_lag`)
     Typical    5..20 um/m/K; steel near 11.5, glass near 8
     Moves      positive coefficient: on a warm scale the marks lie further apart, the axis travels past its target
     Source     ISO 230-3; Ni 1997, equation of the position-dependent thermal error

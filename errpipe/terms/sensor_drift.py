@@ -42,7 +42,7 @@ class SensorDrift(Term):
             yield cls(restarts=bool(np.any(np.diff(recording.time()) < 0)))
 
     def log_prior_odds(self) -> float:
-        """An instrument does not know that a run began: what starts anew there is wear or warmth in all likelihood."""
+        """An instrument does not depend on the start of a run: an effect that restarts there is likely wear or heat."""
         return LOG_ODDS_OF_DRIFT if self.restarts else 0.0
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:

@@ -25,7 +25,7 @@ from errpipe.terms._warm import sensors
 SEEN = 3.0
 ROWS_EACH_SIDE = 5  # rows on either side of a jump whose medians give its step
 MOST_JUMPS, MOST_STRETCHES = 6, 16  # of a sensor, that are tried: seen ones first, those between natural jumps last
-LEAST_READINGS = 30  # of a sensor, of which failures are sought
+LEAST_READINGS = 30  # of a sensor, in which failures are searched for
 LEAST_ROWS = 8  # of a stretch; one in which a sensor stands still has four times as many, or a thirtieth of all
 ALIKE = 2.0  # factor between a jump off and the jump back
 LINES = (8, 24)  # readings of the straight lines on either side of a jump,
@@ -35,7 +35,7 @@ RARELY = 0.05  # share of the other rows in which a reading stands still, below 
 # Of the fault: prior standard deviation of what the reading drawn through the gap misses (chosen on 40 faults)
 DRAWN = 0.3
 BENDS = 4  # half waves along the stretch, from which that may be made
-STILL = 0.05  # of a jump, within which a reading stands still before it
+STILL = 0.05  # of a jump, within which a reading is constant before it
 
 
 class SensorFault(Term):
@@ -240,10 +240,10 @@ def _regressors(recording: Recording, sensor: str) -> np.ndarray:
 
 
 def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = None) -> dict[tuple[int, int], bool]:
-    """First and last row of stretches where a sensor is missing, stands still, or sits between two jumps.
+    """First and last row of stretches where a sensor is missing, is frozen, or lies between two jumps.
 
     True: the readings alone show that it failed there. It reads nothing or zero, jumps off and back by as much,
-    stands still until it jumps, or as it does nowhere else. switched: rows at which a jump has another cause.
+    is constant until it jumps, or as nowhere else. switched: rows at which a jump has another cause.
     """
     n = values.size
     finite = np.isfinite(values)
@@ -282,7 +282,7 @@ def _filled(values: np.ndarray) -> np.ndarray:
 
 
 def _still_from(read: np.ndarray, a: int, long: int) -> int:
-    """Row from which a reading stands still until it jumps at row a: means over 9 and 27 rows stay where they were.
+    """Row from which a reading is constant until it jumps at row a: means over 9 and 27 rows do not change.
 
     That is within 4.5 of their standard errors and a part of the jump.
     """
@@ -305,7 +305,7 @@ def jumps(filled: np.ndarray, t: np.ndarray, usable: np.ndarray) -> dict[int, fl
     """Rows from which a reading is off at once, the surest, and by how much: straight lines through the readings on
     either side miss each other halfway between them.
 
-    Nought beside a pause, in which bodies cool by themselves, or beside rows that are not usable: these come last.
+    Zero next to a pause, in which bodies cool, or next to unusable rows: these are ranked last.
     """
     clock, pause = _running(t), np.diff(t)
     (step, short), (_, long) = (_missed(clock, filled, k) for k in LINES)
@@ -323,7 +323,7 @@ def jumps(filled: np.ndarray, t: np.ndarray, usable: np.ndarray) -> dict[int, fl
 
 
 def _running(t: np.ndarray) -> np.ndarray:
-    """A clock that stands in pauses and does not start anew with each run, shape (rows,)."""
+    """A clock that stops in pauses and does not restart with each run, shape (rows,)."""
     pause = np.diff(t)
     going = np.where(pause > 0, pause, np.median(pause[pause > 0]) if (pause > 0).any() else 1.0)
     return np.r_[0.0, np.cumsum(np.minimum(going, 2.0 * _longer_neighbour(going)))]

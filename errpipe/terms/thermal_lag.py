@@ -115,7 +115,7 @@ class ThermalLag(Term):
         return (term for term in cls.bind(recording, component) if not term.along)
 
     def _one(self, recording: Recording, signals: Signals, taus: tuple[float, ...]) -> float:
-        """The time constant that explains the mismatch best beside a datum and gains of the other signals."""
+        """The time constant that best explains the mismatch, with a datum and gains of the other signals."""
         from scipy.optimize import minimize_scalar
 
         known = np.linalg.qr(np.column_stack([np.ones(signals.rows.size), *signals.values[1:]]))[0]
@@ -139,7 +139,7 @@ class ThermalLag(Term):
 
 
 def two_of(states: np.ndarray, one: np.ndarray, signals: tuple[np.ndarray, ...], apart: int) -> tuple[int, int] | None:
-    """The two columns, `apart` or more from each other, that explain the first signal best with gains of one sign.
+    """The two columns, at least `apart` from each other, that best explain the first signal with gains of one sign.
 
     A datum and gains of the other signals are free. None where the best single column, `one`, leaves hardly more.
     """
