@@ -6,7 +6,7 @@ ErrpipeError            1   never raised itself; anything outside this tree is a
 |-- DataError           3   measurements that cannot be used
 |   |-- NotIdentifiable 3   the data cannot distinguish two parameters
 |   `-- MissingColumn   3   a model reads what the recording does not hold
-|-- GateError           4   a quality gate said no
+|-- GateError           4   refused by a quality gate
 `-- VerifyError         6   a file on disk is not what it claims to be
 
 CHANGES_PENDING (5) is no error: `plan --exit-code` found stages to run.
@@ -76,7 +76,7 @@ class MissingColumn(DataError, KeyError):
 
 
 class GateError(ErrpipeError):
-    """A quality gate said no (not better than nothing, outside validity, over a limit)."""
+    """Refused by a quality gate (not better than no compensation, outside validity, over a limit)."""
 
     exit_code = 4
 

@@ -15,7 +15,7 @@ from errpipe.errors import did_you_mean
 EXIT_CODES = """
 \b
 Exit codes:
-  0 fine                        4 a quality gate said no
+  0 success                     4 refused by a quality gate
   1 internal error              5 changes pending (plan --exit-code)
   2 usage or configuration      6 verification failed
   3 input data rejected
@@ -50,7 +50,7 @@ def verb(name: str) -> Any:
 
 
 def first_line(name: str) -> str:
-    """What `errpipe --help` says of a verb."""
+    """The line of a verb in `errpipe --help`."""
     return str(import_module(f"errpipe.cli.{name.replace('-', '_')}").command.__doc__).split("\n")[0]
 
 
@@ -99,7 +99,7 @@ def invoke(arguments: list[str]) -> int:
 
 
 def usage(err: Any) -> str:
-    """What click says of a command line; of an unknown option in our words, which do not change with click."""
+    """Click's message on a command line; for an unknown option our own, which does not change with click."""
     if type(err).__name__ == "NoSuchOption":
         known = [name for parameter in err.ctx.command.params for name in parameter.opts] if err.ctx else []
         return f"no option {err.option_name}.{did_you_mean(err.option_name, known)}"

@@ -1,4 +1,4 @@
-"""The `errpipe` command: one file per verb in this folder, loaded only when it is asked for.
+"""The `errpipe` command: one file per verb in this folder, loaded on demand.
 
 A new verb is one file with a function `command`, and one word in `_names.VERBS`. The function's signature is the
 verb's arguments (typer), its docstring the help: a first line of at most 70 characters, then a block

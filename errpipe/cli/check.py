@@ -16,7 +16,7 @@ def command(
     style: Literal["text", "github"] = typer.Option("text", "--format", help="How problems are printed."),
     json: bool = Json,
 ) -> None:
-    """Check configuration files: all problems at once, with lines.
+    """Check configuration files; list all problems with line numbers.
 
     Manifests, headers and first rows are read; components, axes, sensors, groups, targets and machines are looked up.
 

@@ -21,9 +21,9 @@ def command(
     ),
     json: bool = Json,
 ) -> None:
-    """Say what changed between two, where, and by how many um.
+    """Compare two results: what changed, where, and by how many um.
 
-    Tables and models are asked on the same states all over the validity of both.
+    Tables and models are evaluated on the same states over their common validity range.
 
     \b
     Example:

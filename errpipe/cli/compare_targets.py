@@ -14,7 +14,7 @@ def command(
     table: Path = typer.Argument(metavar="TABLE", help="A compensation table (.ect or its JSON twin)."),
     json: bool = Json,
 ) -> None:
-    """Say what each controller format would lose of a table, in um.
+    """Show what each controller format cannot express of a table, in um.
 
     \b
     Example:

@@ -25,7 +25,7 @@ complete -o filenames -F _errpipe errpipe
 
 
 def command(shell: Literal["bash", "zsh", "fish"] = typer.Argument(help="The shell.")) -> None:
-    """Print what makes a shell complete verbs and options.
+    """Print the shell code that completes verbs and options.
 
     \b
     Put one of these into the shell's start-up file:

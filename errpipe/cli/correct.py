@@ -24,7 +24,7 @@ def command(
         None, "--start", metavar="X,Y,Z", help="Position at the start, machine coordinates, mm."
     ),
     chord_error: float = typer.Option(
-        0.001, "--chord-error", min=1e-6, metavar="MM", help="Farthest a segment may lie from its arc."
+        0.001, "--chord-error", min=1e-6, metavar="MM", help="Maximum distance of a segment from its arc."
     ),
     longest: float = typer.Option(25.0, "--longest", min=0.01, metavar="MM", help="Longest straight segment."),
     again: bool = typer.Option(False, "--again", help="Also accept a program that is already corrected."),
@@ -32,8 +32,8 @@ def command(
 ) -> None:
     """Rewrite an NC program so that the uncorrected machine cuts the part.
 
-    Anything that is not understood is refused with its line, and nothing is written. Directions of travel
-    and references taken at the start of a run stand as at a run's first cycle. A comment at the program's head
+    An unsupported block is refused with its line, and nothing is written. Directions of travel
+    and references latched at the start of a run are those of a run's first cycle. A comment at the program's head
     names the table.
 
     \b

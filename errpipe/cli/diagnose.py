@@ -15,7 +15,7 @@ def command(
     recording: Path = typer.Argument(metavar="RECORDING", help="Folder with a recording manifest."),
     out: Path = typer.Option(..., "--out", metavar="DIR", help="Folder for diagnosis.json and report.html."),
     simulation: Path = typer.Option(
-        None, "--simulation", metavar="FILE", help="CSV, error model or FMU where the recording holds no twin."
+        None, "--simulation", metavar="FILE", help="CSV, error model or FMU, if not in the recording."
     ),
     apply: Path | None = typer.Option(
         None, "--apply", metavar="DIR", help="Folder for the corrected simulation: recording, terms, patch, FMU."
@@ -25,7 +25,7 @@ def command(
     ),
     json: bool = Json,
 ) -> None:
-    """Find the physics that a simulation leaves out of a recording.
+    """Find physical effects in a recording that its simulation lacks.
 
     Compares each error column with its simulated twin; writes diagnosis.json and report.html.
     With --against: against.json, and exit code 4 where an effect changed.

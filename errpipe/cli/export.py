@@ -24,14 +24,14 @@ def command(
         help="Largest plausible correction; default: 0.5 mm or 1/1000 of the travel.",
     ),
     allow: list[str] = typer.Option(
-        [], "--allow", metavar="NAME", help="An implausible declaration that is true, by name. Repeatable."
+        [], "--allow", metavar="NAME", help="Name of an implausible declaration that is correct. Repeatable."
     ),
     public_key: Path | None = typer.Option(
-        None, "--public-key", metavar="FILE", help="Only a table that this key has signed."
+        None, "--public-key", metavar="FILE", help="Require a table signed by this key."
     ),
     json: bool = Json,
 ) -> None:
-    """Write a compensation table as the files of a controller.
+    """Convert a compensation table to the files of a controller.
 
     \b
     Example:

@@ -20,7 +20,7 @@ def command(
 ) -> None:
     """Run one pipeline for many machines; one report.
 
-    What one machine does wrong stops no other one (exit 4 at the end); the same command goes on where it stopped.
+    A failed machine does not stop the others (exit 4 at the end); the same command resumes an interrupted run.
 
     \b
     Example:

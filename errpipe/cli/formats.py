@@ -11,7 +11,7 @@ from errpipe.cli.output import module_of, print_answer
 def command(
     name: str = typer.Argument("", metavar="[NAME]", help="One format, such as ecmc_dat."), json: bool = Json
 ) -> None:
-    """List the measurement files that are read, or show one format.
+    """List the readable measurement file formats, or show one.
 
     \b
     Example:

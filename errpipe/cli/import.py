@@ -21,7 +21,7 @@ def command(
         metavar="FILE...", help="CSV, Excel, TDMS, HDF5, MAT, XML, HTML, halsampler, ..."
     ),
     out: Path = typer.Option(..., "--out", metavar="FOLDER", help="The recording folder to write."),
-    yes: bool = typer.Option(False, "--yes", help="Confirm every guess; without it nothing is written unasked."),
+    yes: bool = typer.Option(False, "--yes", help="Confirm every assumption without asking."),
     axis: str | None = typer.Option(None, "--axis", metavar="LETTER", help="The axis, such as X."),
     component: str | None = typer.Option(None, "--component", metavar="NAME", help="What was measured, such as EXX."),
     unit: str | None = typer.Option(None, "--unit", metavar="UNIT", help="Of the readings."),
@@ -45,9 +45,9 @@ def command(
     overwrite: bool = typer.Option(False, "--overwrite", help="Replace a recording that was changed by hand."),
     json: bool = Json,
 ) -> None:
-    """Turn measurement files into a recording; every guess is shown.
+    """Convert measurement files to a recording; list all assumptions.
 
-    Nothing is written before a person has said yes, or --yes is given. Deviation is actual minus commanded.
+    Nothing is written until you confirm, or give --yes. Deviation is actual minus commanded.
     Files of one layout are runs; a log of another device, without deviations, joins them by date and time.
 
     \b
@@ -88,9 +88,9 @@ def _again(question: str, context: typer.Context) -> str:
 
 
 def _confirm(lines: list[str], asked: bool) -> None:
-    """Show the guesses and ask. Raises UsageError where nobody says yes."""
+    """Show the assumptions and ask. Raises UsageError without confirmation."""
     sys.stderr.write("\n".join(lines) + "\n")
     if not (asked and sys.stdin.isatty() and typer.confirm("Write this recording?", err=True)):
         raise UsageError(
-            "nothing was written: judge the guesses, then give --yes (or correct them with --set, --sign, ...)"
+            "nothing was written: check the assumptions, then give --yes (or correct them with --set, --sign, ...)"
         )

@@ -23,7 +23,7 @@ def command(
     ),
     json: bool = Json,
 ) -> None:
-    """Write a working folder from a template; it runs at once.
+    """Create a folder with a pipeline, ready to run, from a template.
 
     \b
     Example:

@@ -14,9 +14,9 @@ def command(
     folder: Path = typer.Argument(metavar="DIR", help="Where errpipe.key (secret) and errpipe.pub are written."),
     json: bool = Json,
 ) -> None:
-    """Make a pair of keys for signing, in minisign's format.
+    """Generate a key pair for signing, in minisign's format.
 
-    The secret key has no password: keep it where only the one who signs can read it. A key is never overwritten.
+    The secret key has no password: keep it where only the signer can read it. A key is never overwritten.
 
     \b
     Example:

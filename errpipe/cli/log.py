@@ -20,7 +20,7 @@ def command(
     public_key: Path = PublicKey,
     json: bool = Json,
 ) -> None:
-    """Say what was on a machine, when, and why; every signature is checked.
+    """Show which tables a machine had, when, and why; check signatures.
 
     \b
     Example:

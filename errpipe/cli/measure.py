@@ -14,14 +14,14 @@ def command(
     machine: Path = typer.Argument(metavar="MACHINE", help="A machine file with the kinematic chain (YAML)."),
     out: Path = typer.Option(..., "--out", metavar="FILE.ngc", help="Where to write the program."),
     without: list[str] = typer.Option(
-        [], "--without", metavar="NAME", help="A component that need not show. Repeatable."
+        [], "--without", metavar="NAME", help="A component that need not be observable. Repeatable."
     ),
     positions: int = typer.Option(40, "--positions", min=6, max=500, help="Positions per socket and tool."),
     json: bool = Json,
 ) -> None:
     """Plan a test that shows all errors of a machine, as G-code.
 
-    A telescoping ball bar from a few sockets with a few tools, in the least time; what it cannot show is named.
+    A telescoping ball bar from a few sockets with a few tools, in minimum time; unobservable components are listed.
 
     \b
     Example:

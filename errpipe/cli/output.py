@@ -28,7 +28,7 @@ NARROWEST = 28  # columns in which a sentence can be read
 def print_result(
     command: str, result: Mapping[str, Any], lines: Iterable[str] = (), *, as_json: bool, code: int = 0
 ) -> None:
-    """Print the result of a verb: `lines` for people, or `result` as the one JSON document."""
+    """Print the result of a verb: `lines` of text, or `result` as one JSON document."""
     if as_json:
         text = jsonfile.dumps(
             {"errpipe": DOCUMENT, "command": command, "ok": code == 0, "exit_code": code, "result": dict(result)}
@@ -39,7 +39,7 @@ def print_result(
 
 
 def print_answer(command: str, result: Mapping[str, Any], *, as_json: bool) -> None:
-    """Print what a stage function returned: its "says" (lines for people), or every key with its value."""
+    """Print the result of a stage function: its "says" (lines of text), or every key with its value."""
     result = dict(result)
     says = result.pop("says", None)
     lines = says if says is not None else [f"{key}: {short_value(value)}" for key, value in result.items()]
@@ -47,7 +47,7 @@ def print_answer(command: str, result: Mapping[str, Any], *, as_json: bool) -> N
 
 
 def folded(lines: Iterable[str]) -> list[str]:
-    """Lines for people within `WIDTH` columns: longer ones go on below their second column, or a little indented.
+    """Text lines within `WIDTH` columns: longer ones are wrapped below their second column, or indented.
 
     Words, and so paths, are never broken; rows of figures and drawings (one `|`) stay as they are. Tables in
     Markdown become aligned columns.
@@ -85,7 +85,7 @@ def _cells(row: str) -> list[str]:
 
 
 def _aligned(rows: list[list[str]]) -> Iterator[str]:
-    """Rows in columns; the last one goes on below itself, or below the whole row where the others leave no room."""
+    """Rows in columns; the last one is wrapped below itself, or below the row if the others leave no space."""
     used = [i for i in range(len(rows[0])) if any(row[i] for row in rows[1:])]
     rows = [[row[i] for i in used] for row in rows]
     widths = [max(len(row[i]) for row in rows) for i in range(len(used))]

@@ -15,12 +15,12 @@ def command(
     field: Path = typer.Argument(None, metavar="FIELD.csv", help="Readings at candidate places, with the error."),
     error: str = typer.Option("error", "--error", metavar="COLUMN", help="Column of the error."),
     group: str = typer.Option("duty_cycle", "--group", metavar="COLUMN", help="Column of the duty cycle."),
-    time: str = typer.Option(None, "--time", metavar="COLUMN", help="Column of the time, no place."),
-    most: int = typer.Option(4, "--most", min=1, max=20, help="Most sensors to place."),
+    time: str = typer.Option(None, "--time", metavar="COLUMN", help="Column of the time, not a sensor position."),
+    most: int = typer.Option(4, "--most", min=1, max=20, help="Maximum number of sensors."),
     bar: float = typer.Option(None, "--bar", min=0.0, metavar="LOSS", help="A simulated heated bar instead of a file."),
     json: bool = Json,
 ) -> None:
-    """Choose number and places of temperature sensors.
+    """Select the number and positions of temperature sensors.
 
     A sum of readings is fitted to the error and judged on duty cycles left out; doing nothing competes.
 

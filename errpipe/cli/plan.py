@@ -20,7 +20,7 @@ def command(
     exit_code: bool = typer.Option(False, "--exit-code", help="Exit with 5 where a stage would run."),
     json: bool = Json,
 ) -> None:
-    """Say which stages would run, and why; write nothing.
+    """Show which stages would run, and why; write nothing.
 
     \b
     Example:

@@ -9,7 +9,7 @@ import typer
 from errpipe.cli._arguments import Json
 from errpipe.cli.output import module_of, print_result
 
-_By = typer.Option([], "--by", metavar="GROUP", help="Its labels name a duty cycle; default: duty_cycle. Repeatable.")
+_By = typer.Option([], "--by", metavar="GROUP", help="Group column of duty cycles; default: duty_cycle. Repeatable.")
 
 
 def command(
@@ -26,7 +26,7 @@ def command(
     standing: float = typer.Option(0.0, "--standing", min=0.0, max=1.0, help="Least share at rest, for speeds."),
     json: bool = Json,
 ) -> None:
-    """Say which thermal duty cycle to run next, and what it brings.
+    """Select the thermal duty cycle to record next; show its benefit.
 
     Of a recording with temperatures and measured errors: the duty cycle after which errors are expected to be predicted
     best in all states recorded or logged. With --speed: spindle speeds that teach a model of spindle heat most. Either

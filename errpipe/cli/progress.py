@@ -26,7 +26,7 @@ def is_interactive(stream: TextIO) -> bool:
 
 
 class ProgressReporter:
-    """Reports what the engine does. Stages may run in parallel, so every line is written under a lock."""
+    """Reports the progress of the engine. Stages may run in parallel, so every line is written under a lock."""
 
     def __init__(self, out: str, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic):
         self.out = out

@@ -25,7 +25,7 @@ def command(
     ),
     json: bool = Json,
 ) -> None:
-    """Put a table on record as the one that is on a machine.
+    """Record in the registry that a table is on a machine.
 
     It replaces the table before whole: one that corrects other axes is refused (exit 4) without --other-outputs.
     Of two who promote at once one wins, and the other is refused (exit 4).

@@ -45,7 +45,7 @@ def command(
     sets: list[str] = Sets,
     json: bool = Json,
 ) -> None:
-    """Fit on the data there is now; gate it against the champion.
+    """Fit to all data; promote only if better than the model in use.
 
     Exit code 0: promote; 4: keep the champion. Every new run counts once, so it may be run as often as there is data.
 

@@ -23,9 +23,9 @@ def command(
     time: str | None = Time,
     json: bool = Json,
 ) -> None:
-    """Put a machine's earlier table back on record.
+    """Record that a machine returns to its previous table.
 
-    Nothing is removed from the history: going back is a new entry. Each further rollback goes one table further
+    The history is append-only: a rollback is a new entry. Each further rollback returns one table further
     back, never to one that was taken off.
 
     \b

@@ -112,7 +112,7 @@ def _run(
 
 
 def _refuse_names(spec: Pipeline, err: Exception) -> None:
-    """Raise ConfigError where the cause of a refusal stands in the pipeline file: say where, all at once."""
+    """Raise ConfigError with all positions if the cause of a refusal is in the pipeline file."""
     problems = [p for p in module_of("verbs.check").problems(spec) if p.file == spec.document.file]
     if problems:
         raise ConfigError(problems) from err

@@ -14,7 +14,7 @@ def command(
     file: Path = typer.Argument(metavar="FILE", help="Any file or folder that errpipe reads or writes."),
     json: bool = Json,
 ) -> None:
-    """Say what a file is, with a plot for the terminal.
+    """Describe a file, with a plot for the terminal.
 
     \b
     Example:

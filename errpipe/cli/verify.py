@@ -17,7 +17,7 @@ def command(
     ),
     json: bool = Json,
 ) -> None:
-    """Read exported files back and prove that they say what the model says.
+    """Read exported files back and compare them with the model.
 
     Exit code 6 on the first thing that does not hold.
 

@@ -15,7 +15,7 @@ def command(
     public_key: Path = PublicKey,
     json: bool = Json,
 ) -> None:
-    """Check a file's signature: unsigned, changed or foreign is exit code 6.
+    """Check a signature; exit code 6 if missing, invalid or foreign.
 
     \b
     Example:

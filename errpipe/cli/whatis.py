@@ -13,7 +13,7 @@ from errpipe.cli.output import module_of, print_answer
 def command(
     file: Path = typer.Argument(metavar="FILE", help="Any file that errpipe reads or writes."), json: bool = Json
 ) -> None:
-    """Say what a file is: machine, model, validity, cost per cycle.
+    """Describe a file: machine, model, validity, cost per cycle.
 
     \b
     Example:

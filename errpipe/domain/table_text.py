@@ -9,7 +9,7 @@ from pydantic import AfterValidator, ConfigDict, Field
 
 from errpipe.domain.recording import Frozen
 
-# Characters allowed in a text besides non-ASCII letters. Names are printed into programs, comments and file names of many
+# ASCII characters allowed in a text. Names are printed into programs, comments and file names of many
 # controllers: no quote, star, semicolon, angle or curly bracket, backslash, question mark or the like is let through.
 TITLE = (re.compile(r"[ -~\u0080-\U0010ffff]*"), "control characters are not allowed")
 NAME = (

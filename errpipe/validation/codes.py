@@ -66,7 +66,9 @@ EXPLANATIONS: dict[str, str] = {
         "Approached from below the axis stops further than from above. Lost motion does the opposite; check "
         "the sign of the error and of the direction."
     ),
-    "reversed-direction": ("The direction column is +1 when the position falls. It is +1 for an approach from below."),
+    "reversed-direction": (
+        "The direction column is +1 when the position decreases. It must be +1 for an approach from below."
+    ),
     "reversed-sign": "The error column is commanded minus actual. Deviation is actual minus commanded.",
     "run-per-row": ("The run column has a new label in every row. Held-out validation would leave out single rows."),
     "shifted-rows": (

@@ -177,8 +177,8 @@ PAGES: Mapping[str, tuple[str, str, Callable[[], Iterator[str]]]] = {
     "terms": (
         "Terms",
         """\
-A term is one piece of physics: fitting solves for its parameters, diagnosis offers it as a hypothesis, \
-simulation plays it, tables compile it. Deviation = actual minus commanded, um; positions mm, rises K.
+For metrologists. A term is one physical effect: its parameters are fitted, diagnosis tests it as a hypothesis, \
+simulation includes it, tables compile it. Deviation = actual minus commanded, um; positions mm, rises K.
 
 ```yaml
 stages:
@@ -197,7 +197,7 @@ stages:
     "formats": (
         "Measurement file formats",
         """\
-`ingest` recognises a file by its content, or reads it as the format that is named:
+For users with a vendor's file. `ingest` detects the format of a file from its content, or reads the named format:
 
 ```yaml
 stages:
@@ -208,7 +208,7 @@ stages:
     "targets": (
         "Controller formats",
         """\
-A correction is minus the deviation. Every format states its sign in words and is read back by a reader that \
+For controls engineers. A correction is minus the deviation. Every format states its sign and is read back by a reader that \
 works as the controller does; what it cannot express is reported in um.
 
 ```yaml
@@ -220,7 +220,7 @@ stages:
     "stages": (
         "Stages of a pipeline",
         """\
-Stages are linked by the types of what they take and give, in the order of the file.
+For authors of pipelines. Stages run in file order and are linked by the types of their inputs and outputs.
 
 ```yaml
 pipeline: 1
@@ -241,7 +241,7 @@ stages:
     "recordings": (
         "Recordings",
         """\
-A recording is a folder: `recording.yaml` says what every column of its tables is; nothing is guessed from a name.
+For those who record data. A recording is a folder: `recording.yaml` defines every column of its tables; nothing is inferred from names.
 
 ```yaml
 recording: 1
