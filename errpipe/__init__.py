@@ -9,7 +9,7 @@ _API = ("Cycle", "Table", "diagnose", "findings", "fit", "predict", "read", "rec
 
 
 def __getattr__(name: str) -> object:
-    """The Python interface, imported when it is first asked for: the command line does not wait for it."""
+    """The Python interface, imported on first use: the command line does not wait for it."""
     if name in _API:
         from importlib import import_module
 

@@ -89,7 +89,7 @@ def predict(model: ErrorModel, recording: Recording) -> pd.DataFrame:
 def diagnose(recording: Recording) -> Diagnosis:
     """What the simulated columns leave out of the error columns: located, named, with parameters and confidence.
 
-    Raises DataError where no response has both.
+    Raises DataError if no response has both.
     """
     from errpipe.diagnosis import diagnose as judge
 
@@ -144,7 +144,7 @@ class Table:
     def read(cls, path: str | Path, public_key: str | Path | None = None) -> Table:
         """A `.ect` file or its JSON twin. public_key: a file; the table must be signed by it.
 
-        Raises VerifyError where the table is damaged, or is not signed by that key.
+        Raises VerifyError if the table is damaged, or is not signed by that key.
         """
         from errpipe.tables import ect
 

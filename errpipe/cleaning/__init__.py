@@ -68,7 +68,7 @@ class CleaningReport(Frozen):
 
 
 def clean(recording: Recording, rules: Sequence[Rule] = DEFAULT) -> tuple[Recording, CleaningReport]:
-    """Apply rules one after the other. Raises DataError where one would remove more than its stated share."""
+    """Apply rules one after the other. Raises DataError if one would remove more than its stated share."""
     return cleaned_rows(recording, rules)[:2]
 
 

@@ -1,4 +1,4 @@
-"""What a cleaning rule is: it looks at a recording and names actions; `clean` carries them out and reports.
+"""Interface of a cleaning rule: it examines a recording and returns actions; `clean` executes and reports them.
 
 A rule never changes a recording itself, so nothing can be removed without its rows and its reason being reported.
 """
@@ -43,10 +43,10 @@ class Rule(Options, ABC):
 
     @abstractmethod
     def find(self, recording: Recording) -> list[Action]:
-        """What the rule would do. Raises DataError where it would remove more than its stated share."""
+        """The actions of the rule. Raises DataError if it would remove more than its stated share."""
 
     def refuse_beyond(self, most: float, rows: np.ndarray, of: int, what: str, recording: Recording) -> None:
-        """Raises DataError where `rows` are more than the share `most` of `of` cells or rows."""
+        """Raises DataError if `rows` are more than the share `most` of `of` cells or rows."""
         if rows.size > most * of:
             first = place(recording, int(rows[0]))
             raise DataError(

@@ -55,7 +55,7 @@ def in_pieces(batches: Iterable[Recording], rows: int) -> Iterator[Piece]:
         while sum(map(len, held)) - first >= rows:
             joined = Recording(batch.manifest, pd.concat(held, ignore_index=True))
             held = [joined.frame]
-            last_run = int(np.flatnonzero(np.diff(joined.run_codes(), prepend=-1))[-1])  # it may go on
+            last_run = int(np.flatnonzero(np.diff(joined.run_codes(), prepend=-1))[-1])  # it may continue
             long = len(joined) - first > 2 * rows + margin
             if last_run >= first + rows or (long and last_run > first):
                 end, after = last_run, 0
@@ -80,7 +80,7 @@ class Cleaning:
     kept: int = 0
     done: dict[int, list[ActionRecord]] = field(default_factory=dict)  # number of the rule -> what it did
     used: set[str] = field(default_factory=set)  # columns that some piece kept
-    part: int = 0  # of the run that goes on in the next piece: how many pauses have split it
+    part: int = 0  # of the run that continues in the next piece: how many pauses have split it
 
     @property
     def run(self) -> str:
@@ -146,7 +146,7 @@ class Cleaning:
         return Recording(written, frame.assign(**missing, **labels)[names])
 
     def _number_parts(self, frame: pd.DataFrame, origin: np.ndarray, piece: Piece, begin: int) -> None:
-        """Parts of a run that was cut count on from the piece before; its report goes on too."""
+        """Parts of a run that was cut count on from the piece before; its report continues too."""
         whole, label = frame[WHOLE_RUN].to_numpy(), frame[self.run].to_numpy()
         begins = np.r_[True, whole[1:] != whole[:-1]]
         changes = np.cumsum(np.r_[0, label[1:] != label[:-1]])

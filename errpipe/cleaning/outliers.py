@@ -1,6 +1,6 @@
 """Single readings far off their neighbours, judged run by run, with steps and reversals left alone.
 
-A reading is an outlier where it stands off the median of its neighbours by many times the scatter of such
+A reading is an outlier if it differs from the median of its neighbours by many times the scatter of such
 residuals, off the readings before it *and* off those after it (so the first reading after a step is none), and
 where its own neighbours do not depart with it (so a decaying spike, which is physics, is none). Beside a
 simulated twin the mismatch is judged, which has less shape of its own.
@@ -106,7 +106,7 @@ def _without_slope(values: np.ndarray, position: np.ndarray) -> np.ndarray:
     """The values of a run without their median slope over position, shape (rows,).
 
     The error of a scale goes back with the axis: its last target, which may lie further off than the others, would have
-    no equal beside it. Each slope is taken over half of the places; a fifth of the readings may be wrong ones.
+    no equal next to it. Each slope is taken over half of the places; a fifth of the readings may be wrong ones.
     """
     order = np.argsort(position, kind="stable")
     half = order.size // 2

@@ -10,7 +10,7 @@ from errpipe.cleaning._base import SENSORS, Action, Rule, resolution
 from errpipe.domain.recording import Recording
 from errpipe.yamlfile import quantity
 
-MIN_VALUES = 20  # values; fewer say nothing about a lattice
+MIN_VALUES = 20  # values; too few to identify a lattice
 
 
 class Quantisation(Rule):

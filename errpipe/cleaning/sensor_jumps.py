@@ -19,7 +19,7 @@ from errpipe.yamlfile import quantity
 SIDE = 4  # readings on either side whose median is a level
 PAUSE = 5.0  # times the usual time between rows: a longer pause lets everything change
 MIN_LASTING_SHARE = 0.8  # of the step, between the levels on either side: less of it is a single wrong reading
-MAX_FURTHER_SHARE = 0.1  # of the step, in the reading after it: more is a fast body that warms, which goes on
+MAX_FURTHER_SHARE = 0.1  # of the step, in the reading after it: more is a fast body that warms, which continues
 MIN_STEP = 2.0  # K or um: a smaller step is not worth a run
 MAX_JUMPS = 2  # of one sensor; one that steps more often does so by nature (coolant that is switched)
 DEAD_SHARE = 0.3  # of a sensor's cells after a jump: the rest is not worth the risk

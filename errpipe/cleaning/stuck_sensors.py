@@ -1,7 +1,7 @@
-"""Sensors that say nothing: dead ones are set aside whole, stuck stretches are blanked.
+"""Sensors without information: dead ones are set aside, stuck stretches are blanked.
 
-Slow sensors with a coarse display stand still for a while by nature. A stretch is stuck only where it is much
-longer than the sensor's others, and where the other sensors say that it should have moved.
+Healthy slow sensors with a coarse resolution are constant for a while. A stretch is stuck only where it is much
+longer than the sensor's others, and if the other sensors predict that it should have moved.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MAX_NAMED = 5  # sensors in a message
 DEAD_SHARE = 0.3  # of a sensor's cells stuck: the rest is not worth the risk
 # What a sensor may show, or a person may write in every row of a short test: in degC, hPa, %.
 PLAUSIBLE = {"temperature": (5.0, 45.0), "pressure": (600.0, 1100.0), "humidity": (1.0, 100.0)}
-CALM = 1.0  # K, hPa or %: where no sensor of its kind leaves this span, one that stands still is no failure
+CALM = 1.0  # K, hPa or %: where no sensor of its kind leaves this span, a constant one is not a failure
 
 
 class StuckSensors(Rule):
@@ -114,7 +114,7 @@ def _sentinels(values: np.ndarray) -> tuple[np.ndarray, str]:
 
 
 def _stuck(values: np.ndarray, others: list[np.ndarray]) -> tuple[np.ndarray, str]:
-    """Rows of stretches in which the sensor stands still although it should move."""
+    """Rows of stretches in which the sensor is constant although it should change."""
     rows = np.flatnonzero(np.isfinite(values))
     y = values[rows]
     if y.size < 2 * MIN_STUCK_ROWS:
@@ -133,7 +133,7 @@ def _stuck(values: np.ndarray, others: list[np.ndarray]) -> tuple[np.ndarray, st
         inside = np.zeros(y.size, dtype=bool)
         for k in chosen:
             inside[starts[k] : ends[k]] = True
-        if inside.all():  # one reading a run: by nature it stands still
+        if inside.all():  # one reading per run: constant by definition
             continue
         comparable, moved = _should_have_moved(y, [o[rows] for o in others], inside, starts[chosen], ends[chosen])
         if comparable and not moved.all():
@@ -155,7 +155,7 @@ def _constant(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _should_have_moved(
     y: np.ndarray, others: list[np.ndarray], inside: np.ndarray, starts: np.ndarray, ends: np.ndarray
 ) -> tuple[bool, np.ndarray]:
-    """Are there sensors to compare with? And of each stretch: do they say that it should have moved?."""
+    """Are there sensors to compare with? And for each stretch: do they predict that it should have moved?"""
     usable = [o for o in others if np.isfinite(o).mean() > 0.9]
     if not usable:
         return False, np.zeros(starts.size, dtype=bool)

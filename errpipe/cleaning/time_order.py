@@ -15,7 +15,7 @@ from errpipe.yamlfile import quantity
 class TimeOrder(Rule):
     """Remove the smallest number of rows such that time never decreases in a run; and rows without a time.
 
-    A recording folder with such a step is already refused at the door; other sources may have it.
+    A recording folder with such a step is already refused on reading; other sources may have it.
     """
 
     rule: Literal["time_order"] = "time_order"

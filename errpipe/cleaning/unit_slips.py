@@ -38,7 +38,7 @@ class UnitSlips(Rule):
     )
 
     def find(self, recording: Recording) -> list[Action]:
-        """Sensors to set aside. Raises DataError where a position, a speed or a response slips."""
+        """Sensors to set aside. Raises DataError if a position, a speed or a response slips."""
         self._refuse_slipped(recording)
         actions = []
         run, names = recording.run_codes(), recording.names("temperature")

@@ -22,7 +22,7 @@ def command(
 ) -> None:
     """Select the number and positions of temperature sensors.
 
-    A sum of readings is fitted to the error and judged on duty cycles left out; doing nothing competes.
+    A sum of readings is fitted to the error and validated on held-out duty cycles, against no compensation.
 
     \b
     Example:

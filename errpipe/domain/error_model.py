@@ -158,7 +158,7 @@ class ErrorModel(Frozen):
 def joined(models: Sequence[ErrorModel]) -> ErrorModel:
     """One model of the components of several fits of one machine, valid where all of them are.
 
-    Raises UsageError where several have a component, DataError where they do not agree on what all have in common.
+    Raises UsageError if several have a component, DataError where they do not agree on what all have in common.
     """
     first, *others = models
     if not others:

@@ -58,7 +58,7 @@ def protocol_of(recording: Recording) -> str:
 def missing_readings(recording: Recording) -> str | None:
     """What keeps a recording from being read as the test that it states; None where its columns suffice.
 
-    Raises DataError where it states none.
+    Raises DataError if it states none.
     """
     protocol = protocol_of(recording)
     wanted = PROTOCOLS[protocol].errors

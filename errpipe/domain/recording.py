@@ -300,7 +300,7 @@ class Recording:
         return names[0] if names else None
 
     def array(self, name: str) -> np.ndarray:
-        """One column as float64, shape (rows,). Raises DataError where the rows have none of that name."""
+        """One column as float64, shape (rows,). Raises DataError if the rows have none of that name."""
         if name not in self._arrays:
             self._arrays[name] = self._array(name)
         return self._arrays[name]

@@ -84,7 +84,7 @@ class Conversion:
 def conversion(role: str, unit: str | None) -> Conversion | None:
     """How a column of `role` written in `unit` becomes canonical; None where the role has no unit.
 
-    Raises ValueError where the unit is not one of the role's, or is missing and not implied.
+    Raises ValueError if the unit is not one of the role's, or is missing and not implied.
     """
     if role not in _CANONICAL:
         return None

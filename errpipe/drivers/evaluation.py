@@ -65,7 +65,7 @@ PAUSE = 4.0  # times the usual step between rows, from which a series of parts h
 
 def _at_input(driver: d.Lag, recording: Recording) -> np.ndarray:
     """What a lag is of: kept with the rows, for a search asks for it at every time constant that it tries."""
-    if recording.past is not None:  # states go on from batch to batch
+    if recording.past is not None:  # states continue from batch to batch
         return drive(driver.of, recording)
     if driver.of not in recording.derived:
         recording.derived[driver.of] = drive(driver.of, recording)
@@ -73,7 +73,7 @@ def _at_input(driver: d.Lag, recording: Recording) -> np.ndarray:
 
 
 def _late(driver: d.Lag, source: np.ndarray, recording: Recording) -> np.ndarray:
-    """A lag's answer, by what the recording says of the time between its rows."""
+    """Response of a lag, from the time between the rows of a recording."""
     session, t, at_input = sessions(recording), recording.time(), driver.start == "input"
     taus = (driver.tau_up, driver.tau_down)
     if recording.between == "inferred" and runs_on(driver.of, recording):
@@ -97,7 +97,7 @@ def carried(driver: d.Driver, recording: Recording) -> bool:
 def _state(
     driver: d.First | d.Lag | d.Switch, source: np.ndarray, recording: Recording, respond: Respond
 ) -> np.ndarray:
-    """A response with a state, shape (rows,), which in a batch goes on from where the batch before left it.
+    """A response with a state, shape (rows,), which in a batch continues from where the batch before left it.
 
     Rows before the batch that bring the response to its state, at the time of the last one, stand for all of them.
     respond: (session, time, source, whether it starts at its input) -> response.
@@ -136,7 +136,7 @@ def _rows_before(driver: d.First | d.Lag | d.Switch, last: float, seen: np.ndarr
 
 
 def runs_on(driver: d.Driver, recording: Recording) -> bool:
-    """Does a driver depend on nothing but temperatures and pressures, which do not jump between rows?"""
+    """Does a driver depend only on temperatures and pressures, which do not jump between rows?"""
     names = d.inputs(driver)
     roles = {recording.manifest.columns[n].role for n in names}
     return bool(names) and roles <= {"temperature", "pressure"}

@@ -36,13 +36,13 @@ class Nodes:
         return self.numbers[node]
 
     def read(self, name: str, slow: bool) -> int:
-        """The node of an input. Raises GateError for an input that nobody described."""
+        """The node of an input. Raises GateError for an undescribed input."""
         if name not in self.inputs:
             raise GateError(f"a driver reads {name!r}, which is not an input of the table ({', '.join(self.inputs)})")
         return self.add(t.InputNode(input=name, slow=slow or not self.inputs[name].fast))
 
     def position(self, axis: str) -> t.TableInput:
-        """The input that holds the position of an axis. Raises GateError where there is none."""
+        """The input that holds the position of an axis. Raises GateError if there is none."""
         for channel in self.inputs.values():
             if channel.kind == "position" and channel.axis == axis:
                 return channel
@@ -83,7 +83,7 @@ class Nodes:
         return self.add(_NODES[driver.op](of=of, slow=slow, **own))
 
     def direction(self, axis: str, threshold: float, start: int) -> int:
-        """The node of an axis' direction of travel; an input that knows it goes first."""
+        """The node of an axis' direction of travel; an input with the direction is preferred."""
         of = [self.read(self.position(axis).name, False)]
         for kind in ("direction", "velocity"):
             known = [i.name for i in self.inputs.values() if i.kind == kind and i.axis == axis]

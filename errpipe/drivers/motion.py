@@ -90,7 +90,7 @@ def unbroken(recording: Recording) -> np.ndarray:
     """Integer per row, shape (rows,): sessions, cut where a run begins under way.
 
     What led up to such a run no row shows (the feed-in of a circular test, ISO 230-4): an axis then comes from the side
-    that it moves away from. A run that begins at rest goes on from where the one before it stopped.
+    that it moves away from. A run that begins at rest continues from where the one before it stopped.
     """
     if "unbroken" not in recording.derived:
         run, session = recording.run_codes(), sessions(recording)

@@ -32,7 +32,7 @@ def _sessions(recording: Recording) -> np.ndarray:
 def in_order_of_time(recording: Recording) -> Recording:
     """The recording with its runs in the order of their times; as it is where they overlap or hold no times.
 
-    States, wear and length cut go on from run to run, in whatever order a table lists them.
+    States, wear and length cut continue from run to run, in whatever order a table lists them.
     """
     if recording.name("time") is None or len(recording) == 0:
         return recording

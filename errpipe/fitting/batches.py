@@ -222,7 +222,7 @@ def equivalent_rows(factor: np.ndarray) -> np.ndarray:
 
 
 def survey(source: Source, spec: ModelSpec, scheme: holdout.HoldOut | str | None = None) -> Layout:
-    """Runs and hold-out of a recording, from its labels and responses alone. Raises DataError where runs are mixed."""
+    """Runs and hold-out of a recording, from its labels and responses alone. Raises DataError if runs are mixed."""
     manifest, asked = source.manifest, spec.holdout if scheme is None else scheme
     responses = [n for n, c in manifest.columns.items() if c.role == "error"]
     all_measured = not source.complete.isdisjoint(responses)
@@ -291,7 +291,7 @@ def parts(source: Source, layout: Layout, names: Sequence[str], prepare: Prepare
 
 
 def gather(source: Source, spec: ModelSpec, layout: Layout, prepare: Prepare) -> list[History]:
-    """One pass over the recording: a history per component. Raises DataError where a component has no row."""
+    """One pass over the recording: a history per component. Raises DataError if a component has no row."""
     histories = [_new_history(source.ends, component, layout, prepare) for component in spec.components]
     names = sorted({n for h in histories for n in h.names})
     with solve.one_thread():

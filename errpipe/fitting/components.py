@@ -44,7 +44,7 @@ def evaluate(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
 
 
 def term_of(fitted: FittedTerm) -> Term:
-    """The term behind its plain data. Raises DataError on a term or an option unknown to this version."""
+    """The term of its plain data. Raises DataError on a term or an option unknown to this version."""
     name = fitted.term["term"]
     if name not in TERMS.tags:
         raise DataError(f"error model: the term {name!r} is not known")
@@ -74,7 +74,7 @@ def _first(recording: Recording, values: np.ndarray) -> np.ndarray:
 def solved(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> ErrorModel:
     """The error model of `spec` on the rows of a mask, its prediction interval still open.
 
-    Raises DataError where a response or a needed column is missing, NotIdentifiable where the rows cannot distinguish
+    Raises DataError if a response or a needed column is missing, NotIdentifiable where the rows cannot distinguish
     parameters apart.
     """
     models: list[ComponentModel] = []
@@ -114,7 +114,7 @@ def nuisance_of(spec: ModelSpec) -> tuple[Term, ...]:
 
 
 def groups_of(spec: ModelSpec) -> list[tuple[ComponentSpec, ...]]:
-    """Components solved together: all of them where a nuisance is shared, else each by itself."""
+    """Components solved together: all of them where a nuisance is shared, else each separately."""
     if any(hasattr(t, "shared") for t in spec.nuisance):
         return [spec.components]
     return [(c,) for c in spec.components]
@@ -242,7 +242,7 @@ def _at_bound(parameter, value: float) -> str:
 
 @one_thread()
 def without_nuisance(problem: Problem, values: np.ndarray) -> np.ndarray:
-    """`values` less what the nuisance terms alone explain of them, shape (n,)."""
+    """`values` minus the nuisance terms, shape (n,)."""
     columns = [problem.columns_of(s, np.zeros(len(problem.unknowns))) for s in problem.slots if s.nuisance]
     if not columns:
         return values

@@ -137,7 +137,7 @@ def assemble(
     """The problem of fitting each component with its terms, on the rows of a mask (all where None).
 
     Terms are settled on those rows. Rows without the response or without something a term needs are left out.
-    Raises DataError where no row is left.
+    Raises DataError if no row is left.
     """
     mask = np.ones(len(recording), dtype=bool) if rows is None else np.asarray(rows, dtype=bool)
     seen = recording if mask.all() else recording.take(mask)

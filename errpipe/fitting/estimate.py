@@ -1,4 +1,4 @@
-"""Solve one assembled problem: non-linear search, linear solve by the method asked for, covariance."""
+"""Solve one assembled problem: non-linear search, linear solve by the requested method, covariance."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def estimate(
 ) -> Estimate:
     """Solve `problem` as `spec` asks. folds: row masks of the recording, for the strength of ridge.
 
-    Raises NotIdentifiable where the rows cannot distinguish parameters (not for ridge, which is the remedy).
+    Raises NotIdentifiable if the rows cannot distinguish parameters (not for ridge, which is the remedy).
     """
     if problem.width == 0:
         return without_columns(problem.response, rms(problem.response), problem.response.size)

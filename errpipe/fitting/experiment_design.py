@@ -28,7 +28,7 @@ SWEEPS = 3  # rounds of exchange of each start (by judgement)
 
 
 class DesignOptions(Frozen):
-    """What the machine may do, and what the model may be."""
+    """Permitted inputs of the machine, and candidate models."""
 
     highest_speed: float = quantity("rpm", "Of the spindle.", 6000.0, gt=0)
     levels: tuple[float, ...] = Field(
@@ -108,7 +108,7 @@ def usage(options: DesignOptions, days: int = 12, seed: int = 0) -> list[Plan]:
 
 
 def propose(done: Sequence[Plan], options: DesignOptions | None = None, *, starts: int = 3) -> Plan:
-    """The best next day by the criterion, after the days done. Raises DataError where no plan keeps the limits."""
+    """The best next day by the criterion, after the days done. Raises DataError if no plan keeps the limits."""
     options = options or DesignOptions()
     rows = np.vstack([basis(p, options) for p in usage(options)])
     weight = rows.T @ rows / len(rows)

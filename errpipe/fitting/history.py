@@ -33,7 +33,7 @@ CUT = "cell_group"  # name of the column of cells' groups
 class Fold:
     """One held-out group. held_out: its rows in the sample; rows: of all; factor: of those, (k, k).
 
-    weights: what the columns of the factor count for in what the model leaves, (k,).
+    weights: of the columns of the factor in the residual of the model, (k,).
     """
 
     held_out: HeldOut
@@ -43,7 +43,7 @@ class Fold:
     cells: np.ndarray  # of the history that was held out, as a mask
 
     def residual_at_gain(self, gain: float) -> tuple[float, float]:
-        """(sum of squares, mean) of what is left of the response at a share of the correction."""
+        """(sum of squares, mean) of the residual of the response at a share of the correction."""
         bare = np.zeros(self.weights.size)
         bare[-1] = 1.0
         rotated = self.factor @ (gain * self.weights + (1.0 - gain) * bare)
@@ -161,7 +161,7 @@ def _widened(model: ErrorModel, spec: ModelSpec, source: Source, sample: Recordi
 
 
 def all_left_out(histories: list[History], manifest: Manifest) -> list[list[Fold]]:
-    """Per history every group judged by parameters of the others. Raises DataError where nothing can be held out."""
+    """Per history every group judged by parameters of the others. Raises DataError if nothing can be held out."""
     sample = histories[0].sample(manifest)
     drivers = list(dict.fromkeys(n for h in histories for s in h.slots for n in s.term.drivers(sample)))
     return [_left_out(history, sample, drivers) for history in histories]

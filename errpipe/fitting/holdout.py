@@ -64,7 +64,7 @@ def groups(recording: Recording, scheme: HoldOut | str = "auto") -> list[Fold]:
     Runs that only log temperatures judge nothing, so no fold leaves them out.
 
     scheme: a `HoldOut`, or its short form: "leave-one-run-out", "leave-one-group-out:season", "blocks:6",
-    "forward:month". Raises DataError where the recording has no such group, no date, or too few groups.
+    "forward:month". Raises DataError if the recording has no such group, no date, or too few groups.
     """
     chosen = resolved(recording, scheme)
     recording = with_calendar(recording, chosen.of)
@@ -105,7 +105,7 @@ def resolved(recording: Recording, scheme: HoldOut | str = "auto") -> HoldOut:
 
 
 def check(fold: Fold) -> None:
-    """Raise DataError where a row both fits and judges, or where one side is empty."""
+    """Raise DataError if a row both fits and judges, or where one side is empty."""
     both = int(np.count_nonzero(fold.train & fold.test))
     if both:
         raise DataError(f"hold-out {fold.label}: {both} rows both fit and judge")

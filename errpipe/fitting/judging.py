@@ -1,7 +1,7 @@
-"""Models judged by held-out rows: residuals of held-out groups, and what they size.
+"""Validation by held-out rows: residuals of held-out groups, and the figures derived from them.
 
 Where a recording has nuisance (the datum of a run, the pose of a workpiece), it is solved for on the judged rows
-too, for the model and for doing nothing alike, and the degrees of freedom that costs are counted.
+too, for the model and for no compensation alike, and the degrees of freedom that costs are counted.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class NothingJudged(DataError):
 
 @dataclass(frozen=True)
 class HeldOut:
-    """One held-out group. before: response without the model; after: what the model leaves; shape (n,).
+    """One held-out group. before: response without the model; after: residual of the model; shape (n,).
 
     rows: row numbers; outside: distance from the validity box of the rows that fitted, (n,); used: degrees of freedom
     that nuisance took on these rows.
@@ -51,9 +51,9 @@ class HeldOut:
 
 
 def judge(recording: Recording, spec: ModelSpec, fold: Fold) -> dict[str, HeldOut]:
-    """Fit on one side of a fold, judge on the other, per component. Raises DataError where rows do both.
+    """Fit on one side of a fold, judge on the other, per component. Raises DataError if rows do both.
 
-    Terms are selected anew on the rows that fit: rows that judge have no say in that either.
+    Terms are selected again on the fitted rows: held-out rows do not influence the selection either.
     """
     check(fold)
     out = {}
@@ -124,7 +124,7 @@ def every_judged(
 ) -> tuple[dict[str, list[HeldOut]], list[str]]:
     """Per component the held-out rows of every fold, and why some folds judge nothing.
 
-    Raises DataError where none does.
+    Raises DataError if none does.
     """
     out: dict[str, list[HeldOut]] = {c: [] for c in components}
     empty: list[str] = []
@@ -192,7 +192,7 @@ def widening90(folds: Sequence[HeldOut], half: float) -> float:
 
 
 def select(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> ModelSpec:
-    """Leave out, one by one, the terms without which held-out rows do no worse; doing nothing wins ties."""
+    """Backward elimination of terms that do not improve held-out rows; no compensation wins ties."""
     kept = []
     for component in spec.components:
         terms = list(component.terms)

@@ -20,7 +20,7 @@ def fit(recording: Recording, spec: ModelSpec, *, calibrate: bool = True) -> Err
     """Fit every component of `spec` on all rows.
 
     calibrate: refit without each hold-out group to size the 90 % prediction interval. Where the specification asks
-    for selection, terms that held-out rows do not need are left out. Raises DataError where a response or a needed
+    for selection, terms that held-out rows do not need are left out. Raises DataError if a response or a needed
     column is missing, NotIdentifiable where the rows cannot distinguish parameters.
     """
     mask = np.ones(len(recording), dtype=bool)
@@ -36,7 +36,7 @@ def fit(recording: Recording, spec: ModelSpec, *, calibrate: bool = True) -> Err
 
 
 def without_interval(model: ErrorModel, why: str) -> ErrorModel:
-    """Nothing can be held out: the interval is that of the fitted rows, and a note states it."""
+    """No hold-out is possible: the interval is that of the fitted rows, as stated in a note."""
     components = tuple(
         c.model_copy(update={"half_width90": NORMAL90 * c.rms_after, "widening90": NORMAL90 * c.rms_after})
         for c in model.components

@@ -106,7 +106,7 @@ def _held(batches: Iterator[Recording], sensors: dict[str, tuple[_Sensor, int]])
 
 
 def _with(batch: Recording, columns: dict[str, np.ndarray]) -> Recording:
-    """The batch with other values, and with what the rows before it left behind."""
+    """The batch with other values, and with the state after the rows before it."""
     if isinstance(batch, Batch):
         return Batch(batch.manifest, batch.columns | columns, len(batch), batch.past)
     return batch.with_columns(columns, {})

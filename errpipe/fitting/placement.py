@@ -46,7 +46,7 @@ def choose(readings: np.ndarray, error: np.ndarray, group: np.ndarray, most: int
     """Doing nothing's rms, and the best places for 1 to `most` sensors by forward selection.
 
     readings: (times, places), rises over the start of each duty cycle; error: (times,); group: (times,), the duty
-    cycle, left out one by one. The error is a weighted sum of readings. Places are chosen anew without each group that
+    cycle, left out one by one. The error is a weighted sum of readings. Places are chosen again without each group that
     is left out (nested), so that choosing the best of many does not flatter. Raises DataError below two groups.
     """
     labels = np.unique(group)

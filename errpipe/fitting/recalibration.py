@@ -24,7 +24,7 @@ from errpipe.fitting.statistics import rms
 
 SHIFT = 28800.0  # s: eight hours
 PER_SHIFT = (1, 2, 4, 8, 16)  # readings a shift that the report compares
-MISSED = 2.0  # intervals: a reading stands in for the next one where that is missed, then counts as none (by judgement)
+MISSED = 2.0  # intervals: a reading is held if the next one is missed, then expires (by judgement)
 TIE = 0.01  # readings must take at least this share of the held-out error away (by judgement)
 PLAUSIBLE = 2.0  # of the largest error on held-out rows: readings beyond it from the model are refused (by judgement)
 
@@ -66,7 +66,7 @@ def last_reading(run: np.ndarray, values: np.ndarray, probed: np.ndarray) -> np.
 
 
 def share_of(left: Sequence[np.ndarray], last: Sequence[np.ndarray]) -> float:
-    """Slope through zero of what is left on what was left at the last reading, 0..1; 0 without any reading.
+    """Slope through zero of the residual on the residual at the last reading, 0..1; 0 without any reading.
 
     left, last: per group, shape (rows of the group,), um.
     """
@@ -84,7 +84,7 @@ def by_readings(
 ) -> dict[str, Any]:
     """rms on held-out groups against readings per shift, with the model and, for comparison, with readings alone.
 
-    rows, before, left: per group its row numbers, the deviation, and what the model leaves, um. The rows that are
+    rows, before, left: per group its row numbers, the deviation, and the residual of the model, um. The rows that are
     probed are rows of the recording, with its noise. A group is judged with the share of the other groups;
     `share` is that of all. Schedules that would probe more than half of the rows are left out.
     """
@@ -116,7 +116,7 @@ def by_readings(
 def with_readings(model: ErrorModel, validations: Sequence[Mapping[str, Any]], per_shift: int) -> ErrorModel:
     """The model with a share for readings in each component that held-out groups were better with.
 
-    validations: documents of `validation.json`; the least share among them counts. Raises GateError where no
+    validations: documents of `validation.json`; the least share among them counts. Raises GateError if no
     validation judged readings, or where they helped no component.
     """
     out, why = [], []

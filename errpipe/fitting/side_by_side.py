@@ -17,7 +17,7 @@ from typing import Any, TypeVar, cast
 AT_ONCE = 2  # pieces: what they leave to Python's lock keeps no more cores busy
 WORTH = 0.05  # s of the first piece, below which handing over between threads costs as much as it brings
 
-AHEAD = 2  # results made before they are asked for, by one other thread: more would only hold memory
+AHEAD = 2  # results made before they are requested, by one other thread: more would only hold memory
 
 S = TypeVar("S")
 T = TypeVar("T")

@@ -205,7 +205,7 @@ def ridge(
 
 
 def spread_of(design: np.ndarray, shrunk: np.ndarray) -> np.ndarray:
-    """Root mean square of each shrunk column beyond what the others explain, shape (p,); 1 for the others."""
+    """Rms of each penalised column after projection on the other columns, shape (p,); 1 for unpenalised ones."""
     free = design[:, ~shrunk]
     left = design - free @ np.linalg.lstsq(free, design, rcond=None)[0] if free.size else design
     return np.where(shrunk, np.sqrt(np.mean(left**2, axis=0)), 1.0)
@@ -269,7 +269,7 @@ def penalised(
 
 
 def _reduced(design: np.ndarray, response: np.ndarray) -> tuple[np.ndarray, float]:
-    """Triangular factor of the design with the rotated response beside it, and the sum of squares it cannot reach."""
+    """Triangular factor of the design with the rotated response appended, and the residual sum of squares."""
     q, r = np.linalg.qr(design)
     rotated = q.T @ response
     return np.column_stack([r, rotated]), max(float(response @ response - rotated @ rotated), 0.0)

@@ -1,6 +1,6 @@
 """How well parameters are known when neighbouring rows share their noise.
 
-Rows of a machine's log are not independent draws: the noise has a memory of its own, and what a model leaves
+Rows of a machine's log are not independent: the noise is autocorrelated, and the residual of a model
 out repeats within a run. Counting rows gives intervals that are several times too narrow. Two estimates:
 
 * noise model: white plus first-order autoregressive noise within each run, its two shape parameters by restricted
@@ -26,7 +26,7 @@ from errpipe.kernels import whitening
 RHO = (0.3, 0.6, 0.8, 0.9, 0.95, 0.98, 0.995)  # starting points of the search: correlation of neighbouring rows,
 SHARE = (0.1, 0.3, 0.6, 0.9, 0.999)  # and the share of the noise that is correlated
 MOST_ROWS = 20_000  # rows the noise model is fitted to; further ones change its third digit
-FEWEST_RUNS = 6  # fewer runs say nothing about their spread
+FEWEST_RUNS = 6  # too few runs to estimate their spread
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Noise:
 
 
 def noise_model(sequence: np.ndarray, jacobian: np.ndarray, residual: np.ndarray, penalty: np.ndarray | None) -> Noise:
-    """Restricted maximum likelihood of the noise behind a least-squares residual.
+    """Restricted maximum likelihood (REML) of the noise of a least-squares residual.
 
     sequence: integer per row, (n,); jacobian: (n, p); residual: (n,), of fitting p parameters; penalty: (p, p).
     """
@@ -172,11 +172,11 @@ def effective_rows(rows_of_runs: np.ndarray, noise: Noise) -> float:
 
 
 def degrees_of_freedom(rows: int, parameters: float, noise: Noise) -> float:
-    """Degrees of freedom behind `noise.sigma`: rows over the sum of the squared autocorrelation, less parameters."""
+    """Degrees of freedom of `noise.sigma`: rows over the sum of the squared autocorrelation, less parameters."""
     memory = 1.0 + 2.0 * (noise.share * noise.rho) ** 2 / (1.0 - noise.rho**2)
     return max((rows - parameters) / memory, 2.0)
 
 
 def half_width(standard_error: np.ndarray | float, degrees: float) -> np.ndarray | float:
-    """Half width of a parameter's 95 % interval with `degrees` of freedom behind its noise."""
+    """Half width of a parameter's 95 % interval with `degrees` of freedom of its noise."""
     return standard_error * student_quantile(0.975, max(degrees, 2.0))

@@ -45,7 +45,7 @@ def _margin(role: str, ends: tuple[float, float]) -> float:
 def extended(validity: Validity, earlier: Mapping[str, tuple[float, float]], recording: Recording) -> Validity:
     """The box out to the ranges of an earlier model of the machine; `seen` keeps what the rows themselves covered.
 
-    Raises MissingColumn where `earlier` names what is no column of the recording.
+    Raises MissingColumn if `earlier` names what is no column of the recording.
     """
     columns = recording.manifest.columns
     for name in earlier:

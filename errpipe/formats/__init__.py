@@ -1,7 +1,7 @@
-"""Doors for measurements: one file a format. A new format is one file here and one entry in FORMATS.
+"""Readers of measurement files: one file per format. A new format is one file here and one entry in FORMATS.
 
 A format module has
-    name                        as it stands in YAML (`format: ecmc_dat`)
+    name                        as written in YAML (`format: ecmc_dat`)
     Options                     what a person may say about the file (discriminated by `format`)
     sniff(path) -> bool         whether a path looks like it, from its first bytes; never raises
     read(path, options=None)    -> Recording in canonical units; raises ConfigError or DataError

@@ -25,7 +25,7 @@ def kinds(manifest: Manifest, usual: Mapping[str, str]) -> dict[str, str]:
 def derive(columns: dict[str, Any], raw: Mapping[str, np.ndarray], rows: int, manifest: Manifest) -> dict[str, Any]:
     """The columns in canonical units with the derived ones, in manifest order, ignored ones left out.
 
-    raw: the numbers as they stand in the table, by column.
+    raw: the numbers as written in the table, by column.
     """
     out = dict(columns)
     ways = {n: (c, c.derived) for n, c in manifest.columns.items() if c.derived is not None}

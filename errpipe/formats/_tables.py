@@ -179,7 +179,7 @@ def _in_order(work: Callable[[bytes, int], Block], items: Iterator[tuple[bytes, 
 
 
 def _finite(table: pa.Table) -> None:
-    """Raises ArrowInvalid where a cell spells nan or infinity, which pyarrow takes for a number."""
+    """Raises ArrowInvalid if a cell spells nan or infinity, which pyarrow takes for a number."""
     for column in table.columns:
         if pa.types.is_floating(column.type):
             for chunk in column.chunks:

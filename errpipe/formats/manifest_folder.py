@@ -134,7 +134,7 @@ def iter_batches(
 ) -> Iterator[Recording]:
     """Columns of a folder that `write` or `to_parquet` made, `rows` at a time; all columns without names.
 
-    Each batch says what the rows before it leave behind, so that states go on; a buffer of the file's would keep all
+    Each batch says what the rows before it leave behind, so that states continue; a buffer of the file's would keep all
     that was read. runs: rows of each run in their order, where they are known: they are then not read again.
     Raises DataError for a damaged file.
     """
@@ -337,7 +337,7 @@ def _check_codes(
 
 @dataclass
 class _Order:
-    """Time may stand still in a run, never step back; a row without a run belongs nowhere."""
+    """Time may repeat in a run, but never decrease; every row needs a run."""
 
     manifest: Manifest
     last: dict[str, float] = field(default_factory=dict)

@@ -181,7 +181,7 @@ def _deviations(path: Path, lines: list[_Line], targets: int) -> tuple[np.ndarra
 
 
 def _directions(path: Path, runs: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """+1 where a run visits its targets upwards, -1 downwards. Raises DataError where it does neither."""
+    """+1 where a run visits its targets upwards, -1 downwards. Raises DataError if it does neither."""
     out = np.empty(runs.size)
     for run in dict.fromkeys(runs.tolist()):
         rows = np.flatnonzero(runs == run)

@@ -21,7 +21,7 @@ What stands in for a failed reading:
     guarded reading = x_i - f_i,  f_i = r_i - m_i + sum v_ij f_j over failed j: the last trusted reading, carried on
                by its estimate from the others. Solved exactly for two failed sensors, approximately for more (frozen).
                Where one sensor fails alone, r_i = x_i - sum p_ij x_j - sum q_ij lag(x_j, horizon): bodies of a machine
-               lag behind each other, which halves what is left of a room sensor (turning centre, run left out)
+               lag behind each other, which halves the residual of a room sensor (turning centre, run left out)
 
 All of it is built of the operations of `errpipe.domain.driver`, so it is compiled, exported and evaluated like any
 driver, causally. Empty, impossible and racing readings are caught before, by each input's own range, rate and hold

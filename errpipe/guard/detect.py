@@ -117,7 +117,7 @@ def activity(guard: SensorGuard, name: str) -> d.Driver:
 
 @shared
 def frozen(guard: SensorGuard) -> tuple[d.Driver, ...]:
-    """1 while a reading stands still as it never does when healthy; else 0."""
+    """1 while a reading is constant for longer than a healthy one ever is; else 0."""
     age = d.lag(d.ONE, guard.freeze_s)
     settled = d.Switch(of=age, on=1.0 - math.exp(-WARM_UP), off=0.0)
     out: list[d.Driver] = []

@@ -42,7 +42,7 @@ LEAST_HOURS = 10.0  # h of recording to learn from
 def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.SensorGuard:
     """Learn from a recording whose sensors were healthy (clean it first).
 
-    sensors: default all temperatures. Runs are left out one by one. Raises DataError where there are fewer than two
+    sensors: default all temperatures. Runs are left out one by one. Raises DataError if there are fewer than two
     sensors, two runs, or ten hours.
     """
     names = tuple(sensors) if sensors is not None else recording.names("temperature")
@@ -203,7 +203,7 @@ def _believable(rows: Healthy, i: int) -> dict[str, float]:
 
 
 def _still(alive: np.ndarray, rows: Healthy, per_hour: float) -> float | None:
-    """The stillness that a healthy sensor reaches at the stated rate; None where it stands still when healthy.
+    """Threshold of stillness of a healthy sensor at the stated false-alarm rate; None if it is constant when healthy.
 
     Near 0 a square of noise is distributed as a power, so minus its logarithm has Gumbel's tail.
     """

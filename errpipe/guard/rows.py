@@ -25,7 +25,7 @@ class Healthy:
     group: np.ndarray
 
     def lagged(self, values: np.ndarray, tau: float) -> np.ndarray:
-        """Columns through a first-order lag that starts anew with each session, tau in s; shape as values."""
+        """Columns through a first-order lag that restarts with each session, tau in s; shape as values."""
         from errpipe.kernels import responses
 
         columns = [responses.lag(self.run, self.t, np.ascontiguousarray(v), tau, tau, True) for v in values.T]

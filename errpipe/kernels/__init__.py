@@ -1,7 +1,7 @@
 """Arithmetic only: floats and arrays in canonical units in, arrays out. `kernel` is the one decorator of the project.
 
 Compiled code is cached below a name that stands for the source of all kernels: Numba alone would not notice an edit in
-another file than the caller's and would go on using the old code.
+another file than the caller's and would continue using the old code.
 
 Numba takes 0.4 s to import, so it waits for the first call: then the kernel and every kernel that its module knows is
 turned into its dispatcher (they may call each other), and later calls go straight there.

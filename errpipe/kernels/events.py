@@ -1,4 +1,4 @@
-"""Time and travel since events. `run` holds an integer per row; states start anew where it changes."""
+"""Time and travel since events. `run` holds an integer per row; states restart where it changes."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ def _centred_on_active(first, width, where, freedom, block, half, seen, matrix, 
 def _tridiagonal(width, matrix, products, off_diagonal, scale, v, p):
     """Householder: matrix = Q T Q' in place, products become Q' products; each reflection stays in the lower part.
 
-    off_diagonal: of T (w - 1,); scale: 2 / |v|^2 of each reflection, 0 where there is none; v, p: work, (w,).
+    off_diagonal: of T (w - 1,); scale: 2 / |v|^2 of each reflection, 0 if there is none; v, p: work, (w,).
     """
     for c in range(width - 2):
         scale[c] = 0.0

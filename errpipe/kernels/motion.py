@@ -21,7 +21,7 @@ def towards(value: float, target: float, dt: float, whole: float) -> float:
 
 
 def can_stop(closing: float, left: float, brake: float) -> bool:
-    """Whether a closing speed can be braked to nothing within what is left of the way (per cycle)."""
+    """Whether a closing speed can be reduced to zero within the remaining distance (per cycle)."""
     if closing <= 0.0:
         return True
     return closing * (closing - brake) <= 2.0 * brake * left

@@ -74,7 +74,7 @@ class Mode(NamedTuple):
 
 @bare_kernel
 def _number(data, at, end):
-    """The number that begins at `at`, and where it ends: -1 where there is none, or none that is read exactly."""
+    """The number that begins at `at`, and where it ends: -1 if there is none, or none that is read exactly."""
     negative = at < end and data[at] == 45
     if at < end and (data[at] == 43 or data[at] == 45):
         at += 1
@@ -231,7 +231,7 @@ def _centre(value, seen, here, goal, mode, clockwise):
 
 @bare_kernel
 def _turns_unknown(seen, here, goal):
-    """Whether a rotary axis is named of which nobody knows where it stands, or which way round it goes."""
+    """Whether a rotary axis is named whose position or direction of rotation is unknown."""
     unknown = False
     for n in range(_ROTARY, here.size):
         unknown |= bool(seen >> n & 1 and (here[n] != here[n] or is_long_way_round(here[n], goal[n])))
@@ -240,7 +240,7 @@ def _turns_unknown(seen, here, goal):
 
 @bare_kernel
 def _may_be_drawing(seen, motion, here, mode):
-    """Whether A or C may be an angle or a chamfer of a lathe's drawing: not where it stands somewhere, or on a mill."""
+    """Whether A or C may be an angle or a chamfer of a lathe's drawing: not if its position is known, or on a mill."""
     mill = seen >> 1 & 1 or (mode.named and mode.through == 2)
     unknown = (seen >> 3 & 1 and here[3] != here[3]) or (seen >> 5 & 1 and here[5] != here[5])
     return bool(motion == 1 and unknown and not mill)

@@ -9,7 +9,7 @@ from errpipe.kernels import bare_kernel, kernel
 
 @kernel
 def whiten(run, columns, phi, theta, gain):
-    """Columns (rows, k) filtered by (1 - phi B) / (1 - theta B) / gain; each run starts anew with its own value."""
+    """Columns (rows, k) filtered by (1 - phi B) / (1 - theta B) / gain; each run restarts with its own value."""
     n, k = columns.shape
     out = np.empty((n, k))
     for i in range(n):

@@ -1,6 +1,6 @@
 """Causal responses of one signal over many runs: lag, switch, direction, approach, first value.
 
-`run` holds an integer per row; a state starts anew wherever it changes. Times in s, lengths in mm.
+`run` holds an integer per row; a state restarts wherever it changes. Times in s, lengths in mm.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Numbers that stand in a compiled table and in the status of its cycle (`schemas/ect-2.md`)."""
+"""Code numbers in a compiled table and in the status of its cycle (`schemas/ect-2.md`)."""
 
 # operations of nodes; flags of inputs, nodes and outputs; bits of the status
 CONSTANT, INPUT, AFFINE, FIRST, LAG, PRODUCT, POWER, CLIP, SWITCH, DIRECTION, APPROACH, LOOKUP = range(1, 13)
@@ -12,4 +12,4 @@ PERIODIC = KEEP = 1
 SLOW_KINDS = 4  # kinds of inputs from here on are shown in thermal cycles
 OFF, ON, HOLD = 0, 1, 2  # modes of a cycle
 LARGEST = 1e30  # as LARGEST_RESULT of domain/table.py
-NOWHERE = 1e31  # where an anchor stands before the first reading
+NOWHERE = 1e31  # value of an anchor before the first reading

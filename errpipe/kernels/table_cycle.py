@@ -58,7 +58,7 @@ class State(NamedTuple):
 
 @bare_kernel
 def reset(program, state):
-    """The next cycle is the first of a run; corrections stay where they are, and go on from there."""
+    """The next cycle is the first of a run; corrections stay where they are, and continue from there."""
     for i in range(state.inputs.size):
         own = state.inputs[i]
         own.raw = np.nan
@@ -218,12 +218,12 @@ def cycle(program, state, readings, fresh, dt, replay, mode):
 
 @bare_kernel
 def replay(program, state, fresh, row, columns, t, run, goes_on, before, begin, end, deviation, correction, status):
-    """Replay rows of a recording: columns (inputs, rows), t in s, run: an integer per row; states start anew where it
+    """Replay rows of a recording: columns (inputs, rows), t in s, run: an integer per row; states restart where it
     changes.
 
-    goes_on: the first of these rows goes on from the state, `before` being the time of the row before it; else it
-    starts anew. row: room for the readings of one. Fills deviation and correction (outputs, rows) and status (rows,).
-    Time that stands still, runs back or is missing within a run counts as no time.
+    goes_on: the first of these rows continues from the state, `before` being the time of the row before it; else it
+    restarts. row: room for the readings of one. Fills deviation and correction (outputs, rows) and status (rows,).
+    Time that does not advance, runs back or is missing within a run counts as no time.
     """
     for k in range(begin, end):
         dt = 0.0

@@ -11,7 +11,7 @@ from errpipe.kernels.elementary import exp, moved_side, on_lines, power
 
 @bare_kernel
 def recall(own, x, way, threshold, started):
-    """Undo what the last reading did where it is alone between two that agree, or alone states a direction."""
+    """Undo the effect of the last reading if it is a single outlier between two that agree, or a single direction."""
     if not started:
         own.last = own.before = x
     moved, away = x - own.last, x - own.before

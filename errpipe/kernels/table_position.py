@@ -269,7 +269,7 @@ def profile_blocks(program, plan, inputs, sums, j, f):
 
 @bare_kernel
 def fill(program, plan, node_fixed, profile_fixed, buffers):
-    """What stands still over all blocks."""
+    """Values that are constant over all blocks."""
     for n in range(program.nodes.size):
         buffers.nodes[n, :] = node_fixed[n]
     for p in range(program.profiles.size):

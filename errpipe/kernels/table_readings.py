@@ -1,4 +1,4 @@
-"""Readings of a table's inputs: which are accepted, what stands in for the others, what the table sees of them.
+"""Readings of a table's inputs: acceptance, substitutes for rejected ones, and validity.
 
 `program` and `state` are as in `table_cycle`; the rules are those of the reference evaluator, to the bit.
 """
@@ -34,7 +34,7 @@ def follows(channel, own, v, fresh, unwatched, thermal_s):
 
 @bare_kernel
 def condition(inputs, substitutes, state, readings, fresh, dt, unwatched, thermal_s):
-    """Judge all readings, then let something stand in for those rejected.
+    """Accept or reject all readings, then substitute the rejected ones.
 
     unwatched: the first reading of a run is accepted at once. Returns the status bits, bit 31 set where an input that
     matters is down to its default.
@@ -71,7 +71,7 @@ def condition(inputs, substitutes, state, readings, fresh, dt, unwatched, therma
 
 @bare_kernel
 def show(inputs, state, every, clamped):
-    """What the table sees of the inputs (without `every`, only of the fast ones), and what validity leaves of it."""
+    """Inputs clipped to validity (without `every`, only fast ones), and the share of the table that applies."""
     for i in range(inputs.size):
         channel = inputs[i]
         own = state[i]

@@ -1,7 +1,7 @@
 """Replay of a recording, in blocks of rows: one operation at a time over a block, to the bit as cycle after cycle.
 
 A block stands where every reading that matters is accepted, every driver has started and every result is a number.
-Other rows are left to the cycle: what happens to bad readings stands there alone.
+Other rows are evaluated by the cycle, which alone handles bad readings.
 Shapes: block buffers are (rows, BLOCK) as in `table_position`; `program` and `state` are those of `table_cycle`.
 """
 
@@ -42,7 +42,7 @@ def all_in_range(values):
 
 @bare_kernel
 def steps(t, before, dt):
-    """Time since the row before, s; 0 where it stands still, runs back or is missing."""
+    """Time since the row before, s; 0 where it does not advance, runs back or is missing."""
     dt[0] = t[0] - before if t[0] > before else 0.0
     for k in range(1, t.size):
         dt[k] = t[k] - t[k - 1] if t[k] > t[k - 1] else 0.0
@@ -72,7 +72,7 @@ def decay_block(way, whole, out):
 
 @bare_kernel
 def accept_block(channel, own, v, dt, thermal_s, out):
-    """Readings as `condition` judges them, what stands in for missing optional ones; False where one is doubtful."""
+    """Readings as `condition` judges them, substitutes for missing optional ones; False if one is not accepted."""
     inside = 0
     for k in range(v.size):
         inside += v[k] >= channel.low and v[k] <= channel.high
@@ -106,7 +106,7 @@ def accept_block(channel, own, v, dt, thermal_s, out):
 
 @bare_kernel
 def show_block(channel, own, v, inside, clamped):
-    """What the table sees of accepted readings `v`, and what validity leaves of it."""
+    """Accepted readings `v` clipped to validity, and the share of the table that applies."""
     last = v.size - 1
     own.left = 1.0
     if channel.flags & codes.HAS_VALID:
@@ -215,7 +215,7 @@ def block_of_readings(program, workspace, state, columns, begin, end):
 
 @bare_kernel
 def block_of_nodes(program, workspace, state, size):
-    """Drivers of a block; False where a value is none."""
+    """Drivers of a block; False if a value is not a number."""
     nodes, inputs = workspace.buffers.nodes, workspace.buffers.inputs
     for n in range(program.nodes.size):
         if workspace.node_moves[n]:
@@ -233,7 +233,7 @@ def block_of_nodes(program, workspace, state, size):
 
 @bare_kernel
 def block(program, plan, workspace, state, columns, begin, end, deviation, correction, status):
-    """Rows of one run that go on; False, and nothing changed but the results, where they must be taken one by one."""
+    """Rows that continue one run; False, with only the results changed, if they must be evaluated one by one."""
     buffers, size = workspace.buffers, end - begin
     inside, marks = buffers.spare[1], status[begin:end]
     if not block_of_readings(program, workspace, state, columns, begin, end) or not block_of_nodes(

@@ -1,6 +1,6 @@
 """Noise with a memory: white noise plus a first-order autoregressive part, filtered out and multiplied through.
 
-`sequence` holds an integer per row; the noise starts anew wherever it changes. Noise variance is 1, of which
+`sequence` holds an integer per row; the noise restarts wherever it changes. Noise variance is 1, of which
 `share` is correlated from row to row by `rho`.
 """
 

@@ -93,7 +93,7 @@ class Curve:
 def curves(recording: Recording, chain: Chain, lasers: Mapping[str, Laser] | None = None) -> dict[str, Curve]:
     """Curves of every error-motion column of a recording (EXX, EYX, EBX ...), laser corrections included.
 
-    lasers: set-up by component. Raises DataError where a component's axis has no position.
+    lasers: set-up by component. Raises DataError if a component's axis has no position.
     """
     motions = [c for c in recording.components() if is_error_motion(c)]
     if not motions:
@@ -145,7 +145,7 @@ def without_beam_errors(
 ) -> np.ndarray:
     """Readings of a component (um) less what dead path, air and cosine did to them; Abbe's offset is left in.
 
-    rows: mask of the recording's rows that position and value are of. Raises DataError where the set-up does not
+    rows: mask of the recording's rows that position and value are of. Raises DataError if the set-up does not
     fit the component, or the air was not recorded that the correction needs.
     """
     c = parse(component)

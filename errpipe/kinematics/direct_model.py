@@ -31,7 +31,7 @@ def error_model(
     """The components of a recording, from the document of an identification. noise: of a reading, by component.
 
     They count as the records do, along the axes, whatever the machine file takes their errors to be of.
-    Raises VerifyError where a curve is too rough for the spline.
+    Raises VerifyError if a curve is too rough for the spline.
     """
     columns: list[str] = []
     ranges: dict[str, tuple[float, float]] = {}

@@ -199,7 +199,7 @@ def identify(
     """Solve for all components and set-up parameters.
 
     noise (um) and power are estimated where not given, as the prior sizes of the families are.
-    Raises DataError where readings are missing or fewer than 8.
+    Raises DataError if readings are missing or fewer than 8.
     """
     if len(obs) < 8 or not np.isfinite(obs.value).all():
         raise DataError(f"identification needs at least 8 readings, all of them numbers (found {len(obs)} rows)")

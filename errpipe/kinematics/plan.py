@@ -64,7 +64,7 @@ class Plan:
 def propose(chain: Chain, *, means: Means | None = None, without: tuple[str, ...] = (), positions: int = 40) -> Plan:
     """A measuring plan for a telescoping bar.
 
-    without: components not to be identified (growth). Raises DataError where the bar reaches no position.
+    without: components not to be identified (growth). Raises DataError if the bar reaches no position.
     """
     means = means or Means(tools=default_tools(chain))
     rng = np.random.default_rng(0)
@@ -86,7 +86,7 @@ def propose(chain: Chain, *, means: Means | None = None, without: tuple[str, ...
 
 
 def default_tools(chain: Chain) -> tuple[tuple[float, tuple[float, float, float]], ...]:
-    """Two lengths along the spindle and one ball beside it: three points that do not lie on one line."""
+    """Two lengths along the spindle and one ball next to it: three points that do not lie on one line."""
     direction = np.asarray(chain.machine.tool.direction)
     side = np.linalg.svd(direction[None])[2][1] * 80.0
     first = max(60.0, chain.machine.tool.length)

@@ -168,7 +168,7 @@ def fit_plate(recording: Recording, *, rows: np.ndarray | None = None, modes: in
     """Fit the map to components E_X and E_Y over positions X and Y; every run has its own shift and rotation.
 
     rows: mask or indices of the holes to use (all where left out). Outlying holes weigh less.
-    Raises DataError where columns are missing, there are fewer than 12 holes, or they lie on one line.
+    Raises DataError if columns are missing, there are fewer than 12 holes, or they lie on one line.
     """
     x, y, run, ex, ey = _columns(recording, rows)
     used = np.unique(run)
@@ -216,7 +216,7 @@ def repeated(recording: Recording, first: str, second: str) -> dict[str, float]:
 
     first, second: run labels. `difference` (um): rms of second minus first after a shift and rotation;
     `floor`: that over sqrt 2, one measurement's share. `smooth`: the floor once a smooth drift is taken out too.
-    Raises DataError where fewer than 12 holes are common.
+    Raises DataError if fewer than 12 holes are common.
     """
     place, difference = _repeats(recording, first, second)
     residual = without_setup(place[:, 0], place[:, 1], difference)

@@ -80,7 +80,7 @@ def observations(
 
     lasers: set-up by component. squares: squareness component -> what the square that both straightness records
     were made against would read on a perfect machine, urad. take: mask of the rows to use (of one recording).
-    Raises DataError where a set-up does not fit its component, a column is missing, or a correction lacks the air.
+    Raises DataError if a set-up does not fit its component, a column is missing, or a correction lacks the air.
     """
     lasers, squares = dict(lasers or {}), dict(squares or {})
     records = read(chain, recordings, lasers=lasers, take=take)

@@ -88,7 +88,7 @@ def _numbers(values: np.ndarray) -> list[float]:
 def errors(chain: Chain, parameters: Mapping[str, Any], kept: Sequence[str] | None = None) -> MachineErrors:
     """The components that `document` wrote, or those of them in `kept`; the others are zero.
 
-    Raises VerifyError where they are of another machine or version.
+    Raises VerifyError if they are of another machine or version.
     """
     if parameters.get("identification") != 1:
         raise VerifyError(f"not an identification of version 1 (found {parameters.get('identification')!r})")

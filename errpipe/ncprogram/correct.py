@@ -5,7 +5,7 @@ the straight segments stay within a stated chord error of the wanted path and of
 Directions, units, planes, absolute and incremental, offsets, tool lengths, comments and line numbers stay. A rapid move
 while an axis stands at an unknown place (at the start, behind a tool change) stays too: nothing can be said of its end.
 
-The program streams through: tool points are collected over many blocks, the deviation is asked for all of them at
+The program streams through: tool points are collected over many blocks, the deviation is evaluated for all of them at
 once, and memory does not grow with the program. Most blocks of a long program are plain motions; these are read in
 bulk (`kernels.nc_blocks`), everything else word by word (`blocks`, `modal`). Both ways give the same bytes.
 """
@@ -182,7 +182,7 @@ class _Reader:
 
 
 def _source(raw: bytes) -> str:
-    """The text of a line. Raises DataError where it is none."""
+    """The text of a line. Raises DataError if it is not one."""
     try:
         return raw[:MAX_LINE_BYTES].decode().removesuffix("\r")
     except UnicodeDecodeError as err:

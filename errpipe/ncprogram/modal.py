@@ -136,7 +136,7 @@ def _program_number(block: Block, state: State) -> None:
 
 
 def _leaving(block: Block, state: State) -> State:
-    """The state with the places forgotten to which the control sends axes by itself: they are not in the program.
+    """The state with the places forgotten to which the control sends axes on its own: they are not in the program.
 
     Without this a move in X and Y behind a tool change would bring Z back down with the new tool.
     """
@@ -242,14 +242,14 @@ def _modes(block: Block, state: State, setup: Setup) -> State:
 
 
 def offset_of(block: Block, setup: Setup, code: str) -> tuple[float, float, float]:
-    """A work offset in mm. Raises DataError where the set-up does not name it."""
+    """A work offset in mm. Raises DataError if the set-up does not name it."""
     if code not in setup.offsets:
         raise refuse(block.line, block.source, f"the work offset {code} was not given (say --offset {code}=x,y,z)")
     return setup.offsets[code]
 
 
 def _change_offset(block: Block, state: State, setup: Setup, code: str) -> State:
-    """The machine stands still while the part's zero moves."""
+    """The machine does not move while the part's zero is shifted."""
     new, old = offset_of(block, setup, code), setup.offsets.get(state.offset)
     moved: list[float | None] = list(state.position)
     for n in range(3):
@@ -296,7 +296,7 @@ def _end(block: Block, state: State) -> tuple[float | None, ...]:
 
 
 def _arc(block: Block, state: State, end: tuple[float | None, ...]) -> tuple[float, float]:
-    """Centre of an arc in its plane, from I J K or R. Raises DataError where the radii disagree."""
+    """Centre of an arc in its plane, from I J K or R. Raises DataError if the radii disagree."""
     first, second, through = PLANES[state.plane]
     if not state.plane_said and not block.has(second + CENTRES[second]):
         raise refuse(

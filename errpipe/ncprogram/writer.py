@@ -94,7 +94,7 @@ class Writer:
         self.used, self.texts = own.stop, end
 
     def flush(self) -> None:
-        """Write all that was collected. Raises DataError where the table has no value."""
+        """Write all that was collected. Raises DataError if the table has no value."""
         text, ends = self._moves() if self.used else (b"", [])
         out, done = [], 0
         for before, line in self.lines:

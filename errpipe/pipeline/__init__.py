@@ -8,6 +8,6 @@
     schema    JSON Schemas of what people write
 
 Why content and not time stamps: a checkout, a copy or a clock that is wrong must not decide whether a machine's
-compensation is computed anew. Why not a base of ours on a workflow system: make is already there, and
+compensation is recomputed. Why not a base of ours on a workflow system: make is already there, and
 `--depfile` and `--stamp` connect errpipe to it.
 """

@@ -42,7 +42,7 @@ def link(stages: Sequence[Stage]) -> tuple[Links, Found]:
 
 
 def _behind(stage: Stage, slot: str, need: Need, before: Sequence[Stage], links: Links) -> tuple[tuple[str, ...], str]:
-    """Names of the stages behind one slot, and what is wrong with it ('' if nothing)."""
+    """Names of the stages of one slot, and its problem ('' if none)."""
     fitting = [other.label for other in before if need.type in other.gives]
     wanted = need.type.replace("_", " ")
     if slot in stage.source:

@@ -42,14 +42,14 @@ class Record:
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 over what determines the outputs, code apart."""
+        """SHA-256 over everything that determines the outputs, except the code."""
         return jsonfile.fingerprint([self.kind, self.parameters, self.sources, self.inputs])
 
 
 def read_lock(out: Path) -> dict[str, Record]:
-    """The records in OUT, {} where there are none. An unreadable lock file counts as none: all stages run.
+    """The records in OUT, {} if there are none. An unreadable lock file counts as none: all stages run.
 
-    Raises VerifyError where it names an output that is not in OUT: what is named there may be removed.
+    Raises VerifyError if it names an output that is not in OUT: what is named there may be removed.
     """
     path = out / LOCK
     if not path.is_file():
@@ -68,7 +68,7 @@ def read_lock(out: Path) -> dict[str, Record]:
 
 
 def _record(plain: Mapping[str, Any]) -> Record:
-    """A record of the lock file. Raises TypeError where it is none."""
+    """A record of the lock file. Raises TypeError if it is not one."""
     record = Record(**plain)
     texts = [record.kind, record.code, *record.inputs.values(), *record.outputs.values()]
     mappings = [record.parameters, record.sources, record.inputs, record.outputs, record.summary]
@@ -79,7 +79,7 @@ def _record(plain: Mapping[str, Any]) -> Record:
 
 
 def refuse_outside(listing: Path, name: str) -> None:
-    """Raises VerifyError where a file that lists outputs names one outside its folder."""
+    """Raises VerifyError if a file that lists outputs names one outside its folder."""
     if not files.stays_inside(name):
         raise VerifyError(f"{listing}: names {name!r}, which is outside the folder; it was not written by errpipe")
 
@@ -91,7 +91,7 @@ def write_lock(out: Path, records: Mapping[str, Record]) -> None:
 
 
 def hash_file(path: Path) -> str:
-    """SHA-256 of a file, as 64 hexadecimal digits. Raises DataError where it cannot be read."""
+    """SHA-256 of a file, as 64 hexadecimal digits. Raises DataError if it cannot be read."""
     try:
         with files.open_regular(path) as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
@@ -100,7 +100,7 @@ def hash_file(path: Path) -> str:
 
 
 def files_below(path: Path) -> list[Path]:
-    """A file itself; of a folder all files below it, hidden ones not, sorted. Raises DataError where absent."""
+    """A file itself; of a folder all files below it, hidden ones not, sorted. Raises DataError if absent."""
     if path.is_file():
         return [path]
     if not path.exists():
@@ -192,7 +192,7 @@ def _brief(value: Any) -> str:
 
 
 def scratch(out: Path) -> Path:
-    """The folder in OUT for unfinished work; an interrupted run may leave it behind."""
+    """The folder in OUT for unfinished work; it may remain after an interrupted run."""
     return out / _SCRATCH
 
 

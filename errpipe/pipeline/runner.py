@@ -148,7 +148,7 @@ class _Work:
                     raise UsageError(f"{self.out}: lies inside {path}, which stage {stage.label} reads")
 
     def record(self, stage: Stage) -> lock.Record:
-        """What would be recorded of a stage now, outputs apart: hashes every input."""
+        """The present record of a stage, without outputs: hashes every input."""
         inputs = {label: lock.hash_file(path) for label, path in lock.label_inputs(stage.inputs()).items()}
         taken = {need.type for need in stage.takes.values()}
         for name in reads_of(self.pipeline.links, stage.label):
@@ -239,7 +239,7 @@ class _Work:
                 path.unlink(missing_ok=True)
 
     def drop_removed_stages(self) -> None:
-        """Drop stages that the pipeline no longer has, and their outputs where nobody edited them."""
+        """Drop stages that the pipeline no longer has, and their outputs where they were not edited."""
         names = {stage.label for stage in self.pipeline.stages}
         for name in [name for name in self.records if name not in names]:
             for file, digest in self.records.pop(name).outputs.items():

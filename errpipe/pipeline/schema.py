@@ -63,7 +63,7 @@ def _draft7(node: Any, defaults: Mapping[str, str]) -> Any:
     if "const" in new:
         new.setdefault("description", f"Always {new['const']}.")
     if "$ref" in new and len(new) > 1:
-        new["allOf"] = [{"$ref": new.pop("$ref")}]  # draft-07 ignores keys beside a $ref
+        new["allOf"] = [{"$ref": new.pop("$ref")}]  # draft-07 ignores keys next to a $ref
     return new
 
 

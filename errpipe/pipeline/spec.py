@@ -155,7 +155,7 @@ def missing_inputs(pipeline: Pipeline, stages: Sequence[Stage]) -> list[Problem]
 
 
 def assign(document: Document, text: str) -> None:
-    """Apply one `--set STAGE.key=value`. Raises UsageError where it names nothing or is not of that form."""
+    """Apply one `--set STAGE.key=value`. Raises UsageError if it names nothing or is not of that form."""
     origin = f"--set {text}"
     left, equals, right = text.partition("=")
     steps: list[str | int] = [int(step) if step.isdigit() else step for step in left.strip().split(".")]

@@ -1,6 +1,6 @@
 """What a stage is to the engine: parameters, what it reads, what it writes, and one function.
 
-A stage is one pydantic class with a `kind`. The engine knows nothing else of it:
+A stage is one pydantic class with a `kind`. The engine uses nothing else of it:
 
     class Fit(Stage):
         \"\"\"Fit terms to the cleaned recording.\"\"\"
@@ -72,7 +72,7 @@ class Need:
 
 @dataclass(frozen=True)
 class Context:
-    """What the engine hands to `Stage.run`.
+    """Argument of `Stage.run`.
 
     folder: write here. fingerprint: SHA-256 of parameters and input contents, for artefacts to carry.
     stages: folders of the needed stages, slot -> stage name -> folder. title: the pipeline's.
@@ -85,18 +85,18 @@ class Context:
     progress: Callable[[float, str], None] = lambda fraction, text: None
 
     def needed(self, slot: str) -> Path:
-        """The folder of the one stage behind a slot. Raises KeyError where an optional one is absent."""
+        """The folder of the one stage of a slot. Raises KeyError if an optional one is absent."""
         (folder,) = self.stages[slot].values() if self.stages.get(slot) else (None,)
         if folder is None:
             raise KeyError(slot)
         return folder
 
     def maybe(self, slot: str) -> Path | None:
-        """The folder of the one stage behind a slot, or None where there is none."""
+        """The folder of the one stage of a slot, or None."""
         return next(iter(self.stages.get(slot, {}).values()), None)
 
     def every(self, slot: str) -> Mapping[str, Path]:
-        """Stage name -> folder of every stage behind a slot, in file order."""
+        """Stage name -> folder of every stage of a slot, in file order."""
         return self.stages.get(slot, {})
 
     def write_json(self, name: str, value: Any) -> Path:

@@ -1,4 +1,4 @@
-"""What a run says of one stage, and to whom."""
+"""Result of one stage in a run, and its callbacks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class Step:
     """What is planned for, or happened to, one stage.
 
     action: "run", "fresh" (nothing to do) or "perhaps" (only if an earlier stage brings something new).
-    written: outputs whose bytes changed. summary: what the stage returned, also where it was fresh.
+    written: outputs whose bytes changed. summary: returned by the stage, also if it was up to date.
     """
 
     name: str

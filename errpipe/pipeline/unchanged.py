@@ -1,4 +1,4 @@
-"""A run with nothing to do, answered without reading the pipeline: from a note of what the last whole run looked at.
+"""A run with nothing to do, without reading the pipeline: from a record of the files that the last full run read.
 
 The note lies with the unfinished work in OUT. It holds the command, the bytes of the pipeline file, the values of the
 environment that the file names, where the inputs are, and the lock file's hash. Every input and output is still hashed

@@ -79,7 +79,7 @@ def generate() -> SecretKey:
 
 
 def write_pair(key: SecretKey, folder: Path) -> tuple[Path, Path]:
-    """Write `errpipe.key` (secret, mode 0600) and `errpipe.pub`. Raises UsageError where one of them is there."""
+    """Write `errpipe.key` (secret, mode 0600) and `errpipe.pub`. Raises UsageError if one of them is there."""
     folder.mkdir(parents=True, exist_ok=True)
     secret, public = folder / "errpipe.key", folder / "errpipe.pub"
     for path in (secret, public):
@@ -150,7 +150,7 @@ def sign_file(path: Path, key: SecretKey, trusted_comment: str) -> Path:
 
 
 def verify_file(path: Path, key: PublicKey) -> str:
-    """The trusted comment of the signature beside a file. Raises VerifyError where there is none or it is wrong."""
+    """The trusted comment of the signature beside a file. Raises VerifyError if there is none or it is wrong."""
     data = files.read(path, MAX_SIGNED_BYTES, VerifyError)
     return verify(data, signature_of(path), key, str(path))
 
@@ -161,7 +161,7 @@ def signature_path(path: Path) -> Path:
 
 
 def signature_of(path: Path, signature: Path | None = None) -> str:
-    """The text of a file's signature (default: the one beside it). Raises VerifyError where there is none."""
+    """The text of a file's signature (default: the one next to it). Raises VerifyError if there is none."""
     place = signature or signature_path(Path(path))
     if not place.exists():
         raise VerifyError(f"{path}: is not signed (no {place.name} beside it)")

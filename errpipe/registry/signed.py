@@ -14,7 +14,7 @@ from errpipe.tables import ect
 def read_table(path: Path, key: minisign.PublicKey) -> CompensationTable:
     """A `.ect` file whose signature (FILE.minisig) is that key's; what was checked is what is read.
 
-    Raises VerifyError where the table is unsigned, was changed after it was signed, or is signed by another key.
+    Raises VerifyError if the table is unsigned, was changed after it was signed, or is signed by another key.
     """
     data = files.read(Path(path), ect.MAX_FILE_BYTES, VerifyError)
     minisign.verify(data, minisign.signature_of(path), key, str(path))

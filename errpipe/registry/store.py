@@ -75,13 +75,13 @@ class Registry:
         return sorted(p.name for p in place.iterdir() if _MACHINE.fullmatch(p.name)) if place.is_dir() else []
 
     def table(self, digest: str) -> bytes:
-        """The bytes of a table. Raises VerifyError where they are missing or not what they were."""
+        """The bytes of a table. Raises VerifyError if they are missing or not what they were."""
         return self._object(digest)
 
     def append(
         self, machine: str, action: str, table: bytes, why: str, time: str, secret: SecretKey, after: int
     ) -> Entry:
-        """A new entry after entry number `after`. Raises GateError where another writer was first."""
+        """A new entry after entry number `after`. Raises GateError if another writer was first."""
         if secret.public != self.key:
             raise UsageError(f"the secret key is {secret.public.name}, the registry's public key {self.key.name}")
         past = self.history(machine)

@@ -31,7 +31,7 @@ class Trace:
     """A response's rows for the figures, all of shape (rows,): mismatch before and after, in time order.
 
     contributions: name of a finding -> its contribution on each row; inputs: column -> its value on each row;
-    clock: the column with the time in s, '' where there is none; units: column -> its unit.
+    clock: the column with the time in s, '' if there is none; units: column -> its unit.
     """
 
     before: np.ndarray

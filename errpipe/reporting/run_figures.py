@@ -112,7 +112,7 @@ def grid(
 ) -> str:
     """Figures of rows by columns as SVG text: shaded by their share of the first row, the least of a column bold.
 
-    values: (rows, columns), None where there is none. best: the row that is used, framed.
+    values: (rows, columns), None if there is none. best: the row that is used, framed.
     """
     table = np.array([[np.nan if v is None else float(v) for v in row] for row in values])
     share = np.log10(np.clip(table / np.where(table[:1] > 0, table[:1], 1.0), 1e-2, 10.0))

@@ -56,7 +56,7 @@ def with_twins(
 ) -> tuple[Recording, list[Twin], dict[str, Any]]:
     """The recording with a simulated column beside each response, how each came about, and a source's own figures.
 
-    file: the CSV or the FMU; model: the error model. Raises UsageError where the source lacks what it needs,
+    file: the CSV or the FMU; model: the error model. Raises UsageError if the source lacks what it needs,
     DataError where simulated values and recording do not fit together.
     """
     extra: dict[str, Any] = {}
@@ -90,7 +90,7 @@ def by_name(recording: Recording, file: Path) -> FromCsv | FromModel | FromFmu:
 
     .csv: the time column is called as in the recording (or t, time), a response's column EXX, EXX_sim or as its error
     column (with _sim); .json: an error model; .fmu: see `fmu.by_name`. Units are the recording's own where the file
-    states none. Raises DataError where no name matches.
+    states none. Raises DataError if no name matches.
     """
     match Path(file).suffix.lower():
         case ".csv":

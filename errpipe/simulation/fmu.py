@@ -66,7 +66,7 @@ def by_name(recording: Recording, file: Path) -> dict[str, Any]:
     """`inputs` and `outputs` of an FMU whose variables are called as the recording's columns and responses are.
 
     Units are the recording's own where the FMU declares none. Parameters that the FMU calls tunable are to be
-    recalibrated: see `tunable`. Raises DataError where no output is a response.
+    recalibrated: see `tunable`. Raises DataError if no output is a response.
     """
     _refuse_missing(file)
     how = FmuOptions(outputs={"EXX": FmuOutput(variable="unknown")})

@@ -178,7 +178,7 @@ class FmuProcess:
     def _ended(self, doing: str) -> DataError:
         try:
             code = self.process.wait(max(self.deadline - time.monotonic(), 0.0))
-        except subprocess.TimeoutExpired:  # it closed its pipes and goes on
+        except subprocess.TimeoutExpired:  # it closed its pipes and continues
             return self._late(doing)
         how = f"exit status {code}"
         if code < 0:

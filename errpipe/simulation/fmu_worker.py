@@ -28,7 +28,7 @@ from typing import Any
 
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER, PR_SET_NO_NEW_PRIVS = 1, 36, 38  # of linux/prctl.h
 MAX_ENTRIES = 20_000  # of the archive; FMUs with their sources and documentation have some hundred
-# Processes that an FMU may have at a time; those with a solver or an interpreter beside them have two or three
+# Processes that an FMU may have at a time; those with a solver or an interpreter with them have two or three
 MAX_PROCESSES = 64
 MAX_THREADS = 512  # of all of them together
 POLL = 0.2  # s between two looks at the FMU and its disk

@@ -33,7 +33,7 @@ Values = Mapping[str, Callable[[np.ndarray], np.ndarray] | float]
 
 @dataclass(frozen=True)
 class Run:
-    """One uninterrupted run: poses q (n, axes), tool, and what stands still on the workpiece."""
+    """One uninterrupted run: poses q (n, axes), tool, and the points fixed on the workpiece."""
 
     label: str
     q: np.ndarray

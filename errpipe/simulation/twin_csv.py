@@ -23,7 +23,7 @@ MAX_GAPS_LISTED = 5  # gaps named by place in a message; the others are only cou
 
 
 def csv_by_name(recording: Recording, file: Path) -> FromCsv:
-    """Columns of a CSV file named like the recording's responses. Raises DataError where none is."""
+    """Columns of a CSV file named like the recording's responses. Raises DataError if none is."""
     try:
         with files.open_regular(file) as stream:
             line = stream.readline(MAX_HEADER_BYTES).decode("utf-8-sig")
@@ -58,7 +58,7 @@ class Series:
     values: np.ndarray
 
     def at(self, t: np.ndarray, longest_gap: float | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Values at times, and where there are none: outside the series, inside a gap; each (n,)."""
+        """Values at times, and if there are none: outside the series, inside a gap; each (n,)."""
         known = np.isfinite(self.values)
         known_t, known_v = self.t[known], self.values[known]
         if not known_t.size:

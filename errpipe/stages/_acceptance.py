@@ -230,7 +230,7 @@ def fit_accepted(
 ) -> tuple[ErrorModel, ModelSpec, list[Decision]]:
     """Fit the accepted findings; one that is not identifiable together with the others is refused.
 
-    Raises NotIdentifiable where the model before can already not be fitted, DataError without twins.
+    Raises NotIdentifiable if the model before can already not be fitted, DataError without twins.
     """
     from errpipe.fitting import model
     from errpipe.models.terms import mismatch

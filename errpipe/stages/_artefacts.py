@@ -132,7 +132,7 @@ def documents_in(folder: Path, family: Family) -> dict[str, Any]:
 
 
 def write_table(folder: Path, table: CompensationTable) -> None:
-    """Write a table and its JSON twin. Raises VerifyError where one of the files does not read back as the table."""
+    """Write a table and its JSON twin. Raises VerifyError if one of the files does not read back as the table."""
     from errpipe.tables import ect
 
     ect.write(table, folder / TABLE)

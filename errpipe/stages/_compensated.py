@@ -21,7 +21,7 @@ def uncompensated(recording: Recording, path: Path, since: str | None) -> tuple[
 
     A table subtracts what it predicts, so a measured deviation is the machine's less the table's, which is replayed
     here row by row as a controller does. since: the first run measured with it; None: all were.
-    Raises DataError where the table is of no response, needs an input that is not recorded, or no such run exists.
+    Raises DataError if the table is of no response, needs an input that is not recorded, or no such run exists.
     """
     from errpipe.drivers.sessions import sessions
     from errpipe.tables import batch, by_component, ect

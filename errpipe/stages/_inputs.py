@@ -180,7 +180,7 @@ def turning(model: ErrorModel) -> set[str]:
 def unknown_inputs(names: set[str], model: ErrorModel) -> None:
     """Raises GateError naming an input that no controller can feed (such as the time of a recording).
 
-    Raises UsageError where a term was given a response for a sensor.
+    Raises UsageError if a term was given a response for a sensor.
     """
     readings = {c.datum_input for c in model.components if c.readings is not None}
     for name in sorted(names - readings):

@@ -41,7 +41,7 @@ def refuse(recording: Recording, model: ErrorModel, allow: Sequence[str], limit:
 
 
 def refuse_table(table: CompensationTable, allow: Sequence[str], limit: float | None) -> None:
-    """Raises GateError where a table moves an axis further than a machine tool can be wrong.
+    """Raises GateError if a table moves an axis further than a machine tool can be wrong.
 
     Judged by samples over the profiles' range; by bounds where they and the table's limits leave more than any machine
     is wrong by, such as a correction that follows a position without a profile.

@@ -75,7 +75,7 @@ def _within_validity(table: CompensationTable, recording: Recording) -> Recordin
 def remarks(proof: Sequence[Mapping[str, Any]], passed: Passed) -> list[str]:
     """Where the table's guards hold it back on its own recording, in words.
 
-    Raises VerifyError where the table without guards differs from the model by more than its bound, and GateError
+    Raises VerifyError if the table without guards differs from the model by more than its bound, and GateError
     if the guards cancel the gain of the model on held-out rows: the table may do harm.
     """
     said = []

@@ -16,7 +16,7 @@ PLACES = {"position": ("position", "command", "actual"), "direction": ("directio
 
 
 def refuse_others(source: ErrorModel | CompensationTable, manifest: Manifest) -> None:
-    """Raises DataError where a column has the name of an input, but another axis, role or unit: X in place of Y, say.
+    """Raises DataError if a column has the name of an input, but another axis, role or unit: X in place of Y, say.
 
     What lacks a column is not looked at, nor what states neither.
     """

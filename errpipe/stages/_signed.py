@@ -44,7 +44,7 @@ class SignOptions(Options):
     def seal(self, table: CompensationTable, path: Path) -> tuple[str, ...]:
         """Write the signature next to the table's file; returns remarks for controllers' files, () if none is required.
 
-        Raises VerifyError where there is no signature, or it is not of this table by this key.
+        Raises VerifyError if there is no signature, or it is not of this table by this key.
         """
         if self.signed != "required" or self.public_key is None:
             return ()

@@ -94,7 +94,7 @@ class ExportVolumetric(SignOptions, Stage):
         return {"table": _artefacts.TABLE, "largest_difference_um": proof[0]["largest_difference_um"]}
 
     def _axes_that_gain(self, context: Context, document: Mapping[str, Any], chain: Any) -> tuple[str, ...]:
-        """Linear axes that the table corrects. Raises GateError where the machine may get worse."""
+        """Linear axes that the table corrects. Raises GateError if the machine may get worse."""
         from errpipe.validation import machine
 
         if self.ungated:
@@ -144,7 +144,7 @@ def lattice(
 
     axes: those that are corrected; the others' deviation is written as 0.
 
-    Raises UsageError where the counts do not fit the machine.
+    Raises UsageError if the counts do not fit the machine.
     """
     import numpy as np
 
@@ -265,7 +265,7 @@ def largest_difference(
 
 
 def prove(worst: float, allowed: float) -> None:
-    """Raises VerifyError where a proof is larger than its bound: the table is not the machine that was identified."""
+    """Raises VerifyError if a proof is larger than its bound: the table is not the machine that was identified."""
     if not worst <= allowed + ROUNDING:
         raise VerifyError(
             f"export: the table differs from the identified machine by {worst:.4g} um, its bound is {allowed:.4g} um. "

@@ -40,7 +40,7 @@ def predict(source: Path, recording: Path, out: Path, readings: Path | None = No
     memory does not grow with them, wherever the prediction is a table's, its interval needs no earlier rows, and no
     readings are given.
     readings: a file of the deviation read now and then (`stages/_readings.py`); rows after a reading are corrected by
-    it. Raises DataError where it cannot be used, or if a column is not the one that the compensation was made for.
+    it. Raises DataError if it cannot be used, or if a column is not the one that the compensation was made for.
     """
     compensation = _artefacts.model_or_table(source)
     manifest = manifest_folder.load_manifest(Path(recording))
@@ -68,7 +68,7 @@ def predict(source: Path, recording: Path, out: Path, readings: Path | None = No
 
 
 def _refuse_out(out: Path, recording: Path, manifest: Manifest) -> None:
-    """Raises UsageError where a prediction would replace what was measured, or is no file of rows."""
+    """Raises UsageError if a prediction would replace what was measured, or is no file of rows."""
     if out.suffix.lower() not in (".csv", ".txt", ".parquet"):
         raise UsageError(f"--out {out}: a file of rows is needed (.csv or .parquet)")
     folder = recording if recording.is_dir() else recording.parent

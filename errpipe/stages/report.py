@@ -89,7 +89,7 @@ class _Fit(NamedTuple):
 
 
 def _fits(context: Context) -> list[_Fit]:
-    """Every fit that was judged. Raises DataError where several were not."""
+    """Every fit that was judged. Raises DataError if several were not."""
     validations = {at: jsonfile.read(at / _artefacts.VALIDATION) for at in context.every("validation").values()}
     models = {at: _artefacts.read_model(at / _artefacts.MODEL) for at in context.every("error_model").values()}
     fits = []

@@ -20,7 +20,7 @@ MAX_WHY = 500  # characters of a reason
 
 
 def keygen(folder: Path) -> dict[str, Any]:
-    """A new key pair in a folder. Raises UsageError where there is one already."""
+    """A new key pair in a folder. Raises UsageError if there is one already."""
     secret, public = minisign.write_pair(minisign.generate(), folder)
     key = minisign.read_public(public).name
     return {
@@ -48,7 +48,7 @@ def sign(file: Path, secret: Path, comment: str) -> dict[str, Any]:
 
 
 def verify_signature(file: Path, public: Path) -> dict[str, Any]:
-    """The trusted comment of a file's signature. Raises VerifyError where it is unsigned, touched or of another key."""
+    """The trusted comment of a file's signature. Raises VerifyError if it is unsigned, touched or of another key."""
     key = minisign.read_public(public)
     comment = minisign.verify_file(file, key)
     return {"key": key.name, "comment": comment, "says": [f"{file}: signed by {key.name}: {comment}"]}
@@ -74,7 +74,7 @@ def promote(
     """Put a table on record as the one of a machine.
 
     other_outputs: the table may correct other axes, or be made for another machine, than the one that it replaces.
-    Raises GateError where it does so without, or where another writer was first.
+    Raises GateError if it does so without, or where another writer was first.
     """
     from errpipe.registry.store import MAX_OBJECT_BYTES
     from errpipe.tables import ect
@@ -95,7 +95,7 @@ def promote(
 
 
 def _same_kind(before: bytes, table: CompensationTable, machine: str, path: Path) -> None:
-    """Raises GateError where a table is of another machine, axes or units than the one that it replaces.
+    """Raises GateError if a table is of another machine, axes or units than the one that it replaces.
 
     A controller runs one table: a table of Y alone in place of that of X ends the compensation of X, and one whose
     corrections are in um moves an axis that expects mm 1000 times too far.
@@ -115,7 +115,7 @@ def _same_kind(before: bytes, table: CompensationTable, machine: str, path: Path
 
 
 def _of_no_other(known: Sequence[str], machine: str, table: CompensationTable, path: Path) -> None:
-    """Raises GateError where a table is of another machine of this registry; 7-X may have tables of 7."""
+    """Raises GateError if a table is of another machine of this registry; 7-X may have tables of 7."""
     of = table.machine
     if of in known and of != machine and not machine.startswith((f"{of}-", f"{of}.", f"{of}_")):
         raise GateError(
@@ -171,7 +171,7 @@ def _before(past: Sequence[Entry]) -> list[Entry]:
 def log(registry: Path, machine: str | None, at: str | None, file: Path | None, public: Path) -> dict[str, Any]:
     """A machine's history, what was on it at a time, or which entries a file found on a controller belongs to.
 
-    Raises UsageError where there is no registry, or no machine of that name in it.
+    Raises UsageError if there is no registry, or no machine of that name in it.
     """
     store = _registry(registry, public)
     known = store.machines()
@@ -217,7 +217,7 @@ def _why(text: str) -> str:
 
 
 def _time_after(past: Sequence[Entry], text: str | None) -> str:
-    """The time of a new entry. Raises UsageError where this host's clock has not come to that of the last one."""
+    """The time of a new entry. Raises UsageError if this host's clock has not come to that of the last one."""
     time = _time(text)
     if text is None and past and time < past[-1].time:
         raise UsageError(

@@ -41,7 +41,7 @@ class Replay:
 
 
 class Rows:
-    """A table over a recording that comes in parts: every call goes on where the one before it ended.
+    """A table over a recording that comes in parts: every call continues where the one before it ended.
 
     compiled: in Numba, else by the reference evaluator; the bits are the same.
     """
@@ -155,7 +155,7 @@ def evaluate(
     """Replay a recording: row k uses rows up to k of its own run only.
 
     columns: input name -> values, shape (rows,), NaN where missing; time in s; run: an integer per row, states
-    start anew where it changes. Raises DataError where a required input has no column.
+    restart where it changes. Raises DataError if a required input has no column.
     """
     return Rows(table, worth_compiling(len(run)))(columns, time, run)
 
@@ -171,7 +171,7 @@ class Positions:
     """A table at fixed readings of all inputs but the moving ones: `evaluator(points)`.
 
     moving: names of the inputs that `points` holds, in the order of its columns; readings: the other inputs
-    (those not named stand at their default). Every point is the first cycle of a run: lags stand at their
+    (those not named are at their default). Every point is the first cycle of a run: lags stand at their
     operand, directions at their start value unless an input knows better. Raises KeyError for an unknown input.
     """
 

@@ -258,7 +258,7 @@ _WORK = {8: (176, 16, 88, 16, 8, 64, 8, 32, 88, 56, 4), 4: (96, 8, 56, 8, 4, 36,
 
 
 def work_bytes(table: t.CompensationTable, real: int = 8) -> int:
-    """Working memory the C runtime needs beside the table, bytes: `ect_work_size` on a 64-bit machine.
+    """Working memory the C runtime needs in addition to the table, bytes: `ect_work_size` on a 64-bit machine.
 
     real: 8 in double precision, 4 in single precision on a 32-bit machine.
     """

@@ -95,11 +95,11 @@ def compile_table(
 ) -> t.CompensationTable:
     """Compile components into a table.
 
-    inputs: every input that drivers and profiles read (positions by axis; inputs nobody reads are left out);
+    inputs: every input that drivers and profiles read (positions by axis; unused inputs are left out);
     outputs: None gives one output per component; travel: axis -> range of its profiles (default: the position
     input's validity, else its plausible range); turning: rotary axes that turn on, besides those whose travel is one
     turn; error_bound: largest interpolation error of each pair at its driver's largest value, um or urad; stated: what
-    the table says of itself. Raises GateError where a component cannot be compiled.
+    the table states. Raises GateError if a component cannot be compiled.
     """
     slow_every = _cycles(thermal_cycle_s, position_cycle_s)
     build = Nodes({i.name: i for i in inputs}, slow_every * position_cycle_s)
@@ -159,7 +159,7 @@ def _turns(
 def _travels(
     inputs: Sequence[t.TableInput], travel: Mapping[str, bounds.Span], turns: set[str], made: Sequence[t.Profile]
 ) -> list[t.Profile]:
-    """A profile of zeros over the travel of each axis that no other covers: nothing else of a table says how far."""
+    """A zero profile over the travel of each axis without a profile, to state its travel."""
     out = []
     for channel in inputs:
         if channel.kind == "position" and channel.axis in travel:
@@ -320,7 +320,7 @@ def outputs_of(
 
 
 def by_component(table: t.CompensationTable) -> t.CompensationTable:
-    """The table with one output per component, as it is, without limits: what it says rather than what it does."""
+    """The table with one output per component, without limits: its curves rather than its dynamic behaviour."""
     outputs = tuple(
         t.Output(name=c.name, unit=c.unit, correction_unit=c.unit, terms=(t.Monomial(weight=1.0, component=c.name),))
         for c in table.components
@@ -339,7 +339,7 @@ def _monomials(build: Nodes, output: OutputSource) -> t.Output:
 
 
 def with_limits(table: t.CompensationTable, limits: Mapping[str, Limits]) -> t.CompensationTable:
-    """The table with limits per output; without a magnitude, what the table can reach, rounded up."""
+    """The table with limits per output; default magnitude: its largest value, rounded up."""
     unknown = set(limits) - {o.name for o in table.outputs}
     if unknown:
         raise GateError(f"limits for outputs the table does not have: {', '.join(sorted(unknown))}")

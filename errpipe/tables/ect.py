@@ -81,7 +81,7 @@ def _of_json(content: Any, path: Path | str) -> t.CompensationTable:
 
 
 def fingerprint(table: t.CompensationTable) -> str:
-    """CRC-32 that the file carries, as 8 hexadecimal digits: the name by which a controller shows its table."""
+    """CRC-32 in the file, as 8 hexadecimal digits: the identity that a controller shows."""
     return f"{struct.unpack_from('<I', dumps(table), 20)[0]:08x}"
 
 

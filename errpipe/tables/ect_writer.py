@@ -2,7 +2,7 @@
 
 Layout: a header of 512 bytes (identity, cycles, table of 11 sections), then the sections, each starting at a multiple
 of 8. What the controller would have to divide or exponentiate (reciprocal steps, lag factors) is stored beside its
-source. `ect` reads what stands here.
+source. `ect` reads this format.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ def grid(
     """The profile of `curve` over [low, high] (periodic: one period), without its input.
 
     bound: largest interpolation error allowed, in the curve's unit; unit: the value of one integer step (made
-    ten times larger as often as 32 bits demand). Raises GateError where `most` intervals are not enough and
+    ten times larger as often as 32 bits demand). Raises GateError if `most` intervals are not enough and
     where the curve is not finite.
     """
     if not low < high:

@@ -1,4 +1,4 @@
-"""How far corrections can lag behind because slow nodes hold their value between two thermal cycles.
+"""Largest lag of corrections, because slow nodes hold their value between two thermal cycles.
 
 `bounds` says what a table can reach; values that are held stay within it. This says what holding them costs: at most
 what a slow node can change by within one thermal cycle, carried through the nodes, pairs and outputs that use it.
@@ -51,7 +51,7 @@ def outputs(table: t.CompensationTable, otherwise: float = math.inf) -> tuple[He
 
 
 def _behind(table: t.CompensationTable, spans: Sequence[Span], otherwise: float) -> list[float]:
-    """Per node: the most its value can differ from one that is computed anew in every cycle."""
+    """Per node: the most its value can differ from one that is recomputed in every cycle."""
     hold = table.position_cycle_s * (table.slow_every - 1)
     rates = _rates(table, spans, otherwise)
     behind: list[float] = []
@@ -68,7 +68,7 @@ def _behind(table: t.CompensationTable, spans: Sequence[Span], otherwise: float)
 
 
 def _rates(table: t.CompensationTable, spans: Sequence[Span], otherwise: float) -> list[float]:
-    """Per node: the most its value can change by in a second; infinite where nothing says."""
+    """Per node: largest change of its value in a second; infinite if unknown."""
     known = {i.name: i.max_rate or otherwise for i in table.inputs}
     rates: list[float] = []
     for number, node in enumerate(table.nodes):

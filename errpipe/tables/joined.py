@@ -19,7 +19,7 @@ SHARED = ("table", "position_cycle_s", "slow_every", "ramp_s", "fade_s")
 def joined(tables: Sequence[CompensationTable]) -> CompensationTable:
     """One table that moves the axes of all of them; inputs of one name get their axis behind it, each stays its own.
 
-    Raises UsageError where two move or read the same axis, run in different cycles, or have inputs of one long name.
+    Raises UsageError if two move or read the same axis, run in different cycles, or have inputs of one long name.
     """
     first = tables[0]
     if len(tables) == 1:
@@ -54,7 +54,7 @@ def _moved(table: CompensationTable) -> set[str]:
 
 
 def _refuse_same_axis(tables: Sequence[CompensationTable]) -> None:
-    """Raise UsageError where an axis is moved or read by two: which of its ranges counts is not known."""
+    """Raise UsageError if an axis is moved or read by two: which of its ranges counts is not known."""
     checks: tuple[tuple[str, Callable[[CompensationTable], set[str]]], ...] = (
         ("move", _moved),
         ("read the position of", lambda table: {i.axis for i in table.inputs if i.kind == "position"}),

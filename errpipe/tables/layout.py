@@ -10,7 +10,7 @@ MAGIC = b"ECT\x00\r\n\x1a\n"  # a transfer in text mode damages it
 VERSIONS = (1, 2)  # of the format, oldest first
 HEADER = struct.Struct("<8sIIIII4xdddd")  # magic, version, header size, file size, crc, slow_every, cycles, ramp, fade
 HEADER_SIZE = 512
-CRC_FROM = 24  # the checksum covers everything behind itself
+CRC_FROM = 24  # the checksum covers everything after itself
 IDENTITY_AT = 64
 IDENTITY = struct.Struct("<64s128s32s32s")  # machine, title, version, fingerprint
 SECTIONS_AT = IDENTITY_AT + IDENTITY.size
@@ -52,7 +52,7 @@ MOST = dict(zip(RECORDS, _MOST, strict=True))  # records of a section
 KINDS = ("position", "direction", "velocity", "force", "sensor", "speed", "coolant", "load", "tool", "other")
 UNITS = ("um", "urad")
 CORRECTION_UNITS = ("mm", "um", "urad", "deg", "rad")
-NONE = 0xFFFFFFFF  # number of an input, node or profile that is not there
+NONE = 0xFFFFFFFF  # number of an absent input, node or profile
 
 # Input flags, node flags, profile flags, pair flags.
 OPTIONAL, FADE_ON_DEFAULT, HAS_VALID, HAS_MAX_RATE, HAS_STALE, HAS_HOLD = 1, 2, 4, 8, 16, 32

@@ -23,7 +23,7 @@ RISE_S = 0.01  # s in which a correction reaches its slew: no step of its rate e
 
 
 def without(table: t.CompensationTable) -> str:
-    """The first output without magnitude or slew, or with more than the most of either; empty where there is none."""
+    """The first output without magnitude or slew, or with more than the most of either; empty if there is none."""
     for o in table.outputs:
         if o.magnitude is None or o.slew is None or o.magnitude > MOST_MAGNITUDE or o.slew > MOST_RATE:
             return o.name
@@ -39,7 +39,7 @@ def limited(
     """The table with magnitude, slew and acceleration for every output: what is stated, else defaults.
 
     speeds: axis -> largest speed of the recording, mm/s or deg/s; an axis without one counts as fast. Without a
-    magnitude: what the table can reach, rounded up. of_axes: limits of each axis' whole correction, which its outputs
+    magnitude: largest value of the table. of_axes: limits of each axis' whole correction, which its outputs
     share. Raises GateError for limits of outputs the table does not have.
     """
     needed = slews(table, speeds or {})
@@ -110,7 +110,7 @@ def _slope(profile: t.Profile) -> float:
 
 
 def _speed(table: t.CompensationTable, profile: t.Profile, speeds: Mapping[str, float]) -> float:
-    """Largest speed along a profile, as production may have it; infinite where nobody says."""
+    """Largest speed along a profile in production; infinite if not stated."""
     if profile.input is None:
         return 0.0
     channel = table.inputs[table.input_index(profile.input)]

@@ -49,7 +49,7 @@ class Cycle:
 
 @dataclass
 class _Recall:
-    """What a direction or approach keeps beside value and memory: two readings, and both before the last of them."""
+    """State of a direction or approach besides value and memory: two readings, and both before the last of them."""
 
     last: float
     before: float
@@ -77,7 +77,7 @@ class Evaluator:
     def take_over(self, before: Evaluator) -> None:
         """Begin where the evaluator of another table stands: its corrections and its ramp.
 
-        Raises ValueError where the outputs are not the same ones.
+        Raises ValueError if the outputs are not the same ones.
         """
         theirs, ours = ([(o.name, o.unit, o.correction_unit) for o in e.table.outputs] for e in (before, self))
         if theirs != ours:
@@ -85,7 +85,7 @@ class Evaluator:
         self._limits.take_over(before._limits)
 
     def reset(self) -> None:
-        """The next cycle is the first of a run; corrections stay where they are, and go on from there."""
+        """The next cycle is the first of a run; corrections stay where they are, and continue from there."""
         nodes = len(self.table.nodes)
         self._readings = Readings(self.table)
         self._node = [0.0] * nodes
@@ -145,7 +145,7 @@ class Evaluator:
         return tuple(self._profile(n, p) for n, p in enumerate(self.table.profiles))
 
     def fade_of(self, names: set[str]) -> float:
-        """What the validity boxes of some inputs leave of the table, 0..1, at the last cycle's values."""
+        """Share of the table that applies by the validity of some inputs, 0..1, at the last cycle's values."""
         return self._fade_target(False, names)
 
     # nodes ------------------------------------------------------------------------------------------
@@ -233,9 +233,9 @@ class Evaluator:
         return before + (y - before) * alpha
 
     def _recall(self, n: int, x: float, way: int, threshold: float, started: bool, replay: bool) -> None:
-        """Undo what the last reading did where it is alone between two that agree, or alone states a direction.
+        """Undo the effect of the last reading if it is a single outlier between two that agree, or a single direction.
 
-        One reading away from where the axis stood, and back: at a fixed rate no axis does that, a bad sample does.
+        One reading away from the axis position, and back: at a fixed cycle time no axis does that, a bad sample does.
         """
         if replay or not self._rules_of_2:
             return

@@ -63,7 +63,7 @@ class Limits:
         return out
 
     def _approach_target(self, n: int, output: t.Output, target: float, dt: float) -> None:
-        """Move a correction to its target within slew and acceleration; on target, it stays on it exactly.
+        """Move a correction to its target within slew and acceleration limits, without overshoot.
 
         Rates are per cycle. Of the rates reachable in this cycle the fastest is taken from which the
         closing speed can still be braked before the target.

@@ -1,4 +1,4 @@
-"""Readings of the plain-Python evaluator: which are accepted, what stands in for others, what the table sees."""
+"""Readings of the plain-Python evaluator: acceptance, substitutes for rejected ones, and validity."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Mapping
 
 from errpipe.domain import table as t
 
-_NOWHERE = 1e31  # where an anchor stands before the first reading: beyond every reading
+_NOWHERE = 1e31  # value of an anchor before the first reading: beyond every reading
 
 
 class Readings:
     """The inputs of one table, and what is kept of them from cycle to cycle.
 
-    Of each input, by its number: value: what the table sees; left: what its validity leaves of the table, 0..1;
+    Of each input, by its number: value: clipped to validity; left: share of the table that applies, 0..1;
     usable: whether it has had a accepted reading; rejected: readings that its rate refused. status: bits of the cycle.
     """
 
@@ -120,7 +120,7 @@ class Readings:
         return 3
 
     def show(self, n: int, channel: t.TableInput) -> None:
-        """What the table sees of an input: within its validity, and what is left of the table outside it."""
+        """An input clipped to its validity range, and the share of the table that applies outside it."""
         v = self._now[n]
         self.left[n] = 1.0
         if channel.valid is not None:

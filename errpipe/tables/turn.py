@@ -38,7 +38,7 @@ def close(bare: Curve, axis: str, low: float, high: float, nodes: tuple[float, .
     """The curve, measured from low to high, as one that repeats. nodes: between which it is straight, or none.
 
     Where less than a turn was measured the rest is bridged. What the ends of a whole turn differ is spread evenly over
-    it, as the division of a circle is closed. Raises GateError where further turns differ from the first.
+    it, as the division of a circle is closed. Raises GateError if further turns differ from the first.
     """
     change = _between_turns(bare, axis, low, high)
     high = min(high, low + TURN)
@@ -62,7 +62,7 @@ def close(bare: Curve, axis: str, low: float, high: float, nodes: tuple[float, .
 
 
 def _between_turns(bare: Curve, axis: str, low: float, high: float) -> float:
-    """Largest difference of further turns from the first one. Raises GateError where they do not repeat it."""
+    """Largest difference of further turns from the first one. Raises GateError if they do not repeat it."""
     if high - low <= TURN * (1.0 + SAME_STEP):
         return 0.0
     at = np.linspace(low + TURN, high, SAMPLES)

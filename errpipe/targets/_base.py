@@ -235,7 +235,7 @@ class Target:
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
-        """File name -> text. Raises GateError where the table does not fit the format."""
+        """File name -> text. Raises GateError if the table does not fit the format."""
         raise TypeError(f"{cls.__name__} does not write")
 
     @classmethod
@@ -273,7 +273,7 @@ class Target:
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
-        """What the controller makes of the files. Raises VerifyError where it would not take them."""
+        """What the controller makes of the files. Raises VerifyError if it would not take them."""
         raise TypeError(f"{cls.__name__} does not read back")
 
 
@@ -306,7 +306,7 @@ def too_many(target: str, points: int, most: int, error_um: float) -> GateError:
 
 
 def found(pattern: str | re.Pattern[str], text: str, target: str, what: str) -> re.Match[str]:
-    """The first match (^ and $ at every line) of a pattern. Raises VerifyError where there is none."""
+    """The first match (^ and $ at every line) of a pattern. Raises VerifyError if there is none."""
     match = re.search(pattern, text) if isinstance(pattern, re.Pattern) else re.search(pattern, text, re.M)
     if match is None:
         raise VerifyError(f"{target}: {what}")
@@ -324,6 +324,6 @@ def settings_in(text: str) -> dict[str, str]:
 
 
 def expect(condition: bool, target: str, what: str) -> None:
-    """Raise VerifyError where a file is not what the controller takes."""
+    """Raise VerifyError if a file is not what the controller takes."""
     if not condition:
         raise VerifyError(f"{target}: {what}")

@@ -77,7 +77,7 @@ def sensors_of(table: CompensationTable) -> list[str]:
 
 
 def span(table: CompensationTable, axis: str) -> tuple[float, float]:
-    """Range of the profiles over an axis, mm (deg); its plausible range where there is none."""
+    """Range of the profiles over an axis, mm (deg); its plausible range if there is none."""
     name = positions_of(table)[axis]
     own = [p for p in table.profiles if p.input == name]
     if chosen := [p for p in own if not p.periodic] or own:
@@ -269,7 +269,7 @@ def backlash(table: CompensationTable, target: str, letters: str = "") -> dict[s
 
 
 def backlash_if_any(table: CompensationTable, target: str, letters: str = "") -> dict[str, float]:
-    """As `backlash`, nothing where there is none."""
+    """As `backlash`, nothing if there is none."""
     out = {axis: value for axis, value in lost_motion(table).items() if not letters or axis in letters}
     for axis, value in out.items():
         if value < 0:
@@ -318,7 +318,7 @@ def lost_motions(pairs: Iterable[tuple[str, float]]) -> tuple[Curve, ...]:
 def around_zero(low: float, high: float, step: float) -> np.ndarray:
     """Whole multiples of a step from at most 0 and `low` to at least 0 and `high`, one below 0 in any case.
 
-    Raises GateError where the travel lies so many steps from 0 that no control holds as many points.
+    Raises GateError if the travel lies so many steps from 0 that no control holds as many points.
     """
     first, last = min(-1, math.floor(low / step + 1e-9)), max(0, math.ceil(high / step - 1e-9))
     if last - first > MOST_POINTS:

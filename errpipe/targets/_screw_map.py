@@ -62,5 +62,5 @@ class ScrewMap(Target):
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
-        """The map in one file. Raises VerifyError where the controller would not take it."""
+        """The map in one file. Raises VerifyError if the controller would not take it."""
         raise TypeError(f"{cls.__name__} does not read back")

@@ -53,7 +53,7 @@ class BeckhoffCrosscomp(Target):
     def write_with(cls, table: CompensationTable, others: Sequence[str]) -> dict[str, str]:
         axes, files = _sample.axes_of(table), {}
         for axis in _sample.outputs_by_axis(table):
-            # Whether another curve holds what stands still: only one of an axis' curves may.
+            # Whether another curve includes the constant part: only one curve of an axis may.
             rest = "beckhoff_ssfk" in others and axis in _sample.positions_of(table)
             masters = [o for o in _sample.positions_of(table) if o != axis and _sample.moves_with(table, axis, o)]
             curves = [_curve(table, axis, over, relative=rest) for over in masters]

@@ -59,7 +59,7 @@ class HeidenhainCom(Target):
         corrected = list(_sample.outputs_by_axis(table))
         files, whole = {}, {}
         corrected_over = {over: [a for a in corrected if _sample.moves_with(table, a, over)] for over in axes}
-        for axis in corrected:  # what stands still is in one curve of an axis only: its own, else the first
+        for axis in corrected:  # the constant part is in one curve of an axis only: its own, else the first
             whole[axis] = next((o for o in _sample.own_first(table, axis) if axis in corrected_over[o]), "")
         for over, own in corrected_over.items():
             if own:

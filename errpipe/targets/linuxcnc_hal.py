@@ -3,7 +3,7 @@
 Value     `errpipe.correction-L` in mm (deg), ADDED to the command of axis L (minus the deviation).
 Ways      errpipe-joints.hal adds it to the joints' motor commands; errpipe-origin-shift.hal hands it over as external
           offsets (`axis.L.eoffset-counts`), the origin-shift method of 1997.
-Pins      one `in-NAME` per input of the table, `fault-NAME` and `rejected-NAME` (refused for their rate) beside it,
+Pins      one `in-NAME` per input of the table, `fault-NAME` and `rejected-NAME` (refused for their rate) next to it,
           `enable` (FALSE holds the corrections: emergency stop), `homed`, `off`, `status`, `heartbeat`, `wrong-rate`;
           the sums are made inside (no sum2, which a machine's own HAL file may have loaded: that works only once).
 Traps     an unconnected pin reads 1e31, which is a missing reading, not 0; a thread at another rate than the table's

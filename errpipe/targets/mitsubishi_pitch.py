@@ -80,7 +80,7 @@ class MitsubishiPitch(ScrewMap):
 def _divided(table: CompensationTable, axis: str, step: float, most: int) -> tuple[np.ndarray, float, list[int]]:
     """Division points (numbers from the reference point), the step between them, mm, and what each adds.
 
-    The step is halved until no point adds more than a parameter holds. Raises GateError where none is small enough.
+    The step is halved until no point adds more than a parameter holds. Raises GateError if none is small enough.
     """
     while True:
         step = float(np.ceil(step * 1e3 - 1e-6)) / 1e3

@@ -98,7 +98,7 @@ class SinumerikCec(Target):
         axes = _sample.axes_of(table)
         screws = "sinumerik_lec" in others  # they hold each axis over itself: here it would act twice
         for axis in _sample.outputs_by_axis(table):
-            # Whether another curve holds what stands still: only one of an axis' curves may.
+            # Whether another curve includes the constant part: only one curve of an axis may.
             rest = screws and axis in _sample.positions_of(table)
             for over in _sample.own_first(table, axis):
                 if not _sample.moves_with(table, axis, over):
@@ -228,7 +228,7 @@ def _four(number: int, axes: list[str], factors: _Factors) -> list[str]:
 
 
 def _check_products_cancel(tables: list[Curve]) -> None:
-    """Raise VerifyError where tables that multiply would change an axis by themselves: readings would differ."""
+    """Raise VerifyError if tables that multiply would change an axis by themselves: readings would differ."""
     total: dict[tuple[str, str, bytes], np.ndarray] = {}
     for c in tables:
         key = (c.axis, c.over, c.positions.tobytes())

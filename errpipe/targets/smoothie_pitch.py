@@ -2,7 +2,7 @@
 
 Value     motor travel per commanded travel, 0.5..1.5: 1 + d(correction)/d(position). The controller integrates it
           by trapezoids from zero, so the correction is zero at position 0 and the table's own level is lost. Beyond
-          the first and last point it goes on with their multipliers: these are 1, so that the correction stays.
+          the first and last point it uses their multipliers: these are 1, so that the correction is held.
 Limits    X, Y and Z (other lines are skipped); one curve for both directions; no temperature.
 """
 

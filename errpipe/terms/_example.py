@@ -72,7 +72,7 @@ def example_of(kind: type[Term]) -> Example:
 
 
 def first_binding(kind: type[Term], recording: Recording | None = None) -> Example:
-    """The first sensible binding of a term to these rows. Raises LookupError where there is none."""
+    """The first sensible binding of a term to these rows. Raises LookupError if there is none."""
     recording = recording or rows()
     for component in COMPONENTS:
         for term in kind.bind(recording, component):

@@ -26,7 +26,7 @@ from errpipe.yamlfile import quantity
 
 PER_MINUTE = 1.0 / 60.0  # mm/s in a feed of 1 mm/min
 VISCOUS = 0.5  # prior standard deviation of the heat of viscous friction over that of dry friction: as much as it
-OF_SESSION = 4.5  # of the longest time constant sought (a third of a session): a single stroke is no limit
+OF_SESSION = 4.5  # of the longest time constant searched for (a third of a session): a single stroke is no limit
 WHERE_IT_WORKS = 0.2  # and of what a screw that is warm in one half grows more there
 
 

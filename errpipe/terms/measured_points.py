@@ -41,7 +41,7 @@ class MeasuredPoints(Term):
     sample = {"axis": "X", "targets": (0.0, 100.0, 250.0, 400.0), "both": (0.0, 100.0, 250.0, 400.0)}
 
     def settled(self, recording: Recording) -> MeasuredPoints:
-        """The term with its targets written down. Raises DataError where positions are no list of targets."""
+        """The term with its targets written down. Raises DataError if positions are no list of targets."""
         x = position(recording, self.axis)
         if self.targets is not None and self.both is not None:
             return self
@@ -93,7 +93,7 @@ class MeasuredPoints(Term):
 
 
 def _targets(x: np.ndarray, axis: str) -> tuple[float, ...]:
-    """The places at which readings gather. Raises DataError where there are too many of them or fewer than two."""
+    """The places at which readings gather. Raises DataError if there are too many of them or fewer than two."""
     sorted_x = np.sort(x[np.isfinite(x)])
     if sorted_x.size == 0 or sorted_x[-1] == sorted_x[0]:
         raise DataError(

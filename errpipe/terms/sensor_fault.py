@@ -26,12 +26,12 @@ SEEN = 3.0
 ROWS_EACH_SIDE = 5  # rows on either side of a jump whose medians give its step
 MOST_JUMPS, MOST_STRETCHES = 6, 16  # of a sensor, that are tried: seen ones first, those between natural jumps last
 LEAST_READINGS = 30  # of a sensor, in which failures are searched for
-LEAST_ROWS = 8  # of a stretch; one in which a sensor stands still has four times as many, or a thirtieth of all
+LEAST_ROWS = 8  # of a stretch; one in which a sensor does not change has four times as many, or a thirtieth of all
 ALIKE = 2.0  # factor between a jump off and the jump back
 LINES = (8, 24)  # readings of the straight lines on either side of a jump,
 JUMP = 7.0  # and standard errors by which these must miss each other: bodies bend as they warm. Short ones at least by
 CHANCE = 4.5  # what chance exceeds in one of 100,000 rows
-RARELY = 0.05  # share of the other rows in which a reading stands still, below which that is no habit of it
+RARELY = 0.05  # share of the other rows in which a reading does not change, below which that is no habit of it
 # Of the fault: prior standard deviation of what the reading drawn through the gap misses (chosen on 40 faults)
 DRAWN = 0.3
 BENDS = 4  # half waves along the stretch, from which that may be made
@@ -113,7 +113,7 @@ class SensorFault(Term):
         yield inside * along, DRAWN
         run = sessions(recording)
         if run[max(self.first - 1, 0)] != run[self.first]:
-            return  # it begins with a session: no reading beside it from which a bend is drawn
+            return  # it begins with a session: no reading next to it from which a bend is drawn
         for wave in range(1, BENDS + 1):
             yield inside * np.sin(np.pi * wave * along), DRAWN / wave
 

@@ -23,7 +23,7 @@ class Passed:
 def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> Passed:
     """The part of a model that every validation of it found better than nothing, each component at its least gain.
 
-    validations: documents of `validation.json` of this very model. Doing nothing wins ties. Raises GateError where no
+    validations: documents of `validation.json` of this very model. Doing nothing wins ties. Raises GateError if no
     validation judged the model, or no component is left.
     """
     if not validations:

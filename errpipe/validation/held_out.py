@@ -1,4 +1,4 @@
-"""Figures from held-out rows: every one beside doing nothing and the noise floor.
+"""Figures from held-out rows: every one compared with no compensation and the noise floor.
 
 "Do nothing" and partial gains compete with the full model on the same rows; the least of them within 1 % of the best
 wins, if runs agree on it by more than chance (`significance`). The 90 % interval that covers a group comes from the
@@ -48,7 +48,7 @@ def judged(
     component the held-out rows with their residuals.
 
     folds: splits made elsewhere, as (label, train mask, test mask), instead of those of `scheme`; they are refused
-    where a row both fits and judges. rms in the response's unit. Raises DataError where nothing can be held out.
+    where a row both fits and judges. rms in the response's unit. Raises DataError if nothing can be held out.
     """
     if folds is None:
         label, folds = family.folds(recording, scheme)

@@ -13,7 +13,7 @@ from errpipe.validation import odd_runs
 from errpipe.validation.plausibility_finding import Finding
 
 MIN_MOVES = 10  # steps or rows; with fewer a check returns nothing
-AT_REST = 1e-3  # of the largest travel: an axis that moves less than that stands still
+AT_REST = 1e-3  # of the largest travel: an axis that moves less than that is at rest
 MAX_SPEED = {"mm": 10_000.0, "deg": 36_000.0}  # mm/s (linear motors reach 5 m/s), deg/s (100 rev/s)
 ROOM = (-30.0, 150.0)  # degC: what a sensor of a machine tool can read
 COPY = 1e-6  # of its range: largest rms residual of an affine copy
@@ -27,7 +27,7 @@ RETURN = 0.2  # of the step: how near to its level before a failed sensor comes 
 
 
 def axis_of_component(recording: Recording) -> Iterator[Finding]:
-    """A component of an axis whose position is not recorded, or stands still while another axis moves."""
+    """A component of an axis whose position is not recorded, or constant while another axis moves."""
     travels = {}
     for role in ("command", "position"):
         for name in recording.names(role):

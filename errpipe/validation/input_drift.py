@@ -161,7 +161,7 @@ def _reads_right(readings, run, old, new, k: int, sd: float, apparent: np.ndarra
     """Whether a response follows sensor k since new run `begin`, where the sensor left the others.
 
     Likelihood of the apparent errors of a sensor that reads right, zero but for their scatter in the old runs, over
-    that of one which is off by its residuals; and they are less than half of these (the response may move by itself).
+    that of one which is off by its residuals; and they are less than half of these (the response may drift itself).
     """
     since, r, covariance = _residuals_since(readings, run, old, new, k, sd, begin)
     known = np.isfinite(apparent[since])

@@ -67,7 +67,7 @@ def figures(recording: Recording, axis: str | None = None, component: str | None
     """ISO 230-2 figures of a recording's positioning deviation (or of one that is named).
 
     Rows without a deviation are passed over; a row counts in the direction its direction column states.
-    Raises DataError where targets or cycles do not suffice.
+    Raises DataError if targets or cycles do not suffice.
     """
     component = component or _positioning(recording)
     axis = axis or str(components.parse(component).axis)

@@ -82,7 +82,7 @@ class CircularTest:
 
 
 def circles(recording: Recording) -> tuple[Circle, ...]:
-    """The circular runs of a recording. Raises DataError where a run is no circle of two axes."""
+    """The circular runs of a recording. Raises DataError if a run is no circle of two axes."""
     name = recording.name("error", component="E_R")
     if name is None:
         raise DataError("a circular test needs an error column of component E_R (radial deviation)")

@@ -1,4 +1,4 @@
-"""Leave-one-group-out validation of an identified machine, each axis beside doing nothing."""
+"""Leave-one-group-out validation of an identified machine, each axis compared with no compensation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from errpipe.kinematics.direct import Laser
 from errpipe.kinematics.remaining import MAX_HARM_PROBABILITY
 from errpipe.models.direct import Direct
 
-TIE = 0.01  # of the uncompensated rms: within it doing nothing wins
+TIE = 0.01  # of the uncompensated rms: within this margin, no compensation is preferred
 
 
 def judged(
@@ -126,7 +126,7 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
 
     Every axis must be expected to get better by its posterior, and must have been better on the measurements that sat
     out. Of an axis whose identified error is below the noise of a reading the posterior alone is asked; where it
-    doubts, the axis is left alone. Raises GateError where no validation judged it, or where an axis or the machine may
+    doubts, the axis is left alone. Raises GateError if no validation judged it, or where an axis or the machine may
     get worse: axes are compensated together or not at all, as one that is corrected without the others turns the whole
     part.
     """

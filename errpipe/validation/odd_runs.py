@@ -52,7 +52,7 @@ def odd_sensors(recording: Recording, reference: np.ndarray) -> list[OddRun]:
 def odd_from_there_on(recording: Recording, reference: np.ndarray) -> list[OddRun]:
     """The runs beside the reference rows, (rows,), that one cause explains, where it does so in nearly all odd ones.
 
-    Readings that are put right may lie beside the reference, for a machine goes on to warm; far nearer than as read.
+    Readings that are put right may differ from the reference, as a machine continues to warm up, but less.
     """
     labels, (_, causes) = recording.run_labels(), _causes(recording, reference, np.inf)
     usual = max(causes.values(), key=list(causes.values()).count, default=None)
@@ -168,7 +168,7 @@ def odd_responses(
 
 
 def _factor(measured: np.ndarray, predicted: np.ndarray, usual: float) -> float | None:
-    """The factor by which a run was read, where that leaves of it what is left of others; None where none does.
+    """The factor by which a run was read, if division by it leaves the residual of other runs; else None.
 
     A prediction that is no larger than what is left says nothing of a factor: times 1000 it would fit any run.
     """

@@ -42,7 +42,7 @@ class Response:
     """One error column and the position of its own axis, on the rows where both are finite.
 
     deviation: um, urad or N, shape (n,); position: mm or deg, shape (n,), None where the recording has none;
-    direction: +1 or -1, shape (n,), None where there is none; run: run number of each row, shape (n,).
+    direction: +1 or -1, shape (n,), None if there is none; run: run number of each row, shape (n,).
     """
 
     recording: Recording

@@ -1,6 +1,6 @@
 """What a controller would predict, row by row, with an interval and whether the model may speak there at all.
 
-Causal: row k uses rows up to k of its own run only, so every run is evaluated by itself. A sensor that drops out
+Causal: row k uses rows up to k of its own run only, so every run is evaluated separately. A sensor that drops out
 keeps its last value, as it does on a controller; before its first value nothing is predicted (deviation 0, without an
 interval).
 """
@@ -120,7 +120,7 @@ def predict_parts(
 ) -> Iterator[pd.DataFrame]:
     """The same of a recording that comes in parts, part by part: equal to the bit, however it is cut.
 
-    Runs may be cut anywhere and may alternate. Memory: a part, and a few kB per run. Raises ValueError where the
+    Runs may be cut anywhere and may alternate. Memory: a part, and a few kB per run. Raises ValueError if the
     source takes whole runs only (`in_parts`).
     """
     if source.begin is None or not source.in_parts:

@@ -221,7 +221,7 @@ def per_run(scores: Sequence[RunScore]) -> list[float]:
 
 
 def decide(scores: Sequence[RunScore], others: Sequence[Gate] = (), *, alpha: float = ALPHA) -> Decision:
-    """Whether to promote: evidence over all scored runs, no group worse, and whatever else is asked for."""
+    """Whether to promote: evidence over all scored runs, no group worse, and whatever else is requested."""
     needed = 1.0 / alpha
     value = e_value(per_run(scores))
     runs = len({s.key for s in scores})

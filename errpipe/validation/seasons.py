@@ -1,4 +1,4 @@
-"""Leave-one-season-out table of a thermal model, beside doing nothing and the error within the season.
+"""Leave-one-season-out table of a thermal model, compared with no compensation and the error within the season.
 
     uncompensated   rms of the deviation since the start of the run
     in_season       rms with only the judged run left out: other runs of its season took part

@@ -94,7 +94,7 @@ def _cleaned(recording: Recording) -> Recording | None:
 
 
 def as_word(name: str) -> str:
-    """A column's name as it stands in YAML."""
+    """A column's name as written in YAML."""
     return name if name.isidentifier() else json.dumps(name, ensure_ascii=False)
 
 

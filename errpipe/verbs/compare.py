@@ -51,7 +51,7 @@ class Comparison:
 def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | None = None) -> dict[str, Any]:
     """The document of `errpipe compare`: kind, what changed, largest_um, rms_um, within (None without a limit).
 
-    Raises DataError where the two are not of one kind or nothing is known of one, VerifyError for a damaged one.
+    Raises DataError if the two are not of one kind or nothing is known of one, VerifyError for a damaged one.
     """
     if figure is not None and Path(figure).suffix.lower() != ".svg":
         raise UsageError(f"--figure {figure}: is drawn as SVG (a name that ends in .svg)")

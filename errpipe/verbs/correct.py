@@ -119,7 +119,7 @@ def _remarks(table: CompensationTable, offsets: Sequence[str], beginning: str) -
 
 
 def chunks_of(program: Path) -> Iterator[bytes]:
-    """The program in pieces of whole lines. Raises DataError where it cannot be read.
+    """The program in pieces of whole lines. Raises DataError if it cannot be read.
 
     A line too long for any program comes in pieces, the first of which is refused.
     """
@@ -170,7 +170,7 @@ def _marked(write: Callable[[bytes], object], beginning: bytes, table: str) -> C
 
 
 def _corrected_once(chunks: Iterator[bytes]) -> Iterator[bytes]:
-    """The pieces of a program. Raises DataError where it names a table that corrected it before."""
+    """The pieces of a program. Raises DataError if it names a table that corrected it before."""
     lines = 0
     for chunk in chunks:
         if (at := chunk.upper().find(_MARK.encode())) >= 0:
@@ -185,7 +185,7 @@ def _corrected_once(chunks: Iterator[bytes]) -> Iterator[bytes]:
 
 
 def whole_numbers(text: str) -> str:
-    """The first length without a decimal point, in words; '' where there is none. 0 is the same in every unit."""
+    """The first length without a decimal point, in words; '' if there is none. 0 is the same in every unit."""
     number, word = _first_match(_WHOLE, text)
     return word and (
         f"line {number}: {word} has no decimal point and is taken as a whole length, as LinuxCNC does: a control that "
@@ -202,7 +202,7 @@ def unsaid(text: str) -> str:
 
 
 def diameters(text: str) -> str:
-    """The first word of a turning program, whose X may be a diameter, in words; '' where there is none."""
+    """The first word of a turning program, whose X may be a diameter, in words; '' if there is none."""
     number, word = _first_match(_TURNING, text)
     return word and (
         f"line {number}: {word} is a lathe's, and X was taken as a radius and no tool offset but that of G43, as "
@@ -212,7 +212,7 @@ def diameters(text: str) -> str:
 
 
 def rotary_words(text: str) -> str:
-    """The first word of a rotary axis, in words; '' where there is none."""
+    """The first word of a rotary axis, in words; '' if there is none."""
     number, word = _first_match(_ROTARY, text)
     return word and (
         f"line {number}: {word} is taken as of an axis that counts on, and not corrected: where the sign of an angle "
@@ -229,7 +229,7 @@ def _first_match(pattern: re.Pattern[str], text: str) -> tuple[int, str]:
 
 
 def _refuse_large(program: Path) -> None:
-    """Raises UsageError where a program is too long to be printed."""
+    """Raises UsageError if a program is too long to be printed."""
     path = Path(program)
     if path.is_file() and path.stat().st_size > MAX_PRINTED_BYTES:
         raise UsageError(f"{program}: too long to be printed ({path.stat().st_size} bytes): name a file (--out FILE)")
@@ -259,7 +259,7 @@ def readings_of(table: CompensationTable, at: Mapping[str, float]) -> dict[str, 
 
 
 def outside_validity(table: CompensationTable, at: Mapping[str, float]) -> str:
-    """Readings outside what the fit has seen, where the correction fades, in words; '' where there are none."""
+    """Readings outside what the fit has seen, where the correction fades, in words; '' if there are none."""
     outside = []
     for channel in table.inputs:
         if channel.valid is not None and channel.name in at:
@@ -272,7 +272,7 @@ def outside_validity(table: CompensationTable, at: Mapping[str, float]) -> str:
 
 
 def outside_travel(table: CompensationTable, low: np.ndarray, high: np.ndarray) -> str:
-    """Places of a program beyond the table's curves, where their ends hold, in words; '' where there are none.
+    """Places of a program beyond the table's curves, where their ends hold, in words; '' if there are none.
 
     low, high: (3,) of the commands, machine coordinates, mm. A wrong offset shows here, and inches or least increments.
     """
@@ -304,7 +304,7 @@ def depends_on_direction(table: CompensationTable) -> bool:
 
 
 def _in_direction(table: CompensationTable, side: int) -> CompensationTable:
-    """The table as it stands in the first cycle of a run where every axis travels to one side."""
+    """The table in its state at the first cycle of a run in which every axis travels to one side."""
     nodes = [n.model_copy(update={"start": side}) if n.op == "direction" else n for n in table.nodes]
     inputs = [i.model_copy(update={"default": float(side)}) if i.kind == "direction" else i for i in table.inputs]
     return table.model_copy(update={"nodes": tuple(nodes), "inputs": tuple(inputs)})

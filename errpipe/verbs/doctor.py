@@ -14,7 +14,7 @@ EXTRAS = {"excel": "python-calamine", "tdms": "npTDMS", "hdf": "h5py", "fmu": "F
 
 
 def doctor() -> dict[str, Any]:
-    """Every fact by name, and lines for people; nothing is written but a file that is removed again."""
+    """Every fact by name, and lines to print; nothing is written but a file that is removed again."""
     from errpipe import __version__
     from errpipe.simulation.patch_fmu import c_compiler
 

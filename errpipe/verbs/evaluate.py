@@ -16,7 +16,7 @@ SETTLED = 1e9  # s: every lag has reached its operand
 
 
 def evaluate(table: Path, at: Mapping[str, float]) -> dict[str, Any]:
-    """Deviation and correction at given readings; inputs that are not named stand at their default.
+    """Deviation and correction at given readings; inputs that are not named are at their default.
 
     at: by the names of the table's inputs, or of a position by its axis, such as X.
     The readings are those of a settled machine: references are taken where inputs stand by default, then every lag is

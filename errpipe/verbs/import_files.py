@@ -103,7 +103,7 @@ def _refuse_unknown_sets(parts: Iterable[Proposal], options: ImportOptions) -> N
 
 
 def _refuse_twice(files: Sequence[Path]) -> None:
-    """Raise DataError where two files hold the same bytes: a run that is counted twice claims a repeat that is none."""
+    """Raise DataError if two files hold the same bytes: a run that is counted twice claims a repeat that is none."""
     seen: dict[bytes, Path] = {}
     for file in map(Path, files):
         if len(files) > 1 and file.is_file():
@@ -114,7 +114,7 @@ def _refuse_twice(files: Sequence[Path]) -> None:
 
 
 def _refuse_several_axes(files: Sequence[Path], options: ImportOptions) -> None:
-    """Raise DataError where the names of files end in several axes: they would become runs of one."""
+    """Raise DataError if the names of files end in several axes: they would become runs of one."""
     letters = {m[1] for f in files if (m := re.search(r"(?:^|[\s_-])([XYZABC])$", Path(f).stem))}
     if len(letters) > 1 and options.axis is None:
         raise DataError(
@@ -213,7 +213,7 @@ def _next(proposal: Proposal, folder: Path) -> str:
 
 
 def _refuse_changed(folder: Path, parts: dict[str, str]) -> None:
-    """Raise UsageError where the folder's recording is not as an import wrote it: somebody's corrections are in it."""
+    """Raise UsageError if the folder's recording is not as an import wrote it: somebody's corrections are in it."""
     there = {name: folder / name for name in parts if (folder / name).exists()}
     texts = {name: file.read_text("utf-8", errors="replace") for name, file in there.items()}
     if not there or texts == parts:
@@ -344,7 +344,7 @@ def _derivation(derived: dict[str, Any]) -> str:
 def _plausible(proposal: Proposal, options: ImportOptions) -> list[str]:
     """Everything implausible about the proposed recording, in words.
 
-    Raises DataError where the readings are evidence against an assumed sign: a wrong one doubles the error.
+    Raises DataError if the readings are evidence against an assumed sign: a wrong one doubles the error.
     """
     manifest = _manifest(proposal, options, [Path("x")])
     raw, out = dict(proposal.data), {}
@@ -387,7 +387,7 @@ def options_of(**stated: Any) -> ImportOptions:
 
 
 def _refuse_no_component(option: str, name: str | None) -> None:
-    """Raise UsageError where an option (empty: none) names no component of ISO 230-1."""
+    """Raise UsageError if an option (empty: none) names no component of ISO 230-1."""
 
     try:
         components.parse(name) if option and name is not None else None
@@ -396,5 +396,5 @@ def _refuse_no_component(option: str, name: str | None) -> None:
 
 
 def plain(shown: dict[str, Any]) -> dict[str, Any]:
-    """What was shown, without the lines for people."""
+    """What was shown, without the lines to print."""
     return {k: (asdict(v) if hasattr(v, "__dataclass_fields__") else v) for k, v in shown.items() if k != "says"}

@@ -51,7 +51,7 @@ TEMPLATES = {
 
 
 def init(folder: Path, name: str, recording: Path | None = None, targets: Sequence[str] = ()) -> dict[str, Any]:
-    """Write the template's files into a folder. Raises UsageError where one is there already.
+    """Write the template's files into a folder. Raises UsageError if one is there already.
 
     recording: a recording folder of the user's own, for which the pipeline is written; targets: instead of the usual.
     """

@@ -1,4 +1,4 @@
-"""Number and places of temperature sensors, from readings at candidate places with the error beside them."""
+"""Number and places of temperature sensors, from readings at candidate positions and the error."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from errpipe.fitting import placement
 from errpipe.fitting.placement import Chosen
 from errpipe.simulation import spindle_bar
 
-# Standard errors over duty cycles by which a set must beat doing nothing (false-alarm rate 2 to 10 %)
+# Standard errors over duty cycles by which a set must beat no compensation (false-alarm rate 2 to 10 %)
 MIN_STANDARD_ERRORS = 2.0
 MOST_NAMED = 12  # columns of a file in a message
 ODD = 5.0  # times the rms of the other duty cycles: beyond, one of them decides alone, and is named
@@ -48,7 +48,7 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
 
 
 def _table(file: Path, error: str, group: str | None, time: str | None) -> pd.DataFrame:
-    """The file's rows. Raises DataError where it is no table or lacks a column that is named."""
+    """The file's rows. Raises DataError if it is no table or lacks a column that is named."""
     try:
         with files.open_regular(file) as stream:
             frame = pd.read_csv(stream)

@@ -36,7 +36,7 @@ def from_errors(
 
     log: a recording of temperatures alone: further duty cycles to choose from, further states that count. by: groups
     whose labels name a duty cycle (default: duty_cycle, else run). least: rms, um, that a cycle must take away
-    (default: the noise of a reading). Raises DataError where the recording does not say what is asked for.
+    (default: the noise of a reading). Raises DataError if the recording does not say what is requested.
     """
     recording = manifest_folder.read(folder)
     chosen = _component(folder, recording, component)
@@ -156,7 +156,7 @@ def from_speeds(
     """The next day after those recorded: speeds, expected uncertainty before and after it, um.
 
     recording: folder of a recording with spindle speeds; None: nothing was recorded yet. speed: highest, rpm
-    (default: the highest recorded). Raises DataError where there is no speed to be had.
+    (default: the highest recorded). Raises DataError if there is no speed to be had.
     """
     recorded, highest = _recorded(recording) if recording is not None else ([], None)
     top = speed if speed is not None else highest

@@ -208,8 +208,8 @@ stages:
     "targets": (
         "Controller formats",
         """\
-For controls engineers. A correction is minus the deviation. Every format states its sign and is read back by a reader that \
-works as the controller does; what it cannot express is reported in um.
+For controls engineers. A correction is minus the deviation. Every format states its sign and is read back as \
+the controller reads it; what it cannot express is reported in um.
 
 ```yaml
 stages:
@@ -241,7 +241,7 @@ stages:
     "recordings": (
         "Recordings",
         """\
-For those who record data. A recording is a folder: `recording.yaml` defines every column of its tables; nothing is inferred from names.
+For metrologists. A recording is a folder: `recording.yaml` defines every column; nothing is inferred from names.
 
 ```yaml
 recording: 1

@@ -10,7 +10,7 @@ from errpipe.errors import ErrpipeError
 
 
 def write_report(pipeline: Any, out: Path, reason: str) -> Path | None:
-    """Run the pipeline's report without the stages that give tables; where the page is, None where there is none."""
+    """Run the pipeline's report without the stages that give tables; where the page is, None if there is none."""
     from errpipe.pipeline import runner
     from errpipe.pipeline.graph import link
     from errpipe.stages.report import Report

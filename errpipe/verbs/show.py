@@ -1,4 +1,4 @@
-"""What any file of errpipe is, with a plot of dots for people who work over ssh."""
+"""What any file of errpipe is, with a text plot for work over ssh."""
 
 from __future__ import annotations
 

@@ -171,7 +171,7 @@ def _same(lost: list[dict[str, Any]], row: dict[str, Any]) -> bool:
 
 
 def _check_digest(path: Path, expected: str | None) -> None:
-    """Raise VerifyError where a file is missing, or is not the one that was exported."""
+    """Raise VerifyError if a file is missing, or is not the one that was exported."""
     if not path.is_file():
         raise VerifyError(f"{path}: is missing")
     digest = hashlib.sha256(path.read_bytes()).hexdigest()

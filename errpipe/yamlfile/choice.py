@@ -1,4 +1,4 @@
-"""Models discriminated by the value of a key, each imported and built when it is first asked for.
+"""Models discriminated by the value of a key, each imported and built on first use.
 
     TERMS: Choice[type[Term]] = Choice.of_files("errpipe.terms", "term", ("backlash", "offset"))
     class Spec(BaseModel):
@@ -46,7 +46,7 @@ class Choice(Generic[M]):
     @classmethod
     def of_files(cls, package: str, key: str, files: Iterable[str | tuple[str, str]]) -> Choice[M]:
         """The models of a folder, one a file: `tool_wear` is the class ToolWear of that file; a pair is a tag and the
-        file where that differs. Raises UsageError where one of them is not what the registry says."""
+        file where that differs. Raises UsageError if one of them is not what the registry says."""
         pairs = [(entry, entry) if isinstance(entry, str) else entry for entry in files]
         members = {tag: partial(_from_file, package, file, key, tag) for tag, file in pairs}
         if len(members) < len(pairs):

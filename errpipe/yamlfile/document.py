@@ -44,7 +44,7 @@ class Document:
         return Problem(self.file, line, column, dotted(place), message)
 
     def raise_problems(self) -> None:
-        """Raises ConfigError where there is any problem so far."""
+        """Raises ConfigError if there is any problem so far."""
         if self.problems:
             raise ConfigError(list(dict.fromkeys(self.problems)))
 
@@ -73,7 +73,7 @@ class Document:
             return None
 
     def assign(self, place: Place, value: Any, origin: str) -> None:
-        """Put a value at a place (`--set`). Raises UsageError where the place cannot hold one."""
+        """Put a value at a place (`--set`). Raises UsageError if the place cannot hold one."""
         target = self.value
         for depth, step in enumerate(place):
             here = dotted(place[:depth]) or "the file"
@@ -99,7 +99,7 @@ def load(path: Path, model: type[T] | Any, *, environment: Mapping[str, str] | N
 
 
 def read(path: Path, *, environment: Mapping[str, str] | None = None) -> Document:
-    """Read a YAML file. Raises ConfigError where it cannot be read or parsed; lesser problems stay in `problems`.
+    """Read a YAML file. Raises ConfigError if it cannot be read or parsed; lesser problems stay in `problems`.
 
     With an `environment`, `${NAME}` and `${NAME:-default}` in texts are replaced.
     """
@@ -107,7 +107,7 @@ def read(path: Path, *, environment: Mapping[str, str] | None = None) -> Documen
 
 
 def text_of(path: Path) -> str:
-    """The text of a YAML file. Raises ConfigError where it cannot be read."""
+    """The text of a YAML file. Raises ConfigError if it cannot be read."""
     path, name = Path(path), str(path)
     if path.is_dir():
         inside = path / "pipeline.yaml"

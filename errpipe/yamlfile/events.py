@@ -63,7 +63,7 @@ class Builder:
         self._nodes = 0
 
     def build(self, text: str) -> Any:
-        """The value of the text. Raises ConfigError where it cannot be parsed to its end."""
+        """The value of the text. Raises ConfigError if it cannot be parsed to its end."""
         from ruamel.yaml import YAML
         from ruamel.yaml.error import MarkedYAMLError, YAMLError
         from ruamel.yaml.reader import ReaderError

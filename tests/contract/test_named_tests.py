@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGES = {"safety.md": ("| hazard |", "| loader |"), "security.md": ("| door |",)}
+PAGES = {"safety.md": ("| hazard |", "| loader |"), "security.md": ("| entry point |",)}
 NAMED = re.compile(r"`(tests/[\w/.]+)?(?:::(\w+))?`")
 
 

@@ -40,7 +40,7 @@ def test_places_beyond_the_table_and_a_zero_that_was_not_stated_are_named(tmp_pa
     assert "G54 is taken as 0,0,0" in done["offsets"]
     assert "X moves from 100 to 800 mm of the machine, the table covers 0 to 500" in done["outside_what_was_measured"]
     done = correct_file(tmp_path / "p.ngc", tmp_path / "t.ect", None, {}, offsets=["G54=-350,0,0"])
-    assert "X goes from -250 to 450 mm" in done["outside_what_was_measured"] and "offsets" not in done
+    assert "X moves from -250 to 450 mm" in done["outside_what_was_measured"] and "offsets" not in done
     done = correct_file(tmp_path / "p.ngc", tmp_path / "t.ect", None, {}, offsets=["G55=-350,0,0"])
     assert "G54 is taken as 0,0,0" in done["offsets"]
     (tmp_path / "p.ngc").write_text("G90 G21 G54\nG0 X100 Y0 Z0\nG1 X400 F500\n")

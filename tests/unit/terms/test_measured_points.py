@@ -75,7 +75,7 @@ def test_a_target_measured_in_one_direction_takes_its_lost_motion_from_the_neigh
 def test_a_log_and_a_standing_axis_are_refused() -> None:
     with pytest.raises(DataError, match="no list of targets"):
         MeasuredPoints(axis="X").settled(recording(np.linspace(0, 600, 999), runs=1))
-    with pytest.raises(DataError, match="stand at one place"):
+    with pytest.raises(DataError, match="are at one position"):
         MeasuredPoints(axis="X").settled(recording(np.zeros(9)))
 
 

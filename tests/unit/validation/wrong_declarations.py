@@ -398,7 +398,7 @@ WRONG: tuple[Wrong, ...] = (
         "a single run, its way back in the order of the targets",
         lambda: _first_run(mirrored),
         "mirrored-rows",
-        "way back",
+        "return pass",
     ),
 )
 
