@@ -78,7 +78,7 @@ class ByDirection:
         both = (*self.damping(), *self.force())
         values = [f"{p.value:.3g} ({p.ci95[0]:.3g} to {p.ci95[1]:.3g}) {p.unit}" for p in both]
         return (
-            f"Friction differs by direction: {values[0]} forwards and {values[1]} backwards, beside a dry part of "
+            f"Friction differs by direction: {values[0]} forwards and {values[1]} backwards, with a dry part of "
             f"{values[2]} and {values[3]}; on held-out stretches the force is then met to {self.law.held_out:.3g} "
             f"{self.response} rms instead of {self.alike.held_out:.3g} with one law both ways."
         )

@@ -6,7 +6,7 @@ Errors of the beam are removed first; each one's sign in words:
 * dead path displayed - true = dead path x (n / n_reset - 1): an offset that drifts with the weather, also where
             the laser corrects the wavelength over the displacement.
 * cosine    a beam off by t reads displacement x cos t: always short.
-* Abbe      the beam runs beside the functional line; the angle of the carriage times that offset is added.
+* Abbe      the beam is offset from the functional line; the angle of the carriage times that offset is added.
 * material  the scale's own expansion is left in: it is the machine's, not the laser's.
 """
 
@@ -42,7 +42,7 @@ class Laser:
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     wavelength_corrected: bool = True
     display_air: tuple[float, float, float] | None = None
-    zero_each_run: bool = False  # the display was set to zero anew at the start of each run
+    zero_each_run: bool = False  # the display was zeroed at the start of each run
     air_uncertainty: tuple[float, float, float] = SENSORS
 
 
@@ -157,7 +157,7 @@ def without_beam_errors(
         return value
     if laser.display_air is not None and laser.wavelength_corrected:
         raise DataError(
-            f"lasers.{component}: display_air is of a display that was not corrected; say wavelength_corrected: false"
+            f"lasers.{component}: display_air is of a display that was not corrected; set wavelength_corrected: false"
         )
     needs = "dead path" if laser.dead_path else "" if laser.wavelength_corrected else "wavelength"
     if needs and not any(_air_columns(recording)):
@@ -198,7 +198,7 @@ def _abbe(turn: np.ndarray, laser: Laser, direction: np.ndarray) -> np.ndarray:
 
 
 def _air_columns(recording: Recording) -> list[str | None]:
-    """Names of the air's temperature, pressure and humidity: where the location says air, or none is said."""
+    """Names of the air's temperature, pressure and humidity: with location air, or no location."""
     chosen = []
     for role in ("temperature", "pressure", "humidity"):
         names = recording.names(role)

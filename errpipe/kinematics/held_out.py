@@ -1,4 +1,4 @@
-"""Whole measurement groups left out of an identification, and what the rest of the readings says of them.
+"""Leave-one-group-out cross-validation of an identification.
 
 A group is a line, diagonal, circle, plate or socket with all its repeats: runs that pass through the same places are
 left out together. A held-out group keeps its own set-up (where the socket stood, how the plate lay), solved for on its
@@ -28,7 +28,7 @@ MIN_READINGS = 8  # readings of an identification
 class HeldOutGroup:
     """One held-out group: its label, its rows, and the readings without its set-up before and after, um (n,).
 
-    Where readings differ in uncertainty, each counts as much as it is certain beside the median.
+    If readings differ in uncertainty, each is weighted relative to the median uncertainty.
     """
 
     label: str

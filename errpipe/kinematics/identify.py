@@ -25,9 +25,9 @@ from errpipe.kinematics.observations import Observations, reading
 FAMILIES = ("positioning", STRAIGHTNESS, "angular", "scale", "slope of angle", "offset", SQUARENESS, "radial slope")
 # Prior standard deviation, rms over the travel: the bending part of three families, the straight part of two (um,
 # urad), constants in um and in urad, the straight part of a rotary axis' radial and axial motion over part of a
-# turn. Sizes of ordinary machines; they are estimated anew from the readings.
+# turn. Sizes of ordinary machines; they are re-estimated from the readings.
 TYPICAL = (4.0, 3.0, 12.0, 12.0, 24.0, 30.0, 55.0, 4.0)
-SMOOTHNESS = 3.0  # prior: coefficients fall with this power of the wave number; estimated anew from the readings
+SMOOTHNESS = 3.0  # prior: coefficients fall with this power of the wave number; re-estimated from the readings
 CERTAINTY = (0.8, 0.8, 0.8, 0.4, 0.3, 0.25, 0.25, 0.3, 0.3, 3.0)  # prior sd of log(size by family, smoothness, noise)
 
 

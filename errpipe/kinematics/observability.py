@@ -130,7 +130,7 @@ def candidates(chain: Chain, obs: Observations) -> dict[str, Observations]:
             by_name[f"laser along {axis} (9 readings)"] = o.along(
                 chain, q, tip, machine.direction(axis), label=f"laser {axis}", seconds=900
             )
-    for name, shift in (("a tool 100 mm longer", 100.0 * tool), ("a ball 80 mm beside the spindle axis", 80.0 * side)):
+    for name, shift in (("a tool 100 mm longer", 100.0 * tool), ("a ball 80 mm off the spindle axis", 80.0 * side)):
         rows = np.linspace(0, len(obs) - 1, min(len(obs), 60)).astype(int)
         again = obs.take(rows)
         moved = o.Observations(**{**again.__dict__, "tip": again.tip + shift})
@@ -153,7 +153,7 @@ def candidates(chain: Chain, obs: Observations) -> dict[str, Observations]:
 
 
 def _with_tool_moved(chain: Chain, obs: Observations) -> Observations:
-    """The same readings from another tool: bar directions are computed anew, bars below MIN_BAR_LENGTH are left out."""
+    """The same readings from another tool: bar directions are recomputed, bars below MIN_BAR_LENGTH are left out."""
     ray = synthesis.ideal_pose(chain, obs.q, obs.tip)[:, 0] - obs.socket
     length = np.linalg.norm(ray, axis=1)
     possible = ~(length < MIN_BAR_LENGTH)  # NaN where a reading is no bar's

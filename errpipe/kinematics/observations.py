@@ -4,7 +4,7 @@
 
 A distance row reads the change of length between a socket and the tool, |tool - socket|, whose weight is the
 unit vector from one to the other; it is solved with the true length, not with its slope. Set-up errors (where
-the socket or artefact stands, bar length, pose of a plate) are nuisance columns with wide priors.
+the socket or artefact is, bar length, pose of a plate) are nuisance columns with wide priors.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def distance(
 ) -> Observations:
     """Length of a bar (or beam) from a socket on the workpiece to the tool: ball bar, telescoping bar, tracker range.
 
-    value: measured minus nominal length, um. Set-up: where the socket stands (3), the bar's length offset (1),
+    value: measured minus nominal length, um. Set-up: position of the socket (3), the bar's length offset (1),
     and where the tool's ball sits in the spindle, for machines whose rotary axes turn it against the socket.
     """
     pose = synthesis.ideal_pose(chain, q, tip)
@@ -214,7 +214,7 @@ def _ball_columns(chain: Chain, pose: np.ndarray, unit: np.ndarray, label: str) 
 
 
 def concatenate(parts: Sequence[Observations], shared: bool = False) -> Observations:
-    """Rows of several tests together. shared: set-up parameters of one name are one parameter, else always apart."""
+    """Rows of several tests together. shared: set-up parameters of equal name are one, else separate."""
     names: list[str] = []
     spread: list[float] = []
     column_numbers = []

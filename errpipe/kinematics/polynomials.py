@@ -80,7 +80,7 @@ def _scale(a: Polynomial, factor: float) -> Polynomial:
 
 
 def _arms(chain: Chain) -> list[list[Polynomial]]:
-    """Ideal tip behind each factor, in symbols, mm."""
+    """Ideal tip position after each factor, in symbols, mm."""
     kind, axis, vec, point, *_ = chain.factors
     tool = chain.machine.tool
     tip = []

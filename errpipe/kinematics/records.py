@@ -1,9 +1,9 @@
-"""Laser and level records of single components as observations of a machine, beside any other test.
+"""Laser and level records of single components as observations of a machine, combined with other tests.
 
 A row reads one component at one position, in um or urad. The beam's own errors are taken out first (`direct`);
 unknown set-up is solved for together with the components, so that every interval includes it:
 
-* zero      of each record; of each run, where the laser was set to zero anew.
+* zero      of each record; of each run, if the laser was zeroed again.
 * slope     of a straightness: tilt of the straightedge. Two records against one square share one tilt, and their
             difference is the squareness of the machine.
 * air       of a positioning by a laser: the index of the air is as uncertain as its sensors, the same for all records.
@@ -95,7 +95,7 @@ def read(
     lasers: Mapping[str, direct.Laser] | None = None,
     take: np.ndarray | None = None,
 ) -> list[Record]:
-    """The records behind `observations`, in the order of its rows, the beams' errors out."""
+    """The records of `observations`, in the order of its rows, with beam errors removed."""
     records: list[Record] = []
     for label, recording in recordings.items():
         motions = [c for c in recording.components() if is_error_motion(c)]
@@ -305,7 +305,7 @@ def _pair(chain: Chain, square: str) -> tuple[str, str] | None:
 
 
 def _square_columns(chain: Chain, records: list[Record], squares: Mapping[str, float]) -> dict[str, tuple[str, str]]:
-    """Straightness component -> the squareness its square stands for, and the name of that square's turn."""
+    """Straightness component -> the squareness measured with its square, and the name of the square's rotation."""
     out: dict[str, tuple[str, str]] = {}
     recorded = {r.component for r in records}
     for square in squares:

@@ -224,7 +224,7 @@ def truth_document(chain: Chain, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def truth(chain: Chain, document: Mapping[str, Any]) -> MachineErrors | None:
-    """The simulated machine behind `truth_document`; None where it is another machine."""
+    """The simulated machine of `truth_document`; None if it is another machine."""
     if document.get("machine") != chain.machine.name:
         return None
     values: dict[str, Any] = {n: v for n, v in document["constants"].items() if n in chain.components}

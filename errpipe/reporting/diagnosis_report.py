@@ -19,7 +19,7 @@ VERDICTS = {
     "unexplained": "something is there that has no name here",
 }
 LAGS = 40  # rows of an autocorrelation figure
-MAX_SHAPES = 4  # findings drawn; the others stand in the table
+MAX_SHAPES = 4  # findings drawn; the others are in the table only
 # One colour for each finding; they differ in lightness too, and every line is labelled.
 FINDINGS = ("#b3261e", "#1f5fa8", "#2e7d4f", "#7b3fa0", "#20262c")
 UNNAMED = "a shape without a name"

@@ -86,7 +86,7 @@ def plane(
 
 
 def by_readings(levels: Sequence[Mapping[str, Any]], component: str, unit: str) -> str:
-    """What is left of each left-out group against readings per shift, with the model and with readings alone; SVG text.
+    """Residual of each held-out group against readings per shift, with the model and with readings only; SVG text.
 
     levels: `readings.levels` of a component of `validation.json`; at most `PANELS` groups, the worst first.
     """

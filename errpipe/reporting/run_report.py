@@ -43,7 +43,7 @@ class Response:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of its own: rows start with a label, the rest are numbers (None: a dash)."""
+    """An additional table: rows start with a label, the rest are numbers (None: a dash)."""
 
     heading: str
     columns: Sequence[str]
@@ -53,7 +53,7 @@ class Table:
 
 @dataclass(frozen=True)
 class RunReport:
-    """Everything the page says. `sources`, `removed`, `validity`, `exported`: rows of plain values."""
+    """Content of the page. `sources`, `removed`, `validity`, `exported`: rows of plain values."""
 
     title: str
     machine: str

@@ -34,7 +34,7 @@ class Beam:
 class SetUp:
     """Errors of a measuring set-up. reversal: up minus down of each positioning, um (its spread); squares: urad.
 
-    warming: rise of the air beside the beam that an axis' test would see if it went on for long, K.
+    warming: rise of the air at the beam that an axis' test would reach after a long time, K.
     """
 
     targets: int = 17
@@ -78,7 +78,7 @@ def record(chain: Chain, values: Values, setup: SetUp, seed: int) -> Recording:
 
 @dataclass(frozen=True)
 class _Air:
-    """Beside the beam, at each row: degC and hPa."""
+    """At the beam, in each row: degC and hPa."""
 
     warm: np.ndarray
     pressure: np.ndarray

@@ -54,7 +54,7 @@ def with_twins(
     model: ErrorModel | None = None,
     progress: Progress = lambda share, text: None,
 ) -> tuple[Recording, list[Twin], dict[str, Any]]:
-    """The recording with a simulated column beside each response, how each came about, and a source's own figures.
+    """The recording with a simulated column for each response, the origin of each, and figures of the source.
 
     file: the CSV or the FMU; model: the error model. Raises UsageError if the source lacks what it needs,
     DataError where simulated values and recording do not fit together.

@@ -1,10 +1,10 @@
 """A Functional Mock-up Unit (FMI 2 or 3, scalar variables) run over a recording's inputs, where it can do no harm.
 
-FMPy runs the FMU in a process of its own with a time and a memory limit (`fmu_worker`): it may crash or hang, and what
+FMPy runs the FMU in a separate process with a time and a memory limit (`fmu_worker`): it may crash or hang, and what
 comes of it is a message. On Linux it can write in its own folder only; it can still read what the user can read and use
 the network: run no FMU that you would not run as a program.
 
-Rows that follow in time share a state; a new session (see `drivers.sessions`) starts the FMU anew, at its time 0.
+Rows that follow in time share a state; a new session (see `drivers.sessions`) restarts the FMU at its time 0.
 Inputs are handed over in the FMU's own units, outputs come back as deviations in the response's unit. A few tunable
 parameters may be recalibrated by bounded least squares before the diagnosis; the datum of the recording
 is a nuisance parameter there: a constant between recording and simulation moves no parameter.
@@ -34,7 +34,7 @@ RECALIBRATION_RANGE = 2.0  # without declared bounds a tunable parameter may hal
 
 @dataclass(frozen=True)
 class FmuResult:
-    """values: response -> deviations, (rows,), in its unit; figures: what `twin.json` says of the run."""
+    """values: response -> deviations, (rows,), in its unit; figures: of the run, for `twin.json`."""
 
     values: Mapping[str, np.ndarray]
     source: str

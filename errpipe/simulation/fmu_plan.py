@@ -84,7 +84,7 @@ class Plan:
         declared = self.variables[name]["unit"]
         written = said if said is not None else declared
         if written is None:
-            raise DataError(f"{self.name}: {name} states no unit: say the one it means (`unit`)")
+            raise DataError(f"{self.name}: {name} states no unit: set it with `unit`")
         unit = SPELLINGS.get(written, written)
         if declared is not None and SPELLINGS.get(declared, declared) != unit:
             raise DataError(f"{self.name}: {name} is declared in {declared}, not in {written}")
@@ -155,7 +155,7 @@ class Plan:
             rows = np.flatnonzero(self.session == s)
             at = t[rows] - t[rows[0]]
             if at[-1] / self.step > MAX_STEPS:
-                raise DataError(f"{self.name}: {at[-1]:g} s in steps of {self.step:g} s are too many (say `step`)")
+                raise DataError(f"{self.name}: {at[-1]:g} s in steps of {self.step:g} s are too many (set `step`)")
             stop, signals = float(max(at[-1], self.step)), None
             if self.inputs:
                 new = np.r_[True, np.diff(at) > 0]

@@ -1,4 +1,4 @@
-"""The process that an FMU runs in: started anew, given time, memory and disk, then ended with all that it started.
+"""The process of an FMU: started for each run with limits of time, memory and disk, then ended with its children.
 
 Orders go in and answers come out as lines of JSON (see `fmu_worker`); each answer is waited for until the time limit.
 """
@@ -198,7 +198,7 @@ class FmuProcess:
 def unprivileged_user() -> int:
     """Number of the user that an FMU runs as where errpipe runs as root; 0: as whoever runs errpipe.
 
-    Where `nobody` cannot read the Python in use the FMU stays root, confined all the same.
+    Where `nobody` cannot read the Python in use the FMU stays root, but is still confined.
     """
     if os.name != "posix" or os.getuid() != 0:
         return 0

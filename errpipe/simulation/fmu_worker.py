@@ -1,4 +1,4 @@
-"""Runs one FMU in a process of its own: started as a script, never imported. A crash ends this process only.
+"""Runs one FMU in a separate process: started as a script, never imported. A crash ends this process only.
 
 Two processes: a supervisor that knows no FMU, and the one that runs it. When the supervisor's control pipe closes, when
 the FMU ends or when it has filled the disk that it is given, all its processes are killed, also those in a session

@@ -12,7 +12,7 @@ from errpipe.domain.recording import Recording
 def write(folder: Path, recording: Recording) -> bool:
     """Write `recording.yaml` and its first table, whole files only. True if any byte changed.
 
-    Values are already in canonical units, and so says the manifest.
+    Values are already in canonical units, as stated in the manifest.
     """
     folder = Path(folder)
     table = recording.frame.to_csv(index=False, lineterminator="\n")

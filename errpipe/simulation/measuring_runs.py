@@ -1,6 +1,6 @@
 """Every indirect protocol laid out on a machine: which poses, tools, sockets and circles a measuring team would take.
 
-Each builder takes a chain and returns the runs that `metrology.record` plays. Shares are of the travel.
+Each builder takes a chain and returns the runs that `metrology.record` simulates. Shares are of the travel.
 """
 
 from __future__ import annotations

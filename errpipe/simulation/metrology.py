@@ -2,7 +2,7 @@
 
 A machine's errors are smooth random functions (sums of cosines of random frequency and phase), in the
 conventions of `kinematics.chain` but outside every basis that identification fits. Each protocol is a list of
-`Run`s; `record` plays it and returns the recording a measuring system would write.
+`Run`s; `record` simulates it and returns the recording a measuring system would write.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def record(
     noise: float = 0.5,
     setup: float = 100.0,
 ) -> Recording:
-    """Play the runs. noise (um) on each reading; setup: typical size of set-up errors, um (and urad of a pose)."""
+    """Simulate the runs. noise (um) on each reading; setup: typical size of set-up errors, um (and urad of a pose)."""
     rng = np.random.default_rng(seed)
     frames, constants = [], {"protocol": Constant(value=protocol)}
     for run in runs:
@@ -223,7 +223,7 @@ def circles(
 
 
 def sockets(chain: Chain, spread: float = 0.35) -> list[np.ndarray]:
-    """Four places on the workpiece, below and beside the volume, for bars or tracker stations, mm."""
+    """Four positions on the workpiece side, below and outside the volume, for bars or tracker stations, mm."""
     corners = synthesis.ideal_pose(chain, combinations(list(chain.travel)))[:, 0]
     low, high = corners.min(axis=0), corners.max(axis=0)
     middle, size = (low + high) / 2, high - low

@@ -1,4 +1,4 @@
-"""What a simulation lacks as equations of its own: a plain numpy module to be added to the simulation's deviations.
+"""Missing effects as equations: a numpy module whose result is added to the simulation's deviations.
 
 Each finding is a sum of profile(position) times driver(state) (`drivers.lowered`), and of what rings or comes late
 (`drivers.simulated`). It is flattened into statements, one operation each, printed as Python here and as C in

@@ -29,7 +29,7 @@ HISTORY = 1100  # stored values of a delay, one in a thousandth of it or more (a
 # Numbers that each operation remembers between steps.
 STATE_WIDTH = {"lag": 1, "first": 1, "switch": 1, "side": 1, "direction": 2, "approach": 2, "ringing": 3}
 STATE_WIDTH["late"] = 3 + 2 * HISTORY
-STEPS_PER_ROW = 20.0  # the FMU's own step; outputs are behind their inputs by one of it
+STEPS_PER_ROW = 20.0  # the FMU's own step; outputs are delayed by one step
 COMPILE_TIMEOUT = 120.0  # s
 
 
@@ -113,7 +113,7 @@ def _equations(program: Program, components: list[str]) -> str:
 
 
 def _starts(program: Program) -> list[float]:
-    """Where inputs stand until they are set: their first reading."""
+    """Values of inputs until they are set: their first reading."""
     out = []
     for name in program.inputs():
         values = program.recording.array(name)

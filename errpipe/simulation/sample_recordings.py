@@ -140,7 +140,7 @@ def gantry(seed: int = 4) -> Recording:
 
 
 def drilled_plate(seed: int = 5) -> Recording:
-    """Three plates of 9 by 7 holes drilled by one machine and measured on a CMM, each clamped anew."""
+    """Three plates of 9 by 7 holes drilled by one machine and measured on a CMM, each clamped separately."""
     rng = np.random.default_rng(seed)
     x, y = (g.ravel() for g in np.meshgrid(np.linspace(0, 400, 9), np.linspace(0, 300, 7)))
     parts = []

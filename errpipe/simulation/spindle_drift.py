@@ -34,7 +34,7 @@ class Day:
     duty: tuple[tuple[float, float], ...]
 
 
-COLUMN_LAG = 9000.0  # s, of the column behind the room
+COLUMN_LAG = 9000.0  # s, lag of the column relative to the room
 WARM_UP = ((90, 6000), (40, 0), (60, 9000), (60, 0))  # (minutes, rpm)
 STAIRS = ((35, 2000), (35, 4000), (35, 6000), (35, 8000), (35, 3000), (50, 0))
 MIXED = ((20, 8000), (15, 0), (25, 4000), (10, 10000), (20, 0), (40, 7000), (30, 1000), (40, 0))

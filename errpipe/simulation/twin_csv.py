@@ -137,7 +137,7 @@ def _series(table, simulated: np.ndarray, how: FromCsv, label: str, name: str) -
     if back.size or not np.isfinite(t[0]):
         row = int(rows[back[0] + 1]) if back.size else int(rows[0])
         raise DataError(f"{name}:{row + 2}  {how.time}: time must increase (inside a run)")
-    last = np.r_[np.diff(t) > 0, True]  # at an event the file may say the time twice: what holds after it counts
+    last = np.r_[np.diff(t) > 0, True]  # at an event the file may state a time twice: the value after it is used
     return Series(t[last], values[last])
 
 

@@ -1,4 +1,4 @@
-"""Where a recording's simulated twins come from, as a pipeline says it (`source:` of the stage that adds them)."""
+"""Where a recording's simulated twins come from, as stated in a pipeline (`source:` of the stage that adds them)."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class FromModel(TwinOptions):
 
 
 class FromFmu(TwinOptions, FmuOptions):
-    """A Functional Mock-up Unit in `file`, run in a process of its own."""
+    """A Functional Mock-up Unit in `file`, run in a separate process."""
 
     kind: Literal["fmu"]
 

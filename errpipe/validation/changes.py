@@ -19,7 +19,7 @@ from errpipe.domain.table import CompensationTable
 from errpipe.fitting.components import evaluate
 from errpipe.tables import batch
 
-AFTER = np.array([0.0, 1.0, 60.0, 600.0, 3600.0, 36000.0, 1e9])  # s after the jump; the first row stands before it
+AFTER = np.array([0.0, 1.0, 60.0, 600.0, 3600.0, 36000.0, 1e9])  # s after the jump; the first row is before it
 STATES = 4000  # a bump of 1/200 of the travel is missed by all of them in 1 of 10^6 comparisons
 ENDS = 0.15  # share of the second half at each end of a range: corners of a box of five inputs are then among them
 MOVING = ("position", "command", "actual", "direction")  # roles of what moves with an axis
@@ -77,7 +77,7 @@ class Change:
 
 
 def of_model(model: ErrorModel) -> Compensation:
-    """An error model as it stands, without the fade outside validity."""
+    """An error model without the fade outside validity."""
     kinds = {name: Column.model_validate(facts) for name, facts in model.columns.items()}
 
     def values(states: States) -> Mapping[str, np.ndarray]:
@@ -94,7 +94,7 @@ def of_model(model: ErrorModel) -> Compensation:
 
 
 def of_table(table: CompensationTable) -> Compensation:
-    """A table as a controller runs it: the deviation behind each of its outputs."""
+    """A table as a controller runs it: the deviation of each of its outputs."""
 
     def values(states: States) -> Mapping[str, np.ndarray]:
         columns = {i.name: states.readings[i.name] for i in table.inputs}
@@ -114,7 +114,7 @@ def _profile_span(table: CompensationTable, name: str) -> Range | None:
 def one_axis_one_name(old: Compensation, new: Compensation) -> tuple[Compensation, dict[str, str]]:
     """The new one with the old one's names of positions and directions of the same axis; new name -> old name.
 
-    An axis stands at one place, whatever its column is called: asked at two places, two equal ones would differ.
+    An axis has one position under any column name: evaluated at two positions, two equal ones would differ.
     """
     names = {}
     for name, place in ((n, _place(new, n)) for n in new.roles if n not in old.roles):

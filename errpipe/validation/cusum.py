@@ -10,7 +10,7 @@ import numpy as np
 REFERENCE = 1.0  # of a standard error: half of the shift that is to be found quickest (Page 1954)
 FALSE_ALARMS = 0.02  # of years without drift that raise an alarm, any sensor, normal noise; measured: docs/trials.md
 HORIZON = 365  # runs for which that holds: a year of nights
-SIMULATED = 4000  # simulated years without drift behind a threshold
+SIMULATED = 4000  # simulated years without drift per threshold
 MIN_THRESHOLD = 5.0  # standard errors; below it one odd run would be an alarm
 FEWEST_RUNS = 4  # reference runs below which no scatter between runs is known
 

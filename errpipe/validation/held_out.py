@@ -224,7 +224,7 @@ def component_figures(
 def _tested(
     recording: Recording, component: str, folds: Sequence[HeldOut], best: float, halves: Blocks | None
 ) -> tuple[float, int, float]:
-    """p of a gain, the observations behind it, and the gain that is exported: this one or 0."""
+    """p-value of a gain, its number of observations, and the exported gain: this one or 0."""
     if halves is None:
         chance, runs = significance.p_value(recording, folds, best), significance.independent_runs(recording, folds)
     else:
@@ -272,7 +272,7 @@ def _pooled(folds: Sequence[HeldOut], gain: float) -> float:
 
 
 def _at_gain(fold: HeldOut, gain: float) -> np.ndarray:
-    """What is left when only a share of the correction is applied (both ends are known, and it is linear)."""
+    """Residual if only a share of the correction is applied (linear between two known ends)."""
     return (1.0 - gain) * fold.before + gain * fold.after
 
 

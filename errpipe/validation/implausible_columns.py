@@ -223,7 +223,7 @@ def warm_everywhere(recording: Recording) -> Iterator[Finding]:
 
 
 def fahrenheit(recording: Recording) -> Iterator[Finding]:
-    """A temperature that follows another one 1.8 times as fast: degF beside degC."""
+    """A temperature that follows another one with a factor of 1.8: degF and degC."""
     names = recording.names("temperature")
     for name in names:
         t = recording.array(name)

@@ -109,7 +109,7 @@ def too_small(r: Response) -> Finding | None:
 
 
 def constant(r: Response) -> Finding | None:
-    """A deviation that never changes, or one fine reading that stands in many rows: it was filled in."""
+    """A deviation that never changes, or one precise reading repeated in many rows: it was filled in."""
     values, counts = np.unique(r.deviation, return_counts=True)
     most = counts.max()
     if values.size == 1:
@@ -158,7 +158,7 @@ def mixed_units(r: Response) -> Finding | None:
 
 
 def reversed_sign(r: Response) -> Finding | None:
-    """An error column that is commanded minus actual, where both stand in the recording."""
+    """An error column that is commanded minus actual, if both are in the recording."""
     rec, axis = r.recording, r.component.axis
     if r.component.kind not in ("positioning", "angular positioning") or axis is None or r.per_unit is None:
         return None
@@ -242,7 +242,7 @@ def worse_with_compensation(r: Response) -> Finding | None:
     return None
 
 
-OVER = 0.15  # about -1: what is left where twice the error was compensated
+OVER = 0.15  # about -1: the residual if twice the error was compensated
 
 
 def _of_the_other(r: Response, on: np.ndarray, off: np.ndarray) -> float | None:

@@ -201,7 +201,7 @@ def _faulty_sensors(readings, run, old, new, loudest: float) -> list[int]:
     loudest: largest CUSUM of all sensors over the threshold. The faulty one need not be in alarm itself.
     """
     if loudest < 1.0 or readings.shape[1] < 3:
-        return []  # two sensors that disagree do not say which of them is wrong
+        return []  # with two sensors the wrong one cannot be identified
     left = []
     for k in range(readings.shape[1]):
         z, _, limit = _standardised_residuals(np.delete(readings, k, axis=1), run, old, new)

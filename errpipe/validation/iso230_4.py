@@ -187,7 +187,7 @@ def centred(circle: Circle) -> np.ndarray:
 
 
 def is_full(circle: Circle) -> bool:
-    """Whether a run goes round far enough for circle figures."""
+    """Whether a run covers enough of the circle for circle figures."""
     return _arc(circle) >= FULL_CIRCLE
 
 

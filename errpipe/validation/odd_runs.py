@@ -30,7 +30,7 @@ LEAST_NOISE = 0.1  # of the usual rms: a compensated machine is measured with no
 
 @dataclass(frozen=True)
 class OddRun:
-    """what: the columns or the component; says: how it reads. wrong: the readings are, not the machine."""
+    """what: the columns or the component; says: description. wrong: the readings are wrong, not the machine."""
 
     run: str
     what: str
@@ -170,7 +170,7 @@ def odd_responses(
 def _factor(measured: np.ndarray, predicted: np.ndarray, usual: float) -> float | None:
     """The factor by which a run was read, if division by it leaves the residual of other runs; else None.
 
-    A prediction that is no larger than what is left says nothing of a factor: times 1000 it would fit any run.
+    A prediction no larger than the residual does not determine a factor: times 1000 it would fit any run.
     """
     if rms(predicted) <= AS_BEFORE * usual:
         return None

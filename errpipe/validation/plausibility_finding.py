@@ -16,7 +16,7 @@ RARE = 1e-4  # chance that two equal variances give such a ratio; four orders ar
 RARE_NOISE = 1e-3  # chance that rows in their right order differ by more than the repeats allow
 SINGLE_RUN_RATIO = 16.0  # of variances: of 1023 sound single runs none passes even the F test alone
 FINE = 200.0  # levels within the span; a dial of 0.01 mm has 30 of them over an error of 0.3 mm
-MIN_FINITE_ROWS = 6  # finite rows; fewer say nothing about a slope
+MIN_FINITE_ROWS = 6  # finite rows; too few to estimate a slope
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ MAX_MAGNITUDE = 1e15  # of a position or a deviation in its unit; sums of square
 
 
 def responses(recording: Recording) -> list[Response]:
-    """Every error column of a recording; without the readings that are too large to be any, which a door refuses."""
+    """Every error column of a recording; without impossibly large readings, which are refused on import."""
     out = []
     for name in recording.names("error"):
         component = components.parse(str(recording.manifest.columns[name].component))

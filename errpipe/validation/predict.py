@@ -80,13 +80,13 @@ class Predictor:
 
 def of_model(model: ErrorModel) -> Predictor:
     """The predictor of a fitted model."""
-    from errpipe.fitting.components import evaluate  # a table needs none of the solvers behind it
+    from errpipe.fitting.components import evaluate  # a table needs no solver
 
     return of_evaluator(lambda recording: evaluate(model, recording), model)
 
 
 def of_evaluator(evaluator: Evaluate, model: ErrorModel, begin: Begin | None = None) -> Predictor:
-    """Another evaluator (of the compiled table) with the intervals and the validity box of the model behind it."""
+    """Another evaluator (of the compiled table) with the intervals and the validity box of its model."""
     return Predictor(
         evaluator,
         tuple(c.component for c in model.components),
@@ -194,7 +194,7 @@ def _rows_by_run(codes: np.ndarray) -> Iterator[tuple[int, Any]]:
 
 
 def held(recording: Recording, last: dict[str, float] | None = None) -> Recording:
-    """Rows of one run with every input's last value held over gaps, and time that never goes back.
+    """Rows of one run with every input's last value held over gaps, and time that never decreases.
 
     last: the values that the run's rows before these ended with, by column; brought up to date.
     """

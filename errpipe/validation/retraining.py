@@ -261,7 +261,7 @@ def _no_group_worse(scores: Sequence[RunScore]) -> list[Gate]:
 
 
 def significantly_worse(scores: Sequence[float], level: float) -> bool:
-    """One-sided paired t test over runs: is the mean score below zero? Few runs say nothing."""
+    """One-sided paired t test over runs: is the mean score below zero? Not evaluated with few runs."""
     if len(scores) < LEAST_RUNS or np.mean(scores) >= 0:
         return False
     spread = float(np.std(scores, ddof=1)) / np.sqrt(len(scores))

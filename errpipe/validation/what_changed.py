@@ -83,7 +83,7 @@ def changed_again(
     """How many runs after run `first`, at which a machine changed, its level changed once more; 0 where it did not.
 
     residual: as of `what_changed`, of all rows; reference: rows before the first change, (rows,). Means of the runs
-    since then: a step at the likeliest run, beside all linear terms, over the scatter between runs of the reference.
+    since then: a step at the likeliest run, with all linear terms, over the standard deviation between reference runs.
     """
     run = recording.run_codes()
     columns = np.column_stack([residual, *(_columns(model, component, f, recording) for f in component.terms)])

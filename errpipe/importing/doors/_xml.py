@@ -17,4 +17,4 @@ def root_of(path: Path, data: bytes) -> ElementTree.Element:
         return ElementTree.fromstring(data)
     except (ElementTree.ParseError, ValueError, LookupError) as err:
         line = f":{err.position[0]} " if isinstance(err, ElementTree.ParseError) else ":"
-        raise DataError(f"{path}{line} not XML that can be read ({err}): save it anew, or export it as CSV") from None
+        raise DataError(f"{path}{line} not XML that can be read ({err}): save it again, or export it as CSV") from None

@@ -46,7 +46,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         raise
     except Exception as err:  # h5py raises OSError, RuntimeError, ValueError, KeyError for damaged files
         raise DataError(
-            f"{path}: not an HDF5 file that can be read ({type(err).__name__}): export it anew, or as CSV"
+            f"{path}: not an HDF5 file that can be read ({type(err).__name__}): export it again, or as CSV"
         ) from None
     return [s.limited() for s in sheets_of(datasets, path.stem) if options.sheet in (None, s.name)]
 

@@ -39,7 +39,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
             raise
         except Exception as err:  # scipy raises ValueError, TypeError, zlib.error, ... for damaged files
             raise DataError(
-                f"{path}: not a MATLAB file that can be read ({type(err).__name__}): export it anew, or as CSV"
+                f"{path}: not a MATLAB file that can be read ({type(err).__name__}): export it again, or as CSV"
             ) from None
         for key, value in file.items():
             if not key.startswith("__"):
@@ -76,5 +76,5 @@ def _newer(path: Path, root: Node) -> None:
         raise
     except Exception as err:  # h5py raises OSError, RuntimeError, ValueError for damaged files
         raise DataError(
-            f"{path}: not a MATLAB file that can be read ({type(err).__name__}): export it anew, or as CSV"
+            f"{path}: not a MATLAB file that can be read ({type(err).__name__}): export it again, or as CSV"
         ) from None

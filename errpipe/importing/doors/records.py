@@ -51,7 +51,7 @@ def _parquet(path: Path) -> dict[str, list[Cell]]:
         raise
     except Exception as err:  # pyarrow raises ArrowInvalid, OSError, KeyError, ... for damaged files
         raise DataError(
-            f"{path}: not a Parquet file that can be read ({type(err).__name__}): export it anew, or as CSV"
+            f"{path}: not a Parquet file that can be read ({type(err).__name__}): export it again, or as CSV"
         ) from None
 
 

@@ -39,7 +39,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         raise
     except Exception as err:  # npTDMS raises ValueError, struct.error, KeyError, ... for damaged files
         raise DataError(
-            f"{path}: not a TDMS file that can be read ({type(err).__name__}): export it anew, or as CSV"
+            f"{path}: not a TDMS file that can be read ({type(err).__name__}): export it again, or as CSV"
         ) from None
     finally:
         log_manager.console_handler.removeFilter(remarks.add)

@@ -218,7 +218,7 @@ def test_no_process_outlives_its_recording(model: Path, monkeypatch: pytest.Monk
         ({"inputs": {"rize": {"column": "T"}}}, r"no input 'rize' \(it has: rise\).*Did you mean rise\?"),
         ({"inputs": {"z": {"column": "T"}}}, "z is its output, not an input"),
         ({"inputs": {"rise": {"column": "T_nut", "unit": "K"}}}, "driven by T_nut, which the recording lacks"),
-        ({"inputs": {"rise": {"column": "T"}}}, "rise states no unit: say the one it means"),
+        ({"inputs": {"rise": {"column": "T"}}}, "rise states no unit: set it with `unit`"),
         ({"inputs": {"rise": {"column": "feed", "unit": "K"}}}, r"rise \(K\) cannot be given feed \(mm/min\)"),
         ({"inputs": {"rise": {"column": "T", "unit": "quux"}}}, "not a known unit"),
         ({"inputs": {"rise": {"column": "feed", "unit": "K", "rise_from": 1.0}}}, "rise_from is for temperatures"),
