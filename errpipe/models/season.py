@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
 from errpipe.models._base import Family, Fitted, Progress, Table, held_out, no_progress
 from errpipe.thermal.season_options import SeasonOptions
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import Fold, HoldOut
     from errpipe.fitting.judging import HeldOut
@@ -72,7 +71,6 @@ class Season(Family):
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """One setting, the network with its correction; none where no sensor is on the machine."""
-        import numpy as np
 
         from errpipe.errors import DataError
         from errpipe.thermal.arithmetic import predicted_since_start

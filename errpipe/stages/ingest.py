@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
 from errpipe.errors import DataError, UsageError, did_you_mean
@@ -69,8 +70,6 @@ class Ingest(Stage):
 
     def _kept(self, recording: Recording) -> Recording:
         """The runs that are asked for. Raises DataError where none is left; one left out may be gone."""
-        import numpy as np
-
         labels = recording.run_labels()
         if self.since_run is not None and self.since_run not in labels:
             raise DataError(f"since_run: no run {self.since_run!r}.{did_you_mean(self.since_run, labels)}")

@@ -126,7 +126,7 @@ def _held_out(
 
 
 def _mean_square_arms(chain: Chain) -> np.ndarray:
-    """Mean square, over the volume, of what 1 um (urad) of each component moves each linear axis by: (axes, components)."""
+    """Mean square, over the volume, of what 1 um (urad) of each component moves each axis by, (axes, components)."""
     q = remaining.places(chain)
     to_axes = np.linalg.pinv(synthesis.linear_motion(chain, q))
     return np.mean((to_axes @ synthesis.jacobian(chain, q)[:, :3]) ** 2, axis=0)
