@@ -30,7 +30,6 @@ KNOWN = {  # parameter -> why it may stay
     "diagnosis.prepare._long(least)": "named beside its caller's threshold",
     "formats.ecmc_dat.read(options)": "passed by way of the registry",
     "thermal.arithmetic.slope(low)": "the lower of two bounds",
-    "verbs.import_files.write(overwrite)": "passed by the command line, which imports the verb when it runs",
 }
 KNOWN_OPTIONS = {  # option -> who sets it
     "models.terms.less_simulated": "the diagnosis, for the model that it writes",
