@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
+from errpipe.errors import DataError
 from errpipe.models._base import Family, Fitted, Grid, Progress, held_out, no_progress
 from errpipe.yamlfile import quantity
 
@@ -71,7 +72,6 @@ class ThermalFamily(Family):
         as far as halves), and their 90 % width held 65 % (89 %) of the rows.
         """
 
-        from errpipe.errors import DataError
         from errpipe.fitting import holdout
         from errpipe.thermal.arithmetic import FEWEST_RUNS, all_known, living_sensors
 
@@ -157,7 +157,6 @@ class ThermalFamily(Family):
         return [Grid("Competition of families", list(columns), names, values, remarks, MIXTURE, caption)]
 
     def _compete(self, recording: Recording, rows: np.ndarray | None) -> tuple[ThermalModel, Outcome]:
-        from errpipe.errors import DataError
         from errpipe.fitting.solve import one_thread
         from errpipe.thermal import competition
         from errpipe.thermal import linear as thermal_linear
@@ -188,7 +187,6 @@ class ThermalFamily(Family):
         So these compete there only where gains of known sign are behind already (`competition.PHYSICAL_REGRET`).
         """
 
-        from errpipe.errors import DataError
         from errpipe.fitting import holdout
 
         try:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from errpipe.errors import DataError, VerifyError
 from errpipe.models._base import Family, Fitted, Progress, Table, held_out, no_progress
 from errpipe.models._force_options import ForceOptions
 
@@ -101,7 +102,6 @@ def _curve(options: Force, recording: Recording, parts: Mapping[str, Structure])
     """Compliance of the cut over the axis, um/N, with its parts; one place where no axis moves."""
 
     from errpipe.drivers.motion import position
-    from errpipe.errors import DataError
     from errpipe.models import _push_tests as push
 
     if options.axis is None:
@@ -168,7 +168,6 @@ def _error_model(
 def _terms(options: Force, at: np.ndarray, gain: np.ndarray) -> tuple[Any, ...]:
     """Force times a level, and force times a curve over the axis, um per N."""
 
-    from errpipe.errors import VerifyError
     from errpipe.terms import Curve, fitted_term
     from errpipe.terms.profile_driver import ProfileDriver
 

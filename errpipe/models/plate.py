@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from errpipe.errors import DataError, did_you_mean
 from errpipe.models._base import Family, Fitted, Progress, Table, held_out, no_progress
 
 if TYPE_CHECKING:
@@ -128,8 +129,6 @@ def chosen_plates(recording: Recording, chosen: str) -> Recording:
 
     Raises DataError for a label that is not in the recording.
     """
-    from errpipe.errors import DataError, did_you_mean
-
     labels = recording.run_labels()
     if chosen == "all":
         return recording

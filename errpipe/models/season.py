@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from errpipe.errors import DataError
 from errpipe.models._base import Family, Fitted, Progress, Table, held_out, no_progress
 from errpipe.thermal.season_options import SeasonOptions
 
@@ -42,8 +43,6 @@ class Season(Family):
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
         """Without a scheme: each environment in turn, or runs where the recording names less than two."""
-        from errpipe.errors import DataError
-
         try:
             return super().folds(recording, scheme)
         except DataError:
@@ -72,7 +71,6 @@ class Season(Family):
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """One setting, the network with its correction; none where no sensor is on the machine."""
 
-        from errpipe.errors import DataError
         from errpipe.thermal.arithmetic import predicted_since_start
         from errpipe.thermal.competition import Entrant
         from errpipe.thermal.season import Problem

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from errpipe import formats
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.pipeline.stage import Context, InputPath, Need, Stage
 from errpipe.yamlfile import quantity
@@ -42,7 +43,6 @@ class Ingest(Stage):
     writes: ClassVar[tuple[str, ...]] = ("recording.yaml", "recording.parquet", "ingest.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:
-        from errpipe import formats
         from errpipe.formats import manifest_folder
 
         path = self.recording or context.maybe("simulated")
@@ -59,7 +59,6 @@ class Ingest(Stage):
 
     def _whole(self, context: Context, path: Path) -> tuple[int, Mapping[str, Any] | None]:
         """Write the runs that are kept, as without the table that was on. Returns the rows, and what was added."""
-        from errpipe import formats
         from errpipe.formats import manifest_folder
         from errpipe.stages import _compensated
 
