@@ -52,10 +52,10 @@ types: $(SETUP) ## static types
 check: lint types test ## what to run before a change is offered
 	@$(BIN)/errpipe check --no-data pipelines/*.yaml
 
-generated: $(SETUP) ## write schemas/, docs/ (reference pages) and tests/errors/ again from the code
+generated: $(SETUP) ## write schemas/, reference pages, error texts and the README's counts again from the code
 	@$(BIN)/errpipe schema --write schemas
 	@$(BIN)/errpipe reference --write docs
-	@WRITE_EXPECTED=1 $(PYTEST) tests/errors
+	@WRITE_EXPECTED=1 $(PYTEST) tests/errors tests/contract/test_readme_counts.py
 
 screenshots: $(SETUP) ## docs/pictures again, by headless chromium
 	@$(BIN)/python -m tests.screenshots docs/pictures

@@ -9,11 +9,10 @@ from errpipe.errors import ConfigError, Problem
 
 def check(files: list[Path], data: bool, style: str, as_json: bool) -> int:
     """Check configuration files; returns the exit code. style: text or github. Raises ConfigError in text."""
-    from errpipe.cli._deferred import defer, defer_plugins
+    from errpipe.cli._deferred import defer_plugins
     from errpipe.cli.output import print_result
 
     defer_plugins()
-    defer("numpy", "pandas", "pyarrow", "pyarrow.csv", "pyarrow.parquet")
     problems: list[Problem] = []
     checked = []
     for file in files:

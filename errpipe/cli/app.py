@@ -15,6 +15,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from errpipe.cli._deferred import defer
 from errpipe.cli._names import VERBS
 from errpipe.cli.output import print_error
 from errpipe.errors import ErrpipeError, UsageError, did_you_mean
@@ -34,6 +35,7 @@ class _Terminated(KeyboardInterrupt):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line; returns the exit code. The one place where errors become messages."""
     gc.set_threshold(NEW_OBJECTS)
+    defer("numpy", "pandas", "pyarrow", "pyarrow.csv", "pyarrow.parquet")
     if argv is None:
         _end_cleanly()
     arguments = list(sys.argv[1:] if argv is None else argv)

@@ -47,12 +47,11 @@ class Fitted:
 class ByDirection:
     """A friction law for each way: damping and friction, forwards and backwards, in the units of axis and response.
 
-    response: N or N m; rotary: damping per deg/s, else per m/s; sharpness in mm/s (deg/s).
+    response: N or N m; rotary: damping per deg/s, else per m/s.
     """
 
     axis: str
     column: str
-    sharpness: float
     law: Fitted
     alike: Fitted
     response: str = "N"
@@ -112,7 +111,7 @@ def by_direction(case: Case) -> ByDirection | None:
         if best is None or law.held_out < best.law.held_out:
             single_law = fitted(np.column_stack([mass, drag, dry, np.ones(v.size)]), force)
             rotary = is_rotary(case.recording, axis)
-            best = ByDirection(axis, velocity, sharpness, law, single_law, case.pair.unit, rotary)
+            best = ByDirection(axis, velocity, law, single_law, case.pair.unit, rotary)
     assert best is not None
     best = replace(best, law=widened(best.law, laws))
     differs = best.law.differ(1, 2) or best.law.differ(3, 4)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
 
 from errpipe.domain.recording import Manifest, Past, Recording
-
-if TYPE_CHECKING:
-    import numpy as np
-    import pandas as pd
 
 
 class Batch(Recording):
@@ -35,8 +35,6 @@ class Batch(Recording):
     @cached_property
     def run_stretches(self) -> tuple[list[str], np.ndarray]:
         """Run of each stretch of rows of one run, and the first row of each, (stretches,)."""
-        import numpy as np
-
         name = self.name("run")
         if name is None:
             return (["1"], np.zeros(1, dtype=np.int64)) if len(self) else ([], np.zeros(0, dtype=np.int64))
@@ -48,8 +46,6 @@ class Batch(Recording):
 
     @cached_property
     def _codes(self) -> tuple[np.ndarray, tuple[str, ...]]:
-        import numpy as np
-
         runs, starts = self.run_stretches
         number = {label: k for k, label in enumerate(dict.fromkeys(runs))}
         codes = np.array([number[label] for label in runs], dtype=np.int64)
@@ -58,15 +54,11 @@ class Batch(Recording):
     @cached_property
     def frame(self) -> pd.DataFrame:
         """The rows as pandas has them, labels as categories."""
-        import pandas as pd
-
         made = {n: v.to_pandas() if hasattr(v, "dictionary") else v for n, v in self.columns.items()}
         return pd.DataFrame(made, copy=False)
 
     def take(self, rows: Any) -> Batch:
         """The batch with only the rows of a boolean mask, an index array or a slice (which copies nothing)."""
-        import numpy as np
-
         rows = np.flatnonzero(rows) if getattr(rows, "dtype", None) == "bool" else rows
         size = len(range(*rows.indices(len(self)))) if isinstance(rows, slice) else len(rows)
         return Batch(self.manifest, {n: _taken(values, rows) for n, values in self.columns.items()}, size)
@@ -86,9 +78,6 @@ class Stretches:
 
     def take(self, rows: Any) -> Any:
         """The labels of some rows, as a dictionary array."""
-        import numpy as np
-        import pyarrow as pa
-
         rows = np.arange(self.rows)[rows] if isinstance(rows, slice) else rows
         index = np.searchsorted(self.starts, rows, side="right") - 1
         return pa.DictionaryArray.from_arrays(index.astype(np.int32), self.dictionary, safe=False)
@@ -110,10 +99,6 @@ def _taken(values: Any, rows: np.ndarray | slice) -> Any:
 
 def joined(parts: Sequence[Recording]) -> pd.DataFrame:
     """The rows of several parts of a recording, one after the other."""
-    import numpy as np
-    import pandas as pd
-    import pyarrow as pa
-
     batches = [p for p in parts if isinstance(p, Batch)]
     if len(batches) < len(parts):
         return pd.concat([p.frame for p in parts], ignore_index=True)

@@ -9,16 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
+import numpy as np
+import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from errpipe.errors import MissingColumn, did_you_mean
 from errpipe.yamlfile import quantity
-
-if TYPE_CHECKING:
-    import numpy as np
-    import pandas as pd
 
 Role = Literal[
     "run",
@@ -326,9 +324,6 @@ class Recording:
 
     @cached_property
     def _codes(self) -> tuple[np.ndarray, tuple[str, ...]]:
-        import numpy as np
-        import pandas as pd
-
         column = self.name("run")
         if column is None:
             return np.zeros(len(self.frame), dtype=np.int64), ("1",)
@@ -346,16 +341,12 @@ class Recording:
     @cached_property
     def run_stretches(self) -> tuple[list[str], np.ndarray]:
         """Run of each stretch of rows of one run, and the first row of each, (stretches,)."""
-        import numpy as np
-
         codes, labels = self._codes
         starts = np.flatnonzero(np.diff(codes, prepend=-1))
         return [labels[k] for k in codes[starts]], starts
 
     def time(self) -> np.ndarray:
         """Time in s, shape (rows,); the row number where the recording has no time column."""
-        import numpy as np
-
         column = self.name("time")
         return np.arange(len(self), dtype=float) if column is None else self.array(column)
 

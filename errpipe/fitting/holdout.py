@@ -13,6 +13,7 @@ from datetime import datetime, timedelta
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
+import pandas as pd
 from pydantic import Field
 
 from errpipe.domain.recording import Column, Frozen, Recording
@@ -169,8 +170,6 @@ def _automatic(recording: Recording, scheme: HoldOut) -> HoldOut:
 
 
 def _folds(recording: Recording, scheme: HoldOut) -> Iterator[Fold]:
-    import pandas as pd
-
     if scheme.scheme == "leave-one-group-out" and scheme.of is None and recording.names("group"):
         scheme = scheme.model_copy(update={"of": recording.names("group")[0]})
     if scheme.scheme == HALVES:

@@ -90,19 +90,27 @@ def _held(batches: Iterator[Recording], sensors: dict[str, tuple[_Sensor, int]])
                 in_run, current, latest = 0, run, {}
             row = in_run + np.arange(end - first)
             for name, (sensor, limit) in sensors.items():
-                values = columns[name][first:end]
-                known = np.flatnonzero(~np.isnan(values))
-                at, value = latest.get(name, (-1, np.nan))
-                rows, readings = np.r_[at, row[known]], np.r_[value, values[known]]
-                before = np.searchsorted(rows, row, side="right") - 1
-                near = row - rows[before] <= limit
-                columns[name][first:end] = np.where(near, readings[before], np.nan)
-                start, value_of_first = sensor.first.get(run, (0, np.nan))
-                early = (row < start) & (start - row <= limit)
-                columns[name][first:end][early] = value_of_first
-                latest[name] = (int(rows[-1]), float(readings[-1]))
+                before, first_reading = latest.get(name, (-1, np.nan)), sensor.first.get(run, (0, np.nan))
+                filled, latest[name] = _filled(columns[name][first:end], row, before, first_reading, limit)
+                columns[name][first:end] = filled
             in_run += end - first
         yield _with(batch, columns)
+
+
+def _filled(
+    values: np.ndarray, row: np.ndarray, before: tuple[int, float], first: tuple[int, float], limit: int
+) -> tuple[np.ndarray, tuple[int, float]]:
+    """A stretch of a run with each reading held for at most `limit` rows, (rows,), and the last reading in it.
+
+    row: within the run, (rows,). before, first: row and value of the reading before the stretch and of the run's first
+    one, which the rows before it take.
+    """
+    known = np.flatnonzero(~np.isnan(values))
+    rows, readings = np.r_[before[0], row[known]], np.r_[before[1], values[known]]
+    latest = np.searchsorted(rows, row, side="right") - 1
+    filled = np.where(row - rows[latest] <= limit, readings[latest], np.nan)
+    filled[(row < first[0]) & (first[0] - row <= limit)] = first[1]
+    return filled, (int(rows[-1]), float(readings[-1]))
 
 
 def _with(batch: Recording, columns: dict[str, np.ndarray]) -> Recording:

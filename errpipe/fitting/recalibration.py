@@ -93,24 +93,32 @@ def by_readings(
         probed = schedule(recording, SHIFT / number) if number else np.zeros(len(recording), dtype=bool)
         if number and np.mean(probed) > 0.5:
             break
-        residuals = {}
-        for name, values in (("rms", left), ("rms_readings_alone", before)):
-            last = [last_reading(run[r], v, probed[r]) for r, v in zip(rows, values, strict=True)]
-            after = []
-            for k, own in enumerate(values):
-                others = [j for j in range(len(values)) if j != k]
-                share = share_of([values[j] for j in others], [last[j] for j in others])
-                after.append(own - share * last[k])
-            residuals[name] = after
-            if name == "rms":
-                share_of_all = share_of(values, last)
+        runs, at_reading = [run[r] for r in rows], [probed[r] for r in rows]
+        share, after = _after_readings(runs, left, at_reading)
+        residuals = {"rms": after, "rms_readings_alone": _after_readings(runs, before, at_reading)[1]}
         levels.append(
-            {"per_shift": number, "share": share_of_all}
+            {"per_shift": number, "share": share}
             | {name: rms(np.concatenate(after)) for name, after in residuals.items()}
             | {"groups": [{"label": g} | {n: rms(a[k]) for n, a in residuals.items()} for k, g in enumerate(labels)]}
         )
     bound = PLAUSIBLE * max(float(np.abs(v).max()) for v in left)
     return {"shift_h": SHIFT / 3600.0, "bound": bound, "levels": levels}
+
+
+def _after_readings(
+    runs: Sequence[np.ndarray], values: Sequence[np.ndarray], probed: Sequence[np.ndarray]
+) -> tuple[float, list[np.ndarray]]:
+    """The share of a reading over all groups, and what each group keeps with the share of the others, um.
+
+    runs, values, probed: per group, shape (rows of the group,): run, value in um, whether the row is probed.
+    """
+    last = [last_reading(*group) for group in zip(runs, values, probed, strict=True)]
+
+    def left_with_others(k: int) -> np.ndarray:
+        others = [j for j in range(len(values)) if j != k]
+        return values[k] - share_of([values[j] for j in others], [last[j] for j in others]) * last[k]
+
+    return share_of(values, last), [left_with_others(k) for k in range(len(values))]
 
 
 def with_readings(model: ErrorModel, validations: Sequence[Mapping[str, Any]], per_shift: int) -> ErrorModel:

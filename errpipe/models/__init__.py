@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from errpipe.errors import VerifyError
 from errpipe.models._base import Family
 from errpipe.yamlfile import Choice
 
@@ -25,8 +26,6 @@ __all__ = ["BY_FIT", "DEFAULT", "FAMILIES", "SEVERAL", "Family", "family_of", "p
 
 def family_of(document: Mapping[str, Any]) -> Family:
     """The family behind `fit.json`, with what it was asked for. Raises VerifyError where it is unknown."""
-    from errpipe.errors import VerifyError
-
     asked = {key: value for key, value in document.items() if key != "fit"}
     name = asked.get("family")
     if name not in FAMILIES.tags:

@@ -12,11 +12,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
+import numpy as np
+
 from errpipe.domain.recording import Frozen
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
     from errpipe.fitting import history
@@ -168,7 +168,6 @@ class Family(Frozen, ABC):
 
 def held_out(fold: Fold, before: np.ndarray, after: np.ndarray, outside: np.ndarray, used: float = 0.0) -> HeldOut:
     """The judged rows of a fold that have a value before and after, um; arrays over all rows, (rows,)."""
-    import numpy as np
 
     from errpipe.fitting.judging import HeldOut, NothingJudged
 

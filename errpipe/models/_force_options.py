@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from errpipe.domain.recording import Frozen, Recording
@@ -11,8 +12,6 @@ from errpipe.errors import DataError
 from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from errpipe.kinematics import beam
 
 
@@ -44,7 +43,6 @@ class Body(Frozen):
 
     def at(self, places: np.ndarray | None = None) -> np.ndarray:
         """Compliance at distances from the clamped end (default: the far end), um/N."""
-        import numpy as np
 
         from errpipe.kinematics import beam
 

@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
 from pydantic import Field
 
+from errpipe.errors import DataError
 from errpipe.models._base import Family, Fitted, Grid, Progress, held_out, no_progress
 from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from errpipe.domain import driver as d
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import Fold, HoldOut
@@ -71,9 +71,7 @@ class ThermalFamily(Family):
         (seeds 5101 and 5102 of `trials.thermal`), later days were left 1.8 times as far off as such blocks (0.8 times
         as far as halves), and their 90 % width held 65 % (89 %) of the rows.
         """
-        import numpy as np
 
-        from errpipe.errors import DataError
         from errpipe.fitting import holdout
         from errpipe.thermal.arithmetic import FEWEST_RUNS, all_known, living_sensors
 
@@ -120,7 +118,6 @@ class ThermalFamily(Family):
 
         Deviation and prediction both count from the mean of a run's first rows: the zero of a run is its datum.
         """
-        import numpy as np
 
         from errpipe.fitting import holdout
         from errpipe.fitting.validity import distance
@@ -160,7 +157,6 @@ class ThermalFamily(Family):
         return [Grid("Competition of families", list(columns), names, values, remarks, MIXTURE, caption)]
 
     def _compete(self, recording: Recording, rows: np.ndarray | None) -> tuple[ThermalModel, Outcome]:
-        from errpipe.errors import DataError
         from errpipe.fitting.solve import one_thread
         from errpipe.thermal import competition
         from errpipe.thermal import linear as thermal_linear
@@ -190,9 +186,7 @@ class ThermalFamily(Family):
         the winter of a turning centre, lagged gains left 3.7 um of a run left out and 17 um in spring, where 8.7 were.
         So these compete there only where gains of known sign are behind already (`competition.PHYSICAL_REGRET`).
         """
-        import numpy as np
 
-        from errpipe.errors import DataError
         from errpipe.fitting import holdout
 
         try:
@@ -224,7 +218,6 @@ def _left(recording: Recording, family: ThermalFamily, outcome: Outcome) -> np.n
 
 
 def _noise_floor(recording: Recording, family: ThermalFamily, outcome: Outcome) -> float | None:
-    import numpy as np
 
     from errpipe.fitting.noise_floor import noise_floor
 
@@ -265,7 +258,6 @@ def linear(family: str, name: str, problem: LinearProblem, gains: Callable[[tupl
 
 def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> ThermalModel:
     """The mixture as one sum of gains times drivers, clipped to limits from the fitted deviations."""
-    import numpy as np
 
     from errpipe.domain import driver as d
     from errpipe.fitting.statistics import rms
@@ -328,7 +320,6 @@ def _sum_of(outcome: Outcome, groups: tuple[int, ...]) -> Any:
 
 def _zeros(family: ThermalFamily, problem: LinearProblem) -> tuple[float, float]:
     """Mean and standard deviation of the runs' zeros, um."""
-    import numpy as np
 
     from errpipe.fitting.design import response_name
 

@@ -16,13 +16,12 @@ from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
+import numpy as np
 from pydantic import Field
 
 from errpipe.models._thermal import ThermalFamily, linear
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from errpipe.domain import driver as d
     from errpipe.thermal.competition import Entrant
     from errpipe.thermal.linear import LinearProblem
@@ -45,7 +44,6 @@ class Bilinear(ThermalFamily):
 
         Within a single run nothing shows that a product holds on another day.
         """
-        import numpy as np
 
         from errpipe.thermal import linear as t
 

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from errpipe.domain.components import is_error_motion
 from errpipe.domain.machine import Machine
+from errpipe.errors import UsageError
 from errpipe.models._base import Family, Fitted, Progress, no_progress
 
 if TYPE_CHECKING:
@@ -36,8 +37,6 @@ class Direct(Family):
 
     def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Raises UsageError: its error model comes from the stage that identifies the machine."""
-        from errpipe.errors import UsageError
-
         raise UsageError("direct records are fitted by the stage that identifies the machine")
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:

@@ -12,12 +12,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
+from errpipe.errors import DataError, VerifyError
 from errpipe.models._base import Family, Fitted, Progress, Table, held_out, no_progress
 from errpipe.models._force_options import ForceOptions
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import Fold
@@ -38,7 +39,6 @@ class Force(ForceOptions, Family):
 
     def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Fit the structure on every row. Raises DataError, VerifyError."""
-        import numpy as np
 
         from errpipe.models import _push_tests as push
 
@@ -61,7 +61,6 @@ class Force(ForceOptions, Family):
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """The structure from one side, the other side's deflections judged; zero is that of each run."""
-        import numpy as np
 
         from errpipe.models import _push_tests as push
 
@@ -101,10 +100,8 @@ def _figures(part: Structure) -> dict[str, Any]:
 
 def _curve(options: Force, recording: Recording, parts: Mapping[str, Structure]) -> dict[str, np.ndarray]:
     """Compliance of the cut over the axis, um/N, with its parts; one place where no axis moves."""
-    import numpy as np
 
     from errpipe.drivers.motion import position
-    from errpipe.errors import DataError
     from errpipe.models import _push_tests as push
 
     if options.axis is None:
@@ -137,7 +134,6 @@ def _curve(options: Force, recording: Recording, parts: Mapping[str, Structure])
 def _error_model(
     options: Force, recording: Recording, parts: Mapping[str, Structure]
 ) -> tuple[ErrorModel, dict[str, list[float]]]:
-    import numpy as np
 
     from errpipe.domain.error_model import ComponentModel, ErrorModel, Validity
     from errpipe.drivers.motion import position_name
@@ -171,9 +167,7 @@ def _error_model(
 
 def _terms(options: Force, at: np.ndarray, gain: np.ndarray) -> tuple[Any, ...]:
     """Force times a level, and force times a curve over the axis, um per N."""
-    import numpy as np
 
-    from errpipe.errors import VerifyError
     from errpipe.terms import Curve, fitted_term
     from errpipe.terms.profile_driver import ProfileDriver
 

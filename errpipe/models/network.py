@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
+from errpipe.errors import DataError
 from errpipe.models._thermal import ThermalFamily
 from errpipe.thermal.season_options import SeasonOptions
 
@@ -26,7 +27,6 @@ class Network(ThermalFamily):
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """One setting; none where no sensor is on the machine."""
-        from errpipe.errors import DataError
         from errpipe.thermal.competition import Entrant
         from errpipe.thermal.season import Problem
 

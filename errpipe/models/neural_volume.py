@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
 from errpipe.models._base import Family, Fitted, Progress, held_out, no_progress
@@ -35,7 +36,6 @@ class NeuralVolume(Family):
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """A network of positions and rises for each penalty; none where the recording has no position."""
-        import numpy as np
 
         from errpipe.domain import driver as d
         from errpipe.models._perceptron import Layer, entrant
@@ -53,7 +53,6 @@ class NeuralVolume(Family):
 
     def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
         """Fit on every row. Raises DataError without a position, a component, or a row that has everything."""
-        import numpy as np
 
         from errpipe.models import _volume_network as net
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
+from errpipe.errors import DataError, did_you_mean
 from errpipe.models._base import Family, Fitted, Progress, Table, held_out, no_progress
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import Fold, HoldOut
@@ -61,7 +61,6 @@ class Plate(Family):
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
         """Without a scheme whole plates are held out; of a single plate, every so many of its holes in turn."""
-        import numpy as np
 
         from errpipe.fitting.holdout import Fold
 
@@ -73,7 +72,6 @@ class Plate(Family):
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """A plate's shift and rotation come from its fitted holes, else (a plate never seen) from the judged ones."""
-        import numpy as np
 
         from errpipe.fitting.design import response_name
         from errpipe.kinematics import planar
@@ -99,8 +97,6 @@ class Plate(Family):
 
     def _chosen_rows(self, recording: Recording, rows: np.ndarray) -> np.ndarray:
         """Rows of the plate that option `plate` chooses; the last one in the mask `rows` where that one is held out."""
-        import numpy as np
-
         run = recording.run_codes()
         if self.plate == "all":
             return np.ones(run.size, dtype=bool)
@@ -131,8 +127,6 @@ def chosen_plates(recording: Recording, chosen: str) -> Recording:
 
     Raises DataError for a label that is not in the recording.
     """
-    from errpipe.errors import DataError, did_you_mean
-
     labels = recording.run_labels()
     if chosen == "all":
         return recording
@@ -144,8 +138,6 @@ def chosen_plates(recording: Recording, chosen: str) -> Recording:
 
 def _parts(fitted: Any) -> list[dict[str, Any]]:
     """What the map is made of, in words, with the range of each part over the pattern, um; largest first."""
-    import numpy as np
-
     box, curves = fitted.functions.box, fitted.components(POINTS)
     out = [
         {"component": f"E_{name[1]}", "part": f"curve over {name[2]} ({name})", "range_um": float(np.ptp(curve[1]))}
@@ -207,7 +199,6 @@ def _lookup(name: str, positions: Any, values: Any):
 
 def _rms_without_setup(recording: Recording) -> dict[str, float]:
     """rms of each direction once every plate's best shift and rotation is taken off, um."""
-    import numpy as np
 
     from errpipe.fitting.design import response_name
     from errpipe.kinematics import planar

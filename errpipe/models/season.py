@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
+from errpipe.errors import DataError
 from errpipe.models._base import Family, Fitted, Progress, Table, held_out, no_progress
 from errpipe.thermal.season_options import SeasonOptions
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from errpipe.domain.recording import Recording
     from errpipe.fitting.holdout import Fold, HoldOut
     from errpipe.fitting.judging import HeldOut
@@ -45,8 +45,6 @@ class Season(Family):
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
         """Without a scheme: each environment in turn, or runs where the recording names less than two."""
-        from errpipe.errors import DataError
-
         try:
             return super().folds(recording, scheme)
         except DataError:
@@ -74,9 +72,7 @@ class Season(Family):
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
         """One setting, the network with its correction; none where no sensor is on the machine."""
-        import numpy as np
 
-        from errpipe.errors import DataError
         from errpipe.thermal.arithmetic import predicted_since_start
         from errpipe.thermal.competition import Entrant
         from errpipe.thermal.season import Problem

@@ -24,6 +24,7 @@ COLOURS = {"X": "#b3261e", "Y": "#2e7d4f", "Z": "#1f5fa8", "A": "#d98277", "B": 
 STEEL, WORK, TOOL = "#9aa4ad", "#d9c79a", "#20262c"
 _VIEW = np.array([[0.866, 0.5, 0.0], [-0.38, 0.30, 0.87]])  # right and up on paper, of X, Y, Z
 _TOWARDS = np.array([0.45, -0.80, 0.40])  # what has more of this is nearer
+Band = tuple[np.ndarray, np.ndarray, np.ndarray]  # positions, and two values at each
 SLICE = 41  # points along each side of a slice
 
 
@@ -286,9 +287,7 @@ def _um(value: float) -> str:
 
 
 def components(
-    errors: MachineErrors,
-    bands: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None,
-    measured: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None,
+    errors: MachineErrors, bands: Mapping[str, Band] | None = None, measured: Mapping[str, Band] | None = None
 ) -> str:
     """Error motions in the layout of ISO 230-1: one row per axis, translations left, rotations right.
 
@@ -302,24 +301,27 @@ def components(
         for row, axis in enumerate(chain.axes):
             for side, (letters, unit) in enumerate((("XYZ", "um"), ("ABC", "urad"))):
                 axes = grid[row, side]
-                for d in letters:
-                    name = f"E{d}{axis}"
-                    p, value = errors.curve(name)
-                    colour = COLOURS[{"A": "X", "B": "Y", "C": "Z"}.get(d, d)]
-                    if name in bands:
-                        at, low, high = bands[name]
-                        axes.fill_between(at, low, high, color=colour, alpha=0.18, linewidth=0)
-                    axes.plot(p, value, color=colour, linewidth=1.3, label=name)
-                    if name in measured:
-                        at, up, down = measured[name]
-                        axes.plot(at, up, ">", color=colour, markersize=2.6, linestyle="none")
-                        axes.plot(at, down, "<", color=colour, markersize=2.6, linestyle="none")
+                for letter in letters:
+                    name = f"E{letter}{axis}"
+                    _component(axes, errors, name, bands.get(name), measured.get(name))
                 axes.axhline(0.0, color=svg.INK, linewidth=0.6)
                 axes.set_ylabel(unit, fontsize=8)
                 axes.tick_params(labelsize=7)
                 axes.set_xlabel(f"{axis} {chain.axis_unit(axis)}", fontsize=8)
                 axes.legend(fontsize=7, ncols=3, loc="upper left", bbox_to_anchor=(0.0, 1.22), borderaxespad=0.0)
         return svg.to_svg(canvas, f"Error motions of {chain.machine.name}")
+
+
+def _component(axes: Axes, errors: MachineErrors, name: str, band: Band | None, means: Band | None) -> None:
+    """The curve of one component, with its band behind it and the means of its targets on it."""
+    colour = COLOURS[{"A": "X", "B": "Y", "C": "Z"}.get(name[1], name[1])]
+    if band is not None:
+        axes.fill_between(*band, color=colour, alpha=0.18, linewidth=0)
+    axes.plot(*errors.curve(name), color=colour, linewidth=1.3, label=name)
+    if means is not None:
+        at, up, down = means
+        for mark, mean in ((">", up), ("<", down)):
+            axes.plot(at, mean, mark, color=colour, markersize=2.6, linestyle="none")
 
 
 def ballbar(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from errpipe import files
 from errpipe.domain import units
@@ -150,8 +151,6 @@ def _refuse_overlap(recording: Recording) -> None:
 
 def _read_csv(file: Path, how: FromCsv):
     """The file's columns that are needed, numbers as float64, labels as text."""
-    import pandas as pd
-
     try:
         with files.open_regular(file) as stream:
             table = pd.read_csv(stream, sep=how.separator, dtype=str, keep_default_na=False, skipinitialspace=True)

@@ -120,9 +120,13 @@ def write_model(context: Context, recording: Recording, model: ErrorModel, famil
 
 
 def family_in(folder: Path) -> Family:
-    """The model family of an error model in a stage's folder."""
+    """The model family of an error model in a stage's folder. Raises VerifyError if the stage wrote none."""
     from errpipe.models import family_of
 
+    if not (folder / PROCEDURE).is_file():
+        raise VerifyError(
+            f"{folder / PROCEDURE}: does not exist; a stage that gives an error model writes {MODEL} and {PROCEDURE}"
+        )
     return family_of(jsonfile.read(folder / PROCEDURE))
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 from pydantic import Field, ValidationError
 
 from errpipe.domain.recording import ActsOn, Recording
@@ -112,7 +113,6 @@ def _table_of(
 
 def _not_measured(model: ErrorModel, pairs: Sequence[Lowered], recording: Recording | None) -> list[str]:
     """The interpolated part of a turn: where the measured ends are further apart than the targets."""
-    import numpy as np
 
     from errpipe.stages import _inputs, _plausible
 
@@ -132,7 +132,6 @@ def _not_measured(model: ErrorModel, pairs: Sequence[Lowered], recording: Record
 
 def travel_speeds(recording: Recording) -> dict[str, float]:
     """Axis -> its largest speed in the recording, mm/s or deg/s; axes whose speed it does not show are left out."""
-    import numpy as np
 
     from errpipe.drivers.motion import axes
 

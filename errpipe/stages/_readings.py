@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
 
 from errpipe import files
 from errpipe.errors import DataError, did_you_mean
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from errpipe.domain.recording import Recording
 
 MOST_BYTES, MOST_CELLS = 64 << 20, 10_000_000  # of a file of readings: one a second for a year has 32 million bytes
@@ -27,8 +27,6 @@ def read(path: Path, recording: Recording, components: Sequence[str]) -> pd.Data
     column of runs; each named as in the recording, or `time`, `run` and the component. Raises DataError with file and
     line.
     """
-    import pandas as pd
-
     frame = _table(path)
     names = {"time": "time", "run": "run"} | {c: c for c in components}
     for role in ("time", "run"):
@@ -51,9 +49,6 @@ def read(path: Path, recording: Recording, components: Sequence[str]) -> pd.Data
 
 
 def _table(path: Path) -> pd.DataFrame:
-    import pandas as pd
-    import pyarrow.parquet as pq
-
     path = Path(path)
     if not path.is_file():
         raise DataError(f"{path}: there is no such file (readings, .csv or .parquet, are needed)")
@@ -73,8 +68,6 @@ def _table(path: Path) -> pd.DataFrame:
 
 def _numbers(path: Path, column: pd.Series, every: bool) -> np.ndarray:
     """Values as float64; an empty cell is NaN unless `every` row needs one."""
-    import pandas as pd
-
     empty = column.isna() | (column.astype(str).str.strip() == "")
     values = pd.to_numeric(column.where(~empty), errors="coerce").to_numpy(dtype=float)
     wrong = ~np.isfinite(values) & (every | ~empty.to_numpy())

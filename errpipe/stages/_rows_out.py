@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from errpipe import files
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 def write(path: Path, frames: Iterator[pd.DataFrame]) -> dict[str, Any]:
@@ -31,9 +32,6 @@ def _csv(stream: IO[bytes], first: pd.DataFrame, frames: Iterable[pd.DataFrame])
 
 
 def _parquet(stream: IO[bytes], first: pd.DataFrame, frames: Iterable[pd.DataFrame]) -> int:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     rows, schema = 0, pa.schema([pa.field(n, _kind(first[n])) for n in first.columns])
     with pq.ParquetWriter(stream, schema, version="2.6", compression="snappy", use_dictionary=["run"]) as writer:
         for frame in frames:
@@ -43,6 +41,4 @@ def _parquet(stream: IO[bytes], first: pd.DataFrame, frames: Iterable[pd.DataFra
 
 
 def _kind(column: pd.Series) -> Any:
-    import pyarrow as pa
-
     return {"f": pa.float64(), "i": pa.int64()}.get(column.dtype.kind, pa.string())

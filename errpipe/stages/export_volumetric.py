@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
 from errpipe import jsonfile, yamlfile
@@ -146,7 +147,6 @@ def lattice(
 
     Raises UsageError if the counts do not fit the machine.
     """
-    import numpy as np
 
     from errpipe.kinematics import compensation
     from errpipe.kinematics.chain import combinations
@@ -237,7 +237,6 @@ def largest_difference(
     Both as a displacement of the tool point in the workpiece's frame: the directions in which the linear axes move it
     are taken at each pose, as rotary axes turn them.
     """
-    import numpy as np
 
     from errpipe.kinematics import synthesis
     from errpipe.tables import batch

@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
+from errpipe import formats
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.pipeline.stage import Context, InputPath, Need, Stage
 from errpipe.yamlfile import quantity
@@ -45,7 +47,6 @@ class Ingest(Stage):
     writes: ClassVar[tuple[str, ...]] = ("recording.yaml", "recording.parquet", "ingest.json")
 
     def run(self, context: Context) -> Mapping[str, Any]:
-        from errpipe import formats
         from errpipe.formats import manifest_folder
 
         path = self.recording or context.maybe("simulated")
@@ -62,7 +63,6 @@ class Ingest(Stage):
 
     def _whole(self, context: Context, path: Path) -> tuple[int, Mapping[str, Any] | None]:
         """Write the runs that are kept, as without the table that was on. Returns the rows, and what was added."""
-        from errpipe import formats
         from errpipe.formats import manifest_folder
         from errpipe.stages import _compensated
 
@@ -73,8 +73,6 @@ class Ingest(Stage):
 
     def _kept(self, recording: Recording) -> Recording:
         """The requested runs. Raises DataError if none remains; an excluded run need not exist."""
-        import numpy as np
-
         labels = recording.run_labels()
         if self.since_run is not None and self.since_run not in labels:
             raise DataError(f"since_run: no run {self.since_run!r}.{did_you_mean(self.since_run, labels)}")

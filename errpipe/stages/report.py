@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+import pandas as pd
 from pydantic import Field
 
 from errpipe import __version__, jsonfile
@@ -154,7 +155,6 @@ def _removed(folder: Path) -> list[dict[str, Any]]:
 
 
 def _responses(recording: Any, fit: _Fit) -> list[Any]:
-    import pandas as pd
 
     from errpipe.fitting.recalibration import is_thermal
     from errpipe.reporting.run_report import Response

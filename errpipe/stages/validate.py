@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 from pydantic import Field
 
 from errpipe import jsonfile, yamlfile
@@ -110,10 +113,6 @@ def headline(component: Mapping[str, Any]) -> str:
 
 def _write_rows(path: Path, columns: Mapping[str, list]) -> None:
     """One line per held-out row and component: the deviation, and the residual of the model."""
-    import pandas as pd
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     parts = [
         pd.DataFrame({"component": name, "group": f.label, "row": f.rows, "before": f.before, "after": f.after})
         for name, folds in columns.items()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.terms._base import Example, Term
@@ -16,8 +17,6 @@ def rows(step: float = 15.0) -> Recording:
 
     Every column varies and no two are equal, so that a term that reads the wrong one fails.
     """
-    import pandas as pd
-
     k = np.arange(ROWS)
     t = step * k
     x, y = 200.0 + 200.0 * np.sin(2 * np.pi * k / 97), 150.0 * np.cos(2 * np.pi * k / 97 + 0.3)

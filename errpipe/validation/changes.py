@@ -243,23 +243,30 @@ def of_rows(old: Recording, new: Recording, name: str) -> Change:
     """
     labels = shared_runs(old, new)
     before, after = (_rows_of(r, labels) for r in (old, new))
+    unit = old.manifest.columns[name].unit or ""
     a, b = (part[name].to_numpy(dtype=float) for part in (before, after))
     judged = np.flatnonzero(np.isfinite(b - a))
-    numbers = {label: float(k) for k, label in enumerate(old.run_labels(), 1)}
-    of_run = np.sort(_labels(old)[np.isin(_labels(old), labels)], kind="stable")
-    kinds = old.manifest.columns
-    known = [n for n in kinds if n in before and kinds[n].role not in ("run", "group", "error", "simulated", "ignore")]
-    readings = {"run number": np.array([numbers[label] for label in of_run])}
-    readings |= {n: before[n].to_numpy(dtype=float) for n in known if pd.api.types.is_numeric_dtype(before[n])}
-    unit = kinds[name].unit or ""
     if judged.size == 0:
         return Change(name, unit, 0.0, 0.0, {}, 0.0, 0.0, "", 0.0, ())
+    readings = _readings_of(old, before, labels)
     gap = (b - a)[judged]
     worst, largest = int(judged[np.argmax(np.abs(gap))]), float(np.abs(gap).max())
     goes_with = _goes_with({n: v[judged] for n, v in readings.items()}, gap)
     at = {n: float(v[worst]) for n, v in readings.items()}
     rms = float(np.sqrt(np.mean(gap**2)))
     return Change(name, unit, largest, rms, at, float(a[worst]), float(b[worst]), *goes_with, settled=largest)
+
+
+def _readings_of(recording: Recording, rows: pd.DataFrame, labels: Sequence[str]) -> dict[str, np.ndarray]:
+    """What a difference may go with, in the rows of runs: the number of the run, and every numeric column, (rows,)."""
+    numbers = {label: float(k) for k, label in enumerate(recording.run_labels(), 1)}
+    of_run = np.sort(_labels(recording)[np.isin(_labels(recording), labels)], kind="stable")
+    readings = {"run number": np.array([numbers[label] for label in of_run])}
+    for name, column in recording.manifest.columns.items():
+        no_cause = column.role in ("run", "group", "error", "simulated", "ignore")
+        if name in rows and not no_cause and pd.api.types.is_numeric_dtype(rows[name]):
+            readings[name] = rows[name].to_numpy(dtype=float)
+    return readings
 
 
 def shared_runs(old: Recording, new: Recording) -> list[str]:

@@ -29,6 +29,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -69,6 +70,19 @@ class Drift:
     cleared: bool = False
 
 
+class _Readings(NamedTuple):
+    """Temperatures, (rows, sensors), the run of each row, (rows,), and codes of the reference runs and of the new."""
+
+    values: np.ndarray
+    run: np.ndarray
+    old: list[int]
+    new: list[int]
+
+    def without(self, k: int) -> _Readings:
+        """The same without sensor k."""
+        return self._replace(values=np.delete(self.values, k, axis=1))
+
+
 def sensor_drift(
     recording: Recording, reference: np.ndarray, apparent: Mapping[str, np.ndarray] = MappingProxyType({})
 ) -> list[Drift]:
@@ -82,32 +96,32 @@ def sensor_drift(
     old, new = old_and_new(run, reference)
     if len(names) < 2 or len(old) < FEWEST_RUNS or not new:
         return []
-    readings = np.column_stack([recording.array(n) for n in names])
-    z, sd, limit = _standardised_residuals(readings, run, old, new)
-    seen, begins = {}, {}
-    for k, name in enumerate(names):
-        alarm, begin = cusum(z[:, k])
-        begins[k] = begin
-        seen[k] = Drift(name, recording.run_labels()[new[begin]], float(np.mean(z[begin:, k]) * sd[k]), alarm)
-    drift_of = {k: d for k, d in seen.items() if d.statistic >= limit}
+    labels = recording.run_labels()
+    data = _Readings(np.column_stack([recording.array(n) for n in names]), run, old, new)
+    z, sd, limit = _standardised_residuals(data)
+    alarms = [cusum(column) for column in z.T]
+    seen = [
+        Drift(name, labels[new[begin]], float(np.mean(z[begin:, k]) * sd[k]), alarm)
+        for k, (name, (alarm, begin)) in enumerate(zip(names, alarms, strict=True))
+    ]
+    drift_of = {k: d for k, d in enumerate(seen) if d.statistic >= limit}
     known = {k: apparent[name] for k, name in enumerate(names) if name in apparent}
-    right = [k for k, a in known.items() if drift_of and _reads_right(readings, run, old, new, k, sd[k], a, begins[k])]
-    tests = {k: _sensor_or_machine(readings, run, old, new, k, sd[k], a) for k, a in known.items() if k not in right}
+    right = [k for k, a in known.items() if drift_of and _reads_right(data, k, sd[k], a, alarms[k][1])]
+    tests = {k: _sensor_or_machine(data, k, sd[k], a) for k, a in known.items() if k not in right}
     blamed = max(tests, key=lambda k: tests[k][0], default=None)
     if blamed is not None and tests[blamed][0] >= np.log(RATIO):
         ratio, begin, size = tests[blamed]
-        drift_of[blamed] = Drift(names[blamed], recording.run_labels()[new[begin]], size, ratio)
+        drift_of[blamed] = Drift(names[blamed], labels[new[begin]], size, ratio)
         faulty = [blamed]
     else:
-        faulty = _faulty_sensors(readings, run, old, new, max(d.statistic for d in seen.values()) / limit)
+        faulty = _faulty_sensors(data, max(d.statistic for d in seen) / limit)
         drift_of |= {k: seen[k] for k in faulty}
     suspected = [k for k in faulty if k not in right]
-    drifts = [
-        replace(d, blamed=faulty == [k] == suspected, suspected=k in suspected, cleared=k in right)
-        for k, d in drift_of.items()
+    unsuspected = sorted((k for k in drift_of if k not in suspected), key=lambda k: -drift_of[k].statistic)
+    return [
+        replace(drift_of[k], blamed=faulty == [k] == suspected, suspected=k in suspected, cleared=k in right)
+        for k in (*suspected, *unsuspected)
     ]
-    order = [names[k] for k in suspected]
-    return sorted(drifts, key=lambda d: (order.index(d.column) if d.suspected else len(order), -d.statistic))
 
 
 def old_and_new(run: np.ndarray, reference: np.ndarray) -> tuple[list[int], list[int]]:
@@ -146,27 +160,27 @@ def drifting_sensors(suspected: Sequence[str]) -> str:
     return f"{', '.join(others)} or {last} drifts (the likeliest first; runs of more nights distinguish them)"
 
 
-def _sensor_or_machine(readings, run, old, new, k: int, sd: float, apparent: np.ndarray) -> tuple[float, int, float]:
+def _sensor_or_machine(data: _Readings, k: int, sd: float, apparent: np.ndarray) -> tuple[float, int, float]:
     """Log-likelihood ratio that sensor k is off by what a response shows; the new run since when; mean error, K."""
-    off = _beyond_old(old, new, apparent)
-    alarm, begin = cusum(off / max(float(np.nanstd(apparent[old])), MIN_SD))
-    if alarm < threshold(len(old) - 1, FALSE_ALARMS / readings.shape[1]):
+    off = _beyond_old(data.old, data.new, apparent)
+    alarm, begin = cusum(off / max(float(np.nanstd(apparent[data.old])), MIN_SD))
+    if alarm < threshold(len(data.old) - 1, FALSE_ALARMS / data.values.shape[1]):
         return 0.0, 0, 0.0
-    since, r, covariance = _residuals_since(readings, run, old, new, k, sd, begin)
-    a = off[np.isin(new, since)]
+    since, r, covariance = _residuals_since(data, k, sd, begin)
+    a = off[np.isin(data.new, since)]
     return float(a @ np.linalg.solve(covariance, r - 0.5 * a)), begin, float(a.mean())
 
 
-def _reads_right(readings, run, old, new, k: int, sd: float, apparent: np.ndarray, begin: int) -> bool:
+def _reads_right(data: _Readings, k: int, sd: float, apparent: np.ndarray, begin: int) -> bool:
     """Whether a response follows sensor k since new run `begin`, where the sensor left the others.
 
     Likelihood of the apparent errors of a sensor that reads right, zero but for their scatter in the old runs, over
     that of one which is off by its residuals; and they are less than half of these (the response may drift itself).
     """
-    since, r, covariance = _residuals_since(readings, run, old, new, k, sd, begin)
+    since, r, covariance = _residuals_since(data, k, sd, begin)
     known = np.isfinite(apparent[since])
-    a, r, covariance = _beyond_old(old, since, apparent)[known], r[known], covariance[np.ix_(known, known)]
-    scatter = max(float(np.nanstd(apparent[old])), MIN_SD) ** 2 * (np.eye(a.size) + 1.0 / len(old))
+    a, r, covariance = _beyond_old(data.old, since, apparent)[known], r[known], covariance[np.ix_(known, known)]
+    scatter = max(float(np.nanstd(apparent[data.old])), MIN_SD) ** 2 * (np.eye(a.size) + 1.0 / len(data.old))
     ratio = _log_likelihood(a, scatter) - _log_likelihood(a - r, scatter + covariance)
     return ratio >= np.log(RATIO) and bool(a @ a < HALF**2 * (r @ r))
 
@@ -180,12 +194,11 @@ def _beyond_old(old: Sequence[int], runs: Sequence[int], apparent: np.ndarray) -
     return np.nan_to_num(apparent[runs] - np.nanmean(apparent[old]))
 
 
-def _residuals_since(
-    readings, run, old, new, k: int, sd: float, begin: int
-) -> tuple[list[int], np.ndarray, np.ndarray]:
+def _residuals_since(data: _Readings, k: int, sd: float, begin: int) -> tuple[list[int], np.ndarray, np.ndarray]:
     """The new runs since `begin`, the residuals of sensor k on the others in them, K, and their covariance, K2."""
+    readings, run, new = data.values, data.run, data.new
     good = np.isfinite(readings).all(axis=1)
-    before, since = ([c for c in runs if good[run == c].any()] for runs in ([*old, *new[:begin]], new[begin:]))
+    before, since = ([c for c in runs if good[run == c].any()] for runs in ([*data.old, *new[:begin]], new[begin:]))
     fitted = np.isin(run, before) & good
     design = np.column_stack([np.ones(run.size), np.delete(readings, k, axis=1) - readings[fitted].mean()])
     residual = readings[:, k] - design @ np.linalg.lstsq(design[fitted], readings[fitted, k])[0]
@@ -195,26 +208,26 @@ def _residuals_since(
     return since, r, covariance
 
 
-def _faulty_sensors(readings, run, old, new, loudest: float) -> list[int]:
+def _faulty_sensors(data: _Readings, loudest: float) -> list[int]:
     """The sensors without any one of which the others show no drift, the likeliest first: one of them is faulty.
 
     loudest: largest CUSUM of all sensors over the threshold. The faulty one need not be in alarm itself.
     """
-    if loudest < 1.0 or readings.shape[1] < 3:
+    count = data.values.shape[1]
+    if loudest < 1.0 or count < 3:
         return []  # with two sensors the wrong one cannot be identified
     left = []
-    for k in range(readings.shape[1]):
-        z, _, limit = _standardised_residuals(np.delete(readings, k, axis=1), run, old, new)
-        left.append(max(cusum(z[:, j])[0] / limit for j in range(z.shape[1])))
+    for k in range(count):
+        z, _, limit = _standardised_residuals(data.without(k))
+        left.append(max(cusum(column)[0] / limit for column in z.T))
     if min(left) >= max(1.0, QUIETER * loudest):
         return []
     return [int(k) for k in np.argsort(left) if left[k] < max(1.0, ALIKE * min(left))]
 
 
-def _standardised_residuals(
-    readings: np.ndarray, run: np.ndarray, old: Sequence[int], new: Sequence[int]
-) -> tuple[np.ndarray, np.ndarray, float]:
+def _standardised_residuals(data: _Readings) -> tuple[np.ndarray, np.ndarray, float]:
     """Mean residual of each new run over its standard error, (new, sensors), scatter between runs, K, threshold."""
+    readings, run, old, new = data
     count = readings.shape[1]
     good = np.isfinite(readings).all(axis=1)
     rows = [np.flatnonzero(good & (run == c)) for c in (*old, *new)]

@@ -98,27 +98,38 @@ def _of_components(
 
     kept: components that are compensated.
     """
-    _, folds = family.folds(recording, None)
-    by_component: dict[str, list[HeldOut]] = {}
-    groups = []
-    for number, fold in enumerate(folds):
-        progress(number / len(folds), f"without {fold.label}")
-        judged_now = family.judge(recording, fold)
-        for component, one in judged_now.items():
-            by_component.setdefault(component, []).append(one)
-        if judged_now:
-            groups.append({"label": fold.label, "rows": int(sum(one.rows.size for one in judged_now.values()))})
+    groups, by_component = _held_out(family, recording, progress)
     if not by_component:
         return {}
-    q = remaining.places(chain)
-    to_axes = np.linalg.pinv(synthesis.linear_motion(chain, q))
-    arms = np.mean((to_axes @ synthesis.jacobian(chain, q)[:, :3]) ** 2, axis=0)
     before = {c: np.concatenate([p.before for p in parts]) for c, parts in by_component.items()}
     after = {c: np.concatenate([p.after for p in by_component[c]]) if c in kept else v for c, v in before.items()}
     squares = np.array([[np.mean(side[c] ** 2) for c in before] for side in (before, after)])  # (2, components), um2
-    of_axes = arms[:, [chain.index(c) for c in before]] @ squares.T  # (axes, 2), um2
+    of_axes = _mean_square_arms(chain)[:, [chain.index(c) for c in before]] @ squares.T  # (axes, 2), um2
     axes = {x: _pair(np.sqrt(s)) for x, s in zip(chain.machine.linear_axes(), of_axes, strict=True) if s[0] > 0.0}
     return {"groups": groups, "axes": axes} | _pair(np.sqrt(of_axes.sum(axis=0)))
+
+
+def _held_out(
+    family: Direct, recording: Recording, progress: Any
+) -> tuple[list[dict[str, Any]], dict[str, list[HeldOut]]]:
+    """The groups in which something was judged, and the held-out rows of every component."""
+    groups, by_component = [], dict[str, list[HeldOut]]()
+    _, folds = family.folds(recording, None)
+    for number, fold in enumerate(folds):
+        progress(number / len(folds), f"without {fold.label}")
+        parts = family.judge(recording, fold)
+        for component, part in parts.items():
+            by_component.setdefault(component, []).append(part)
+        if parts:
+            groups.append({"label": fold.label, "rows": int(sum(part.rows.size for part in parts.values()))})
+    return groups, by_component
+
+
+def _mean_square_arms(chain: Chain) -> np.ndarray:
+    """Mean square, over the volume, of what 1 um (urad) of each component moves each axis by, (axes, components)."""
+    q = remaining.places(chain)
+    to_axes = np.linalg.pinv(synthesis.linear_motion(chain, q))
+    return np.mean((to_axes @ synthesis.jacobian(chain, q)[:, :3]) ** 2, axis=0)
 
 
 def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]]) -> tuple[str, ...]:

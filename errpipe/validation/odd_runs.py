@@ -143,28 +143,41 @@ def odd_responses(
     predicted by them. Unlike any, and no proof that it is wrong, is the only run, or the only few in a row, that the
     champion leaves far more of than of all others.
     """
-    run, labels, out = recording.run_codes(), recording.run_labels(), []
+    run, labels = recording.run_codes(), recording.run_labels()
+    out = []
     for component, prediction in predictions.items():
         measured = recording.array(str(recording.name("error", component=component)))
         known = np.isfinite(measured) & np.isfinite(prediction)
         codes = [c for c in dict.fromkeys(run[known].tolist()) if labels[c] not in wrong]
-        of = {c: np.flatnonzero(known & (run == c)) for c in codes}
-        left = {c: rms(measured[of[c]] - prediction[of[c]]) for c in codes}
-        old = [c for c in codes if reference[of[c][0]]]
-        new = [c for c in codes if c not in old]
-        usual = max((left[c] for c in old), default=0.0)
-        largest = LIKELY * max((rms(prediction[of[c]]) for c in old), default=0.0)
-        unlike = [c for c in new if left[c] > UNLIKE * usual > 0.0 and rms(prediction[of[c]]) < largest]
-        sound = [left[c] for c in new if c not in unlike]
-        if not sound or np.median(sound) > AS_BEFORE * usual:
-            continue  # the machine itself changed, or all new runs are odd: what holds since then says more of them
-        factors = {c: _factor(measured[of[c]], prediction[of[c]], usual) for c in unlike}
-        out += [OddRun(labels[c], component, meaning(f)) for c, f in factors.items() if f is not None]
-        alone = [c for c in unlike if factors[c] is None]
-        if alone and _few_in_a_row([new.index(c) for c in alone], len(new)) and max(sound) <= AS_BEFORE * usual:
-            says = f"at most {max(sound):.3g} um of other new runs: of another machine, or a fault in measuring?"
-            out += [OddRun(labels[c], component, f"{left[c]:.3g} um rms of it remain, {says}", False) for c in alone]
+        rows = {c: np.flatnonzero(known & (run == c)) for c in codes}
+        pairs = {c: (measured[r], prediction[r]) for c, r in rows.items()}
+        old = [c for c in codes if reference[rows[c][0]]]
+        for code, says, is_wrong in _odd_of_one_response(pairs, old):
+            out.append(OddRun(labels[code], component, says, is_wrong))
     return out
+
+
+def _odd_of_one_response(
+    pairs: Mapping[int, tuple[np.ndarray, np.ndarray]], old: Sequence[int]
+) -> Iterator[tuple[int, str, bool]]:
+    """Odd runs of one response: code, what is odd, whether the readings are wrong (not the machine).
+
+    pairs: code -> measured and predicted deviations of a run, um; old: codes of the reference runs.
+    """
+    left = {c: rms(measured - predicted) for c, (measured, predicted) in pairs.items()}
+    new = [c for c in pairs if c not in old]
+    usual = max((left[c] for c in old), default=0.0)
+    largest = LIKELY * max((rms(pairs[c][1]) for c in old), default=0.0)
+    unlike = [c for c in new if left[c] > UNLIKE * usual > 0.0 and rms(pairs[c][1]) < largest]
+    sound = [left[c] for c in new if c not in unlike]
+    if not sound or np.median(sound) > AS_BEFORE * usual:
+        return  # the machine itself changed, or all new runs are odd: what holds since then says more of them
+    factors = {c: _factor(*pairs[c], usual) for c in unlike}
+    yield from ((c, meaning(f), True) for c, f in factors.items() if f is not None)
+    alone = [c for c in unlike if factors[c] is None]
+    if alone and _few_in_a_row([new.index(c) for c in alone], len(new)) and max(sound) <= AS_BEFORE * usual:
+        says = f"at most {max(sound):.3g} um of other new runs: of another machine, or a fault in measuring?"
+        yield from ((c, f"{left[c]:.3g} um rms of it remain, {says}", False) for c in alone)
 
 
 def _factor(measured: np.ndarray, predicted: np.ndarray, usual: float) -> float | None:

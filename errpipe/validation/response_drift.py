@@ -35,34 +35,64 @@ def drifts(
 
     reference: rows of the model's own runs.
     """
-    levels, sizes, rms = [], [], []
-    groups = _groups(recording)
+    groups, run, labels = _groups(recording), recording.run_codes(), recording.run_labels()
+    out: dict[str, list[dict[str, Any]]] = {"residuals": [], "sizes": [], "rms": []}
     for component, prediction in predictions.items():
         name = recording.name("error", component=component)
         if name is None:
             continue
-        measured, run, labels = recording.array(name), recording.run_codes(), recording.run_labels()
-        level = _of_runs(measured - prediction, run)
-        if moved := _moved(level, reference, run, groups=groups):
-            since, before, after = moved
-            regime = _regime(groups, level, reference, run, since)
-            levels.append({"component": component, "since": labels[since], "size_um": after - before, "regime": regime})
-        squares = _of_runs((measured - prediction) ** 2, run)
-        logarithms = {c: float(np.log(max(square, TINY))) for c, square in squares.items()}
-        if (moved := _moved(logarithms, reference, run, groups=groups)) and moved[2] > moved[1]:
-            since, *both = moved
-            before, after = np.exp(0.5 * np.array(both)).tolist()
-            entry = {"component": component, "since": labels[since], "before_um": before, "after_um": after}
-            rms.append({**entry, "regime": _regime(groups, logarithms, reference, run, since)})
-        slopes, strength = _slopes(measured, prediction, run)
-        if moved := _moved(slopes, reference, run, strength):
-            since, before, after = moved
-            factor = after / before if abs(before) > NO_RESPONSE else after
-            now, then = (_noise(measured, prediction, rows) for rows in (run == max(slopes), reference))
-            as_noisy = now > QUIETER * then
-            means = meaning(0.0 if as_noisy and abs(factor) < NO_RESPONSE else factor)
-            sizes.append({"component": component, "since": labels[since], "factor": factor, "meaning": means})
-    return {"residuals": levels, "sizes": sizes, "rms": rms}
+        measured = recording.array(name)
+        found = {
+            "residuals": _level(measured, prediction, reference, run, groups),
+            "sizes": _size(measured, prediction, reference, run),
+            "rms": _rms_left(measured, prediction, reference, run, groups),
+        }
+        for kind, moved in found.items():
+            if moved is not None:
+                since, facts = moved
+                out[kind].append({"component": component, "since": labels[since], **facts})
+    return out
+
+
+Moved = tuple[int, dict[str, Any]] | None  # the run since when, and what moved
+
+
+def _level(measured: np.ndarray, prediction: np.ndarray, reference: np.ndarray, run: np.ndarray, groups: Any) -> Moved:
+    """By how much the mean residual moved, um."""
+    figures = _of_runs(measured - prediction, run)
+    moved = _moved(figures, reference, run, groups=groups)
+    if moved is None:
+        return None
+    since, before, after = moved
+    return since, {"size_um": after - before, "regime": _regime(groups, figures, reference, run, since)}
+
+
+def _rms_left(
+    measured: np.ndarray, prediction: np.ndarray, reference: np.ndarray, run: np.ndarray, groups: Any
+) -> Moved:
+    """The rms of what is left before and after, um, where it grew."""
+    squares = _of_runs((measured - prediction) ** 2, run)
+    figures = {c: float(np.log(max(square, TINY))) for c, square in squares.items()}
+    moved = _moved(figures, reference, run, groups=groups)
+    if moved is None or moved[2] <= moved[1]:
+        return None
+    since, *both = moved
+    before, after = np.exp(0.5 * np.array(both)).tolist()
+    regime = _regime(groups, figures, reference, run, since)
+    return since, {"before_um": before, "after_um": after, "regime": regime}
+
+
+def _size(measured: np.ndarray, prediction: np.ndarray, reference: np.ndarray, run: np.ndarray) -> Moved:
+    """The factor by which what is measured of a prediction changed, and what that means."""
+    slopes, strength = _slopes(measured, prediction, run)
+    moved = _moved(slopes, reference, run, strength)
+    if moved is None:
+        return None
+    since, before, after = moved
+    factor = after / before if abs(before) > NO_RESPONSE else after
+    now, then = (_noise(measured, prediction, rows) for rows in (run == max(slopes), reference))
+    as_noisy = now > QUIETER * then
+    return since, {"factor": factor, "meaning": meaning(0.0 if as_noisy and abs(factor) < NO_RESPONSE else factor)}
 
 
 def _groups(recording: Recording) -> dict[str, dict[int, str]]:

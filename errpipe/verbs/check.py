@@ -14,7 +14,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-from errpipe import files
+from errpipe import files, formats, yamlfile
 from errpipe.domain import components, protocols
 from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import ConfigError, DataError, ErrpipeError, Problem, did_you_mean
@@ -90,7 +90,6 @@ def _source(
 
 def header_of(path: Path) -> Recording:
     """A recording without rows: its manifest and the columns its tables have. Raises ConfigError with every problem."""
-    from errpipe import yamlfile
     from errpipe.domain.written_manifest import WrittenManifest
 
     document = yamlfile.read(path)
@@ -184,7 +183,6 @@ def _number(text: str) -> bool:
 
 def _machine(stage: Any, data: bool) -> Iterator[tuple[Place, str]]:
     """A machine file is read where a stage names one; components left out must be of the machine."""
-    from errpipe import yamlfile
     from errpipe.domain.machine import Machine
 
     path = getattr(stage, "machine", None)
@@ -254,8 +252,6 @@ def _format(stage: Any) -> Iterator[tuple[Place, str]]:
     name = getattr(stage, "format", None)
     if not isinstance(name, str):
         return
-    from errpipe import formats
-
     try:
         formats.by_name(name)
     except ErrpipeError as err:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -315,31 +316,21 @@ def deviation_of(table: CompensationTable, at: Mapping[str, float]) -> Deviation
 
     Where the table distinguishes directions of travel, the mean of both.
     """
+    _refuse_other_axes(table)
     variants = [_in_direction(table, side) for side in (1, -1)] if depends_on_direction(table) else [table]
-
     axes = {i.axis: i.name for i in table.inputs if i.kind == "position"}
-    angular = [o.name for o in table.outputs if o.axis in MOVED and o.correction_unit not in MM]
-    if angular:
-        raise GateError(f"correct: {', '.join(angular)} moves a linear axis by an angle")
-    rotary = [a for a in axes if a not in "XYZ"]
-    if rotary:
-        raise GateError(f"correct: the table reads {', '.join(rotary)}; programs are corrected in X, Y and Z only")
-    if not any(o.axis in MOVED for o in table.outputs):
-        names = ", ".join(f"{o.name} ({f'axis {o.axis}' if o.axis else 'no axis'})" for o in table.outputs)
-        raise GateError(f"correct: the table corrects {names}; programs are corrected in X, Y and Z only")
+    columns = ["XYZ".index(axis) for axis in axes]
     tool = next((i.name for i in table.inputs if i.kind == "tool"), None)
     outputs = [(n, o.axis, MM[o.correction_unit] * o.factor) for n, o in enumerate(table.outputs) if o.axis in MOVED]
-    moving = tuple(axes)
-    columns = ["XYZ".index(axis) for axis in moving]
-    evaluators: dict[float, list[batch.Positions]] = {}  # by tool length
+
+    @cache
+    def evaluators(length: float) -> list[batch.Positions]:
+        readings = dict(at) | ({tool: length} if tool is not None and tool not in at else {})
+        return [batch.Positions(variant, tuple(axes.values()), readings) for variant in variants]
 
     def deviation(points: np.ndarray, length: float) -> np.ndarray:
-        if length not in evaluators:
-            readings = dict(at) | ({tool: length} if tool is not None and tool not in at else {})
-            names = tuple(axes[axis] for axis in moving)
-            evaluators[length] = [batch.Positions(variant, names, readings) for variant in variants]
         coordinates = np.ascontiguousarray(points.T[columns])
-        first, *others = (evaluate.rows(coordinates) for evaluate in evaluators[length])
+        first, *others = (evaluate.rows(coordinates) for evaluate in evaluators(length))
         corrections = sum(others, first) / len(variants) if others else first
         out = np.zeros(points.shape[::-1])
         for number, axis, factor in outputs:
@@ -347,6 +338,21 @@ def deviation_of(table: CompensationTable, at: Mapping[str, float]) -> Deviation
         return out.T
 
     return deviation
+
+
+def _refuse_other_axes(table: CompensationTable) -> None:
+    """Raises GateError for a table that reads or moves what a program is not corrected in."""
+    angular = [o.name for o in table.outputs if o.axis in MOVED and o.correction_unit not in MM]
+    if angular:
+        raise GateError(f"correct: {', '.join(angular)} moves a linear axis by an angle")
+    rotary = [i.axis for i in table.inputs if i.kind == "position" and i.axis not in ("X", "Y", "Z")]
+    if rotary:
+        raise GateError(
+            f"correct: the table reads {', '.join(map(str, rotary))}; programs are corrected in X, Y and Z only"
+        )
+    if not any(o.axis in MOVED for o in table.outputs):
+        names = ", ".join(f"{o.name} ({f'axis {o.axis}' if o.axis else 'no axis'})" for o in table.outputs)
+        raise GateError(f"correct: the table corrects {names}; programs are corrected in X, Y and Z only")
 
 
 def setup_of(offsets: Sequence[str], tools: Sequence[str], start: str | None) -> Setup:

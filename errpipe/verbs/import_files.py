@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import re
-import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -15,10 +12,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from errpipe import formats, jsonfile
+from errpipe import formats
 from errpipe.domain import components, units
-from errpipe.domain.recording import Manifest, Recording
-from errpipe.errors import DataError, ErrpipeError, UsageError, did_you_mean
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.files import missing
 from errpipe.formats import _derived, manifest_folder
 from errpipe.importing import features, order, other_tests, repeated_runs, resolve, signs, together
@@ -31,14 +28,14 @@ from errpipe.importing.long_form import unstacked
 from errpipe.importing.pairs import paired
 from errpipe.importing.proposal import propose
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
-from errpipe.importing.sheet import DoorOptions
+from errpipe.importing.sheet import DoorOptions, Sheet
 from errpipe.importing.units import unit_of
 from errpipe.validation import plausibility
-from errpipe.verbs import _as_written
+from errpipe.verbs._import_written import manifest_of, write
 
-TABLE = "recording.csv"
+__all__ = ["options_of", "plain", "prepare", "write"]
+
 MAX_SHEETS = 64  # with measurements, of one file; the rest is not opened
-DIGITS = 12  # of a number in the table: more than any instrument has
 
 
 def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) -> tuple[Proposal, dict[str, Any]]:
@@ -123,6 +120,15 @@ def _refuse_several_axes(files: Sequence[Path], options: ImportOptions) -> None:
         )
 
 
+def _of_sheet(sheet: Sheet, door: DoorOptions, options: ImportOptions, may_be_log: bool) -> Proposal:
+    """The proposal of one sheet: features that were probed, else columns. Raises DataError where it holds neither."""
+    proposed = features.proposal(sheet, options)
+    if proposed is not None:
+        return proposed
+    cells = transposed(unstacked(sheet if door.names else paired(sheet)))
+    return propose(with_period(lay_out(cells, door.names), door.period), options, may_be_log)
+
+
 def _of_any_sheet(
     file: Path, door: DoorOptions, options: ImportOptions, may_be_log: bool = False
 ) -> tuple[Proposal, str]:
@@ -133,19 +139,13 @@ def _of_any_sheet(
         if len(out) == MAX_SHEETS:
             break
         try:
-            proposed = features.proposal(sheet, options)
-            if proposed is None:
-                cells = transposed(unstacked(sheet if door.names else paired(sheet)))
-                layout = with_period(lay_out(cells, door.names), door.period)
-                proposed = propose(layout, options, may_be_log)
-            out.append((proposed, sheet.name))
+            out.append((_of_sheet(sheet, door, options, may_be_log), sheet.name))
         except DataError as err:
             reason = str(err).removeprefix(f"{sheet.name}: ") if len(sheets) > 1 else str(err)
             problems.setdefault(reason, []).append(sheet.name)
             question = "--" in reason and not reason.startswith(resolve.NO_DEVIATION)
-            asked = asked or (
-                (f"{sheet.name}: {reason}" if len(sheets) > 1 else reason) if question and not out else ""
-            )
+            if question and not out and not asked:
+                asked = f"{sheet.name}: {reason}" if len(sheets) > 1 else reason
     if not out:
         hint = "" if features.WHO in asked else other_tests.named(sheets[:MAX_SHEETS])
         said = [f"{', '.join(names)}: {reason}" if len(sheets) > 1 else reason for reason, names in problems.items()]
@@ -159,70 +159,6 @@ def _of_any_sheet(
         others = ", ".join(other for _, other in out[1 : 1 + together.MAX_SHEETS_NAMED])
         proposal.notes.append(f"{name} is imported; other sheets hold measurements too: {others} (--sheet chooses one)")
     return proposal, f"{kind}, {name}" if len(sheets) > 1 else kind
-
-
-def write(
-    proposal: Proposal, folder: Path, options: ImportOptions, files: Sequence[Path], overwrite: bool = False
-) -> dict[str, Any]:
-    """Write the confirmed recording: `recording.yaml` with a comment beside every guess, and `recording.csv`.
-
-    Raises DataError and writes nothing where the reader of recordings would refuse it; UsageError where a recording
-    stands there that was changed since it was imported, unless `overwrite`.
-    """
-    if Path(folder).exists() and not Path(folder).is_dir():
-        raise UsageError(f"{folder}: is a file (a folder for the recording is needed)")
-    manifest = _manifest(proposal, options, files)
-    table, text = _csv(proposal), _commented(manifest_folder.manifest_text(manifest), proposal)
-    parts = {TABLE: table, manifest_folder.MANIFEST: _as_written.marked(text, table)}
-    if not overwrite:
-        _refuse_changed(Path(folder), parts)
-    with tempfile.TemporaryDirectory(prefix="errpipe-") as trial:
-        for name, text in parts.items():
-            jsonfile.write_text(Path(trial) / name, text)
-        try:
-            manifest_folder.read(Path(trial))
-        except ErrpipeError as err:
-            reason = str(err).replace(f"{trial}/", "").replace(f"{trial}\\", "")
-            raise DataError(
-                f"{', '.join(map(str, files))}: nothing was written, for the recording would be refused: {reason}"
-            ) from None
-    for name, text in parts.items():
-        jsonfile.write_text(Path(folder) / name, text)
-    return {
-        "folder": str(folder),
-        "rows": proposal.rows,
-        "says": [
-            f"{Path(folder) / manifest_folder.MANIFEST}: {proposal.rows} rows, {len(proposal.entries)} columns",
-            _next(proposal, folder),
-        ],
-    }
-
-
-def _next(proposal: Proposal, folder: Path) -> str:
-    """What to do with the recording: the template for what it holds, or the stage that reads its test."""
-    test = proposal.facts.get("protocol")
-    if test is not None and test not in ("hole_pattern", "ball_plate"):
-        return (
-            f"next: a pipeline of the stages ingest (recording: {folder}) and identify, with a machine.yaml, together "
-            "with the other tests of this machine (errpipe init --template five-axis DIR shows one)"
-        )
-    has_place = any(proposal.first(role) for role in ("position", "command"))
-    template = "drilled-plate" if test else "laser-iso230" if has_place else "spindle-drift"
-    template = "diagnose-log" if proposal.first("simulated") else template
-    return f"next: errpipe init --template {template} DIR --recording {folder}"
-
-
-def _refuse_changed(folder: Path, parts: dict[str, str]) -> None:
-    """Raise UsageError if the folder's recording is not as an import wrote it: somebody's corrections are in it."""
-    there = {name: folder / name for name in parts if (folder / name).exists()}
-    texts = {name: file.read_text("utf-8", errors="replace") for name, file in there.items()}
-    if not there or texts == parts:
-        return
-    if not _as_written.as_written(texts.get(manifest_folder.MANIFEST, ""), texts.get(TABLE, "")):
-        raise UsageError(
-            f"{', '.join(map(str, there.values()))}: changed since it was imported, or not written by an import: "
-            "nothing was written. Name another folder with --out, or use --overwrite to replace these files"
-        )
 
 
 def _of_known_format(file: Path, door: DoorOptions, options: ImportOptions) -> Proposal | None:
@@ -271,51 +207,6 @@ def _refuse_idle_options(file: Path, name: str, given: dict[str, Any]) -> None:
         )
 
 
-def _manifest(proposal: Proposal, options: ImportOptions, files: Sequence[Path]) -> Any:
-    title = options.title or ", ".join(Path(f).stem for f in files)
-    columns = {name: dict(entry) for name, entry in proposal.entries.items()}
-    for written_name, keys in options.sets.items():
-        name = slug(written_name)
-        if name in columns:  # the unit of a column of the file was stated before its numbers were read
-            keep = ("axis", "component", "location", "of", *(("unit",) if name not in proposal.names.values() else ()))
-            columns[name] |= {k: v for k, v in keys.items() if k in keep}
-    facts = dict(proposal.facts)
-    machine = options.machine or facts.pop("machine", "")
-    document: dict[str, Any] = {"recording": 1, "title": title, "machine": machine, "tables": [TABLE]}
-    document |= {"constants": {name: {"value": text} for name, text in facts.items()}, "columns": columns}
-    try:
-        return Manifest.model_validate(document)
-    except ValueError as err:
-        first = err.errors()[0] if hasattr(err, "errors") else {"loc": (), "msg": str(err)}
-        raise UsageError(f"import: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
-
-
-def _csv(proposal: Proposal) -> str:
-    names = [n for n in proposal.entries if n in proposal.data]
-    columns = [[_cell_text(v) for v in proposal.data[n]] for n in names]
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows(zip(*columns, strict=True))
-    return stream.getvalue()
-
-
-def _cell_text(value: Any) -> str:
-    if isinstance(value, str):
-        return re.sub(r"[\x00-\x1f]+", " ", value)
-    return "" if value != value else f"{float(value):.{DIGITS}g}"
-
-
-def _commented(text: str, proposal: Proposal) -> str:
-    lines = []
-    for line in text.splitlines():
-        name = line.strip().split(":", 1)[0].strip('"')
-        why = proposal.guesses.get(name) if line.startswith("  ") else None
-        lines.append(f"{line}  # guess, confirmed: {' '.join(why.split())}" if why else line)
-    head = ["# Written by errpipe import. Comments say what was guessed and confirmed; correct wrong lines."]
-    return "\n".join([*head, *(f"# {' '.join(note.split())}" for note in proposal.notes), *lines, ""])
-
-
 def _shown(proposal: Proposal, sources: list[dict[str, Any]]) -> dict[str, Any]:
     """What a person reads before confirming: the files, every column with its guess, the notes."""
     lines = [f"{s['file']}: {s['kind']}, {s['rows']} rows" for s in sources]
@@ -346,7 +237,7 @@ def _plausible(proposal: Proposal, options: ImportOptions) -> list[str]:
 
     Raises DataError if the readings are evidence against an assumed sign: a wrong one doubles the error.
     """
-    manifest = _manifest(proposal, options, [Path("x")])
+    manifest = manifest_of(proposal, options, [Path("x")])
     raw, out = dict(proposal.data), {}
     for name, values in raw.items():
         column = manifest.columns[name]

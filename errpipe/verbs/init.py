@@ -28,7 +28,6 @@ class Template:
     at least of one; errors: components that it has all. The targets stand in the pipeline.
     """
 
-    about: str
     sample: str | None
     machine: str | None = None
     own: str | None = None
@@ -40,13 +39,13 @@ POSITIONING = ("positioning", "angular positioning")  # kinds of components of w
 HEAT = ("temperature", "spindle_speed")
 
 TEMPLATES = {
-    "laser-iso230": Template("one axis by laser after ISO 230-2", "laser"),
-    "dial-gauge": Template("a hobby machine's axis by dial gauge", "dial_gauge"),
-    "diagnose-log": Template("a log of the control, diagnosed", "axis_log"),
-    "spindle-drift": Template("spindle drift over seasons", None, own="spindle-drift-own", needs=HEAT),
-    "gantry": Template("a gantry's Z reference, warming up", "gantry", needs=("temperature",)),
-    "drilled-plate": Template("a planar map from drilled plates", "drilled_plate", errors=("E_X", "E_Y")),
-    "five-axis": Template("a five-axis machine, identified", None, "five-axis.machine.yaml"),
+    "laser-iso230": Template("laser"),
+    "dial-gauge": Template("dial_gauge"),
+    "diagnose-log": Template("axis_log"),
+    "spindle-drift": Template(None, own="spindle-drift-own", needs=HEAT),
+    "gantry": Template("gantry", needs=("temperature",)),
+    "drilled-plate": Template("drilled_plate", errors=("E_X", "E_Y")),
+    "five-axis": Template(None, "five-axis.machine.yaml"),
 }
 
 

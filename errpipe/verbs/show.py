@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from errpipe.domain import components
 from errpipe.stages import _artefacts
 from errpipe.verbs.whatis import controller_curves, whatis
@@ -67,7 +69,6 @@ def _recording(file: Path) -> list[str]:
 
 
 def _table(file: Path) -> list[str]:
-    import numpy as np
 
     from errpipe.stages._plausible import UNBOUNDED
     from errpipe.targets import _sample
@@ -85,8 +86,6 @@ def _table(file: Path) -> list[str]:
 
 def plot(curves: Sequence[tuple[str, Any, Any]]) -> list[str]:
     """Curves (mark, x, y) as lines of text, at most 80 characters wide; points that coincide are `*`."""
-    import numpy as np
-
     points = [(mark, np.asarray(x, dtype=float), np.asarray(y, dtype=float)) for mark, x, y in curves]
     points = [(m, x[np.isfinite(x) & np.isfinite(y)], y[np.isfinite(x) & np.isfinite(y)]) for m, x, y in points]
     if not any(x.size for _, x, _ in points):

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from errpipe import jsonfile
+from errpipe import formats, jsonfile
 from errpipe.errors import DataError
 from errpipe.stages import STAGES, _artefacts
 
@@ -38,7 +38,6 @@ def whatis(file: Path) -> dict[str, Any]:
         return _json(file)
     if file.suffix in (".yaml", ".yml"):
         return _pipeline(file)
-    from errpipe import formats
 
     known = [f.name for f in formats.FORMATS if f.sniff(file)]
     if known:

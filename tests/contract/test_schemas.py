@@ -64,7 +64,7 @@ def undescribed(schema: Mapping[str, Any]) -> list[str]:
         if not prop.get("description"):
             problems.append(f"{owner}.{name}: no description")
         if _has_number(prop) and "unit" not in prop:
-            problems.append(f"{owner}.{name}: a number without a unit")
+            problems.append(f"{owner}.{name}: a number without a unit (`errpipe.yamlfile.quantity` states one)")
     return problems
 
 

@@ -1,4 +1,5 @@
-"""What nobody sets: parameters that every call leaves alone or gives the same value, and options that nothing states.
+"""What nobody sets or reads: parameters that every call leaves alone or gives the same value, options that nothing
+states, fields of dataclasses that no code reads.
 
 A call counts wherever it stands: package, tests, trials, examples, code of the documentation. A function that is also
 handed on as a value is left out, since its calls cannot be followed; so is a method that several classes define.
@@ -29,11 +30,16 @@ KNOWN = {  # parameter -> why it may stay
     "diagnosis.prepare._long(least)": "named beside its caller's threshold",
     "formats.ecmc_dat.read(options)": "passed by way of the registry",
     "thermal.arithmetic.slope(low)": "the lower of two bounds",
-    "verbs.import_files.write(overwrite)": "passed by the command line, which imports the verb when it runs",
 }
 KNOWN_OPTIONS = {  # option -> who sets it
     "models.terms.less_simulated": "the diagnosis, for the model that it writes",
     "stages.fit.less_simulated": "the same option, named by a pipeline that repeats this fit",
+}
+
+KNOWN_FIELDS = {  # field of a dataclass -> who reads it
+    "tables.reference.Cycle.faults": "whoever compares an evaluator with the reference",
+    "validation.input_drift.Drift.cleared": "the pages of a retraining, from its document",
+    "validation.odd_runs.OddRun.wrong": "the gates of a retraining, from its document",
 }
 
 
@@ -177,3 +183,30 @@ def test_an_option_that_nothing_states_is_seen() -> None:
     known = [("stages.fit", "used"), ("stages.fit", "passed"), ("stages.fit", "quoted"), ("stages.fit", "forgotten")]
     stated = "{kind: fit, used: 3}\nFit(passed=1)\n{'quoted': 2}\nforgotten is a word here"
     assert unstated(stated, iter(known)) == {"stages.fit.forgotten"}
+
+
+def unread(trees: Mapping[str, ast.Module], templates: str = "") -> set[str]:
+    """Fields of dataclasses whose name no attribute that is read has, and no word of a template."""
+    nodes = [node for tree in trees.values() for node in ast.walk(tree)]
+    read = {n.attr for n in nodes if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Load)}
+    read |= set(re.findall(r"\w+", templates))
+    out = set()
+    for module, tree in trees.items():
+        for top in tree.body:
+            if isinstance(top, ast.ClassDef) and any("dataclass" in ast.unparse(d) for d in top.decorator_list):
+                fields = (ast.unparse(n.target) for n in top.body if isinstance(n, ast.AnnAssign))
+                out |= {f"{module}.{top.name}.{name}" for name in fields if name not in read}
+    return out
+
+
+def test_every_field_of_a_dataclass_is_read(trees: dict[str, ast.Module]) -> None:
+    own = {m: t for m, t in trees.items() if not m.startswith((*CALLERS[1:], "docs"))}
+    templates = "\n".join(p.read_text(encoding="utf-8") for p in (ROOT / "errpipe").rglob("*.j2"))
+    found = unread(own, templates)
+    assert found == set(KNOWN_FIELDS), sorted(found ^ set(KNOWN_FIELDS))
+
+
+def test_a_field_that_nobody_reads_is_seen() -> None:
+    source = "@dataclass(frozen=True)\nclass A:\n    used: int\n    shown: int\n    forgotten: int = 0\n"
+    source += "class B:\n    other: int\nprint(a.used)\na.forgotten = 1\n"
+    assert unread({"m": ast.parse(source)}, "{{ page.shown }}") == {"m.A.forgotten"}

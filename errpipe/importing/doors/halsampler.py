@@ -39,7 +39,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
             continue
         values = [number(word, comma=False) for word in words]
         width = width or len(values)
-        numbers = [float(v) for v in values if v is not None and not isinstance(v, str)]
+        numbers = [v for v in values if v is not None]
         if len(numbers) != width or len(values) != width:
             raise DataError(f"{path}:{n}  {line[:60]!r} is not {width} numbers")
         rows.append(numbers)

@@ -62,7 +62,6 @@ def test_only_a_stribeck_part_against_the_dry_friction_gives_way():
     law = friction.ByDirection(
         "X",
         "v",
-        0.0,
         friction.Fitted(np.array([95.0, 160.0, 236.0, 20.0, 21.0]), np.eye(5), 2.2),
         friction.Fitted(np.ones(4), np.eye(4), 2.8),
     )

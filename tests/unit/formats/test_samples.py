@@ -25,6 +25,8 @@ def sample_of(name: str) -> Path:
 def test_a_sample_is_recognised_and_read_in_canonical_units(door) -> None:
     sample = sample_of(door.name)
     assert [f.name for f in FORMATS if f.sniff(sample)] == [door.name]
+    required = [name for name, field in door.Options.model_fields.items() if field.is_required()]
+    assert not required, f"a file is read without being asked about: {required} need a default"
     recording = formats.read(sample)
     responses = recording.names("error")
     assert len(recording) > 0 and responses
