@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from errpipe.fitting.solve import one_thread
 
@@ -59,6 +58,8 @@ def search(
     out once; response: (n,). Weights and penalty rows are the caller's: already multiplied in. begin: where to start
     instead of sweeping.
     """
+    from scipy.optimize import least_squares  # a tenth of a second: not for fits that search nothing
+
     with one_thread():
         basis = _orthonormal(still)
         unexplained = _orthogonal_to(basis, response[:, None])[:, 0]
