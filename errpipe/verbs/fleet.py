@@ -16,12 +16,13 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from errpipe import jsonfile, yamlfile
-from errpipe.errors import ErrpipeError, UsageError
+from errpipe.errors import ErrpipeError, UsageError, did_you_mean
 from errpipe.verbs import _fleet_processes
 from errpipe.verbs._fleet_processes import ATTEMPTS, MACHINES, Task
 from errpipe.yamlfile import Options
 
 TIMES = "times.csv"
+CONNECTS = 5  # s in which a scheduler answers
 BORROWS = "fitted with the parameters of its type as priors, for its own runs are not enough: "
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 Progress = Callable[[float, str], None]
@@ -75,6 +76,8 @@ def fleet(
     tasks = [(str(pipeline), m.name, list(m.set), str(Path(out).absolute())) for m in machines_of(spec, root)]
     if spec.recordings is not None and Path(out).resolve().is_relative_to((root / spec.recordings).resolve()):
         raise UsageError(f"{out}: inside {spec.recordings}, where it would be read as a machine")
+    if spec.recordings is not None:
+        _refuse_stage(Path(file), pipeline, spec.stage)
     _refuse_for_all(lambda sets: load_pipeline(pipeline, STAGES, sets=sets), [task[2] for task in tasks])
     types = {m.name: m.type for m in machines_of(spec, root)}
     results: dict[str, dict[str, Any]] = {}
@@ -84,7 +87,9 @@ def fleet(
         return report.result().model_of(result)
 
     def run(some: Sequence[Task]) -> None:
-        for result in _on_cluster(some, scheduler) if scheduler else _fleet_processes.in_processes(some, jobs):
+        for result in (
+            _on_cluster(some, scheduler) if scheduler is not None else _fleet_processes.in_processes(some, jobs)
+        ):
             name = result["name"]
             results[name], models[name] = result, reader.submit(model_of, result)
             progress(len(results) / len(tasks), f"{name}: {result['state']}")
@@ -107,6 +112,20 @@ def fleet(
     rows = [f"{r['name']},{r['seconds']:.2f},{r['peak_mb']:.0f},{r['attempts']}" for r in ordered]
     jsonfile.write_text(Path(out) / TIMES, "\n".join(["machine,seconds,peak_mb,attempts", *rows, ""]))
     return document | {"times": {r["name"]: {k: r[k] for k in ("seconds", "peak_mb", "attempts")} for r in ordered}}
+
+
+def _refuse_stage(file: Path, pipeline: Path, name: str) -> None:
+    """Raises UsageError where the pipeline has no stage of the name that is to read the recordings."""
+    document = yamlfile.read(pipeline)
+    stages = document.value.get("stages") if isinstance(document.value, dict) else None
+    known = (
+        [str(s.get("name") or s.get("kind")) for s in stages if isinstance(s, dict)] if isinstance(stages, list) else []
+    )
+    if known and name not in known:
+        raise UsageError(
+            f"{file}: `stage` names the stage of {pipeline.name} that reads a recording; found {name!r} (allowed:"
+            f" {', '.join(known)}).{did_you_mean(name, known)}"
+        )
 
 
 def _refuse_for_all(load: Callable[[list[str]], object], machines: list[list[str]]) -> None:
@@ -154,18 +173,29 @@ def machines_of(spec: Fleet, root: Path) -> list[FleetMachine]:
 def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[dict[str, Any]]:
     """The same through a running Dask cluster, which itself tries again what a dead worker held."""
     try:
+        import asyncio
+
         from distributed import Client
         from distributed import as_completed as finished
     except ImportError:
         raise UsageError("--scheduler needs Dask: pip install 'errpipe[dask]'") from None
     try:
-        client = Client(address, timeout=20, set_as_default=False)
-    except (OSError, ValueError) as err:
+        asyncio.run(_answer(address))
+    except (OSError, ValueError, OverflowError) as err:
         raise UsageError(f"--scheduler {address}: no Dask scheduler answers ({err})") from None
-    with client:
+    with Client(address, timeout=20, set_as_default=False) as client:
         futures = {
             client.submit(_fleet_processes.run_machine, *task, pure=False, retries=ATTEMPTS - 1): task for task in tasks
         }
         for future in finished(list(futures), loop=client.loop):
             task = futures[future]
             yield future.result() if future.status == "finished" else _fleet_processes.failed_result(task, ATTEMPTS)
+
+
+async def _answer(address: str) -> None:
+    """Raises OSError or ValueError where no scheduler answers; a client that gives up keeps the process a minute."""
+    from distributed.core import connect
+    from distributed.security import Security
+
+    comm = await connect(address, timeout=CONNECTS, **Security().get_connection_args("client"))
+    comm.abort()

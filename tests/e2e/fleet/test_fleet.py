@@ -182,10 +182,28 @@ def test_a_fleet_file_says_what_is_wrong(tmp_path: Path, capsys: Any) -> None:
     (tmp_path / "r/m9").mkdir()  # a machine that sends nothing is not passed over: its run says so
     spec = yamlfile.load(file, fleet_verb.Fleet)
     assert [m.name for m in fleet_verb.machines_of(spec, tmp_path)] == ["m9"]
+    (tmp_path / "axis.yaml").write_text(PIPELINE, encoding="utf-8")
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text + "stage: ingst\n", encoding="utf-8")
+    assert main(["fleet", str(file), "--out", str(tmp_path / "o")]) == 2
+    assert "fleet.yaml: `stage` names" in (said := capsys.readouterr().err) and "Did you mean ingest?" in said
+    file.write_text(text, encoding="utf-8")
     (tmp_path / "r/machine 7").mkdir()
     (tmp_path / "r/Fräse 3").mkdir()
     assert main(["fleet", str(file), "--out", str(tmp_path / "o")]) == 2
     assert "no name of a machine: Fräse 3, machine 7 (allowed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("address", ["", "tcp://127.0.0.1:1", "nonsense", "localhost:99999"])
+def test_an_address_where_no_scheduler_is_ends_within_seconds(
+    address: str, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A client of Dask that gives up waited 20 s, and kept the process for 40 more."""
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(fleet_verb, "CONNECTS", 0.2)
+    begin = time.monotonic()
+    assert main(["fleet", str(site(tmp_path, 2)), "--out", str(tmp_path / "o"), "--scheduler", address]) == 2
+    assert "no Dask scheduler answers" in capsys.readouterr().err and time.monotonic() - begin < 15
 
 
 def test_a_fleet_file_is_checked_with_its_pipeline(tmp_path: Path, capsys: Any) -> None:
