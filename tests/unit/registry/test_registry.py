@@ -156,6 +156,15 @@ def test_a_table_that_was_changed_is_named_by_its_entry(where: Path, capsys: Any
         assert code == 6 and "machine 7, table of entry 1: " in document["error"]["message"]
 
 
+def test_a_folder_that_is_no_recording_is_called_what_it_is(where: Path, capsys: Any) -> None:
+    """A registry and a run folder both lacked a `recording.yaml`."""
+    assert run(where, "promote", where / "reg", "7", where / "one.ect", "--why", "new", capsys=capsys)[0] == 0
+    assert main(["whatis", str(where / "reg")]) == 3 and "a registry (`errpipe log`" in capsys.readouterr().err
+    (where / "out").mkdir()
+    (where / "out/errpipe.lock").write_text('{"errpipe_lock": 1, "stages": {}}', encoding="utf-8")
+    assert main(["whatis", str(where / "out")]) == 0 and "lock of a run" in capsys.readouterr().out
+
+
 def test_of_a_json_twin_what_a_controller_loads_is_on_record(where: Path, capsys: Any) -> None:
     """`rollback --out table.ect` gave JSON back, which no controller reads."""
     ect.write_json(machines.too_long_at_plus_x(), where / "one.json")
