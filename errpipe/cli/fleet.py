@@ -28,9 +28,6 @@ def command(
       errpipe fleet fleet.yaml --out out/fleet --scheduler tcp://10.0.0.5:8786
     """
     from errpipe.cli.output import module_of, print_result
-
-    if scheduler is None:
-        module_of("verbs._fleet_processes").start_imports()  # the longest of all that is serial
     from errpipe.cli.progress import ProgressReporter
 
     reporter = ProgressReporter(str(out))

@@ -1,6 +1,6 @@
 """Processes of a fleet: how they start, and what happens when one of them dies.
 
-Nothing but the standard library is imported here: the workers' imports, which take longest, begin first of all.
+Little but the standard library is imported here: the workers' imports, which take longest, begin first of all.
 """
 
 from __future__ import annotations
@@ -8,15 +8,16 @@ from __future__ import annotations
 import importlib
 import multiprocessing
 import os
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
+from errpipe.verbs._fleet_earlier import MACHINES, of_earlier
+
 WORKER = "errpipe.verbs._fleet_worker"
 ATTEMPTS = 3  # of a machine whose worker dies; the last one alone in its pool, so that no other can be the cause
-MACHINES = "machines"  # folder of the machines' outputs, below OUT
 Task = tuple[str, str, list[str], str]  # pipeline, machine, its keys of the pipeline, OUT
 
 
@@ -24,21 +25,6 @@ def run_machine(*task: Any) -> dict[str, Any]:
     """`_fleet_machine.run_machine`, which only a worker imports."""
     result: dict[str, Any] = importlib.import_module("errpipe.verbs._fleet_machine").run_machine(*task)
     return result
-
-
-def of_earlier(folder: Path, brought_up_to_date: Container[str]) -> str:
-    """In words, which outputs in a machine's folder an earlier run made; '' where there are none.
-
-    A machine that fails keeps them: whoever reads its folder alone would take its old table for today's.
-    """
-    from errpipe.errors import ErrpipeError
-    from errpipe.pipeline.lock import read_lock
-
-    try:
-        earlier = [name for name in read_lock(folder) if name not in brought_up_to_date and (folder / name).is_dir()]
-    except (ErrpipeError, OSError):
-        return ""
-    return f"; {MACHINES}/{folder.name} holds what an earlier run made: {', '.join(earlier)}" if earlier else ""
 
 
 def failed_result(task: Sequence[Any], attempts: int) -> dict[str, Any]:

@@ -18,7 +18,8 @@ from pydantic import Field, model_validator
 from errpipe import jsonfile, yamlfile
 from errpipe.errors import ErrpipeError, UsageError, did_you_mean
 from errpipe.verbs import _fleet_processes
-from errpipe.verbs._fleet_processes import ATTEMPTS, MACHINES, Task
+from errpipe.verbs._fleet_earlier import MACHINES
+from errpipe.verbs._fleet_processes import ATTEMPTS, Task
 from errpipe.yamlfile import Options
 
 TIMES = "times.csv"
@@ -67,6 +68,8 @@ def fleet(
     jobs: processes, 0 for one per core; scheduler: address of a running Dask cluster instead. Raises ConfigError,
     UsageError; what goes wrong with one machine stands in the document.
     """
+    if scheduler is None:
+        _fleet_processes.start_imports()  # the longest of what is serial
     from errpipe.pipeline.spec import load_pipeline
     from errpipe.stages import STAGES
 
