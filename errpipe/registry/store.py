@@ -74,9 +74,13 @@ class Registry:
         place = self.folder / "machines"
         return sorted(p.name for p in place.iterdir() if _MACHINE.fullmatch(p.name)) if place.is_dir() else []
 
-    def table(self, digest: str) -> bytes:
-        """The bytes of a table. Raises VerifyError if they are missing or not what they were."""
-        return self._object(digest)
+    def table(self, entry: Entry) -> bytes:
+        """The bytes of an entry's table. Raises VerifyError if they are missing or altered."""
+        try:
+            return self._object(entry.table)
+        except VerifyError as err:
+            where = f"machine {entry.machine}, table of entry {entry.number}"
+            raise VerifyError(f"{where}: {err}; put it back from a copy") from None
 
     def append(
         self, machine: str, action: str, table: bytes, why: str, time: str, secret: SecretKey, after: int

@@ -88,7 +88,7 @@ def promote(
     if not other_outputs:
         _of_no_other(store.machines(), machine, new, table)
     if past and not other_outputs:
-        _same_kind(store.table(past[-1].table), new, machine, table)
+        _same_kind(store.table(past[-1]), new, machine, table)
     when = _time_after(past, time)
     entry = store.append(machine, "promote", data, _why(why), when, minisign.read_secret(secret), len(past))
     return _row(entry, store) | _with_remark(f"machine {machine}: table {name} is entry {entry.number}", when)
@@ -151,9 +151,9 @@ def rollback(
         raise UsageError(f"machine {machine} has no history in {registry}")
     earlier = _before(past) if to is None else [e for e in past if e.number == to]
     if not earlier:
-        store.table(past[-1].table)  # a modified one is refused as such, for every request
+        store.table(past[-1])  # a modified one is refused as such, for every request
         raise UsageError(f"machine {machine}: no earlier table to go back to (--to: entries 1 to {len(past)})")
-    data, when = store.table(earlier[-1].table), _time_after(past, time)
+    data, when = store.table(earlier[-1]), _time_after(past, time)
     entry = store.append(machine, "rollback", data, _why(why), when, minisign.read_secret(secret), len(past))
     if out is not None:
         jsonfile.write_bytes(out, data)
@@ -162,10 +162,20 @@ def rollback(
 
 
 def _before(past: Sequence[Entry]) -> list[Entry]:
-    """The entries of other tables before the table that is on record was promoted for the last time."""
-    table = past[-1].table
-    promoted = max((e.number for e in past if e.table == table and e.action == "promote"), default=0)
-    return [e for e in past if e.number < promoted and e.table != table]
+    """The entries of other tables below the one on record, as they would be gone back to.
+
+    A promotion lies on top of what was on record. Going back takes off what lies above the table that is back; where it
+    had been taken off itself, what lay below it then does so again.
+    """
+    lying: list[Entry] = []
+    as_promoted: dict[str, list[Entry]] = {}
+    for entry in past:
+        while entry.action == "rollback" and lying and lying[-1].table != entry.table:
+            lying = lying[:-1]
+        if entry.action == "promote":
+            as_promoted[entry.table] = lying = [*lying, entry]
+        lying = lying or as_promoted.get(entry.table, [entry])
+    return [e for e in lying if e.table != past[-1].table]
 
 
 def log(registry: Path, machine: str | None, at: str | None, file: Path | None, public: Path) -> dict[str, Any]:
@@ -207,7 +217,7 @@ def _registry(folder: Path, public: Path) -> Registry:
 def _row(entry: Entry, store: Registry) -> dict[str, Any]:
     from errpipe.tables import ect
 
-    return entry.plain() | {"identity": ect.fingerprint(ect.loads_any(store.table(entry.table)))}
+    return entry.plain() | {"identity": ect.fingerprint(ect.loads_any(store.table(entry)))}
 
 
 def _why(text: str) -> str:

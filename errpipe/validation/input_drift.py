@@ -244,33 +244,40 @@ def _recursive_residuals(
     design: np.ndarray, target: np.ndarray, rows: Sequence[np.ndarray], references: int, limit: float
 ) -> tuple[np.ndarray, float]:
     """Standardised recursive residuals of the new runs, (new,), and the scatter of the reference runs, K."""
-    normal = [design[r].T @ design[r] for r in rows]
-    moment = [design[r].T @ target[r] for r in rows]
-    means = [design[r].mean(axis=0) if r.size else np.zeros(design.shape[1]) for r in rows]
-    outer = [np.outer(m, m) for m in means]
-    a, b, spans = (sum(part[:references], np.zeros_like(part[0])) for part in (normal, moment, outer))
+    blocks, targets = [design[r] for r in rows], [target[r] for r in rows]
+    means = np.array([d.mean(axis=0) if len(d) else np.zeros(design.shape[1]) for d in blocks])
+    parts = (
+        np.array([d.T @ d for d in blocks]),
+        np.array([d.T @ t for d, t in zip(blocks, targets, strict=True)]),
+        means[:, :, None] * means[:, None, :],
+    )
+    a, b, _ = sums = [part[:references].sum(axis=0) for part in parts]
 
-    def mean_residual(number: int, a: np.ndarray, b: np.ndarray) -> float:
-        r = rows[number]
-        return float(np.mean(target[r] - design[r] @ _solve_normal(a, b))) if r.size else 0.0
+    def mean_residual(number: int, coefficients: np.ndarray) -> float:
+        left = targets[number] - blocks[number] @ coefficients
+        return float(np.mean(left)) if left.size else 0.0
 
     # leave-one-run-out: each reference run is predicted from the other reference runs
-    reference_residuals = [mean_residual(n, a - normal[n], b - moment[n]) for n in range(references)]
-    sd = max(float(np.sqrt(np.mean(np.square(reference_residuals)))), MIN_SD)
-    z, cusums = np.zeros(len(rows) - references), np.zeros(2)
-    for number in range(references, len(rows)):
-        leverage = float(means[number] @ _solve_normal(spans, means[number]))
-        value = mean_residual(number, a, b) / (sd * np.sqrt(1.0 + max(leverage, 0.0)))
-        z[number - references] = value
-        cusums = np.maximum(0.0, cusums + value * SIGNS - REFERENCE)
-        if cusums.max() >= limit:
-            limit = 0.0  # no run from the alarm on updates the regression
-        else:
-            a, b, spans = a + normal[number], b + moment[number], spans + outer[number]
+    others = _solve_normal(a - parts[0][:references], b - parts[1][:references])
+    sd = max(float(np.sqrt(np.mean(np.square([mean_residual(n, c) for n, c in enumerate(others)])))), MIN_SD)
+
+    # each new run is predicted from all runs before it, up to the alarm, from where no run updates the regression
+    a, b, spans = (np.cumsum([s, *part[references:-1]], axis=0) for s, part in zip(sums, parts, strict=True))
+    coefficients, means, known = _solve_normal(a, b), means[references:], -1
+    z, cusums = np.zeros(len(means)), np.zeros(2)
+    pulls = _solve_normal(spans, means)
+    for n, mean in enumerate(means):
+        k = n if known < 0 else known
+        leverage = float(mean @ (pulls[n] if known < 0 else _solve_normal(spans[k], mean)))
+        z[n] = mean_residual(references + n, coefficients[k]) / (sd * np.sqrt(1.0 + max(leverage, 0.0)))
+        cusums = np.maximum(0.0, cusums + z[n] * SIGNS - REFERENCE)
+        if known < 0 and cusums.max() >= limit:
+            known = n
     return z, sd
 
 
 def _solve_normal(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Least-norm solution of normal equations, columns scaled alike."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return scale * (np.linalg.pinv(scale[:, None] * normal * scale, 1e-10, hermitian=True) @ (scale * right))
+    """Least-norm solutions of normal equations, (..., p, p) and (..., p) -> (..., p), columns scaled alike."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=-2, axis2=-1), 1e-300))
+    scaled = scale[..., :, None] * normal * scale[..., None, :]
+    return scale * (np.linalg.pinv(scaled, 1e-10, hermitian=True) @ (scale * right)[..., None])[..., 0]

@@ -5,80 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import pandas as pd
+from typing import Any
 
 from errpipe import jsonfile
 from errpipe.domain.error_model import ErrorModel
-from errpipe.domain.recording import Recording
-from errpipe.pipeline.lock import read_lock
 from errpipe.stages import _artefacts
-from errpipe.stages.validate import HELD_OUT
-from errpipe.validation.cusum import level_drift
-from errpipe.validation.held_out import in_short
-from errpipe.validation.input_drift import sensor_drift
 from errpipe.verbs import _fleet_types
 from errpipe.verbs._retrain_pages import plain_text
-
-if TYPE_CHECKING:
-    from errpipe.pipeline.spec import Pipeline
 
 VERSION = 1  # of the document's layout
 WRITERS = 8  # files that wait for the disk at a time
 DOCUMENT, PAGE, POOLED = "fleet.json", "fleet.md", "pooled"
-
-
-def facts(pipeline: Pipeline, out: Path) -> dict[str, Any]:
-    """What the fleet needs of one finished run: held-out figures per response, what drifts, and the model.
-
-    OUT may be a folder of the machine that ran it, which no other machine can read.
-    """
-    folders = {kind: out / stage.label for stage in pipeline.stages for kind in stage.gives}
-    figures: dict[str, Any] = {"responses": {}, "drift": [], "model": "", "readings": "", "not_judged": []}
-    if "validation" in folders:
-        document = jsonfile.read(folders["validation"] / _artefacts.VALIDATION)
-        for c in document["components"]:
-            keys = ("rms_before", "rms_after", "noise_floor", "unit")
-            figures["responses"][c["component"]] = {key: c[key] for key in keys}
-        figures["not_judged"] = in_short(document.get("not_judged", ()))
-    if "error_model" in folders:
-        figures["model"] = f"{folders['error_model'].name}/{_artefacts.MODEL}"
-        figures["parameters"] = jsonfile.read(folders["error_model"] / _artefacts.MODEL)
-    if "recording" in folders:
-        recording = _artefacts.recording_in(folders["recording"])
-        figures["drift"] = [*_sensors(recording), *_residuals(recording, folders.get("validation"))]
-        record = read_lock(out).get(folders["recording"].name)
-        outputs = {} if record is None else record.outputs
-        figures["readings"] = next((h for name, h in outputs.items() if name.endswith(".parquet")), "")
-    return figures
-
-
-def _sensors(recording: Recording) -> list[dict[str, Any]]:
-    """Sensors that left the others in the second half of the runs."""
-    early = recording.run_codes() < (len(recording.run_labels()) + 1) // 2
-    return [
-        {"what": f"sensor {d.column}{'' if d.blamed else ' or another'}", "since": d.since, "size": d.size, "unit": "K"}
-        for d in sensor_drift(recording, early)
-        if d.suspected
-    ]
-
-
-def _residuals(recording: Recording, validation: Path | None) -> list[dict[str, Any]]:
-    """Responses whose mean per run changed its level in the second half, each run predicted without itself."""
-    if validation is None:
-        return []
-    rows = pd.read_parquet(validation / HELD_OUT)
-    run, labels, out = recording.run_codes(), recording.run_labels(), []
-    for component, part in rows.groupby("component", sort=False):
-        means = part.groupby(run[part["row"].to_numpy()])["after"].mean()
-        half = (len(means) + 1) // 2
-        drift = level_drift(means.iloc[:half].tolist(), means.iloc[half:].tolist())
-        if drift is not None:
-            size = float(means.iloc[half + drift[1] :].mean() - means.iloc[:half].mean())
-            since = labels[int(means.index[half + drift[1]])]
-            out.append({"what": f"residual of {component}", "since": since, "size": size, "unit": "um"})
-    return out
 
 
 def model_of(result: Mapping[str, Any]) -> ErrorModel | None:

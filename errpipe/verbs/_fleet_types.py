@@ -12,12 +12,12 @@ import numpy as np
 from errpipe import jsonfile
 from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm
 from errpipe.fitting import pooling
+from errpipe.verbs._fleet_processes import Task
 
 MIRRORED = (6.0, 2.0)  # spreads that a machine of the other sign is away from its type, at least, and turned, at most
 FEWEST_ALIKE = 5  # machines of a type below which no spread between them is known
 NARROWEST = 1e-6  # of a parameter's size: standard deviation of a prior where machines do not differ
 UNLIMITED = 1e12  # variance inflation that is allowed where every parameter has a prior
-Task = tuple[str, str, list[str], str]  # pipeline, machine, its keys of the pipeline, OUT
 
 
 def responses(models: Mapping[str, ErrorModel], least: int = pooling.LEAST_MACHINES) -> dict[str, dict[str, Any]]:

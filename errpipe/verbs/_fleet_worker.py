@@ -18,7 +18,7 @@ MODULES = (  # what most pipelines come to import; what is missing here each wor
     "errpipe.fitting.history",
     "errpipe.formats",
     "errpipe.pipeline.runner",
-    "errpipe.verbs._fleet_report",
+    "errpipe.verbs._fleet_machine",
     "errpipe.validation.held_out",
     "errpipe.validation.input_drift",
 )

@@ -30,7 +30,7 @@ def drifting_sensors(drift: Mapping[str, Any], model: ErrorModel) -> Gate:
 def responses(drift: Mapping[str, Any]) -> Iterator[Gate]:
     """No promotion of a challenger fitted on responses that are no deviations of the uncompensated machine."""
     for d in (d for d in drift["sizes"] if d["meaning"]):
-        says = f"since run {d['since']} they are {d['factor']:.2g} of what the champion predicts: {d['meaning']}"
+        says = f"since run {d['since']} they are {d['factor']:.2g} times what the champion predicts: {d['meaning']}"
         yield Gate(f"readings of {d['component']}", False, says)
 
 
@@ -102,8 +102,8 @@ def narrower(model: ErrorModel) -> list[str]:
 def inputs(old: ErrorModel, new: ErrorModel, allowed: Sequence[str]) -> Gate:
     """No promotion of a challenger that requires a column which the champion does not, unless it is allowed."""
     added = sorted(set(new.columns) - set(old.columns) - set(allowed))
-    says = f"newly required: {', '.join(added)}" if added else "no column is newly required"
-    return Gate("inputs", not added, says)
+    says = f"newly required: {', '.join(added)} (--allow-sensor, once the controller reads it)" if added else ""
+    return Gate("inputs", not added, says or "no column is newly required")
 
 
 def coverage(pipeline: Pipeline, folder: Path) -> list[Gate]:

@@ -53,7 +53,11 @@ def markdown(document: Mapping[str, Any]) -> str:
         "",
         f"Evidence for the challenger: e-value {document['e_value']:.3g}, {document['e_value_needed']:.3g} needed. "
         + ("Every gate holds." if promoted else "What failed is listed first."),
+        f"A challenger that is no better reaches {document['e_value_needed']:.3g} in at most"
+        f" {1.0 / document['e_value_needed']:.2g} of all histories, however often one looks.",
         *map(plain_text, _fitted(document)),
+        "",
+        f"**Next:** {_next_step(document)}",
         "",
         "| gate | holds | why |",
         "| --- | --- | --- |",
@@ -64,6 +68,15 @@ def markdown(document: Mapping[str, Any]) -> str:
     ]
     lines += ["", *_drift_lines(document["drift"])]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _next_step(document: Mapping[str, Any]) -> str:
+    """What whoever reads the page does now."""
+    if document["decision"] == "promote":
+        return "put `run` beside this page in the place of the champion's folder, and its table on the machine."
+    if all(g["passed"] or _waits(g) for g in document["gates"]):
+        return "nothing. The champion stays; further runs add evidence."
+    return "the champion stays. Put right what **no** stands beside, or allow it if it is meant, and run this again."
 
 
 def _fitted(document: Mapping[str, Any]) -> list[str]:
@@ -94,7 +107,7 @@ def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
         for d in drift["rms"]
     ]
     said += [
-        f"{d['component']} is {d['factor']:.2g} of what the champion predicts since run {d['since']}: "
+        f"{d['component']} is {d['factor']:.2g} times what the champion predicts since run {d['since']}: "
         f"{d['meaning'] or 'the machine changed'}."
         for d in drift["sizes"]
     ]

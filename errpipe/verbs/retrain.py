@@ -256,9 +256,13 @@ def _earlier_document(path: Path) -> Mapping[str, Any]:
     """The document of the look before; empty where there was none. Raises VerifyError where it is of another layout."""
     if not path.is_file():
         return {}
-    document = jsonfile.read(path)
+    hint = "put it back from a copy; without it the evidence of earlier looks begins anew"
+    try:
+        document = jsonfile.read(path)
+    except VerifyError as why:
+        raise VerifyError(f"{why} ({hint})") from None
     if not isinstance(document, dict) or document.get("retrain") != VERSION:
-        raise VerifyError(f"{path}: not a document of retrain version {VERSION}")
+        raise VerifyError(f"{path}: not a document of retrain version {VERSION} ({hint})")
     return document
 
 

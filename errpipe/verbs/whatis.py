@@ -9,6 +9,7 @@ from typing import Any
 
 from errpipe import formats, jsonfile
 from errpipe.errors import DataError
+from errpipe.pipeline.lock import LOCK
 from errpipe.stages import STAGES, _artefacts
 
 DOCUMENTS = {
@@ -28,6 +29,10 @@ def whatis(file: Path) -> dict[str, Any]:
     from errpipe.tables import ect
 
     file = Path(file)
+    if (file / LOCK).is_file():  # a run folder
+        file = file / LOCK
+    if (file / "objects").is_dir() and (file / "machines").is_dir():
+        raise DataError(f"{file}: a registry (`errpipe log` shows what is on which machine)")
     if file.is_dir() or file.name == "recording.yaml":
         return _recording(file)
     if not file.is_file():

@@ -71,7 +71,7 @@ def campaign(folder: Path, count: int, seed: int, writers: int = 2) -> tuple[int
             now = [entry.digest for entry in history]
             if now[: len(seen)] != seen:
                 wrong.append(f"after {killed} kills an entry is gone or another one")
-            if not all(store.table(entry.table) for entry in history):
+            if not all(store.table(entry) for entry in history):
                 wrong.append(f"after {killed} kills a table is empty")
             seen = now
         except Exception as err:

@@ -18,9 +18,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from errpipe import yamlfile
 from errpipe.cli.app import main
 from errpipe.domain.error_model import ErrorModel
-from errpipe.verbs import fleet as fleet_stage
+from errpipe.verbs import _fleet_processes
+from errpipe.verbs import fleet as fleet_verb
 from tests.e2e.retrain.test_retrain import PIPELINE, record
 from tests.unit.fitting.test_history import two_years
 
@@ -163,8 +165,8 @@ def test_a_machine_whose_worker_always_dies_is_failed_and_the_others_are_done(mo
                 return
             yield task, {"name": task[1], "state": "done", "attempts": attempts[task[1]]}
 
-    monkeypatch.setattr(fleet_stage, "_one_pool", one_pool)
-    states = {r["name"]: r["state"] for r in fleet_stage._in_processes(tasks, 2)}
+    monkeypatch.setattr(_fleet_processes, "_one_pool", one_pool)
+    states = {r["name"]: r["state"] for r in _fleet_processes.in_processes(tasks, 2)}
     assert states == {"good": "done", "deadly": "failed", "fine": "done"} and calls.count("deadly") == 3
 
 
@@ -178,12 +180,30 @@ def test_a_fleet_file_says_what_is_wrong(tmp_path: Path, capsys: Any) -> None:
     assert main(["fleet", str(file), "--out", str(tmp_path / "o")]) == 2
     assert "holds no recording of m9" in capsys.readouterr().err
     (tmp_path / "r/m9").mkdir()  # a machine that sends nothing is not passed over: its run says so
-    spec = fleet_stage.yamlfile.load(file, fleet_stage.Fleet)
-    assert [m.name for m in fleet_stage.machines_of(spec, tmp_path)] == ["m9"]
+    spec = yamlfile.load(file, fleet_verb.Fleet)
+    assert [m.name for m in fleet_verb.machines_of(spec, tmp_path)] == ["m9"]
+    (tmp_path / "axis.yaml").write_text(PIPELINE, encoding="utf-8")
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text + "stage: ingst\n", encoding="utf-8")
+    assert main(["fleet", str(file), "--out", str(tmp_path / "o")]) == 2
+    assert "fleet.yaml: `stage` names" in (said := capsys.readouterr().err) and "Did you mean ingest?" in said
+    file.write_text(text, encoding="utf-8")
     (tmp_path / "r/machine 7").mkdir()
     (tmp_path / "r/Fräse 3").mkdir()
     assert main(["fleet", str(file), "--out", str(tmp_path / "o")]) == 2
     assert "no name of a machine: Fräse 3, machine 7 (allowed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("address", ["", "tcp://127.0.0.1:1", "nonsense", "localhost:99999"])
+def test_an_address_where_no_scheduler_is_ends_within_seconds(
+    address: str, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A client of Dask that gives up waited 20 s, and kept the process for 40 more."""
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(fleet_verb, "CONNECTS", 0.2)
+    begin = time.monotonic()
+    assert main(["fleet", str(site(tmp_path, 2)), "--out", str(tmp_path / "o"), "--scheduler", address]) == 2
+    assert "no Dask scheduler answers" in capsys.readouterr().err and time.monotonic() - begin < 15
 
 
 def test_a_fleet_file_is_checked_with_its_pipeline(tmp_path: Path, capsys: Any) -> None:
@@ -225,22 +245,22 @@ def test_a_machine_that_fails_says_what_an_earlier_run_left_in_its_folder(tmp_pa
     """Its table of before stays, and whoever reads its folder alone would take it for today's."""
     site(tmp_path, 2)
     task = [str(tmp_path / "axis.yaml"), "m", ["ingest.recording=recordings/m000"], str(tmp_path / "out")]
-    done = fleet_stage.run_machine(*task)
+    done = _fleet_processes.run_machine(*task)
     assert (done["state"], done["message"]) == ("done", "")
     damaged = ["ingest.recording=recordings/m001"]
-    assert "earlier" not in fleet_stage.run_machine(task[0], "new", damaged, task[3])["message"]
+    assert "earlier" not in _fleet_processes.run_machine(task[0], "new", damaged, task[3])["message"]
     left = {}
     for name, keys in {"ingest": damaged, "fit": [*task[2], "fit.components=[]"]}.items():
-        left[name] = fleet_stage.run_machine(task[0], "m", keys, task[3])["message"].partition("; machines/m ")[2]
+        left[name] = _fleet_processes.run_machine(task[0], "m", keys, task[3])["message"].partition("; machines/m ")[2]
     read = tmp_path / "recordings/m000/recording.csv"  # a reading apart: ingest goes through, the fit has too few rows
     read.write_text("\n".join(read.read_text(encoding="utf-8").splitlines()[:4]) + "\n", encoding="utf-8")
-    left["rows"] = fleet_stage.run_machine(*task)["message"].partition("; machines/m ")[2]
+    left["rows"] = _fleet_processes.run_machine(*task)["message"].partition("; machines/m ")[2]
     assert left == {
         "ingest": "holds what an earlier run made: fit, ingest, validate",
         "fit": "holds what an earlier run made: fit, ingest, validate",
         "rows": "holds what an earlier run made: fit, validate",
     }
-    killed = fleet_stage._failed_result(task, 3)["message"]
+    killed = _fleet_processes.failed_result(task, 3)["message"]
     assert "earlier run made: fit, ingest, validate" in killed
 
 
@@ -317,9 +337,9 @@ def test_six_machines_and_what_they_borrow_from_their_type(
     """Pooled parameters stand in a model of each machine; a bad machine is the first of the report."""
 
     def in_this_process(tasks: Any, jobs: int) -> Any:
-        return (fleet_stage.run_machine(*task) for task in tasks)
+        return (_fleet_processes.run_machine(*task) for task in tasks)
 
-    monkeypatch.setattr(fleet_stage, "_in_processes", in_this_process)
+    monkeypatch.setattr(_fleet_processes, "in_processes", in_this_process)
     old = tmp_path / "o/pooled/m001/error_model.json"  # of a run in which it was sound
     old.parent.mkdir(parents=True)
     old.write_text("{}", encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import random
@@ -130,6 +131,40 @@ def test_a_second_rollback_does_not_bring_the_bad_table_back(where: Path, capsys
     assert (where / "back.ect").read_bytes() == (where / "two.ect").read_bytes()
 
 
+def test_a_table_promoted_twice_is_not_come_back_from_to_what_was_taken_off(where: Path, capsys: Any) -> None:
+    """One, two, one again: back is two, then the first one, then none. The third rollback brought two back."""
+    reg = where / "reg"
+    for name in ("one.ect", "two.ect", "one.ect"):
+        assert run(where, "promote", reg, "7", where / name, "--why", name, capsys=capsys)[0] == 0
+    back = ("rollback", reg, "7", "--why", "bad", "--out", where / "back.ect")
+    for name in ("two.ect", "one.ect"):
+        assert run(where, *back, capsys=capsys)[0] == 0
+        assert (where / "back.ect").read_bytes() == (where / name).read_bytes()
+    assert run(where, *back, capsys=capsys)[0] == 2
+
+
+def test_a_table_that_was_changed_is_named_by_its_entry(where: Path, capsys: Any) -> None:
+    reg = where / "reg"
+    for name in ("one.ect", "two.ect"):
+        assert run(where, "promote", reg, "7", where / name, "--why", name, capsys=capsys)[0] == 0
+    digest = hashlib.sha256((where / "one.ect").read_bytes()).hexdigest()
+    place = reg / "objects" / digest[:2] / digest
+    place.chmod(0o644)
+    place.write_bytes(place.read_bytes()[:-1] + b"x")
+    for words in (("log", reg, "7"), ("rollback", reg, "7", "--why", "bad")):
+        code, document = run(where, *words, capsys=capsys)
+        assert code == 6 and "machine 7, table of entry 1: " in document["error"]["message"]
+
+
+def test_a_folder_that_is_no_recording_is_called_what_it_is(where: Path, capsys: Any) -> None:
+    """A registry and a run folder both lacked a `recording.yaml`."""
+    assert run(where, "promote", where / "reg", "7", where / "one.ect", "--why", "new", capsys=capsys)[0] == 0
+    assert main(["whatis", str(where / "reg")]) == 3 and "a registry (`errpipe log`" in capsys.readouterr().err
+    (where / "out").mkdir()
+    (where / "out/errpipe.lock").write_text('{"errpipe_lock": 1, "stages": {}}', encoding="utf-8")
+    assert main(["whatis", str(where / "out")]) == 0 and "lock of a run" in capsys.readouterr().out
+
+
 def test_of_a_json_twin_what_a_controller_loads_is_on_record(where: Path, capsys: Any) -> None:
     """`rollback --out table.ect` gave JSON back, which no controller reads."""
     ect.write_json(machines.too_long_at_plus_x(), where / "one.json")
@@ -234,7 +269,7 @@ def test_whatever_is_touched_is_refused(where: Path, key: minisign.SecretKey) ->
         try:
             history = store.history("7")
             for entry in history:
-                store.table(entry.table)
+                store.table(entry)
         except VerifyError:
             return True
         return len(history) != 3

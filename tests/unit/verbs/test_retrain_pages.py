@@ -6,7 +6,11 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import pytest
+
+from errpipe.errors import VerifyError
 from errpipe.verbs import _retrain_pages as pages
+from errpipe.verbs.retrain import _earlier_document
 
 EMPTY: dict[str, list[Any]] = {key: [] for key in ("inputs", "residuals", "rms", "sizes", "changes", "runs")}
 
@@ -51,3 +55,25 @@ def test_a_look_that_judged_nothing_leaves_no_page_of_the_look_before(tmp_path: 
     assert ElementTree.fromstring((tmp_path / pages.JUNIT).read_text(encoding="utf-8")).attrib["errors"] == "1"
     assert "night.csv:13" in (tmp_path / pages.MARKDOWN).read_text(encoding="utf-8")
     assert not (tmp_path / pages.FIGURE).exists()
+
+
+def test_the_page_says_what_to_do_next() -> None:
+    """A quiet night asks for nothing; a failed gate for something; a promotion says where the challenger is."""
+    page = {"title": "", "e_value": 2.0, "e_value_needed": 20.0, "fitted_on_all": "", "fitted_since": None}
+    said = {}
+    for name, decision, gates in (
+        ("quiet", "keep the champion", (("evidence", False), ("inputs", True))),
+        ("failed", "keep the champion", (("evidence", False), ("inputs", False))),
+        ("better", "promote", (("evidence", True), ("inputs", True))),
+    ):
+        text = pages.markdown(document(*gates) | page | {"decision": decision})
+        said[name] = text.partition("**Next:** ")[2].partition("\n")[0]
+        assert "reaches 20 in at most 0.05 of all histories" in text
+    assert said["quiet"].startswith("nothing.") and "Put right" in said["failed"] and "put `run`" in said["better"]
+
+
+def test_a_damaged_document_of_the_look_before_says_what_it_holds(tmp_path: Path) -> None:
+    for text in ("{", "[]", '{"retrain": 0}'):
+        (tmp_path / "retrain.json").write_text(text, encoding="utf-8")
+        with pytest.raises(VerifyError, match=r"put it back from a copy"):
+            _earlier_document(tmp_path / "retrain.json")
