@@ -310,11 +310,6 @@ def _refuse_other_axis(p: Proposal, name: str, letter: str, options: ImportOptio
     if not moving or options.component is not None:
         return
     other = p.entries[moving[0]]["axis"]
-    if options.axis == letter:
-        raise DataError(
-            f"--axis names {letter}, and {moving[0]!r} holds positions of {other}: say it with "
-            f"--set {moving[0]}.axis={letter}, or --component E_{letter} for a drift along {letter}"
-        )
     raise DataError(
         f"{name!r} names {letter}, and {moving[0]!r} holds positions of {other}: say what was measured, with --set "
         f"{name}.component=E{letter}{other} (straightness), E{other}{other} (positioning) or E_{letter} (tool point)"

@@ -12,9 +12,10 @@ from errpipe.importing.words import kind_by_name
 # How units are written -> how the manifest writes them. Lower case, blanks removed.
 UNITS = {
     **dict.fromkeys(
-        ("µm", "μm", "um", "micron", "microns", "mikron", "mikrometer", "micrometer", "micrometers", "мкм"), "um"
+        ("µm", "μm", "um", "micron", "microns", "mikron", "mikrometer", "micrometer", "micrometers", "мкм", "微米"),
+        "um",
     ),
-    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "мм"), "mm"),
+    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "мм", "毫米"), "mm"),
     **dict.fromkeys(("m", "meter", "metre", "meters", "metres"), "m"),
     **dict.fromkeys(("µ", "âµm", "æm"), "um"),  # UTF-8, or the code page of DOS, read as Windows-1252
     **dict.fromkeys(("nm", "nanometer"), "nm"),
@@ -34,7 +35,7 @@ UNITS = {
     **dict.fromkeys(("h", "hours", "std", "stunden", "heures", "horas"), "h"),
     **dict.fromkeys(("cm",), "cm"),
     **dict.fromkeys(("µin", "μin", "uin", "microinch", "microinches", "millionths"), "microinch"),
-    **dict.fromkeys(("°", "deg", "degree", "degrees", "grad"), "deg"),
+    **dict.fromkeys(("°", "deg", "degree", "degrees", "grad", "度"), "deg"),
     **dict.fromkeys(("mdeg", "m°"), "mdeg"),
     **dict.fromkeys(("arcmin", "arc-min", "arcminutes"), "arcmin"),
     **dict.fromkeys(("µrad", "μrad", "urad"), "urad"),

@@ -21,7 +21,7 @@ from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError, ErrpipeError, UsageError, did_you_mean
 from errpipe.files import missing
 from errpipe.formats import _derived, manifest_folder
-from errpipe.importing import features, order, other_tests, repeated_runs, resolve, signs, together
+from errpipe.importing import features, named_values, order, other_tests, repeated_runs, resolve, signs, together
 from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
@@ -135,7 +135,7 @@ def _of_any_sheet(
         try:
             proposed = features.proposal(sheet, options)
             if proposed is None:
-                cells = transposed(unstacked(sheet if door.names else paired(sheet)))
+                cells = transposed(unstacked(sheet if door.names else paired(named_values.tabled(sheet))))
                 layout = with_period(lay_out(cells, door.names), door.period)
                 proposed = propose(layout, options, may_be_log)
             out.append((proposed, sheet.name))
