@@ -50,9 +50,10 @@ EXPLANATIONS: dict[str, str] = {
         "One run or one direction holds the same curve, or the same targets, 25.4 or 1000 times larger than the others."
     ),
     "new-zero": (
-        "From one run to the next every target shifts by one amount, several times what runs differ by otherwise: the "
-        "zero of the instrument was set anew, or the axis was homed. Take the shift out of the readings from that run "
-        "on, or leave the runs on one side of it out."
+        "From one run to the next, or within a run, every target shifts by one amount, several times what runs differ "
+        "by otherwise: the zero of the instrument was set anew, or the axis was homed. Take the shift out of the "
+        "readings from there on, or leave the runs on one side of it out. A run that is split there has two zeros "
+        "still, and no term tells them apart from what is not yet measured."
     ),
     "not-a-temperature": "A temperature column follows the position back and forth within every run.",
     "other-zero": (
