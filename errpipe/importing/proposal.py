@@ -82,7 +82,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     if options.axis is None and said is not None:
         proposal.notes.append(f"the axis is {axis_above([said])}, as {said[:60]!r} says (--axis says another one)")
     wide_layout = wide.find(layout, guesses)
-    guesses = _of_stated_axis(layout, guesses, options.axis)
+    guesses = guesses if wide_layout else _of_stated_axis(layout, guesses, options.axis)  # `V1`, `R1` are runs
     axis = options.axis or _axis(layout, guesses, wide_layout)
     if axis is None:
         angles = [c for c in layout.columns if c.unit in ("deg", "rad") and guesses[c.header].kind in resolve.PLACES]

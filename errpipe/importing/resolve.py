@@ -37,12 +37,8 @@ def resolve_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
             p.entries[place]["role"], command, place = "command", place, None  # a nominal position beside a reading
         if command is not None and place is None and actual is not None and not errors:
             p.entries[actual]["role"] = "position"
-        elif command is not None and place is None and actual is None:
-            p.entries[command]["role"] = "position"
-        elif command is None and place is None and actual is not None:
-            p.entries[actual]["role"] = "position"
-        elif command is not None and place is not None and actual is not None:
-            pass  # all three are recorded
+        elif place is None and (alone := command or actual) is not None and None in (command, actual):
+            p.entries[alone]["role"] = "position"
 
 
 # Of an angle; elsewhere a length (inch: both are written as "), a time, or a slope. A level reads um per m.

@@ -1,7 +1,6 @@
 """Output of DMIS programs (ISO 22093): nominal (F) and actual features (FA), and coordinate tolerances (TA, CORTOL).
 
-`F(P1)=FEAT/POINT,CART,50,0,0,...` is nominal, `FA(P1)=FEAT/POINT,CART,50.0031,...` actual; `OUTPUT/FA(P1),TA(T1)`
-joins them to `TA(T1)=TOL/CORTOL,XAXIS,0.0031,INTOL`, a deviation. A `$` at the end of a line goes on in the next.
+`OUTPUT/FA(P1),TA(T1)` joins them to `TA(T1)=TOL/CORTOL,XAXIS,0.0031,INTOL`, a deviation.
 """
 
 from __future__ import annotations
