@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from math import ceil
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -39,6 +40,7 @@ class Rule(Options, ABC):
 
     rule: str
     splits_runs: ClassVar[bool] = False  # whether it may give rows another run label
+    does: ClassVar[str] = "remove"  # what it does with the cells or rows that it finds, in a message
     by_default: ClassVar[bool] = True  # whether it is applied where no rule is named
 
     @abstractmethod
@@ -48,10 +50,12 @@ class Rule(Options, ABC):
     def refuse_beyond(self, most: float, rows: np.ndarray, of: int, what: str, recording: Recording) -> None:
         """Raises DataError if `rows` are more than the share `most` of `of` cells or rows."""
         if rows.size > most * of:
-            first = place(recording, int(rows[0]))
+            first, share = place(recording, int(rows[0])), 100 * rows.size / of
             raise DataError(
-                f"clean, {self.rule}: would remove {rows.size} of {of} {what} ({100 * rows.size / of:.1f} %), more than"
-                f" its share of {100 * most:g} %; the first at {first}. Look at the data, or raise `most`."
+                f"clean, {self.rule}: would {self.does} {rows.size} of {of} {what} ({share:.1f} %), more than its "
+                f"share of {100 * most:g} %; the first at {first}. Look at the data, or raise `most` of the stage "
+                f"clean: rules: [..., {{rule: {self.rule}, most: {ceil(share + 1) / 100:g}}}] (rules that are named "
+                "take the place of the usual ones)."
             )
 
 

@@ -22,6 +22,7 @@ class Gaps(Rule):
 
     rule: Literal["gaps"] = "gaps"
     splits_runs: ClassVar[bool] = True
+    does: ClassVar[str] = "fill, with the reading before,"
     hold: float = quantity("s", "A sensor's hole up to this long is held.", 300.0, ge=0)
     longest: float = quantity("s", "A longer pause between two rows splits the run.", 14400.0, gt=0)
     most: float = quantity("1", "Refuse to hold more than this share of a sensor's cells.", 0.1, gt=0, le=1)

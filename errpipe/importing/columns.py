@@ -15,50 +15,29 @@ from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.words import AXIS_LETTER, CORRECTION, DISPLACEMENT, DOWN, GROUPS, UP, kind_by_name, plain
 
 KIND_OF_UNIT = {
-    "degC": "temperature",
-    "degF": "temperature",
-    "K": "temperature",
+    **dict.fromkeys(("degC", "degF", "K"), "temperature"),
     "counts": "counts",
-    "A": "current",
-    "mA": "current",
+    **dict.fromkeys(("A", "mA"), "current"),
     "N m": "torque",
     "rpm": "spindle_speed",
     "mm/min": "feed",
-    "mm/s": "velocity",
-    "m/s": "velocity",
-    "mm/s2": "acceleration",
-    "m/s2": "acceleration",
-    "N": "force",
-    "kN": "force",
+    **dict.fromkeys(("mm/s", "m/s"), "velocity"),
+    **dict.fromkeys(("mm/s2", "m/s2"), "acceleration"),
+    **dict.fromkeys(("N", "kN"), "force"),
     "hPa": "pressure",
     "%": "humidity",
     "kg": "load",
-    "s": "time",
-    "ms": "time",
-    "h": "time",
-    "um": "error",
-    "urad": "error",
-    "arcsec": "error",
-    "mrad": "error",
-    "um/m": "error",
-    "mm/m": "error",
-    "nm": "error",
-    "mdeg": "error",
-    "arcmin": "error",
+    **dict.fromkeys(("s", "ms", "h"), "time"),
+    **dict.fromkeys(("um", "urad", "arcsec", "mrad", "um/m", "mm/m", "nm", "mdeg", "arcmin"), "error"),
 }
 SMALL_ANGLES = ("arcsec", "arcmin", "urad", "mrad", "mdeg", "um/m", "mm/m")  # of an axis that turns, or tilts
-_ANY_ANGLE = (
-    *SMALL_ANGLES,
-    "deg",
-    "rad",
-    "inch",
-    "s",
-    "min",
-)  # of a pitch; " and ' are written for inch and for arcsec
+# Of a pitch; " and ' are written for inch and for arcsec.
+_ANY_ANGLE = (*SMALL_ANGLES, "deg", "rad", "inch", "s", "min")
 OF_SMALL_LENGTHS = ("um", "urad", "arcsec", "nm", "0.001 inch", "0.0001 inch", "microinch")
 OF_DEVIATIONS = ("um", "urad", "nm", "arcsec", "mrad")
 UNKNOWN = "neither its name, its unit nor its values identify it"
 _SHARES = r"load|last|torque|moment|override|duty|power|leistung|utili"  # in %, and no humidity
+PLACE = ("command", "position", "actual", "counts")
 PLACES = ("error", "counts")  # kinds of units in which a place may be logged, too: um, arcsec, counts
 # Symbols of physics that are letters of axes as well: `v [mm/s]` is no velocity of the axis V.
 SYMBOLS = {"velocity": "V", "feed": "V", "acceleration": "A", "temperature": "C", "pressure": "B"}
@@ -70,23 +49,11 @@ _AXIS = re.compile(rf"(?:^|[\s_.\-(/<:])(?:{_BEFORE})?{AXIS_LETTER}(?:\d|[\s_.\-
 _WORDS = re.compile(
     r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|(?<=[\u3040-\ud7af])(?=[A-Za-z])|(?<=[A-Za-z])(?=[\u3040-\ud7af])"
 )
-_FILLERS = (
-    "from",
-    "von",
-    "approach",
-    "approached",
-    "direction",
-    "richtung",
-    "dir",
-    "the",
-    "side",
-    "to",
-    "toward",
-    "towards",
-)
+_FILLER = re.compile(r"(from|von|approach(ed)?|direction|richtung|dir|the|side|to|towards?)?")
 _FROM = ("from", "von", "de", "da", "desde")  # behind it a sign states where the axis came from: `from -` is below
 _SIGNS_IN_WORDS = ("plus", "minus", "positive", "negative", "positiv", "negativ")
 _SIGN = re.compile(r"\+|-|plus|minus|p|n|pos(itive?)?|neg(ative?)?")
+EVEN_STEPS = "its even steps"
 NO_SIDES = "called a direction, but its values are no two signs"
 
 
@@ -136,20 +103,32 @@ def with_period(layout: Layout, period: float | None) -> Layout:
     return layout
 
 
-def with_place(columns: list[RawColumn], guesses: dict[str, ColumnGuess]) -> dict[str, ColumnGuess]:
-    """The guesses, and where none is a place, the only column that names an axis and is as long as a travel as one."""
-    if any(g.kind in ("command", "position", "actual", "counts") for g in guesses.values()):
+def with_one_clock(guesses: dict[str, ColumnGuess]) -> dict[str, ColumnGuess]:
+    """The guesses, where beside a clock `T_nut` is a temperature, however evenly it rises."""
+    even = {h: ColumnGuess("temperature", None, g.why) for h, g in guesses.items() if g.why.endswith(EVEN_STEPS)}
+    return guesses | even if len(even) < sum(g.kind == "time" for g in guesses.values()) else guesses
+
+
+def with_place(columns: list[RawColumn], guesses: dict[str, ColumnGuess], stated: str | None) -> dict[str, ColumnGuess]:
+    """The guesses, and where none is a place, the only column that names an axis and is as long as a travel as one.
+
+    stated: an axis, by a person; of a rotary one the only column of angles is the place: `q1 [rad]`.
+    """
+    if any(g.kind in PLACE for g in guesses.values()):
         return guesses
-    long = [
-        c
-        for c in columns
-        if guesses[c.header].kind == "ignore" and axis_in(c.header) and c.unit in ("mm", "m", "inch") and c.numeric
-    ]
-    if len(long) != 1 or not values.as_long_as_a_travel(long[0]):
+    turns = stated is not None and stated[0] in "ABC"
+    units = ("deg", "rad") if turns else ("mm", "m", "inch")
+    ignored = [c for c in columns if guesses[c.header].kind == "ignore" and c.unit in units and c.numeric]
+    long = [c for c in ignored if turns or axis_in(c.header)]
+    if len(long) != 1 or not (turns or values.as_long_as_a_travel(long[0])):
         return guesses
-    axis = axis_in(long[0].header)
-    place = ColumnGuess("position", axis, f"its axis ({axis}), unit and size: as long as a travel")
-    return {**guesses, long[0].header: place}
+    axis = stated if turns else axis_in(long[0].header)
+    why = (
+        f"its unit ({long[0].unit}): the only angle"
+        if turns
+        else f"its axis ({axis}), unit and size: as long as a travel"
+    )
+    return {**guesses, long[0].header: ColumnGuess("position", axis, why)}
 
 
 def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
@@ -172,7 +151,7 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
     if kind in ("temperature",) and unit is not None and KIND_OF_UNIT.get(unit) not in ("temperature", None):
         return KIND_OF_UNIT[unit], f"its unit ({unit})"
     if kind == "temperature" and unit is None and values.ticks(column):
-        return "time", f"its name ({column.header!r}) and its even steps"
+        return "time", f"its name ({column.header!r}) and {EVEN_STEPS}"
     if kind == "temperature" and unit is None and column.numeric and not values.like_degrees(column):
         return "ignore", "called like a temperature, but its values are none in degC"
     if kind == "group" and unit in ("mm", "m", "inch", "deg"):
@@ -317,7 +296,7 @@ def side(text: object) -> float | None:
     """+1 or -1 of a word for a direction (`fwd`, `from above`, `zurück`), or None."""
     word = re.sub(r"^([+-])ve$", r"\1", plain(text).removesuffix(".0").strip(".:()"))
     word = re.sub(r"^[xyzabcuvw]\d? ?([+-])$|^([+-])[xyzabcuvw]\d?$", r"\1\2", word)
-    words = [w for w in re.split(r"[\s_.]+", word) if w not in ("", *_FILLERS)]
+    words = [w for w in re.split(r"[\s_.]+", word) if not _FILLER.fullmatch(w)]
     came_from = len(words) == 1 and _SIGN.fullmatch(words[0]) and set(_FROM) & set(re.split(r"[\s_.]+", word))
     word = words[0] if len(words) == 1 else word
     way = 1.0 if UP.fullmatch(word) else -1.0 if DOWN.fullmatch(word) else None

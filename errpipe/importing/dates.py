@@ -39,10 +39,7 @@ def _forms(*dates: str) -> tuple[str, ...]:
 
 _USUAL = (
     *_forms(*_DAY_BEFORE_MONTH, "%m/%d/%Y", "%m/%d/%y", *_YEAR_FIRST),
-    "%Y%m%d%H%M%S",
-    "%Y%m%d_%H%M%S",
-    "%Y%m%d-%H%M%S",
-    "%Y%m%d %H:%M:%S",
+    *("%Y%m%d%H%M%S", "%Y%m%d_%H%M%S", "%Y%m%d-%H%M%S", "%Y%m%d %H:%M:%S"),
     *_CLOCKS,
 )
 # Slashes and dashes may put the month first or the day: both are tried, and the shorter time that never falls is taken.
@@ -79,6 +76,8 @@ def numbered(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str,
 
     Raises DataError for what may be days or seconds.
     """
+    if (counted := unwrapped(c.values)) is not c.values:
+        c, why = RawColumn(c.header, c.unit, c.cells, counted), f"{why}; its counter overflowed, and is counted on"
     first, last = float(np.nanmin(c.values)), float(np.nanmax(c.values))
     unit = unit or unit_of(c.header)  # a column that is called `minutes`
     tick = next((tick for low, high, tick in EPOCHS if low <= first < high), None)
@@ -100,6 +99,18 @@ def numbered(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str,
         unit, why = "s", f"{why}; no unit is stated, taken as s".strip("; ")
     late = first > 1e8 or (first > SERIAL_DAYS[0][0] and unit == "d")
     return c.values - first if late else c.values, unit, why, None
+
+
+FEW_STEPS = 5.0  # of a clock: between the last row before an overflow and the first one behind it
+
+
+def unwrapped(values: np.ndarray) -> np.ndarray:
+    """Times that count on where a counter of 16, 24 or 32 bits began again from its least; else as they are."""
+    steps, usual = np.diff(values), float(np.median(np.diff(values), axis=0)) if values.size > 1 else 0.0
+    for span in (2.0**16, 2.0**24, 2.0**32):
+        if usual > 0 and (steps < 0).any() and (np.abs(steps[steps < 0] + span) <= FEW_STEPS * usual).all():
+            return values + span * np.r_[0.0, np.cumsum(steps < 0)]
+    return values
 
 
 def order_of(form: str) -> str:

@@ -17,6 +17,7 @@ from errpipe.importing.words import kind_by_name
 DEEPEST_LEGEND = 200  # rows of a legend, and of a sheet above its data: the longest preamble seen has 60
 NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
 _CHANNEL = re.compile(r"[^\W\d_]{0,8}\W?\d[\d-]*")  # `CH1`, `AI-03`
+_LABELS = re.compile(r"(?:comment|kommentar|tag|label|(?:signal|channel|kanal)?[ _-]?name)s?", re.IGNORECASE)
 _WORD = re.compile(
     r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?|open|burn ?out|over ?(range|flow)|no ?sensor)$).*[^\W\d_]",
     re.IGNORECASE,
@@ -151,7 +152,14 @@ def _are_units(texts: list[str]) -> bool:
 
 
 def named_above(names: list[str], above: list[list[Cell]]) -> list[str]:
-    """Names of channels as lines above call them: `CH1` below `CH1,Spindle,TEMP`; as they are where two agree."""
+    """Names of channels as lines above call them: `CH1` below `CH1,Spindle,TEMP`; as they are where two agree.
+
+    Or as a row of labels over all columns calls them: `Comment,X target,X deviation` above `Time,U1-1[mm],U1-2[um]`.
+    """
+    labels = next((r for r in above if len(r) == len(names) > 2 and _LABELS.fullmatch(label(r[0]))), [])
+    if labels and all(map(is_word, labels)) and len({*labels}) == len(labels):
+        units = [split_header(n)[1] for n in names]
+        return [names[0], *(f"{c} [{u}]" if u else str(c) for c, u in zip(labels[1:], units[1:], strict=True))]
     called = {label(row[0]): label(row[1]) for row in above if len(row) > 1 and is_word(row[1])}
     bare = [split_header(n)[0] for n in names]
     numbered = [n for n in bare if _CHANNEL.fullmatch(n) and n in called]

@@ -3,21 +3,59 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 
 import numpy as np
 
-from errpipe.importing import wide
+from errpipe.importing import dates, wide
 from errpipe.importing.columns import ColumnGuess
 from errpipe.importing.header import is_word
-from errpipe.importing.layout import Layout
+from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.proposed import Proposal
 from errpipe.importing.sheet import label
 
 
 def readings(layout: Layout, guesses: dict[str, ColumnGuess], p: Proposal) -> np.ndarray:
     """Whether each row is a reading; what else is left out is noted in the proposal."""
-    out = ~_figures_below(layout, guesses, p) & ~_written_twice(layout, guesses, p)
-    return _measured_rows(layout, guesses) & out
+    out = ~_figures_below(layout, guesses, p) & ~_written_twice(layout, guesses, p) & ~_repeated(layout, guesses, p)
+    measured = _measured_rows(layout, guesses)
+    if count := int((out & ~measured).sum()):
+        p.notes.append(f"{count} rows without a position, time or reading were left out (remarks, blank lines)")
+    return measured & out
+
+
+MOVING = ("command", "position", "actual", "error")
+LESS_FAR = 0.9  # of the way from row to row that columns go as the rows stand
+MOST_REPEATED = 0.1  # share of the rows: more of them are a log whose clock is coarse
+
+
+def in_order_of_time(layout: Layout, guesses: dict[str, ColumnGuess]) -> Layout:
+    """The rows by their dates, where positions and readings then go less far from row to row; else as they stand.
+
+    A clock that was set back interleaves what it wrote before and after: that is no order of the readings.
+    """
+    clock = next((c for c in layout.columns if guesses[c.header].kind == "time" and not c.numeric), None)
+    t, epoch, _ = (dates.seconds(clock) if clock else None) or (np.zeros(1), None, "")
+    moving = [c.values for c in layout.columns if guesses[c.header].kind in MOVING and c.numeric and np.any(c.values)]
+    of_runs = any(g.kind in ("run", "group") for g in guesses.values())
+    order, falls = np.argsort(t, kind="stable"), int((np.diff(t) < 0).sum())
+    if not falls or epoch is None or of_runs or not moving or np.isnan(t).any():
+        return layout
+    far = [sum(np.nansum(np.abs(np.diff(v[i]))) / np.nanmax(np.abs(v)) for v in moving) for i in (..., order)]
+    if far[1] > LESS_FAR * far[0]:
+        return layout
+    parts = [RawColumn(c.header, c.unit, [c.cells[i] for i in order], c.values[order]) for c in layout.columns]
+    notes = [*layout.notes, f"{falls} rows were earlier than the row above them: rows put in the order of their dates"]
+    return Layout(parts, layout.above, notes, layout.below)
+
+
+def _repeated(layout: Layout, guesses: dict[str, ColumnGuess], p: Proposal) -> np.ndarray:
+    """Rows that repeat the row above in every cell, its time included: one reading that was written twice."""
+    rows = list(zip(*(c.cells for c in layout.columns), strict=True))
+    out = np.array([False, *(a == b for a, b in pairwise(rows))])
+    out &= any(guesses[c.header].kind == "time" for c in layout.columns) and out.mean() <= MOST_REPEATED
+    p.notes += [f"{int(out.sum())} rows repeat the row above, its time included: left out"] if out.any() else []
+    return out
 
 
 def _measured_rows(layout: Layout, guesses: dict[str, ColumnGuess]) -> np.ndarray:

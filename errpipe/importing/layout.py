@@ -31,6 +31,7 @@ MOST_REMARKS = 50  # lines below a table that are kept as remarks
 SAMPLE_ROWS = 200  # rows in which a unit behind the numbers is looked for
 BY_NAME = "of the sheet or file"
 COMPONENT = r"\bE[XYZABC][XYZABCUVW]\b"  # by ISO 230-1, of an axis that moves
+NEEDED = "needed: a table of measurements with a column per signal"
 EMPTY = "columns without a value:"  # a note that an error repeats
 NUMERIC_SHARE = 0.6  # of a column's cells: what is a number column with gaps and remarks
 
@@ -186,7 +187,7 @@ def _first_data_row(name: str, rows: list[list[Cell]], numbers: list[list[float 
     filled, counts = _widths(rows, numbers)
     widths = Counter(n for n, c in zip(filled, counts, strict=True) if c >= 2 or (c and n <= 2))
     if not widths:
-        raise DataError(f"{name}: no row with two numbers (needed: a table of measurements with a column per signal)")
+        raise DataError(f"{name}: no row with two numbers ({NEEDED})")
     width = max(widths, key=lambda n: (widths[n] * n, n))
     for r in range(min(len(filled), DEEPEST_HEADER)):
         block = range(r, min(r + 3, len(filled)))
@@ -194,7 +195,7 @@ def _first_data_row(name: str, rows: list[list[Cell]], numbers: list[list[float 
         fact = counts[r] == 1 and width > 2 == filled[r] and is_word(rows[r][0])
         if full and not fact and not is_header(rows[r], numbers, r):
             return r
-    raise DataError(f"{name}: no block of numbers below a header in the first {DEEPEST_HEADER} lines")
+    raise DataError(f"{name}: no block of numbers below a header in the first {DEEPEST_HEADER} lines ({NEEDED})")
 
 
 def _widths(rows: list[list[Cell]], numbers: list[list[float | None]]) -> tuple[list[int], list[int]]:

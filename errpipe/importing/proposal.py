@@ -57,6 +57,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         c.unit = unit_of(unit or "") or unit
     no_reading.blank(layout)
     quality.blank(layout)
+    quality.units_beside(layout)
     speeds.read_switches(layout)
     if (of_a_ball_bar := circle.proposal(layout, options)) is not None:
         return of_a_ball_bar
@@ -66,7 +67,9 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         raise DataError("no column has a value")
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
     guesses = owners.only_of_axes(layout.columns, guesses)
-    guesses, unsure = with_temperatures(layout.columns, guessing.with_place(layout.columns, guesses))
+    guesses = guessing.with_place(layout.columns, guessing.with_one_clock(guesses), options.axis)
+    layout = kept_rows.in_order_of_time(layout, guesses)
+    guesses, unsure = with_temperatures(layout.columns, guesses)
     unsure += readings.unit_by_positions(layout.columns, guesses) if options.unit is None else []
     ambiguities.refuse_diameters(layout, guesses, options)
     layout = wide.side_by_side(wide.merged_targets(layout, guesses), guesses)
@@ -79,6 +82,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     if options.axis is None and said is not None:
         proposal.notes.append(f"the axis is {axis_above([said])}, as {said[:60]!r} says (--axis says another one)")
     wide_layout = wide.find(layout, guesses)
+    guesses = guesses if wide_layout else _of_stated_axis(layout, guesses, options.axis)  # `V1`, `R1` are runs
     axis = options.axis or _axis(layout, guesses, wide_layout)
     if axis is None:
         angles = [c for c in layout.columns if c.unit in ("deg", "rad") and guesses[c.header].kind in resolve.PLACES]
@@ -114,6 +118,26 @@ def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess |
     return guessing.ColumnGuess(role, axis or guessing.axis_in(column.header), "")
 
 
+def _of_stated_axis(
+    layout: Layout, guesses: dict[str, guessing.ColumnGuess], axis: str | None
+) -> dict[str, guessing.ColumnGuess]:
+    """The guesses with the axis that --axis states, where a line above names it as well: `U1-1` is then a channel.
+
+    Raises DataError where all columns of an axis name another one and no line above does: the option would be ignored.
+    """
+    named = {h: g for h, g in guesses.items() if g.axis is not None and g.kind in (*guessing.PLACE, "error")}
+    letters = {str(g.axis)[0] for g in named.values()}
+    if axis is None or len(letters) != 1 or axis[0] in letters:
+        return guesses
+    if axis_above(layout.above) == axis:
+        return guesses | {h: replace(g, axis=None) for h, g in named.items()}
+    corrected = " ".join(f"--set '{header}.axis={axis}'" for header in named)
+    raise DataError(
+        f"--axis {axis}: column {next(iter(named))!r} names the axis {letters.pop()}. Leave --axis out, or, where the "
+        f"file is wrong, say it of each column: {corrected}"
+    )
+
+
 def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], unfolded: wide.Wide | None) -> str | None:
     motion = ("command", "position", "actual", "counts", "error")
     runs = {c.header for c in [*unfolded.statistics, *(r for r, _, _ in unfolded.readings)]} if unfolded else set()
@@ -142,9 +166,6 @@ def _long(
 ) -> None:
     """One row of the file is one row of the recording."""
     keep = kept_rows.readings(layout, guesses, p)
-    dropped = len(keep) - int(keep.sum())
-    if dropped:
-        p.notes.append(f"{dropped} rows without a position, time or reading were left out (sums, remarks, blank lines)")
     if not keep.any():
         raise DataError("no row holds a reading")
     parts = [

@@ -1,14 +1,17 @@
-"""Columns that say whether a value beside them is good: of OPC UA, historians and data loggers."""
+"""Columns on a value beside them: whether it is good (OPC UA, historians, data loggers), and its unit."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
 from errpipe.importing.layout import Layout
 from errpipe.importing.sheet import Cell, label
+from errpipe.importing.units import unit_of
+from errpipe.importing.units_above import UNITS
 from errpipe.importing.words import kind_by_name, plain
 
 _NAMED = re.compile(r".*\b(quality|qualitaet|qualite|calidad|qualita|status|status ?code|valid(ity)?)\b'*")
@@ -59,3 +62,14 @@ def blank(layout: Layout) -> None:
                 of.values = np.where(out, np.nan, of.values)
                 layout.notes.append(f"{of.header}: {int(out.sum())} values that {c.header!r} calls bad were left out")
         begin = k + 1
+
+
+def units_beside(layout: Layout) -> None:
+    """A column of one unit, called so, states that of the numbers left of it: `Value;Unit`, in every row `mm`."""
+    for of, c in pairwise([*layout.columns]):
+        written = {label(cell) for cell in c.cells if cell not in (None, "")}
+        unit = unit_of(next(iter(written))) if len(written) == 1 else None
+        if unit is not None and of.numeric and of.unit is None and UNITS.fullmatch(plain(c.header).strip("' ")):
+            of.unit = unit
+            layout.columns = [other for other in layout.columns if other is not c]
+            layout.notes.append(f"{of.header}: in {unit}, as {c.header!r} beside it says")

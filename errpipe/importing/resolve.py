@@ -37,12 +37,8 @@ def resolve_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
             p.entries[place]["role"], command, place = "command", place, None  # a nominal position beside a reading
         if command is not None and place is None and actual is not None and not errors:
             p.entries[actual]["role"] = "position"
-        elif command is not None and place is None and actual is None:
-            p.entries[command]["role"] = "position"
-        elif command is None and place is None and actual is not None:
-            p.entries[actual]["role"] = "position"
-        elif command is not None and place is not None and actual is not None:
-            pass  # all three are recorded
+        elif place is None and (alone := command or actual) is not None and None in (command, actual):
+            p.entries[alone]["role"] = "position"
 
 
 # Of an angle; elsewhere a length (inch: both are written as "), a time, or a slope. A level reads um per m.
@@ -310,11 +306,6 @@ def _refuse_other_axis(p: Proposal, name: str, letter: str, options: ImportOptio
     if not moving or options.component is not None:
         return
     other = p.entries[moving[0]]["axis"]
-    if options.axis == letter:
-        raise DataError(
-            f"--axis names {letter}, and {moving[0]!r} holds positions of {other}: say it with "
-            f"--set {moving[0]}.axis={letter}, or --component E_{letter} for a drift along {letter}"
-        )
     raise DataError(
         f"{name!r} names {letter}, and {moving[0]!r} holds positions of {other}: say what was measured, with --set "
         f"{name}.component=E{letter}{other} (straightness), E{other}{other} (positioning) or E_{letter} (tool point)"

@@ -212,6 +212,9 @@ def add_log(p: Proposal, log: Proposal, stem: str) -> None:
             f"{stem}: no row of it is from the time of the deviations ({_period(start, at)}; "
             f"of {stem}: {_period(start, logged[log_time].to_numpy())})"
         )
+    p.notes.append(
+        f"{stem}: its clock is taken to agree with that of the deviations: where not, write its times shifted"
+    )
     names = {n: n if n not in p.entries else slug(f"{stem}_{n}") for n in logged.columns if n != log_time}
     logged = logged.rename(columns={log_time: time, **names})
     if any(e["role"] in OF_A_MACHINE for e in p.entries.values()):

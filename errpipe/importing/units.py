@@ -12,9 +12,10 @@ from errpipe.importing.words import kind_by_name
 # How units are written -> how the manifest writes them. Lower case, blanks removed.
 UNITS = {
     **dict.fromkeys(
-        ("µm", "μm", "um", "micron", "microns", "mikron", "mikrometer", "micrometer", "micrometers", "мкм"), "um"
+        ("µm", "μm", "um", "micron", "microns", "mikron", "mikrometer", "micrometer", "micrometers", "мкм", "微米"),
+        "um",
     ),
-    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "мм"), "mm"),
+    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "мм", "毫米"), "mm"),
     **dict.fromkeys(("m", "meter", "metre", "meters", "metres"), "m"),
     **dict.fromkeys(("µ", "âµm", "æm"), "um"),  # UTF-8, or the code page of DOS, read as Windows-1252
     **dict.fromkeys(("nm", "nanometer"), "nm"),
@@ -29,19 +30,14 @@ UNITS = {
     **dict.fromkeys(("s", "sec", "sek", "seconds", "sekunden", "secondes", "secondi", "segundos"), "s"),
     **dict.fromkeys(("ms", "msec"), "ms"),
     **dict.fromkeys(("us", "µs", "μs"), "us"),
-    "ns": "ns",
     **dict.fromkeys(("min", "minutes", "minuten", "minuti", "minutos"), "min"),
     **dict.fromkeys(("h", "hours", "std", "stunden", "heures", "horas"), "h"),
-    **dict.fromkeys(("cm",), "cm"),
     **dict.fromkeys(("µin", "μin", "uin", "microinch", "microinches", "millionths"), "microinch"),
-    **dict.fromkeys(("°", "deg", "degree", "degrees", "grad"), "deg"),
+    **dict.fromkeys(("°", "deg", "degree", "degrees", "grad", "度"), "deg"),
     **dict.fromkeys(("mdeg", "m°"), "mdeg"),
     **dict.fromkeys(("arcmin", "arc-min", "arcminutes"), "arcmin"),
     **dict.fromkeys(("µrad", "μrad", "urad"), "urad"),
-    **dict.fromkeys(("mrad",), "mrad"),
     **dict.fromkeys(("µm/m", "μm/m", "um/m"), "um/m"),  # of a level: an angle; of a length it is no reading
-    "mm/m": "mm/m",
-    **dict.fromkeys(("rad",), "rad"),
     **dict.fromkeys(("arcsec", "″", "''", "asec", "winkelsekunden", "bogensekunden", "winkelsek"), "arcsec"),
     **dict.fromkeys(
         ("arc-sec", "arc-seconds", "arcseconds", "arcsecs", "secofarc", "secondsofarc", "угл.сек"), "arcsec"
@@ -52,10 +48,6 @@ UNITS = {
     **dict.fromkeys(("n", "newton"), "N"),
     **dict.fromkeys(("kn",), "kN"),
     **dict.fromkeys(("rpm", "1/min", "u/min", "rev/min", "min-1"), "rpm"),
-    **dict.fromkeys(("mm/min",), "mm/min"),
-    **dict.fromkeys(("m/min",), "m/min"),
-    **dict.fromkeys(("mm/s",), "mm/s"),
-    **dict.fromkeys(("m/s",), "m/s"),
     **dict.fromkeys(("mm/s2", "mm/s²", "mm/s^2"), "mm/s2"),
     **dict.fromkeys(("m/s2", "m/s²"), "m/s2"),
     **dict.fromkeys(("%", "%rh", "percent"), "%"),
@@ -63,7 +55,7 @@ UNITS = {
     **dict.fromkeys(
         ("counts", "count", "cnt", "cts", "inc", "ink", "inkremente", "pulses", "steps", "impulse"), "counts"
     ),
-    **dict.fromkeys(("kg",), "kg"),
+    **{u: u for u in ("cm", "mrad", "rad", "mm/min", "m/min", "mm/s", "m/s", "kg", "ns", "mm/m")},
 }
 
 

@@ -50,9 +50,10 @@ EXPLANATIONS: dict[str, str] = {
         "One run or one direction holds the same curve, or the same targets, 25.4 or 1000 times larger than the others."
     ),
     "new-zero": (
-        "From one run to the next every target shifts by one amount, several times what runs differ by otherwise: the "
-        "instrument was zeroed again, or the axis was homed. Subtract the shift from the readings from that run "
-        "on, or leave out the runs before or after it."
+        "From one run to the next, or within a run, every target shifts by one amount, several times what runs differ "
+        "by otherwise: the instrument was zeroed again, or the axis was homed. Subtract the shift from the readings "
+        "from there on, or leave out the runs before or after it. Splitting the run there does not help: it leaves two "
+        "zeros, and no term separates them from the parts of the machine that are not measured yet."
     ),
     "not-a-temperature": "A temperature column follows the position back and forth within every run.",
     "other-zero": (

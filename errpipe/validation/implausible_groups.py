@@ -192,6 +192,61 @@ def new_zero(r: Response) -> Finding | None:
     return Finding("new-zero", r.column, evidence, meant, "ask")
 
 
+NEAR = 3  # rows on each side of a step: their median is no single reading
+SHARP = 0.7  # of a step: between two neighbours, where a zero is set; heat and wear take longer
+FEWEST_RUNS = 3  # of which the median is the shape of the axis
+
+
+def zero_within_run(r: Response) -> Finding | None:
+    """Steps within a run that the other runs do not have, far beyond its scatter, and not where the axis turns."""
+    run = r.run
+    if r.position is None or r.component.kind == "force" or np.unique(run).size < FEWEST_RUNS or run.size < 4 * NEAR:
+        return None
+    rest = r.deviation - _group_medians(r.deviation, run)
+    rest -= _group_medians(rest, r.cells())
+    windows = np.lib.stride_tricks.sliding_window_view(rest, NEAR)
+    local = np.median(windows[NEAR:], axis=1) - np.median(windows[:-NEAR], axis=1)  # of the step before row i + NEAR
+    rows = np.arange(NEAR, run.size - NEAR + 1)
+    within = run[rows - NEAR] == run[rows + NEAR - 1]
+    if not within.any():
+        return None
+    least = max(NEW_ZERO * 1.4826 * float(np.median(np.abs(local[within]))), LEAST_ZERO_UM)
+    within &= (np.abs(local) > least) & (np.abs(np.diff(rest)[rows - 1]) > SHARP * np.abs(local))
+    steps = rows[within & (r.side()[rows] == r.side()[rows - 1])]
+    said = []
+    for k in dict.fromkeys(run[steps].tolist()):
+        own, at = np.flatnonzero(run == k), steps[run[steps] == k]
+        if np.diff(at).min(initial=run.size) < 2 * NEAR:  # a gauge that stuck or was touched, and came back
+            continue
+        terms = np.column_stack([np.ones(own.size), r.position[own], *(own >= i for i in at)])
+        size, *_ = np.linalg.lstsq(terms, rest[own], rcond=None)
+        if (rest[own] - terms @ size).std() < FLAT * np.abs(size[2:]).min():
+            where = [
+                f"{s:+.3g} {r.component.unit} after row {r.rows[i - 1] + 1}" for i, s in zip(at, size[2:], strict=True)
+            ]
+            said.append(f"run {r.recording.run_labels()[int(k)]}: {', '.join(where)}")
+    if not said:
+        return None
+    meant = (
+        "the zero of the instrument was set anew: subtract each step from the readings that follow it in its run, and "
+        "from the runs after it that did not come back"
+    )
+    return Finding(
+        "new-zero", r.column, f"within a run all readings shift at once ({'; '.join(said[:3])})", meant, "ask"
+    )
+
+
+def _group_medians(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Median of each row's group, shape (n,)."""
+    order = np.lexsort((values, group))
+    first = np.flatnonzero(np.r_[True, np.diff(group[order]) != 0])
+    size = np.diff(np.r_[first, group.size])
+    medians = 0.5 * (values[order[first + (size - 1) // 2]] + values[order[first + size // 2]])
+    out = np.empty(group.size)
+    out[order] = np.repeat(medians, size)
+    return out
+
+
 def _curves(r: Response, groups: Sequence[np.ndarray]) -> np.ndarray | None:
     """Mean deviation of each group at the targets that all share, less its own line; None where it is undetermined."""
     levels = np.round(np.asarray(r.position), 3)
@@ -208,4 +263,12 @@ def _curves(r: Response, groups: Sequence[np.ndarray]) -> np.ndarray | None:
     return curves if curves.std(axis=1).min() > MIN_SCATTER_UM else None
 
 
-CHECKS: tuple[Check, ...] = (mixed_sign, repeated_run, mixed_positions, mirrored_rows, shuffled_rows, new_zero)
+CHECKS: tuple[Check, ...] = (
+    mixed_sign,
+    repeated_run,
+    mixed_positions,
+    mirrored_rows,
+    shuffled_rows,
+    new_zero,
+    zero_within_run,
+)

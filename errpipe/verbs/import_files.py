@@ -18,7 +18,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.files import missing
 from errpipe.formats import _derived, manifest_folder
-from errpipe.importing import features, order, other_tests, repeated_runs, resolve, signs, together
+from errpipe.importing import features, named_values, order, other_tests, repeated_runs, resolve, signs, together
 from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
@@ -125,7 +125,7 @@ def _of_sheet(sheet: Sheet, door: DoorOptions, options: ImportOptions, may_be_lo
     proposed = features.proposal(sheet, options)
     if proposed is not None:
         return proposed
-    cells = transposed(unstacked(sheet if door.names else paired(sheet)))
+    cells = transposed(unstacked(sheet if door.names else paired(named_values.tabled(sheet))))
     return propose(with_period(lay_out(cells, door.names), door.period), options, may_be_log)
 
 

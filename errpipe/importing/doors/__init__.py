@@ -20,6 +20,7 @@ from errpipe.importing import controller_files
 from errpipe.importing.doors import (
     camonitor,
     delimited,
+    dmis,
     excel,
     halsampler,
     halscope,
@@ -47,6 +48,7 @@ DOORS: tuple[ModuleType, ...] = (
     halsampler,
     records,
     camonitor,
+    dmis,
     delimited,
 )
 

@@ -216,7 +216,7 @@ IN_VAIN = {
     "a column that is not there": ({"sets": ["Deviaton.unit=mm"]}, "no such column"),
     "a sheet of a text": ({"door": DoorOptions("X")}, "--sheet would be ignored"),
     "another unit than the file's": ({"unit": "mm"}, "is in um, and --unit states mm"),
-    "another axis than the file's": ({"axis": "Y"}, "'X' holds positions of X: say it with --set X.axis=Y"),
+    "another axis than the file's": ({"axis": "Y"}, "--axis Y: column 'X' names the axis X.*--set 'X.axis=Y'"),
 }
 
 

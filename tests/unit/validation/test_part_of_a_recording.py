@@ -62,6 +62,10 @@ def zeroed(f: pd.DataFrame) -> None:
     f.loc[late(f), "EXX"] += 40.0
 
 
+def zeroed_within_a_run(f: pd.DataFrame) -> None:
+    f.loc[99:107, "EXX"] += 40.0  # run 9, from its fourth reading on
+
+
 def turned(f: pd.DataFrame) -> None:
     f.loc[f.run == "9", "dir"] *= -1.0
 
@@ -70,6 +74,7 @@ FAULTS: list[tuple[Callable[[pd.DataFrame], None], str, str]] = [
     (exchanged, "exchanged-sensors", "from run 1[3-9] on"),
     (in_fahrenheit, "temperature-range", "degF instead of degC from run 13 on"),
     (zeroed, "new-zero", r"run 13 by \+(3[5-9]|4)"),
+    (zeroed_within_a_run, "new-zero", r"run 9: \+(3[5-9]|4)[\d.]* um after row 99"),
     (turned, "reversed-direction", "in run 9 it is the opposite"),
 ]
 
@@ -85,6 +90,12 @@ def test_a_fault_that_begins_within_a_recording_is_named(
         fault(frame)
         named += re.search(says, codes_of(frame).get(code, "")) is not None
     assert named >= 8
+
+
+def test_a_gauge_that_was_touched_for_two_readings_has_no_new_zero() -> None:
+    frame = warming_axis(11)
+    frame.loc[99:100, "EXX"] += 40.0
+    assert "new-zero" not in codes_of(frame)
 
 
 def test_a_sound_axis_has_none_of_them() -> None:
