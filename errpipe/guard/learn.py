@@ -27,12 +27,15 @@ FALSE_ALARMS = 0.5  # expected per 1000 hours, all sensors together
 RIDGES = np.logspace(-5, 1, 13)  # times the mean square of the readings: half a decade apart
 MAX_CORRELATION = 0.8  # of a fault at most shows in another sensor's residual; above, noise picks the wrong one
 SELECTION_MARGIN = 1.1  # times: the lowest of many thresholds is lower than it should be
-KINDS = 2  # of alarms: departed, frozen
+KINDS = 3  # of alarms: departed, frozen, jumped
 MAX_RATE = 3.0  # times the fastest change seen of a healthy reading
 # Of the range seen, and K at least: readings outside by more are impossible. A shop spans 5 to 35 degC over a year, and
 # a winter that was learnt from must not make a summer impossible: with 10 K a healthy machine paid 65 %
 # (`trials.thermal`, seed 102, machine 2).
 RANGE_SHARE, RANGE_K = 0.5, 25.0
+JUMP_MARGIN = 1.5  # times: a door that opens in another season is quicker
+LEAST_JUMP = 1.0  # K: below it a jump does little harm, and noise of a sensor that was read seldom may look like one
+STILLER, QUICKER = 0.25, 2.0  # times what one run shows: it bounds no later one
 REACH = 2.0  # times the largest residual of healthy readings
 ACTIVE = 0.2  # quantile: a healthy reading is stiller only so much of the time
 LEAST_ACTIVITY = 1e-8  # of the median liveliness: below it a frozen sensor would be noticed after days
@@ -47,7 +50,7 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
     """
     names = tuple(sensors) if sensors is not None else recording.names("temperature")
     rows = rows_of(recording, names)
-    hours = float(sum(np.ptp(rows.t[rows.run == r]) for r in np.unique(rows.run)) / 3600)
+    hours = _hours(rows)
     groups = int(np.unique(rows.group).size)
     if len(names) < 2 or groups < 2 or hours < LEAST_HOURS:
         raise DataError(
@@ -56,9 +59,8 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
         )
     per_hour = FALSE_ALARMS / 1000 / KINDS
     test = _test(rows, per_hour)
-    estimate, largest = _estimate(rows)
-    late, largest_late = _late_estimate(rows)
-    alive = rows.lagged((rows.x - rows.lagged(rows.x, FREEZE_S)) ** 2, FREEZE_S)
+    weights, largest = _estimate(rows)
+    alive = _alive(rows)
     diagonal = np.sqrt(np.diag(test.precision))
     return g.SensorGuard(
         sensors=tuple(
@@ -66,13 +68,13 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
                 name=name,
                 **_believable(rows, i),
                 precision=tuple(map(float, test.precision[i])),
-                estimate=tuple(map(float, estimate[i])),
                 smallest=float(test.threshold / diagonal[i]),
-                present=tuple(map(float, late[i, : len(names)])),
-                past=tuple(map(float, late[i, len(names) :])),
-                reach=float(max(REACH * max(largest[i], largest_late[i]), 1e-3)),
+                present=tuple(map(float, weights[i, : len(names)])),
+                past=tuple(map(float, weights[i, len(names) :])),
+                reach=float(max(REACH * largest[i], 1e-3)),
                 lively=float(np.quantile(alive[:, i], ACTIVE)) or None,
                 still=_still(alive[:, i], rows, per_hour / len(names)),
+                jump=_jump(rows, i, per_hour / len(names)),
             )
             for i, name in enumerate(names)
         ),
@@ -80,6 +82,7 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
         horizon_s=HORIZON_S,
         freeze_s=FREEZE_S,
         settle_s=SETTLE_S,
+        most_failed=min(2, len(names) - 1),
         false_alarms=FALSE_ALARMS,
         hours=hours,
         correlation=test.correlation(),
@@ -128,22 +131,6 @@ def _precision(values: np.ndarray, ridge: float) -> np.ndarray:
 
 
 def _estimate(rows: Healthy) -> tuple[np.ndarray, np.ndarray]:
-    """Weights (sensors, sensors) of the best estimates, and the largest residual since the start per sensor, K.
-
-    Learnt from what changes within a shift, for an estimate only has to carry a reading on from where it was last
-    accepted; with the ridge that leaves the least of groups left out.
-    """
-    rise = rows.rises()
-    shift = rows.centred(rise)
-
-    def left(ridge: float, of: np.ndarray) -> np.ndarray:
-        return left_out(rows.group, shift, of, lambda values: _regress(values, ridge))
-
-    ridge = min(RIDGES, key=lambda r: float(np.sum(np.log(np.mean(left(r, shift) ** 2, axis=0) + 1e-18))))
-    return _regress(shift, ridge), np.max(np.abs(left(ridge, rise)), axis=0)
-
-
-def _late_estimate(rows: Healthy) -> tuple[np.ndarray, np.ndarray]:
     """Weights (sensors, 2 sensors) of the others' readings and of the same through a lag; and the largest residuals, K.
 
     Of every sensor the ridge that leaves least of runs left out and of the colder or warmer half of them left out: the
@@ -175,12 +162,6 @@ def _late_estimate(rows: Healthy) -> tuple[np.ndarray, np.ndarray]:
     return weights, largest
 
 
-def _regress(values: np.ndarray, ridge: float) -> np.ndarray:
-    """Ridge regression of each column on all others, (columns, columns); 0 on itself. From the precision matrix."""
-    precision = _precision(values, ridge)
-    return np.eye(len(precision)) - precision / np.diag(precision)[:, None]
-
-
 def left_out(
     group: np.ndarray, learnt_from: np.ndarray, judged: np.ndarray, weights: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
@@ -190,6 +171,58 @@ def left_out(
         inside = group == label
         out[inside] -= judged[inside] @ weights(learnt_from[~inside]).T
     return out
+
+
+def limits(recording: Recording, names: Sequence[str]) -> g.SensorGuard:
+    """A guard by each sensor's own readings, without stand-ins: what is quicker or stiller than ever seen is a fault.
+
+    Raises DataError without a row that all sensors read.
+    """
+    rows = rows_of(recording, tuple(names))
+    if not len(rows.x):
+        raise DataError("limits of readings need a row that all sensors read")
+    alive, none = _alive(rows), (0.0,) * len(names)
+    return g.SensorGuard(
+        sensors=tuple(
+            g.GuardedSensor(
+                name=name,
+                **_believable(rows, i),
+                present=none,
+                past=none,
+                stands_in=False,
+                reach=float(max(REACH * np.abs(rows.rises()[:, i]).max(), 1e-3)),
+                still=_still(STILLER * alive[:, i], rows, 0.0),
+                jump=QUICKER * _jump(rows, i, 0.0),
+            )
+            for i, name in enumerate(names)
+        ),
+        horizon_s=HORIZON_S,
+        freeze_s=FREEZE_S,
+        settle_s=SETTLE_S,
+        most_failed=0,
+        false_alarms=FALSE_ALARMS,
+        hours=_hours(rows),
+    )
+
+
+def _hours(rows: Healthy) -> float:
+    return float(sum(np.ptp(rows.t[rows.run == r]) for r in np.unique(rows.run)) / 3600)
+
+
+def _alive(rows: Healthy) -> np.ndarray:
+    """Lagged squares of the quick part of readings, K2, (rows, sensors)."""
+    return rows.lagged((rows.x - rows.lagged(rows.x, FREEZE_S)) ** 2, FREEZE_S)
+
+
+def _jump(rows: Healthy, i: int, per_hour: float) -> float:
+    """The quickest change of a healthy reading, K, exceeded at the stated rate.
+
+    Of a row's reading beside the lag before it: a controller, which reads more often, may see all of a row's change.
+    """
+    x, before = rows.x[:, [i]], rows.lagged(rows.x[:, [i]], FREEZE_S)
+    first = np.r_[True, rows.run[1:] != rows.run[:-1]]
+    quick = np.abs(x - np.where(first[:, None], x, np.roll(before, 1, axis=0)))[:, 0]
+    return float(max(JUMP_MARGIN * (rows.rare(quick, per_hour) if per_hour else quick.max()), LEAST_JUMP))
 
 
 def _believable(rows: Healthy, i: int) -> dict[str, float]:
@@ -211,5 +244,5 @@ def _still(alive: np.ndarray, rows: Healthy, per_hour: float) -> float | None:
     if not late.any() or alive[late].min() <= 0:
         return None
     kept = Healthy(rows.x[late], rows.run[late], rows.t[late], rows.group[late])
-    level = np.exp(-kept.rare(-np.log(alive[late]), per_hour, max_shape=1e-6))
+    level = np.exp(-kept.rare(-np.log(alive[late]), per_hour, max_shape=1e-6)) if per_hour else alive[late].min()
     return float(level) if level > LEAST_ACTIVITY * np.median(alive[late]) else None
