@@ -21,7 +21,7 @@ What stands in for a failed reading:
                estimate of a shift's changes; bodies of a machine lag behind each other
     m_i = lag(r_i, settle) as it was when the largest s^2 was last below QUIET_SHARE and x_i moved
     guarded reading = x_i - f_i,  f_i = r_i - m_i + sum (p_ij + q_ij) f_j over failed j: the last trusted reading,
-               carried on by its estimate from the others. Of two failed sensors: of faults that stay as they are
+               carried on by its estimate from the others, to first order where a second sensor fails
 
 The correction fades to zero (`trust`) where more than `most_failed` sensors are at fault, and where one is whose
 stand-in is of no use (`errpipe.stages._guarded`). A guard without P (one sensor, one run) has no stand-in: a sensor

@@ -38,7 +38,8 @@ LEAST_JUMP = 1.0  # K: below it a jump does little harm, and noise of a sensor t
 STILLER, QUICKER = 0.25, 2.0  # times what one run shows: it bounds no later one
 REACH = 2.0  # times the largest residual of healthy readings
 ACTIVE = 0.2  # quantile: a healthy reading is stiller only so much of the time
-LEAST_ACTIVITY = 1e-8  # of the median liveliness: below it a frozen sensor would be noticed after days
+LEAST_ACTIVITY = 1e-12  # of the median liveliness: reached 2.3 h after a reading froze; below it single precision ends
+STILL_MORE = 20.0  # times as often a sound sensor may look frozen: it is believed again when it moves
 LEAST_HOURS = 10.0  # h of recording to learn from
 
 
@@ -73,7 +74,7 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
                 past=tuple(map(float, weights[i, len(names) :])),
                 reach=float(max(REACH * largest[i], 1e-3)),
                 lively=float(np.quantile(alive[:, i], ACTIVE)) or None,
-                still=_still(alive[:, i], rows, per_hour / len(names)),
+                still=_still(alive[:, i], rows, STILL_MORE * per_hour / len(names)),
                 jump=_jump(rows, i, per_hour / len(names)),
             )
             for i, name in enumerate(names)

@@ -12,7 +12,6 @@ from errpipe.guard import composed as c
 from errpipe.guard.description import SensorGuard
 from errpipe.guard.detect import TIE, activity, all_quiet, faults, shared, trust
 
-MOST_RETURNED = 0.9  # of a fault, through a second failed sensor: two that read alike know nothing of themselves
 LONGEST_S = 1e9  # of a session: the clock that rises beside remembered values has this time constant
 
 
@@ -48,23 +47,14 @@ def readings(guard: SensorGuard) -> tuple[d.Driver, ...]:
     """Per sensor the reading while it is accepted, else what stands in for it."""
     failed, gone = faults(guard), tuple(_shift_since_trusted(guard, i) for i in range(len(guard.sensors)))
     alone = tuple(d.Product(of=pair) for pair in zip(failed, gone, strict=True))
-    weights = [[p + q for p, q in zip(s.present, s.past, strict=True)] for s in guard.sensors]
     out = []
-    for i, name in enumerate(guard.names()):
-        fault, others = gone[i], [j for j in range(len(weights)) if j != i]
-        if others and guard.most_failed > 1:
-            both = {j: through(weights[i][j] * weights[j][i]) for j in others}
-            own = d.Affine(offset=1.0, weights=tuple(both.values()), of=tuple(failed[j] for j in others))
-            shown = tuple(weights[i][j] * (1.0 + b) for j, b in both.items())
-            fault = d.Affine(weights=(1.0, *shown), of=(d.Product(of=(gone[i], own)), *(alone[j] for j in others)))
+    for i, (name, sensor) in enumerate(zip(guard.names(), guard.sensors, strict=True)):
+        fault, others = gone[i], [j for j in range(len(gone)) if j != i]
+        if guard.most_failed > 1:
+            shown = tuple(sensor.present[j] + sensor.past[j] for j in others)
+            fault = d.Affine(weights=(1.0, *shown), of=(gone[i], *(alone[j] for j in others)))
         out.append(d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), d.Product(of=(failed[i], fault)))))
     return tuple(out)
-
-
-def through(product: float) -> float:
-    """What comes back through the other one of two failed sensors, as a share: a series of its powers."""
-    held = max(-MOST_RETURNED, min(product, MOST_RETURNED))
-    return held / (1.0 - held)
 
 
 @shared

@@ -16,7 +16,6 @@ from errpipe.fitting import holdout
 from errpipe.fitting.statistics import rms
 from errpipe.guard import learn
 from errpipe.guard.description import SensorGuard
-from errpipe.guard.replace import through
 from errpipe.guard.rows import rows_of
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages.predict import table_values
@@ -26,10 +25,14 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
     from errpipe.validation.gate import Passed
 
-MOST_NODES = 400  # of the 1024 of a table
+MOST_SENSORS = (
+    6  # of 55 nodes each and 17 beside, at most 400 of the 1024 of a table (tests/unit/stages/test_guarded.py)
+)
+MOST_ALONE = 15  # watched one by one, of 25 each
 MOST_COST = 0.03  # of what is left with sound sensors, on groups left out
-# Of no compensation, on groups left out: what a stand-in may leave. Chosen on trials.thermal, seed 41401 (24 machines).
-MOST_LEFT = 0.7
+# Of no compensation, on groups left out: what a stand-in may leave. Chosen on trials.thermal, seed 41401: with 0.7, 4
+# instead of 2 of 115 sensors that stand still leave more than no compensation.
+MOST_LEFT = 1.0
 MOST_BATCHES = 6  # of runs left out: each takes a guard of its own
 WATCHED_ALONE = "Temperatures watched one by one"
 NOT_WATCHED = "Temperatures not watched"
@@ -89,9 +92,8 @@ def judge(passed: Passed, options: CompileOptions, recording: Recording, plain: 
     """What guards of an export are judged by; where nothing was judged, the rows of the fit stand for held-out ones."""
     left = {c.component: c.rms_after for c in passed.model.components}
     before = {c.component: c.rms_before for c in passed.model.components}
-    for figures in passed.judged:
-        left[figures["component"]] = min(figures["rms_at_gain"], left.get(figures["component"], np.inf)) or 0.0
-        before[figures["component"]] = figures["rms_before"]
+    for figures in sorted(passed.judged, key=lambda f: -f["rms_at_gain"]):  # the least of several validations
+        left[figures["component"]], before[figures["component"]] = figures["rms_at_gain"], figures["rms_before"]
     return Judge(passed.model, options, recording, plain, left, before)
 
 
@@ -105,10 +107,12 @@ def watch(judge: Judge, scheme: str | None) -> Watched:
     """The guard that the recording lets be learnt, and that costs sound sensors at most `MOST_COST`.
 
     scheme: how the model was validated; groups of it, else runs, are left out. Where sensors cannot be judged by each
-    other (one sensor, one run, too many nodes), each is watched by itself and the correction fades where one fails.
+    other (one sensor, one run), each is watched by itself and the correction fades where one fails.
     """
     held = short_gaps_held(judge.recording)
-    names = _chosen(judge, held)
+    names = _chosen(judge, held, MOST_SENSORS)
+    if len(names) < 2:  # the others of the recording are witnesses
+        names = (*names, *(n for n in held.names("temperature") if n not in names))[:MOST_SENSORS]
     try:
         guard, folds = _learnt(held, names, scheme)
     except DataError as why:
@@ -120,35 +124,24 @@ def watch(judge: Judge, scheme: str | None) -> Watched:
     document = {"watched": list(names), "stand_in": [s.name for s in guard.sensors if s.stands_in], "cost": cost}
     fading = [s.name for s in guard.sensors if not s.stands_in]
     said = f"{len(names)} temperatures are watched against each other, and stand in for one that fails"
+    others = [n for n in sensors_read(judge.plain, held) if n not in names]
+    said += f"; {len(others)} that move the table less are not, and fade it where they are lost" if others else ""
     said += f"; the correction fades where {' or '.join(fading)} fails, which no other tells" if fading else ""
     return Watched(guard, said, document)
 
 
-def _chosen(judge: Judge, held: Recording) -> tuple[str, ...]:
-    """The sensors that a guard of at most `MOST_NODES` holds: of those read, the ones that move the table most.
-
-    A table of one sensor takes the others of the recording as witnesses.
-    """
+def _chosen(judge: Judge, held: Recording, most: int) -> tuple[str, ...]:
+    """At most so many of the temperatures that the table reads, those that move it most, in the recording's order."""
     names = sensors_read(judge.plain, held)
-    if len(names) < 2:
-        names = [*names, *(n for n in held.names("temperature") if n not in names)]
     told, run = judge.told(judge.plain, held), held.run_codes()
     first = np.maximum.accumulate(np.where(np.r_[True, np.diff(run) != 0], np.arange(run.size), 0))
 
     def moves(name: str) -> float:
         stuck = held.with_columns({name: held.array(name)[first]}, {})
-        return judge.cost(judge.moved(judge.told(judge.plain, stuck), told)) if name in read else 0.0
+        return judge.cost(judge.moved(judge.told(judge.plain, stuck), told))
 
-    read = set(sensors_read(judge.plain, held))
-    ranked = sorted(names, key=moves, reverse=True)
-    return tuple(n for n in names if n in ranked[: _most_sensors(judge)])
-
-
-def _most_sensors(judge: Judge) -> int:
-    return MOST_NODES // NODES_PER_SENSOR
-
-
-NODES_PER_SENSOR = 57  # 55 beside 17 of the guard as a whole: `tests/unit/stages/test_guarded.py` holds it
+    ranked = sorted(names, key=moves, reverse=True)[:most] if len(names) > most else names
+    return tuple(n for n in names if n in ranked)
 
 
 def _learnt(held: Recording, names: Sequence[str], scheme: str | None) -> tuple[SensorGuard, list[tuple[Any, Any]]]:
@@ -198,8 +191,7 @@ def _shifts(guard: SensorGuard, held: Recording) -> Iterator[tuple[tuple[int, in
     for i in range(len(weight)):
         yield (i, i), left[:, i]
         for j in set(range(len(weight))) - {i}:
-            back = through(weight[i, j] * weight[j, i])
-            yield (i, j), (1.0 + back) * (left[:, i] + weight[i, j] * left[:, j])
+            yield (i, j), left[:, i] + weight[i, j] * left[:, j]
 
 
 def _cost(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tuple]) -> float:
@@ -219,7 +211,7 @@ def _cost(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tup
 
 def _one_by_one(judge: Judge, held: Recording, why: str) -> Watched:
     """Each sensor watched by itself; no guard where that costs sound sensors too much, on the recording's own rows."""
-    names = sensors_read(judge.plain, held)
+    names = _chosen(judge, held, MOST_ALONE)
     try:
         guard = learn.limits(held, names)
     except DataError as lacking:
@@ -228,7 +220,9 @@ def _one_by_one(judge: Judge, held: Recording, why: str) -> Watched:
     if cost > MOST_COST:
         return not_watched(f"{why}; watched one by one they would cost {100 * cost:.0f} %")
     said = f"no temperature stands in for another ({why}): one that stands still or jumps as never seen"
-    return Watched(guard, f"{said} fades the correction", {"watched": names, "stand_in": [], "cost": cost, "why": why})
+    return Watched(
+        guard, f"{said} fades the correction", {"watched": list(names), "stand_in": [], "cost": cost, "why": why}
+    )
 
 
 def not_watched(why: str) -> Watched:
