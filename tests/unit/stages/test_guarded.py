@@ -58,21 +58,21 @@ def test_six_sensors_are_watched_within_400_nodes_and_cost_nothing(watched):
     assert found.title("a lathe") == "a lathe"
 
 
-@pytest.mark.parametrize("way", ["stuck", "lost", "hot", "step", "halved"])
+@pytest.mark.parametrize("way", ["stuck", "lost", "hot", "step", "low"])
 def test_a_failed_sensor_is_stood_in_for(watched, way):
     """The one that counts most, from the third hour on."""
     _, model, judge, found = watched
     fresh = measured(4, 6)
     late, x = fresh.time() >= 7200.0, fresh.array("T_housing").copy()
     stuck = np.concatenate([np.full(480, x[480 * k + 120]) for k in range(4)])
-    wrong = {"stuck": stuck, "lost": np.nan, "hot": 850.0, "step": x + 8.0, "halved": 0.5 * x}[way]
+    wrong = {"stuck": stuck, "lost": np.nan, "hot": 850.0, "step": x + 4.0, "low": 0.85 * x}[way]
     failed = fresh.with_columns({"T_housing": np.where(late, wrong, x)}, {})
 
     def left(table):
         return np.sqrt(np.mean((fresh.array("E_Z") - table_values(table, model, failed)["E_Z"])[late] ** 2))
 
     bare, guarded = left(judge.plain), left(judge.compiled(found.guard))
-    assert guarded < 0.5 * bare
+    assert guarded < 0.7 * bare
 
 
 def test_a_table_without_its_guard_is_the_plain_one(watched):
