@@ -17,11 +17,10 @@ Jones 1976; Gertler 1998). With x the readings and C the covariance of u for hea
 
 What stands in for a failed reading:
 
-    r_i = x_i - sum p_ij x_j - sum q_ij lag(x_j, horizon), less its value at the start     residual of the best
-               estimate of a shift's changes; bodies of a machine lag behind each other
+    r_i = x_i - sum v_ij x_j, less its value at the start     residual of the best estimate of a shift's changes
     m_i = lag(r_i, settle) as it was when the largest s^2 was last below QUIET_SHARE and x_i moved
-    guarded reading = x_i - f_i,  f_i = r_i - m_i + sum (p_ij + q_ij) f_j over failed j: the last trusted reading,
-               carried on by its estimate from the others, to first order where a second sensor fails
+    guarded reading = x_i - f_i,  f_i = r_i - m_i + sum v_ij f_j over failed j: the last trusted reading, carried on
+               by its estimate from the others. Solved exactly for two failed sensors, approximately for more (frozen)
 
 The correction fades to zero (`trust`) where more than `most_failed` sensors are at fault, and where one is whose
 stand-in is of no use (`errpipe.stages._guarded`). A guard without P (one sensor, one run) has no stand-in: a sensor
@@ -54,8 +53,7 @@ class GuardedSensor(Frozen):
     high: float = Field(description="No healthy reading lies above.")
     max_rate: float = Field(gt=0, description="No healthy reading changes faster, per s.")
     precision: tuple[float, ...] = Field((), description="Row of P, 1/K2, sensors in the guard's order; none: no P.")
-    present: tuple[float, ...] = Field(description="Weights p of the readings, in the guard's order; 0 for itself.")
-    past: tuple[float, ...] = Field(description="Weights q of the readings through a lag of `horizon`, likewise.")
+    estimate: tuple[float, ...] = Field(description="Weights v of the sensors in the guard's order; 0 for itself.")
     smallest: float | None = Field(None, gt=0, description="Smallest fault that reaches the threshold, K.")
     jump: float = Field(gt=0, description="No healthy reading is further from its lag of `freeze`, K.")
     stands_in: bool = Field(True, description="Whether its estimate is of use; else the correction fades.")
@@ -77,6 +75,20 @@ class SensorGuard(Frozen):
     false_alarms: float = Field(description="Expected per 1000 hours, all sensors together.")
     hours: float = Field(description="Hours of healthy readings the thresholds come from.")
     correlation: float = Field(0.0, description="Largest share of a fault that shows in another sensor's s.")
+
+    def widened(self, times: float) -> SensorGuard:
+        """The guard that accepts residuals and jumps that many times as large, and activity as many times as small."""
+        wider = tuple(
+            s.model_copy(
+                update={
+                    "smallest": s.smallest and times * s.smallest,
+                    "jump": times * s.jump,
+                    "still": s.still and s.still / times**2,
+                }
+            )
+            for s in self.sensors
+        )
+        return self.model_copy(update={"threshold": times * self.threshold, "sensors": wider})
 
     @property
     def compares(self) -> bool:

@@ -70,8 +70,7 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
                 **_believable(rows, i),
                 precision=tuple(map(float, test.precision[i])),
                 smallest=float(test.threshold / diagonal[i]),
-                present=tuple(map(float, weights[i, : len(names)])),
-                past=tuple(map(float, weights[i, len(names) :])),
+                estimate=tuple(map(float, weights[i])),
                 reach=float(max(REACH * largest[i], 1e-3)),
                 lively=float(np.quantile(alive[:, i], ACTIVE)) or None,
                 still=_still(alive[:, i], rows, STILL_MORE * per_hour / len(names)),
@@ -132,35 +131,25 @@ def _precision(values: np.ndarray, ridge: float) -> np.ndarray:
 
 
 def _estimate(rows: Healthy) -> tuple[np.ndarray, np.ndarray]:
-    """Weights (sensors, 2 sensors) of the others' readings and of the same through a lag; and the largest residuals, K.
+    """Weights (sensors, sensors) of the best estimates, and the largest residual since the start per sensor, K.
 
-    Of every sensor the ridge that leaves least of runs left out and of the colder or warmer half of them left out: the
-    weights must carry over to surroundings that are not those of the runs.
+    Learnt from what changes within a shift, for an estimate only has to carry a reading on from where it was last
+    accepted; with the ridge that leaves the least of groups left out.
     """
     rise = rows.rises()
-    both = np.hstack([rise, rows.lagged(rise, HORIZON_S)])
-    shift = rows.centred(both)
-    count = rise.shape[1]
-    weights, largest = np.zeros((count, 2 * count)), np.zeros(count)
-    for i in range(count):
-        used = [k for k in range(2 * count) if k % count != i]
+    shift = rows.centred(rise)
 
-        def fit(values: np.ndarray, ridge: float, used: list[int] = used, i: int = i) -> np.ndarray:
-            x = values[:, used]
-            size = np.sqrt(np.mean(x**2, axis=0)) + 1e-12
-            square = (x / size).T @ (x / size) / len(x) + ridge * np.eye(len(used))
-            out = np.zeros((2 * count, 2 * count))
-            out[i, used] = np.linalg.solve(square, (x / size).T @ values[:, i] / len(x)) / size
-            return out
+    def left(ridge: float, of: np.ndarray) -> np.ndarray:
+        return left_out(rows.group, shift, of, lambda values: _regress(values, ridge))
 
-        def left(ridge: float, group: np.ndarray, of: np.ndarray, i: int = i, fit: Callable = fit) -> np.ndarray:
-            return left_out(group, shift, of, lambda values: fit(values, ridge))[:, i]
+    ridge = min(RIDGES, key=lambda r: float(np.sum(np.log(np.mean(left(r, shift) ** 2, axis=0) + 1e-18))))
+    return _regress(shift, ridge), np.max(np.abs(left(ridge, rise)), axis=0)
 
-        folds = (rows.group, rows.warm_half())
-        ridge = min(RIDGES, key=lambda r: sum(float(np.log(np.mean(left(r, g, shift) ** 2) + 1e-18)) for g in folds))
-        weights[i] = fit(shift, ridge)[i]
-        largest[i] = np.max(np.abs(left(ridge, rows.group, both)))
-    return weights, largest
+
+def _regress(values: np.ndarray, ridge: float) -> np.ndarray:
+    """Ridge regression of each column on all others, (columns, columns); 0 on itself. From the precision matrix."""
+    precision = _precision(values, ridge)
+    return np.eye(len(precision)) - precision / np.diag(precision)[:, None]
 
 
 def left_out(
@@ -188,8 +177,7 @@ def limits(recording: Recording, names: Sequence[str]) -> g.SensorGuard:
             g.GuardedSensor(
                 name=name,
                 **_believable(rows, i),
-                present=none,
-                past=none,
+                estimate=none,
                 stands_in=False,
                 reach=float(max(REACH * np.abs(rows.rises()[:, i]).max(), 1e-3)),
                 still=_still(STILLER * alive[:, i], rows, 0.0),

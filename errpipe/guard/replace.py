@@ -47,12 +47,15 @@ def readings(guard: SensorGuard) -> tuple[d.Driver, ...]:
     """Per sensor the reading while it is accepted, else what stands in for it."""
     failed, gone = faults(guard), tuple(_shift_since_trusted(guard, i) for i in range(len(guard.sensors)))
     alone = tuple(d.Product(of=pair) for pair in zip(failed, gone, strict=True))
-    out = []
-    for i, (name, sensor) in enumerate(zip(guard.names(), guard.sensors, strict=True)):
+    weights, out = [s.estimate for s in guard.sensors], []
+    for i, name in enumerate(guard.names()):
         fault, others = gone[i], [j for j in range(len(gone)) if j != i]
         if guard.most_failed > 1:
-            shown = tuple(sensor.present[j] + sensor.past[j] for j in others)
-            fault = d.Affine(weights=(1.0, *shown), of=(gone[i], *(alone[j] for j in others)))
+            both = {j: weights[i][j] * weights[j][i] for j in others}  # what comes back through the other failed sensor
+            through = tuple(b / (1.0 - b) for b in both.values())
+            own = d.Affine(offset=1.0, weights=through, of=tuple(failed[j] for j in others))
+            shown = tuple(weights[i][j] / (1.0 - b) for j, b in both.items())
+            fault = d.Affine(weights=(1.0, *shown), of=(d.Product(of=(gone[i], own)), *(alone[j] for j in others)))
         out.append(d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), d.Product(of=(failed[i], fault)))))
     return tuple(out)
 
@@ -60,13 +63,11 @@ def readings(guard: SensorGuard) -> tuple[d.Driver, ...]:
 @shared
 def _shift_since_trusted(guard: SensorGuard, i: int) -> d.Driver:
     """r - m: how far one reading has moved from its estimate since it was last trusted."""
-    sensor, inputs = guard.sensors[i], [d.Input(name=n) for n in guard.names()]
+    inputs, weights = [d.Input(name=n) for n in guard.names()], guard.sensors[i].estimate
     if not guard.compares:
         return _residual_shift(guard, i, inputs[i])
-    past = [c.lag(x, guard.horizon_s) for x in inputs]
-    used = [j for j in range(len(inputs)) if j != i]
-    weights = (*(1.0 if j == i else -p for j, p in enumerate(sensor.present)), *(-sensor.past[j] for j in used))
-    return _residual_shift(guard, i, d.Affine(weights=weights, of=(*inputs, *(past[j] for j in used))))
+    own = tuple(1.0 if j == i else -v for j, v in enumerate(weights))
+    return _residual_shift(guard, i, d.Affine(weights=own, of=tuple(inputs)))
 
 
 def _residual_shift(guard: SensorGuard, i: int, residual_of: d.Driver) -> d.Driver:

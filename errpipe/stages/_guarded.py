@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -33,6 +33,7 @@ MOST_COST = 0.03  # of what is left with sound sensors, on groups left out
 # Of no compensation, on groups left out: what a stand-in may leave. Chosen on trials.thermal, seed 41401: with 0.7, 4
 # instead of 2 of 115 sensors that stand still leave more than no compensation.
 MOST_LEFT = 1.0
+WIDER = (1.0, 1.5, 2.5, 4.0)  # times the thresholds that were learnt: groups left out may be livelier (by judgement)
 MOST_BATCHES = 6  # of runs left out: each takes a guard of its own
 WATCHED_ALONE = "Temperatures watched one by one"
 NOT_WATCHED = "Temperatures not watched"
@@ -114,13 +115,13 @@ def watch(judge: Judge, scheme: str | None) -> Watched:
     if len(names) < 2:  # the others of the recording are witnesses
         names = (*names, *(n for n in held.names("temperature") if n not in names))[:MOST_SENSORS]
     try:
-        guard, folds = _learnt(held, names, scheme)
+        guard, folds = _learnt(held, names, scheme, learn.learn)
     except DataError as why:
-        return _one_by_one(judge, held, str(why))
+        return _one_by_one(judge, held, str(why), scheme)
     guard = _with_stand_ins(judge, held, guard, folds)
-    cost = _cost(judge, held, guard, folds)
+    guard, cost = _affordable(judge, held, guard, folds)
     if cost > MOST_COST:
-        return _one_by_one(judge, held, f"it would cost sound sensors {100 * cost:.0f} % on groups left out")
+        return _one_by_one(judge, held, f"it would cost sound sensors {100 * cost:.0f} % on groups left out", scheme)
     document = {"watched": list(names), "stand_in": [s.name for s in guard.sensors if s.stands_in], "cost": cost}
     fading = [s.name for s in guard.sensors if not s.stands_in]
     said = f"{len(names)} temperatures are watched against each other, and stand in for one that fails"
@@ -144,17 +145,21 @@ def _chosen(judge: Judge, held: Recording, most: int) -> tuple[str, ...]:
     return tuple(n for n in names if n in ranked)
 
 
-def _learnt(held: Recording, names: Sequence[str], scheme: str | None) -> tuple[SensorGuard, list[tuple[Any, Any]]]:
+def _learnt(
+    held: Recording, names: Sequence[str], scheme: str | None, by: Callable[..., SensorGuard]
+) -> tuple[SensorGuard, list[tuple[Any, Any]]]:
     """The guard of all rows, and (rows, guard without them) of each group left out. Raises DataError."""
-    guard = learn.learn(held, names)
+    guard = by(held, names)
     for way in (scheme, f"batches:{MOST_BATCHES}", "leave-one-run-out"):
         try:
             splits = holdout.groups(held, way) if way else []
             if 1 < len(splits) <= MOST_BATCHES:
-                return guard, [(s.test, learn.learn(held.take(s.train), names)) for s in splits]
+                return guard, [(s.test, by(held.take(s.train), names)) for s in splits]
         except DataError:
             continue
-    raise DataError("a sensor guard needs groups of which it can be learnt without one")
+    if guard.compares:
+        raise DataError("a sensor guard needs groups of which it can be learnt without one")
+    return guard, []
 
 
 def _with_stand_ins(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tuple]) -> SensorGuard:
@@ -183,15 +188,14 @@ def _shifts(guard: SensorGuard, held: Recording) -> Iterator[tuple[tuple[int, in
     """(i, j) -> what stands in for sensor i where j (itself: no other) fails, less its sound reading, K, (rows,)."""
     healthy = rows_of(held, guard.names())
     rise = healthy.rises()
-    present, past = (np.array([getattr(s, w) for s in guard.sensors]) for w in ("present", "past"))
-    left = np.zeros((len(held), len(guard.sensors)))
+    weight = np.array([s.estimate for s in guard.sensors])
+    left = np.zeros((len(held), len(weight)))
     whole = np.isfinite(np.column_stack([held.array(n) for n in guard.names()])).all(axis=1)
-    left[whole] = rise - rise @ present.T - healthy.lagged(rise, guard.horizon_s) @ past.T
-    weight = present + past
+    left[whole] = rise - rise @ weight.T
     for i in range(len(weight)):
         yield (i, i), left[:, i]
         for j in set(range(len(weight))) - {i}:
-            yield (i, j), left[:, i] + weight[i, j] * left[:, j]
+            yield (i, j), (left[:, i] + weight[i, j] * left[:, j]) / (1.0 - weight[i, j] * weight[j, i])
 
 
 def _cost(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tuple]) -> float:
@@ -209,14 +213,25 @@ def _cost(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tup
     return max(own, judge.cost(judge.moved(by_fold, told)))
 
 
-def _one_by_one(judge: Judge, held: Recording, why: str) -> Watched:
-    """Each sensor watched by itself; no guard where that costs sound sensors too much, on the recording's own rows."""
+def _affordable(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tuple]) -> tuple[SensorGuard, float]:
+    """The guard at the least of `WIDER` at which sound sensors cost at most `MOST_COST`, else the widest; the cost."""
+    tried, cost = guard, np.inf
+    for times in WIDER:
+        tried = guard.widened(times)
+        cost = _cost(judge, held, tried, [(rows, fold.widened(times)) for rows, fold in folds])
+        if cost <= MOST_COST:
+            break
+    return tried, float(cost)
+
+
+def _one_by_one(judge: Judge, held: Recording, why: str, scheme: str | None) -> Watched:
+    """Each sensor watched by itself; no guard where that costs sound sensors too much."""
     names = _chosen(judge, held, MOST_ALONE)
     try:
-        guard = learn.limits(held, names)
+        guard, folds = _learnt(held, names, scheme, learn.limits)
     except DataError as lacking:
         return not_watched(f"{why}; {lacking}")
-    cost = judge.cost(judge.moved(judge.told(judge.compiled(guard), held), judge.told(judge.plain, held)))
+    guard, cost = _affordable(judge, held, guard, folds)
     if cost > MOST_COST:
         return not_watched(f"{why}; watched one by one they would cost {100 * cost:.0f} %")
     said = f"no temperature stands in for another ({why}): one that stands still or jumps as never seen"
