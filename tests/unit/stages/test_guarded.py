@@ -65,7 +65,7 @@ def test_a_failed_sensor_is_stood_in_for(watched, way):
     fresh = measured(4, 6)
     late, x = fresh.time() >= 7200.0, fresh.array("T_housing").copy()
     stuck = np.concatenate([np.full(480, x[480 * k + 120]) for k in range(4)])
-    wrong = {"stuck": stuck, "lost": np.nan, "hot": 850.0, "step": x + 4.0, "low": 0.85 * x}[way]
+    wrong = {"stuck": stuck, "lost": np.nan, "hot": 850.0, "step": x - 4.0, "low": 0.85 * x}[way]
     failed = fresh.with_columns({"T_housing": np.where(late, wrong, x)}, {})
 
     def left(table):
