@@ -35,8 +35,9 @@ MOST_COST = 0.03  # of what is left with sound sensors, on groups left out
 MOST_LEFT = 1.0
 WIDER = (1.0, 1.5, 2.5, 4.0)  # times the thresholds that were learnt: groups left out may be livelier (by judgement)
 MOST_BATCHES = 6  # of runs left out: each takes a guard of its own
-WATCHED_ALONE = "Temperatures watched one by one"
-NOT_WATCHED = "Temperatures not watched"
+MOST_TITLE = 127  # characters, of a table
+WATCHED_ALONE = "temperatures watched one by one"
+NOT_WATCHED = "temperatures not watched"
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,9 @@ class Watched:
     document: dict[str, Any]
 
     def title(self, title: str) -> str:
-        """The title of the table: that temperatures are not watched, or not by each other, goes first."""
+        """The title of the table, and behind it that temperatures are not watched, or not by each other."""
         mark = NOT_WATCHED if self.guard is None else "" if self.guard.compares else WATCHED_ALONE
-        return f"{mark}: {title}"[:127] if mark else title
+        return "; ".join(filter(None, (title[: MOST_TITLE - len(mark) - 2], mark))) if mark else title
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,8 @@ def _limited(channel: TableInput, rate: ReadingRate | None, silence: float, sens
     if channel.stale_after_s is not None:
         learnt["stale_after_s"] = max(channel.stale_after_s, silence)
     if sensor is not None:
-        learnt |= {"low": sensor.low, "high": sensor.high, "max_rate": sensor.max_rate}
+        learnt |= {"low": sensor.low, "high": sensor.high}
+        learnt["max_rate"] = max(sensor.max_rate, learnt.get("max_rate", 0.0))  # its recording may be a quiet one
         learnt["default"] = min(max(channel.default, sensor.low), sensor.high)
     return channel.model_copy(update=learnt)
 

@@ -95,7 +95,7 @@ def test_one_run_or_one_sensor_is_watched_by_itself():
         rows = without(rows, set(sensors.NAMES) - set(read))
         found = _guarded.watch(judged(rows, model), None)
         assert not found.guard.compares and why in found.said, found.said
-        assert found.title("x").startswith(_guarded.WATCHED_ALONE)
+        assert found.title(200 * "x").endswith(f"x; {_guarded.WATCHED_ALONE}") and len(found.title(200 * "x")) == 127
         table = judged(rows, model).compiled(found.guard)
         assert in_table.watched(table) and not in_table.stands_in(table)
 
@@ -162,4 +162,4 @@ def test_checklists_say_whether_sensors_are_watched(watched, guarded):
 
 def test_no_guard_is_said_in_the_title(tmp_path):
     found = _guarded.not_watched("guard: false")
-    assert found.title("lathe") == f"{_guarded.NOT_WATCHED}: lathe" and "guard: false" in found.said
+    assert found.title("lathe") == f"lathe; {_guarded.NOT_WATCHED}" and "guard: false" in found.said
