@@ -18,7 +18,7 @@ REVIVED = 4.0  # times `still`: hysteresis, a frozen sensor must be that alive a
 QUIET_SHARE = 0.36  # of the squared threshold: from here up residuals are no longer remembered; 0.25 to 0.5 do alike
 FROZEN_FIRST = 1e6  # squared thresholds: more than a dead sensor's residual
 UNTIL_RESTART = -1.0  # a switch's lower level that no flag or square ever reaches
-AGE_S = 1e6  # time constant of how long a sensor has been blamed: above any shift
+FADE_S = 600.0  # of the correction where readings are no longer trusted: slower than a cut, faster than a body
 TIE = 1e-6  # relative: below single precision's rounding of a sum, above double's
 
 shared = lru_cache(maxsize=256)
@@ -38,8 +38,8 @@ def residuals(guard: SensorGuard) -> tuple[d.Driver, ...]:
 
 @shared
 def _first(guard: SensorGuard) -> tuple[tuple[d.Driver, ...], d.Driver]:
-    """Per sensor 1 where its squared residual is the largest; and the largest. A frozen one comes before all others."""
-    squares, still = map(c.squared, residuals(guard)), frozen(guard)
+    """Per sensor 1 where its squared residual is the largest; and the largest. One known to fail comes first."""
+    squares, still = map(c.squared, residuals(guard)), _by_itself(guard)
     ahead = [FROZEN_FIRST * (len(still) - i) for i in range(len(still))]  # distinct, so that one of two is the first
     return _largest(tuple(d.Affine(weights=(1.0, w), of=(q, f)) for q, f, w in zip(squares, still, ahead, strict=True)))
 
@@ -76,12 +76,12 @@ def _largest(values: tuple[d.Driver, ...]) -> tuple[tuple[d.Driver, ...], d.Driv
 def isolated(guard: SensorGuard) -> tuple[d.Driver, ...]:
     """1 once a sensor's residual has been the largest and above the threshold, until the next start; else 0.
 
-    While one is frozen the others are judged without it: its held reading shows in their residuals.
+    While one is frozen or has jumped the others are judged without it: its reading shows in their residuals.
     """
     (top, most), (second, left) = _first(guard), _second(guard)
-    judged = d.Product(of=(most, c.none_of(*frozen(guard))))
+    judged = d.Product(of=(most, c.none_of(*_by_itself(guard))))
     over = d.Switch(of=judged, on=1.0, off=1.0 - TIE)
-    first_known = c.any_of(d.Switch(of=judged, on=1.0, off=UNTIL_RESTART), *frozen(guard))
+    first_known = c.any_of(d.Switch(of=judged, on=1.0, off=UNTIL_RESTART), *_by_itself(guard))
     over_too = d.Product(of=(first_known, d.Switch(of=left, on=1.0, off=1.0 - TIE)))
     out = []
     for one, other in zip(top, second, strict=True):
@@ -91,28 +91,16 @@ def isolated(guard: SensorGuard) -> tuple[d.Driver, ...]:
 
 
 @shared
-def _first_two_isolated(guard: SensorGuard) -> tuple[d.Driver, ...]:
-    """1 for the sensors that were blamed first and second, else 0.
-
-    A third one would have to be judged without both, and with their readings in every residual it is mostly healthy:
-    replaced by an estimate that is solved for two it is worse than its own reading.
-    """
-    flags = isolated(guard)
-    ages = tuple(d.lag(flag, AGE_S) for flag in flags)
-    oldest, _ = _largest(ages)
-    younger = tuple(d.Product(of=(age, c.none_of(o))) for age, o in zip(ages, oldest, strict=True))
-    next_oldest, _ = _largest(younger)
-    alone = d.Switch(of=d.Affine(weights=(-1.0,) * len(oldest), of=oldest), on=-1.5, off=-1.5 - TIE)
-    kept = (c.any_of(o, d.Product(of=(alone, n))) for o, n in zip(oldest, next_oldest, strict=True))
-    return tuple(d.Product(of=pair) for pair in zip(flags, kept, strict=True))
+def activity(guard: SensorGuard, name: str) -> d.Driver:
+    """How much alive one reading is: the lagged square of its own quick part, K2."""
+    return c.lag(_quick(guard, name), guard.freeze_s)
 
 
 @shared
-def activity(guard: SensorGuard, name: str) -> d.Driver:
-    """How much alive one reading is: the lagged square of its own quick part, K2."""
+def _quick(guard: SensorGuard, name: str) -> d.Driver:
+    """Square of what the last minutes brought to one reading, K2."""
     reading = d.Input(name=name)
-    moving = d.Affine(weights=(1.0, -1.0), of=(reading, c.lag(reading, guard.freeze_s)))
-    return c.lag(c.squared(moving), guard.freeze_s)
+    return c.squared(d.Affine(weights=(1.0, -1.0), of=(reading, c.lag(reading, guard.freeze_s))))
 
 
 @shared
@@ -131,13 +119,39 @@ def frozen(guard: SensorGuard) -> tuple[d.Driver, ...]:
 
 
 @shared
+def jumped(guard: SensorGuard) -> tuple[d.Driver, ...]:
+    """1 from the first change that is quicker than any healthy one on, until the next start; else 0."""
+    return tuple(d.Switch(of=_quick(guard, s.name), on=s.jump**2, off=UNTIL_RESTART) for s in guard.sensors)
+
+
+@shared
+def _by_itself(guard: SensorGuard) -> tuple[d.Driver, ...]:
+    """Above 0 where a reading shows by itself that it is wrong; else 0."""
+    return tuple(d.Affine(weights=(1.0, 1.0), of=pair) for pair in zip(frozen(guard), jumped(guard), strict=True))
+
+
+@shared
 def faults(guard: SensorGuard) -> tuple[d.Driver, ...]:
     """1 while a reading is rejected; else 0."""
-    return tuple(c.any_of(*pair) for pair in zip(_first_two_isolated(guard), frozen(guard), strict=True))
+    if not guard.compares:
+        return tuple(c.any_of(flag) for flag in _by_itself(guard))
+    return tuple(c.any_of(*pair) for pair in zip(_by_itself(guard), isolated(guard), strict=True))
+
+
+@shared
+def trust(guard: SensorGuard) -> d.Driver:
+    """1 while the readings, or what stands in for them, are of use; else it goes to 0."""
+    failed = faults(guard)
+    lost = [f for s, f in zip(guard.sensors, failed, strict=True) if not s.stands_in]
+    most = guard.most_failed + 0.5
+    several = d.Switch(of=d.Affine(weights=(1.0,) * len(failed), of=failed), on=most, off=most - TIE)
+    return c.lag(c.none_of(*lost, several), FADE_S)
 
 
 @shared
 def all_quiet(guard: SensorGuard) -> d.Driver:
     """One driver: 1 while no sensor is at fault and no residual near the threshold; else 0."""
+    if not guard.compares:
+        return c.none_of(*faults(guard))
     suspect = d.Switch(of=_first(guard)[1], on=QUIET_SHARE, off=QUIET_SHARE - TIE)
     return c.none_of(*faults(guard), suspect)

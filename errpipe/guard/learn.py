@@ -27,15 +27,19 @@ FALSE_ALARMS = 0.5  # expected per 1000 hours, all sensors together
 RIDGES = np.logspace(-5, 1, 13)  # times the mean square of the readings: half a decade apart
 MAX_CORRELATION = 0.8  # of a fault at most shows in another sensor's residual; above, noise picks the wrong one
 SELECTION_MARGIN = 1.1  # times: the lowest of many thresholds is lower than it should be
-KINDS = 2  # of alarms: departed, frozen
+KINDS = 3  # of alarms: departed, frozen, jumped
 MAX_RATE = 3.0  # times the fastest change seen of a healthy reading
 # Of the range seen, and K at least: readings outside by more are impossible. A shop spans 5 to 35 degC over a year, and
 # a winter that was learnt from must not make a summer impossible: with 10 K a healthy machine paid 65 %
 # (`trials.thermal`, seed 102, machine 2).
 RANGE_SHARE, RANGE_K = 0.5, 25.0
+JUMP_MARGIN = 1.5  # times: a door that opens in another season is quicker
+LEAST_JUMP = 1.0  # K: below it a jump does little harm, and noise of a sensor that was read seldom may look like one
+STILLER, QUICKER = 0.25, 2.0  # times what one run shows: it bounds no later one
 REACH = 2.0  # times the largest residual of healthy readings
 ACTIVE = 0.2  # quantile: a healthy reading is stiller only so much of the time
-LEAST_ACTIVITY = 1e-8  # of the median liveliness: below it a frozen sensor would be noticed after days
+LEAST_ACTIVITY = 1e-12  # of the median liveliness: reached 2.3 h after a reading froze; below it single precision ends
+STILL_MORE = 20.0  # times as often a sound sensor may look frozen: it is believed again when it moves
 LEAST_HOURS = 10.0  # h of recording to learn from
 
 
@@ -47,7 +51,7 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
     """
     names = tuple(sensors) if sensors is not None else recording.names("temperature")
     rows = rows_of(recording, names)
-    hours = float(sum(np.ptp(rows.t[rows.run == r]) for r in np.unique(rows.run)) / 3600)
+    hours = _hours(rows)
     groups = int(np.unique(rows.group).size)
     if len(names) < 2 or groups < 2 or hours < LEAST_HOURS:
         raise DataError(
@@ -56,9 +60,8 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
         )
     per_hour = FALSE_ALARMS / 1000 / KINDS
     test = _test(rows, per_hour)
-    estimate, largest = _estimate(rows)
-    late, largest_late = _late_estimate(rows)
-    alive = rows.lagged((rows.x - rows.lagged(rows.x, FREEZE_S)) ** 2, FREEZE_S)
+    weights, largest = _estimate(rows)
+    alive = _alive(rows)
     diagonal = np.sqrt(np.diag(test.precision))
     return g.SensorGuard(
         sensors=tuple(
@@ -66,13 +69,12 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
                 name=name,
                 **_believable(rows, i),
                 precision=tuple(map(float, test.precision[i])),
-                estimate=tuple(map(float, estimate[i])),
                 smallest=float(test.threshold / diagonal[i]),
-                present=tuple(map(float, late[i, : len(names)])),
-                past=tuple(map(float, late[i, len(names) :])),
-                reach=float(max(REACH * max(largest[i], largest_late[i]), 1e-3)),
+                estimate=tuple(map(float, weights[i])),
+                reach=float(max(REACH * largest[i], 1e-3)),
                 lively=float(np.quantile(alive[:, i], ACTIVE)) or None,
-                still=_still(alive[:, i], rows, per_hour / len(names)),
+                still=_still(alive[:, i], rows, STILL_MORE * per_hour / len(names)),
+                jump=_jump(rows, i, per_hour / len(names)),
             )
             for i, name in enumerate(names)
         ),
@@ -80,6 +82,7 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
         horizon_s=HORIZON_S,
         freeze_s=FREEZE_S,
         settle_s=SETTLE_S,
+        most_failed=min(2, len(names) - 1),
         false_alarms=FALSE_ALARMS,
         hours=hours,
         correlation=test.correlation(),
@@ -143,38 +146,6 @@ def _estimate(rows: Healthy) -> tuple[np.ndarray, np.ndarray]:
     return _regress(shift, ridge), np.max(np.abs(left(ridge, rise)), axis=0)
 
 
-def _late_estimate(rows: Healthy) -> tuple[np.ndarray, np.ndarray]:
-    """Weights (sensors, 2 sensors) of the others' readings and of the same through a lag; and the largest residuals, K.
-
-    Of every sensor the ridge that leaves least of runs left out and of the colder or warmer half of them left out: the
-    weights must carry over to surroundings that are not those of the runs.
-    """
-    rise = rows.rises()
-    both = np.hstack([rise, rows.lagged(rise, HORIZON_S)])
-    shift = rows.centred(both)
-    count = rise.shape[1]
-    weights, largest = np.zeros((count, 2 * count)), np.zeros(count)
-    for i in range(count):
-        used = [k for k in range(2 * count) if k % count != i]
-
-        def fit(values: np.ndarray, ridge: float, used: list[int] = used, i: int = i) -> np.ndarray:
-            x = values[:, used]
-            size = np.sqrt(np.mean(x**2, axis=0)) + 1e-12
-            square = (x / size).T @ (x / size) / len(x) + ridge * np.eye(len(used))
-            out = np.zeros((2 * count, 2 * count))
-            out[i, used] = np.linalg.solve(square, (x / size).T @ values[:, i] / len(x)) / size
-            return out
-
-        def left(ridge: float, group: np.ndarray, of: np.ndarray, i: int = i, fit: Callable = fit) -> np.ndarray:
-            return left_out(group, shift, of, lambda values: fit(values, ridge))[:, i]
-
-        folds = (rows.group, rows.warm_half())
-        ridge = min(RIDGES, key=lambda r: sum(float(np.log(np.mean(left(r, g, shift) ** 2) + 1e-18)) for g in folds))
-        weights[i] = fit(shift, ridge)[i]
-        largest[i] = np.max(np.abs(left(ridge, rows.group, both)))
-    return weights, largest
-
-
 def _regress(values: np.ndarray, ridge: float) -> np.ndarray:
     """Ridge regression of each column on all others, (columns, columns); 0 on itself. From the precision matrix."""
     precision = _precision(values, ridge)
@@ -190,6 +161,57 @@ def left_out(
         inside = group == label
         out[inside] -= judged[inside] @ weights(learnt_from[~inside]).T
     return out
+
+
+def limits(recording: Recording, names: Sequence[str]) -> g.SensorGuard:
+    """A guard by each sensor's own readings, without stand-ins: what is quicker or stiller than ever seen is a fault.
+
+    Raises DataError without a row that all sensors read.
+    """
+    rows = rows_of(recording, tuple(names))
+    if not len(rows.x):
+        raise DataError("limits of readings need a row that all sensors read")
+    alive, none = _alive(rows), (0.0,) * len(names)
+    return g.SensorGuard(
+        sensors=tuple(
+            g.GuardedSensor(
+                name=name,
+                **_believable(rows, i),
+                estimate=none,
+                stands_in=False,
+                reach=float(max(REACH * np.abs(rows.rises()[:, i]).max(), 1e-3)),
+                still=_still(STILLER * alive[:, i], rows, 0.0),
+                jump=QUICKER * _jump(rows, i, 0.0),
+            )
+            for i, name in enumerate(names)
+        ),
+        horizon_s=HORIZON_S,
+        freeze_s=FREEZE_S,
+        settle_s=SETTLE_S,
+        most_failed=0,
+        false_alarms=FALSE_ALARMS,
+        hours=_hours(rows),
+    )
+
+
+def _hours(rows: Healthy) -> float:
+    return float(sum(np.ptp(rows.t[rows.run == r]) for r in np.unique(rows.run)) / 3600)
+
+
+def _alive(rows: Healthy) -> np.ndarray:
+    """Lagged squares of the quick part of readings, K2, (rows, sensors)."""
+    return rows.lagged((rows.x - rows.lagged(rows.x, FREEZE_S)) ** 2, FREEZE_S)
+
+
+def _jump(rows: Healthy, i: int, per_hour: float) -> float:
+    """The quickest change of a healthy reading, K, exceeded at the stated rate.
+
+    Of a row's reading beside the lag before it: a controller, which reads more often, may see all of a row's change.
+    """
+    x, before = rows.x[:, [i]], rows.lagged(rows.x[:, [i]], FREEZE_S)
+    first = np.r_[True, rows.run[1:] != rows.run[:-1]]
+    quick = np.abs(x - np.where(first[:, None], x, np.roll(before, 1, axis=0)))[:, 0]
+    return float(max(JUMP_MARGIN * (rows.rare(quick, per_hour) if per_hour else quick.max()), LEAST_JUMP))
 
 
 def _believable(rows: Healthy, i: int) -> dict[str, float]:
@@ -211,5 +233,5 @@ def _still(alive: np.ndarray, rows: Healthy, per_hour: float) -> float | None:
     if not late.any() or alive[late].min() <= 0:
         return None
     kept = Healthy(rows.x[late], rows.run[late], rows.t[late], rows.group[late])
-    level = np.exp(-kept.rare(-np.log(alive[late]), per_hour, max_shape=1e-6))
+    level = np.exp(-kept.rare(-np.log(alive[late]), per_hour, max_shape=1e-6)) if per_hour else alive[late].min()
     return float(level) if level > LEAST_ACTIVITY * np.median(alive[late]) else None

@@ -10,9 +10,16 @@ from collections.abc import Mapping
 from errpipe.domain import driver as d
 from errpipe.guard import composed as c
 from errpipe.guard.description import SensorGuard
-from errpipe.guard.detect import TIE, activity, all_quiet, faults, shared
+from errpipe.guard.detect import TIE, activity, all_quiet, faults, shared, trust
 
 LONGEST_S = 1e9  # of a session: the clock that rises beside remembered values has this time constant
+
+
+def trusted(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None = None) -> d.Driver:
+    """`guarded`, times `trust`; a driver that reads no guarded sensor as it is."""
+    if set(d.inputs(driver)).isdisjoint(guard.names()):
+        return driver
+    return d.Product(of=(guarded(driver, guard, within), trust(guard)))
 
 
 def guarded(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None = None) -> d.Driver:
@@ -40,18 +47,15 @@ def readings(guard: SensorGuard) -> tuple[d.Driver, ...]:
     """Per sensor the reading while it is accepted, else what stands in for it."""
     failed, gone = faults(guard), tuple(_shift_since_trusted(guard, i) for i in range(len(guard.sensors)))
     alone = tuple(d.Product(of=pair) for pair in zip(failed, gone, strict=True))
-    weights = [s.estimate for s in guard.sensors]
-    out = []
+    weights, out = [s.estimate for s in guard.sensors], []
     for i, name in enumerate(guard.names()):
-        others = [j for j in range(len(weights)) if j != i]
-        both = {j: weights[i][j] * weights[j][i] for j in others}  # what comes back through the other failed sensor
-        through = tuple(b / (1.0 - b) for b in both.values())
-        own = d.Affine(offset=1.0, weights=through, of=tuple(failed[j] for j in others))
-        shown = tuple(weights[i][j] / (1.0 - b) for j, b in both.items())
-        together = d.Affine(weights=(1.0, *shown), of=(d.Product(of=(gone[i], own)), *(alone[j] for j in others)))
-        few = _at_most_one_fault(guard)
-        single = d.Product(of=(few, _lagged_shift_since_trusted(guard, i)))
-        fault = d.Affine(weights=(1.0, 1.0, -1.0), of=(together, single, d.Product(of=(few, together))))
+        fault, others = gone[i], [j for j in range(len(gone)) if j != i]
+        if guard.most_failed > 1:
+            both = {j: weights[i][j] * weights[j][i] for j in others}  # what comes back through the other failed sensor
+            through = tuple(b / (1.0 - b) for b in both.values())
+            own = d.Affine(offset=1.0, weights=through, of=tuple(failed[j] for j in others))
+            shown = tuple(weights[i][j] / (1.0 - b) for j, b in both.items())
+            fault = d.Affine(weights=(1.0, *shown), of=(d.Product(of=(gone[i], own)), *(alone[j] for j in others)))
         out.append(d.Affine(weights=(1.0, -1.0), of=(d.Input(name=name), d.Product(of=(failed[i], fault)))))
     return tuple(out)
 
@@ -59,25 +63,11 @@ def readings(guard: SensorGuard) -> tuple[d.Driver, ...]:
 @shared
 def _shift_since_trusted(guard: SensorGuard, i: int) -> d.Driver:
     """r - m: how far one reading has moved from its estimate since it was last trusted."""
-    weights = tuple(1.0 if j == i else -v for j, v in enumerate(guard.sensors[i].estimate))
-    return _residual_shift(guard, i, d.Affine(weights=weights, of=tuple(d.Input(name=n) for n in guard.names())))
-
-
-@shared
-def _at_most_one_fault(guard: SensorGuard) -> d.Driver:
-    """1 while at most one sensor is at fault; else 0."""
-    failed = faults(guard)
-    return d.Switch(of=d.Affine(weights=(-1.0,) * len(failed), of=failed), on=-1.5, off=-1.5 - TIE)
-
-
-@shared
-def _lagged_shift_since_trusted(guard: SensorGuard, i: int) -> d.Driver:
-    """The same for a sensor that fails alone, by the estimate that knows the others' past."""
-    sensor, inputs = guard.sensors[i], [d.Input(name=n) for n in guard.names()]
-    past = [c.lag(x, guard.horizon_s) for x in inputs]
-    used = [j for j in range(len(inputs)) if j != i]
-    weights = (*(1.0 if j == i else -p for j, p in enumerate(sensor.present)), *(-sensor.past[j] for j in used))
-    return _residual_shift(guard, i, d.Affine(weights=weights, of=(*inputs, *(past[j] for j in used))))
+    inputs, weights = [d.Input(name=n) for n in guard.names()], guard.sensors[i].estimate
+    if not guard.compares:
+        return _residual_shift(guard, i, inputs[i])
+    own = tuple(1.0 if j == i else -v for j, v in enumerate(weights))
+    return _residual_shift(guard, i, d.Affine(weights=own, of=tuple(inputs)))
 
 
 def _residual_shift(guard: SensorGuard, i: int, residual_of: d.Driver) -> d.Driver:

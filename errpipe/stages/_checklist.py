@@ -10,6 +10,7 @@ import numpy as np
 
 from errpipe.domain import components
 from errpipe.domain.table import CompensationTable
+from errpipe.guard.in_table import stands_in, watched
 from errpipe.stages import _artefacts, _plausible
 from errpipe.targets import _sample
 from errpipe.targets._base import TURN, ByHand, Curve, ReadBack, unit_of
@@ -42,6 +43,7 @@ def checklist(
             f"**{_artefacts.UNGATED}.** Measure before and after, and take it off where it is not better.",
             "",
         ]
+    lines += _watch(read, table)
     lines += [f"Source: {target.source}. Confidence: {target.confidence}.", ""]
     numbers = (*target.by_hand(table, read, others), *_zeros(target, read, table, others), *_one_turn(read, table))
     numbers += tuple(_from_the_start(read, table))
@@ -81,6 +83,22 @@ def checklist(
         seen = lost[0]["states"]
         lines += ["", f"At most: in any settled state inside travel and validity. Rms: of {seen} random ones."]
     return "\n".join([*lines, ""])
+
+
+def _watch(read: Any, table: CompensationTable) -> list[str]:
+    """What happens where a temperature fails: nothing, unless table and format watch it."""
+    if not _sample.sensors_of(table):
+        return []
+    if isinstance(read, WholeTable) and watched(table):
+        if stands_in(table):
+            return ["Sensors: temperatures are watched against each other; others stand in for one that fails."]
+        return ["Sensors: each temperature is watched by itself; the correction fades where one fails."]
+    why = "the table has no guard" if isinstance(read, WholeTable) else "this format has no memory for a guard"
+    return [
+        "",
+        f"**Temperatures are not watched ({why}).** A sensor that fails moves the axes by its wrong reading.",
+        "",
+    ]
 
 
 def _alone(target: Any, table: CompensationTable) -> list[str]:

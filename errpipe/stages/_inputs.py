@@ -19,6 +19,7 @@ from errpipe.guard import rates
 from errpipe.guard.description import GuardedSensor, SensorGuard
 from errpipe.guard.rates import ReadingRate
 
+HELD_S = 600.0  # s: as long as a guard's correction takes to fade (`errpipe.guard.detect.FADE_S`)
 FORCE_STALE = 0.1  # s: an older force is of another cut
 # Role of a column -> kind of the controller's channel, lowest and highest plausible reading, stale after (s).
 CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {
@@ -55,13 +56,16 @@ def table_inputs(
     columns = dict(model.columns)
     _check_names(columns)
     healthy = {s.name: s for s in guard.sensors} if guard is not None else {}
-    for name in healthy:
-        columns.setdefault(name, {"role": "temperature", "unit": "degC"})
+    witnesses = set(healthy) - set(columns)  # of the others: without them the table goes on
+    for name in sorted(witnesses):
+        columns[name] = {"role": "temperature", "unit": "degC"}
     inputs = [_channel(name, facts, model) for name, facts in columns.items() if facts["role"] in CHANNELS]
     inputs += [_datum(c.datum_input, c.unit, c.readings) for c in model.components if c.readings is not None]
     known, silence = _sensor_rates_and_silences(recording) if recording is not None else ({}, {})
     rates = {c.name: known.get(c.name) or _rate_of_step_input(c, model) for c in inputs}
-    return [_limited(c, rates[c.name], silence.get(c.name, 0.0), healthy.get(c.name)) for c in inputs]
+    inputs = [c.model_copy(update={"fade_on_default": False}) if c.name in witnesses else c for c in inputs]
+    inputs = [_limited(c, rates[c.name], silence.get(c.name, 0.0), healthy.get(c.name)) for c in inputs]
+    return [_fading(c) if healthy and c.kind == "sensor" and c.name not in healthy else c for c in inputs]
 
 
 def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingRate], dict[str, float]]:
@@ -75,13 +79,19 @@ def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingR
     return rates.learn(short_gaps_held(recording, names)), longest_silence(recording, names)
 
 
+def _fading(channel: TableInput) -> TableInput:
+    """A sensor that a guard does not watch: where it is lost for good, the table fades."""
+    return channel.model_copy(update={"hold_s": (channel.stale_after_s or 0.0) + HELD_S})
+
+
 def _limited(channel: TableInput, rate: ReadingRate | None, silence: float, sensor: GuardedSensor | None) -> TableInput:
     """A channel with what was learnt of its readings; silence: s between two of them; sensor: of a guard."""
     learnt: dict[str, Any] = {} if rate is None else {"max_rate": rate.max_rate, "noise": rate.noise}
     if channel.stale_after_s is not None:
         learnt["stale_after_s"] = max(channel.stale_after_s, silence)
     if sensor is not None:
-        learnt |= {"low": sensor.low, "high": sensor.high, "max_rate": sensor.max_rate}
+        learnt |= {"low": sensor.low, "high": sensor.high}
+        learnt["max_rate"] = max(sensor.max_rate, learnt.get("max_rate", 0.0))  # its recording may be a quiet one
         learnt["default"] = min(max(channel.default, sensor.low), sensor.high)
     return channel.model_copy(update=learnt)
 

@@ -22,19 +22,21 @@ from errpipe.validation.gate import Passed
 ROUNDING_UM = 1e-6  # um (urad): sums in another order differ by 1e-12 of 1e5 um at most
 
 
-def compare(table: CompensationTable, model: ErrorModel, recording: Recording) -> list[dict[str, Any]]:
+def compare(
+    table: CompensationTable, model: ErrorModel, recording: Recording, plain: CompensationTable | None = None
+) -> list[dict[str, Any]]:
     """Table minus model on the recording's rows: largest and rms difference per component, um or urad.
 
     Both read temperatures with short gaps filled, so that values held for missing readings cause no difference.
     bound_um: what gridding and rounding may add. The table's guards may add more, where they reject a reading
     or fade outside what was seen: rows_held_back counts those rows. unguarded_difference_um: largest difference of the
     same table without its guards from the terms that it holds, with readings moved into its validity box, where its
-    bound holds; beyond that, it is another model.
+    bound holds; beyond that, it is another model. plain: the table without a guard of its sensors; default: itself.
     """
     allowed = {c.name: c.gridding for c in bounds.components(table)}
     recording = held_readings(recording)
     by_model, by_table = evaluate(model, recording), table_values(table, model, recording)
-    free, inside = _unguarded(table), _within_validity(table, recording)
+    free, inside = _unguarded(plain or table), _within_validity(table, recording)
     held, unguarded = evaluate(compensable(model), inside), table_values(free, model, inside)
     accepted = table_values(free, model, recording)
     behind, units = uncompensated_terms(model), {c.component: c.unit for c in model.components}

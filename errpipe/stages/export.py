@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
+from errpipe import jsonfile
 from errpipe.domain import components
 from errpipe.domain.recording import Recording
 from errpipe.errors import GateError
@@ -21,7 +22,7 @@ from errpipe.yamlfile import quantity
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.table import CompensationTable
-    from errpipe.guard.description import SensorGuard
+    from errpipe.stages._guarded import Watched
     from errpipe.validation.gate import Passed
 
 
@@ -29,8 +30,10 @@ class Export(CompileOptions, SignOptions, Stage):
     """Compile the models of all fits into one compensation table and the files of controllers."""
 
     kind: Literal["export"]
-    guard: bool = Field(
-        False, description="Compare the temperatures with each other in the table, and replace one that fails."
+    guard: bool | None = Field(
+        None,
+        description="Compare the temperatures with each other in the table, and replace one that fails; default: where "
+        "the recording allows it and it costs healthy sensors at most 3 %. false: a failed sensor is not detected.",
     )
     targets: tuple[str, ...] = Field((), description="Controller formats to write, by name (`errpipe targets`).")
     limit: float | None = quantity(
@@ -73,11 +76,15 @@ class Export(CompileOptions, SignOptions, Stage):
         checks = _plausible.refuse(recording, model, self.allow, self.limit)
         passed = _gate(model, models, self, context)
         model = passed.model
-        guard = _guard(context, recording) if self.guard else None
-        context.progress(0.2, "compiling")
-        table = compile_model(model, self, guard, recording)
+        context.progress(0.1, "compiling")
+        plain = compile_model(model, self, None, recording)
+        watched = _watched(self, replace(passed, model=model), plain, recording, context)
+        table = plain
+        if watched is not None:
+            model = model.model_copy(update={"title": watched.title(model.title)})
+            table = compile_model(model, self, watched.guard, recording)
         context.progress(0.5, "comparing table and model")
-        proof = _proof.compare(table, model, recording)
+        proof = _proof.compare(table, model, recording, plain)
         checks += _proof.remarks(proof, passed)
         from errpipe.stages.targets import checksums
 
@@ -85,10 +92,12 @@ class Export(CompileOptions, SignOptions, Stage):
         document = {"proof": proof, "files": files, "left_out": list(passed.left_out), "judged": list(passed.judged)}
         document |= {"ungated": _artefacts.UNGATED} if self.ungated else {}
         document |= {"checks": checks, "consequences": _plausible.of_table(table)}
+        document |= {"guard": {"says": watched.said, **watched.document}} if watched is not None else {}
         document["sha256"] = checksums(context.folder, files, [_artefacts.MODEL])
         context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, **document})
         worst = max((p["largest_difference_um"] for p in proof), default=0.0)
         summary = {"table": _artefacts.TABLE, "largest_difference_from_the_model_um": worst}
+        summary |= {"guard": watched.said} if watched is not None else {}
         held = {p["component"]: p["rows_held_back"] for p in proof if p["rows_held_back"]}
         return summary | ({"rows_held_back": ", ".join(f"{n} {rows}" for n, rows in held.items())} if held else {})
 
@@ -123,15 +132,28 @@ def _gate(model: ErrorModel, fits: Sequence[ErrorModel], options: Export, contex
     return replace(passed, model=with_readings(passed.model, validations, options.readings_per_shift))
 
 
-def _guard(context: Context, recording: Recording) -> SensorGuard:
-    """Sensor guard: each sensor predicted from the others by regression on the recording; written with the table."""
-    from errpipe.guard import learn
-    from errpipe.thermal.arithmetic import short_gaps_held
+def _watched(
+    options: Export, passed: Passed, plain: CompensationTable, recording: Recording, context: Context
+) -> Watched | None:
+    """The guard of a table's temperatures, written beside it; None where it reads none.
 
-    context.progress(0.1, "regressing each temperature on the others")
-    guard = learn.learn(short_gaps_held(recording))
-    context.write_json("sensor_guard.json", guard.model_dump(mode="json"))
-    return guard
+    Raises GateError where a guard was asked for and none can be learnt.
+    """
+    from errpipe.stages import _guarded
+
+    if not _guarded.sensors_read(plain, recording):
+        return None
+    if options.guard is False:
+        return _guarded.not_watched("guard: false")
+    context.progress(0.2, "regressing each temperature on the others")
+    folders = context.every("validation").values()
+    schemes = (jsonfile.read(folder / _artefacts.VALIDATION)["scheme"] for folder in folders)
+    watched = _guarded.watch(_guarded.judge(passed, options, recording, plain), next(schemes, None))
+    if options.guard and (watched.guard is None or not watched.guard.compares):
+        raise GateError(f"export: guard: true: {watched.said}")
+    if watched.guard is not None:
+        context.write_json("sensor_guard.json", watched.guard.model_dump(mode="json"))
+    return watched
 
 
 def _write(context: Context, table: CompensationTable, model: ErrorModel, options: Export) -> list[dict]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
+from errpipe.guard.in_table import without_guard
 from errpipe.tables import maximum
 from errpipe.tables.expansion import SIDE, Expansion, Term, Terms, collected, scaled
 from errpipe.targets import _sample
@@ -114,7 +115,7 @@ def bounds(table: CompensationTable, read: ReadBack) -> dict[str, maximum.Larges
 
 def _moved(room: Expansion, table: CompensationTable) -> dict[str, Terms]:
     """Axis -> correction of a table, mm (deg)."""
-    deviation = room.outputs(table, _sample.middle(table))
+    deviation = room.outputs(without_guard(table), _sample.middle(table))
     return {
         axis: [
             x for o in outputs for x in scaled(deviation[o.name], -o.factor * _sample.MACHINE_UNITS[o.correction_unit])

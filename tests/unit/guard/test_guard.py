@@ -50,9 +50,8 @@ def test_thresholds_scale_with_the_unit(guard):
     tenths = Recording(source.manifest, source.frame.assign(**{n: source.array(n) * 10 for n in NAMES}))
     other = learn.learn(tenths)
     for a, b in zip(guard.sensors, other.sensors, strict=True):
-        assert b.smallest == pytest.approx(10 * a.smallest, rel=1e-6) and b.estimate == pytest.approx(
-            a.estimate, rel=1e-6
-        )
+        assert b.smallest == pytest.approx(10 * a.smallest, rel=1e-6)
+        assert b.estimate == pytest.approx(a.estimate, rel=1e-6)
 
 
 def test_a_warmer_season_is_not_impossible(guard):
@@ -102,7 +101,7 @@ def test_a_step_is_blamed_from_about_the_smallest_size_on(guard):
     for i, sensor in enumerate(guard.sensors):
         for times, isolated in ((2.0, True), (0.5, False)):
             failed = trials.fail(fresh, sensor.name, "step", step=times * sensor.smallest)
-            flags = drive_all(detect.isolated(guard), failed)
+            flags = drive_all(detect.faults(guard), failed) > 0.5  # beside others, or alone where it is quicker
             assert bool(flags[:, i].any()) == isolated, (sensor.name, times)
             assert isolated or not flags.any(), (sensor.name, times)
 

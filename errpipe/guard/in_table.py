@@ -1,0 +1,99 @@
+"""A guard in a compiled table: whether it has one, and the same table without it.
+
+A table's settled states, of which formats without memory hold values, have no guard: every sensor that has settled
+stands still, which is what a guard calls a fault.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from errpipe.domain import table as t
+from errpipe.guard.detect import FADE_S
+
+
+def watched(table: t.CompensationTable) -> bool:
+    """Whether the table holds a guard of its sensors."""
+    return bool(_gates(table))
+
+
+def stands_in(table: t.CompensationTable) -> bool:
+    """Whether a guarded table holds estimates of sensors by each other."""
+    return any(_guarded_input(table, node) is not None and _estimates(table, node) for node in table.nodes)
+
+
+def without_guard(table: t.CompensationTable) -> t.CompensationTable:
+    """The table with plain readings, and without the gate of its guard; itself where it has none."""
+    return _without(table) if _gates(table) else table
+
+
+def _gates(table: t.CompensationTable) -> set[int]:
+    """Numbers of the nodes that fade a correction where readings are not trusted (`detect.trust`)."""
+    out = set()
+    for number, node in enumerate(table.nodes):
+        if isinstance(node, t.LagNode) and node.tau_up == node.tau_down == FADE_S:
+            clip = table.nodes[node.of[0]]
+            none_of = table.nodes[clip.of[0]] if isinstance(clip, t.ClipNode) else None
+            if isinstance(none_of, t.AffineNode) and none_of.offset == 1.0 and set(none_of.weights) == {-1.0}:
+                out.add(number)
+    return out
+
+
+def _guarded_input(table: t.CompensationTable, node: t.Node) -> int | None:
+    """Number of the input that a node holds the guarded reading of (`replace.readings`, clipped); else None."""
+    if not isinstance(node, t.ClipNode):
+        return None
+    shift = table.nodes[node.of[0]]
+    if not isinstance(shift, t.AffineNode) or shift.weights != (1.0, -1.0) or shift.offset:
+        return None
+    reading, fault = shift.of
+    is_one = isinstance(table.nodes[reading], t.InputNode) and isinstance(table.nodes[fault], t.ProductNode)
+    return reading if is_one else None
+
+
+def _estimates(table: t.CompensationTable, node: t.Node) -> bool:
+    """Whether what a guarded reading is replaced by knows other sensors."""
+    below = {node.of[0]}
+    for n in range(max(below), -1, -1):
+        if n in below:
+            below.update(table.nodes[n].of)
+    moved = [table.nodes[n] for n in below if isinstance(table.nodes[n], t.FirstNode)]
+    return any(isinstance(table.nodes[m.of[0]], t.AffineNode) for m in moved)
+
+
+@lru_cache(maxsize=4)
+def _without(table: t.CompensationTable) -> t.CompensationTable:
+    gates, stand_for = _gates(table), {}
+    for number, node in enumerate(table.nodes):
+        reading = _guarded_input(table, node)
+        if reading is not None:
+            stand_for[number] = reading
+        elif isinstance(node, t.ProductNode) and len(node.of) == 2 and node.of[1] in gates:
+            stand_for[number] = node.of[0]
+
+    def source(number: int) -> int:
+        while number in stand_for:
+            number = stand_for[number]
+        return number
+
+    factors = {f for o in table.outputs for m in o.terms for f in m.factors}
+    wanted = {source(n) for n in factors | {p.driver for p in table.pairs}}
+    for number in range(len(table.nodes) - 1, -1, -1):
+        if number in wanted:
+            wanted |= {source(k) for k in table.nodes[number].of}
+    place = {number: k for k, number in enumerate(sorted(wanted))}
+    nodes = tuple(
+        table.nodes[n].model_copy(update={"of": tuple(place[source(k)] for k in table.nodes[n].of)}) for n in place
+    )
+    pairs = tuple(p.model_copy(update={"driver": place[source(p.driver)]}) for p in table.pairs)
+    outputs = tuple(
+        o.model_copy(
+            update={
+                "terms": tuple(
+                    m.model_copy(update={"factors": tuple(place[source(f)] for f in m.factors)}) for m in o.terms
+                )
+            }
+        )
+        for o in table.outputs
+    )
+    return table.model_copy(update={"nodes": nodes, "pairs": pairs, "outputs": outputs})

@@ -1,0 +1,248 @@
+"""A table's guard: which sensors it watches, which others stand in for, and what it costs where all are sound."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
+from errpipe.fitting import holdout
+from errpipe.fitting.statistics import rms
+from errpipe.guard import learn
+from errpipe.guard.description import SensorGuard
+from errpipe.guard.rows import rows_of
+from errpipe.stages._compile import CompileOptions, compile_model
+from errpipe.stages.predict import table_values
+from errpipe.thermal.arithmetic import short_gaps_held
+
+if TYPE_CHECKING:
+    from errpipe.domain.table import CompensationTable
+    from errpipe.validation.gate import Passed
+
+MOST_SENSORS = (
+    6  # of 55 nodes each and 17 beside, at most 400 of the 1024 of a table (tests/unit/stages/test_guarded.py)
+)
+MOST_ALONE = 15  # watched one by one, of 25 each
+MOST_COST = 0.03  # of what is left with sound sensors, on groups left out
+# Of no compensation, on groups left out: what a stand-in may leave. Chosen on trials.thermal, seed 41401: with 0.7, 4
+# instead of 2 of 115 sensors that stand still leave more than no compensation.
+MOST_LEFT = 1.0
+WIDER = (1.0, 1.5, 2.5, 4.0)  # times the thresholds that were learnt: groups left out may be livelier (by judgement)
+MOST_BATCHES = 6  # of runs left out: each takes a guard of its own
+MOST_TITLE = 127  # characters, of a table
+WATCHED_ALONE = "temperatures watched one by one"
+NOT_WATCHED = "temperatures not watched"
+
+
+@dataclass(frozen=True)
+class Watched:
+    """The guard of a table (none: no sensor is watched), what is said of it, and the document of `export.json`."""
+
+    guard: SensorGuard | None
+    said: str
+    document: dict[str, Any]
+
+    def title(self, title: str) -> str:
+        """The title of the table, and behind it that temperatures are not watched, or not by each other."""
+        mark = NOT_WATCHED if self.guard is None else "" if self.guard.compares else WATCHED_ALONE
+        return "; ".join(filter(None, (title[: MOST_TITLE - len(mark) - 2], mark))) if mark else title
+
+
+@dataclass(frozen=True)
+class Judge:
+    """What a guard is judged by: the model's plain table on the recording's own rows.
+
+    left, before: component -> rms that the model, and no compensation, leave on held-out rows, um.
+    """
+
+    model: ErrorModel
+    options: CompileOptions
+    recording: Recording
+    plain: CompensationTable
+    left: Mapping[str, float]
+    before: Mapping[str, float]
+
+    def compiled(self, guard: SensorGuard) -> CompensationTable:
+        """The table with a guard."""
+        return compile_model(self.model, self.options, guard, self.recording)
+
+    def told(self, table: CompensationTable, recording: Recording) -> Mapping[str, np.ndarray]:
+        """Predictions of a table, um."""
+        return table_values(table, self.model, recording)
+
+    def moved(self, one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray], rows: Any = slice(None)) -> dict:
+        """Component -> rms difference of predictions, um."""
+        return {n: rms((v - other[n])[rows][np.isfinite((v - other[n])[rows])]) for n, v in one.items()}
+
+    def cost(self, moved: Mapping[str, float]) -> float:
+        """Share by which the largest residual grows: squares of the difference add to those that are left."""
+        shares = [np.hypot(1.0, moved[n] / left) - 1.0 for n, left in self.left.items() if n in moved and left > 0]
+        return float(max(shares, default=0.0))
+
+    def of_use(self, moved: Mapping[str, float]) -> bool:
+        """Whether what a stand-in leaves is less than `MOST_LEFT` of no compensation, for every component."""
+        return all(np.hypot(self.left[n], moved[n]) < MOST_LEFT * self.before[n] for n in self.left if n in moved)
+
+
+def judge(passed: Passed, options: CompileOptions, recording: Recording, plain: CompensationTable) -> Judge:
+    """What guards of an export are judged by; where nothing was judged, the rows of the fit stand for held-out ones."""
+    left = {c.component: c.rms_after for c in passed.model.components}
+    before = {c.component: c.rms_before for c in passed.model.components}
+    for figures in sorted(passed.judged, key=lambda f: -f["rms_at_gain"]):  # the least of several validations
+        left[figures["component"]], before[figures["component"]] = figures["rms_at_gain"], figures["rms_before"]
+    return Judge(passed.model, options, recording, plain, left, before)
+
+
+def sensors_read(plain: CompensationTable, recording: Recording) -> list[str]:
+    """Temperatures of the recording that a table reads."""
+    read = {i.name for i in plain.inputs}
+    return [n for n in recording.names("temperature") if n in read]
+
+
+def watch(judge: Judge, scheme: str | None) -> Watched:
+    """The guard that the recording lets be learnt, and that costs sound sensors at most `MOST_COST`.
+
+    scheme: how the model was validated; groups of it, else runs, are left out. Where sensors cannot be judged by each
+    other (one sensor, one run), each is watched by itself and the correction fades where one fails.
+    """
+    held = short_gaps_held(judge.recording)
+    names = _chosen(judge, held, MOST_SENSORS)
+    if len(names) < 2:  # the others of the recording are witnesses
+        names = (*names, *(n for n in held.names("temperature") if n not in names))[:MOST_SENSORS]
+    try:
+        guard, folds = _learnt(held, names, scheme, learn.learn)
+    except DataError as why:
+        return _one_by_one(judge, held, str(why), scheme)
+    guard = _with_stand_ins(judge, held, guard, folds)
+    guard, cost = _affordable(judge, held, guard, folds)
+    if cost > MOST_COST:
+        return _one_by_one(judge, held, f"it would cost sound sensors {100 * cost:.0f} % on groups left out", scheme)
+    document = {"watched": list(names), "stand_in": [s.name for s in guard.sensors if s.stands_in], "cost": cost}
+    fading = [s.name for s in guard.sensors if not s.stands_in]
+    said = f"{len(names)} temperatures are watched against each other, and stand in for one that fails"
+    others = [n for n in sensors_read(judge.plain, held) if n not in names]
+    said += f"; {len(others)} that move the table less are not, and fade it where they are lost" if others else ""
+    said += f"; the correction fades where {' or '.join(fading)} fails, which no other tells" if fading else ""
+    return Watched(guard, said, document)
+
+
+def _chosen(judge: Judge, held: Recording, most: int) -> tuple[str, ...]:
+    """At most so many of the temperatures that the table reads, those that move it most, in the recording's order."""
+    names = sensors_read(judge.plain, held)
+    told, run = judge.told(judge.plain, held), held.run_codes()
+    first = np.maximum.accumulate(np.where(np.r_[True, np.diff(run) != 0], np.arange(run.size), 0))
+
+    def moves(name: str) -> float:
+        stuck = held.with_columns({name: held.array(name)[first]}, {})
+        return judge.cost(judge.moved(judge.told(judge.plain, stuck), told))
+
+    ranked = sorted(names, key=moves, reverse=True)[:most] if len(names) > most else names
+    return tuple(n for n in names if n in ranked)
+
+
+def _learnt(
+    held: Recording, names: Sequence[str], scheme: str | None, by: Callable[..., SensorGuard]
+) -> tuple[SensorGuard, list[tuple[Any, Any]]]:
+    """The guard of all rows, and (rows, guard without them) of each group left out. Raises DataError."""
+    guard = by(held, names)
+    for way in (scheme, f"batches:{MOST_BATCHES}", "leave-one-run-out"):
+        try:
+            splits = holdout.groups(held, way) if way else []
+            if 1 < len(splits) <= MOST_BATCHES:
+                return guard, [(s.test, by(held.take(s.train), names)) for s in splits]
+        except DataError:
+            continue
+    if guard.compares:
+        raise DataError("a sensor guard needs groups of which it can be learnt without one")
+    return guard, []
+
+
+def _with_stand_ins(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tuple]) -> SensorGuard:
+    """The guard, told which sensors its estimates are of use for, one at a time and in pairs."""
+    names, told = guard.names(), judge.told(judge.plain, held)
+    gone = np.zeros((len(names), len(names), len(held)))  # of sensor i where j fails too
+    for rows, own in folds:
+        for (i, j), shift in _shifts(own, held.take(rows)):
+            gone[i, j, rows] = shift
+    x = {n: held.array(n) for n in names}
+
+    def of_use(*failed: int) -> bool:
+        pair = (failed[0], failed[-1]), (failed[-1], failed[0])
+        columns = {names[i]: x[names[i]] - gone[i, j] for i, j in pair}
+        return judge.of_use(judge.moved(judge.told(judge.plain, held.with_columns(columns, {})), told))
+
+    use = [of_use(i) for i in range(len(names))]
+    both = guard.most_failed > 1 and all(
+        of_use(i, j) for i, j in combinations([i for i, alone in enumerate(use) if alone], 2)
+    )
+    sensors = tuple(s.model_copy(update={"stands_in": u}) for s, u in zip(guard.sensors, use, strict=True))
+    return guard.model_copy(update={"sensors": sensors, "most_failed": 2 if both else 1})
+
+
+def _shifts(guard: SensorGuard, held: Recording) -> Iterator[tuple[tuple[int, int], np.ndarray]]:
+    """(i, j) -> what stands in for sensor i where j (itself: no other) fails, less its sound reading, K, (rows,)."""
+    healthy = rows_of(held, guard.names())
+    rise = healthy.rises()
+    weight = np.array([s.estimate for s in guard.sensors])
+    left = np.zeros((len(held), len(weight)))
+    whole = np.isfinite(np.column_stack([held.array(n) for n in guard.names()])).all(axis=1)
+    left[whole] = rise - rise @ weight.T
+    for i in range(len(weight)):
+        yield (i, i), left[:, i]
+        for j in set(range(len(weight))) - {i}:
+            yield (i, j), (left[:, i] + weight[i, j] * left[:, j]) / (1.0 - weight[i, j] * weight[j, i])
+
+
+def _cost(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tuple]) -> float:
+    """Share by which a guard raises what is left with sound sensors: of groups that it did not see, and of its own."""
+    told, by_fold = dict(judge.told(judge.plain, held)), dict(judge.told(judge.compiled(guard), held))
+    own = judge.cost(judge.moved(by_fold, told))
+    for rows, fold in folds:
+        flags = {s.name: s.stands_in for s in guard.sensors}
+        sensors = tuple(s.model_copy(update={"stands_in": flags[s.name]}) for s in fold.sensors)
+        same = fold.model_copy(update={"sensors": sensors, "most_failed": guard.most_failed})
+        part = judge.told(judge.compiled(same), held.take(rows))
+        for name, values in part.items():
+            by_fold[name] = by_fold[name].copy()
+            by_fold[name][rows] = values
+    return max(own, judge.cost(judge.moved(by_fold, told)))
+
+
+def _affordable(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tuple]) -> tuple[SensorGuard, float]:
+    """The guard at the least of `WIDER` at which sound sensors cost at most `MOST_COST`, else the widest; the cost."""
+    tried, cost = guard, np.inf
+    for times in WIDER:
+        tried = guard.widened(times)
+        cost = _cost(judge, held, tried, [(rows, fold.widened(times)) for rows, fold in folds])
+        if cost <= MOST_COST:
+            break
+    return tried, float(cost)
+
+
+def _one_by_one(judge: Judge, held: Recording, why: str, scheme: str | None) -> Watched:
+    """Each sensor watched by itself; no guard where that costs sound sensors too much."""
+    names = _chosen(judge, held, MOST_ALONE)
+    try:
+        guard, folds = _learnt(held, names, scheme, learn.limits)
+    except DataError as lacking:
+        return not_watched(f"{why}; {lacking}")
+    guard, cost = _affordable(judge, held, guard, folds)
+    if cost > MOST_COST:
+        return not_watched(f"{why}; watched one by one they would cost {100 * cost:.0f} %")
+    said = f"no temperature stands in for another ({why}): one that stands still or jumps as never seen"
+    return Watched(
+        guard, f"{said} fades the correction", {"watched": list(names), "stand_in": [], "cost": cost, "why": why}
+    )
+
+
+def not_watched(why: str) -> Watched:
+    """No guard, and why."""
+    return Watched(
+        None, f"temperatures are not watched ({why}): one that fails is followed", {"watched": [], "why": why}
+    )

@@ -1,0 +1,165 @@
+"""Tables that read temperatures are guarded by default; what cannot be guarded says so."""
+
+import numpy as np
+import pytest
+
+from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.recording import Column, Recording
+from errpipe.drivers.shared import drive_all
+from errpipe.guard import in_table, learn
+from errpipe.guard.detect import faults
+from errpipe.models.terms import Terms
+from errpipe.stages import _guarded
+from errpipe.stages._checklist import _watch
+from errpipe.stages._compile import CompileOptions, compile_model
+from errpipe.stages.predict import table_values
+from errpipe.targets import _sample
+from errpipe.targets._base import ReadBack
+from errpipe.targets._whole import WholeTable
+from tests.unit.guard import simulated_sensors as sensors
+
+GAINS = np.array([0.5, 0.0, 2.0, 1.0, -1.5, 0.5])  # um/K
+
+
+def measured(runs: int, seed: int) -> Recording:
+    """A recording with a deviation of its temperatures."""
+    rows = sensors.machine(runs, seed)
+    x = np.column_stack([rows.array(n) for n in sensors.NAMES])
+    y = (x - 20.0) @ GAINS + 0.3 * np.random.default_rng(seed).standard_normal(len(x))
+    return rows.with_columns({"E_Z": y}, {"E_Z": Column(role="error", component="E_Z", unit="um")})
+
+
+def machine(runs: int, seed: int, read: tuple[str, ...] = sensors.NAMES) -> tuple[Recording, ErrorModel]:
+    """A recording, and a model of terms fitted to it."""
+    rows = measured(runs, seed)
+    terms = [{"term": "offset"}, *({"term": "thermal_drift", "sensor": n} for n in read)]
+    return rows, Terms.model_validate({"components": [{"component": "E_Z", "terms": terms}]}).fit(rows).model
+
+
+def judged(rows: Recording, model: ErrorModel) -> _guarded.Judge:
+    plain = compile_model(model, CompileOptions(), None, rows)
+    (c,) = model.components
+    return _guarded.Judge(model, CompileOptions(), rows, plain, {"E_Z": c.rms_after}, {"E_Z": c.rms_before})
+
+
+@pytest.fixture(scope="module")
+def watched():
+    rows, model = machine(8, 5)
+    judge = judged(rows, model)
+    return rows, model, judge, _guarded.watch(judge, None)
+
+
+def test_six_sensors_are_watched_within_400_nodes_and_cost_nothing(watched):
+    _, _, judge, found = watched
+    table = judge.compiled(found.guard)
+    assert found.guard.names() == sensors.NAMES and found.guard.compares
+    assert len(table.nodes) - len(judge.plain.nodes) <= 400
+    assert found.document["cost"] <= _guarded.MOST_COST
+    assert found.title("a lathe") == "a lathe"
+
+
+@pytest.mark.parametrize("way", ["stuck", "lost", "hot", "step", "low"])
+def test_a_failed_sensor_is_stood_in_for(watched, way):
+    """The one that counts most, from the third hour on."""
+    _, model, judge, found = watched
+    fresh = measured(4, 6)
+    late, x = fresh.time() >= 7200.0, fresh.array("T_housing").copy()
+    stuck = np.concatenate([np.full(480, x[480 * k + 120]) for k in range(4)])
+    wrong = {"stuck": stuck, "lost": np.nan, "hot": 850.0, "step": x - 4.0, "low": 0.85 * x}[way]
+    failed = fresh.with_columns({"T_housing": np.where(late, wrong, x)}, {})
+
+    def left(table):
+        return np.sqrt(np.mean((fresh.array("E_Z") - table_values(table, model, failed)["E_Z"])[late] ** 2))
+
+    bare, guarded = left(judge.plain), left(judge.compiled(found.guard))
+    assert guarded < 0.7 * bare
+
+
+def test_a_table_without_its_guard_is_the_plain_one(watched):
+    rows, model, judge, found = watched
+    table = judge.compiled(found.guard)
+    free = in_table.without_guard(table)
+    assert in_table.watched(table) and in_table.stands_in(table) and not in_table.watched(free)
+    assert len(free.nodes) == len(judge.plain.nodes) and in_table.without_guard(judge.plain) is judge.plain
+    told, plain = (table_values(t, model, rows)["E_Z"] for t in (free, judge.plain))
+    np.testing.assert_array_equal(told, plain)
+    names = {"T_bed": np.array([20.0, 25.0])}
+    settled = [_sample.corrections(t, "Z", names, np.ones(2)) for t in (table, judge.plain)]
+    np.testing.assert_array_equal(*settled)
+    assert np.ptp(settled[0]) > 0.005  # 1.5 um/K x 5 K: a settled reading is not a frozen one
+
+
+def test_one_run_or_one_sensor_is_watched_by_itself():
+    for runs, read, why in ((1, ("T_bearing", "T_room"), "found: 2, 1"), (4, ("T_bed",), "found: 1, 4")):
+        rows, model = machine(runs, 7, read)
+        rows = without(rows, set(sensors.NAMES) - set(read))
+        found = _guarded.watch(judged(rows, model), None)
+        assert not found.guard.compares and why in found.said, found.said
+        assert found.title(200 * "x").endswith(f"x; {_guarded.WATCHED_ALONE}") and len(found.title(200 * "x")) == 127
+        table = judged(rows, model).compiled(found.guard)
+        assert in_table.watched(table) and not in_table.stands_in(table)
+
+
+def without(rows: Recording, names: set[str]) -> Recording:
+    columns = {k: c for k, c in rows.manifest.columns.items() if k not in names}
+    return Recording(rows.manifest.model_copy(update={"columns": columns}), rows.frame.drop(columns=list(names)))
+
+
+def test_a_sensor_watched_by_itself_fades_the_correction_where_it_stands_still():
+    rows, model = machine(1, 7, ("T_bearing", "T_room"))
+    judge = judged(rows, model)
+    table = judge.compiled(_guarded.watch(judge, None).guard)
+    late = rows.time() >= 7200.0
+    x = rows.array("T_bearing")
+    failed = rows.with_columns({"T_bearing": np.where(late, x[120], x)}, {})
+    end = -1
+    assert abs(table_values(judge.plain, model, failed)["E_Z"][end]) > 5.0
+    assert abs(table_values(table, model, failed)["E_Z"][end]) < 0.5
+
+
+def test_a_jump_is_a_fault_and_the_quickest_sound_change_none(watched):
+    rows, _, _, found = watched
+    guard = found.guard
+    k = sensors.NAMES.index("T_bed")
+    assert not drive_all(faults(guard), rows).any()
+    step = np.where(rows.time() > 7200.0, 2.0 * guard.sensors[k].jump, 0.0)
+    jumped = rows.with_columns({"T_bed": rows.array("T_bed") + step}, {})
+    assert drive_all(faults(guard), jumped)[:, k].any()
+
+
+def test_a_guard_that_costs_sound_sensors_too_much_is_left_out_and_said(watched):
+    """One that alarms in every other group: each temperature is then watched by itself."""
+    rows, _, judge, _ = watched
+    real = learn.learn
+
+    def jumpy(recording, names):
+        guard = real(recording, names)
+        return guard if len(recording) == len(rows) else guard.model_copy(update={"threshold": 0.05 * guard.threshold})
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(learn, "learn", jumpy)
+        found = _guarded.watch(judge, None)
+    assert not found.guard.compares and "would cost sound sensors" in found.said
+
+
+def test_a_sensor_that_no_other_tells_fades_the_correction(watched):
+    """The stand-in of a sensor whose noise the table turns into more than the whole error."""
+    rows, model, judge, _ = watched
+    poor = _guarded.Judge(model, CompileOptions(), rows, judge.plain, judge.left, {"E_Z": 1.01 * judge.left["E_Z"]})
+    lost = _guarded.watch(poor, None)
+    assert not all(s.stands_in for s in lost.guard.sensors) and "fades where" in lost.said
+
+
+@pytest.mark.parametrize("guarded", [True, False])
+def test_checklists_say_whether_sensors_are_watched(watched, guarded):
+    _, _, judge, found = watched
+    table = judge.compiled(found.guard) if guarded else judge.plain
+    whole, lines = WholeTable(table=table), ReadBack()
+    assert any("watched against each other" in x for x in _watch(whole, table)) == guarded
+    assert any("the table has no guard" in x for x in _watch(whole, table)) != guarded
+    assert any("no memory for a guard" in x for x in _watch(lines, table))
+
+
+def test_no_guard_is_said_in_the_title(tmp_path):
+    found = _guarded.not_watched("guard: false")
+    assert found.title("lathe") == f"lathe; {_guarded.NOT_WATCHED}" and "guard: false" in found.said
