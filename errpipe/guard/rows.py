@@ -39,12 +39,6 @@ class Healthy:
         """Readings less the first of their session."""
         return self.x - self.x[self._starts()]
 
-    def warm_half(self) -> np.ndarray:
-        """1 for rows of groups that started warmer than the median one, else 0."""
-        start = np.array([self.x[self.group == g][0].mean() for g in np.unique(self.group)])
-        place = np.unique(self.group, return_inverse=True)[1]
-        return (start > np.median(start)).astype(int)[place]
-
     def centred(self, values: np.ndarray) -> np.ndarray:
         """Values less their mean over every shift of a session."""
         return values - self._per_stretch(values, SHIFT_S, np.mean)
