@@ -43,7 +43,7 @@ class SetUp:
     in_own_noise: bool = False  # was the colour of the noise fitted?
     plain: bool = False  # noise of the usual colour, non-linear parameters on their grid?
     taken_back: bool = False  # were names taken back because noise alone is likelier?
-    exactly: bool = False  # are names what a simulation lacks whose gains are all 1? They may be gains of its parts
+    of_a_twin: bool = False  # is named what a twin lacks, whose gains are 1? It may be a gain of its parts
     over_noise: float = np.inf  # log Bayes factor of the explanation over noise that wanders, and nothing missing
 
     def judged(self) -> LeftOut:

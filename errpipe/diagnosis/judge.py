@@ -295,7 +295,7 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     if made.session is not None and not predicts_held_out(search, chosen, remainder, judged):
         remainder = admit.remainder(search, chosen, [], [])
     whole = {f.name: getattr(made, f.name) for f in fields(SetUp)} | {"nuisance": nuisance}
-    whole["exactly"] = bool(exact and exact[2])
+    whole["of_a_twin"] = bool(exact and exact[2])
     return Case(**whole, search=search, explanation=explanation, sigma=sigma, remainder=remainder)
 
 

@@ -100,7 +100,8 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
     most, shaped = [1.0] * len(made), case.held.shape_share() * min(left, 1.0) >= SHAPED
     for k, (m, s) in enumerate(zip(made, indicators, strict=True)):
         wanders = jumps or case.over_noise < 0.0 or (slow and s.wandering > s.gain)
-        a_gain = case.exactly or any(plausible.gain_of_a_part(case, other) for other in made[: k + 1])  # or beside one
+        beside = made[: k + 1]  # a gain, or beside one
+        a_gain = case.of_a_twin or any(plausible.gain_of_a_part(case, other) for other in beside)
         if wanders or a_gain or plausible.only_a_wave_in_time(m, after):
             most[k] = UNPROVED
         elif plausible.no_size(m):

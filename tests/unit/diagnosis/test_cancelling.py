@@ -52,7 +52,7 @@ def test_a_name_that_folds_do_not_find_again_or_that_leaves_a_shape_is_not_sure(
     monkeypatch.setattr(report, "only_steps", lambda _: False)
     held = SimpleNamespace(names=left, before=1.0, again=again, shape_share=lambda: shapes)
     indicators = [SimpleNamespace(agreement=agreement, gain=600.0, wandering=0.0)]
-    case = SimpleNamespace(held=held, over_noise=np.inf)
+    case = SimpleNamespace(held=held, over_noise=np.inf, of_a_twin=False)
     assert report._most(case, [SimpleNamespace()], indicators, np.zeros(3)) == [most]
 
 
