@@ -21,6 +21,7 @@ from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
 from errpipe.diagnosis.shapes import Shape, shapes
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
+from errpipe.fitting.noise_floor import noise_of_twin
 from errpipe.terms import MANY_STARTS, NEVER
 
 Progress = Callable[[float, str], None]
@@ -238,7 +239,7 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
     decomposition, (nuisance, kinds, recal, sizes) = recalibration.likeliest(
         *held, simulated, library, data, noise_estimate
     )
-    noise = recalibration.noise_of_twin(simulated, pair.mismatch, run)
+    noise = noise_of_twin(simulated, pair.mismatch, run)
     if noise is not None:
         size = float(np.std(noise))
         nuisance = nuisance.plus(library.table.add(noise[:, None] / size), np.array([size]))

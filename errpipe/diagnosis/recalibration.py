@@ -12,7 +12,6 @@ from errpipe.diagnosis.coloured import whiten
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.gains import DATUM, WHOLE, Nuisance
 from errpipe.diagnosis.left_out import LeftOut
-from errpipe.diagnosis.prepare import LEAST_ROWS, smooth
 from errpipe.diagnosis.search import MISSING, Explanation, Search, settled
 from errpipe.terms import NEVER
 
@@ -29,8 +28,6 @@ SURE = 15.0  # log Bayes factor from which a part is certain to be in the simula
 MAX_GAIN_PENALTY = 60.0  # largest penalty, in log evidence, of gains beyond the limits: the decomposition may be wrong
 ALL_ONE = 6.0  # threshold: log odds that the gains of all parts but one are 1 rather than off as usual
 TRUST = 0.3  # weight of the decomposition's evidence: its residual is misfit, not noise
-DILUTED = -0.5  # slope of second differences of the mismatch on those of the simulation's noise; its own has -1,
-SHOWN = 4.0  # and standard errors from which they go together
 EXACT_SD = 0.03  # prior standard deviation of such gains, relative to the usual
 TWIN = 20.0  # threshold: log Bayes factor of what a twin lacks, beyond that of a finding
 
@@ -125,22 +122,6 @@ def recalibration(
     active = Active(np.array([library.datum]), np.array([np.inf]))
     every = np.column_stack([np.ones(simulated.size), block])
     return active.plus(index, np.array(sd) * np.array(size)), kinds, every, np.r_[1.0, size]
-
-
-def noise_of_twin(simulated: np.ndarray, mismatch: np.ndarray, run: np.ndarray) -> np.ndarray | None:
-    """Noise of a simulated signal that was measured itself, shape (rows,); None where it has none of its own.
-
-    Recorded less simulated holds such noise with a gain of -1, which pulls the gain of the whole below 1 (regression
-    dilution: errors in variables, Fuller 1987): second differences of the two then go together by nearly as much.
-    """
-    noise = simulated - smooth(simulated, run)
-    same = (run[2:] == run[1:-1]) & (run[1:-1] == run[:-2])
-    own, other = (np.diff(v, 2)[same] for v in (noise, mismatch))
-    spread = float(own @ own)
-    if same.sum() < LEAST_ROWS or spread <= 0 or own @ other > DILUTED * spread:
-        return None
-    certain = SHOWN / np.sqrt(same.sum() / 3.0)  # second differences overlap
-    return noise if -(own @ other) > certain * np.sqrt(spread * float(other @ other)) else None
 
 
 def together(separate: tuple[parts.Part, ...]) -> list[parts.Part]:
