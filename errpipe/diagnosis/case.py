@@ -43,6 +43,7 @@ class SetUp:
     in_own_noise: bool = False  # was the colour of the noise fitted?
     plain: bool = False  # noise of the usual colour, non-linear parameters on their grid?
     taken_back: bool = False  # were names taken back because noise alone is likelier?
+    of_a_twin: bool = False  # is named what a twin lacks, whose gains are 1? It may be a gain of its parts
     over_noise: float = np.inf  # log Bayes factor of the explanation over noise that wanders, and nothing missing
 
     def judged(self) -> LeftOut:
@@ -94,11 +95,11 @@ def needs_recalibration(case: Case) -> bool:
     if case.pair.reversed:
         return True
     full = case.search.active(case.chosen())
-    m = case.nuisance.index.size
-    without = Active(full.index[m:], full.sd[m:])
+    kept = np.ones(full.index.size, dtype=bool)
+    kept[: len(case.nuisances)] = [n.kind == "noise" for n in case.nuisances]
+    without = Active(full.index[kept], full.sd[kept])
     scene = Scene(case.search.data, without, case.search.noise)
-    own = np.array([n.is_datum for n in case.nuisances])
-    datum, gains = case.nuisance.index[own], case.nuisance.index[~own]
+    datum, gains = (case.nuisance.index[own] for own in np.array([(n.is_datum, n.is_gain) for n in case.nuisances]).T)
     sets = [datum, gains[:1], np.r_[datum, gains[:1]], np.r_[datum, gains]]
     sets += [np.r_[datum, g] for g in gains[1:]]
     scored = scene.gains(sets, [np.ones(s.size) for s in sets], case.search.rows)

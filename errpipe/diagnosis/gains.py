@@ -22,10 +22,11 @@ class Nuisance:
     """What one column stands for; `label`: how a report shows it; effect and `part`: whose it is, and its label.
 
     datum: a constant; session datum: a constant of one session; whole: the simulated signal; part: what the signal
-    holds of one effect; departure: of that effect from its textbook form, or what may belong to another part.
+    holds of one effect; departure: of that effect from its textbook form, or what may belong to another part; noise:
+    that of the simulated signal.
     """
 
-    kind: Literal["datum", "session datum", "whole", "part", "departure"]
+    kind: Literal["datum", "session datum", "whole", "part", "departure", "noise"]
     label: str
     effect: str = ""
     part: str = ""
@@ -35,9 +36,15 @@ class Nuisance:
         """Whether it is a constant."""
         return self.kind in ("datum", "session datum")
 
+    @property
+    def is_gain(self) -> bool:
+        """Whether it is a gain less 1, of the signal or of what it holds."""
+        return self.kind in ("whole", "part", "departure")
+
 
 DATUM = Nuisance("datum", "datum")
 WHOLE = Nuisance("whole", "simulation")
+NOISE = Nuisance("noise", "noise of the simulation")
 
 
 def far_off(scene: Scene, nuisances: list[Nuisance], sizes: np.ndarray) -> int:

@@ -21,6 +21,7 @@ from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
 from errpipe.diagnosis.shapes import Shape, shapes
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
+from errpipe.fitting.noise_floor import noise_of_twin
 from errpipe.terms import MANY_STARTS, NEVER
 
 Progress = Callable[[float, str], None]
@@ -238,6 +239,11 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
     decomposition, (nuisance, kinds, recal, sizes) = recalibration.likeliest(
         *held, simulated, library, data, noise_estimate
     )
+    noise = noise_of_twin(simulated, pair.mismatch, run)
+    if noise is not None:
+        size = float(np.std(noise))
+        nuisance = nuisance.plus(library.table.add(noise[:, None] / size), np.array([size]))
+        recal, kinds, sizes = np.column_stack([recal, noise / size]), [*kinds, gains.NOISE], np.r_[sizes, size]
     prior = recalibration.log_prior(library, decomposition)
     of_row = sessions(conditioned)[rows]
     session: np.ndarray | None = None
@@ -274,7 +280,7 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     judged, known = made.judged(), (made.nuisances, made.sizes, made.noise_estimate)
     exact = recalibration.no_gain(search, explanation, judged, held, *known)
     if exact:
-        (search, explanation), nuisance, held = exact, exact[0].nuisance, replace(held, parts=())
+        (search, explanation, _), nuisance, held = exact, exact[0].nuisance, replace(held, parts=())
     named = worth_naming(search, explanation, made.recording, rows, held)
     if 0 < len(named.accepted) < len(explanation.accepted):  # alone another name may be likelier
         named = replace(named, accepted=search.accepted(search.exchanged(chosen_of(named))))
@@ -290,6 +296,7 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     if made.session is not None and not predicts_held_out(search, chosen, remainder, judged):
         remainder = admit.remainder(search, chosen, [], [])
     whole = {f.name: getattr(made, f.name) for f in fields(SetUp)} | {"nuisance": nuisance}
+    whole["of_a_twin"] = bool(exact and exact[2])
     return Case(**whole, search=search, explanation=explanation, sigma=sigma, remainder=remainder)
 
 
@@ -308,7 +315,7 @@ def _with_dependent_rows(made: SetUp, search: Search, explanation: Explanation) 
     if not (_explains_share(search, explanation, noise) and not _explains_share(single, one, noise, 0.75)):
         worth = max(run.size / max(time, correlation_time(left, run)), 30.0)
         search, explanation = settled(library, made.data, nuisance, search.prior, noise, worth)
-    wide = Active(nuisance.index, nuisance.sd * np.where([n.is_datum for n in made.nuisances], 1.0, WIDE))
+    wide = Active(nuisance.index, nuisance.sd * np.where([n.is_gain for n in made.nuisances], WIDE, 1.0))
     other, wide_gains = settled(library, made.data, wide, search.prior, noise, worth, weighed=False)
     chosen = [chosen_of(e) for e in (explanation, wide_gains)]
     if search.rows:

@@ -9,12 +9,12 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
 from errpipe.errors import DataError
+from errpipe.fitting.noise_floor import smooth
 
 LEAST_ROWS = 30  # fewer rows cannot carry a finding and a hold-out
 MOST_SLOW, MOST_FAST, STRETCHES = 4000, 20000, 40  # rows judged; more cost time and change the result little
 MOST_MISSING = 0.75  # share of gaps above which a sensor is left out; one that failed for half of the time is a finding
 AT_ONCE = 100_000  # rows whose neighbours are in memory at once
-WINDOWS = (0.7, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0)  # smoothing widths tried, in rows
 BETWEEN = ("position", "command", "cut_length", "velocity", "acceleration")  # roles whose gaps are interpolated,
 SLOW_ROLES = ("temperature", "pressure", "humidity")
 STEPWISE = ("direction", "spindle_speed", "feed", "coolant", "load", "overhang", "depth_of_cut")  # or held
@@ -238,36 +238,6 @@ def hold(values: np.ndarray, session: np.ndarray) -> np.ndarray:
 
     held = pd.Series(values).groupby(session).transform(lambda s: s.ffill().bfill())
     return held.fillna(np.nanmedian(values)).to_numpy(dtype=float)
-
-
-def smooth(values: np.ndarray, run: np.ndarray) -> np.ndarray:
-    """A sensor's reading smoothed by a kernel; its width by leave-one-out cross-validation."""
-    best = (np.inf, values)
-    stretches = [np.flatnonzero(run == r) for r in np.unique(run)]
-    for width in WINDOWS:
-        out, left_out = np.empty_like(values), np.empty_like(values)
-        for rows in stretches:
-            out[rows], left_out[rows] = _kernel_smooth(values[rows], width)
-        score = float(np.mean((values - left_out) ** 2))
-        if score < best[0] * 0.995:
-            best = (score, out)
-    return best[1]
-
-
-def _kernel_smooth(values: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Local linear (symmetric kernel) smooth, and the same with each row left out of its own estimate."""
-    reach = min(int(3 * width) + 1, max(values.size - 1, 0))
-    if values.size < 4 or reach < 1:
-        return values.copy(), np.full_like(values, np.mean(values))
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
-    # ends reflected through the end value, so that a slope stays a slope
-    head = 2 * values[0] - values[1 : reach + 1][::-1]
-    tail = 2 * values[-1] - values[-reach - 1 : -1][::-1]
-    padded = np.r_[head, values, tail]
-    total = np.convolve(padded, weights, mode="valid")
-    centre = weights[reach]
-    own = centre * values
-    return total / weights.sum(), (total - own) / (weights.sum() - centre)
 
 
 def motion(recording: Recording, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -29,16 +29,18 @@ MAX_GAIN_PENALTY = 60.0  # largest penalty, in log evidence, of gains beyond the
 ALL_ONE = 6.0  # threshold: log odds that the gains of all parts but one are 1 rather than off as usual
 TRUST = 0.3  # weight of the decomposition's evidence: its residual is misfit, not noise
 EXACT_SD = 0.03  # prior standard deviation of such gains, relative to the usual
+TWIN = 20.0  # threshold: log Bayes factor of what a twin lacks, beyond that of a finding
 
 
 def no_gain(
     search: Search, explanation: Explanation, judged: LeftOut, d: parts.Decomposition, nuisances, sizes, noise: float
-) -> tuple[Search, Explanation] | None:
-    """What is missing where a gain of a part may be that, if it is likelier; None elsewhere.
+) -> tuple[Search, Explanation, bool] | None:
+    """What is missing where a gain of a part may be that, if it is likelier; None elsewhere. And: in a twin?
 
     A simulation that holds every effect but one exactly lacks, or has too much of, that one: the gains of the others
-    are known to be 1 by log odds of `ALL_ONE` (Savage-Dickey ratio). Elsewhere a part with a gain beyond the limits
-    may play another effect: without that gain something is missing, and held-out rows agree.
+    are known to be 1 by log odds of `ALL_ONE` (Savage-Dickey ratio), or all are where it is a twin, measured itself,
+    and nothing else is named. Elsewhere a part with a gain beyond the limits may play another effect: without that
+    gain something is missing, and held-out rows agree.
     """
     held, rows = gains.totals(nuisances, sizes)
     chosen = lambda e: [(f.index, f.size) for f in e.accepted]  # noqa: E731
@@ -48,20 +50,24 @@ def no_gain(
     odds = 0.5 * (np.log1p(GAIN_SD**2 / variance) - at**2 / variance + at**2 / (GAIN_SD**2 + variance))
     off = int(np.argmin(odds))
     one = odds[off] <= -OFF and odds.sum() - odds[off] >= ALL_ONE
+    twin = not explanation.accepted and any(n.kind == "noise" for n in nuisances)
     suspect = [held[off]] if one else [n for n, far in zip(held, gains.excess(scene, rows)[1], strict=False) if far]
+    suspect = held if twin else suspect
     if len(held) < 2 or not suspect or not (one or search.weighed):  # wide gains are proved by held-out rows
         return None
     effects, labels = {n.effect for n in suspect}, {n.part for n in suspect}
     own = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.hypothesis.effect in effects}
     each = zip(search.library.hypotheses, search.prior, strict=True)
     prior = np.array([h.prior if (h.effect, h.drivers) in own and p > 0.5 * NEVER else p for h, p in each])
-    exactly = np.array([not n.is_datum and (one or n.part in labels) for n in nuisances])
+    exactly = np.array([n.is_gain and (one or twin or n.part in labels) for n in nuisances])
     exact = Active(search.nuisance.index, search.nuisance.sd * np.where(exactly, EXACT_SD, 1.0))
     other, named = settled(search.library, search.data, exact, prior, noise, search.rows)
     if not named.accepted or other.evidence(chosen(named)) <= search.evidence(chosen(explanation)):
         return None
+    if twin:
+        return (other, named, True) if other.joint(chosen(named)) > TWIN else None
     left = [judged.of_explanation(s, chosen(e)) for s, e in ((other, named), (search, explanation))]
-    return (other, named) if one or left[0] < left[1] else None
+    return (other, named, False) if one or left[0] < left[1] else None
 
 
 def likeliest(

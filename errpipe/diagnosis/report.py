@@ -96,11 +96,14 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
     slow = case.held.names > PREDICTED * case.held.before
     far = slow and gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes)
     left = (case.held.names / max(case.held.before, 1e-300)) ** 2
-    jumps = only_steps(case)
+    b, twin = case.search.scene(case.chosen()).coefficients(), any(n.kind == "noise" for n in case.nuisances)
+    rows = gains.totals(case.nuisances, case.sizes)[1]  # a twin's gain is 1: further off, its noise wanders
+    wandering = only_steps(case) or (twin and np.abs(rows @ b[: rows.shape[1]]).max() > gains.FAR_OFF)
     most, shaped = [1.0] * len(made), case.held.shape_share() * min(left, 1.0) >= SHAPED
     for k, (m, s) in enumerate(zip(made, indicators, strict=True)):
-        wanders = jumps or case.over_noise < 0.0 or (slow and s.wandering > s.gain)
-        a_gain = any(plausible.gain_of_a_part(case, other) for other in made[: k + 1])  # or beside one
+        wanders = wandering or case.over_noise < 0.0 or (slow and s.wandering > s.gain)
+        beside = made[: k + 1]  # a gain, or beside one
+        a_gain = case.of_a_twin or any(plausible.gain_of_a_part(case, other) for other in beside)
         if wanders or a_gain or plausible.only_a_wave_in_time(m, after):
             most[k] = UNPROVED
         elif plausible.no_size(m):

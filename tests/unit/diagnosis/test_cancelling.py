@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from errpipe.diagnosis import plausible, report
+from errpipe.diagnosis import gains, plausible, report
 from errpipe.terms import search_of
 from errpipe.terms.stribeck_friction import StribeckFriction
 
@@ -52,7 +52,9 @@ def test_a_name_that_folds_do_not_find_again_or_that_leaves_a_shape_is_not_sure(
     monkeypatch.setattr(report, "only_steps", lambda _: False)
     held = SimpleNamespace(names=left, before=1.0, again=again, shape_share=lambda: shapes)
     indicators = [SimpleNamespace(agreement=agreement, gain=600.0, wandering=0.0)]
-    case = SimpleNamespace(held=held, over_noise=np.inf)
+    search = SimpleNamespace(scene=lambda _: SimpleNamespace(coefficients=lambda: np.zeros(2)))
+    nuisances = {"nuisances": [gains.DATUM, gains.WHOLE], "sizes": np.ones(2), "chosen": list, "search": search}
+    case = SimpleNamespace(held=held, over_noise=np.inf, of_a_twin=False, **nuisances)
     assert report._most(case, [SimpleNamespace()], indicators, np.zeros(3)) == [most]
 
 

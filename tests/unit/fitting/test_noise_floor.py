@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from errpipe.domain.recording import Column, Manifest, Recording
-from errpipe.fitting.noise_floor import noise_floor, rounding
+from errpipe.fitting.noise_floor import noise_floor, noise_of_twin, rounding
 
 COLUMNS = {
     "run": Column(role="run"),
@@ -67,3 +67,22 @@ def test_readings_without_steps_have_no_rounding() -> None:
     assert rounding(np.round(random, 1) + 0.03) == pytest.approx(0.1 / 12.0**0.5)
     assert rounding(np.array([1.0, 2.0, 3.0])) == 0.0  # too few to tell
     assert rounding(np.full(50, 7.0)) == 0.0
+
+
+def test_noise_of_a_twin_is_what_smooth_leaves_of_it():
+    rng = np.random.default_rng(0)
+    true = 30.0 * np.sin(np.arange(400) / 40.0)
+    recorded, twin = true + rng.standard_normal((2, 400))
+    noise = noise_of_twin(twin, recorded - twin, np.zeros(400, dtype=int))
+    assert noise is not None
+    assert np.corrcoef(noise, twin - true)[0, 1] > 0.9
+
+
+@pytest.mark.parametrize(("gain", "rounded"), [(1.0, 0.0), (0.85, 0.0), (1.0, 0.01)])
+def test_a_computed_signal_has_no_noise_of_its_own(gain, rounded):
+    """A gain that is off and steps of a file show in second differences, too, but by less."""
+    rng = np.random.default_rng(1)
+    simulated = 30.0 * np.sin(np.arange(400) / 40.0) + 5.0 * np.sign(np.sin(np.arange(400) / 7.0))
+    simulated = np.round(simulated / rounded) * rounded if rounded else simulated
+    mismatch = (gain - 1.0) * simulated + 0.3 * rng.standard_normal(400)
+    assert noise_of_twin(simulated, mismatch, np.zeros(400, dtype=int)) is None
