@@ -43,7 +43,7 @@ def test_what_is_missing_is_found_behind_datums_that_differ():
     assert response.verdict == "missing_physics" and effects[0] == "thermal_lag"
     tau = next(p for p in response.findings[0].parameters if p.name == "tau")
     assert tau.ci95[0] <= TAU <= tau.ci95[1] < 2 * TAU
-    assert "datum of its own" in response.says and response.between_runs > 0.3
+    assert "separate datum" in response.says and response.between_runs > 0.3
     assert len(levels(response)) == 10
 
 
@@ -64,7 +64,7 @@ def test_a_cause_that_steps_from_day_to_day_keeps_its_name(seed: int):
     """What creeps on over the days is cheaper as one rate than as ten datums."""
     response, effects = told(mornings(seed, hidden=lambda c: 12 * c["t"] / c["t"].max()))
     assert effects == ["sensor_drift"] and not levels(response)
-    assert response.between_runs > 0.9 and "datum of its own" not in response.says
+    assert response.between_runs > 0.9 and "separate datum" not in response.says
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -75,7 +75,7 @@ def test_planted_structure_is_caught_and_said_where(quiet, what):
         "order": ("order of the rows", "Ljung-Box"),
     }[what]
     assert expected in [(t.against, t.how) for t in alarming]
-    assert alarming[0].against in statistic.says and "not all noise" in statistic.says
+    assert alarming[0].against in statistic.says and "not only noise" in statistic.says
 
 
 @pytest.mark.slow
