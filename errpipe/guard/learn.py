@@ -15,6 +15,7 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.guard import description as g
+from errpipe.guard import rates
 from errpipe.guard.detect import WARM_UP
 from errpipe.guard.rows import Healthy, rows_of
 
@@ -35,7 +36,10 @@ MAX_RATE = 3.0  # times the fastest change seen of a healthy reading
 RANGE_SHARE, RANGE_K = 0.5, 25.0
 JUMP_MARGIN = 1.5  # times: a door that opens in another season is quicker
 LEAST_JUMP = 1.0  # K: below it a jump does little harm, and noise of a sensor that was read seldom may look like one
-STILLER, QUICKER = 0.25, 2.0  # times what one run shows: it bounds no later one
+QUICKER = 2.0  # times what one run shows: it bounds no later one
+# Of a sensor that no other replaces, where a false alarm costs the whole correction: a healthy one always shows its own
+# noise, unless its resolution hides it; and the air of a hall moves by a kelvin a minute when a door opens.
+NOISE_SHARE, MOST_EQUAL = 0.1, 0.05  # of its variance, that an active one shows; of equal successive readings
 REACH = 2.0  # times the largest residual of healthy readings
 ACTIVE = 0.2  # quantile: a healthy reading is stiller only so much of the time
 LEAST_ACTIVITY = 1e-12  # of the median liveliness: reached 2.3 h after a reading froze; below it single precision ends
@@ -164,14 +168,14 @@ def left_out(
 
 
 def limits(recording: Recording, names: Sequence[str]) -> g.SensorGuard:
-    """A guard by each sensor's own readings, without stand-ins: what is quicker or stiller than ever seen is a fault.
+    """A guard by each sensor's own readings, without stand-ins: one that jumps, or loses its own noise, is at fault.
 
-    Raises DataError without a row that all sensors read.
+    Raises DataError if no row has all sensors, or if no sensor changes within a run: the recording shows no rates then.
     """
     rows = rows_of(recording, tuple(names))
-    if not len(rows.x):
-        raise DataError("limits of readings need a row that all sensors read")
-    alive, none = _alive(rows), (0.0,) * len(names)
+    if not np.any(rows.rises()):
+        raise DataError("the recording shows no temperature that changes within a run")
+    none, slowest = (0.0,) * len(names), rates.ROLES["temperature"].slowest * FREEZE_S
     return g.SensorGuard(
         sensors=tuple(
             g.GuardedSensor(
@@ -180,8 +184,8 @@ def limits(recording: Recording, names: Sequence[str]) -> g.SensorGuard:
                 estimate=none,
                 stands_in=False,
                 reach=float(max(REACH * np.abs(rows.rises()[:, i]).max(), 1e-3)),
-                still=_still(STILLER * alive[:, i], rows, 0.0),
-                jump=QUICKER * _jump(rows, i, 0.0),
+                still=_own_noise(rows, i),
+                jump=max(QUICKER * _jump(rows, i, 0.0), slowest),
             )
             for i, name in enumerate(names)
         ),
@@ -192,6 +196,14 @@ def limits(recording: Recording, names: Sequence[str]) -> g.SensorGuard:
         false_alarms=FALSE_ALARMS,
         hours=_hours(rows),
     )
+
+
+def _own_noise(rows: Healthy, i: int) -> float | None:
+    """Activity below which one sensor has lost its own noise, K2; None if its resolution hides the noise."""
+    x, within = rows.x[:, i], rows.run[1:] == rows.run[:-1]
+    noise = rates.noise_of(x, rows.run)
+    hidden = not within.any() or float(np.mean((np.diff(x) == 0.0)[within])) > MOST_EQUAL
+    return None if hidden or noise <= 0.0 else NOISE_SHARE * noise**2
 
 
 def _hours(rows: Healthy) -> float:
@@ -233,5 +245,5 @@ def _still(alive: np.ndarray, rows: Healthy, per_hour: float) -> float | None:
     if not late.any() or alive[late].min() <= 0:
         return None
     kept = Healthy(rows.x[late], rows.run[late], rows.t[late], rows.group[late])
-    level = np.exp(-kept.rare(-np.log(alive[late]), per_hour, max_shape=1e-6)) if per_hour else alive[late].min()
+    level = np.exp(-kept.rare(-np.log(alive[late]), per_hour, max_shape=1e-6))
     return float(level) if level > LEAST_ACTIVITY * np.median(alive[late]) else None

@@ -57,7 +57,7 @@ def of_readings(values: np.ndarray, time: np.ndarray, run: np.ndarray, bounds: B
     values, time, run = values[seen], time[seen], run[seen]
     step, span = np.diff(values), np.diff(time)
     within = (run[1:] == run[:-1]) & (span > 0)
-    noise = max(bounds.noise, NOISE_SIGMAS * _noise(values, run))
+    noise = max(bounds.noise, NOISE_SIGMAS * noise_of(values, run))
     if not within.any():
         return ReadingRate(bounds.slowest, noise)
     moved = np.maximum(np.abs(step[within]) - noise, 0.0)
@@ -65,7 +65,7 @@ def of_readings(values: np.ndarray, time: np.ndarray, run: np.ndarray, bounds: B
     return ReadingRate(min(max(fastest, bounds.slowest), bounds.fastest), noise)
 
 
-def _noise(values: np.ndarray, run: np.ndarray) -> float:
+def noise_of(values: np.ndarray, run: np.ndarray) -> float:
     """Standard deviation of the noise, from second differences, by their median: drift and single jumps do not count.
 
     A second difference of white noise has six times its variance; 0.6745 is the median of |x| of a standard normal.

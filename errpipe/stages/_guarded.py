@@ -235,7 +235,7 @@ def _one_by_one(judge: Judge, held: Recording, why: str, scheme: str | None) -> 
     guard, cost = _affordable(judge, held, guard, folds)
     if cost > MOST_COST:
         return not_watched(f"{why}; watched one by one they would cost {100 * cost:.0f} %")
-    said = f"no temperature stands in for another ({why}): one that stands still or jumps as never seen"
+    said = f"no temperature stands in for another ({why}): one that jumps by several kelvin, or loses its own noise,"
     return Watched(
         guard, f"{said} fades the correction", {"watched": list(names), "stand_in": [], "cost": cost, "why": why}
     )

@@ -17,6 +17,7 @@ from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.domain.table import CompensationTable
 from errpipe.fitting.components import evaluate
+from errpipe.guard.in_table import without_guard
 from errpipe.tables import batch
 
 AFTER = np.array([0.0, 1.0, 60.0, 600.0, 3600.0, 36000.0, 1e9])  # s after the jump; the first row is before it
@@ -94,7 +95,11 @@ def of_model(model: ErrorModel) -> Compensation:
 
 
 def of_table(table: CompensationTable) -> Compensation:
-    """A table as a controller runs it: the deviation of each of its outputs."""
+    """A table as a controller runs it with healthy sensors: the deviation of each of its outputs.
+
+    Without the guard of its sensors: states that jump and settle are what a guard calls faults.
+    """
+    table = without_guard(table)
 
     def values(states: States) -> Mapping[str, np.ndarray]:
         columns = {i.name: states.readings[i.name] for i in table.inputs}

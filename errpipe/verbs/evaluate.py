@@ -19,12 +19,13 @@ def evaluate(table: Path, at: Mapping[str, float]) -> dict[str, Any]:
     """Deviation and correction at given readings; inputs that are not named are at their default.
 
     at: by the names of the table's inputs, or of a position by its axis, such as X.
-    The readings are those of a settled machine: references are taken where inputs stand by default, then every lag is
-    left to settle.
+    The readings are those of a settled machine with healthy sensors, on which a guard does not act: references are
+    taken where inputs stand by default, then every lag is left to settle.
     """
+    from errpipe.guard.in_table import without_guard
     from errpipe.tables.reference import Evaluator
 
-    compensation_table = _artefacts.read_table(table)
+    compensation_table = without_guard(_artefacts.read_table(table))
     names = [i.name for i in compensation_table.inputs]
     of_axis = {i.axis: i.name for i in compensation_table.inputs if i.kind == "position"}
     at = {name if name in names else of_axis.get(name, name): value for name, value in at.items()}

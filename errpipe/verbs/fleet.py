@@ -104,7 +104,9 @@ def fleet(
         if undetermined:
             own = {name: model.result() for name, model in models.items()}
             why = {name: results[name]["message"].partition(f"; {MACHINES}/")[0] for name in undetermined}
-            run(again := report.result().borrowing(tasks, undetermined, results, own, types))
+            from errpipe.verbs._fleet_types import borrowing
+
+            run(again := borrowing(tasks, undetermined, results, own, types))
             for _, name, *_ in again:
                 results[name]["borrows"] = results[name]["state"] != "failed"
                 if results[name]["borrows"]:

@@ -16,6 +16,7 @@ from errpipe.domain.table import CompensationTable
 from errpipe.errors import DataError, VerifyError
 from errpipe.files import inside
 from errpipe.fitting.components import evaluate
+from errpipe.guard.in_table import without_guard
 from errpipe.stages import _artefacts
 from errpipe.stages._replace import refuse_interrupted
 from errpipe.stages.predict import table_values
@@ -89,7 +90,7 @@ def _model(folder: Path, table: CompensationTable) -> str:
     if jsonfile.fingerprint(_artefacts.model_json(model)) != table.fingerprint:
         raise VerifyError(f"{path}: is not the model that {_artefacts.TABLE} was compiled from")
     states = every_state(model)
-    by_model, by_table = evaluate(model, states), table_values(table, model, states)
+    by_model, by_table = evaluate(model, states), table_values(without_guard(table), model, states)
     allowed = {c.name: c.gridding for c in bounds.components(table)}
     worst = 0.0
     for name, values in by_table.items():

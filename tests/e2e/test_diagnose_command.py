@@ -226,4 +226,4 @@ def test_applied_findings_leave_nothing_for_a_pipeline_to_find(tmp_path: Path) -
 
 def test_apply_does_not_write_over_the_recording(tmp_path: Path) -> None:
     done, _ = run(tmp_path, drift(6.0, twin=True), "--apply", "in")
-    assert done.returncode == 2 and "another folder" in done.stderr
+    assert done.returncode == 2 and "other than those of the recording" in done.stderr

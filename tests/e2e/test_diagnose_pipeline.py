@@ -219,7 +219,7 @@ def test_a_sure_finding_of_the_machine_is_accepted() -> None:
             "cannot be distinguished from sensor_drift",
         ),
         (found("unknown", drivers=("T_nut",)), "no known effect explains it"),
-        (found("recalibration"), "the simulation itself is to be set right"),
+        (found("recalibration"), "the simulation itself must be recalibrated"),
         (found("air_refraction", **AIR), "the air in the beam"),
         (found("clock_offset", term=None), "the clocks of recording and simulation differ"),
     ],

@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import sensor_failures as trials
 import sensor_watch as watch
@@ -12,7 +13,7 @@ import sensor_watch as watch
 from errpipe import jsonfile
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
-from errpipe.domain.recording import Recording
+from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.shared import drive_all
@@ -311,3 +312,20 @@ def test_on_the_real_turning_centre():
         assert f.ratio < 1.1, f
         if f.reading_off > 1.6 or f.way == "stuck":
             assert f.detected >= f.runs - 1, f
+
+
+def test_a_sensor_that_no_other_replaces_is_frozen_where_it_has_lost_its_own_noise():
+    """A settled machine is stiller than the warm-up that was recorded, and a coarse sensor then repeats one reading."""
+    t = np.arange(0.0, 4 * 3600.0, 60.0)
+    rise = 20.0 + 8.0 * (1.0 - np.exp(-t / 3600.0))
+    noisy = rise + np.random.default_rng(1).normal(0.0, 0.02, t.size)
+    columns = {"run": Column(role="run"), "t": Column(role="time", unit="s")}
+    columns |= {n: Column(role="temperature", unit="degC") for n in ("fine", "coarse")}
+    manifest = Manifest(recording=1, tables=("r.csv",), columns=columns)
+    frame = pd.DataFrame({"run": "1", "t": t, "fine": noisy, "coarse": np.round(noisy / 0.5) * 0.5})
+    fine, coarse = learn.limits(Recording(manifest, frame), ("fine", "coarse")).sensors
+    assert fine.still == pytest.approx(0.1 * 0.02**2, rel=0.5) and coarse.still is None
+    assert min(fine.jump, coarse.jump) >= 5.0
+    settled = frame.assign(fine=28.0, coarse=28.0)
+    with pytest.raises(DataError, match="changes within a run"):
+        learn.limits(Recording(manifest, settled), ("fine", "coarse"))
