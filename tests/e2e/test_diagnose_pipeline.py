@@ -420,7 +420,7 @@ def test_the_turning_centre_s_static_model_lacks_the_lag_of_its_slow_parts(tmp_p
     """Each morning has its own datum; behind it: a part late by half an hour to 8 h, as examples/seasons found it."""
     out = real("turning-centre-diagnose", tmp_path)
     (response,) = read(out / "diagnose/diagnosis.json")["responses"]
-    assert response["between_runs"] > 0.5 and "datum of its own" in response["says"]
+    assert response["between_runs"] > 0.5 and "separate datum" in response["says"]
     assert response["verdict"] == "missing_physics"
     named = [f for f in response["findings"] if f["effect"] != "recalibration"]
     assert named[0]["effect"] == "thermal_lag" and named[0]["drivers"] == ["T_spindle_rear"]
