@@ -113,8 +113,10 @@ def frozen(guard: SensorGuard) -> tuple[d.Driver, ...]:
         if s.still is None:
             out.append(d.Constant(value=0.0))
             continue
-        alive = d.Affine(weights=(-1.0,), of=(activity(guard, s.name),))
-        out.append(d.Product(of=(d.Switch(of=alive, on=-s.still, off=-REVIVED * s.still), settled)))
+        # Activity begins at zero: until it has settled it counts as large, or the switch would start on.
+        large = 2.0 * REVIVED * s.still
+        alive = d.Affine(offset=-large, weights=(-1.0, large), of=(activity(guard, s.name), settled))
+        out.append(d.Switch(of=alive, on=-s.still, off=-REVIVED * s.still))
     return tuple(out)
 
 

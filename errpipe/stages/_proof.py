@@ -95,7 +95,7 @@ def remarks(proof: Sequence[Mapping[str, Any]], passed: Passed) -> list[str]:
         if p["rows_held_back"]:
             words += (
                 f": it holds back in {p['rows_held_back']} of {p['rows']} rows, where readings step faster than its "
-                "max_rate or lie outside what the model has seen"
+                "max_rate or lie outside what the model has seen, or where a sensor's guard replaced a reading"
             )
         if off >= gain > 0.0:
             raise GateError(f"export: {words}. The model gains {gain:.3g} {unit}. Nothing was exported.")

@@ -332,3 +332,18 @@ def test_a_sensor_that_no_other_replaces_is_frozen_where_it_has_lost_its_own_noi
     settled = frame.assign(fine=28.0, coarse=28.0)
     with pytest.raises(DataError, match="changes within a run"):
         learn.limits(Recording(manifest, settled), ("fine", "coarse"))
+
+
+def test_a_sensor_that_moves_from_the_start_on_is_never_frozen(guard):
+    """Its activity begins at zero and rises to twice the threshold, below the upper one of the switch."""
+    t = np.arange(0.0, 7200.0, 60.0)
+    columns = {"run": Column(role="run"), "t": Column(role="time", unit="s")}
+    columns |= {n: Column(role="temperature", unit="degC") for n in guard.names()}
+    ramp = 20.0 + t / 1200.0
+    frame = pd.DataFrame({"run": "1", "t": t, **dict.fromkeys(guard.names(), ramp)})
+    still = (guard.freeze_s / 1200.0) ** 2 / 2.0
+    known = guard.model_copy(update={"sensors": tuple(s.model_copy(update={"still": still}) for s in guard.sensors)})
+    recording = Recording(Manifest(recording=1, tables=("r.csv",), columns=columns), frame)
+    assert not np.any(drive_all(detect.frozen(known), recording))
+    stuck = recording.with_columns({guard.names()[0]: np.full(t.size, 20.0)}, {})
+    assert drive_all(detect.frozen(known), stuck)[-1].tolist() == [1.0, *[0.0] * (len(guard.names()) - 1)]
