@@ -11,11 +11,12 @@ import numpy as np
 
 from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Recording
+from errpipe.domain.table import MAX_NODES
 from errpipe.errors import DataError
 from errpipe.fitting import holdout
 from errpipe.fitting.statistics import rms
 from errpipe.guard import learn
-from errpipe.guard.description import SensorGuard
+from errpipe.guard.description import GuardedSensor, SensorGuard
 from errpipe.guard.rows import rows_of
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages.predict import table_values
@@ -25,15 +26,17 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
     from errpipe.validation.gate import Passed
 
-MOST_SENSORS = (
-    6  # of 55 nodes each and 17 beside, at most 400 of the 1024 of a table (tests/unit/stages/test_guarded.py)
-)
-MOST_ALONE = 15  # watched one by one, of 25 each
+MOST_SENSORS, MOST_ALONE = 6, 15  # compared with each other; watched one by one
+# Nodes of a table: of each compared sensor and of the guard beside, at most 400 (tests/unit/stages/test_guarded.py); of
+# one that is watched by itself.
+NODES_COMPARED, NODES_BESIDE, NODES_ALONE = 55, 17, 25
 MOST_COST = 0.03  # of what is left with sound sensors, on groups left out
 # Of no compensation, on groups left out: what a stand-in may leave. Chosen on trials.thermal, seed 41401: with 0.7, 4
 # instead of 2 of 115 sensors that stand still leave more than no compensation.
 MOST_LEFT = 1.0
 WIDER = (1.0, 1.5, 2.5, 4.0)  # times the thresholds that were learnt: groups left out may be livelier (by judgement)
+MOST_ROWS = 20_000  # of a recording that a guard is learnt from and judged on: 6 s on one core
+COARSEST_S = 30.0  # s between rows that are left: a tenth of the time in which a healthy reading moves
 MOST_BATCHES = 6  # of runs left out: each takes a guard of its own
 MOST_TITLE = 127  # characters, of a table
 WATCHED_ALONE = "temperatures watched one by one"
@@ -72,6 +75,10 @@ class Judge:
         """The table with a guard."""
         return compile_model(self.model, self.options, guard, self.recording)
 
+    def room(self) -> int:
+        """Nodes that a guard may take: every pair of the table takes one to fade."""
+        return MAX_NODES - len(self.plain.nodes) - len(self.plain.pairs)
+
     def told(self, table: CompensationTable, recording: Recording) -> Mapping[str, np.ndarray]:
         """Predictions of a table, um."""
         return table_values(table, self.model, recording)
@@ -96,7 +103,21 @@ def judge(passed: Passed, options: CompileOptions, recording: Recording, plain: 
     before = {c.component: c.rms_before for c in passed.model.components}
     for figures in sorted(passed.judged, key=lambda f: -f["rms_at_gain"]):  # the least of several validations
         left[figures["component"]], before[figures["component"]] = figures["rms_at_gain"], figures["rms_before"]
-    return Judge(passed.model, options, recording, plain, left, before)
+    return Judge(passed.model, options, _fewer_rows(recording), plain, left, before)
+
+
+def _fewer_rows(recording: Recording) -> Recording:
+    """At most about `MOST_ROWS` rows: first every n-th one of each run, up to `COARSEST_S`, then every n-th run."""
+    if len(recording) <= MOST_ROWS or recording.name("time") is None:
+        return recording
+    run, time = recording.run_codes(), recording.time()
+    starts = np.flatnonzero(np.diff(run, prepend=-1))
+    within = np.arange(run.size) - np.repeat(starts, np.diff(np.append(starts, run.size)))
+    step = float(np.median(np.diff(time)[np.diff(run) == 0])) if starts.size < run.size else COARSEST_S
+    stride = int(np.clip(COARSEST_S // max(step, 1e-9), 1, np.ceil(run.size / MOST_ROWS)))
+    kept = within % stride == 0
+    runs = np.cumsum(within == 0) - 1
+    return recording.take(kept & (runs % int(np.ceil(kept.sum() / MOST_ROWS)) == 0))
 
 
 def sensors_read(plain: CompensationTable, recording: Recording) -> list[str]:
@@ -112,9 +133,12 @@ def watch(judge: Judge, scheme: str | None) -> Watched:
     other (one sensor, one run), each is watched by itself and the correction fades where one fails.
     """
     held = short_gaps_held(judge.recording)
-    names = _chosen(judge, held, MOST_SENSORS)
+    most = min(MOST_SENSORS, (judge.room() - NODES_BESIDE) // NODES_COMPARED)
+    if most < 2:
+        return _one_by_one(judge, held, "the table has no room for a comparison", scheme)
+    names = _chosen(judge, held, most)
     if len(names) < 2:  # the others of the recording are witnesses
-        names = (*names, *(n for n in held.names("temperature") if n not in names))[:MOST_SENSORS]
+        names = (*names, *(n for n in held.names("temperature") if n not in names))[:most]
     try:
         guard, folds = _learnt(held, names, scheme, learn.learn)
     except DataError as why:
@@ -181,8 +205,14 @@ def _with_stand_ins(judge: Judge, held: Recording, guard: SensorGuard, folds: Se
     both = guard.most_failed > 1 and all(
         of_use(i, j) for i, j in combinations([i for i, alone in enumerate(use) if alone], 2)
     )
-    sensors = tuple(s.model_copy(update={"stands_in": u}) for s, u in zip(guard.sensors, use, strict=True))
+    alone = learn.limits(held, names)  # of one that no other replaces: a false alarm costs the whole correction
+    sensors = tuple(s if u else _alone(s, a) for s, a, u in zip(guard.sensors, alone.sensors, use, strict=True))
     return guard.model_copy(update={"sensors": sensors, "most_failed": 2 if both else 1})
+
+
+def _alone(sensor: GuardedSensor, limits: GuardedSensor) -> GuardedSensor:
+    """A compared sensor whose estimate is of no use, with the limits of one that is watched by itself."""
+    return sensor.model_copy(update={"stands_in": False, "still": limits.still, "jump": max(sensor.jump, limits.jump)})
 
 
 def _shifts(guard: SensorGuard, held: Recording) -> Iterator[tuple[tuple[int, int], np.ndarray]]:
@@ -204,8 +234,7 @@ def _cost(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tup
     told, by_fold = dict(judge.told(judge.plain, held)), dict(judge.told(judge.compiled(guard), held))
     own = judge.cost(judge.moved(by_fold, told))
     for rows, fold in folds:
-        flags = {s.name: s.stands_in for s in guard.sensors}
-        sensors = tuple(s.model_copy(update={"stands_in": flags[s.name]}) for s in fold.sensors)
+        sensors = tuple(o if s.stands_in else _alone(o, s) for o, s in zip(fold.sensors, guard.sensors, strict=True))
         same = fold.model_copy(update={"sensors": sensors, "most_failed": guard.most_failed})
         part = judge.told(judge.compiled(same), held.take(rows))
         for name, values in part.items():
@@ -227,7 +256,10 @@ def _affordable(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequen
 
 def _one_by_one(judge: Judge, held: Recording, why: str, scheme: str | None) -> Watched:
     """Each sensor watched by itself; no guard where that costs sound sensors too much."""
-    names = _chosen(judge, held, MOST_ALONE)
+    most = min(MOST_ALONE, judge.room() // NODES_ALONE)
+    if most < 1:
+        return not_watched(f"{why}; the table has no room")
+    names = _chosen(judge, held, most)
     try:
         guard, folds = _learnt(held, names, scheme, learn.limits)
     except DataError as lacking:

@@ -1,10 +1,11 @@
 """Tables that read temperatures are guarded by default; what cannot be guarded says so."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from errpipe.domain.error_model import ErrorModel
-from errpipe.domain.recording import Column, Recording
+from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.drivers.shared import drive_all
 from errpipe.guard import in_table, learn
 from errpipe.guard.detect import faults
@@ -148,6 +149,8 @@ def test_a_sensor_that_no_other_tells_fades_the_correction(watched):
     poor = _guarded.Judge(model, CompileOptions(), rows, judge.plain, judge.left, {"E_Z": 1.01 * judge.left["E_Z"]})
     lost = _guarded.watch(poor, None)
     assert not all(s.stands_in for s in lost.guard.sensors) and "fades where" in lost.said
+    alone = [s for s in lost.guard.sensors if not s.stands_in]  # a false alarm would cost the whole correction
+    assert all(s.jump >= 5.0 for s in alone)
 
 
 @pytest.mark.parametrize("guarded", [True, False])
@@ -163,3 +166,31 @@ def test_checklists_say_whether_sensors_are_watched(watched, guarded):
 def test_no_guard_is_said_in_the_title(tmp_path):
     found = _guarded.not_watched("guard: false")
     assert found.title("lathe") == f"lathe; {_guarded.NOT_WATCHED}" and "guard: false" in found.said
+
+
+def test_a_table_without_room_has_a_smaller_guard_or_none(watched):
+    """300 nodes are enough for five sensors that are compared, 100 for four by themselves, 20 for none."""
+    _, _, judge, _ = watched
+
+    def with_room(nodes: int) -> _guarded.Watched:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(_guarded.Judge, "room", lambda self: nodes)
+            return _guarded.watch(judge, None)
+
+    few, alone, none = map(with_room, (300, 100, 20))
+    assert few.guard.compares and len(few.guard.sensors) == 5
+    assert not alone.guard.compares and len(alone.guard.sensors) == 4 and "no room" in alone.said
+    assert none.guard is None and "no room" in none.said
+    assert len(judge.compiled(few.guard).nodes) - len(judge.plain.nodes) <= 300
+    assert len(judge.compiled(alone.guard).nodes) - len(judge.plain.nodes) <= 100
+
+
+def test_a_guard_of_a_long_recording_is_learnt_from_some_of_its_rows():
+    """Rows every half minute first, then some of the runs: 43,200 rows of a minute and 60,000 of 5 ms."""
+    slow = _guarded._fewer_rows(sensors.machine(90, 5))
+    assert len(slow) <= _guarded.MOST_ROWS and len(np.unique(slow.run_codes())) == 30
+    assert np.allclose(np.diff(slow.time()[:480]), 60.0)
+    columns = {"run": Column(role="run"), "t": Column(role="time", unit="s")}
+    frame = pd.DataFrame({"run": np.repeat(["a", "b"], 30_000), "t": np.tile(np.arange(30_000) * 0.005, 2)})
+    quick = _guarded._fewer_rows(Recording(Manifest(recording=1, tables=("r.csv",), columns=columns), frame))
+    assert len(quick) == 20_000 and quick.time()[0] == 0.0 and np.allclose(np.diff(quick.time()[:100]), 0.015)
