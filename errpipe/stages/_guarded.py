@@ -79,13 +79,14 @@ class Judge:
         """Nodes that a guard may take: every pair of the table takes one to fade."""
         return MAX_NODES - len(self.plain.nodes) - len(self.plain.pairs)
 
-    def told(self, table: CompensationTable, recording: Recording) -> Mapping[str, np.ndarray]:
+    def predicted(self, table: CompensationTable, recording: Recording) -> Mapping[str, np.ndarray]:
         """Predictions of a table, um."""
         return table_values(table, self.model, recording)
 
-    def moved(self, one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray], rows: Any = slice(None)) -> dict:
+    def rms_difference(self, one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]) -> dict[str, float]:
         """Component -> rms difference of predictions, um."""
-        return {n: rms((v - other[n])[rows][np.isfinite((v - other[n])[rows])]) for n, v in one.items()}
+        differences = {name: values - other[name] for name, values in one.items()}
+        return {name: rms(d[np.isfinite(d)]) for name, d in differences.items()}
 
     def cost(self, moved: Mapping[str, float]) -> float:
         """Share by which the largest residual grows: squares of the difference add to those that are left."""
@@ -159,12 +160,12 @@ def watch(judge: Judge, scheme: str | None) -> Watched:
 def _chosen(judge: Judge, held: Recording, most: int) -> tuple[str, ...]:
     """At most so many of the temperatures that the table reads, those that move it most, in the recording's order."""
     names = sensors_read(judge.plain, held)
-    told, run = judge.told(judge.plain, held), held.run_codes()
+    predicted, run = judge.predicted(judge.plain, held), held.run_codes()
     first = np.maximum.accumulate(np.where(np.r_[True, np.diff(run) != 0], np.arange(run.size), 0))
 
     def moves(name: str) -> float:
         stuck = held.with_columns({name: held.array(name)[first]}, {})
-        return judge.cost(judge.moved(judge.told(judge.plain, stuck), told))
+        return judge.cost(judge.rms_difference(judge.predicted(judge.plain, stuck), predicted))
 
     ranked = sorted(names, key=moves, reverse=True)[:most] if len(names) > most else names
     return tuple(n for n in names if n in ranked)
@@ -188,8 +189,8 @@ def _learnt(
 
 
 def _with_stand_ins(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tuple]) -> SensorGuard:
-    """The guard, told which sensors its estimates are of use for, one at a time and in pairs."""
-    names, told = guard.names(), judge.told(judge.plain, held)
+    """The guard, with a mark on each sensor whose estimate is of use, one at a time and in pairs."""
+    names, predicted = guard.names(), judge.predicted(judge.plain, held)
     gone = np.zeros((len(names), len(names), len(held)))  # of sensor i where j fails too
     for rows, own in folds:
         for (i, j), shift in _shifts(own, held.take(rows)):
@@ -199,7 +200,9 @@ def _with_stand_ins(judge: Judge, held: Recording, guard: SensorGuard, folds: Se
     def of_use(*failed: int) -> bool:
         pair = (failed[0], failed[-1]), (failed[-1], failed[0])
         columns = {names[i]: x[names[i]] - gone[i, j] for i, j in pair}
-        return judge.of_use(judge.moved(judge.told(judge.plain, held.with_columns(columns, {})), told))
+        return judge.of_use(
+            judge.rms_difference(judge.predicted(judge.plain, held.with_columns(columns, {})), predicted)
+        )
 
     use = [of_use(i) for i in range(len(names))]
     both = guard.most_failed > 1 and all(
@@ -231,16 +234,16 @@ def _shifts(guard: SensorGuard, held: Recording) -> Iterator[tuple[tuple[int, in
 
 def _cost(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tuple]) -> float:
     """Share by which a guard raises what is left with sound sensors: of groups that it did not see, and of its own."""
-    told, by_fold = dict(judge.told(judge.plain, held)), dict(judge.told(judge.compiled(guard), held))
-    own = judge.cost(judge.moved(by_fold, told))
+    predicted, by_fold = dict(judge.predicted(judge.plain, held)), dict(judge.predicted(judge.compiled(guard), held))
+    own = judge.cost(judge.rms_difference(by_fold, predicted))
     for rows, fold in folds:
         sensors = tuple(o if s.stands_in else _alone(o, s) for o, s in zip(fold.sensors, guard.sensors, strict=True))
         same = fold.model_copy(update={"sensors": sensors, "most_failed": guard.most_failed})
-        part = judge.told(judge.compiled(same), held.take(rows))
+        part = judge.predicted(judge.compiled(same), held.take(rows))
         for name, values in part.items():
             by_fold[name] = by_fold[name].copy()
             by_fold[name][rows] = values
-    return max(own, judge.cost(judge.moved(by_fold, told)))
+    return max(own, judge.cost(judge.rms_difference(by_fold, predicted)))
 
 
 def _affordable(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tuple]) -> tuple[SensorGuard, float]:

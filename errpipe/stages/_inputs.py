@@ -17,9 +17,9 @@ from errpipe.errors import GateError, UsageError
 from errpipe.fitting.validity import box
 from errpipe.guard import rates
 from errpipe.guard.description import GuardedSensor, SensorGuard
+from errpipe.guard.detect import FADE_S
 from errpipe.guard.rates import ReadingRate
 
-HELD_S = 600.0  # s: as long as a guard's correction takes to fade (`errpipe.guard.detect.FADE_S`)
 FORCE_STALE = 0.1  # s: an older force is of another cut
 # Role of a column -> kind of the controller's channel, lowest and highest plausible reading, stale after (s).
 CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {
@@ -81,7 +81,7 @@ def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingR
 
 def _fading(channel: TableInput) -> TableInput:
     """A sensor that a guard does not watch: where it is lost for good, the table fades."""
-    return channel.model_copy(update={"hold_s": (channel.stale_after_s or 0.0) + HELD_S})
+    return channel.model_copy(update={"hold_s": (channel.stale_after_s or 0.0) + FADE_S})
 
 
 def _limited(channel: TableInput, rate: ReadingRate | None, silence: float, sensor: GuardedSensor | None) -> TableInput:
