@@ -1,4 +1,4 @@
-"""Remainder test: does a smooth shape without a name explain the residual beside the findings?"""
+"""Test of the residual: does a smooth shape without a name explain more than the findings alone?"""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from errpipe.diagnosis.search import Search
 from errpipe.diagnosis.shapes import Shape
 
 ENOUGH = 8.0  # threshold: log Bayes factor from which a shape is accepted
-MOST = 3  # shapes accepted beside the names
+MOST = 3  # shapes accepted in addition to the named effects
 
 
 @dataclass(frozen=True)
 class Remainder:
-    """Shapes accepted beside the chosen hypotheses.
+    """Shapes accepted in addition to the chosen hypotheses.
 
-    shapes: accepted ones with their gains; rms: of the residual after them; share: of the variance that findings and
-    shapes explain beyond the recalibration, the part that only the shapes reach.
+    shapes: the accepted ones with their gains; rms: of the residual with them; share: of the variance that findings and
+    shapes explain beyond the recalibration, the part that only the shapes explain.
     """
 
     shapes: tuple[tuple[Shape, float], ...]
@@ -32,7 +32,7 @@ class Remainder:
 def remainder(
     search: Search, chosen: list[tuple[int, float]], shapes: list[Shape], index: list[np.ndarray]
 ) -> Remainder:
-    """Add shapes greedily beside the chosen hypotheses. index: the shapes' columns in the library's table."""
+    """Add shapes greedily to the chosen hypotheses. index: the shapes' columns in the library's table."""
     named = scene = search.scene(chosen)
     taken: list[int] = []
     gains: list[float] = []

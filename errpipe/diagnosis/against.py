@@ -1,15 +1,15 @@
-"""Earlier findings on a later recording: is each effect still there, and has its size moved?
+"""Earlier findings checked on a later recording: is each effect still present, and has its size changed?
 
-Each finding, with the parameters it was found with, is one column on the rows of the later recording; what is judged is
-the factor k that it takes there, all findings of a response together, beside a datum:
+Each finding, with its earlier parameters, is one column on the rows of the later recording. Its factor k is estimated
+there, jointly for all findings of a response and a datum:
 
-    recorded - simulated = datum + sum of k_i * contribution_i + rest           k = 1: as it was, 0: gone
+        recorded - simulated = datum + sum of k_i * contribution_i + residual       k = 1: unchanged, 0: gone
 
-Ordinary least squares; the variance of k is the cluster-robust one (Liang and Zeger 1986) over whole sessions where
+Ordinary least squares; the variance of k is cluster-robust (Liang and Zeger 1986) over whole sessions if
 there are at least `MIN_CLUSTERS`, else over blocks of neighbouring rows, so that correlated rows are not counted as
-independent. `changed` is a t test of k = 1 that knows the earlier interval too, at 5 % over all findings (Bonferroni).
-An effect of several coefficients (sine and cosine of a wave) may have moved instead: a Wald test of all of them beside
-their common factor.
+independent. `changed` is a t test of k = 1 that includes the variance of the earlier estimate, at 5 % over all
+findings (Bonferroni). An effect of several coefficients (sine and cosine of a wave) may have changed phase instead: a
+Wald test of all its columns in addition to their common factor.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from errpipe.drivers.sessions import in_order_of_time, sessions
 from errpipe.errors import DataError
 from errpipe.fitting.statistics import student_quantile, student_tail
 
-LEVEL = 0.05  # chance that any of the unchanged effects is called changed
-MIN_CLUSTERS, BLOCKS = 8, 40  # fewer sessions estimate the variance between them badly
-MOVED = 0.3  # rms of what goes with an effect's own columns beside its factor, over its rms then (17 degrees of a wave)
-MORE_LEFT = 1.5  # rms beside all factors over that of the earlier recording, from which it is said
+LEVEL = 0.05  # family-wise probability that an unchanged effect is called changed
+MIN_CLUSTERS, BLOCKS = 8, 40  # with fewer sessions the variance between them is badly estimated
+MOVED = 0.3  # rms explained by an effect's own columns beyond its factor, over its earlier rms (17 degrees of a wave)
+MORE_LEFT = 1.5  # residual rms over that of the earlier recording from which it is reported
 UNDECIDED = 0.5  # half width of the interval of k from which the state is `undecided`
 NEVER_ACTS = "its driver never changes in this recording"
 
@@ -41,10 +41,10 @@ CHANGED: tuple[State, ...] = ("larger", "smaller", "gone", "reversed", "moved")
 
 @dataclass(frozen=True)
 class Held:
-    """One earlier finding now. k: size now over size then, with its 95 % interval; p: of the test of k = 1.
+    """One earlier finding on the later recording. k: present over earlier size, with 95 % interval; p: of the test k=1.
 
-    parameters: name, unit, value then and its interval, value now (k times then) and its interval; none where it moved.
-    left, left_then: rms beside all factors of the response, in its unit, and that of the earlier recording.
+    parameters: name, unit, earlier value and interval, present value (k times the earlier); empty if it moved.
+    left, left_then: residual rms with all factors of the response fitted, in its unit; that of the earlier recording.
     """
 
     component: str
@@ -61,7 +61,7 @@ class Held:
 
     @property
     def changed(self) -> bool:
-        """True where the factor k differs from 1 significantly."""
+        """Does the factor k differ from 1 significantly?"""
         return self.state in CHANGED
 
     def plain(self) -> dict[str, Any]:
@@ -72,9 +72,9 @@ class Held:
 
 
 def against(recording: Recording, earlier: Diagnosis) -> list[Held]:
-    """Every named finding of an earlier diagnosis, judged on a later recording of the same responses.
+    """Every named finding of an earlier diagnosis, tested on a later recording of the same responses.
 
-    Raises DataError where there is no named finding, or the recording holds none of the responses with its twin.
+    Raises DataError if there is no named finding, or if the recording has none of the responses with its simulation.
     """
     named = {r.component: [f for f in r.findings if terms_of(f)] for r in earlier.responses}
     count = sum(map(len, named.values()))
@@ -116,7 +116,7 @@ def _response(read: Recording, r: ResponseDiagnosis, findings: list[Finding], le
         columns = {}
     if columns:
         design = np.column_stack([columns[k][rows] for k in columns])
-        if any(f.effect == GAIN for f in r.findings):  # the simulation's gain was off: it is fitted beside the findings
+        if any(f.effect == GAIN for f in r.findings):  # the simulation's gain was off: fit it too
             design = np.column_stack([design, read.array(twin)[rows]])
         session = sessions(read)[rows]
         whole = np.column_stack([design, session_datums(design, mismatch[rows], session)])
@@ -134,9 +134,9 @@ def _response(read: Recording, r: ResponseDiagnosis, findings: list[Finding], le
 
 
 def moved_by(own: np.ndarray, whole: np.ndarray, y: np.ndarray, session: np.ndarray, level: float) -> float:
-    """rms of what goes with an effect's own columns (rows, k) beside a design that holds their sum; 0 where by chance.
+    """rms explained by an effect's own columns (rows, k) beyond a design that contains their sum; 0 if not significant.
 
-    Wald test of all of them, with the cluster-robust variance.
+    Wald test of all columns, with the cluster-robust variance.
     """
     scaled = own / np.maximum(np.linalg.norm(own, axis=0), 1e-300)
     u, s, _ = np.linalg.svd(scaled - whole @ np.linalg.lstsq(whole, scaled, rcond=None)[0], full_matrices=False)
@@ -154,9 +154,9 @@ def moved_by(own: np.ndarray, whole: np.ndarray, y: np.ndarray, session: np.ndar
 
 
 def contribution(f: Finding, read: Recording, unit: str) -> np.ndarray:
-    """A finding's contribution, with its own parameters, on every row of another recording, shape (rows,).
+    """A finding's contribution, with its earlier parameters, on every row of another recording, shape (rows,).
 
-    Raises LookupError or DataError where the recording lacks what it reads.
+    Raises LookupError or DataError if the recording lacks a column that the finding needs.
     """
     block = block_of(f, read, unit)
     remaining, gains = list(f.parameters), []
@@ -192,7 +192,7 @@ def sandwich(design: np.ndarray, y: np.ndarray, session: np.ndarray) -> tuple[np
 
 
 def _judged(r: ResponseDiagnosis, f: Finding, k: float, sd: float, degrees: int, level: float) -> Held:
-    """State of one finding from its factor, the factor's standard deviation, and the interval it had."""
+    """State of one finding from its factor, the factor's standard deviation, and its earlier interval."""
     reach = student_quantile(0.975, degrees) * sd
     then = earlier_spread(f)
     p = 2.0 * student_tail(abs(k - 1.0) / max(float(np.hypot(sd, then)), 1e-12), degrees)
@@ -211,7 +211,7 @@ def _judged(r: ResponseDiagnosis, f: Finding, k: float, sd: float, degrees: int,
 
 
 def earlier_spread(f: Finding) -> float:
-    """Relative standard deviation that a finding's size had, from the interval of its largest linear parameter."""
+    """Relative standard deviation of a finding's earlier size, from the interval of its largest linear parameter."""
     inner = {p.name for t in terms_of(f) for p in t.nonlinear()}
     sizes = [q for q in f.parameters if q.name not in inner and q.value != 0]
     if not sizes:
@@ -235,7 +235,7 @@ def _says(h: Held) -> str:
     name = h.effect.replace("_", " ")
     text = f"{h.component}: {name}: {WORDS[h.state]}"
     if h.parameters:
-        q = next((q for q in h.parameters if q["name"] == "amplitude"), h.parameters[0])  # of a wave, no coefficient
+        q = next((q for q in h.parameters if q["name"] == "amplitude"), h.parameters[0])  # of a wave: its amplitude
         low, high = q["now_ci95"]
         text += f" ({q['name']} {q['then']:.3g} -> {q['now']:.3g} {q['unit']}, 95 % {low:.3g} to {high:.3g}"
         text += f"; test of no change p = {h.p:.2g})"
@@ -243,7 +243,7 @@ def _says(h: Held) -> str:
 
 
 def more_left(held: list[Held]) -> list[str]:
-    """A sentence for each response of which more is left beside the earlier findings than there was."""
+    """A sentence for each response whose residual, with the earlier findings fitted, has increased."""
     left = {h.component: h for h in held if h.left is not None and h.left_then is not None}
     return [
         f"{c}: the residual is {h.left:.3g} {h.unit} rms, {h.left_then:.3g} in the earlier recording: diagnose "

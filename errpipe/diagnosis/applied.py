@@ -1,8 +1,8 @@
-"""Findings put into the simulation: their own terms, evaluated causally on every row of a recording.
+"""Findings inserted into the simulation: their own terms, evaluated causally on every row of a recording.
 
-All parameters are solved for together, robustly, on recorded less simulated, beside a datum (one for each session where
-the Bayesian information criterion prefers it): the linear ones freely, the non-linear ones within the interval of their
-finding. So each finding takes what its equation can take, and departures from the textbook form stay in the mismatch.
+All parameters are estimated together, robustly, on recorded minus simulated, with a datum (one per session if
+the Bayesian information criterion prefers it): the linear ones without limits, the non-linear ones within the interval
+of their finding. Each finding explains what its equation can; departures from the textbook form stay in the mismatch.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from errpipe.fitting.spec import AnyTerm
 from errpipe.terms import Term
 
 GAIN = "recalibration"
-GAIN_SPREAD = 0.5  # prior standard deviation of a gain less 1; regularises gains of parts that are nearly collinear
-PLAIN = 0.02  # largest residual, as share of a simulated signal's rms, at which each of its effects has its own gain
-MOST_STEPS = 12  # Gauss-Newton steps for non-linear parameters, which start at their best value
+GAIN_SPREAD = 0.5  # prior standard deviation of gain - 1; regularises gains of nearly collinear parts
+PLAIN = 0.02  # largest residual, as a share of the signal's rms, at which each of its effects has its own gain
+MOST_STEPS = 12  # Gauss-Newton steps for the non-linear parameters, which start at their best values
 UNNAMED = "it is not a known effect: there is no equation that would predict it again"
 NO_TERM = "its form exists only in the search: no term of an error model is equivalent"
 WORSE = "without what could not be put in, the simulation would be worse with it"
 DRIVING = ("temperature", "pressure", "humidity", "force", "spindle_speed", "feed", "coolant", "load", "velocity")
-Held = Sequence[tuple[Term, tuple[float, ...]]]  # what a simulated signal is a sum of, with non-linear parameters
+Held = Sequence[tuple[Term, tuple[float, ...]]]  # decomposition of a simulated signal, with non-linear parameters
 
 
 @dataclass(frozen=True)
 class Part:
-    """One accepted finding: its terms with all parameter values, and what it adds on every row, (rows,)."""
+    """One accepted finding: its terms with all parameter values, and its contribution on every row, (rows,)."""
 
     finding: Finding
     terms: tuple[Term, ...]
@@ -46,15 +46,15 @@ class Part:
 
     @property
     def of_measuring(self) -> bool:
-        """Is it an artefact of measuring, no fault of the machine?"""
+        """Is it an artefact of the measurement, not an error of the machine?"""
         return any(t.artefact for t in self.terms)
 
 
 @dataclass(frozen=True)
 class Corrected:
-    """One response: its accepted findings, those refused and why, and the corrected simulation, (rows,).
+    """One response: accepted findings, refused ones with reasons, and the corrected simulation, (rows,).
 
-    gain, offset: recalibration of the simulated signal before the parts are added; mismatch: before all of it.
+    gain, offset: recalibration of the simulated signal before the parts are added; mismatch: before any correction.
     """
 
     component: str
@@ -72,10 +72,10 @@ class Corrected:
 def corrected(
     recording: Recording, diagnosis: Diagnosis, least: float, held: Sequence[Held] | None = None
 ) -> list[Corrected]:
-    """Every diagnosed response of a recording. least: lowest confidence of a finding that is applied.
+    """Correct every diagnosed response of a recording. least: lowest confidence of a finding that is applied.
 
-    held: of each response what its simulated signal is a sum of, so that each effect in it can have a gain of its own.
-    Raises DataError where the recording lacks a response, its twin, or rows to solve on.
+    held: for each response the decomposition of its simulated signal, so that each effect can have its own gain.
+    Raises DataError if the recording lacks a response, its simulation, or enough rows.
     """
     read = causal(recording)
     every = held or [()] * len(diagnosis.responses)
@@ -83,9 +83,9 @@ def corrected(
 
 
 def causal(recording: Recording) -> Recording:
-    """The recording with the motion that positions imply, and gaps of driving columns held from the last reading.
+    """The recording with the motion derived from positions, and gaps of driving columns filled with the last reading.
 
-    At a session's start they are held back from the first reading.
+    A gap at the start of a session is filled with the first reading.
     """
     recording, _ = with_motion(recording)
     session, columns = sessions(recording), {}
@@ -100,7 +100,7 @@ def causal(recording: Recording) -> Recording:
 
 
 def terms_of(finding: Finding) -> tuple[Term, ...]:
-    """The terms behind a finding, () where it is none of an error model."""
+    """The terms of a finding, () if no error model can express it."""
     try:
         return tuple(TypeAdapter(AnyTerm).validate_python(t) for t in finding.all_terms())
     except ValidationError:
@@ -108,7 +108,7 @@ def terms_of(finding: Finding) -> tuple[Term, ...]:
 
 
 def inner_values(finding: Finding, term: Term, recording: Recording, response: str) -> dict[str, float]:
-    """Non-linear parameters of a finding in its term's own units. Raises KeyError where one is not stated."""
+    """Non-linear parameters of a finding in its term's own units. Raises KeyError if one is missing."""
     stated = {p.name: p.value for p in finding.parameters}
     rotary = units.on_rotary_axis(term, recording)
     out = {}
@@ -127,7 +127,7 @@ def acting(finding: Finding, recording: Recording) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Block:
-    """A finding to be solved for: its terms, non-linear values with their spans, and where it acts, (rows,)."""
+    """A finding to be fitted: its terms, non-linear values with their spans, and where it acts, (rows,)."""
 
     finding: Finding
     terms: tuple[Term, ...]
@@ -153,12 +153,12 @@ class _Block:
         return out
 
     def at(self, values: dict[str, float]) -> _Block:
-        """The same with other non-linear values."""
+        """A copy with other non-linear values."""
         return replace(self, inner=tuple(v | values for v in self.inner))
 
 
 def block_of(finding: Finding, recording: Recording, response: str) -> _Block:
-    """A finding as it was found. Raises LookupError or DataError where the recording lacks what it reads."""
+    """A finding with its diagnosed parameters. Raises LookupError or DataError if a column that it needs is missing."""
     terms = terms_of(finding)
     if not terms:
         raise LookupError(NO_TERM)
@@ -200,7 +200,7 @@ def _response(read: Recording, recording: Recording, r: ResponseDiagnosis, least
 
 
 def _refusal(f: Finding, r: ResponseDiagnosis, least: float) -> str:
-    """Why a finding is not put into the simulation, '' where it is."""
+    """Why a finding is not inserted into the simulation, '' if it is."""
     if f.effect != GAIN and not f.all_terms():
         return UNNAMED
     if f.sure() < least:
@@ -212,7 +212,7 @@ def _refusal(f: Finding, r: ResponseDiagnosis, least: float) -> str:
 
 @dataclass
 class _Solve:
-    """Parameters of all findings of a response together."""
+    """Joint estimate of the parameters of all findings of a response."""
 
     read: Recording
     unit: str
@@ -258,7 +258,7 @@ class _Solve:
         return out
 
     def _refine(self, rows: np.ndarray, beside: np.ndarray) -> None:
-        """Non-linear parameters to where the textbook forms fit best, each within the interval of its finding."""
+        """Optimise the non-linear parameters for the textbook forms, each within the interval of its finding."""
         from scipy.optimize import least_squares
 
         spans = [(k, n, *v) for k, b in enumerate(self.blocks) for n, v in b.spans(self.read, self.unit).items()]
@@ -284,7 +284,7 @@ class _Solve:
             self.blocks = blocks(optimum.x)
 
     def _own_parts(self) -> list[Part]:
-        """What the simulated signal is a sum of, effect by effect; [] where it is no such sum."""
+        """The effects of which the simulated signal is a sum; [] if it cannot be decomposed."""
         assert self.gains is not None
         made = []
         for term, inner in self.held:
@@ -309,14 +309,14 @@ class _Solve:
 
 
 def _scaled(part: Part, gain: float) -> Part:
-    """A part times a gain."""
+    """A part multiplied by a gain."""
     (term,), (values,) = part.terms, part.values
     scaled = values | {p.name: gain * values[p.name] for p in term.linear()}
     return replace(part, values=(scaled,), contribution=gain * part.contribution)
 
 
 def session_datums(design: np.ndarray, y: np.ndarray, session: np.ndarray) -> np.ndarray:
-    """Columns of the datum beside a design: one, or one for each session where that explains enough more (BIC)."""
+    """Columns of the datum next to a design: one, or one per session if that explains enough more (BIC)."""
     single = np.ones((y.size, 1))
     codes, inside = np.unique(session, return_inverse=True)
     if codes.size < 2 or codes.size > y.size // 10:

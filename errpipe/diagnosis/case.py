@@ -1,4 +1,4 @@
-"""One response while it is judged: what is known before the search (`SetUp`) and after it (`Case`)."""
+"""State of one response under diagnosis: before the search (`SetUp`) and after it (`Case`)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from errpipe.domain.recording import Recording
 
 @dataclass
 class SetUp:
-    """What is known of one response before the search."""
+    """One response before the search."""
 
     recording: Recording  # conditioned
     pair: Pair
@@ -33,18 +33,18 @@ class SetUp:
     data: Data
     prior: np.ndarray  # log prior odds of each hypothesis
     nuisance: Active
-    nuisances: list[Nuisance]  # what its columns stand for
+    nuisances: list[Nuisance]  # what each column represents
     recal: np.ndarray  # the nuisances' columns before whitening
-    sizes: np.ndarray  # rms of the signal part behind each; a coefficient over it is a gain less 1
+    sizes: np.ndarray  # rms of the signal part of each; a coefficient divided by it is gain - 1
     noise_estimate: float  # noise from second differences
-    free_shapes: list[Shape]  # shapes without a name
+    free_shapes: list[Shape]  # unnamed shapes
     places: list[np.ndarray]  # their columns in the library's table
-    session: np.ndarray | None  # of each row, where each session has its own datum
+    session: np.ndarray | None  # session of each row, if each session has its own datum
     in_own_noise: bool = False  # was the colour of the noise fitted?
-    plain: bool = False  # noise of the usual colour, non-linear parameters on their grid?
-    taken_back: bool = False  # were names taken back because noise alone is likelier?
-    of_a_twin: bool = False  # is named what a twin lacks, whose gains are 1? It may be a gain of its parts
-    over_noise: float = np.inf  # log Bayes factor of the explanation over noise that wanders, and nothing missing
+    plain: bool = False  # noise of the default colour, non-linear parameters on their grid?
+    taken_back: bool = False  # were names withdrawn because noise alone is more likely?
+    of_a_twin: bool = False  # is the reference a simulation whose gains are 1? A finding may be a gain of its parts
+    over_noise: float = np.inf  # log Bayes factor of the explanation over drifting noise with nothing missing
 
     def judged(self) -> LeftOut:
         """How held-out rows are predicted."""
@@ -53,13 +53,13 @@ class SetUp:
 
 @dataclass
 class Case(SetUp):
-    """All that is known about one response once it is explained."""
+    """One response once it is explained."""
 
     search: Search = None  # type: ignore[assignment]
     explanation: Explanation = None  # type: ignore[assignment]
     sigma: float = 0.0
     remainder: admit.Remainder = None  # type: ignore[assignment]
-    held: Any = None  # the hold-out's figures (`holdout.HeldOut`), once they are known
+    held: Any = None  # figures of the hold-out (`holdout.HeldOut`), once computed
 
     def chosen(self) -> list[tuple[int, float]]:
         """Accepted hypotheses with their sizes."""
@@ -72,18 +72,18 @@ def chosen_of(explanation: Explanation) -> list[tuple[int, float]]:
 
 
 def residual(case: Case, chosen: list[tuple[int, float]] | None = None) -> np.ndarray:
-    """Residual of the explanation, on the judged rows."""
+    """Residual of the explanation, on the selected rows."""
     return left_by(case, case.search, case.chosen() if chosen is None else chosen)
 
 
 def left_by(made: SetUp, search: Search, chosen: list[tuple[int, float]]) -> np.ndarray:
-    """Residual of chosen hypotheses in a search, on the judged rows."""
+    """Residual of chosen hypotheses in a search, on the selected rows."""
     blocks = [made.library.block(i, made.recording, made.pair.rows) for i, _ in chosen]
     return made.y - np.column_stack([made.recal, *blocks]) @ search.scene(chosen).coefficients()
 
 
 def own_datums(case: Case, chosen: list[tuple[int, float]]) -> np.ndarray | None:
-    """What the datums of single runs carry beside these hypotheses, on the judged rows; None where one is for all."""
+    """Fitted datums of single runs with these hypotheses, on the selected rows; None if all runs share one datum."""
     own = [j for j, n in enumerate(case.nuisances) if n.kind == "session datum"]
     if not own:
         return None
@@ -91,7 +91,7 @@ def own_datums(case: Case, chosen: list[tuple[int, float]]) -> np.ndarray | None
 
 
 def needs_recalibration(case: Case) -> bool:
-    """Do datum or gains differ from the simulation's significantly?"""
+    """Do datum or gains differ significantly from those of the simulation?"""
     if case.pair.reversed:
         return True
     full = case.search.active(case.chosen())

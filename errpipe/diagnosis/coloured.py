@@ -1,7 +1,7 @@
-"""Noise of a response: white with a slowly varying share, fitted to what an explanation leaves.
+"""Noise of a response: white with a slowly varying share, fitted to the residual of an explanation.
 
-The slow share is a first-order process of some memory (in rows) that starts anew with each run; beside white noise it
-is an ARMA(1,1) process, which a filter makes white. Share 1 and a memory of many rows is a random walk.
+The slow share is a first-order process with a memory (in rows) that restarts with each run; with white noise added it
+is an ARMA(1,1) process, which a filter whitens. Share 1 and a memory of many rows is a random walk.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from errpipe.kernels import noise
 
 
 class Colour(NamedTuple):
-    """memory: correlation length of the slow share, rows; share: its part of the noise variance."""
+    """memory: correlation length of the slow share, rows; share: its fraction of the noise variance."""
 
     memory: float
     share: float
 
     def filter(self) -> tuple[float, float, float]:
-        """phi, theta and gain of the filter that makes noise of unit variance white."""
+        """phi, theta and gain of the filter that whitens noise of unit variance."""
         phi = float(np.exp(-1.0 / self.memory))
         g0 = self.share * (1 - phi**2) + (1.0 - self.share) * (1 + phi**2)
         g1 = phi * (1.0 - self.share)
@@ -31,23 +31,23 @@ class Colour(NamedTuple):
 
 
 USUAL = Colour(8.0, 0.06)  # of most measurements (public blind trials: memory 5 to 12, share 0 to 0.12)
-MEMORIES = np.geomspace(2.0, 3000.0, 16)  # tried in a fit, in rows,
-SHARES = (0.06, 0.12, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.87, 0.92, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999)  # and these
-MOST_LAGS = 24  # of an autoregression
-EVEN_ROWS, EVEN_PARTS = 50, 16  # least rows and most parts of a recording in which noise has a size of its own
-EVENTS = 6.0  # kurtosis of the innovations (Gaussian: 3) from which they come in events,
-JUMP_ROWS, LEAST_JUMPS = (2, 4, 8, 16), 50  # rows of a mean; increments, below which their kurtosis is chance
-BUMP = 40.0  # power of half an octave over the least of slower ones from which a rhythm stands in it: of wandering gaps
-# of real repetitions 7 of 8 stay below both, of 72 novel mechanisms (both generators and the third, seeds 771 to 773) 8
-SLOWEST = 4  # slowest frequencies, taken as one: the power of a single one is small by chance
-RHYTHM_BY_CHANCE = 1e-3  # p of a rhythm: white and coloured noise of 40 to 4000 rows is below it in 3 of 400 at most
+MEMORIES = np.geomspace(2.0, 3000.0, 16)  # grid of a fit: memories in rows,
+SHARES = (0.06, 0.12, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.87, 0.92, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999)  # and shares
+MOST_LAGS = 24  # largest order of an autoregression
+EVEN_ROWS, EVEN_PARTS = 50, 16  # fewest rows and most parts of a recording for a local noise level
+EVENTS = 6.0  # kurtosis of the innovations (Gaussian: 3) from which noise is classed as events,
+JUMP_ROWS, LEAST_JUMPS = (2, 4, 8, 16), 50  # rows of a mean; fewest increments for a meaningful kurtosis
+BUMP = 40.0  # power of half an octave over the smallest of slower ones, from which it is a rhythm: among drifting
+# gaps of real repetitions 7 of 8 are below both, among 72 novel mechanisms (three generators, seeds 771 to 773) 8
+SLOWEST = 4  # slowest frequencies, pooled: the power of a single one is small by chance
+RHYTHM_BY_CHANCE = 1e-3  # p of a rhythm: white and coloured noise of 40 to 4000 rows is below it in at most 3 of 400
 BY_CHANCE = 1e-4  # p of levels of runs: white, coloured and 1/f noise and random walks are below it in 0 of 300 each
-LEAST_ROWS = 8  # of a spectrum with two half octaves: fewer rows show neither events nor a rhythm
-HEAVY = 4.0  # robust standard deviations at which whitened rows are clipped: outliers must not decide the colour
+LEAST_ROWS = 8  # of a spectrum with two half octaves: fewer rows cannot show events or a rhythm
+HEAVY = 4.0  # robust standard deviations at which whitened rows are clipped: outliers must not determine the colour
 
 
 def whiten(columns: np.ndarray, run: np.ndarray, colour: Colour = USUAL) -> np.ndarray:
-    """Columns (rows,) or (rows, k) filtered so that noise of this colour and unit variance becomes white."""
+    """Filter columns (rows,) or (rows, k) so that noise of this colour and unit variance becomes white."""
     flat = columns.ndim == 1
     two = np.ascontiguousarray(columns[:, None] if flat else columns, dtype=float)
     out = noise.whiten(run, two, *colour.filter())
@@ -55,12 +55,12 @@ def whiten(columns: np.ndarray, run: np.ndarray, colour: Colour = USUAL) -> np.n
 
 
 def recolour(columns: np.ndarray, run: np.ndarray, old: Colour, new: Colour) -> np.ndarray:
-    """Columns (rows, k) that were whitened by one colour, whitened by another."""
+    """Columns (rows, k) whitened by one colour, whitened by another instead."""
     return noise.whiten(run, noise.coloured(run, np.ascontiguousarray(columns), *old.filter()), *new.filter())
 
 
 def fitted(left: np.ndarray, run: np.ndarray) -> Colour:
-    """Likeliest colour of a residual (rows,)."""
+    """Maximum-likelihood colour of a residual (rows,)."""
     tried = [USUAL, *(Colour(float(m), s) for m in MEMORIES for s in SHARES)]
     return max(tried, key=lambda colour: _likelihood(left, run, colour))
 
@@ -74,7 +74,7 @@ def _likelihood(left: np.ndarray, run: np.ndarray, colour: Colour) -> float:
 
 
 def scale(colour: Colour, run: np.ndarray) -> float:
-    """Log of the factor by which whitening shrinks a volume of signals: the price of a colour in a likelihood."""
+    """Log of the factor by which whitening shrinks a volume of signals: the Jacobian of a colour in a likelihood."""
     return float(np.count_nonzero(run[1:] == run[:-1]) * np.log(colour.filter()[2]))
 
 
@@ -95,20 +95,20 @@ def correlation_time(left: np.ndarray, run: np.ndarray) -> float:
 
 
 class Autoregression(NamedTuple):
-    """Noise as a linear process whose size may change: innovations (rows,), log likelihood less its order's price."""
+    """Noise as a linear process of varying size: innovations (rows,), log likelihood minus its order's penalty."""
 
     innovations: np.ndarray
     evidence: float
 
     def comes_in_events(self) -> bool:
-        """Are the innovations heavier in their tails than noise of one kind has them?"""
+        """Are the tails of the innovations heavier than those of Gaussian noise?"""
         return _heavy_tails(self.innovations)
 
 
 def autoregression(left: np.ndarray, run: np.ndarray) -> Autoregression:
     """Least-squares autoregression of a residual (rows,) within runs; order by BIC, all orders on the same rows.
 
-    Runs of a single row have no neighbours: no innovations, and no evidence for or against anything.
+    Runs of a single row have no neighbours: they give no innovations and no evidence.
     """
     lengths = np.unique(run, return_counts=True)[1]
     most = int(np.clip(np.median(lengths) // 4, 1, MOST_LAGS))
@@ -133,9 +133,9 @@ def autoregression(left: np.ndarray, run: np.ndarray) -> Autoregression:
 
 
 def jumps(left: np.ndarray, run: np.ndarray) -> bool:
-    """Are increments of means over 2 to 16 rows heavier in their tails than noise has them?
+    """Are the tails of increments of means over 2 to 16 rows heavier than those of Gaussian noise?
 
-    Those of a linear Gaussian process are normal at every scale; from row to row measuring noise hides what jumps.
+    Increments of a linear Gaussian process are normal at every scale; from row to row, measurement noise hides jumps.
     """
     for width in JUMP_ROWS:
         stretches = [np.flatnonzero(run == r) for r in np.unique(run)]
@@ -146,10 +146,10 @@ def jumps(left: np.ndarray, run: np.ndarray) -> bool:
 
 
 def levels_jump(left: np.ndarray, run: np.ndarray, t: np.ndarray) -> bool:
-    """Do the levels of runs differ by more than what wanders within them would bring about in the time between?
+    """Do the levels of runs differ by more than the drift within runs predicts for the time between them?
 
-    F test of squared differences over the time in between (of a random walk equal), of neighbouring runs and of the
-    halves of each. Where the clock starts anew with each run, that time is not known.
+    F test of squared differences over the elapsed time (equal for a random walk), between neighbouring runs and between
+    the halves of each. Not applied if the clock restarts with each run, because the elapsed time is then unknown.
     """
     runs = [np.flatnonzero(run == r) for r in dict.fromkeys(run.tolist())]
     halves = [np.array_split(rows, 2) for rows in runs if rows.size >= LEAST_ROWS]
@@ -166,7 +166,7 @@ def levels_jump(left: np.ndarray, run: np.ndarray, t: np.ndarray) -> bool:
 
 
 def _heavy_tails(values: np.ndarray, least: int = 1) -> bool:
-    """Is the kurtosis of at least so many values that of events?"""
+    """Is the kurtosis of the values, if there are at least `least`, that of events?"""
     if values.size < least:
         return False
     centred = values - values.mean()
@@ -174,9 +174,9 @@ def _heavy_tails(values: np.ndarray, least: int = 1) -> bool:
 
 
 def is_linear_noise(left: np.ndarray, run: np.ndarray) -> bool:
-    """Is a residual (rows,) a linear Gaussian process without a rhythm: coloured noise, a random walk?
+    """Is a residual (rows,) a linear Gaussian process without a rhythm (coloured noise, a random walk)?
 
-    Events show as heavy-tailed innovations, a rhythm as a bump in the spectrum, by half octaves from two periods on.
+    Events appear as heavy-tailed innovations, a rhythm as a peak in the spectrum, by half octaves from two periods on.
     """
     if left.size < LEAST_ROWS:
         return True
@@ -186,10 +186,10 @@ def is_linear_noise(left: np.ndarray, run: np.ndarray) -> bool:
 
 
 def _rhythm(left: np.ndarray) -> bool:
-    """Does half an octave of the spectrum stand out of the least of slower ones by more than chance has it?
+    """Does half an octave of the spectrum exceed the smallest of the slower ones significantly?
 
-    F test: the power of few frequencies is small by chance, so that the slowest ones are taken together. A Hann window
-    correlates neighbours, so that three frequencies are worth two.
+    F test: the power of few frequencies is small by chance, so the slowest ones are pooled. A Hann window
+    correlates neighbours, so that three frequencies count as two.
     """
     power = np.abs(np.fft.rfft((left - left.mean()) * np.hanning(left.size)))[2:] ** 2
     octaves = np.log2(max(power.size / SLOWEST, 2.0))

@@ -1,7 +1,7 @@
 """Calibrated confidence of a finding: two logistic regressions with few inputs, fitted on generated cases.
 
-`admission` is the chance that a named effect accounts for the structure at all; `naming` that the name is
-right. The constants come from cases of this project's own blind trials (seeds and counts beside them).
+`admission` is the probability that a named effect accounts for the structure at all; `naming` that the name is
+right. The constants were fitted on cases of this project's own blind trials (seeds and counts given with them).
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Indicators:
-    """What is known about a finding once the search is over.
+    """Inputs of the regressions, known after the search.
 
-    gain: log Bayes factor beside the other findings; margin: over the best other effect in its place;
-    leftover: rms after over the noise seen between neighbours; share: of the structured variance, what only
-    shapes reach; shapes: log Bayes factor of those shapes; others: number of other findings; core: share of the
-    textbook form in the contribution; agreement: of the folds, how many chose the same effect first;
+    gain: log Bayes factor given the other findings; margin: over the best other effect in its place;
+    leftover: residual rms over the noise between neighbouring rows; share: of the structured variance, what only
+    shapes explain; shapes: log Bayes factor of those shapes; others: number of other findings; core: share of the
+    textbook form in the contribution; agreement: share of the folds that chose the same effect first;
     rank: 0 for the strongest finding; unexplained_share: of the structured variance, what neither names
-    nor the noise between neighbours account for; fast: 1 for traces of an axis under way, where neighbours tell less;
-    beside: log Bayes factor of the best shape over an input beside the findings; instead: gain less that of the best
-    one in the finding's place, both where held-out rows prove no shape; wandering: as `shapes`, of those over time or
-    runs.
+    nor the noise between neighbours explain; fast: 1 for traces of a moving axis, where neighbours tell less;
+    beside: log Bayes factor of the best shape over an input, given the findings; instead: gain minus that of the
+    best shape in its place, both where held-out rows confirm no shape; wandering: as `shapes`, for shapes over time
+    or runs.
     """
 
     gain: float
@@ -44,8 +44,8 @@ class Indicators:
 
 # Fitted on 445 findings of 432 cases, half of them drawn with seeds 3001, 3002 and 3103 of trials/first, half by a
 # second generator of the same kinds (not kept here), and 107 findings of 90 cases whose hidden effect was withheld from
-# the library (weight 0.35); then rounded. `beside` and `instead` took the place of shapes over inputs later, the
-# rest as it was: 159 findings (trials/first 9441, trials/second 9442, a sweep; withheld ones with weight 0.5).
+# the library (weight 0.35); then rounded. `beside` and `instead` later replaced the inputs on shapes; the other
+# coefficients were not refitted: 159 findings (trials/first 9441, trials/second 9442, a sweep; withheld ones 0.5).
 NAMING = {
     "constant": -1.83,
     "gain": 0.25,
@@ -61,7 +61,7 @@ NAMING = {
     "leftover": -0.35,
     "fast": -0.42,
 }
-# Coefficients of the same regression for the verdict `unknown`.
+# Coefficients of the same regression for the finding `unknown`.
 UNKNOWN = {
     "constant": -0.91,
     "gain": -0.07,
@@ -75,12 +75,12 @@ UNKNOWN = {
     "leftover": 0.15,
     "fast": -0.39,
 }
-# Of a class of effects that the data cannot tell apart, fitted on 119 findings that list rivals (same kinds of cases:
-# the truth was in the class in 84 % of them, where the curve for names said 75 %); cross-validated by set of cases the
-# log loss falls from 0.339 to 0.330.
+# For a class of effects that the data cannot distinguish, fitted on 119 findings that list rivals (same kinds of cases:
+# the true effect was in the class in 84 % of them, where the curve for names gave 75 %); cross-validated by set of
+# cases, the log loss falls from 0.339 to 0.330.
 CLASS = {"constant": 0.5, "naming": 1.3}
-EARNED = 10.0  # log Bayes factor over a shape in its place from which a name has earned its form
-MOST_BESIDE = 30.0  # log Bayes factor of a shape beside the names, beyond which it says no more
+EARNED = 10.0  # log Bayes factor over a shape in its place from which the form of a name is confirmed
+MOST_BESIDE = 30.0  # log Bayes factor of a shape added to the names, saturated beyond this
 UNKNOWN_FIRST = 0.55  # probability from which `unknown` is reported first (names are right far more often)
 
 
@@ -106,14 +106,14 @@ def features(s: Indicators) -> dict[str, float]:
 
 
 def naming(s: Indicators) -> float:
-    """Chance that the name is right."""
+    """Probability that the name is right."""
     return _curve(NAMING, s, 0.03, 0.99)
 
 
 def of_class(s: Indicators) -> float:
-    """Chance that a name or one of the effects that the data cannot tell from it is right.
+    """Probability that a name, or one of the effects that the data cannot distinguish from it, is right.
 
-    s: as for the name, with its margin over the best effect outside of the class.
+    s: as for the name, with its margin over the best effect outside the class.
     """
     p = naming(s)
     z = CLASS["constant"] + CLASS["naming"] * np.log(p / (1 - p))
@@ -121,15 +121,15 @@ def of_class(s: Indicators) -> float:
 
 
 def unknown(s: Indicators) -> float:
-    """Chance that a mechanism outside the vocabulary is at work."""
+    """Probability that a mechanism outside the library is present."""
     return _curve(UNKNOWN, s, 0.01, 0.98)
 
 
 def unknown_alone(gain: float, drop: float, share: float) -> float:
-    """As `unknown`, where no effect was accepted.
+    """As `unknown`, if no effect was accepted.
 
-    gain: log Bayes factor of shapes; drop, share: of the variance, what they explain in the search and on held-out
-    rows. Coefficients chosen on novel cases of both generators (seeds 7101, 7102) and nulls of real twins (seed 31).
+    gain: log Bayes factor of shapes; drop, share: of the variance that they explain in the search and on held-out
+    rows. Coefficients chosen on novel cases of both generators (seeds 7101, 7102) and faultless real data (seed 31).
     """
     z = -3.5 + 0.06 * min(gain, 100.0) + 3.0 * drop + 6.0 * share
     return float(np.clip(1 / (1 + np.exp(-z)), 0.01, 0.97))

@@ -1,4 +1,4 @@
-"""The noiseless simulated signal decomposed into its effects: each may have its own gain in a recalibration."""
+"""Decomposition of the noiseless simulated signal into its effects: each can have its own gain in a recalibration."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from errpipe.diagnosis.evidence import SIZES, Active, Data, Scene, textbook_pena
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 from errpipe.domain.recording import Recording
 
-MOST_PARTS = 5  # effects that a simulation is taken to consist of; more are not told apart by one response
+MOST_PARTS = 5  # largest number of effects in a simulation; one response cannot distinguish more
 BEAM = 6  # beam width: states kept at each step
 ALTERNATIVES = 3  # decompositions returned
 MOST_MOVES = 6  # effects tried as an addition to a state
-MAX_BEHIND = 40.0  # log evidence below the best up to which a decomposition is returned
-COARSE = (0.004, 0.08)  # misfit of textbook forms relative to the signal; it stands in for the noise
-FINE = 0.03  # mean square over that of the coarseness, below which a misfit is no evidence; else priors decide alone
-MATTERS = 20.0  # log evidence: an unexplained part counts once a tenth of it exceeds the measuring noise over all rows
+MAX_BEHIND = 40.0  # log evidence below the best down to which a decomposition is returned
+COARSE = (0.004, 0.08)  # misfit of textbook forms relative to the signal; used as the noise level
+FINE = 0.03  # mean square of the misfit over that of COARSE, below which it is no evidence and the priors alone decide
+MATTERS = 20.0  # log evidence: an unexplained part counts if a tenth of it exceeds the measurement noise over all rows
 ROWS = (60.0, 0.025)  # effective number of rows (offset, per row): the residual is correlated misfit, not noise
-DOUBTS = 2  # directions of largest posterior variance kept of each part
-LEAST_PART = 0.01  # rms over the signal's below which a signal does not hold an effect
+DOUBTS = 2  # directions of largest posterior variance kept for each part
+LEAST_PART = 0.01  # rms over the signal's below which an effect is taken to be absent from the signal
 PRICE = 6.0  # log prior odds against each part
-NO_SUM = 0.3  # rms that a decomposition leaves over the signal's, from which the signal is no sum of effects: gains of
-# such parts would play whatever is missing (of 59 generated simulations one leaves more than 0.15)
-EARNED = 5.0  # log Bayes factor of a part: with less its gain and its doubts would play whatever is missing
-Chosen = list[tuple[int, float]]  # hypotheses with their sizes, in units of the coarseness
+NO_SUM = 0.3  # residual rms over the signal's, from which the signal is no sum of effects: gains of
+# such parts would imitate whatever is missing (of 59 generated simulations one exceeds 0.15)
+EARNED = 5.0  # log Bayes factor of a part: with less, its gain and uncertain directions would imitate what is missing
+Chosen = list[tuple[int, float]]  # hypotheses with their sizes, in units of COARSE
 
 
 @dataclass(frozen=True)
 class Part:
-    """One effect found in the simulated signal: what its form (`core`) and its departures hold on the judged rows.
+    """One effect in the simulated signal: contributions of its form (`core`) and departures on the selected rows.
 
-    certainty: log Bayes factor that it brings beside the other parts; doubt: what it may as well hold more or less of,
-    because the other parts would make up for it, shape (rows, directions), one standard deviation each; reference: what
-    its form holds beyond the textbook's, such as a slope where a rise is counted from another value.
+    certainty: its log Bayes factor given the other parts; doubt: directions in which its contribution is uncertain
+    because the other parts can compensate, shape (rows, directions), one standard deviation each; reference: what
+    its form contains beyond the textbook's, such as a slope if a rise is counted from another value.
     """
 
     hypothesis: Hypothesis
@@ -48,16 +48,16 @@ class Part:
 
     @property
     def contribution(self) -> np.ndarray:
-        """All of it."""
+        """Core and departures together."""
         return self.core + self.slack
 
 
 @dataclass(frozen=True)
 class Decomposition:
-    """parts; the rms they leave over relative to the simulated signal's; what they leave over, shape (rows,).
+    """parts; residual rms relative to the simulated signal's; the residual, shape (rows,).
 
-    worth: log evidence, to be compared with other decompositions of the same signal; plain: the signal is a constant
-    gain on each sensor, so that each of these gains may be off, those near nothing as much as the others.
+    worth: log evidence, comparable with other decompositions of the same signal; plain: the signal is a constant
+    gain on each sensor, so that each of these gains may be off, gains near zero as much as the others.
     """
 
     parts: tuple[Part, ...]
@@ -73,10 +73,10 @@ Held = Callable[[Decomposition, int], list[Decomposition]]
 def decompose(
     simulated: np.ndarray, library: Library, recording: Recording, rows: np.ndarray, noise: float
 ) -> tuple[list[Decomposition], Held | None]:
-    """Parts added, exchanged and dropped while the evidence grows; the likeliest sets of effects, best first.
+    """Parts are added, exchanged and dropped while the evidence grows; returns the likeliest sets of effects first.
 
-    noise: rms of the measuring noise, below which the decomposition stops. Beside them: how to ask whether the signal
-    may hold a certain effect, None where it holds no physics.
+    noise: rms of the measurement noise, below which the decomposition stops. Also returned: a function that tests
+    whether the signal may contain a certain effect, None if it contains no physics.
     """
     run = library.table.run
     if _one_level_per_run(simulated, run):
@@ -92,16 +92,16 @@ def _one_level_per_run(simulated: np.ndarray, run: np.ndarray) -> bool:
     return count.size > 1 and bool(np.std(simulated - level[inside]) <= PLAIN * np.std(simulated))
 
 
-PLAIN = 1e-4  # residual rms over the signal's, up to which it counts as a sum of sensor readings
+PLAIN = 1e-4  # residual rms over the signal's, up to which the signal is a sum of sensor readings
 
 
 def static(
     simulated: np.ndarray, library: Library, raw: Recording, recording: Recording, rows: np.ndarray
 ) -> Decomposition | None:
-    """The decomposition of a signal that is a constant gain on each of several sensors' readings, or None.
+    """Decomposition of a signal that is a constant gain on each of several sensors' readings, or None.
 
-    A stepwise search would replace collinear sensors by fewer, wrong parts.
-    raw: the recording as it was read, from which the simulation was made; recording: with sensors smoothed.
+    A stepwise search would replace collinear sensors by fewer and wrong parts.
+    raw: the recording as read, from which the simulation was made; recording: with sensors smoothed.
     """
     own = {h.drivers[0]: i for i, h in enumerate(library.hypotheses) if h.terms[0].one_sensor and not h.mask}
     read = {name: raw.array(name)[rows] for name in own}
@@ -109,7 +109,7 @@ def static(
     spread = float(np.std(simulated))
     if known.sum() < max(0.5 * rows.size, 10 * len(own)) or spread <= 0:
         return None
-    for name in tuple(own):  # drop sensors without which the residual stays as small
+    for name in tuple(own):  # drop sensors without which the residual does not grow
         others = [read[n][known] for n in own if n != name]
         if others and _gains(others, simulated[known])[1] < PLAIN * spread:
             del own[name]
@@ -131,7 +131,7 @@ def static(
 
 
 def _gains(columns: list[np.ndarray], values: np.ndarray) -> tuple[np.ndarray, float]:
-    """Least-squares gains of centred columns, and the rms that they leave."""
+    """Least-squares gains of centred columns, and the residual rms."""
     centred = np.column_stack([c - c.mean() for c in columns])
     target = values - values.mean()
     gains = np.linalg.lstsq(centred, target, rcond=None)[0]
@@ -159,7 +159,7 @@ class _Work:
         visited: dict[tuple, float] = {(): beam[0][0]}
         done: set[tuple] = set()
         for _ in range(4 * MOST_PARTS):
-            left = [state for _, state in beam if tuple(state) not in done]  # moves from others were all seen
+            left = [state for _, state in beam if tuple(state) not in done]  # all moves from the others were evaluated
             done.update(tuple(state) for state in left)
             fresh = self._judged([move for state in left for move in self._moves(state)], visited)
             best = sorted([*beam, *fresh], key=lambda w: -w[0])[:BEAM]
@@ -171,10 +171,10 @@ class _Work:
         return [d for d in made if all(p.certainty > EARNED for p in d.parts)] or made
 
     def holding(self, d: Decomposition, i: int) -> list[Decomposition]:
-        """The likeliest ways in which the signal may hold a hypothesis, at any of its parameters.
+        """The likeliest decompositions that contain a hypothesis, at any of its parameters.
 
-        It stands beside the parts of a decomposition, or in the place of one of them; none where its share is nothing,
-        or where the signal is as likely without it.
+        It is added to the parts of a decomposition, or replaces one of them; empty if its share is zero,
+        or if the signal is as likely without it.
         """
         own = self.library.family(i)
         ways = []
@@ -189,7 +189,7 @@ class _Work:
         return [f for f in matches if f.leftover < NO_SUM and any(map(holds, f.parts))]
 
     def _different(self, beam: list[tuple[float, Chosen]]) -> list[tuple[float, Chosen]]:
-        """The best state of each set of effects, those not far behind the best."""
+        """The best state of each set of effects that is not far below the best."""
         out: dict[tuple, tuple[float, Chosen]] = {}
         for worth, state in beam:
             effects = tuple(sorted(self.library.hypotheses[i].effect for i, _ in state))
@@ -208,7 +208,7 @@ class _Work:
         return moves
 
     def _judged(self, moves: list[Chosen], seen: dict[tuple, float]) -> list[tuple[float, Chosen]]:
-        """Those states that were not seen before, with what they are worth; their products are formed all at once."""
+        """States that were not evaluated before, with their evidence; their products are formed in one batch."""
         out = []
         together = [np.zeros(0, dtype=int), *(self.library.places[i] for move in moves for i, _ in move)]
         self.data.table.know(np.concatenate(together))
@@ -234,7 +234,7 @@ class _Work:
         return chosen
 
     def _candidates(self, others: Chosen, most: int) -> Chosen:
-        """The most promising hypotheses beside others, each effect once."""
+        """The most promising hypotheses given others, each effect once."""
         name = tuple(others)
         if name not in self._promising:
             self._promising[name] = self._listed(others)
@@ -303,7 +303,7 @@ class _Work:
 
 
 def _uncertain_directions(columns: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """The few directions in which a part's contribution is least certain, shape (rows, directions)."""
+    """The few directions in which a part's contribution is most uncertain, shape (rows, directions)."""
     lam, U = np.linalg.eigh(0.5 * (spread + spread.T))
     ways = columns @ (U * np.sqrt(np.maximum(lam, 0.0)))
     ways = ways - ways.mean(axis=0)

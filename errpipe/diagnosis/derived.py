@@ -1,4 +1,4 @@
-"""Columns that a recording implies: the side an axis comes from, and the speed of one that is recorded under way."""
+"""Columns derived from a recording: approach direction of an axis, and speed of an axis recorded in motion."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from errpipe.drivers.motion import axes
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 
-FAST = 0.1  # s between rows, below which an axis is recorded under way
-STILL = 4.0  # scatter of a position from which it has moved
-BOTH_WAYS = 0.05  # share of the rows either way; fewer are returns to the start of another pass
-OFTEN = 0.5  # places among the rows: fewer are targets that a test goes to again and again
-LEAST_MOVE = 0.001  # mm or deg; as where the direction is read off the positions elsewhere
+FAST = 0.1  # s between rows, below which the axis is recorded in motion
+STILL = 4.0  # times the scatter of a position, from which it has moved
+BOTH_WAYS = 0.05  # share of the rows in either direction; fewer are returns to the start of another pass
+OFTEN = 0.5  # distinct positions over rows: fewer are targets that a test approaches repeatedly
+LEAST_MOVE = 0.001  # mm or deg; as in the reader that derives directions from positions
 
 
 def with_responses(recording: Recording) -> Recording:
-    """The recording with a drive force that has a simulated twin as the response of its component."""
+    """The recording with a drive force that has a simulated counterpart as the response of its component."""
     known = {recording.manifest.columns[n].component for n in recording.names("error")}
     twins = {recording.manifest.columns[n].component for n in recording.names("simulated")} - known
     forces = {n: recording.manifest.columns[n] for role in ("force", "torque") for n in recording.names(role)}
@@ -35,9 +35,9 @@ def with_responses(recording: Recording) -> Recording:
 
 
 def at_targets(recording: Recording) -> Recording:
-    """The recording of a test with its positions as they were commanded, where both are recorded.
+    """The recording of a test with its commanded positions, if both commanded and actual ones are recorded.
 
-    The actual position holds the deviation: a wave of a target's step, or of a part of it, would tell it from that.
+    The actual position contains the deviation: a wave with the target spacing as period would reveal it.
     """
     values = {}
     for axis in (*axes(recording), *axes(recording, "rotary")):
@@ -50,10 +50,10 @@ def at_targets(recording: Recording) -> Recording:
 
 
 def with_motion(recording: Recording) -> tuple[Recording, dict[str, str]]:
-    """The recording with the motion of axes of which positions alone are recorded; the source of each column added.
+    """The recording with the motion of axes for which only positions are recorded; and the source of each added column.
 
-    A direction where rows are single readings of one axis (of several, the order of the rows does not tell from where
-    each was approached), velocity and acceleration where axes are recorded under way.
+    A direction if rows are single readings of one axis (with several axes, the order of rows does not show from where
+    each target was approached); velocity and acceleration if axes are recorded in motion.
     """
     recording = at_targets(recording)
     moving = [*axes(recording), *axes(recording, "rotary")]
@@ -79,7 +79,7 @@ def with_motion(recording: Recording) -> tuple[Recording, dict[str, str]]:
 
 
 def _motion(recording: Recording, axis: str, name: str):
-    """(role, unit, values) of what an axis' positions imply; nothing where it goes one way only."""
+    """(role, unit, values) that the positions of an axis imply; nothing if it moves in one direction only."""
     x, t, run = recording.array(name), recording.time(), recording.run_codes()
     same = (run[2:] == run[1:-1]) & (run[1:-1] == run[:-2])
     step = np.diff(t)
@@ -99,7 +99,7 @@ def _motion(recording: Recording, axis: str, name: str):
 
 
 def named_by_source(diagnosis: Diagnosis, source: dict[str, str]) -> Diagnosis:
-    """The diagnosis with columns that are in no table called by the one they come from."""
+    """The diagnosis with derived columns named after the recorded column they come from."""
 
     def called(r: ResponseDiagnosis) -> ResponseDiagnosis:
         drivers = [tuple(dict.fromkeys(source.get(d, d) for d in f.drivers)) for f in r.findings]

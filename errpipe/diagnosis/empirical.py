@@ -1,12 +1,12 @@
-"""An equation for what has no name: sparse regression over columns, their lags, powers and products. Empirical.
+"""Empirical equation for an unnamed mismatch: sparse regression over columns, their lags, powers and products.
 
-Orthogonal matching pursuit (Pati 1993) over a library of candidate columns of unit length picks at most three. The
-whole selection is repeated without each fold (whole sessions, else blocks of neighbouring rows: `hypotheses.folds`),
+Orthogonal matching pursuit (Pati 1993) over a library of candidate columns of unit length selects at most three. The
+selection is repeated without each fold (whole sessions, else blocks of neighbouring rows: `hypotheses.folds`),
 and the number of terms is the smallest within one standard error of the best held-out one (Hastie, Tibshirani and
-Friedman 2009, 7.10). It is reported only where it predicts `LEAST_SHARE` of the held-out variance and where none of 99
+Friedman 2009, 7.10). It is reported only if it predicts `LEAST_SHARE` of the held-out variance and if none of 99
 surrogates is predicted as well: the response shifted circularly by random rows, and noise with its autocorrelation.
 
-Units are carried along: temperatures enter as rises over their mean and positions as distances from the middle, so that
+Units are tracked: temperatures enter as rises over their mean and positions as distances from the middle, so that
 a power or product means something; a coefficient has the response's unit over that of its column.
 """
 
@@ -28,30 +28,30 @@ from errpipe.drivers.sessions import sessions
 from errpipe.kernels import noise, responses
 from errpipe.terms import resolved_times
 
-MOST_TERMS = 3  # of an equation: more are neither readable nor held out
-MOST_ROWS = 6000  # rows that take part, chosen at random: further rows change the result little
-SEED = 0  # of these rows and of the surrogates: equal input gives an equal equation
+MOST_TERMS = 3  # of an equation: more are not readable and do not predict held-out rows
+MOST_ROWS = 6000  # rows used, chosen at random: further rows change the result little
+SEED = 0  # seed for these rows and the surrogates: equal input gives an equal equation
 MOST_BASE = 40  # columns and lags whose products are tried
 LEAST_SHARE = 0.1  # of the held-out variance, as for a shape without a name; and beyond what names predict
-ALIKE = 0.985  # correlation with the form of an effect: 97 % of its variance
-LIKELY = 0.5  # confidence of a name from which no equation is sought in its place
-MOST_LIKELY = 0.9  # of an equation; below it the share that it predicts
-SURROGATES = 99  # shuffled copies: the smallest probability that they can show is 0.01
+ALIKE = 0.985  # correlation with the form of an effect from which they are equivalent: 97 % of its variance
+LIKELY = 0.5  # confidence of a name from which no equation replaces it
+MOST_LIKELY = 0.9  # upper limit of an equation's confidence; below it the share that it predicts
+SURROGATES = 99  # surrogates; the smallest resolvable probability is 0.01
 LAGS = (1 / 60, 1 / 20, 1 / 6)  # of the longest session: time constants of lagged columns
 LAGGED = (
     *("temperature", "pressure", "humidity", "spindle_speed", "feed"),
     *("coolant", "load", "force", "current", "torque"),
 )
-MEASURED = ("temperature", "pressure", "humidity")  # counted from their mean; what is driven has a zero of its own
+MEASURED = ("temperature", "pressure", "humidity")  # counted from their mean; driven inputs have a natural zero
 MOVING = ("direction", "velocity", "acceleration")
 READ = (*LAGGED, *MOVING, "position", "command", "overhang", "depth_of_cut", "cut_length")
 UNITS = {"temperature": "K", "direction": "1", "coolant": "1"}
-PLAIN, BENT, TWO = 1.0, 0.98, 0.96  # weight of a column, its power, a product: of nearly collinear ones the simplest
+PLAIN, BENT, TWO = 1.0, 0.98, 0.96  # weights of a column, its power, a product: the simplest of collinear ones
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A column of the library: what it is in words, its unit as powers of units, its values (rows,), its weight."""
+    """A column of the library: expression, unit as powers of units, values (rows,), weight."""
 
     name: str
     unit: tuple[tuple[str, int], ...]
@@ -60,9 +60,9 @@ class Candidate:
 
 
 def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
-    """The response with an empirical equation where there is one that holds and no name is likely.
+    """The response with an empirical equation, if one is significant and no name is likely.
 
-    Where it predicts more than the names do it stands for the whole mismatch, and `unknown` comes first.
+    If it predicts more than the names, it describes the whole mismatch, and `unknown` comes first.
     """
     place = next((k for k, f in enumerate(response.findings) if f.effect == "unknown"), None)
     names = [f for f in response.findings if f.effect not in ("unknown", "recalibration")]
@@ -76,7 +76,7 @@ def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
         p = max(min(empirical.share, MOST_LIKELY), response.findings[place].confidence if place is not None else 0.0)
         if not (known and names):
             return _unknown_first(case, response, min(p, unnamed.PROVISIONAL) if known else p, empirical)
-    if place:  # beside names that predict more
+    if place:  # the equation is added to names that predict more
         empirical = equation(case.recording, case.pair.rows, residual(case), response.unit)
     if place is None or empirical is None:
         return response
@@ -87,10 +87,10 @@ def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
 
 
 def has_a_name(case: Case, empirical: Empirical, whole: np.ndarray) -> bool:
-    """Is the equation one column that is the form of an effect without non-linear parameters, or what names hold?
+    """Is the equation one column in the form of an effect without non-linear parameters, or what the names explain?
 
-    Further terms count where they explain `LEAST_SHARE` more of the mismatch (rows,). It is no mechanism outside of the
-    vocabulary, then, but those names, or an effect that noise which wanders may play.
+    Further terms count if they explain `LEAST_SHARE` more of the mismatch (rows,). The equation is then no mechanism
+    outside the library, but those names, or an effect that drifting noise may imitate.
     """
     library, part = case.library, _drawn(whole.size, np.random.default_rng(SEED))
     rows, whole = case.pair.rows[part], whole[part]
@@ -102,7 +102,7 @@ def has_a_name(case: Case, empirical: Empirical, whole: np.ndarray) -> bool:
         if np.var(said - known @ np.linalg.lstsq(known, said, rcond=None)[0]) < (1.0 - ALIKE**2) * np.var(said):
             return True
     values = listed[empirical.terms[0].column]
-    alone = np.column_stack([np.ones(part.size), case.simulated[part], values])  # whose gain may have played it
+    alone = np.column_stack([np.ones(part.size), case.simulated[part], values])  # whose gain may have imitated it
     left = whole - alone @ np.linalg.lstsq(alone, whole, rcond=None)[0]
     if len(empirical.terms) > 1 and 1.0 - np.var(left) / np.var(whole) < empirical.share - LEAST_SHARE:
         return False
@@ -114,7 +114,7 @@ def has_a_name(case: Case, empirical: Empirical, whole: np.ndarray) -> bool:
 
 
 def _unknown_first(case: Case, response: ResponseDiagnosis, p: float, empirical: Empirical) -> ResponseDiagnosis:
-    """The response with the equation in the first place; names have what probability is left."""
+    """The response with the equation first; names share the remaining probability."""
     f = unnamed.finding(case, p)
     first = f.model_copy(update={"empirical": empirical, "says": f"{f.says} {empirical.says}"})
     others = [g if g.effect == "recalibration" else unnamed.capped(g, min(p, 1.0 - p)) for g in response.findings]
@@ -123,12 +123,12 @@ def _unknown_first(case: Case, response: ResponseDiagnosis, p: float, empirical:
 
 
 def _drawn(size: int, rng: np.random.Generator) -> np.ndarray:
-    """Indices of the rows that take part, sorted: all, or `MOST_ROWS` of them."""
+    """Sorted indices of the rows used: all, or `MOST_ROWS` of them."""
     return np.arange(size) if size <= MOST_ROWS else np.sort(rng.choice(size, MOST_ROWS, replace=False))
 
 
 def equation(recording: Recording, rows: np.ndarray, y: np.ndarray, unit: str) -> Empirical | None:
-    """The equation of a residual y on some rows of a recording, or None where none holds.
+    """The equation of a residual y on some rows of a recording, or None if none is significant.
 
     recording: conditioned (columns without gaps); y: shape (rows,), in `unit`. Equal input gives an equal equation.
     """
@@ -158,7 +158,7 @@ def equation(recording: Recording, rows: np.ndarray, y: np.ndarray, unit: str) -
 
 
 def _coloured_noise(y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A surrogate: white noise beside a first-order process with the autocorrelation of y at one and five rows."""
+    """A surrogate: white noise plus a first-order process with the autocorrelation of y at one and five rows."""
     centred = y - y.mean()
     lag_1, lag_5 = (float(centred[k:] @ centred[:-k]) / float(centred @ centred) for k in (1, 5))
     keep = float(np.clip((max(lag_5, 1e-6) / max(lag_1, 1e-6)) ** 0.25, 0.0, 0.9995))
@@ -170,7 +170,7 @@ def _coloured_noise(y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 class _Pursuit:
-    """The library's products, whole and fold by fold, for repeated pursuits."""
+    """Products of the library's columns, over all rows and by fold, for repeated pursuits."""
 
     def __init__(self, library: list[Candidate], fold: np.ndarray):
         columns = np.column_stack([c.values - c.values.mean() for c in library])
@@ -182,7 +182,7 @@ class _Pursuit:
         self.grams = [self.whole - part for part in products]
 
     def chosen(self, y: np.ndarray, count: int, without: int | None = None) -> list[int]:
-        """Numbers of the columns picked, in the order of the pursuit; without: a fold that takes no part."""
+        """Indices of the selected columns, in the order of the pursuit; without: a fold to hold out."""
         from sklearn.linear_model import orthogonal_mp_gram
 
         gram, xy = self.whole, self.columns.T @ y
@@ -226,7 +226,7 @@ def candidates(recording: Recording, rows: np.ndarray) -> list[Candidate]:
 
 
 def _base(recording: Recording, rows: np.ndarray) -> Iterator[Candidate]:
-    """Columns about their mean (positions about the middle), and what follows them late."""
+    """Columns about their mean (positions about the middle), and their first-order lags."""
     _, longest = resolved_times(recording)
     session, t = sessions(recording), recording.time()
     for role in READ:
@@ -260,7 +260,7 @@ def _times(one: tuple[tuple[str, int], ...], other: tuple[tuple[str, int], ...])
 
 
 def unit_over(response: str, unit: tuple[tuple[str, int], ...]) -> str:
-    """Unit of a coefficient: the response's over its column's, such as um/(K2 mm)."""
+    """Unit of a coefficient: the response's over the column's, such as um/(K2 mm)."""
     below = [f"{name}{power}" if power > 1 else name for name, power in unit]
     below = [f"({b})" if "/" in b and len(below) > 1 else b for b in below]
     if not below:

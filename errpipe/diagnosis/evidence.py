@@ -1,13 +1,13 @@
 """Bayes factor of a hypothesis: ratio of marginal likelihoods with and without it, in coloured noise.
 
-Model of a response on n rows:  y = N b + H w + e.  N holds nuisances (datum, gains of what the simulation
-already knows) with Gaussian priors, H a hypothesis' columns, w ~ Normal(0, (a s)^2), s the columns' relative
+Model of a response on n rows:  y = N b + H w + e.  N holds the nuisance columns (datum, gains of what the simulation
+already contains) with Gaussian priors, H a hypothesis' columns, w ~ Normal(0, (a s)^2), s the columns' relative
 freedom (1 for the textbook form, less for departures from it), a its unknown size, averaged over
 a grid. e is white noise with a small slowly varying share; an ARMA(1,1) filter makes it white. The noise
-variance is profiled. A hypothesis pays for every column and for every size that does not fit.
+variance is profiled. Every column and every badly fitting size lowers the evidence.
 
-Products of columns are formed once, when a search asks for them (`Table`): those of an active column with all others,
-and those of a hypothesis' columns among themselves. Of thousands of columns a search makes some hundred active.
+Products of columns are formed once, on demand (`Table`): those of an active column with all others,
+and those of a hypothesis' columns among themselves. Of thousands of columns a search activates a few hundred.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from errpipe.fitting.side_by_side import side_by_side
 from errpipe.kernels import evidence, noise
 
 AT_ONCE = 64  # columns filtered together
-WORTH = 2e-3  # s of one fold's products, from which those of the others are formed in two threads
+WORTH = 2e-3  # s for one fold's products, from which those of the other folds are formed in two threads
 MIN_TEXTBOOK_SHARE = 0.25  # threshold: below this share of its textbook form a hypothesis is penalised,
 MAX_TEXTBOOK_PENALTY = 60.0  # up to this log Bayes factor at a share of 0
-Copied = tuple[list[tuple[int, int]], np.ndarray]  # fingerprints of columns, and these whitened, shape (k, rows)
+Copied = tuple[list[tuple[int, int]], np.ndarray]  # fingerprints of columns, and the whitened columns, shape (k, rows)
 SIZES = np.geomspace(0.15, 600.0, 14)  # sizes tried, in units of the noise
 
 
 def stretches(fold: np.ndarray) -> list[tuple[int, int, int]]:
-    """Neighbouring rows of one fold: (first row, row after the last, fold)."""
+    """Stretches of neighbouring rows of one fold: (first row, row after the last, fold)."""
     edges = np.r_[0, np.flatnonzero(np.diff(fold)) + 1, fold.size]
     return [(int(a), int(b), int(fold[a])) for a, b in itertools.pairwise(edges) if b > a]
 
@@ -42,8 +42,8 @@ def stretches(fold: np.ndarray) -> list[tuple[int, int, int]]:
 class Table:
     """Whitened columns and their products, fold by fold; columns can be added, and are addressed by index.
 
-    Blocks are taken one at a time and need not exist at once; a column that several of them share is held once.
-    places[i] are the indices of block i's columns. Storage is asked for generously: memory that is never written
+    Blocks are read one at a time and need not exist at once; a column shared by several blocks is stored once.
+    places[i] are the indices of block i's columns. Storage is allocated generously: untouched memory
     costs nothing.
     """
 
@@ -58,16 +58,16 @@ class Table:
         self._still = Lock()  # held while the columns change
         self._forget_products()
         self.places = [self._put(block) for block in blocks]
-        self.names = list(self._seen)  # of these columns, what each is known by
+        self.names = list(self._seen)  # identity of each of these columns
 
     def _forget_products(self) -> None:
-        self._at = np.full(self.width, -1)  # place among the known columns, -1: its products are not known
+        self._at = np.full(self.width, -1)  # index among the known columns, -1: no products yet
         self._known = np.zeros(0, dtype=int)  # columns whose products with all others are known
-        self._cross = np.zeros((len(self.rows) + 1, 0, self.width))  # these, fold by fold, and over all rows
+        self._cross = np.zeros((len(self.rows) + 1, 0, self.width))  # their products, by fold, and over all rows
         self._among: dict[bytes, np.ndarray] = {}  # products of a few columns among themselves, in the same order
 
     def recolour(self, colour: Colour) -> None:
-        """Whiten every column by another model of the noise, in place; signals (`Data`) must be made again."""
+        """Whiten every column by another noise model, in place; signals (`Data`) must be created again."""
         with self._still:
             for k in range(0, self.width, AT_ONCE):
                 columns = self._store[:, k : min(k + AT_ONCE, self.width)]
@@ -76,12 +76,12 @@ class Table:
         self._forget_products()
 
     def forget(self, width: int) -> None:
-        """Go back to the first so many columns."""
+        """Return to the first `width` columns."""
         self.width = width
         self._forget_products()
 
     def know(self, index: np.ndarray) -> None:
-        """Form the products of these columns with all others, where they are not known yet."""
+        """Form the products of these columns with all others, if they do not exist yet."""
         done = self._cross.shape[2]
         if done < self.width:
             fresh = self._between(self._known, slice(done, self.width))
@@ -94,7 +94,7 @@ class Table:
             self._known = np.r_[self._known, fresh]
 
     def _between(self, index: np.ndarray, others: slice) -> np.ndarray:
-        """Products of some columns with others, fold by fold and over all rows, shape (folds + 1, k, others)."""
+        """Products of some columns with others, by fold and over all rows, shape (folds + 1, k, others)."""
         W, W_others = self.W, self.W[:, others]
         out = np.zeros((len(self.rows) + 1, index.size, W_others.shape[1]))
 
@@ -107,14 +107,14 @@ class Table:
         return out
 
     def products(self, index: np.ndarray, others: np.ndarray, without: int | None = None) -> np.ndarray:
-        """Products of columns with others, shape (k, others), over all rows or those outside of a fold."""
+        """Products of columns with others, shape (k, others), over all rows or those outside a fold."""
         self.know(index)
         at = self._at[index][:, None]
         whole = self._cross[-1][at, others]
         return whole if without is None else whole - self._cross[without][at, others]
 
     def among(self, index: np.ndarray, without: int | None = None) -> np.ndarray:
-        """Products of columns among themselves, shape (k, k), over all rows or those outside of a fold."""
+        """Products of columns among themselves, shape (k, k), over all rows or those outside a fold."""
         name = index.tobytes()
         if name not in self._among:
             W = self.W[:, index]
@@ -132,12 +132,12 @@ class Table:
         return self._store[:, : self.width]
 
     def copied(self, index: np.ndarray) -> Copied | None:
-        """Columns for another table of the same rows; None where these are whitened by another colour by now."""
+        """Columns for another table of the same rows; None if these have since been whitened by another colour."""
         with self._still:
             return ([self.names[k] for k in index], self._store.T[index]) if self.colour == USUAL else None
 
     def _put(self, block: np.ndarray | Copied) -> np.ndarray:
-        """Store a block's columns, shared ones once; returns their indices."""
+        """Store a block's columns, shared ones once; return their indices."""
         copied = isinstance(block, tuple)
         names, each = block if isinstance(block, tuple) else (None, np.ascontiguousarray(block.T, dtype=float))
         where = [self._seen.setdefault(n, len(self._seen)) for n in names or map(noise.fingerprint, each)]
@@ -146,7 +146,7 @@ class Table:
         return np.array(where, dtype=int)
 
     def add(self, columns: np.ndarray, whitened: bool = False) -> np.ndarray:
-        """Append columns (rows, k); returns their indices."""
+        """Append columns (rows, k); return their indices."""
         first, last = self.width, self.width + columns.shape[1]
         if last > self._store.shape[1]:
             grown = np.zeros((self.n, 2 * last), order="F")
@@ -162,9 +162,9 @@ class Table:
 
 
 class Data:
-    """A signal to be explained: its products with the table's columns and with itself, fold by fold.
+    """A signal to be explained: its products with the table's columns and with itself, by fold.
 
-    without: a fold that takes no part (held out), or None.
+    without: a held-out fold, or None.
     """
 
     def __init__(self, table: Table, values: np.ndarray):
@@ -175,14 +175,14 @@ class Data:
         self.without: int | None = None
 
     def hold_out(self, fold: int) -> Data:
-        """The same signal, one fold taking no part."""
+        """The same signal with one fold held out."""
         other = copy.copy(self)
         other.without, other._total = fold, np.zeros(0)
         return other
 
     @property
     def n(self) -> int:
-        """Rows that take part."""
+        """Rows used."""
         return self.table.n - (0 if self.without is None else self.table.rows[self.without].size)
 
     @property
@@ -191,7 +191,7 @@ class Data:
         return float(self.squares.sum() - (0.0 if self.without is None else self.squares[self.without]))
 
     def products(self) -> np.ndarray:
-        """Products with all columns that the table holds by now."""
+        """Products with all columns of the table at present."""
         done = self._known.shape[1]
         if done < self.table.width:
             fresh = np.zeros((len(self.table.rows), self.table.width - done))
@@ -212,12 +212,12 @@ class Active:
     sd: np.ndarray
 
     def plus(self, index: np.ndarray, sd: np.ndarray) -> Active:
-        """These and further ones."""
+        """These and further columns."""
         return Active(np.concatenate([self.index, index]), np.concatenate([self.sd, sd]))
 
 
 class Listed:
-    """Hypotheses that are scored again and again: columns (indices into the table), their freedoms, and how many of the
+    """Hypotheses that are scored repeatedly: columns (indices into the table), their freedoms, and how many of the
     columns are the textbook form."""
 
     def __init__(self, index: Sequence[np.ndarray], freedom: Sequence[np.ndarray], cores: Sequence[int]):
@@ -232,7 +232,7 @@ class Listed:
         self._blocks: dict[int | None, np.ndarray] = {}
 
     def used(self, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Columns that some hypotheses have, each once, and where among them every entry of `columns` is."""
+        """Columns that some hypotheses use, each once, and the position of every entry of `columns` among them."""
         if which is self.every:
             self._all = self._all or np.unique(self.columns, return_inverse=True)
             return self._all
@@ -243,7 +243,7 @@ class Listed:
         return used, where
 
     def blocks(self, data: Data) -> np.ndarray:
-        """Products of each hypothesis' columns among themselves, times their freedoms, flat."""
+        """Products of each hypothesis' columns among themselves, times their freedoms, flattened."""
         if data.without not in self._blocks:
             made = []
             for first, last in itertools.pairwise(self.starts):
@@ -255,7 +255,7 @@ class Listed:
 
 
 class Scene:
-    """A signal with some columns active: coefficients, residual, and log Bayes factors of further hypotheses."""
+    """A signal with some active columns: coefficients, residual, and log Bayes factors of further hypotheses."""
 
     def __init__(self, data: Data, active: Active, sigma: float):
         self.table, self.data, self.active, self.sigma = data.table, data, active, sigma
@@ -263,7 +263,7 @@ class Scene:
         i = active.index
         self.Zy_all = data.products()
         self.M = self.with_active(i)
-        prior = (sigma / np.maximum(active.sd, 1e-300)) ** 2  # none for a free column, whose sd is infinite
+        prior = (sigma / np.maximum(active.sd, 1e-300)) ** 2  # zero for a free column, whose sd is infinite
         self.M.flat[:: i.size + 1] += prior + 1e-11 * np.diag(self.M) + 1e-300
         self.chol = np.linalg.cholesky(self.M)
         self.half = evidence.forward(self.chol, self.Zy_all[i])
@@ -316,7 +316,7 @@ class Scene:
     def scores(
         self, listed: Listed, which: np.ndarray | None = None, rows: float | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of listed hypotheses: log Bayes factors over the active columns alone, best sizes, textbook forms' shares."""
+        """For listed hypotheses: log Bayes factors given the active columns, best sizes, textbook forms' shares."""
         which = listed.every if which is None else which
         used, where = listed.used(which)
         cross = self.with_active(used)
@@ -328,7 +328,7 @@ class Scene:
 def with_known_size(S: Any, s: Any, value: Any, sd: Any, spare: Any, rows: float) -> Any:
     """Log Bayes factors of columns, each alone, with a coefficient known to be `value` within `sd` noise rms.
 
-    S: sum of squares of each, active columns taken away; s: products with the signals; spare: their sums of squares.
+    S: sum of squares of each, projected off the active columns; s: products with the signals; spare: sums of squares.
     """
     rest = s - value * S  # product with the residual once `value` times the column is subtracted
     Q = spare - 2 * value * s + value**2 * S - rest**2 / (S + 1 / sd**2)
@@ -338,8 +338,8 @@ def with_known_size(S: Any, s: Any, value: Any, sd: Any, spare: Any, rows: float
 def averaged(S: np.ndarray, s: np.ndarray, spare: np.ndarray, rows: float) -> np.ndarray:
     """Log Bayes factors averaged over sizes, of m hypotheses on c signals, shape (m, c).
 
-    S (m, k, k): products of a hypothesis' columns, active ones taken away; s (m, k, c): with the signals; spare (c,):
-    sums of squares without them.
+    S (m, k, k): products of a hypothesis' columns, projected off the active ones; s (m, k, c): with the signals;
+    spare (c,): the signals' sums of squares after the projection.
     """
     lam, U = np.linalg.eigh(S)
     lam = np.maximum(lam, 0.0)
@@ -354,7 +354,7 @@ def averaged(S: np.ndarray, s: np.ndarray, spare: np.ndarray, rows: float) -> np
 
 
 def textbook_share(coefficients: np.ndarray, cores: int | np.ndarray) -> np.ndarray:
-    """Share of a hypothesis' first `cores` columns in what its columns, all of unit size, carry; (..., k) to (...,)."""
+    """Share of the contribution made by a hypothesis' first `cores` columns of unit size; (..., k) to (...,)."""
     textbook = np.arange(coefficients.shape[-1]) < np.asarray(cores)[..., None]
     core = np.abs(coefficients * textbook).sum(axis=-1)
     slack = np.sqrt((coefficients**2 * ~textbook).sum(axis=-1))

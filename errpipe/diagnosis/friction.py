@@ -1,10 +1,10 @@
-"""Friction that differs by direction: the drive force fitted with one law for both, and with one for each.
+"""Friction that depends on direction: the drive force fitted with one law for both directions, and with one for each.
 
-    force = mass a + damping v + friction tanh(v / sharpness) + offset                       both ways alike
-    force = mass a + damping(way) v + friction(way) tanh(|v| / sharpness)                    each way its own
+        force = mass a + damping v + friction tanh(v / sharpness) + offset                       same in both directions
+        force = mass a + damping(way) v + friction(way) tanh(|v| / sharpness)                    separate by direction
 
-The second is accepted where it predicts held-out blocks of the recording better and a parameter differs
-significantly between the directions. Intervals are a block jackknife, because neighbouring rows are correlated.
+The second law is accepted if it predicts held-out blocks of the recording better and a parameter differs
+significantly between the directions. Intervals come from a block jackknife, because neighbouring rows are correlated.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from errpipe.terms.viscous_friction import ViscousFriction
 SHARPNESS = (0.0, 0.0025, 0.008, 0.016, 0.024, 0.032, 0.048, 0.064)  # of the highest speed
 BLOCKS = 40  # stretches of rows, resampled for standard errors
 BETTER = 0.97  # ratio of held-out rms, two laws to one: threshold below which two laws are accepted
-MAX_LOSS = 1.02  # ratio of held-out rms to the best sharpness's, up to which another one widens the interval
-SIGNIFICANT = 4.0  # standard errors by which a parameter must differ between the ways
+MAX_LOSS = 1.02  # ratio of held-out rms to that of the best sharpness, up to which another one widens the interval
+SIGNIFICANT = 4.0  # standard errors by which a parameter must differ between the directions
 PARTS = {kind.reports_as: kind.friction_part for kind in TERMS if kind.friction_part}
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """Coefficients, their standard errors, differences (last two pairs), and the rms on held-out blocks."""
+    """Coefficients, standard errors, differences (last two pairs), and rms on held-out blocks."""
 
     value: np.ndarray
     covariance: np.ndarray
@@ -45,7 +45,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class ByDirection:
-    """A friction law for each way: damping and friction, forwards and backwards, in the units of axis and response.
+    """A friction law per direction: damping and friction, forwards and backwards, in the units of axis and response.
 
     response: N or N m; rotary: damping per deg/s, else per m/s.
     """
@@ -79,7 +79,7 @@ class ByDirection:
         return (
             f"Friction differs by direction: {values[0]} forwards and {values[1]} backwards, with a dry part of "
             f"{values[2]} and {values[3]}; on held-out stretches the force is then met to {self.law.held_out:.3g} "
-            f"{self.response} rms instead of {self.alike.held_out:.3g} with one law both ways."
+            f"{self.response} rms instead of {self.alike.held_out:.3g} with one law for both directions."
         )
 
 
@@ -89,7 +89,7 @@ def has_friction(findings: list[Finding]) -> bool:
 
 
 def by_direction(case: Case) -> ByDirection | None:
-    """The law of each way where it differs, from the recorded force; None where it does not or cannot be decided."""
+    """The law of each direction if they differ, from the recorded force; None if not, or if this is undecidable."""
     axis = case.pair.component[2:]
     velocity = case.recording.name("velocity", axis=axis)
     acceleration = case.recording.name("acceleration", axis=axis)
@@ -138,11 +138,11 @@ def fitted(columns: np.ndarray, y: np.ndarray) -> Fitted:
 
 
 def with_directional_law(findings: list[Finding], law: ByDirection, held: set[str]) -> list[Finding]:
-    """The findings once friction is known to differ by direction; held: effects that the simulation knows.
+    """The findings once friction is known to depend on direction; held: effects that the simulation contains.
 
-    Dry friction gets its two levels, and the damping of each way where no viscous finding carries it. A Stribeck part
-    that would have friction rise from standstill is no such thing: it only mended one law for both ways, and the
-    damping of each way takes its place.
+    Dry friction gets its two levels, and the damping of each direction is added if no viscous finding states it. A
+    Stribeck part whose friction rises from standstill is an artefact of a single law for both directions: the
+    damping of each direction replaces it.
     """
     out: list[Finding] = []
     kinds = [PARTS.get(f.effect) for f in findings]
@@ -154,7 +154,7 @@ def with_directional_law(findings: list[Finding], law: ByDirection, held: set[st
             parameters = (*f.parameters, *law.force(), *(() if carried else law.damping()))
             f = f.model_copy(update={"parameters": parameters, "says": f"{f.says} {law.says()}"})
         elif PARTS.get(f.effect) == "viscous":
-            # a common damping is redundant where each direction has its own, but for what a known one is off by
+            # a common damping is redundant if each direction has its own, except as the error of one in the simulation
             known = (f.parameters, f"{f.says} ") if f.effect in held else ((), "")
             f = f.model_copy(update={"parameters": (*known[0], *law.damping()), "says": known[1] + law.says()})
         elif PARTS.get(f.effect) == "falling" and opposes_dry_friction(f, findings):
@@ -176,6 +176,6 @@ def with_directional_law(findings: list[Finding], law: ByDirection, held: set[st
 
 
 def opposes_dry_friction(stribeck: Finding, findings: list[Finding]) -> bool:
-    """Does a Stribeck part have the opposite sign to the dry friction beside it? By the law it adds to it."""
+    """Does a Stribeck part have the opposite sign to the dry friction found with it? It then adds to the force."""
     dry = [f.parameters[0].value for f in findings if PARTS.get(f.effect) == "dry" and f.parameters]
     return bool(dry) and bool(stribeck.parameters) and stribeck.parameters[0].value * dry[0] < 0

@@ -1,7 +1,7 @@
-"""Columns that may be off with nothing missing (datums, gains), and limits on gains: what needs more is penalised.
+"""Nuisance columns (datums, gains), and limits on gains: the evidence for gains beyond the limits is penalised.
 
-The simulated signal is decomposed into parts, each with a gain of its own beside that of the whole. A Gaussian prior
-is overruled by enough rows; here the log evidence that the limits would cost is subtracted.
+The simulated signal is decomposed into parts, each with its own gain in addition to that of the whole. Enough rows
+overrule a Gaussian prior; here the log evidence that enforcing the limits would cost is subtracted.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ import numpy as np
 
 from errpipe.diagnosis.evidence import Scene
 
-LIMIT = 0.2  # how far the gain of a part can be off (0..15 %, and a margin for parts that are poorly separated)
-FAR_OFF = 0.5  # a gain of a part less 1 that no simulation has unless it was fitted without what is missing
+LIMIT = 0.2  # how far the gain of a part may be off (0..15 %, and a margin for parts that are poorly separated)
+FAR_OFF = 0.5  # gain - 1 of a part, implausible unless the simulation was fitted without what is missing
 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """What one column stands for; `label`: how a report shows it; effect and `part`: whose it is, and its label.
+    """Meaning of one column; `label`: its name in a report; effect and `part`: the effect it belongs to, and its label.
 
-    datum: a constant; session datum: a constant of one session; whole: the simulated signal; part: what the signal
-    holds of one effect; departure: of that effect from its textbook form, or what may belong to another part; noise:
+    datum: a constant; session datum: a constant of one session; whole: the simulated signal; part: the contribution
+    of one effect; departure: of that effect from its textbook form, or what may belong to another part; noise:
     that of the simulated signal.
     """
 
@@ -38,7 +38,7 @@ class Nuisance:
 
     @property
     def is_gain(self) -> bool:
-        """Whether it is a gain less 1, of the signal or of what it holds."""
+        """Whether it is a gain - 1, of the signal or of one of its parts."""
         return self.kind in ("whole", "part", "departure")
 
 
@@ -48,13 +48,13 @@ NOISE = Nuisance("noise", "noise of the simulation")
 
 
 def far_off(scene: Scene, nuisances: list[Nuisance], sizes: np.ndarray) -> int:
-    """How many parts have a gain that far off in a scene whose first active columns are the nuisances."""
+    """Number of parts with a gain that far off, in a scene whose first active columns are the nuisances."""
     held, rows = totals(nuisances, sizes)
     return int(np.count_nonzero(np.abs(rows @ scene.coefficients()[: rows.shape[1]]) > FAR_OFF)) if held else 0
 
 
 def totals(nuisances: list[Nuisance], sizes: np.ndarray) -> tuple[list[Nuisance], np.ndarray]:
-    """Parts, and the matrix from the nuisances' coefficients to their gains less 1, shape (parts, nuisances)."""
+    """Parts, and the matrix from the nuisances' coefficients to the parts' gain - 1, shape (parts, nuisances)."""
     parts = [j for j, n in enumerate(nuisances) if n.kind == "part"]
     rows = np.zeros((max(len(parts), 1), len(nuisances)))
     rows[:, 1] = 1.0 / sizes[1]
@@ -64,7 +64,7 @@ def totals(nuisances: list[Nuisance], sizes: np.ndarray) -> tuple[list[Nuisance]
 
 
 def excess(scene: Scene, rows: np.ndarray, effective: float | None = None) -> tuple[float, np.ndarray]:
-    """Log evidence that a scene would lose were its gains held within the limits, and which gains are beyond them.
+    """Log evidence that a scene would lose if its gains were kept within the limits, and which gains exceed them.
 
     The scene's first active columns are the nuisances that `rows` belong to.
     """

@@ -1,4 +1,4 @@
-"""Nested hold-out: the whole search and fit is repeated without each fold and judged on it."""
+"""Nested hold-out: search and fit are repeated without each fold and validated on it."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from errpipe.diagnosis.search import Search
 from errpipe.drivers.sessions import sessions
 from errpipe.terms import NEVER
 
-AGAIN = 0.5  # share of the folds in which a name that brings little, or that shapes stand beside, must be found again
-KEPT = 0.5  # share of the log Bayes factor that held-out rows must confirm: of 33 right names 32 keep 0.89 or more, the
-# other has less than 0.5 anyway; of false ones on nulls 2 of 4 keep none (first 12201, 13101, second 12202, 13102)
+AGAIN = 0.5  # share of the folds in which a weak name, or one that competes with shapes, must be selected again
+KEPT = 0.5  # share of the log Bayes factor that held-out rows must confirm: of 33 right names 32 retain 0.89 or more,
+# one has less than 0.5 anyway; of false ones on nulls 2 of 4 retain none (first 12201, 13101, second 12202, 13102)
 BETTER = 0.95  # threshold: rms on held-out rows, over that of the other explanation
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """rms on held-out rows; of each finding, in which share of the folds its effect was chosen without them.
+    """rms on held-out rows; for each finding, the share of the folds in which its effect was selected.
 
     named: whitened residual rms of the findings; shaped: of findings and shapes over inputs together; names: as
-    `after`, of the findings alone; bare, textbook: as `named`, without findings, and of their textbook forms alone;
-    often: effects that at least half of the folds chose; again: were they searched for again? What acts in part is not.
+    `after`, of the findings alone; bare, textbook: as `named`, without findings, and with their textbook forms only;
+    often: effects selected in at least half of the folds; again: was the search repeated? Not for partial effects.
     """
 
     scheme: str
@@ -45,7 +45,7 @@ class HeldOut:
     again: bool = True
 
     def shape_share(self) -> float:
-        """Share of the held-out variance beyond the names that shapes over inputs predict, negative where they harm."""
+        """Share of the held-out variance that shapes over inputs predict beyond the names; negative if they do harm."""
         return 1.0 - (self.shaped / self.named) ** 2 if self.named > 0 else 0.0
 
     def departing(self) -> float:
@@ -53,23 +53,23 @@ class HeldOut:
         return (self.textbook**2 - self.named**2) / max(self.bare**2, 1e-300)
 
     def textbook_share(self) -> float:
-        """Share of what names predict on held-out rows that their textbook forms alone predict."""
+        """Share of the names' held-out prediction that their textbook forms alone provide."""
         return (self.bare**2 - self.textbook**2) / max(self.bare**2 - self.named**2, 1e-300)
 
     def confirms(self, gain: float, rows: float) -> bool:
-        """Do folds find a name again, or do names bring held-out rows, beside recalibration, what its gain promises?"""
+        """Do folds select a name again, or do names improve held-out rows beyond recalibration as the gain predicts?"""
         brought = rows * float(np.log(max(self.bare, 1e-300) / max(self.named, 1e-300)))
         return (self.again and max(self.agreement, default=0.0) >= AGAIN) or brought >= KEPT * gain
 
     def predicts_whole_runs(self) -> bool:
-        """Do names predict whole runs that were held out? Noise does not, however slow it is."""
+        """Do names predict whole held-out runs? Noise does not, however slow it is."""
         return "whole runs" in self.scheme and self.names < BETTER * self.before
 
 
 def held_out(case: Case) -> HeldOut:
-    """Repeat search and fit without each fold, predict the fold.
+    """Repeat search and fit without each fold, and predict the fold.
 
-    Whether shapes without a name predict held-out rows is decided inside the fitted rows, fold by fold.
+    Whether unnamed shapes predict held-out rows is decided within the fitted rows, fold by fold.
     """
     search, library = case.search, case.library
     _, scheme = folds(case.run, sessions(case.recording)[case.pair.rows])
@@ -79,7 +79,7 @@ def held_out(case: Case) -> HeldOut:
     effects = [f.hypothesis.effect for f in case.explanation.accepted]
     inputs = [k for k, shape in enumerate(case.free_shapes) if shape.of_inputs]
     in_part = any(finding.hypothesis.mask for finding in case.explanation.accepted)
-    if not in_part:  # what may act in part was chosen on all rows: a fold's search does without
+    if not in_part:  # partial effects were selected on all rows: the fold's search excludes them
         search = copy.copy(search)
         search.prior = np.where(_acts_in_part(library), NEVER, search.prior)
     before, after, named, alone, with_inputs, same, shaped = [], [], [], [], [], [], 0
@@ -89,7 +89,7 @@ def held_out(case: Case) -> HeldOut:
             continue
         part = _without_fold(search, f)
         if in_part:
-            chosen = part.tune(case.chosen())  # the place of a partial effect cannot be searched without its runs
+            chosen = part.tune(case.chosen())  # the range of a partial effect cannot be searched without its runs
         else:
             chosen = [(x.index, x.size) for x in part.explain(starts=2).accepted] if effects else []
             chosen = supported_by_held_out(part, chosen, judged)
@@ -129,12 +129,12 @@ def held_out(case: Case) -> HeldOut:
 
 
 def _acts_in_part(library: Library) -> np.ndarray:
-    """Which hypotheses act in some runs or on a stretch alone, shape (hypotheses,)."""
+    """Which hypotheses act only in some runs or on a stretch, shape (hypotheses,)."""
     return np.array([bool(h.mask) for h in library.hypotheses])
 
 
 def _without_fold(search: Search, fold: int) -> Search:
-    """The same search, a fold taking no part."""
+    """The same search with one fold held out."""
     data, known = search.data.hold_out(fold), (search.nuisance, search.sigma, search.prior)
     part = Search(search.library, data, *known, search.threshold, search.threshold_more, search.rows)
     part.weighed = search.weighed
@@ -142,7 +142,7 @@ def _without_fold(search: Search, fold: int) -> Search:
 
 
 def _textbook(part: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> tuple[Active, np.ndarray]:
-    """Nuisances and the textbook forms alone, without what a part may add to them: their columns.
+    """Nuisances and textbook forms only, without the departures a part may have: their columns.
 
     Offsets of single runs cannot be predicted for a held-out run.
     """

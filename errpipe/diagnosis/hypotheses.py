@@ -1,9 +1,9 @@
 """Every effect in every binding as design columns: the textbook form, and departures from it.
 
 A hypothesis has `core` columns (the term's own basis at given non-linear parameters) and `slack` columns:
-what real parts add to the textbook (a lead error that is not quite straight, friction that varies along the
-screw, a body that was not in balance at the start). A slack column's freedom is its standard deviation
-relative to the core's size; all columns are scaled to unit rms over the judged rows.
+how real parts depart from the textbook (a lead error that is not quite straight, friction that varies along the
+screw, a body not in equilibrium at the start). A slack column's freedom is its standard deviation
+relative to the core's size; all columns are scaled to unit rms over the selected rows.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from errpipe.terms import MANY_STARTS, Signals, Term, search_of
 from errpipe.terms import TERMS as ALL_TERMS
 
 TERMS = tuple(kind for kind in ALL_TERMS if kind.reports_as)
-PROPORTIONAL = 0.999  # correlation of a position with the time from which one cannot be told from the other
-MANY_ROWS = 5000  # from which another thread makes columns; chosen on: at 300 to 1,400 rows that takes 5 % longer
-LEVEL = 1.0  # level of a thermal effect in part, over its spread: from where its rise is counted there is not known
-TIME_ALONE = -3.0  # log odds of what goes with the time alone there: the position is what a test sets out to vary
+PROPORTIONAL = 0.999  # correlation of a position with time from which the two cannot be distinguished
+MANY_ROWS = 5000  # from which another thread builds columns; chosen on: at 300 to 1,400 rows that takes 5 % longer
+LEVEL = 1.0  # level of a partial thermal effect, over its spread: the reference of its rise is unknown there
+TIME_ALONE = -3.0  # log odds of an effect of time alone in that case: position is what the test varies on purpose
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,12 @@ class Hypothesis:
     terms: tuple[Term, ...]
     nonlinear: tuple[tuple[float, ...], ...]
     drivers: tuple[str, ...]
-    prior: float = 0.0  # log prior odds beside the other hypotheses
+    prior: float = 0.0  # log prior odds against the other hypotheses
     mask: tuple = ()  # ("runs", labels) or ("range", column, low, high): acts only there
 
     @cached_property
     def key(self) -> tuple:
-        """What stays the same along a grid of non-linear parameters."""
+        """Identity that is common to all points of a grid of non-linear parameters."""
         return (self.effect, self.drivers, tuple(t.model_dump_json() for t in self.terms), self.mask)
 
 
@@ -58,11 +58,11 @@ class Library:
     """
 
     def __init__(self, made: Iterable[Made], run: np.ndarray, fold: np.ndarray, starts: int = 1):
-        """made: each hypothesis with its scaled block and the number of its core columns, as they come.
+        """made: each hypothesis with its scaled block and the number of its core columns, in order of creation.
 
-        starts: columns in which a body's state at the start of each session stands.
+        starts: number of columns that describe a body's state at the start of each session.
         """
-        self.starts, self.rows = starts, np.zeros(0, dtype=int)  # rows: those of the recording, once they are known
+        self.starts, self.rows = starts, np.zeros(0, dtype=int)  # rows: indices into the recording, once known
         self.hypotheses: list[Hypothesis] = []
         self.cores: list[int] = []
         self.freedoms: list[np.ndarray] = []
@@ -84,7 +84,7 @@ class Library:
         return self._together
 
     def copied(self, h: Hypothesis) -> Made | None:
-        """A hypothesis as it was made for this response, for another one on the same rows; None where it was not."""
+        """A hypothesis as built for this response, for another one on the same rows; None if it was not."""
         for i in self._families.get(h.key, ()):
             if i < len(self.table.places) - 1 and self.hypotheses[i].nonlinear == h.nonlinear:
                 columns = self.table.copied(self.places[i])
@@ -92,7 +92,7 @@ class Library:
         return None
 
     def _listed(self, h: Hypothesis, block: Block, cores: int) -> Any:
-        """Store a hypothesis; returns its columns."""
+        """Store a hypothesis; return its columns."""
         columns, freedom, scale = block
         self._families.setdefault(h.key, []).append(len(self.hypotheses))
         self.hypotheses.append(h)
@@ -109,7 +109,7 @@ class Library:
         self.places += [index[a:b] for a, b in itertools.pairwise(edges)]
 
     def forget(self, hypotheses: int, columns: int) -> None:
-        """Go back to the state of so many hypotheses and columns."""
+        """Return to the first `hypotheses` hypotheses and `columns` columns."""
         for h in self.hypotheses[hypotheses:]:
             self._families[h.key].pop()
         for listed in (self.hypotheses, self.cores, self.freedoms, self.scales, self.places):
@@ -118,26 +118,26 @@ class Library:
         self._together = None
 
     def recolour(self, colour: Colour) -> None:
-        """Judge everything in noise of another colour; signals (`Data`) must be made again."""
+        """Evaluate everything in noise of another colour; signals (`Data`) must be created again."""
         if colour != self.table.colour:
             self.table.recolour(colour)
             self._together = None
 
     def block(self, i: int, recording: Recording, rows: np.ndarray) -> np.ndarray:
-        """Columns of a hypothesis before whitening, made again (rows, k)."""
+        """Columns of a hypothesis before whitening, rebuilt (rows, k)."""
         core, slack, rel = columns_of(self.hypotheses[i], recording)
         made = scaled(core[rows], slack[rows], rel)
         assert made is not None
         return made[0]
 
     def textbook(self, i: int) -> int:
-        """How many of its columns are its own form, with references, rises and states in which bodies started."""
+        """Number of its columns that are its own form, with references, rises and initial states."""
         starts = {"any reference": 1, "any reference and end": 2, "any rise": 3, "any start": self.starts}
         starts["any shape"] = self.places[i].size
         return min(self.cores[i] * (1 + starts.get(self.hypotheses[i].terms[0].form, 0)), self.places[i].size)
 
     def family(self, i: int) -> list[int]:
-        """The hypotheses that differ from it in non-linear parameters only."""
+        """The hypotheses that differ from it only in non-linear parameters."""
         return self._families[self.hypotheses[i].key]
 
 
@@ -148,9 +148,9 @@ def build(
     raw: Recording | None = None,
     signals: tuple[np.ndarray, ...] = (),
 ) -> Library:
-    """The library for a response; raw: the recording as it was read, in which sensor faults are visible.
+    """The library for a response; raw: the recording as read, in which sensor faults are visible.
 
-    signals: what is to be explained, on the judged rows; waves of unknown length are looked for in them.
+    signals: what is to be explained, on the selected rows; waves of unknown length are searched for in them.
     """
     run = recording.run_codes()[rows]
     motion = motion_columns(recording, rows)
@@ -160,7 +160,7 @@ def build(
     count = np.unique(session := sessions(recording)).size
     starts = 1 if count >= MANY_STARTS else count
     with (turn := recording.derived.setdefault(Library, InTurn()))():
-        like, turn.left = turn.left, None  # its memory is free before more is asked for
+        like, turn.left = turn.left, None  # release its memory before more is allocated
         like = like if like and np.array_equal(like.rows, rows) else None
         made = _with_columns(every, recording, rows, like)
         turn.left = library = Library(made, run, folds(run, session[rows])[0], starts)
@@ -189,11 +189,11 @@ BLOCKS = 8  # stretches of the recording that make up one fold
 def folds(run: np.ndarray, session: np.ndarray | None = None) -> tuple[np.ndarray, str]:
     """Number of the fold that holds out each row, shape (rows,), and the scheme's name.
 
-    Where the machine was started anew often enough (session of each row: see `drivers.sessions`), whole sessions are
+    If the machine was restarted often enough (session of each row: see `drivers.sessions`), whole sessions are
     held out.
     Else the recording is cut into FOLDS * BLOCKS stretches of neighbouring rows, so that each fold sees every run and
-    thermal state, and no row is judged beside its own neighbours alone. FOLDS in a row go to one fold each, in an order
-    drawn anew (of equal seed): dealt in turn, a circle of ten stretches would lose the same angles in every turn.
+    thermal state, and no row is predicted only from its neighbours. FOLDS in a row go to one fold each, in an order
+    drawn for each turn (of equal seed): in a fixed order, a circle of ten stretches would lose the same angles.
     """
     if session is not None:
         codes, inside = np.unique(session, return_inverse=True)
@@ -207,7 +207,7 @@ def folds(run: np.ndarray, session: np.ndarray | None = None) -> tuple[np.ndarra
 
 
 Block = tuple[Any, np.ndarray, np.ndarray]  # columns (rows, k) or `Copied`, their freedoms (k,) and scales (k,)
-Made = tuple[Hypothesis, Block, int]  # its scaled block, and the number of its core columns
+Made = tuple[Hypothesis, Block, int]  # a hypothesis, its scaled block, and the number of its core columns
 
 
 def scaled(core: np.ndarray, slack: np.ndarray, rel: np.ndarray, for_table: bool = False) -> Block | None:
@@ -249,7 +249,7 @@ def enumerate_all(recording: Recording, component: str, raw: Recording, signals:
         for group, log_odd in zip(groups, log_odds, strict=True):
             drivers = tuple(dict.fromkeys(n for t in group for n in t.drivers(recording)))
             points = grid(group[0], recording, signals)
-            # an effect's bindings share its odds with all as likely or likelier, and (half, neighbours agree) its grid
+            # an effect's bindings share its odds with all at least as likely, and (half, neighbours agree) its grid
             shared = -np.log(np.sum(log_odds >= log_odd)) - 0.5 * np.log(max(len(points), 1))
             alone = TIME_ALONE if by_time and set(drivers) == by_time else 0.0
             odds = float(log_odd + shared) + alone
@@ -263,7 +263,7 @@ def enumerate_all(recording: Recording, component: str, raw: Recording, signals:
 
 
 def time_of_one_pass(recording: Recording) -> set[str]:
-    """Name of the time column where a position grows in proportion to it, else nothing: one pass at constant speed."""
+    """Name of the time column if a position grows in proportion to it, else nothing: one pass at constant speed."""
     time = recording.name("time")
     places = (recording.array(n) for role in ("position", "command") for n in recording.names(role))
     if time is None or not any(
@@ -279,13 +279,13 @@ def sizes(term: Term, values: tuple[float, ...]) -> float:
 
 
 def both_axes(bound: list[Term]) -> list[tuple[Term, Term]]:
-    """Bindings to the one and the other axis of a circle that are alike otherwise."""
+    """Pairs of bindings to the two axes of a circle that are otherwise equal."""
     pairs = itertools.combinations([t for t in bound if hasattr(t, "axis")], 2)
     return [(a, b) for a, b in pairs if a.axis != b.axis and a.model_copy(update={"axis": b.axis}) == b]
 
 
 def motion_columns(recording: Recording, rows: np.ndarray) -> np.ndarray:
-    """Orthonormal columns of a datum, the axes' speeds, accelerations and their signs, which would hide waves."""
+    """Orthonormal columns of a datum, the axes' speeds, accelerations and their signs, which would mask waves."""
     columns = [np.ones(rows.size)]
     for name in (*recording.names("velocity"), *recording.names("acceleration")):
         values = recording.array(name)[rows]
@@ -296,7 +296,7 @@ def motion_columns(recording: Recording, rows: np.ndarray) -> np.ndarray:
 
 
 def grid(term: Term, recording: Recording, signals: Signals) -> list[tuple[float, ...]]:
-    """Values of the non-linear parameters to try: every combination of those of each parameter."""
+    """Values of the non-linear parameters to try: all combinations of the values of each parameter."""
     axes = [
         (term.fixed[p.name],) if p.name in term.fixed else search_of(p).values(term, p.name, recording, signals)
         for p in term.nonlinear()
@@ -324,7 +324,7 @@ def columns_of(h: Hypothesis, recording: Recording) -> tuple[np.ndarray, np.ndar
 
 
 def has_level(h: Hypothesis, kind: str) -> bool:
-    """Has a thermal effect in part a level of its own? The datum holds that of all rows; runs are set anew anyway."""
+    """Does a partial thermal effect need its own level? All rows share the datum; single runs are re-zeroed anyway."""
     return kind != "runs" and h.terms[0].family == "thermal" and not h.terms[0].counts_from_any_reference()
 
 

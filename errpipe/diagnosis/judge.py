@@ -1,4 +1,4 @@
-"""One response from mismatch to verdict: the steps of this package in their order."""
+"""One response from mismatch to verdict: the steps of this package in order."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ from errpipe.fitting.noise_floor import noise_of_twin
 from errpipe.terms import MANY_STARTS, NEVER
 
 Progress = Callable[[float, str], None]
-WIDE = 5.0  # a simulation fitted without the missing effect may have gains this much further off
-PROVED = 0.7  # mean square on held-out rows, over that without, from which wide gains are believed whatever they cost
-WIDE_PRICE = 10.0  # log Bayes factor required for gains that far off, and MORE for each that is: it is a finding, too
+WIDE = 5.0  # factor on the gain limits for a simulation fitted without the missing effect
+PROVED = 0.7  # mean square on held-out rows, over that without wide gains, from which they are accepted at any cost
+WIDE_PRICE = 10.0  # log Bayes factor required for gains that far off, and MORE for each: each counts as a finding
 MIN_SIZE = (0.15, 0.4)  # rms where it acts, in noise rms, below which a first or a further finding is not named
-MIN_SHARE_OF_PART = 0.2  # of the simulation's own part of that name and driver, below which it only corrects its form
-OUTLIER = 4.5  # a lone row further than this from the explanation, in robust noise rms, is an outlier
-OUTLIER_ROWS = 1000  # of more rows the limit is where normal noise has as few beyond it as among these
+MIN_SHARE_OF_PART = 0.2  # of the simulation's part of that name and driver; a smaller finding only corrects its form
+OUTLIER = 4.5  # an isolated row further than this from the explanation, in robust noise rms, is an outlier
+OUTLIER_ROWS = 1000  # with more rows the limit rises, so that normal noise exceeds it equally rarely
 HARMFUL = 1.02  # threshold: rms on held-out rows, over that without findings
-PROVES = 0.3  # threshold: the same, below which the findings are no slow noise (nine tenths of the variance)
+PROVES = 0.3  # threshold: the same ratio, below which the findings are not slow noise (nine tenths of the variance)
 NEARLY = 5.0  # log Bayes factor that an explanation with significant sizes may lose against one without
-UNSTABLE = 20.0  # and what most folds find may lose against two names that few of them find
+UNSTABLE = 20.0  # likewise for the findings of most folds against two names that few folds select
 RETRIES = 4  # further searches, each without the findings ruled out before
-WEAK = 50.0  # threshold: log Bayes factor of the strongest name, below which folds must bear out one of the names
+WEAK = 50.0  # threshold: log Bayes factor of the strongest name, below which folds must confirm one of the names
 SESSION_DATUM_PRICE = 10.0  # threshold: log Bayes factor for a datum of each session
 
 
 def _with_parts(search: Search, explanation: Explanation, conditioned, rows) -> Explanation:
-    """The explanation with effects that act only in part added to the library."""
+    """The explanation with partial effects added to the library."""
     if not partial.add_parts(search, conditioned, rows, explanation.alone):
         return explanation
     in_part = search.explain()
@@ -59,7 +59,7 @@ def _explains_share(search: Search, explanation: Explanation, noise_estimate: fl
 
 
 def worth_naming(search: Search, explanation: Explanation, conditioned, rows, held: parts.Decomposition) -> Explanation:
-    """The explanation without findings below the size thresholds: they only correct the form of another effect."""
+    """The explanation without findings below the size thresholds, which only correct the form of another effect."""
     kept = list(explanation.accepted)
     while kept:
         scene = search.scene([(f.index, f.size) for f in kept])
@@ -80,7 +80,7 @@ def worth_naming(search: Search, explanation: Explanation, conditioned, rows, he
 
 
 def _least_size(library, i: int, held: parts.Decomposition) -> float:
-    """The rms below which a hypothesis only corrects what the simulation holds of it: of the same form, not of another
+    """The rms below which a hypothesis only corrects the simulation's own part of the same form, not of another
     wave or of a bump elsewhere."""
     h = library.hypotheses[i]
     same = [p for p in held.parts if (p.hypothesis.effect, p.hypothesis.drivers) == (h.effect, h.drivers)]
@@ -89,7 +89,7 @@ def _least_size(library, i: int, held: parts.Decomposition) -> float:
 
 
 def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress = lambda share, text: None) -> Case:
-    """Explain one response; outliers of its residual are set aside, and it is explained again."""
+    """Explain one response; its outliers are then removed, and it is explained again."""
     case = _judge(raw, conditioned, pair, progress)
     outlying = _isolated_outliers(residual(case))
     if not outlying.any() or outlying.mean() > 0.03:
@@ -101,7 +101,7 @@ def judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress
 
 
 def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progress) -> Case:
-    """The explanation in noise of its own colour, or that in usual noise where held-out rows speak for it."""
+    """The explanation in fitted noise, or that in noise of the default colour if held-out rows prefer it."""
     made = _set_up(raw, conditioned, pair, progress)
     progress(0.5, f"{pair.component}: looking for what is missing")
     library = made.library
@@ -128,11 +128,11 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
 
 
 def _speaks_for_usual_noise(own: holdout.HeldOut, usual: holdout.HeldOut) -> bool:
-    """Do held-out rows speak for the explanation in usual noise?
+    """Do held-out rows prefer the explanation in noise of the default colour?
 
-    Neighbouring held-out rows share the slow noise of the rows in the fit: there the plain explanation takes the
-    place of one that harms, or where its names (shapes over time know their neighbours' noise) predict nearly all.
-    Whole runs share none: there the better one stands, also where the other names nothing.
+    Neighbouring held-out rows share the slow noise of the fitted rows: there the plain explanation replaces
+    one that does harm, or wins if its names predict nearly all (shapes over time learn their neighbours' noise).
+    Whole runs share none: there the better one wins, even if the other names nothing.
     """
     if "whole runs" in own.scheme:
         return usual.after < holdout.BETTER * min(own.after, usual.before)
@@ -149,7 +149,7 @@ def _isolated_outliers(left: np.ndarray) -> np.ndarray:
 
 
 def _possible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
-    """The best explanation of a response without findings that cannot be true; of those of the search."""
+    """The best of the search's explanations of a response, without implausible findings."""
     case = _found_by_folds(made, _without_impossible(made, search, *explanations))
     made.taken_back = (
         rounded(case) or (only_noise(case) and not _held(case).predicts_whole_runs()) or not _found_again(case)
@@ -158,9 +158,9 @@ def _possible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
 
 
 def _found_by_folds(made: SetUp, case: Case) -> Case:
-    """The case, or what most folds find in the place of two names that few of them find, if it is nearly as likely.
+    """The case, or the effect that most folds select instead of two names that few select, if nearly as likely.
 
-    Two look-alikes may fit all rows better than the one effect that they stand for, if these are in its own form.
+    Two look-alikes may fit all rows better than the single true effect if the folds select it in its own form.
     """
     if made.plain or len(case.chosen()) < 2 or max(_held(case).agreement) >= holdout.AGAIN or not case.held.often:
         return case
@@ -171,10 +171,10 @@ def _found_by_folds(made: SetUp, case: Case) -> Case:
 
 
 def _among(made: SetUp, among: np.ndarray | bool) -> Case:
-    """The best explanation among some hypotheses, shape (hypotheses,); what else could be named stays known."""
+    """The best explanation among some hypotheses, shape (hypotheses,); the others remain in the library."""
     prior, made.prior = made.prior, np.where(among, made.prior, NEVER)
     case = _explained(made, *_settled(made))
-    case.search.prior = made.prior = np.r_[prior, made.prior[prior.size :]]  # points of the grid may have joined
+    case.search.prior = made.prior = np.r_[prior, made.prior[prior.size :]]  # grid points may have been added
     return case
 
 
@@ -184,20 +184,20 @@ def _held(case: Case) -> holdout.HeldOut:
 
 
 def _found_again(case: Case) -> bool:
-    """Do folds find names again that bring little, or act in part, or bring held-out rows as much?"""
+    """Do folds select weak or partial names again, or do names improve held-out rows as much as they should?"""
     gain = max((f.gain for f in case.explanation.accepted), default=np.inf)
     strong = gain > WEAK and not any(f.hypothesis.mask for f in case.explanation.accepted)
     return not case.chosen() or strong or _held(case).confirms(gain, case.search.rows or case.run.size)
 
 
 def _without_impossible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
-    """The best explanation without what cannot be true, and where one is close, without what has no size."""
+    """The best explanation without implausible findings, and without insignificant ones if one is nearly as likely."""
     case = _explained(made, search, *explanations)
     for _ in range(RETRIES):
         out = plausible.impossible(case)
         if not out:
             break
-        case = _without(made, out[-1])  # the weakest: the others may be impossible only beside it
+        case = _without(made, out[-1])  # the weakest: the others may be implausible only because of it
     else:
         case = _among(made, False)  # no effect is accepted in their place either
     for m in plausible.doubtful(case)[:1]:
@@ -208,15 +208,15 @@ def _without_impossible(made: SetUp, search: Search, *explanations: Explanation)
         close = joint[0] > joint[1] - NEARLY and whole[0] > whole[1] - NEARLY
         if other.chosen() and close and not plausible.doubtful(other) and not plausible.impossible(other):
             return other
-        made.prior = np.r_[prior, made.prior[prior.size :]]  # points of the grid may have joined the library
+        made.prior = np.r_[prior, made.prior[prior.size :]]  # grid points may have been added to the library
         case.search.prior = np.r_[case.search.prior, made.prior[case.search.prior.size :]]
     return case
 
 
 def _without(made: SetUp, m: model.Modelled) -> Case:
-    """The best explanation without a finding, by whatever value of its non-linear parameters."""
+    """The best explanation without a finding, at any value of its non-linear parameters."""
     own = [(h.effect, h.drivers) == (m.hypothesis.effect, m.hypothesis.drivers) for h in made.library.hypotheses]
-    made.prior = np.where(own, NEVER, made.prior)  # searches made before keep their own
+    made.prior = np.where(own, NEVER, made.prior)  # earlier searches keep their own
     return _explained(made, *_settled(made))
 
 
@@ -255,7 +255,7 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
         nuisance = nuisance.plus(each[0].index, each[0].sd)
         recal, kinds = np.column_stack([recal, each[1]]), [*kinds, *each[2]]
         sizes = np.r_[sizes, np.ones(len(each[2]))]
-        session = of_row if len(each[2]) >= MANY_STARTS else None  # fewer are not held out whole
+        session = of_row if len(each[2]) >= MANY_STARTS else None  # with fewer, whole sessions are not held out
     free_shapes: list[Shape] = shapes(conditioned, pair.component, rows)
     places = [library.table.add(s.columns) for s in free_shapes]
     return SetUp(
@@ -265,7 +265,7 @@ def _set_up(raw: Recording, conditioned: Recording, pair: Pair, progress: Progre
 
 
 def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
-    """The best of what the search found, in the noise that suits it, and the remainder beside it."""
+    """The best explanation found by the search, in the noise that suits it, and the remainder test."""
     nuisance, rows = made.nuisance, made.pair.rows
     explanation = explanations[-1]
     if not made.plain:
@@ -282,7 +282,7 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     if exact:
         (search, explanation, _), nuisance, held = exact, exact[0].nuisance, replace(held, parts=())
     named = worth_naming(search, explanation, made.recording, rows, held)
-    if 0 < len(named.accepted) < len(explanation.accepted):  # alone another name may be likelier
+    if 0 < len(named.accepted) < len(explanation.accepted):  # another name may be likelier on its own
         named = replace(named, accepted=search.accepted(search.exchanged(chosen_of(named))))
     explanation = named
     kept = supported_by_held_out(search, chosen_of(explanation), judged)
@@ -301,7 +301,7 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
 
 
 def _with_dependent_rows(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation, Active]:
-    """Where the residual is autocorrelated: an effective number of rows, and a wider prior on the gains.
+    """If the residual is autocorrelated: an effective number of rows, and a wider prior on the gains.
 
     The effective number comes from the best single effect's residual: two effects may overfit.
     """
@@ -332,7 +332,7 @@ def favours_session_datums(
 ) -> bool:
     """Is the best explanation likelier with a datum for each session than the best one with a single datum?
 
-    The evidence penalises each datum. The effective number of rows comes from the residual beside all datums.
+    The evidence penalises each datum. The effective number of rows comes from the residual with all datums fitted.
     """
     nuisances = [nuisance.plus(each_datum.index, each_datum.sd), nuisance]
     both = [settled(library, data, n, prior, noise_estimate) for n in nuisances]
@@ -346,7 +346,7 @@ def favours_session_datums(
 
 
 def first_noise(y: np.ndarray, run: np.ndarray) -> float:
-    """Noise from second differences between neighbours, robust; an upper bound where the mismatch is noise_estimate."""
+    """Noise from second differences between neighbours, robust; an upper bound if the mismatch is noise itself."""
     same = (run[2:] == run[1:-1]) & (run[1:-1] == run[:-2])
     bend = (y[2:] - 2 * y[1:-1] + y[:-2])[same]
     if bend.size < 10:

@@ -1,6 +1,6 @@
-"""How well an explanation, fitted without some folds, predicts their rows; which findings held-out rows support.
+"""Prediction of held-out rows by an explanation fitted without them; which findings held-out rows support.
 
-Where each session has a datum of its own, a held-out one's is estimated from its first rows, which are not judged.
+If each session has its own datum, that of a held-out session is estimated from its first rows, which are not scored.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from errpipe.domain.recording import Recording
 from errpipe.terms import MANY_STARTS
 
 FIRST_READINGS, ROWS_ZEROED = 3, 30  # readings that show a session's zero; rows that it must have
-AT_ZERO = 0.3  # their rms, over that of all readings; noise that wanders takes part of it
-BY_CHANCE = 0.02  # probability that readings which swing about zero begin as near to it
+AT_ZERO = 0.3  # their rms, over that of all readings; drifting noise accounts for part of it
+BY_CHANCE = 0.02  # probability that readings oscillating about zero start this close to it
 ZEROED = 5  # first rows of a held-out session, from which its datum is estimated
 
 
 @dataclass
 class LeftOut:
-    """A response's columns before whitening, and how held-out rows are judged.
+    """A response's columns before whitening, and the scoring of held-out rows.
 
-    recal: columns of the nuisances (rows, k); session: of each row, where each session has its own datum, else None.
+    recal: columns of the nuisances (rows, k); session: of each row, if each session has its own datum, else None.
     """
 
     library: Library
@@ -52,7 +52,7 @@ class LeftOut:
         )
 
     def zeroed(self, values: np.ndarray, test: np.ndarray) -> np.ndarray:
-        """Values of the rows `test`, those that count, less the datum of their session."""
+        """Values of the scored rows of `test`, minus the datum of their session."""
         if self.session is None:
             return values
         session, out = self.session[test], []
@@ -62,13 +62,13 @@ class LeftOut:
         return np.concatenate(out)
 
     def left(self, data: Data, active: Active, sigma: float, columns: np.ndarray, fold: int) -> np.ndarray:
-        """Residual on this fold's rows of a fit to `data` without it."""
+        """Residual on this fold's rows of a fit to `data` without the fold."""
         test = self.library.table.rows[fold]
         b = coefficients(data, active, sigma, fold if fold != data.without else None)
         return self.zeroed(self.y[test] - columns[test] @ b, test)
 
     def whitened(self, data: Data, active: Active, sigma: float, columns: np.ndarray, fold: int) -> np.ndarray:
-        """As `left`, each row less what its neighbours say of the noise."""
+        """As `left`, each row minus the noise predicted from its neighbours."""
         if self.session is not None:
             return self.left(data, active, sigma, columns, fold)
         table = self.library.table
@@ -88,7 +88,7 @@ class LeftOut:
 
 
 def coefficients(data: Data, active: Active, sigma: float, without: int | None) -> np.ndarray:
-    """Posterior mean of the active columns' coefficients, one more fold taking no part."""
+    """Posterior mean of the active columns' coefficients, with one more fold held out."""
     table, i = data.table, active.index
     G, s = table.products(i, i, data.without), data.products()[i]
     if without is not None:
@@ -102,12 +102,12 @@ def coefficients(data: Data, active: Active, sigma: float, without: int | None) 
 def datums(
     recording: Recording, rows: np.ndarray, session: np.ndarray, library: Library, y: np.ndarray, few: bool
 ) -> tuple[Active, np.ndarray, list[Nuisance]] | None:
-    """A datum for each session, as an instrument has that is zeroed whenever the machine is started: columns in the
-    library with their freedom, the same before whitening, what they are. None where there are too few starts.
+    """A datum for each session, for an instrument that is zeroed whenever the machine is started: columns in the
+    library with their freedom, the same before whitening, their meaning. None if there are too few starts.
 
-    session: of each row; y: the mismatch, whose spread between sessions sets the freedom; few: take two starts, too.
+    session: of each row; y: the mismatch, whose spread between sessions sets the freedom; few: two starts suffice.
 
-    Runs that follow each other without a long pause share a datum: what steps between them is physics.
+    Runs that follow each other without a long pause share a datum: a step between them is physics.
     """
     codes, first, inside, count = np.unique(session, return_index=True, return_inverse=True, return_counts=True)
     if codes.size < (2 if few else MANY_STARTS):
@@ -122,7 +122,7 @@ def datums(
 
 
 def zeroed_at_starts(error: np.ndarray, session: np.ndarray) -> bool:
-    """Does each of two sessions or more begin at zero, as where the probes are zeroed at the start (ISO 230-3)?
+    """Do at least two sessions begin at zero, because the probes are zeroed at the start (ISO 230-3)?
 
     error: recorded values; session: of each of these rows.
     """
@@ -139,9 +139,9 @@ def zeroed_at_starts(error: np.ndarray, session: np.ndarray) -> bool:
 
 
 def supported_by_held_out(search: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> list[tuple[int, float]]:
-    """Of findings, strongest first, as many as predict held-out sessions best; the first one always stays.
+    """The leading findings, strongest first, that predict held-out sessions best; the first is always kept.
 
-    Only where sessions have their own datums: rows within a session are then strongly
+    Only if sessions have their own datums: rows within a session are then strongly
     correlated, and a further finding may only overfit them.
     """
     if judged.session is None or len(chosen) < 2:
@@ -150,7 +150,7 @@ def supported_by_held_out(search: Search, chosen: list[tuple[int, float]], judge
 
 
 def predicts_held_out(search: Search, chosen: list[tuple[int, float]], rest: Remainder, judged: LeftOut) -> bool:
-    """Do shapes without a name predict held-out rows? What differs from session to session is no mechanism's shape."""
+    """Do unnamed shapes predict held-out rows? What differs from session to session is not the shape of a mechanism."""
     columns = judged.columns([i for i, _ in chosen], rest.taken)
     with_shapes = judged.mean_square(search.data, rest.active, search.noise, columns)
     return with_shapes < judged.of_explanation(search, chosen)

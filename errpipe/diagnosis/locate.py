@@ -1,4 +1,4 @@
-"""Where the mismatch sits: rms before and after by run, direction, stretch, temperature, speed and coolant."""
+"""Location of the mismatch: rms before and after by run, direction, stretch, temperature, speed and coolant."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from errpipe.drivers.motion import axes, direction, position_name
 LEAST_ROWS = 10  # rows: a regime or stretch with fewer is not reported
 BLOCKS = 120  # stretches of time whose means are searched for changes
 SHORTEST = 3  # blocks between two changes
-MOST_CHANGES = 4  # change points reported: more is a drift
-CHANGE = 25.0  # squared contrast, in variances of independent block means, from which a change counts
+MOST_CHANGES = 4  # change points reported; more indicate a drift
+CHANGE = 25.0  # squared contrast, in variances of independent block means, from which a change is significant
 
 
 def where(h: Hypothesis, recording: Recording, nonlinear: tuple[float, ...]) -> Where:
-    """What limits a hypothesis."""
+    """The range to which a hypothesis is limited."""
     if h.mask and h.mask[0] == "runs":
         return Where(runs=tuple(h.mask[1]))
     if h.mask:
@@ -31,7 +31,7 @@ def where(h: Hypothesis, recording: Recording, nonlinear: tuple[float, ...]) -> 
 def regimes(
     recording: Recording, rows: np.ndarray, before: np.ndarray, after: np.ndarray, mismatch: np.ndarray, noise: float
 ) -> tuple[Regime, ...]:
-    """rms of the mismatch before and after in each part of the recording, and the part's share of what is to explain.
+    """rms of the mismatch before and after in each part of the recording, and the part's share of the variance.
 
     mismatch: with datum and gains of the simulation fitted; its energy beyond `noise` (rms) is divided among the parts.
     """
@@ -49,7 +49,7 @@ def regimes(
 
 
 def between_runs(run: np.ndarray, mismatch: np.ndarray, noise: float) -> float | None:
-    """Share of the mismatch's energy beyond the noise that is one offset per run; None where nothing stands out."""
+    """Share of the mismatch's energy beyond the noise that is one offset per run; None if none is significant."""
     codes, inside, count = np.unique(run, return_inverse=True, return_counts=True)
     total = float(np.sum((mismatch - mismatch.mean()) ** 2)) - run.size * noise**2
     if codes.size < 3 or total <= 0.1 * run.size * noise**2:
@@ -59,7 +59,7 @@ def between_runs(run: np.ndarray, mismatch: np.ndarray, noise: float) -> float |
 
 
 def changes(recording: Recording, rows: np.ndarray, mismatch: np.ndarray) -> tuple[ChangePoint, ...]:
-    """Where the mismatch changes its level or its size for good: binary segmentation of its block means in time.
+    """Lasting changes of the mismatch's level or size: binary segmentation of its block means in time.
 
     The autocorrelation of block means reduces the evidence, so that a random walk has no change points.
     """

@@ -15,15 +15,15 @@ from errpipe.diagnosis.hypotheses import Hypothesis, columns_of, scaled
 from errpipe.terms import search_of
 
 WIDER = 1.3  # factor on intervals for departures from textbook forms; chosen on coverage over generated cases
-DROP = 3.2  # fall of the log Bayes factor at the ends of a non-linear parameter's interval (1.92 times WIDER squared)
+DROP = 3.2  # drop of the log Bayes factor at the ends of a non-linear parameter's interval (1.92 times WIDER squared)
 CHI2_95 = {1: 3.84, 2: 5.99, 3: 7.81, 4: 9.49, 5: 11.07, 6: 12.59}  # 95 % points, by degrees of freedom
-DEPARTED = 0.3  # relative standard deviation of a size where the contribution departs from its textbook form
-STRETCHES, STUDENT = 5, 2.776  # stretches of rows left out in turn; 97.5 % point of Student's t of one less
+DEPARTED = 0.3  # relative standard deviation of a size if the contribution departs from its textbook form
+STRETCHES, STUDENT = 5, 2.776  # jackknife stretches; 97.5 % point of Student's t of one less
 STEP = 0.03  # of logarithms, for derivatives
-FLATTEST = 0.5  # least curvature: a factor of about 12 either way
-SHAPE = 0.1  # relative standard deviation of the deepest point of a worn stretch because of its shape
-APART = 0.1  # relative distance of the size of the nearest textbook form, from which it stands (beyond the interval)
-MOSTLY = 0.5  # share of the contribution's variance that the textbook form must carry to have a size at all
+FLATTEST = 0.5  # smallest curvature: a factor of about 12 in either direction
+SHAPE = 0.1  # relative standard deviation of the deepest point of a worn stretch due to its shape
+APART = 0.1  # relative distance of the nearest textbook form's size, beyond the interval, for a report
+MOSTLY = 0.5  # share of the contribution's variance that the textbook form must explain to have a size at all
 
 
 @dataclass(frozen=True)
@@ -39,18 +39,18 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Modelled:
-    """A finding with refined non-linear parameters, its estimates, contribution and the textbook form's share in it."""
+    """A finding with refined non-linear parameters, estimates, contribution, and the textbook form's share of it."""
 
     hypothesis: Hypothesis
     estimates: tuple[Estimate, ...]
     contribution: np.ndarray
     core_share: float
-    joint: float  # chi squared of all linear parameters together, intervals widened as stated
+    joint: float  # chi squared of all linear parameters together, with the widened intervals
     cores: int  # number of linear parameters
 
 
 def modelled(case: Case, k: int) -> Modelled:
-    """Parameters of finding k beside the others."""
+    """Parameters of finding k given the others."""
     f = case.explanation.accepted[k]
     others = [(g.index, g.size) for j, g in enumerate(case.explanation.accepted) if j != k]
     scene = case.search.scene(others)
@@ -68,7 +68,7 @@ def modelled(case: Case, k: int) -> Modelled:
     core = block[:, :cores] @ b[:cores]
     linear = _linear(hypothesis, b, cov, scale)
     joint = float(b[:cores] @ np.linalg.solve(cov[:cores, :cores], b[:cores])) / WIDER**2
-    lags = hypothesis.terms[0].form == "any start" and cores == 1  # departures at other time constants play the form
+    lags = hypothesis.terms[0].form == "any start" and cores == 1  # departures at other time constants imitate the form
     form = block[:, : case.library.textbook(f.index) if lags else cores]
     form, whole = form - form.mean(axis=0), contribution - contribution.mean()
     nearest = np.linalg.lstsq(form, whole, rcond=None)[0]
@@ -79,7 +79,7 @@ def modelled(case: Case, k: int) -> Modelled:
         shape = hypothesis, nearest[:cores], carried
         linear, alone = _projected_sizes(case, scene, shape, block[:, :cores], scale, dependence)
         joint = max(joint, alone)
-    if curved is None and spans and not projected:  # a size goes with the scale that it was fitted at
+    if curved is None and spans and not projected:  # a size depends on the scale at which it was fitted
         wide = cov.copy()
         wide[:cores, :cores] += _along(case, scene, hypothesis, f.size, spans, scale[:cores])
         linear = [_wider(e, w) for e, w in zip(linear, _linear(hypothesis, b, wide, scale), strict=True)]
@@ -101,14 +101,14 @@ def modelled(case: Case, k: int) -> Modelled:
 
 
 def _projected_sizes(case: Case, scene: Scene, shape, core, scale, dependence: float) -> tuple[list[Estimate], float]:
-    """Sizes where departures take the textbook form's place: its projection on the contribution; their chi squared.
+    """Sizes if departures dominate the textbook form: its projection onto the contribution; their chi squared.
 
     shape: hypothesis, projection, its share of the variance. Intervals are those of a fit of the textbook form alone,
-    and the shape's uncertainty beside.
+    plus the uncertainty of the shape.
     """
     h, nearest, carried = shape
     S, _ = _projected(scene, core)
-    # of what the whole form leaves: departures have their share below
+    # from the residual of the whole form: the departures' variance is added below
     cov = dependence * case.sigma**2 * np.linalg.inv(S + 1e-9 * np.trace(S) * np.eye(nearest.size))
     out = _linear(h, nearest, cov, scale)
     joint = float(nearest @ np.linalg.solve(cov, nearest)) / WIDER**2 if carried > MOSTLY else 0.0
@@ -116,7 +116,7 @@ def _projected_sizes(case: Case, scene: Scene, shape, core, scale, dependence: f
 
 
 def core_share(case: Case, k: int) -> float:
-    """Share of the textbook form in the contribution of finding k, as it was searched."""
+    """Share of the textbook form in the contribution of finding k, as searched."""
     accepted = case.explanation.accepted
     scene = case.search.scene(case.chosen())
     b = scene.coefficients()
@@ -134,7 +134,7 @@ def _columns(case: Case, h: Hypothesis):
 
 
 def _projected(scene: Scene, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Products of a block with itself and with the signal, the active columns taken away."""
+    """Products of a block with itself and with the signal, projected off the active columns."""
     W = whiten(block, scene.table.run, scene.table.colour)
     cross = np.linalg.solve(scene.chol, scene.table.W[:, scene.active.index].T @ W)
     return W.T @ W - cross.T @ cross, W.T @ scene.data.y - cross.T @ scene.half
@@ -146,7 +146,7 @@ def _gain(case: Case, scene: Scene, h: Hypothesis) -> float:
     except ValueError:
         return -np.inf
     S, s = _projected(scene, block)
-    rows = case.search.rows or scene.n  # effective number of rows where they are correlated
+    rows = case.search.rows or scene.n  # effective number of rows if correlated
     own = (S * freedom[:, None] * freedom)[None]
     return float(averaged(own, (freedom * s)[None, :, None], np.array([scene.Q]), rows)[0, 0])
 
@@ -170,9 +170,9 @@ def _dependence(case: Case, scene: Scene, block, b) -> float:
 
 
 def _between_stretches(scene: Scene, form: np.ndarray, sd: np.ndarray, cores: int) -> np.ndarray:
-    """Covariance of the textbook form's sizes by the jackknife: each of a few stretches of neighbouring rows left out.
+    """Covariance of the textbook form's sizes by the jackknife over a few stretches of neighbouring rows.
 
-    A real part is stronger here than there and today than tomorrow. Scaled to Student's quantile for so few stretches,
+    A real part varies along the machine and from day to day. Scaled to Student's quantile for so few stretches,
     in the units of `_linear`. form: alone, or with the reference or end from which it counts; sd: of each column.
     """
     inside = scene.active
@@ -197,7 +197,7 @@ def _linear(h: Hypothesis, b, cov, scale) -> list[Estimate]:
 
 
 def _amplitudes(estimates: list[Estimate], cov, scale) -> list[Estimate]:
-    """Amplitudes of waves, beside their sines and cosines."""
+    """Amplitudes of waves, added to their sines and cosines."""
     out = []
     names = [e.name for e in estimates]
     for k in range(len(names) - 1):
@@ -213,7 +213,7 @@ def _amplitudes(estimates: list[Estimate], cov, scale) -> list[Estimate]:
 
 
 def _at_largest(e: Estimate, contribution: np.ndarray, block: np.ndarray, cov: np.ndarray) -> Estimate:
-    """A parameter that states the largest value is read off the largest row, whatever shape the effect has taken."""
+    """A parameter that states the largest value is taken from the largest row, whatever the shape of the effect."""
     at = int(np.argmax(np.abs(contribution)))
     sign = 1.0 if e.value * contribution[at] >= 0 else -1.0
     value, sd = sign * float(contribution[at]), WIDER * float(np.sqrt(block[at] @ cov @ block[at]))
@@ -222,7 +222,7 @@ def _at_largest(e: Estimate, contribution: np.ndarray, block: np.ndarray, cov: n
 
 
 def _refine(case: Case, scene: Scene, h: Hypothesis):
-    """Each non-linear parameter in turn to its best value nearby, and the span over which the evidence holds."""
+    """Optimise each non-linear parameter in turn near its value, with the span over which the evidence holds."""
     spans, best = [], h
     for j, p in enumerate(h.terms[0].nonlinear()):
         value = best.nonlinear[0][j]
@@ -247,7 +247,7 @@ def _refine(case: Case, scene: Scene, h: Hypothesis):
 def _refine_jointly(case: Case, scene: Scene, h: Hypothesis):
     """All non-linear parameters together: the best, their spans, and the covariance of their logarithms.
 
-    Where columns with a parameter each go together (two time constants) spans of one at a time are far too short. The
+    If the columns of two parameters are collinear (two time constants), spans of one at a time are far too short. The
     covariance is the inverse curvature of the log Bayes factor (Laplace).
     """
     from scipy.optimize import minimize
@@ -279,7 +279,7 @@ def _refine_jointly(case: Case, scene: Scene, h: Hypothesis):
 
 
 def _carried_over(case: Case, scene: Scene, h: Hypothesis, size: float, cov: np.ndarray, scale: np.ndarray):
-    """Covariance of the linear parameters, times their scales, that comes from the non-linear ones."""
+    """Covariance of the linear parameters, times their scales, due to the non-linear ones."""
     at, slopes = np.log(np.abs(h.nonlinear[0])), []
     for step in STEP * np.eye(at.size):
         ends = []
@@ -292,7 +292,7 @@ def _carried_over(case: Case, scene: Scene, h: Hypothesis, size: float, cov: np.
 
 
 def _along(case: Case, scene: Scene, h: Hypothesis, size: float, spans, scale: np.ndarray) -> np.ndarray:
-    """Covariance of the linear parameters, times their scales, over the spans of the non-linear ones, each alone."""
+    """Covariance of the linear parameters, times their scales, over the span of each non-linear one alone."""
     out = np.zeros((scale.size, scale.size))
     for j, (_, _, _, *ends) in enumerate(spans):
         if h.terms[0].nonlinear()[j].name in h.terms[0].fixed or not ends[0] < ends[1]:
@@ -301,7 +301,7 @@ def _along(case: Case, scene: Scene, h: Hypothesis, size: float, spans, scale: n
         for end in ends:
             try:
                 block, freedom, own, cores = _columns(case, _at(h, j, float(end)))
-            except ValueError:  # its columns do not vary there
+            except ValueError:  # its columns are constant there
                 break
             sizes.append(_fit(scene, block, freedom, size, case)[0][:cores] / own[:cores])
         if len(sizes) == 2:
@@ -311,13 +311,13 @@ def _along(case: Case, scene: Scene, h: Hypothesis, size: float, spans, scale: n
 
 
 def _wider(e: Estimate, other: Estimate) -> Estimate:
-    """The estimate with the interval of another one around its own value, where that is longer."""
+    """The estimate with the interval of another one around its own value, if that is longer."""
     reach = max(e.high - e.value, (other.high - other.low) / 2)
     return replace(e, low=e.value - reach, high=e.value + reach)
 
 
 def _moved(h: Hypothesis, logarithms: np.ndarray) -> Hypothesis:
-    """The hypothesis at other non-linear values, given by their logarithms; signs stay."""
+    """The hypothesis at other non-linear values, given by their logarithms; signs are kept."""
     values = tuple(float(s * np.exp(v)) for s, v in zip(np.sign(h.nonlinear[0]), logarithms, strict=True))
     return replace(h, nonlinear=(values,) * len(h.nonlinear))
 

@@ -1,4 +1,4 @@
-"""Noise of a response as its residual shows it, and the explanation searched again in that noise."""
+"""Noise model fitted to the residual of a response, and the search repeated in that noise."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from errpipe.diagnosis.search import Explanation, Search, settled
 from errpipe.fitting.noise_floor import beside_steps, rounding
 from errpipe.terms import search_of
 
-DEPENDENT = 1.8  # rows per independent row of the residual, above which rows are not taken as independent
-CERTAIN = 150.0  # log Bayes factor above which no wandering noise would explain as much
-COLOUR_PRICE = 6.0  # log of the number of colours that are tried
-ROUNDED = 1.15  # threshold: rms over that of rounding (a sixth of a step of noise beside it)
-MOST_STEPS = 6  # steps of a gauge that jumps now and then
-EXPLAINED = 20.0  # log Bayes factor by which another noise must be likelier where names leave white noise
+DEPENDENT = 1.8  # rows per independent row of the residual, above which rows are treated as correlated
+CERTAIN = 150.0  # log Bayes factor above which no drifting noise could explain as much
+COLOUR_PRICE = 6.0  # log of the number of colours tried
+ROUNDED = 1.15  # threshold: rms over that of rounding (includes noise of a sixth of a step)
+MOST_STEPS = 6  # steps of a gauge that jumps occasionally
+EXPLAINED = 20.0  # log Bayes factor by which another noise model must be likelier if names leave white noise
 
 
 def needs_own_noise(made: SetUp, search: Search, explanation: Explanation) -> bool:
@@ -38,10 +38,10 @@ def _dependence(made: SetUp, search: Search, explanation: Explanation) -> float:
 
 
 def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation]:
-    """Where the residual is autocorrelated or a finding is weak: noise and explanation that are likeliest together.
+    """If the residual is autocorrelated or a finding weak: noise and explanation of the largest joint likelihood.
 
-    The colour of the noise is fitted to what is left with and without the explanation, and the search made again in it:
-    a slow wandering is then no evidence for what is slow, and a step in it stands out.
+    The colour of the noise is fitted to the residual with and without the explanation, and the search repeated in it:
+    a slow drift is then no evidence for a slow effect, and a step in it becomes significant.
     """
     made.in_own_noise = True
     dependent = _dependence(made, search, explanation) > DEPENDENT
@@ -67,7 +67,7 @@ def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> t
 
 
 def likelihood(search: Search, explanation: Explanation) -> float:
-    """Log evidence of an explanation in noise of its colour, less what findings and an unusual colour cost."""
+    """Log evidence of an explanation in noise of its colour, minus the cost of findings and of an unusual colour."""
     table, chosen = search.library.table, chosen_of(explanation)
     gain = search.joint(chosen) if chosen else 0.0
     price = 0.0 if table.colour == coloured.USUAL else COLOUR_PRICE
@@ -75,9 +75,9 @@ def likelihood(search: Search, explanation: Explanation) -> float:
 
 
 def zoomed(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation]:
-    """The explanation with non-linear parameters between the points of the grid, which join the library.
+    """The explanation with non-linear parameters between the grid points, which are added to the library.
 
-    What a grid value leaves of a true one would be taken for a second effect, or for slow noise.
+    Otherwise the residual of a grid value would be mistaken for a second effect, or for slow noise.
     """
     fresh = [(f.index, *near) for f in explanation.accepted for near in _neighbours(made, f.index)]
     if not fresh:
@@ -110,10 +110,10 @@ def _neighbours(made: SetUp, index: int) -> Iterator[tuple[Hypothesis, Block, in
 
 
 def only_noise(case: Case) -> bool:
-    """Is it likelier that nothing is missing, in noise that is a linear process, than what the names say?
+    """Is it likelier that nothing is missing, in noise that is a linear process, than what the names state?
 
-    A wave in noise whose spectrum is high there, or a bow in a random walk, is no finding. What comes in events,
-    such as friction that turns with the motion, is no linear process, however well one follows it from row to row.
+    A wave in noise with a spectral peak there, or a bow in a random walk, is no finding. Discrete events,
+    such as friction that reverses with the motion, are no linear process, however well neighbouring rows predict them.
     """
     if not case.chosen():
         return False
@@ -122,7 +122,7 @@ def only_noise(case: Case) -> bool:
 
 
 def _gain_of_names(case: Case, bare: coloured.Autoregression) -> float:
-    """By how much the log evidence of noise grows with the names, in full or their textbook forms. bare: without."""
+    """Gain of the noise's log evidence with the names, in full or in their textbook forms. bare: without names."""
     used = [case.search.scene(way).freedom_used() for way in (case.chosen(), [])]
     nonlinear = sum(len(f.hypothesis.nonlinear[0]) for f in case.explanation.accepted)
     library, rows = case.library, case.pair.rows
@@ -134,7 +134,7 @@ def _gain_of_names(case: Case, bare: coloured.Autoregression) -> float:
 
 
 def only_steps(case: Case) -> bool:
-    """Are a few steps in time (a gauge that jumps), each a place and a size, in such noise as likely as the names?"""
+    """Are a few steps in time (a gauge that jumps), each of own time and size, in such noise as likely as the names?"""
     if not case.chosen() or case.taken_back:
         return False
     bare = coloured.autoregression(residual(case, []), case.run)
@@ -143,19 +143,19 @@ def only_steps(case: Case) -> bool:
 
 
 def rounded(case: Case) -> bool:
-    """Is what a recalibration leaves no more than the rounding of the reading to the steps of its display?
+    """Is the residual of a recalibration no more than the rounding of the reading to display steps?
 
-    A reading that is rounded to steps q differs from the true value by q / sqrt(12) rms, along a smooth trend in waves.
+    A reading rounded to steps q differs from the true value by q / sqrt(12) rms, along a smooth trend in waves.
     """
     rounded_away = rounding(case.recording.array(case.pair.error)[case.pair.rows])
     return float(np.std(residual(case, []))) < ROUNDED * rounded_away
 
 
 def linear_gain(case: Case, before: coloured.Autoregression, after: np.ndarray, freedom: float) -> float:
-    """By how much the log evidence of noise that is a linear process grows with an explanation, less its price (BIC).
+    """Gain of the log evidence of noise as a linear process with an explanation, minus its penalty (BIC).
 
-    before: of the residual without it; after: the residual with it (rows,); freedom: effective number of coefficients
-    in between.
+    before: of the residual without it; after: the residual with it (rows,); freedom: effective number of added
+    coefficients.
     """
     grown = coloured.autoregression(after, case.run).evidence - before.evidence
     return grown - 0.5 * freedom * float(np.log(case.y.size))

@@ -1,7 +1,7 @@
-"""Effects that act only in some runs, on one stretch of an axis or for a while.
+"""Effects that act only in some runs, on one stretch of an axis or for some time (partial effects).
 
-Products of a hypothesis' columns are formed group by group (a run, a stretch, a while); every union of
-neighbouring groups is then scored without touching the rows again.
+Products of a hypothesis' columns are formed by group (a run, a stretch, an interval); every union of
+neighbouring groups is then scored without another pass over the rows.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, position, position_name
 from errpipe.terms import NEVER
 
-LEADERS = 24  # hypotheses tried in part,
-EACH, IN_FULL = 2, 8  # and at most so many of each effect, out of so many of it that are scored with all their columns
+LEADERS = 24  # hypotheses tried as partial,
+EACH, IN_FULL = 2, 8  # at most this many of each effect, out of this many scored with all their columns
 ON_A_STRETCH = ("geometric", "reversal", "servo", "friction")
-ELSEWHERE = 4.0  # log odds against any other on a stretch of an axis: a bed warms in places
-BINS = 14  # equal stretches of an axis or of time, neighbours of which are tried as one part
-FINER = 8  # parts of such a stretch, to which the ends of a part are then found
-MOST = 12  # parts whose ends are found, and that the search takes
-LEAST = 0.16  # share of the rows that a part must hold, unless it is a run: a few rows that stand out are events
-BETTER = 7.0  # log Bayes factor by which a part must beat every whole,
-MENDING = 0.05  # plus this share of the best whole's log Bayes factor: a part may only correct the textbook form
+ELSEWHERE = 4.0  # log odds against an effect that is unlikely on a stretch: a bed warms in places
+BINS = 14  # equal stretches of an axis or of time; unions of neighbours are tried as one part
+FINER = 8  # subdivisions of a stretch, used to refine the ends of a part
+MOST = 12  # parts that are refined and passed to the search
+LEAST = 0.16  # smallest share of the rows in a part, unless it is a run: fewer outstanding rows are events
+BETTER = 7.0  # log Bayes factor by which a part must exceed every hypothesis that acts everywhere,
+MENDING = 0.05  # plus this share of the best one's log Bayes factor: a part may only correct the textbook form
 
 
 @dataclass(frozen=True)
 class Groups:
-    """A partition of the judged rows: group of each row, and what a union of groups is called.
+    """A partition of the selected rows: group of each row, and the names of unions of groups.
 
-    values: of the column that the groups are ranges of, shape (rows,); evenly: ranges are of equal length, else hold as
-    many rows each; finest: how many ranges as narrow as the narrowest there would be, for the price.
+    values: of the column that the groups are ranges of, shape (rows,); evenly: ranges are of equal length, else hold
+    equally many rows; finest: the number of ranges as narrow as the narrowest, for the penalty.
     """
 
     code: np.ndarray
@@ -56,7 +56,7 @@ class Groups:
         return cls(code, edges.size - 1, name, (), tuple(edges), values, evenly, finest)
 
     def finer(self, members: tuple[int, ...]) -> Groups:
-        """Ranges that are narrow beside both ends of a union."""
+        """Narrower ranges around both ends of a union."""
         assert self.values is not None
         cuts = [self.edges[0], self.edges[-1]]
         for end in (members[0], members[-1] + 1):
@@ -74,7 +74,7 @@ class Groups:
         return ("range", self.kind, self.edges[members[0]], self.edges[members[-1] + 1])
 
     def choices(self) -> list[tuple[int, ...]]:
-        """Unions tried: neighbours, enough of them where they are no runs; of runs also any two."""
+        """Unions tried: neighbours, with enough rows unless they are runs; of runs also any two."""
         out = [tuple(range(a, b)) for a in range(self.count) for b in range(a + 1, self.count + 1)]
         if self.kind != "runs":
             out = [c for c in out if self.rows[1][c[-1] + 1] - self.rows[1][c[0]] >= LEAST * self.code.size]
@@ -84,22 +84,22 @@ class Groups:
 
     @cached_property
     def rows(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows, group by group, and where among them each group starts, and the last one ends."""
+        """Rows, sorted by group, and the bounds of each group among them."""
         order = np.argsort(self.code, kind="stable")
         return order, np.searchsorted(self.code[order], np.arange(self.count + 1))
 
     @cached_property
     def priced(self) -> tuple[list[tuple[int, ...]], np.ndarray, np.ndarray]:
-        """Unions tried, with what `weighed` says of them."""
+        """Unions tried, with the masks and penalties of `weighed`."""
         return (choices := self.choices()), *self.weighed(choices)
 
     def weighed(self, choices: list[tuple[int, ...]]) -> tuple[np.ndarray, np.ndarray]:
-        """1 where a group is in a union, shape (unions, groups), and the unions' prices."""
+        """1 where a group is in a union, shape (unions, groups), and the unions' penalties."""
         inside = [np.bincount(c, minlength=self.count) for c in choices]
         return np.array(inside, dtype=float), np.array([self.price(c) for c in choices])
 
     def by_rate(self, rate: np.ndarray) -> list[tuple[int, ...]]:
-        """Unions of the runs in which an effect seems strongest, one way or the other."""
+        """Unions of the runs in which an effect seems strongest, of either sign."""
         if self.kind != "runs":
             return []
         order = np.argsort(rate)
@@ -117,7 +117,7 @@ class Groups:
 
 @dataclass(frozen=True)
 class Part:
-    """A hypothesis in a union of groups: log Bayes factor less the price of choosing them, without prior odds."""
+    """A hypothesis in a union of groups: log Bayes factor minus the penalty for choosing them, without prior odds."""
 
     gain: float
     index: int
@@ -140,16 +140,16 @@ def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
         along[clock] = recording.time()[rows]
     for name, x in along.items():
         if np.unique(x).size >= BINS // 2 and x.max() > x.min():
-            parts = np.linspace(0.0, 1.0, BINS + 1)  # of time as many rows in each: nothing is known of pauses
+            parts = np.linspace(0.0, 1.0, BINS + 1)  # for time, equal row counts: pauses are unknown
             edges = np.unique(np.quantile(x if name == clock else [x.min(), x.max()], parts))
             out.append(Groups.along(name, x, edges, name != clock, edges.size - 1))
     return out
 
 
 def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.ndarray) -> bool:
-    """Extend the library with hypotheses in part that beat every whole, if there are any.
+    """Extend the library with partial hypotheses that exceed every hypothesis acting everywhere, if there are any.
 
-    Every effect is tried in the best one's place too: within one run or stretch many effects are collinear.
+    Every effect is also tried in place of the best one: within one run or stretch many effects are collinear.
     """
     library, clock = search.library, recording.name("time")
     everywhere = np.array([not h.terms[0].misread for h in library.hypotheses]) & (search.prior > 0.5 * NEVER)
@@ -181,7 +181,7 @@ def _best_parts(parts: list[Part], search: Search) -> list[Part]:
 
 
 def _best_of_each_effect(search: Search, scene: Scene, basis, parts: list[Part], clock: str | None) -> list[Part]:
-    """The best hypotheses of each effect where the best part acts: by another sensor or lag than on all rows."""
+    """The best hypotheses of each effect where the best part acts: sensor or lag may differ from those on all rows."""
     if not parts:
         return []
     part, library = max(parts, key=lambda p: p.gain), search.library
@@ -200,13 +200,13 @@ def _best_of_each_effect(search: Search, scene: Scene, basis, parts: list[Part],
 
 
 def _possible(search: Search, kind: str, clock: str | None) -> np.ndarray:
-    """Which hypotheses may act in some groups of this kind alone, shape (hypotheses,)."""
+    """Which hypotheses may act only in some groups of this kind, shape (hypotheses,)."""
     may = [may_act_in_part(h, kind, clock) and not h.mask for h in search.library.hypotheses]
     return np.array(may) & (search.prior > 0.5 * NEVER)
 
 
 def _best_few(search: Search, gain: np.ndarray, leaders: int, each: int = EACH) -> list[int]:
-    """The first so many by gain, and the best few of each effect."""
+    """The best `leaders` by gain, and the best few of each effect."""
     out: list[int] = []
     count = dict.fromkeys({h.effect for h in search.library.hypotheses}, 0)
     for index in search.best_of_each(gain, gain.size):
@@ -228,13 +228,13 @@ def may_act_in_part(h: Hypothesis, kind: str, clock: str | None) -> bool:
 
 
 def on_a_stretch(h: Hypothesis, axis: str) -> bool:
-    """Has this effect to do with a place along an axis?"""
+    """Does this effect depend on the position along an axis?"""
     term = h.terms[0]
     return axis in h.drivers or term.family in ON_A_STRETCH or "axis" in type(term).model_fields
 
 
 def _places(library: Library, index: int, kind: str, textbook: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """Columns of a hypothesis, in part, in the table, and their freedoms; of its textbook form alone."""
+    """Columns of a partial hypothesis in the table, and their freedoms; optionally of its textbook form only."""
     places, freedom = library.places[index], library.freedoms[index]
     if textbook:
         places, freedom = places[: library.cores[index]], freedom[: library.cores[index]]

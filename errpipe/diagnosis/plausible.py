@@ -1,9 +1,9 @@
 """Implausible findings: they are ruled out whatever their evidence, and the search is repeated.
 
 no size        no linear parameter differs significantly from 0, alone or jointly
-cancelling     a finding far larger than the mismatch, nearly all of which another finding cancels
-no such size   a linear parameter outside of its bounds, where it is a constant of nature
-at its limit   a scale at the end of what the recording resolves: a lag as long as the whole session is a drift
+cancelling     a finding far larger than the mismatch that another finding almost cancels
+no such size   a linear parameter that is a constant of nature, outside its bounds
+at its limit   a scale at the end of what the recording resolves: a lag as long as the session is a drift
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from errpipe.diagnosis.case import Case
 from errpipe.terms import search_of
 
 TOO_LARGE = 2.0  # rms of a finding over that of the mismatch, from which another one must be cancelling it
-RATIO = 1.6  # factor between neighbouring grid values of a scale: an interval that reaches further is not at its limit
-CANCELLING = -0.8  # correlation of two findings from which they cancel
-ALIKE = 0.97  # share of a variance from which two contributions are one
+RATIO = 1.6  # factor between neighbouring grid values of a scale: an interval that extends further is not at its limit
+CANCELLING = -0.8  # correlation from which two findings cancel
+ALIKE = 0.97  # share of a variance from which two contributions are equivalent
 TWO_GAINS = 0.3  # the difference of two gains, each up to 0.15 off
-HALF = 0.5  # of a part: what looks like it and is smaller may be its gain, where other parts took some of it
-BETTER_WAVE = 1.1  # threshold: what a wave over the rows explains, over what the finding does
+HALF = 0.5  # of a part: a look-alike that is smaller may be the error of its gain, shared with other parts
+BETTER_WAVE = 1.1  # threshold: variance explained by a wave over the rows, over that of the finding
 
 
 def impossible(case: Case) -> list[model.Modelled]:
-    """Accepted findings that cannot be true: at a limit of what the recording resolves, or cancelled by another one."""
+    """Implausible accepted findings: at a limit of what the recording resolves, or cancelled by another one."""
     made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
     return [m for m in made if at_its_limit(case, m) or not_in_full(m) or no_such_size(m)] or cancelling(case, made)
 
@@ -39,9 +39,9 @@ def doubtful(case: Case) -> list[model.Modelled]:
 
 
 def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
-    """The weaker one of two findings that cancel: both far larger than the mismatch, or one but for what gains play.
+    """The weaker one of two findings that cancel: both far larger than the mismatch, or equivalent but for gains.
 
-    Where a simulation was fitted without the missing effect, gain and effect are both far larger, and both are true.
+    If a simulation was fitted without the missing effect, gain and effect are both far larger, and both are real.
     """
     spread, out = float(np.std(case.y)), []
     every = [m.contribution for m in made]
@@ -55,19 +55,19 @@ def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
 
 
 def no_size(m: model.Modelled) -> bool:
-    """Does no linear parameter differ significantly from 0, alone (the interval that is stated) or jointly?"""
+    """Does no linear parameter differ significantly from 0, alone (the reported interval) or jointly?"""
     spans_zero = m.cores == 1 and m.estimates[0].low <= 0.0 <= m.estimates[0].high
     return spans_zero or m.joint < model.CHI2_95.get(m.cores, 2.0 * m.cores)
 
 
 def not_in_full(m: model.Modelled) -> bool:
-    """Is it far from 1 where the linear parameter is known to be 1? A time shift acts in full or not at all."""
+    """Is a linear parameter far from 1 that must be 1? A time shift acts fully or not at all."""
     sd = m.hypothesis.terms[0].gain_sd
     return sd is not None and abs(m.estimates[0].value - 1.0) > 3.0 * sd
 
 
 def no_such_size(m: model.Modelled) -> bool:
-    """Does the interval of a constant of nature lie outside of its bounds?"""
+    """Is the interval of a constant of nature outside its bounds?"""
     term, spans = m.hypothesis.terms[0], {e.name: e for e in m.estimates}
     return term.physical_constant and any(
         spans[p.name].low > p.bounds[1] or spans[p.name].high < p.bounds[0] for p in term.linear()
@@ -75,9 +75,9 @@ def no_such_size(m: model.Modelled) -> bool:
 
 
 def at_its_limit(case: Case, m: model.Modelled, far: float = RATIO) -> bool:
-    """Does a scale lie at the end of what the recording resolves, and outside of what machines show?
+    """Is a scale at the end of what the recording resolves, and outside the typical range of machines?
 
-    far: factor from the limit by which the other end of its interval may be off; further off, it has a value.
+    far: factor from the limit to the other end of its interval; beyond it, the scale is resolved.
     """
     term, spans = m.hypothesis.terms[0], {e.name: e for e in m.estimates}
     for p, value in zip(term.nonlinear(), m.hypothesis.nonlinear[0], strict=True):
@@ -91,10 +91,10 @@ def at_its_limit(case: Case, m: model.Modelled, far: float = RATIO) -> bool:
 
 
 def gain_of_a_part(case: Case, m: model.Modelled) -> bool:
-    """May the finding be the gain of what the simulation holds: of a part, or of what a part owes to its reference?
+    """May the finding be the gain of a part of the simulation, or of the share of a part due to its reference?
 
-    A lead error beside an expansion, and the same expansion counted from another temperature, are one signal, but have
-    two gains or one. The reference is not known, so the lead error may be as large as the expansion.
+    A lead error with an expansion, and the same expansion counted from another temperature, are one signal, but have
+    two gains or one. The reference is unknown, so the lead error may be as large as the expansion.
     """
     own = m.contribution - m.contribution.mean()
     for p in case.decomposition.parts:
@@ -108,7 +108,7 @@ def gain_of_a_part(case: Case, m: model.Modelled) -> bool:
 
 
 def only_a_wave_in_time(m: model.Modelled, left: np.ndarray) -> bool:
-    """Does a sine over the order of the rows (mains hum, folded down) explain more than the finding?
+    """Does a sine over the order of the rows (aliased mains hum) explain more than the finding?
 
     left: residual of the whole explanation, shape (rows,).
     """

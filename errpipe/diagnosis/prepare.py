@@ -1,4 +1,4 @@
-"""Rows that can be judged, and conditioned columns: filled, smoothed, motion derived from positions."""
+"""Selection of usable rows, and conditioned columns: filled, smoothed, motion derived from positions."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from errpipe.drivers.sessions import sessions
 from errpipe.errors import DataError
 from errpipe.fitting.noise_floor import smooth
 
-LEAST_ROWS = 30  # fewer rows cannot carry a finding and a hold-out
-MOST_SLOW, MOST_FAST, STRETCHES = 4000, 20000, 40  # rows judged; more cost time and change the result little
-MOST_MISSING = 0.75  # share of gaps above which a sensor is left out; one that failed for half of the time is a finding
+LEAST_ROWS = 30  # fewer rows cannot support a finding and a hold-out
+MOST_SLOW, MOST_FAST, STRETCHES = 4000, 20000, 40  # rows selected; more cost time and hardly change the result
+MOST_MISSING = 0.75  # share of gaps above which a sensor is ignored; a sensor that failed half of the time is a finding
 AT_ONCE = 100_000  # rows whose neighbours are in memory at once
 BETWEEN = ("position", "command", "cut_length", "velocity", "acceleration")  # roles whose gaps are interpolated,
 SLOW_ROLES = ("temperature", "pressure", "humidity")
 STEPWISE = ("direction", "spindle_speed", "feed", "coolant", "load", "overhang", "depth_of_cut")  # or held
-SAME = 1e-9  # share of the recorded rms below which a difference is the rounding of numbers in a file
-REVERSED = 0.25  # threshold: share of the recorded variance that the simulated value of the opposite sign leaves
+SAME = 1e-9  # share of the recorded rms below which a difference is rounding in a file
+REVERSED = 0.25  # threshold: residual variance with the simulated sign reversed, over the recorded variance
 FOLLOWED = 6.0  # standard errors: threshold for the noise of a reading in the mismatch
 
 
 @dataclass(frozen=True)
 class Pair:
-    """A response beside its simulated twin, and the rows on which both can be compared.
+    """A response with its simulated value, and the rows on which both can be compared.
 
     rows: indices into the recording, in its order; mismatch = error - simulated there, in `unit`.
-    reversed: one of the two columns counts the other way round: mismatch = error + simulated.
-    outliers: indices (into the recording) set aside.
+    reversed: one of the two columns has the opposite sign: mismatch = error + simulated.
+    outliers: removed rows (indices into the recording).
     """
 
     component: str
@@ -39,16 +39,16 @@ class Pair:
     rows: np.ndarray
     mismatch: np.ndarray
     outliers: np.ndarray
-    reversed: bool = False  # is the simulated value taken with the opposite sign?
+    reversed: bool = False  # is the simulated value used with the opposite sign?
 
     def twin(self, recording: Recording) -> np.ndarray:
-        """The simulated value on the rows, with the sign with which it is compared."""
+        """The simulated value on the rows, with the sign used for the comparison."""
         values = recording.array(self.simulated)[self.rows]
         return -values if self.reversed else values
 
 
 def pairs(recording: Recording) -> tuple[list[Pair], list[str]]:
-    """Every response with a simulated twin, and why others cannot be used. Raises DataError where none can."""
+    """Every response with a simulated value, and reasons why others cannot be used. Raises DataError if none can."""
     accepted: list[Pair] = []
     refused = [] if recording.names("error") else ["no column of role error, or of a force that names its component"]
     for error in recording.names("error"):
@@ -95,7 +95,7 @@ def _pair(recording: Recording, component: str, error: str, twin: str, unit: str
 
 
 def _judged_rows(recording: Recording, rows: np.ndarray) -> np.ndarray:
-    """Which rows of a long recording are judged: a share spread at random, or of a fast trace whole stretches."""
+    """Selected rows of a long recording: a random sample, or whole stretches of a fast trace."""
     step = np.diff(recording.time()[rows])
     fast = recording.name("time") is not None and np.median(step) < 0.1
     most = MOST_FAST if fast else MOST_SLOW
@@ -109,7 +109,7 @@ def _judged_rows(recording: Recording, rows: np.ndarray) -> np.ndarray:
 
 
 def _repeated(recording: Recording, rows: np.ndarray) -> np.ndarray:
-    """Rows that repeat the row before in every cell."""
+    """Rows equal to the previous row in every cell."""
     frame = recording.frame.iloc[rows]
     cells, gaps = frame.to_numpy(), frame.isna().to_numpy()
     same = (cells[1:] == cells[:-1]) | (gaps[1:] & gaps[:-1])
@@ -117,7 +117,7 @@ def _repeated(recording: Recording, rows: np.ndarray) -> np.ndarray:
 
 
 def spikes(values: np.ndarray, times: float = 6.0) -> np.ndarray:
-    """Isolated outliers: far from the median of their six neighbours, which agree among themselves."""
+    """Isolated outliers: far from the median of their six neighbours, which agree with each other."""
     if values.size < 15:
         return np.zeros(values.size, dtype=bool)
     gap, spread = beside_neighbours(values)
@@ -140,8 +140,8 @@ def beside_neighbours(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def condition(recording: Recording) -> Recording:
     """The recording with its driving columns conditioned: gaps filled, sensors smoothed, motion from positions.
 
-    Sensors that miss more than MOST_MISSING of their rows, or never change, are left out. The error and
-    simulated columns stay as they are.
+    Sensors that miss more than MOST_MISSING of their rows, or never change, are dropped. The error and
+    simulated columns are not changed.
     """
     run = recording.run_codes()
     session = sessions(recording)
@@ -170,9 +170,9 @@ def condition(recording: Recording) -> Recording:
 
 
 def followed(recording: Recording, conditioned: Recording, pair: Pair) -> Recording:
-    """The conditioned recording; a sensor whose noise correlates with the mismatch is kept unsmoothed.
+    """The conditioned recording; a sensor whose noise correlates with the mismatch is not smoothed.
 
-    A controller that compensates by a sensor carries the sensor's noise into the axis.
+    A controller that compensates by a sensor transfers the sensor's noise to the axis.
     """
     run, rows = recording.run_codes()[pair.rows], pair.rows
     same = (run[2:] == run[1:-1]) & (run[1:-1] == run[:-2])
@@ -192,7 +192,7 @@ def followed(recording: Recording, conditioned: Recording, pair: Pair) -> Record
 
 
 def segments(values: np.ndarray, run: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """Run codes, split further where a reading jumps or begins or ends to be held: nothing is smoothed across these."""
+    """Run codes, split where a reading jumps or starts or ends being held: no smoothing across these."""
     step = np.abs(np.diff(values))
     jump = step > np.maximum(12 * np.median(step) + 1e-9, 0.35)
     usual_step = np.convolve(step, np.ones(9) / 9, mode="same") - step / 9 if step.size >= 9 else step
@@ -200,13 +200,13 @@ def segments(values: np.ndarray, run: np.ndarray, held: np.ndarray) -> np.ndarra
 
 
 def usable(values: np.ndarray) -> bool:
-    """Does a sensor hold enough different finite values?"""
+    """Does a sensor have enough different finite values?"""
     finite = np.isfinite(values)
     return finite.mean() >= 1 - MOST_MISSING and np.nanmax(values) > np.nanmin(values)
 
 
 def fill(t: np.ndarray, values: np.ndarray, session: np.ndarray) -> np.ndarray:
-    """Missing values interpolated in time within a session, held at its ends."""
+    """Missing values interpolated in time within a session, held constant at its ends."""
     out = values.copy()
     bad = ~np.isfinite(values)
     if not bad.any():
@@ -224,7 +224,7 @@ def fill(t: np.ndarray, values: np.ndarray, session: np.ndarray) -> np.ndarray:
 
 
 def _long(bad: np.ndarray, least: int = 12) -> np.ndarray:
-    """Rows inside gaps so long that a controller would have held the sensor's last value."""
+    """Rows in gaps so long that a controller would have held the sensor's last value."""
     edges = np.flatnonzero(np.diff(np.r_[0, bad.astype(int), 0]))
     out = np.zeros(bad.size, dtype=bool)
     for a, b in zip(edges[::2], edges[1::2], strict=True):
@@ -233,7 +233,7 @@ def _long(bad: np.ndarray, least: int = 12) -> np.ndarray:
 
 
 def hold(values: np.ndarray, session: np.ndarray) -> np.ndarray:
-    """Missing values held from the row before, at the start of a session from the row after."""
+    """Missing values held from the previous row, at the start of a session from the next one."""
     import pandas as pd
 
     held = pd.Series(values).groupby(session).transform(lambda s: s.ffill().bfill())
@@ -241,7 +241,7 @@ def hold(values: np.ndarray, session: np.ndarray) -> np.ndarray:
 
 
 def motion(recording: Recording, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Velocities and accelerations from positions where rows are dense: less noisy than a recorded speed."""
+    """Velocities and accelerations from positions if rows are dense: less noisy than a recorded speed."""
     out: dict[str, np.ndarray] = {}
     t, run = recording.time(), recording.run_codes()
     step = np.diff(t)
@@ -263,13 +263,13 @@ def motion(recording: Recording, columns: dict[str, np.ndarray]) -> dict[str, np
 
 
 def _without_edge_errors(derived: np.ndarray, recorded: np.ndarray) -> np.ndarray:
-    """The derivative; the reading where the two differ beyond the reading's noise (at the edges of a short push)."""
+    """The derivative; where the two differ by more than the reading's noise (edges of a short push), the reading."""
     difference = np.abs(derived - recorded)
     return np.where(difference > 4.0 * 1.4826 * np.median(difference), recorded, derived)
 
 
 def _is_noisy_derivative(derived: np.ndarray, recorded: np.ndarray) -> bool:
-    """Is the reading the derivative plus noise? (else the column means something else, and stays)"""
+    """Is the reading the derivative plus noise? Otherwise the column means something else and is kept."""
     return bool(min(np.ptp(derived), np.ptp(recorded)) > 0 and np.corrcoef(derived, recorded)[0, 1] > 0.98)
 
 

@@ -1,4 +1,4 @@
-"""Recalibration: datum and gains of what a simulation already holds may be off, and are nuisances of the search."""
+"""Recalibration: datum and gains of the effects in a simulation may be off, and are nuisances of the search."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from errpipe.diagnosis.left_out import LeftOut
 from errpipe.diagnosis.search import MISSING, Explanation, Search, settled
 from errpipe.terms import NEVER
 
-GAIN_SD = 0.10  # prior standard deviation of a simulation's gain less 1 (usual: 0..15 %)
+GAIN_SD = 0.10  # prior standard deviation of a simulation's gain - 1 (usual: 0..15 %)
 OFF = 3.0  # threshold: log Bayes factor for a recalibration
 OWN_SD = 0.04  # prior standard deviation of the gain of a part's departures, relative to the part's gain
-# Of an expansion's part that is due to its reference temperature, and that may be the simulation's lead error. With
-# more, a missing lead error of a third of it is taken for that gain (trials/second 81261, tests of slopes).
+# For the share of an expansion due to its reference temperature, which may be the simulation's lead error. With
+# more, a missing lead error of a third of it is mistaken for that gain (trials/second 81261, tests of slopes).
 REFERENCE_SD = 0.03
-PRESENT = -4.0  # log prior odds against an effect that the simulation already holds,
-SAME = -12.0  # and again where it would be driven by the same columns
-KNOWN = 0.05  # rms that a decomposition leaves, over the signal's, up to which it tells what a simulation reads
-SURE = 15.0  # log Bayes factor from which a part is certain to be in the simulation
-MAX_GAIN_PENALTY = 60.0  # largest penalty, in log evidence, of gains beyond the limits: the decomposition may be wrong
+PRESENT = -4.0  # log prior odds against an effect that the simulation already contains,
+SAME = -12.0  # and in addition if it would be driven by the same columns
+KNOWN = 0.05  # residual rms of a decomposition, over the signal's, up to which it identifies the simulation's inputs
+SURE = 15.0  # log Bayes factor from which a part is certainly in the simulation
+MAX_GAIN_PENALTY = 60.0  # largest penalty, in log evidence, for gains beyond the limits: the decomposition may be wrong
 ALL_ONE = 6.0  # threshold: log odds that the gains of all parts but one are 1 rather than off as usual
 TRUST = 0.3  # weight of the decomposition's evidence: its residual is misfit, not noise
 EXACT_SD = 0.03  # prior standard deviation of such gains, relative to the usual
-TWIN = 20.0  # threshold: log Bayes factor of what a twin lacks, beyond that of a finding
+TWIN = 20.0  # threshold: log Bayes factor of an effect missing in a repeated measurement, beyond that of a finding
 
 
 def no_gain(
@@ -39,8 +39,8 @@ def no_gain(
 
     A simulation that holds every effect but one exactly lacks, or has too much of, that one: the gains of the others
     are known to be 1 by log odds of `ALL_ONE` (Savage-Dickey ratio), or all are where it is a twin, measured itself,
-    and nothing else is named. Elsewhere a part with a gain beyond the limits may play another effect: without that
-    gain something is missing, and held-out rows agree.
+    and nothing else is named. Otherwise a part with a gain beyond the limits may imitate another effect: without that
+    gain something is missing, and held-out rows confirm it.
     """
     held, rows = gains.totals(nuisances, sizes)
     chosen = lambda e: [(f.index, f.size) for f in e.accepted]  # noqa: E731
@@ -53,7 +53,7 @@ def no_gain(
     twin = not explanation.accepted and any(n.kind == "noise" for n in nuisances)
     suspect = [held[off]] if one else [n for n, far in zip(held, gains.excess(scene, rows)[1], strict=False) if far]
     suspect = held if twin else suspect
-    if len(held) < 2 or not suspect or not (one or search.weighed):  # wide gains are proved by held-out rows
+    if len(held) < 2 or not suspect or not (one or search.weighed):  # wide gains are confirmed by held-out rows
         return None
     effects, labels = {n.effect for n in suspect}, {n.part for n in suspect}
     own = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.hypothesis.effect in effects}
@@ -73,10 +73,10 @@ def no_gain(
 def likeliest(
     alternatives: list[parts.Decomposition], holding: parts.Held | None, simulated, library, data: Data, noise: float
 ):
-    """The decomposition that makes signal and mismatch likeliest together, with its recalibration.
+    """The decomposition that maximises the joint likelihood of signal and mismatch, with its recalibration.
 
-    What seems to be missing may be in the simulation under other names, with another gain: a decomposition that holds
-    it is tried, too.
+    What seems to be missing may be in the simulation under another name, with another gain: a decomposition that
+    contains it is tried, too.
     """
 
     def scored(d: parts.Decomposition):
@@ -100,7 +100,7 @@ def likeliest(
 def recalibration(
     simulated: np.ndarray, d: parts.Decomposition, library: hypotheses.Library
 ) -> tuple[Active, list[Nuisance], np.ndarray, np.ndarray]:
-    """Datum, gain of the whole simulated signal, gain of each of its parts; what they are, columns and sizes."""
+    """Datum, gain of the whole simulated signal, gain of each of its parts; their meanings, columns and sizes."""
     columns, sd, kinds = [simulated - simulated.mean()], [GAIN_SD], [DATUM, WHOLE]
     whole = together(d.parts)
     least = float(np.sqrt(np.mean([np.var(p.contribution) for p in whole]))) if d.plain else 0.0
@@ -125,13 +125,13 @@ def recalibration(
 
 
 def together(separate: tuple[parts.Part, ...]) -> list[parts.Part]:
-    """Parts that nearly cancel are merged: with gains of their own they could reproduce almost anything."""
+    """Merge parts that nearly cancel: with separate gains they could reproduce almost anything."""
     out: list[parts.Part] = []
     for part in separate:
         for k, other in enumerate(out):
             if np.corrcoef(part.contribution, other.contribution)[0, 1] < -0.9:
                 sums = {name: getattr(other, name) + getattr(part, name) for name in ("core", "slack")}
-                out[k] = replace(other, **sums, doubt=part.doubt[:, :0])  # what one holds less the other holds more
+                out[k] = replace(other, **sums, doubt=part.doubt[:, :0])  # what one gains, the other loses
                 break
         else:
             out.append(part)
@@ -139,9 +139,9 @@ def together(separate: tuple[parts.Part, ...]) -> list[parts.Part]:
 
 
 def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray:
-    """Log prior odds: lower for effects that the simulation already holds.
+    """Log prior odds: lower for effects that the simulation already contains.
 
-    So they are for a sensor that is said to mislead a simulation in which nothing goes with it.
+    Also lower for a sensor error as the cause, if nothing in the simulation follows that sensor.
     """
     held = np.std(np.sum([p.contribution for p in d.parts], axis=0)) if d.parts else 0.0
     present = {p.hypothesis.effect for p in d.parts if np.std(p.contribution) > 0.05 * held and p.certainty > SURE}

@@ -1,4 +1,4 @@
-"""The findings as diagnosis.json: verdict, names with their confidence, rivals, parameters, what to measure next."""
+"""The findings as diagnosis.json: verdict, names with confidence, rivals, parameters, the next measurement."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from errpipe.domain.diagnosis import Finding, FoundParameter, HoldOutFigures, Re
 
 CLOSE = 4.0  # log Bayes factor below which a rival is listed as indistinguishable
 TIED = 1.1  # and (a likelihood ratio of 3) below which names in part share the confidence of their class by likelihood
-ALIKE = 0.97  # or share of the contribution that the rival's textbook form explains, above which it is listed too
-MOSTLY = 0.5  # share of the mismatch that is one offset per run, above which the report says so
+ALIKE = 0.97  # or share of the contribution that the rival's textbook form explains, above which it is listed, too
+MOSTLY = 0.5  # share of the mismatch that is one offset per run, above which the report states it
 MOST_NUMBERS = 4  # parameters in a sentence; of a wave the amplitudes of its strongest orders and the period
 REVERSED = (
     " Recorded and simulated values have opposite signs: one of the two columns counts the other way round. That is "
     "recalibrated first; check which of them is actual minus commanded."
 )
-AS_GOOD_AS_ONE = 0.3  # spread of the runs' datums, in noise rms, below which nothing is said of them
+AS_GOOD_AS_ONE = 0.3  # spread of the runs' datums, in noise rms, below which it is not reported
 UNSIZED = 0.6  # upper limit of the confidence of a finding whose size is not significant
-PREDICTED = 0.5  # of the mismatch left on held-out rows, up to which names predict well (a gantry's bed leaves 0.14)
-UNSURE = 0.75  # and of one that stands beside a gain far off (two things are said to be wrong, and other names may do
-# without one of them), or beside shapes that held-out rows prove, or that fewer than half of the folds find again
-SHAPED = 0.02  # of the whole held-out variance: what shapes predict beside names that are not sure then. Chosen on a
-# wind-up that stood for a withheld hysteresis (0.046) and a real gantry's bed, which is right (at most 0.004)
-UNPROVED = 0.45  # upper limit of the confidence of a finding that held-out rows do not bear out, or that noise may play
+PREDICTED = 0.5  # residual share of the held-out mismatch, up to which names predict well (a gantry's bed: 0.14)
+UNSURE = 0.75  # and of one with a gain far off (two errors are claimed, and other names may do
+# without one of them), with shapes that held-out rows confirm, or selected in fewer than half of the folds
+SHAPED = 0.02  # of the whole held-out variance: prediction of shapes beyond names that are then uncertain. Chosen on a
+# wind-up named instead of a withheld hysteresis (0.046) and a real gantry's bed, correctly named (at most 0.004)
+UNPROVED = 0.45  # upper limit of the confidence of a finding that held-out rows do not confirm, or that may be noise
 
 
 def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.ndarray]:
-    """One response of diagnosis.json, the findings' contributions on the judged rows, and the residual."""
+    """One response of diagnosis.json, the findings' contributions on the selected rows, and the residual."""
     before, after = case.y + 2.0 * case.simulated if case.pair.reversed else case.y, residual(case)
     case.held = held = case.held or holdout.held_out(case)
     indicators = [indicators_of(case, k, held) for k in range(len(case.explanation.accepted))]
@@ -91,18 +91,18 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
 def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.Indicators], after) -> list[float]:
     """Upper limits of the confidence of names. after: residual of the explanation, shape (rows,).
 
-    Noise that wanders, or another name beside a far-off gain, is as likely; predicted held-out rows speak against it.
+    Drifting noise, or another name with a far-off gain, is as likely, unless predicted held-out rows contradict.
     """
     slow = case.held.names > PREDICTED * case.held.before
     far = slow and gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes)
     left = (case.held.names / max(case.held.before, 1e-300)) ** 2
     b, twin = case.search.scene(case.chosen()).coefficients(), any(n.kind == "noise" for n in case.nuisances)
-    rows = gains.totals(case.nuisances, case.sizes)[1]  # a twin's gain is 1: further off, its noise wanders
+    rows = gains.totals(case.nuisances, case.sizes)[1]  # a repeated measurement has gains of 1, else its noise drifts
     wandering = only_steps(case) or (twin and np.abs(rows @ b[: rows.shape[1]]).max() > gains.FAR_OFF)
     most, shaped = [1.0] * len(made), case.held.shape_share() * min(left, 1.0) >= SHAPED
     for k, (m, s) in enumerate(zip(made, indicators, strict=True)):
         wanders = wandering or case.over_noise < 0.0 or (slow and s.wandering > s.gain)
-        beside = made[: k + 1]  # a gain, or beside one
+        beside = made[: k + 1]  # a gain, or a finding with one
         a_gain = case.of_a_twin or any(plausible.gain_of_a_part(case, other) for other in beside)
         if wanders or a_gain or plausible.only_a_wave_in_time(m, after):
             most[k] = UNPROVED
@@ -114,7 +114,7 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
 
 
 def _datums(case: Case) -> str:
-    """Sentence on the datums of single runs and their spread; '' where one is for all, or as good as one."""
+    """Sentence on the datums of single runs and their spread; '' if all runs share one, or nearly so."""
     values = own_datums(case, case.chosen())
     if values is None or _rms(values) < AS_GOOD_AS_ONE * case.sigma:
         return ""
@@ -125,7 +125,7 @@ def _datums(case: Case) -> str:
 
 
 def inputs(case: Case, r: ResponseDiagnosis) -> dict[str, np.ndarray]:
-    """Values, on the judged rows, of what drives the findings, of the axis positions and of time."""
+    """Values, on the selected rows, of the inputs of the findings, the axis positions and time."""
     names = [n for f in r.findings for n in f.drivers]
     names += [n for n in (case.recording.name("time"), *case.recording.names("position")) if n is not None]
     held = [n for n in dict.fromkeys(names) if n in case.recording.frame.columns]
@@ -157,7 +157,7 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
     margin = min(margin, max(case.over_noise, 0.0))
     others = [(f.index, f.size) for j, f in enumerate(accepted) if j != k]
     shaped, proved = case.remainder, held.shape_share() >= unnamed.HELD_OUT_SHARE
-    noise = not held.predicts_whole_runs()  # may what shapes reach be slow noise?
+    noise = not held.predicts_whole_runs()  # may the shapes' contribution be slow noise?
     step = np.diff(case.recording.time()[case.pair.rows])
     return confidence.Indicators(
         gain=accepted[k].gain,
@@ -178,9 +178,9 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
 
 
 def _best_shape(case: Case, chosen: list[tuple[int, float]], name: Hypothesis) -> float:
-    """Log Bayes factor of the best shape over an input beside these findings; 0 where there is none.
+    """Log Bayes factor of the best shape over an input given these findings; 0 if there is none.
 
-    A curve over the length cut is no rival of wear but its curve, which differs from tool to tool.
+    A curve over the length cut is not a rival of wear: it is the wear curve, which differs from tool to tool.
     """
     own = set(name.drivers) if name.terms[0].form == "any rate" else set()
     inputs = [k for k, s in enumerate(case.free_shapes) if s.of_inputs and not set(s.drivers) <= own]
@@ -191,11 +191,11 @@ def _best_shape(case: Case, chosen: list[tuple[int, float]], name: Hypothesis) -
 
 
 def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidence.Indicators]) -> Finding:
-    """One finding, with its rivals and the measurement that would separate them."""
+    """One finding, with its rivals and the measurement that would distinguish them."""
     accepted = case.explanation.accepted
     h = accepted[k].hypothesis
     rivals = sorted(case.search.rivals(accepted, k), key=lambda r: r[1])
-    own = {(f.hypothesis.effect, f.hypothesis.drivers) for f in accepted}  # the same effect by other columns is a rival
+    own = {(f.hypothesis.effect, f.hypothesis.drivers) for f in accepted}  # the same effect on other columns is a rival
     other = [r for r in rivals if r[0] != h.effect and (r[0], case.library.hypotheses[r[2]].drivers) not in own]
     every = [r for r in other if r[1] < CLOSE or _fitted_rival(case, made, r[2])[1] < 1 - ALIKE]
     close = every[:4]
@@ -236,7 +236,7 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
 
 
 def _fitted_rival(case: Case, made: model.Modelled, rival: int) -> tuple[tuple, float]:
-    """The rival's textbook form fitted to the finding's contribution, and the share of its variance that is left."""
+    """The rival's textbook form fitted to the finding's contribution, and the residual share of its variance."""
     core = case.library.block(rival, case.recording, case.pair.rows)[:, : case.library.cores[rival]]
     columns = np.column_stack([np.ones(core.shape[0]), core])
     b, *_ = np.linalg.lstsq(columns, made.contribution, rcond=None)
@@ -245,12 +245,12 @@ def _fitted_rival(case: Case, made: model.Modelled, rival: int) -> tuple[tuple, 
 
 
 def _verdict(case: Case, findings: list[Finding], p_unknown: float, nameless: bool) -> tuple[list[Finding], str]:
-    """Verdict; where a mechanism without a name is likelier than the names, `unknown` comes first."""
+    """Verdict; `unknown` comes first if an unnamed mechanism is likelier than the names."""
     recalibrated = needs_recalibration(case)
     surest = max((f.confidence for f in findings), default=0.0)
     doubtful = nameless or (unnamed.wanders(case) and 2.0 * surest < unnamed.PROVISIONAL)
     if findings and (p_unknown > confidence.UNKNOWN_FIRST or (doubtful and p_unknown >= unnamed.PROVISIONAL)):
-        named = [unnamed.capped(f, min(p_unknown, 1.0 - p_unknown)) for f in findings]  # what stands first is likelier
+        named = [unnamed.capped(f, min(p_unknown, 1.0 - p_unknown)) for f in findings]  # the first is the likelier
         return [unnamed.finding(case, p_unknown), *named, *_recalibration(case, recalibrated)], "unexplained"
     if findings:
         return [*findings, *_recalibration(case, recalibrated)], "missing_physics"
@@ -260,7 +260,7 @@ def _verdict(case: Case, findings: list[Finding], p_unknown: float, nameless: bo
 
 
 def _recalibration(case: Case, needed: bool) -> list[Finding]:
-    """The gains and the datum of the simulation, as a finding of their own."""
+    """The gains and the datum of the simulation, as a separate finding."""
     if not needed:
         return []
     scene = case.search.scene(case.chosen())
@@ -291,9 +291,9 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
 
 
 def _gains(case: Case, b: np.ndarray, covariance: np.ndarray) -> Iterator[tuple[Nuisance, float, float]]:
-    """(which, value, standard deviation) of each datum, and the gain less 1 of each effect that the simulation holds.
+    """(which, value, standard deviation) of each datum, and of the gain - 1 of each effect in the simulation.
 
-    An effect's gain is that of the whole with its own on top: of a signal of one effect, neither of the two is known.
+    An effect's gain is that of the whole plus its own: for a signal of one effect, the two cannot be separated.
     """
     held, rows = gains.totals(case.nuisances, case.sizes)
     own = [j for j, n in enumerate(case.nuisances) if n.is_datum]

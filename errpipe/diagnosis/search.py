@@ -11,21 +11,21 @@ from errpipe.diagnosis.evidence import Active, Data, Scene, textbook_penalty
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 
 MISSING = 10.0  # threshold: log Bayes factor of the first finding
-MORE = 10.0  # and for each further one
+MORE = 10.0  # and for each further finding
 MOST = 2  # largest number of findings; a third would mostly correct the textbook form of the other two
-SHARE_OF_FIRST = 0.03  # a further finding must bring this share of the first one's gain, for the same reason,
+SHARE_OF_FIRST = 0.03  # a further finding must reach this share of the first one's gain, for the same reason,
 MOST_PRICE = 25.0  # but never more than this
 SHORTLIST = 10  # first findings tried
-BETTER = 6.0  # log Bayes factor beside the others from which an effect replaces another
-AS_LIKELY = 4.0  # log Bayes factor by which a simpler effect may lose (generators, seeds 12201 to 14112), and
-TIED = 2.0  # one of fewer inputs and as many parameters
-MAX_EXCHANGES = 4  # effects tried in the place of each finding
-FINALISTS, MAX_LOSS = 4, 25.0  # explanations judged jointly at the end, and their largest log evidence below the best
+BETTER = 6.0  # log Bayes factor given the others from which an effect replaces another
+AS_LIKELY = 4.0  # log Bayes factor that a simpler effect may lose (generators, seeds 12201 to 14112), and
+TIED = 2.0  # one with fewer inputs and as many parameters
+MAX_EXCHANGES = 4  # effects tried in place of each finding
+FINALISTS, MAX_LOSS = 4, 25.0  # explanations compared jointly at the end, and their largest log evidence below the best
 
 
 @dataclass(frozen=True)
 class Accepted:
-    """One accepted hypothesis: size in noise rms, gain = its log Bayes factor beside the others."""
+    """One accepted hypothesis: size in noise rms, gain = its log Bayes factor given the others."""
 
     index: int
     hypothesis: Hypothesis
@@ -34,7 +34,7 @@ class Accepted:
 
 
 class Scores(NamedTuple):
-    """Log Bayes factors of candidates, and the sizes that fit best, shape (candidates,)."""
+    """Log Bayes factors of candidates, and best-fitting sizes, shape (candidates,)."""
 
     gain: np.ndarray
     size: np.ndarray
@@ -42,7 +42,7 @@ class Scores(NamedTuple):
 
 @dataclass(frozen=True)
 class Explanation:
-    """Accepted hypotheses, strongest first; every hypothesis' gain alone, shape (hypotheses,)."""
+    """Accepted hypotheses, strongest first; gain of every hypothesis alone, shape (hypotheses,)."""
 
     accepted: tuple[Accepted, ...]
     alone: np.ndarray
@@ -64,8 +64,8 @@ class Search:
     ):
         self.library, self.data, self.nuisance, self.sigma, self.prior = library, data, nuisance, sigma, prior
         self.most = MOST
-        self.weighed = True  # do priors know what rows are worth? Not those of gains that held-out rows have proved
-        self.rows = rows  # effective number of rows, where they are not independent
+        self.weighed = True  # do priors limit the gains? Not those that held-out rows have confirmed
+        self.rows = rows  # effective number of rows, if they are correlated
         self.threshold, self.threshold_more = threshold, threshold_more
 
     def explain(self, starts: int = SHORTLIST) -> Explanation:
@@ -89,7 +89,7 @@ class Search:
         return Explanation(self.accepted(best), alone)
 
     def exchanged(self, chosen: list[tuple[int, float]]) -> list[tuple[int, float]]:
-        """Exchange step: each finding is replaced by another effect while the joint evidence grows."""
+        """Exchange step: replace each finding by another effect while the joint evidence grows."""
         worth = self.joint(chosen)
         for _ in range(2):
             before = worth
@@ -104,24 +104,24 @@ class Search:
         return chosen
 
     def _improves(self, other: list[tuple[int, float]], chosen, place: int, worth: float) -> bool:
-        """Is the exchange better: clearly so beside the others, else in the joint evidence?"""
+        """Is the exchange better: clearly so given the others, else in the joint evidence?"""
         more = self._with_candidate(other, place) - self._with_candidate(chosen, place)
         return more > 0 if abs(more) > BETTER else self.joint(other) > worth + 0.1
 
     def _with_candidate(self, chosen: list[tuple[int, float]], place: int) -> float:
-        """Gain of one member beside all the others."""
+        """Gain of one member given all the others."""
         i = chosen[place][0]
         return float(self.score(chosen[:place] + chosen[place + 1 :], [i]).gain[0] + self.prior[i])
 
     def _instead(self, others: list[tuple[int, float]], given_up: int) -> list[tuple[int, float]]:
-        """The best hypotheses beside the others, each effect once, but the one given up."""
+        """The best hypotheses given the others, each effect once, except the dropped one."""
         scored, every = self.score(others), self.library.hypotheses
         taken = {every[i].effect for i, _ in others} | {every[given_up].effect}
         best = self.best_of_each(scored.gain + self.prior, MAX_EXCHANGES + len(taken), "effect")
         return [(i, float(scored.size[i])) for i in best if every[i].effect not in taken][:MAX_EXCHANGES]
 
     def accepted(self, chosen: list[tuple[int, float]]) -> tuple[Accepted, ...]:
-        """Findings of a set of hypotheses, strongest first."""
+        """The findings of a set of hypotheses, strongest first."""
         out = []
         for place, (i, _) in enumerate(chosen):
             s = self.score(chosen[:place] + chosen[place + 1 :], [i])
@@ -129,7 +129,7 @@ class Search:
         return tuple(sorted(out, key=lambda f: -f.gain))
 
     def rivals(self, accepted: tuple[Accepted, ...], k: int) -> list[tuple[str, float, int]]:
-        """Other effects in the place of finding k: (effect, log Bayes factor by which it loses, hypothesis)."""
+        """Other effects in place of finding k: (effect, log Bayes factor by which it loses, hypothesis)."""
         others = [(f.index, f.size) for j, f in enumerate(accepted) if j != k]
         gain = self.score(others).gain + self.prior
         firsts = self.best_of_each(gain, gain.size, "effect")
@@ -138,10 +138,10 @@ class Search:
         return [(e, own - g, i) for e, (g, i) in best.items()]
 
     def simplest(self, accepted: tuple[Accepted, ...]) -> tuple[Accepted, ...]:
-        """Findings with each exchanged for an effect of the same inputs that is simpler and as likely.
+        """The findings, each replaced by a simpler effect of the same inputs if that is as likely.
 
-        Linear coefficients are integrated over; non-linear parameters are the best of many and pay nothing. Of as
-        many parameters an effect of fewer inputs is simpler: a slope that no temperature moves is no expansion.
+        Linear coefficients are integrated over; non-linear parameters are the best of many without penalty. With as
+        many parameters, an effect of fewer inputs is simpler: a slope independent of temperature is no expansion.
         """
         for k, f in enumerate(accepted):
             taken, h = {g.hypothesis.effect for g in accepted}, f.hypothesis
@@ -156,11 +156,11 @@ class Search:
         return accepted
 
     def evidence(self, chosen: list[tuple[int, float]]) -> float:
-        """Log evidence of the nuisances' priors with these hypotheses in place, up to a constant."""
+        """Log evidence of the nuisances' priors with these hypotheses included, up to a constant."""
         return self.scene(chosen).evidence(self.rows) + sum(float(self.prior[i]) for i, _ in chosen)
 
     def joint(self, chosen: list[tuple[int, float]]) -> float:
-        """Log Bayes factor of a whole explanation less what findings cost, whichever of them is taken first."""
+        """Log Bayes factor of a whole explanation minus the cost of its findings, in the most favourable order."""
         orders = [chosen, chosen[::-1]] if len(chosen) > 1 else [chosen]
         return float(np.mean([self._in_order(order) for order in orders]))
 
@@ -172,7 +172,7 @@ class Search:
         return total
 
     def _price(self, total: float) -> float:
-        """Threshold on the log Bayes factor of a further finding beside findings that total `total`."""
+        """Threshold on the log Bayes factor of a further finding, given findings that total `total`."""
         return min(self.threshold_more + SHARE_OF_FIRST * max(total, 0.0), MOST_PRICE)
 
     def active(self, chosen: list[tuple[int, float]]) -> Active:
@@ -185,15 +185,15 @@ class Search:
 
     @property
     def noise(self) -> float:
-        """Noise rms for the priors, scaled up where the effective number of rows is smaller."""
+        """Noise rms for the priors, scaled up if the effective number of rows is smaller."""
         return self.sigma * float(np.sqrt(self.data.n / self.rows)) if self.rows and self.weighed else self.sigma
 
     def scene(self, chosen: list[tuple[int, float]]) -> Scene:
-        """The response with these hypotheses in place."""
+        """The response with these hypotheses included."""
         return Scene(self.data, self.active(chosen), self.noise)
 
     def score(self, chosen: list[tuple[int, float]], candidates: list[int] | None = None) -> Scores:
-        """What each candidate (None: every hypothesis) would add: gains and sizes."""
+        """Gain and size of each candidate (None: every hypothesis) if added."""
         scene, listed = self.scene(chosen), self.library.listed
         which = listed.every if candidates is None else np.array(candidates)
         gain, size, core = scene.scores(listed, which, self.rows)
@@ -231,7 +231,7 @@ class Search:
         return chosen, total
 
     def tune(self, chosen: list[tuple[int, float]]) -> list[tuple[int, float]]:
-        """Each member moves to the best point of its own grid beside the others."""
+        """Move each member to the best point of its own grid, given the others."""
         chosen = list(chosen)
         for _ in range(2):
             before = [i for i, _ in chosen]

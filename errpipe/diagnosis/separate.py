@@ -1,4 +1,4 @@
-"""Model discrimination: the next measurement, under whose conditions two rivals' fitted models differ most."""
+"""Model discrimination: the next measurement in which the predictions of two rivals differ most."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import pandas as pd
 from errpipe.diagnosis.hypotheses import Hypothesis
 from errpipe.domain.recording import Recording
 
-STEPS = 240  # moments of a proposed experiment at which rivals are compared
+STEPS = 240  # points of a proposed experiment at which rivals are compared
 REVERSALS = (0.002, 0.005, 0.01, 0.03, 0.1, 0.3, 1.0)  # mm
 SURE = 3.0  # standard errors by which the predictions of two rivals must differ
-MOST_READINGS = 20000  # about a shift at one reading per second; a longer measurement is not proposed
+MOST_READINGS = 20000  # about one shift at one reading per second; a longer measurement is not proposed
 
 
 def would_separate(
@@ -21,9 +21,9 @@ def would_separate(
     noise: float,
     unit: str,
 ) -> str:
-    """A sentence: the extra measurement in which two fitted hypotheses differ most, and by how much.
+    """A sentence: the additional measurement in which two fitted hypotheses differ most, and by how much.
 
-    first, second: a hypothesis and the coefficients of its core columns, each.
+    first, second: each a hypothesis and the coefficients of its core columns.
     """
     best = (0.0, "")
     for what, trial in _hypothetical_recordings(recording, (*first[0].drivers, *second[0].drivers)):
@@ -37,7 +37,7 @@ def would_separate(
         return ""
     readings = int(np.ceil((SURE * noise / best[0]) ** 2))
     if readings > MOST_READINGS:
-        return f"{best[1]}; though on this machine even then the two predict the same within the noise"
+        return f"{best[1]}; but on this machine their predictions agree within the noise even then"
     enough = "a few readings" if readings < 10 else f"about {float(f'{readings:.1g}'):.0f} readings"
     return f"{best[1]}; the two then differ by {2 * best[0]:.2g} {unit} ({enough} at a noise of {noise:.2g} {unit})"
 
@@ -96,7 +96,7 @@ def _short_reversals(recording: Recording, rest: pd.DataFrame, axis: str | None)
     place, side = recording.name("position", axis=axis), recording.name("direction", axis=axis)
     if place is None or side is None:
         return None
-    d = np.where(np.arange(STEPS) % 2, 1.0, -1.0)  # the way of the move that ends at each row
+    d = np.where(np.arange(STEPS) % 2, 1.0, -1.0)  # direction of the move that ends at each row
     d[0] = 1.0
     x = np.cumsum(d * np.r_[0.0, np.resize(REVERSALS, STEPS - 1)])
     return Recording(recording.manifest, rest.assign(**{place: rest[place] + x, side: d}))

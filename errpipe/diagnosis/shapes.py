@@ -1,4 +1,4 @@
-"""Nonparametric shapes: smooth in a column or in time, per run, or a surface, for what no effect explains.
+"""Nonparametric shapes: smooth in a column or in time, per run, or a surface, for what no known effect explains.
 
 They compete with named effects: a shape that explains the residual of a finding lowers its confidence.
 """
@@ -21,18 +21,18 @@ WANDERING = ("time", "runs", "slope in time", "slope of each run")  # kinds over
 TIME_WAVES = 40  # cosines over the recording: down to a fortieth of half its length
 PLACE_WAVES = 24  # cosines over an axis
 SMOOTH = 8  # cosines over any other column
-BY_SIDE = 4  # cosines over an input of what turns with the direction
+BY_SIDE = 4  # cosines over an input of a shape that changes sign with the direction
 SLOW = ("temperature", "pressure", "humidity", "spindle_speed", "feed", "coolant", "load", "force")
 ROLES = (*SLOW, "overhang", "depth_of_cut", "cut_length", "velocity", "acceleration")
 LAGS = (1 / 60, 1 / 20, 1 / 6)  # of the longest session: time constants of lagged inputs
-MOST_PRODUCTS = 8  # inputs whose products are tried in pairs, and with the place on an axis
-DECAYS = (0.01, 0.03, 0.1, 0.3)  # of the longest session: time constants of what comes anew with each run
-LEAST_STARTS = 3  # runs from which that is more than a wandering reading
+MOST_PRODUCTS = 8  # inputs whose products are tried in pairs, and with the position on an axis
+DECAYS = (0.01, 0.03, 0.1, 0.3)  # of the longest session: time constants of a decay that restarts with each run
+LEAST_STARTS = 3  # runs needed to distinguish that from a drifting reading
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A data-driven shape: what it is smooth in, its columns (rows, k) and their freedoms."""
+    """A data-driven shape: the inputs it is smooth in, its columns (rows, k) and their freedoms."""
 
     kind: str
     drivers: tuple[str, ...]
@@ -41,12 +41,12 @@ class Shape:
 
     @property
     def of_inputs(self) -> bool:
-        """Is it a shape over inputs? Slow noise looks like a shape over time or runs alone."""
+        """Is it a shape over inputs? Slow noise resembles a shape over time or runs only."""
         return self.kind not in WANDERING
 
 
 def shapes(recording: Recording, component: str, rows: np.ndarray) -> list[Shape]:
-    """All shapes for a response on its rows, columns of unit rms; those of responses on the same rows are the same."""
+    """All shapes for a response on its rows, columns of unit rms; responses on the same rows share them."""
     name = component == "E_R", rows.tobytes()
     kept, made = recording.derived.get("shapes", (None, []))
     out: list[Shape] = made if kept == name else []
@@ -55,7 +55,7 @@ def shapes(recording: Recording, component: str, rows: np.ndarray) -> list[Shape
         keep = rms > 1e-9
         if keep.sum() >= 1:
             out.append(Shape(kind, drivers, columns[:, keep] / rms[keep], freedom[keep]))
-    recording.derived["shapes"] = name, out  # of the last rows alone: they are 60 MB
+    recording.derived["shapes"] = name, out  # cached for the latest rows only: they take 60 MB
     return out
 
 
@@ -68,7 +68,7 @@ def _waves(u: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _since_start(recording: Recording, rows: np.ndarray) -> Iterator[tuple]:
-    """Decays that come anew with each run and are the same in all: a gauge or a slide that settles."""
+    """Decays that restart with each run and are equal in all: a gauge or a slide that settles."""
     run, clock = recording.name("run"), recording.name("time")
     if run is None or clock is None:
         return

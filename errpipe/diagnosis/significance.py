@@ -1,13 +1,13 @@
 """Surrogate test: the whole search is repeated on surrogate signals without any effect.
 
-A surrogate is the residual of the other findings and the recalibration, resampled so that no input can explain it,
-while neighbouring rows stay together: half of the surrogates by random signs (of whole runs where
-there are enough, else of blocks), half by blocks drawn again from anywhere (moving-block bootstrap). Each is searched
-with every hypothesis at every point of its grid of non-linear parameters, and the best gain is kept: the p value
+A surrogate is the residual of the other findings and the recalibration, resampled so that no input can explain it
+while neighbouring rows stay together: half of the surrogates by random signs (of whole runs if
+there are enough, else of blocks), half by blocks resampled from anywhere (moving-block bootstrap). Each is searched
+with every hypothesis at every point of its grid of non-linear parameters, and the best gain is recorded: the p value
 is thereby corrected for multiple comparisons. Only products with the surrogates are new; those among the columns are
-the search's own.
+reused from the search.
 
-The p value is reported beside the confidence and does not enter it.
+The p value is reported with the confidence and does not enter it.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from errpipe.diagnosis.case import Case
 from errpipe.diagnosis.coloured import correlation_time
 from errpipe.diagnosis.evidence import Scene, averaged, with_known_size
 
-SURROGATES = 99  # shuffled copies: the smallest probability that they can show is 0.01
+SURROGATES = 99  # surrogates; the smallest resolvable probability is 0.01
 ENOUGH_RUNS = 10  # fewer runs give too few combinations of signs
 LEAST_BLOCK = 8  # rows: correlation length of the noise
-FEWEST_BLOCKS = 12  # blocks that are permuted: fewer give too few orders
+FEWEST_BLOCKS = 12  # blocks that are permuted: fewer give too few permutations
 
 
 @dataclass(frozen=True)
 class Chance:
-    """p of the search's best gain (1 + surrogates as good) / (1 + surrogates); the gains; how surrogates were made.
+    """p of the search's best gain, (1 + surrogates as good) / (1 + surrogates); the gains; how surrogates were made.
 
-    limit: the gain that 95 % of the surrogates stay below; rows: effective number of rows; best: each surrogate's gain.
+    limit: 95th percentile of the surrogates' gains; rows: effective number of rows; best: each surrogate's gain.
     """
 
     p: float
@@ -42,9 +42,9 @@ class Chance:
 
 
 def chance(case: Case, k: int | None = None, surrogates: int = SURROGATES, whole: Chance | None = None) -> Chance:
-    """Significance of finding k beside the others; without k, of the best gain that the search saw at all.
+    """Significance of finding k given the others; without k, of the best gain of the whole search.
 
-    whole: the latter, where it is known: beside no others its surrogates are those of finding k, too.
+    whole: the latter, if known: with no other findings its surrogates are also those of finding k.
     """
     accepted = case.explanation.accepted
     others = [(f.index, f.size) for j, f in enumerate(accepted) if j != k] if k is not None else []
@@ -65,7 +65,7 @@ def _p(best: np.ndarray, gain: float) -> float:
 
 
 def surrogate_signals(left: np.ndarray, run: np.ndarray, block: int, count: int) -> tuple[np.ndarray, str]:
-    """Signals (rows, count) that keep the neighbourhoods of `left` and nothing else, and how they were made."""
+    """Signals (rows, count) that preserve only the short-range correlation of `left`, and how they were made."""
     rng = np.random.default_rng(0)
     n = left.size
     codes, inside = np.unique(run, return_inverse=True)
@@ -86,7 +86,7 @@ def surrogate_signals(left: np.ndarray, run: np.ndarray, block: int, count: int)
 
 
 def best_gains(case: Case, scene: Scene, signals: np.ndarray) -> np.ndarray:
-    """The best gain of the whole library on each whitened signal (rows, count), beside the scene's active columns."""
+    """The best gain of the whole library on each whitened signal (rows, count), given the scene's active columns."""
     library, table, active = case.library, scene.table, scene.active.index
     products = table.W.T @ signals
     half = np.linalg.solve(scene.chol, products[active])

@@ -1,15 +1,15 @@
-"""Long logs thinned before they are judged, by a rule that looks at inputs and the clock, never at the mismatch.
+"""Thinning of long logs before diagnosis, by a rule that uses inputs and the clock, never the mismatch.
 
-Judged are whole stretches of neighbouring rows at the log's own rate: one at a random place in each of equal parts of
-the log (stratified random sampling), and for a fast log as many where axes turn round. A row keeps its own values of
-all columns, so nothing is averaged, filtered or aliased: a wave over position or an effect of speed shows in these rows
-down to the log's own step. What thinning costs is power, and rare events between the stretches.
+Selected are whole stretches of neighbouring rows at the original rate: one at a random place in each of equal parts of
+the log (stratified random sampling), and for a fast log as many around reversals. A row keeps its own values in
+all columns, so nothing is averaged, filtered or aliased: a wave over position or an effect of speed remains visible
+down to the row spacing. The cost of thinning is power, and rare events between the stretches.
 
-Rows between stretches stay as context: one at a random place in each block and every row where an axis turns, with no
-response, so that lags, sides and distances run on. Temperatures are block means.
+Rows between stretches provide context: one at a random place in each block and every row at a reversal, with no
+response, so that lags, directions and distances are continuous. Temperatures are block means.
 
-Rare events are looked for in every row of the mismatch (`events`), and fast lines in the spectrum of all rows
-(`lines`); both are reported, not judged.
+Rare events are searched for in every row of the mismatch (`events`), and spectral lines in all rows
+(`lines`); both are reported, but are not findings.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from errpipe.drivers.motion import axes, direction, position
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 
-MOST_ROWS = 100_000  # a log up to this long is judged as it is
+MOST_ROWS = 100_000  # a log up to this length is not thinned
 FAST = 0.1  # s; rows closer than this are a trace of motion
-JUDGED_FAST, JUDGED_SLOW = 20_000, 4_000  # rows judged, as many as of a shorter recording (`prepare`)
+JUDGED_FAST, JUDGED_SLOW = 20_000, 4_000  # selected rows, as many as of a shorter recording (`prepare`)
 STRETCH = 250  # neighbouring rows of a fast log: about 30 correlation lengths of the noise
 CONTEXT = 5_000  # blocks between stretches
-MOST_TURNS = 8_000  # rows kept because an axis turns there
-TURN = 1e-3  # of an axis' range: a shorter return is no reversal
-WIDTHS = (1, 4, 16, 64, 256, 1024)  # rows over which means are looked at for events
+MOST_TURNS = 8_000  # rows kept because the axis reverses there
+TURN = 1e-3  # of an axis' range: a shorter return is not a reversal
+WIDTHS = (1, 4, 16, 64, 256, 1024)  # rows over which means are tested for events
 EVENT = 7.0  # robust standard deviations: below one false event in 10^9 means of Gaussian noise
 RARE = 0.005  # largest share of outlying means that count as events instead of noise
-LINE = 30.0  # times the level around it; the largest of a million noise powers stays below 14 times their mean
+LINE = 30.0  # times the local level; the largest of a million noise powers stays below 14 times their mean
 MIN_LINE = 0.05  # amplitude of a line, in robust standard deviations of the mismatch; smaller ones are not reported
 MOST_LINES, SLOWEST = 3, 50  # lines reported; periods within the log below which a line is a drift
-PLACES = 64  # over each axis, whose means by direction are taken off before lines are looked for
+PLACES = 64  # bins over each axis, whose means by direction are removed before lines are searched for
 
 
 @dataclass(frozen=True)
 class Thinned:
-    """The shorter recording, what was done in words, and which rows of the whole it holds."""
+    """The thinned recording, a description of what was done, and the selected rows of the original."""
 
     recording: Recording
     notes: tuple[str, ...]
@@ -50,7 +50,7 @@ class Thinned:
 
 
 def thinned(recording: Recording, seed: int = 0) -> Thinned:
-    """A recording of at most some 40,000 rows; the same one where it is short. Equal input gives equal rows."""
+    """A recording of at most about 40,000 rows; a short one is returned unchanged. Equal input gives equal rows."""
     n = len(recording)
     if n <= MOST_ROWS:
         return Thinned(recording, (), np.arange(n))
@@ -77,7 +77,7 @@ def thinned(recording: Recording, seed: int = 0) -> Thinned:
 
 
 def _judged(n: int, fast: bool, turns: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Mask of the judged rows: stratified over the log, and around reversals."""
+    """Mask of the selected rows: stratified over the log, and around reversals."""
     length, count = (STRETCH, JUDGED_FAST) if fast else (1, JUDGED_SLOW)
     around = min(turns.size, count // (2 * length)) if fast else 0
     stretches = count // length - around
@@ -93,7 +93,7 @@ def _judged(n: int, fast: bool, turns: np.ndarray, rng: np.random.Generator) -> 
 
 
 def _turns(recording: Recording) -> np.ndarray:
-    """Rows at reversals of an axis, from its position alone."""
+    """Rows at reversals of an axis, determined from its position alone."""
     out = [np.zeros(0, dtype=int)]
     for kind in ("linear", "rotary"):
         for axis in axes(recording, kind):
@@ -105,7 +105,7 @@ def _turns(recording: Recording) -> np.ndarray:
 
 
 def _settled(recording: Recording, fast: bool) -> dict[str, np.ndarray]:
-    """Columns that are estimated better from all rows: slow sensors as block means, speeds from positions."""
+    """Columns that all rows estimate better: slow sensors as block means, speeds from positions."""
     out: dict[str, np.ndarray] = {}
     run, n = recording.run_codes(), len(recording)
     block = np.arange(n) * CONTEXT // n + CONTEXT * run.astype(np.int64)
@@ -127,7 +127,7 @@ def _settled(recording: Recording, fast: bool) -> dict[str, np.ndarray]:
 
 
 def _rule(n: int, judged: np.ndarray, usual: float, fast: bool) -> str:
-    """What was done, in words."""
+    """Description of what was done."""
     count = int(judged.sum())
     if not fast:
         return (
@@ -146,7 +146,7 @@ def _rule(n: int, judged: np.ndarray, usual: float, fast: bool) -> str:
 
 
 def _screens(recording: Recording, turns: np.ndarray, usual: float) -> list[str]:
-    """Rare events and spectral lines of the mismatch in all rows, response by response, in words."""
+    """Description of rare events and spectral lines of the mismatch in all rows, by response."""
     out = []
     for error in recording.names("error"):
         component = str(recording.manifest.columns[error].component)
@@ -171,7 +171,7 @@ def _screens(recording: Recording, turns: np.ndarray, usual: float) -> list[str]
 
 @dataclass(frozen=True)
 class Events:
-    """Rows at which rare events stand, their median height, and over how many rows the means were taken."""
+    """Rows of rare events, their median height, and the number of rows averaged."""
 
     rows: np.ndarray
     height: float
@@ -179,7 +179,7 @@ class Events:
 
 
 def events(mismatch: np.ndarray) -> Events | None:
-    """Outlying means over 1 to 1024 rows whose neighbours agree: a step is no event.
+    """Outlying means over 1 to 1024 rows whose neighbours agree: a step is not an event.
 
     The width with the largest ratio to the robust spread is reported.
     """
@@ -198,7 +198,7 @@ def events(mismatch: np.ndarray) -> Events | None:
 
 
 def _outlying_means(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Places far from the median of their six neighbours, the distances from it, (n,), and their robust spread."""
+    """Distances from the median of the six neighbours, (n,): rows far from it, all distances, their robust spread."""
     gap, spread = beside_neighbours(values)
     scale = 1.4826 * float(np.nanmedian(np.abs(gap))) + 1e-300
     gap[:3] = gap[-3:] = 0.0  # too few neighbours
@@ -206,7 +206,7 @@ def _outlying_means(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def _events_text(spikes: Events, t: np.ndarray, turns: np.ndarray, usual: float, unit: str) -> str:
-    """Events in words: how many, how high, how often, and whether where axes turn."""
+    """Description of events: number, height, frequency, and whether they occur at reversals."""
     at = t[spikes.rows]
     intervals = np.diff(at)
     often = ""
@@ -226,9 +226,9 @@ def _events_text(spikes: Events, t: np.ndarray, turns: np.ndarray, usual: float,
 
 
 def _without_motion(recording: Recording, mismatch: np.ndarray) -> np.ndarray:
-    """The mismatch less its means by place and direction, and less what goes with speed.
+    """The mismatch minus its means by position and direction, and minus its correlation with speed.
 
-    Reciprocating motion has spectral lines of its own.
+    Reciprocating motion would otherwise add its own spectral lines.
     """
     known = np.isfinite(mismatch)
     places, speeds = [], []
@@ -241,7 +241,7 @@ def _without_motion(recording: Recording, mismatch: np.ndarray) -> np.ndarray:
         speeds.append(np.nan_to_num(recording.array(name)))
 
     def within(values: np.ndarray) -> np.ndarray:
-        """Less its mean, and the means of each place."""
+        """Values minus their mean, and minus the mean of each bin."""
         residual = values - np.mean(values[known])
         for place in places * (1 if len(places) == 1 else 3):
             count = np.maximum(np.bincount(place[known], minlength=2 * PLACES), 1)
@@ -256,9 +256,9 @@ def _without_motion(recording: Recording, mismatch: np.ndarray) -> np.ndarray:
 
 
 def lines(mismatch: np.ndarray, usual: float) -> list[tuple[float, float]]:
-    """Strongest lines of the mismatch' spectrum, from SLOWEST periods in the log on: frequency in Hz and amplitude.
+    """Strongest lines of the mismatch's spectrum, from SLOWEST periods in the log on: frequency in Hz and amplitude.
 
-    Gaps are bridged. A line stands out of the noise around it and holds a share of the whole.
+    Gaps are interpolated. A line exceeds the noise around it and has a minimum share of the whole.
     """
     known = np.isfinite(mismatch)
     values = np.interp(np.arange(mismatch.size), np.flatnonzero(known), mismatch[known])

@@ -1,7 +1,7 @@
 """Units of a finding's parameters: terms state um over mm; responses may be angles or forces, axes may turn.
 
-A term's unit is read as text: its numerator `um` stands for the response's unit, a length below the line for the
-unit of the axis. A unit that is impossible on an axis (um/m on a rotary one) is never returned.
+A term's unit is parsed as text: its numerator `um` is replaced by the response's unit, a length in the denominator by
+the unit of the axis. A unit that is impossible on an axis (um/m on a rotary one) is never returned.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import is_rotary
 from errpipe.terms import Term
 
-PER_DEGREE = (  # unit on a linear axis, unit on a rotary one, and what a value is multiplied with
+PER_DEGREE = (  # unit on a linear axis, unit on a rotary one, and the factor for the value
     ("/(m/s2)", "/(deg/s2)", 1e-3),
     (" s/m", " s/deg", 1e-3),
     ("/m", "/deg", 1e-3),
@@ -27,7 +27,7 @@ def on_rotary_axis(term: Term, recording: Recording) -> bool:
 
 
 def reported(unit: str, response: str, rotary: bool) -> tuple[str, float]:
-    """The unit in which a parameter of a term is reported, and what its value is multiplied with."""
+    """The unit in which a parameter of a term is reported, and the factor for its value."""
     factor = 1.0
     if rotary and unit == "kg":
         return INERTIA.get(response, ("N/(deg/s2)", 1e-3))

@@ -1,4 +1,4 @@
-"""The finding `unknown`: how likely a mechanism outside the vocabulary is, and what is said of it."""
+"""The finding `unknown`: the probability of a mechanism outside the library, and its sentence."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from errpipe.domain.diagnosis import Finding
 HELD_OUT_SHARE = 0.1  # threshold: share of the held-out variance beyond the names that shapes over inputs must predict
 NOTICEABLE = 0.05  # and of that without names: real parts depart from the textbook by a few per cent
 PROVISIONAL = 0.4  # upper limit of the confidence of `unknown` below that threshold,
-NOISE = 0.2  # and where what is left is a linear Gaussian process
-TEXTBOOK = 0.7  # threshold: share of what names predict on held-out rows that their textbook forms predict, and
-ALONE = 0.5  # of the first one's log Bayes factor that its textbook form has at parameters of its own; below both the
+NOISE = 0.2  # and if the residual is a linear Gaussian process
+TEXTBOOK = 0.7  # threshold: share of the names' held-out prediction that their textbook forms provide, and
+ALONE = 0.5  # of the first one's log Bayes factor that its textbook form reaches alone; if both are lower, the
 # form is another's (chosen on trials/first 9535, 9561, 9801, 12201, 13121, second 9536, 9562, 9802, 13122: of 113 none)
-UNSTABLE = -1.0  # a textbook form that harms held-out rows by more than names help was not fitted by the others
-DEPARTED = 0.7  # confidence of `unknown` there
-SMALLER = 0.75  # threshold: rms on held-out rows over that without names, from which names are unproved
+UNSTABLE = -1.0  # a textbook form that harms held-out rows by more than names help was not fitted with the others
+DEPARTED = 0.7  # confidence of `unknown` in that case
+SMALLER = 0.75  # threshold: rms on held-out rows over that without names, from which names are unconfirmed
 UNLIKELY = 0.08  # threshold: confidence of the surest name, below which `unknown` comes first (chosen on first 6103 and
 # 6106, second 6104 and 6105)
-UNLIKELY_IN_PART = 0.5  # and of names in a part that is one of many (chosen on first 42103, 43102, second 42101, 42102,
+UNLIKELY_IN_PART = 0.5  # the same for partial names, which are numerous (chosen on first 42103, 43102, second 42101, 42102,
 # 42104, 43101, 51101, 51102: false ones have 0.15 to 0.47, right ones 0.66 or more)
-WANDERING = 1.5  # threshold: rms of the residual over the noise between neighbours, from which it wanders
+WANDERING = 1.5  # threshold: rms of the residual over the noise between neighbours, from which it drifts
 FAR = 2.0  # and from which names that hardly reduce it explain nothing
-SLOW_SHARE = 1.2  # rms of noise with its slow share over second differences, which miss that share
-UNREACHED = 0.25  # threshold: share of the variance beyond the noise between neighbours, and beside that of the names,
-# that they leave, from which `unknown` comes first: wandering noise beside an effect of twice its size leaves a fifth
+SLOW_SHARE = 1.2  # rms of noise with its slow share over second differences, which do not include that share
+UNREACHED = 0.25  # threshold: share of the variance beyond the noise between neighbours, and beyond that of the names,
+# from which `unknown` comes first: drifting noise with an effect of twice its size leaves a fifth
 
 
 def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.HeldOut) -> float:
-    """Chance that a mechanism outside the vocabulary is at work; PROVISIONAL where held-out rows do not show it.
+    """Probability of a mechanism outside the library; PROVISIONAL if held-out rows do not confirm it.
 
-    Autocorrelated residuals alone (a drift, heavy tails, steps, a coarse reading) are no mechanism: shapes over inputs
-    must predict held-out rows, or what is left must come in events or in a rhythm.
+    Autocorrelated residuals alone (a drift, heavy tails, steps, coarse resolution) are no mechanism: shapes over inputs
+    must predict held-out rows, or the residual must consist of events or a rhythm.
     """
     if rounded(case):
         return 0.0
@@ -58,7 +58,7 @@ def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.He
 
 
 def with_shapes(case: Case) -> tuple[np.ndarray, np.ndarray]:
-    """Contribution of the shapes without a name on the judged rows, and the residual of findings and shapes."""
+    """Contribution of the unnamed shapes on the selected rows, and the residual of findings and shapes."""
     shapes = np.column_stack([case.free_shapes[k].columns for k in case.remainder.taken])
     named = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
     b = Scene(case.search.data, case.remainder.active, case.search.noise).coefficients()
@@ -67,22 +67,22 @@ def with_shapes(case: Case) -> tuple[np.ndarray, np.ndarray]:
 
 
 def named_rms(case: Case) -> float:
-    """rms of what the names hold together, on the judged rows."""
+    """rms of the joint contribution of the names, on the selected rows."""
     blocks = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
     b = case.search.scene(case.chosen()).coefficients()[case.recal.shape[1] :]
     return float(np.std(np.column_stack(blocks) @ b))
 
 
 def is_noise(case: Case) -> bool:
-    """Is what is left a linear Gaussian process, from run to run as within runs?"""
+    """Is the residual a linear Gaussian process, from run to run as well as within runs?"""
     left, t = residual(case), case.recording.time()[case.pair.rows]
     return is_linear_noise(left, case.run) and not levels_jump(left, case.run, t)
 
 
 def shapes_are_noise(case: Case) -> bool:
-    """Does a linear process account for what the shapes do, the strongest of them one over time or runs?
+    """Does a linear process explain as much as the shapes, the strongest of which is one over time or runs?
 
-    Slow inputs then follow a random walk between held-out rows.
+    Slow inputs then behave as a random walk between held-out rows.
     """
     if not case.remainder.shapes or case.remainder.shapes[0][0].of_inputs:
         return False
@@ -93,16 +93,16 @@ def shapes_are_noise(case: Case) -> bool:
 
 
 def wanders(case: Case) -> bool:
-    """Does what is left wander, slowly and far beyond the noise between neighbours?"""
+    """Does the residual drift slowly, far beyond the noise between neighbours?"""
     own = case.library.table.colour
     return own != USUAL and own.share > 0.5 and float(np.std(residual(case))) > WANDERING * case.noise_estimate
 
 
 def unexplained(case: Case, held: holdout.HeldOut) -> bool:
-    """Do names leave too much that is no noise?
+    """Do names leave a large residual that is not noise?
 
     They hardly reduce held-out rows of the same runs, which lie far beyond the noise between neighbours; or shapes
-    over inputs predict held-out rows beside them; or what they leave is a large share and comes in events or a rhythm.
+    over inputs predict held-out rows better; or a large share of the residual consists of events or a rhythm.
     """
     if not case.explanation.accepted:
         return False
@@ -111,10 +111,10 @@ def unexplained(case: Case, held: holdout.HeldOut) -> bool:
 
 
 def _rhythm_remains(case: Case, held: holdout.HeldOut) -> bool:
-    """Do names leave a large share that comes in events or a rhythm, beside what they hold themselves as well?
+    """Do names leave a large share of events or of a rhythm, also compared with their own contribution?
 
-    Tools that wear at rates of their own leave events, and yet runs that were held out whole bear the name out. Real
-    noise comes in events, too, and may be far above that between neighbours.
+    Tools that wear at individual rates leave events, and yet held-out whole runs confirm the name. Real
+    noise also contains events, and may be far above that between neighbours.
     """
     if unexplained_share(case) <= UNREACHED or held.predicts_whole_runs() or is_noise(case):
         return False
@@ -122,12 +122,12 @@ def _rhythm_remains(case: Case, held: holdout.HeldOut) -> bool:
 
 
 def proved(case: Case, held: holdout.HeldOut) -> bool:
-    """Do shapes over inputs predict held-out rows beside the names, and more than slow noise would give them?"""
+    """Do shapes over inputs predict held-out rows beyond the names, and better than for slow noise?"""
     return held.shape_share() >= HELD_OUT_SHARE and not (is_noise(case) and shapes_are_noise(case))
 
 
 def unnamed_structure(case: Case, held: holdout.HeldOut) -> bool:
-    """Are those shapes a mechanism beside names that come again in most folds, or only what a fold's names missed?"""
+    """Are those shapes a mechanism besides names confirmed in most folds, or only what the names of a fold missed?"""
     accepted, least = case.explanation.accepted, HELD_OUT_SHARE if case.remainder.shapes else UNREACHED
     if not accepted or min(held.agreement) < holdout.AGAIN or held.shape_share() < least:
         return False
@@ -138,24 +138,24 @@ def unnamed_structure(case: Case, held: holdout.HeldOut) -> bool:
 
 
 def unexplained_share(case: Case) -> float:
-    """Share of the structured variance that names leave, beyond the noise between neighbours and the rounding."""
+    """Share of the structured variance in the residual of the names, beyond noise between neighbours and rounding."""
     noise = SLOW_SHARE * max(case.noise_estimate, rounding(case.recording.array(case.pair.error)[case.pair.rows]))
     beyond = case.search.scene([]).rms() ** 2 - noise**2
     return float(np.clip((case.sigma**2 - noise**2) / beyond, 0.0, 1.0)) if beyond > 0 else 0.0
 
 
 def unlikely(case: Case, findings: list[Finding]) -> bool:
-    """Is no name likely enough to stand before `unknown`? Stretches and unions of three or more runs are many."""
+    """Is every name too unlikely to precede `unknown`? Stretches and unions of three or more runs are many."""
     masks = [f.hypothesis.mask for f in case.explanation.accepted]
     among_many = all(mask and (mask[0] == "range" or len(mask[1]) > 2) for mask in masks)
     return max(f.sure() for f in findings) < (UNLIKELY_IN_PART if among_many else UNLIKELY)
 
 
 def confirmed_by_held_out(case: Case, held: holdout.HeldOut) -> bool:
-    """Do names reduce what held-out rows show beyond the noise between neighbours, and as much as they promise?
+    """Do names reduce the held-out residual beyond the noise between neighbours, as much as they promise?
 
-    In a long log an effect may be smaller than the noise of a single row. A recalibration alone reduces it, too: beside
-    one, names must bring held-out rows the log likelihood that their log Bayes factor speaks of.
+    In a long log an effect may be smaller than the noise of a single row. A recalibration alone also reduces it: with
+    one, names must improve the log likelihood of held-out rows as their log Bayes factor predicts.
     """
     beyond = [max(rms**2 - case.noise_estimate**2, 0.0) for rms in (held.after, held.before)]
     promised = max((f.gain for f in case.explanation.accepted), default=0.0)
@@ -164,11 +164,11 @@ def confirmed_by_held_out(case: Case, held: holdout.HeldOut) -> bool:
 
 
 def departs(case: Case, held: holdout.HeldOut) -> bool:
-    """Do departures from the textbook forms predict held-out rows as a shape without a name must?
+    """Do departures from the textbook forms predict held-out rows as an unnamed shape must?
 
-    Real parts differ from the textbook by a few per cent of the variance; beyond, the form is another mechanism's. The
-    decay of a state that a body brought along is part of its form, and so are any shape of a guideway and a rate of
-    each tool. Of an effect in part the ends are chosen on all rows: what they miss is no form.
+    Real parts differ from the textbook by a few per cent of the variance; beyond that, the form is that of another
+    mechanism. Not counted are the decay of an initial state, any shape of a guideway, and individual wear rates of
+    tools. The ends of a partial effect are chosen on all rows: their error is no departure either.
     """
     first = case.explanation.accepted[0].hypothesis if case.explanation.accepted else None
     if first is None or first.mask or first.terms[0].form == "any rate":
@@ -179,9 +179,9 @@ def departs(case: Case, held: holdout.HeldOut) -> bool:
 
 
 def textbook_alone(case: Case) -> float:
-    """Share of the first finding's log Bayes factor that its textbook form has without departures.
+    """Share of the first finding's log Bayes factor that its textbook form reaches without departures.
 
-    Its non-linear parameters are those that suit the textbook form best.
+    Its non-linear parameters are those that fit the textbook form best.
     """
     first, *others = case.explanation.accepted
     if first.hypothesis.terms[0].gain_sd is not None:
@@ -195,7 +195,7 @@ def textbook_alone(case: Case) -> float:
 
 def finding(case: Case, probability: float) -> Finding:
     """The finding `unknown`: structure that no effect explains, its inputs and its shape."""
-    if departs(case, case.held):  # the inputs of a name are right and its form is not
+    if departs(case, case.held):  # the inputs of a name are right, but not its form
         h = case.explanation.accepted[0].hypothesis
         says = (
             f"Structure correlates with {' and '.join(h.drivers)} in a form that no effect of the vocabulary has: what "
@@ -211,7 +211,7 @@ def finding(case: Case, probability: float) -> Finding:
         f"Structure remains that no effect of the vocabulary explains; it correlates with {' and '.join(drivers)}. A "
         f"data-driven shape brings it from {case.sigma:.3g} to {case.remainder.rms:.3g} {case.pair.unit} rms."
         if shapes
-        else f"On rows that sat out shapes over inputs predict {case.held.shape_share():.0%} of what the names leave."
+        else f"On held-out rows, shapes over inputs predict {case.held.shape_share():.0%} of the residual of the names."
         if unnamed_structure(case, case.held)
         else f"The residual, {case.sigma:.3g} {case.pair.unit} rms, drifts and correlates with no input."
     )

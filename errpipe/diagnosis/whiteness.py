@@ -1,7 +1,7 @@
 """Whiteness tests of the residual: against every input, by run, by direction, and in its order.
 
-Each test adds columns to the explanation and compares what they explain with noise (a score test: the columns are
-orthogonalised to everything fitted already; F distribution). The noise is white plus a slowly varying share, as in
+Each test adds columns to the explanation and compares the variance they explain with noise (a score test: the columns
+are orthogonalised to everything fitted before; F distribution). The noise is white plus a slowly varying share, as in
 public recordings; the share is estimated from the residual, so that ordinary noise raises no alarm. The smallest p is
 multiplied by the number of tests (Bonferroni).
 """
@@ -21,15 +21,15 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, direction
 
 BINS = 6  # levels of an input between which the residual's mean may differ
-LAGS = 20  # rows apart up to which the order is tested (Ljung-Box)
+LAGS = 20  # rows up to which the autocorrelation is tested (Ljung-Box)
 SHARES = np.linspace(0.0, 0.15, 16)  # slow shares of the noise tried (public blind trials: 0 to 0.12)
-ALARM = 0.01  # false-alarm rate: share of perfect explanations called structured (measured: see the tests)
+ALARM = 0.01  # false-alarm rate: share of perfect explanations reported as structured (measured: see the tests)
 LEAST_IN_RUN = 12  # rows of a run whose order is tested
 ORDER = "order of the rows"
 
 
 def whiteness(case: Case) -> Whiteness:
-    """All tests of a response's residual, and the sentence that sums them up."""
+    """All tests of a response's residual, and the sentence that summarises them."""
     unexplained = residual(case)
     share = slow_share(unexplained, case.run)
     fitted = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
@@ -54,7 +54,7 @@ def slow_share(left: np.ndarray, run: np.ndarray) -> float:
 
 
 class Frame:
-    """A whitened response with everything fitted to it projected out: score tests and autocorrelation test."""
+    """A whitened response with all fitted columns projected out: score tests and autocorrelation test."""
 
     def __init__(self, y: np.ndarray, used: np.ndarray, run: np.ndarray, share: float):
         self.run, self.share = run, share
@@ -71,7 +71,7 @@ class Frame:
         return columns - self.basis @ (self.basis.T @ columns)
 
     def test(self, against: str, how: str, columns: np.ndarray) -> WhitenessTest | None:
-        """Score test of columns (rows, k); None where the explanation spans them all."""
+        """Score test of columns (rows, k); None if the explanation spans them all."""
         made = _whiten(columns, self.run, self.share)
         before = np.linalg.norm(made, axis=0)
         made = self._freed(made)
@@ -86,7 +86,7 @@ class Frame:
             return None
         explained = float(np.sum((u.T @ self.left) ** 2))
         unexplained = float(self.left @ self.left) - explained
-        f = (explained / count) / (max(unexplained, 1e-300) / (self.free - count))  # nothing may be left at all
+        f = (explained / count) / (max(unexplained, 1e-300) / (self.free - count))  # the residual may be exactly zero
         p = float(fdtrc(count, self.free - count, f))
         return WhitenessTest(against=against, how=how, statistic=f, dof=count, p=p)
 
@@ -106,7 +106,7 @@ class Frame:
 
 
 def _asked(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, str, np.ndarray]]:
-    """What the residual is tested against: (input, how, columns (rows, k))."""
+    """The tests of the residual: (input, how, columns (rows, k))."""
     run = recording.run_codes()[rows]
     sides = _sides(recording, rows)
     names = [n for role in ("position", *ROLES) for n in recording.names(role) if n in recording.frame.columns]
@@ -134,7 +134,7 @@ def _asked(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, str, n
 
 
 def _sides(recording: Recording, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """The direction of each axis that goes both ways."""
+    """The direction of each axis that moves both ways."""
     out = {}
     for axis in axes(recording):
         try:
@@ -147,7 +147,7 @@ def _sides(recording: Recording, rows: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def levels(u: np.ndarray) -> np.ndarray:
-    """Which of up to BINS levels, equally full, each row is in, shape (rows, levels)."""
+    """Membership of each row in up to BINS equally populated levels, shape (rows, levels)."""
     own = np.unique(u)
     if own.size <= BINS:
         return (u[:, None] == own).astype(float)
@@ -156,7 +156,7 @@ def levels(u: np.ndarray) -> np.ndarray:
 
 
 def structured(tests: Sequence[WhitenessTest]) -> list[WhitenessTest]:
-    """Tests that alone would raise the alarm, the strongest first; inputs before the order of the rows."""
+    """Tests that would raise the alarm on their own, the strongest first; inputs before the order of the rows."""
     alarming = [t for t in tests if t.p * len(tests) < ALARM]
     # collinear inputs have the same p up to rounding: the first one is then named
     return sorted(alarming, key=lambda t: (t.against == ORDER, float(f"{t.p:.9g}")))
