@@ -23,7 +23,7 @@ DEPARTED = 0.7  # confidence of `unknown` in that case
 SMALLER = 0.75  # threshold: rms on held-out rows over that without names, from which names are unconfirmed
 UNLIKELY = 0.08  # threshold: confidence of the surest name, below which `unknown` comes first (chosen on first 6103 and
 # 6106, second 6104 and 6105)
-UNLIKELY_IN_PART = 0.5  # the same for partial names, which are numerous (chosen on first 42103, 43102, second 42101, 42102,
+UNLIKELY_IN_PART = 0.5  # and of partial names, which are many (chosen on first 42103, 43102, second 42101, 42102,
 # 42104, 43101, 51101, 51102: false ones have 0.15 to 0.47, right ones 0.66 or more)
 WANDERING = 1.5  # threshold: rms of the residual over the noise between neighbours, from which it drifts
 FAR = 2.0  # and from which names that hardly reduce it explain nothing
