@@ -75,7 +75,7 @@ def command(
 
 def _again(question: str, context: typer.Context) -> str:
     """The same command with the answer that a question on the axis or the unit names first; else ''."""
-    answer = re.search(r"[Ss]ay it(?: with|:) (--(?:axis|unit) [A-Za-z]\w*)", question)
+    answer = re.search(r"[Dd]eclare it(?: with|:) (--(?:axis|unit) [A-Za-z]\w*)", question)
     if answer is None:
         return ""
     said = ["errpipe", *context.command_path.split()[1:], *map(str, context.params["files"])]

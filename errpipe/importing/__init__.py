@@ -1,6 +1,6 @@
-"""Measurement files as labs and shops have them, turned into a recording folder of confirmed guesses.
+"""Measurement files in laboratory and shop formats, converted into a recording folder from confirmed guesses.
 
-A door (one file in `doors/`) opens one kind of file and gives its cells; `layout` finds header, units and data;
-`columns` guesses what each column is; `proposal` and `resolve` turn the guesses into rows and a manifest. Nothing here
-is used by a pipeline: a pipeline reads the recording folder, whose manifest a person has confirmed.
+A door (one file in `doors/`) reads one kind of file and returns its cells; `layout` finds header, units and data;
+`columns` guesses the role of each column; `proposal` and `resolve` turn the guesses into rows and a manifest. A
+pipeline uses nothing of this package: it reads the recording folder, whose manifest the user has confirmed.
 """

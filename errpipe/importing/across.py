@@ -1,6 +1,6 @@
-"""Sheets with the targets across and the runs down, as ISO 230-2 prints them: turned into a row per target.
+"""Sheets with targets across and runs down, as printed in ISO 230-2: transposed to one row per target.
 
-Above the readings stands a row of target positions; from which side they were approached stands in a row below it, or
+A row of target positions precedes the readings; the approach direction is in a row below it, or
 in a line above each block of runs.
 """
 
@@ -17,13 +17,13 @@ from errpipe.importing.units import split_header
 from errpipe.importing.wide import run_and_side, statistic
 
 Figures = list[float | None]
-FEWEST_TARGETS = 4  # positions in a row across; fewer are a table of something else
+FEWEST_TARGETS = 4  # positions in a row of targets; with fewer it is another kind of table
 _TARGETS = re.compile(r"(target|soll|nominal|position|ziel|cible|目標|目标)", re.IGNORECASE)
 _READINGS = re.compile(r"(deviation|abweich|error|fehler|ecart|scostamento|偏差|误差)", re.IGNORECASE)
 
 
 def transposed(sheet: Sheet) -> Sheet:
-    """The sheet with a row per target where its targets stand across; any other sheet as it is."""
+    """The sheet with one row per target if its targets are in a row; any other sheet unchanged."""
     comma = decimal_comma(sheet.rows)
     rows = [] if sheet.header is not None else sheet.rows[:DEEPEST_HEADER]
     at = next((r for r, row in enumerate(rows) if _are_targets(row, rows[r + 1 : r + 4], comma)), None)
@@ -33,7 +33,7 @@ def transposed(sheet: Sheet) -> Sheet:
         targets = [number(c, comma) for c in of_one_mark(sheet.rows[at], comma)]
     except ValueError as err:
         raise DataError(
-            f"targets: {err} may have a mark of thousands or of decimals (write it without thousands)"
+            f"targets: {err} has an ambiguous thousands or decimal separator (write it without thousands separators)"
         ) from None
     places = [i for i, v in enumerate(targets) if v is not None]
     sides = _sides(sheet.rows[at + 1], places) if at + 1 < len(sheet.rows) else None
@@ -52,13 +52,13 @@ def transposed(sheet: Sheet) -> Sheet:
             run += 1
             own_run, own_side = run_and_side(name)
             out.append((own_run, str(run), side if own_side is None else own_side, figures))
-    named = any(own is not None for own, *_ in out)  # then a row without a number is a figure over the runs
+    named = any(own is not None for own, *_ in out)  # then a row without a number is a statistic over the runs
     readings = [(own or count, way, figures) for own, count, way, figures in out if own or not named]
     if not readings:
         return sheet
     bare = [i for i in range(places[0], len(targets)) if targets[i] is None and any(f[i] for *_, f in readings)]
     if bare and sides is None:
-        raise DataError(f"column {bare[0] + 1}: readings without a target above them (is one missing?)")
+        raise DataError(f"column {bare[0] + 1}: readings without a target in the row above (is a target missing?)")
     return _of_readings(sheet, at, title, targets, sides, readings)
 
 
@@ -70,7 +70,7 @@ def _of_readings(
     sides: dict[int, float] | None,
     readings: list[tuple[str, float | None, Figures]],
 ) -> Sheet:
-    """The sheet with a row per target. sides: of every column of the first row where one states them, else None."""
+    """The sheet with one row per target. sides: of every column of the first row that states them, else None."""
     name, unit = split_header(label(sheet.rows[at][0]))
     reading_unit = split_header(title)[1]
     mark = {1.0: "+", -1.0: "-", None: ""}
@@ -81,7 +81,7 @@ def _of_readings(
             values: dict[float, float | None] = {}
             place: float | None = None
             for i, target in enumerate(targets):
-                place = target if target is not None else place if sides else None  # a cell merged over both sides
+                place = target if target is not None else place if sides else None  # a cell merged over both directions
                 if place is not None and figures[i] is not None and (sides is None or sides.get(i) == way):
                     values[place] = figures[i]
             columns.append(values)
@@ -95,7 +95,7 @@ def _of_readings(
 
 
 def _are_targets(row: list[Cell], below: list[list[Cell]], comma: bool) -> bool:
-    """A row of rising or falling numbers behind a word for targets, or above rows that are named by run and side."""
+    """A row of increasing or decreasing numbers after a word for targets, or above rows labelled with run and side."""
     if not row or not isinstance(row[0], str) or None not in run_and_side(row[0]):  # a row of readings
         return False
     named = len(below) > 1 and all(r and None not in run_and_side(label(r[0])) for r in below)
@@ -107,12 +107,12 @@ def _are_targets(row: list[Cell], below: list[list[Cell]], comma: bool) -> bool:
         cells = row[1:]
     values = [v for c in cells if (v := number(c, comma)) is not None]
     words = sum(isinstance(c, str) and bool(c) and number(c, comma) is None for c in cells)
-    repeated = any(a == b for a, b in pairwise(values))  # once for each side
+    repeated = any(a == b for a, b in pairwise(values))  # once for each direction
     if repeated and (not below or _sides(below[0], [*range(1, len(values) + 1)]) is None):
         return False
     values = [*dict.fromkeys(values)]
     steps = [b - a for a, b in pairwise(values)]
-    counted = values == [1.0 + k for k in range(len(values))]  # the numbers of the runs
+    counted = values == [1.0 + k for k in range(len(values))]  # run numbers
     return (
         len(values) >= FEWEST_TARGETS
         and not words
@@ -122,6 +122,6 @@ def _are_targets(row: list[Cell], below: list[list[Cell]], comma: bool) -> bool:
 
 
 def _sides(row: list[Cell], places: list[int]) -> dict[int, float] | None:
-    """The side of each column, where a row below the targets states both."""
+    """The approach direction of each column, if a row below the targets states both."""
     sides = {i: s for i, c in enumerate(row) if i and isinstance(c, str) and (s := guessing.side(c)) is not None}
     return sides if len(sides) >= len(places) and len(set(sides.values())) == 2 else None

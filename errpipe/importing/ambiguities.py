@@ -1,4 +1,4 @@
-"""Ambiguities of a file that only a person can settle: the import is refused with a question, nothing is assumed."""
+"""Ambiguities that only the user can resolve: the import is refused with a question, nothing is assumed."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from errpipe.importing import columns, words
 from errpipe.importing.layout import COMPONENT, Layout
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 
-FEWEST_ROWS = 3  # with readings: two make a straight line through whatever was read
+FEWEST_ROWS = 3  # rows with readings: a straight line fits any two
 PLACES = ("command", "position", "actual")
-# What else a deviation may follow, where no position is recorded.
+# Other inputs that a deviation may depend on, if no position is recorded.
 INPUTS = (
     "time",
     "temperature",
@@ -28,7 +28,7 @@ INPUTS = (
     "pressure",
     "cut_length",
 )
-# Lengths that are known better than the machine: where its own probe read them, its reading stands for the command.
+# Lengths that are known better than the machine: if its own probe measured them, its reading replaces the command.
 _ARTEFACT = re.compile(
     r"\b(step ?gauges?|step ?bar|gau?ge ?blocks?|(stufen|parallel)?endmass\w*|(kugel|loch)(balken|platte|leiste)"
     r"|(ball|hole) ?(plate|beam|bar)|length bars?|calibrated( (length|value|position)s?|$)"
@@ -42,7 +42,7 @@ _SHORT_OR_LONG = re.compile(
 
 
 def refuse(p: Proposal, layout: Layout, options: ImportOptions) -> None:
-    """Raise DataError for the first ambiguity of a proposal with all its deviations."""
+    """Raise DataError for the first ambiguity of a complete proposal."""
     _too_few(p)
     _signs_in_a_column(p, layout, options)
     _unnamed_axis(p)
@@ -51,7 +51,7 @@ def refuse(p: Proposal, layout: Layout, options: ImportOptions) -> None:
 
 
 def _signs_in_a_column(p: Proposal, layout: Layout, options: ImportOptions) -> None:
-    """Signs of readings that stand in a column of their own, as `+` and `-`, or `L` and `S`."""
+    """Signs of readings in a separate column, as `+` and `-`, or `L` and `S`."""
     errors = [n for n, e in p.entries.items() if e["role"] == "error" and n in p.data]
     if not errors or any(np.nanmin(p.data[n], initial=0.0) < 0 for n in errors):
         return
@@ -61,13 +61,13 @@ def _signs_in_a_column(p: Proposal, layout: Layout, options: ImportOptions) -> N
         of_signs = _SIGNS.search(words.plain(c.header)) and (not c.numeric or labels <= {"1", "-1"})
         if of_signs or (ignored and len(labels) == 2 and all(map(_SHORT_OR_LONG.fullmatch, labels))):
             raise DataError(
-                f"column {c.header!r} holds {' and '.join(sorted(labels))}: the signs of the readings? Write each "
-                f"reading with its sign (if they are none: --set '{c.header}.role=ignore')"
+                f"column {c.header!r} contains {' and '.join(sorted(labels))}: are they signs of readings? Write each "
+                f"reading with its sign (if not: --set '{c.header}.role=ignore')"
             )
 
 
 def _artefact(p: Proposal, layout: Layout, options: ImportOptions) -> None:
-    """Lengths of a gauge that the machine's own probe read: its reading less the gauge is minus the deviation."""
+    """Lengths of a gauge measured by the machine's own probe: reading minus gauge length is minus the deviation."""
     said = next(
         (x for x in [*layout.above, *(c.header for c in layout.columns)] if _ARTEFACT.search(words.plain(x))), None
     )
@@ -82,13 +82,13 @@ def _artefact(p: Proposal, layout: Layout, options: ImportOptions) -> None:
             f"--set {pair[1]}.role=command"
         )
     raise DataError(
-        f"{said[:60]!r}: is {error!r} the reading of the machine less the length of the gauge? Then say --sign "
-        "commanded-minus-actual; where it is positive where the axis goes too far, --sign actual-minus-commanded"
+        f"{said[:60]!r}: is {error!r} the reading of the machine minus the length of the gauge? Then use --sign "
+        "commanded-minus-actual; if it is positive when the axis moves too far, use --sign actual-minus-commanded"
     )
 
 
 def _twice(p: Proposal) -> None:
-    """Two columns of deviations of one component, such as before and after a compensation."""
+    """Two columns of deviations of one component, for example before and after compensation."""
     seen: dict[str, str] = {}
     for name, entry in p.entries.items():
         if entry["role"] != "error":
@@ -96,15 +96,15 @@ def _twice(p: Proposal) -> None:
         first = seen.setdefault(entry["component"], name)
         if first != name:
             raise DataError(
-                f"{first!r} and {name!r} are both deviations of {entry['component']}: which one is meant? Say it with "
-                f"--set {name}.role=ignore (or {first}); where they are runs, call them run 1, run 2"
+                f"{first!r} and {name!r} are both deviations of {entry['component']}: which one is meant? Use "
+                f"--set {name}.role=ignore (or {first}); if they are runs, name them run 1, run 2"
             )
 
 
 def refuse_without_position(p: Proposal, asked: bool) -> None:
-    """Raise DataError for readings without a position, a time or anything else that they could follow.
+    """Raise DataError for readings without a position, a time or any other input that they could depend on.
 
-    asked: whether a column that may be the position of a linear axis is asked about anyway.
+    asked: whether to ask about a column that may be the position of a linear axis in any case.
     """
     roles = {e["role"] for e in p.entries.values()}
     left_out = next((n for n, e in p.entries.items() if e["role"] == "ignore"), None)
@@ -116,48 +116,48 @@ def refuse_without_position(p: Proposal, asked: bool) -> None:
         recorded, place = bool(places), next((n for n in places if p.entries[n]["role"] != "actual"), "")
         if place in p.data and np.unique(p.data[place]).size < 2 and not roles & {*INPUTS}:
             raise DataError(
-                f"every reading of {name!r} stands at {place} = {p.data[place][0]:g}: at which places of "
-                f"{letter} was it read? (say which column holds them, with --set COLUMN.role=position)"
+                f"every reading of {name!r} is at {place} = {p.data[place][0]:g}: at which positions of "
+                f"{letter} was it read? (declare their column with --set COLUMN.role=position)"
             )
         if not recorded and (letter[0] in "ABC" or not (asked or roles & {*PLACES, *INPUTS})):
             hint = f" (is it {left_out!r}? {p.guesses.get(left_out, '')})" if left_out else ""
-            raise DataError(f"no position of {letter} is recorded beside {name!r}: at which targets was it read?{hint}")
+            raise DataError(f"no position of {letter} is recorded with {name!r}: at which targets was it read?{hint}")
 
 
 def _too_few(p: Proposal) -> None:
-    """Raise DataError for a table of one or two rows: a remark, or the result of a test, not the test."""
+    """Raise DataError for a table of one or two rows: a remark or a test result, not a test."""
     read = [int(np.isfinite(p.data[n]).sum()) for n, e in p.entries.items() if e["role"] == "error" and n in p.data]
     rows = min(p.rows, max(read, default=p.rows))
     if rows < FEWEST_ROWS:
         raise DataError(
-            f"{rows} row{'s' if rows > 1 else ''} with a reading (at least {FEWEST_ROWS}; ISO 230-2 asks for five "
-            "targets a metre, each five times from both sides)"
+            f"{rows} row{'s' if rows > 1 else ''} with a reading (at least {FEWEST_ROWS}; ISO 230-2 requires five "
+            "targets per metre, each approached five times from both directions)"
         )
 
 
 def _unnamed_axis(p: Proposal) -> None:
-    """Raise DataError where neither the file nor a person names the axis that is at the positions."""
+    """Raise DataError if neither the file nor the user names the axis of the positions."""
     place = p.first("command") or p.first("position")
     if p.assumed_axis and place is not None and any(e["role"] == "error" for e in p.entries.values()):
         raise DataError(
-            f"no axis is named in the file, its sheet or its name: along which axis is {place!r}? Say it: --axis X "
+            f"no axis is named in the file, its sheet or its name: along which axis is {place!r}? Declare it: --axis X "
             "(or Y, Z, ...)"
         )
 
 
 def refuse_second_probe(p: Proposal, name: str, letter: str | None, options: ImportOptions) -> None:
-    """Raise DataError for readings called X2 without a position of an axis X2: a second probe, as of a spindle test."""
+    """Raise DataError for readings named X2 without a position of an axis X2: a second probe of a spindle test."""
     own = letter is not None and len(letter) > 1 and options.component is None
     if own and not any(e.get("axis") == letter for n, e in p.entries.items() if n != name):
         assert letter is not None
         raise DataError(
-            f"{name!r} names {letter}, and no position of an axis {letter} is recorded: a second probe along "
-            f"{letter[0]}? Say --set {name}.role=ignore, or import it by itself with --component E_{letter[0]}"
+            f"{name!r} names {letter}, but no position of an axis {letter} is recorded: a second probe along "
+            f"{letter[0]}? Use --set {name}.role=ignore, or import it separately with --component E_{letter[0]}"
         )
 
 
 def refuse_another_title(p: Proposal, layout: Layout, options: ImportOptions) -> None:
-    """Raise DataError where a line above names a straightness or a shape, and the readings would become positioning."""
+    """Raise DataError if a line above names a straightness or a shape, and the readings would become positioning."""
     title = next((line for line in layout.above if columns.titles_other_component(line)), None)
     place = p.first("position") or p.first("command")
     if title is None or place is None or options.component is not None:
@@ -165,7 +165,7 @@ def refuse_another_title(p: Proposal, layout: Layout, options: ImportOptions) ->
     own = components.positioning(p.entries[place]["axis"])
     if any(e["role"] == "error" and e["component"] == own and "derived" not in e for e in p.entries.values()):
         raise DataError(
-            f"a line above says {title[:60]!r}, and no column does: say what was measured with --component, such as "
+            f"a line above states {title[:60]!r}, but no column does: declare it with --component, such as "
             f"EYX (or {own}, the positioning)"
         )
 
@@ -176,7 +176,7 @@ _DIAMETERS = re.compile(
 
 
 def refuse_diameters(layout: Layout, guesses: dict[str, columns.ColumnGuess], options: ImportOptions) -> None:
-    """Raise DataError where positions of an axis are diameters, as a lathe shows X: readings may be halved or not."""
+    """Raise DataError if positions of an axis are diameters, as for X of a lathe: readings may be halved or not."""
     places = [c for c in layout.columns if guesses[c.header].kind in PLACES and c.numeric]
     above = words.axis_above(layout.above)
     place = next((c for c in places if (columns.axis_in(c.header) or above) and columns.is_diameter(c.header)), None)
@@ -187,18 +187,18 @@ def refuse_diameters(layout: Layout, guesses: dict[str, columns.ColumnGuess], op
         return
     raise DataError(
         f"{'a line above' if line else 'a header'} says diameters ({line or place.header!r}): write positions and "
-        f"readings as radii (half of a diameter), or, where they are, say --set '{place.header}.role=position'"
+        f"readings as radii (half of a diameter), or, if they are radii, use --set '{place.header}.role=position'"
     )
 
 
 def component_above(
     layout: Layout, guesses: dict[str, columns.ColumnGuess], options: ImportOptions, p: Proposal
 ) -> ImportOptions:
-    """The options with the component, and its axis, that lines above or the name name, where no column does.
+    """The options with the component, and its axis, named in lines above or in the file name, if no column names it.
 
-    Raises DataError where they name several.
+    Raises DataError if several are named.
     """
-    axis = options.axis or words.axis_above(layout.above)  # `EAC` beside axis X is a mark of conformity
+    axis = options.axis or words.axis_above(layout.above)  # `EAC` next to axis X is a certification mark
     found = {name for line in layout.above for name in re.findall(COMPONENT, line)}
     named = sorted(name for name in found if axis in (None, name[2]))
     if axis and not named and not any(map(columns.names_a_turn, (c.header for c in layout.columns))):
@@ -212,17 +212,17 @@ def component_above(
         return options
     if len(named) > 1:
         raise DataError(
-            f"lines above the table, its sheet or file name {', '.join(named)}: what was measured? Say it with "
+            f"lines above the table, its sheet or file name {', '.join(named)}: what was measured? Declare it with "
             f"--component {named[0]} (or {', '.join(named[1:])})"
         )
-    p.notes.append(f"the component is {named[0]}, as a line above the table, its sheet or file says (--component)")
+    p.notes.append(f"the component is {named[0]}, from a line above the table, its sheet or file (--component)")
     return replace(options, component=named[0], axis=options.axis or named[0][2])
 
 
 def _turn_above(layout: Layout, moved: str) -> str | None:
-    """EBX of a line `Pitch` above angles along X, where lines name one of roll, pitch and yaw; or None."""
+    """EBX from a line `Pitch` above angles along X, if lines name one of roll, pitch and yaw; or None."""
     found = {name for line in layout.above for said, name in columns.TURNS if re.search(said, words.plain(line))}
     about = columns.ANGLES.get(moved[0], {}).get(next(iter(found), ""))
     units = {c.unit for c in layout.columns}
-    angles = units & {*columns.SMALL_ANGLES} or {"mm", "inch"} <= units  # `"` is written for inch and for arcsec
+    angles = units & {*columns.SMALL_ANGLES} or {"mm", "inch"} <= units  # `"` is used for inch and for arcsec
     return f"E{about}{moved}" if about and angles and len(found) == 1 else None

@@ -1,4 +1,4 @@
-"""Tables below one another on a sheet: blocks below the same header are runs, or the way there and back."""
+"""Several tables below one another on a sheet: blocks with the same header are runs, or the two directions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from errpipe.importing.units import split_header
 from errpipe.importing.words import axis_above, kind_by_name, way_in, way_of
 
 COMMENT = ("#", "%", "//", ";", "!")
-LONGEST_TITLE = 40  # letters of a line that states a side, and nothing else
+LONGEST_TITLE = 40  # characters of a line that states a direction and nothing else
 
 
 def blocks(
@@ -21,14 +21,14 @@ def blocks(
     notes: list[str],
     deep: int = 1,
 ) -> tuple[list[str], list[list[Cell]]]:
-    """Names and rows up to the header of a second table; blocks below the same header are runs, one after another.
+    """Names and rows up to the header of a second table; blocks below the same header are consecutive runs.
 
-    deep: rows of the header, with its units.
+    deep: number of header rows, including units.
     """
     below = range(start + 1, len(rows) - 1)
     again = [r for r in below if filled_cells(rows[r]) == filled_cells(rows[start - 1])]
     if deep > 1 and all(rows[r - k] == rows[start - 1 - k] for r in again for k in range(deep)):
-        upper = {r - k for r in again for k in range(1, deep)}  # of each header, its last row stays to begin a block
+        upper = {r - k for r in again for k in range(1, deep)}  # the last row of each header starts a block
         kept = [r for r in range(len(rows)) if r not in upper and not start - deep <= r < start - 1]
         titled = [_title(rows, numbers, r - deep + 1) for r in (start - 1, *again)]
         at = {r: i for i, r in enumerate(kept)}
@@ -42,13 +42,13 @@ def blocks(
     if other is not None and not again and _is_way_back(rows[start - 1], rows[other]):
         width, header = len(names), rows[other]
         notes.append(
-            f"a second table below ({' '.join(map(str, filled_cells(header)))[:60]!r}): the way back to these targets"
+            f"a second table below ({' '.join(map(str, filled_cells(header)))[:60]!r}): the return to these targets"
         )
         back = [[row[0], *[None] * (width - 1), *row[1:]] for row in rows[other + 1 :] if row]
         return [*names, *map(label, header[1:])], [*rows[start:other], *back]
     if other is not None and not any(r > other for r in again):
         text = " ".join(map(str, filled_cells(rows[other])))[:60]
-        notes.append(f"a second table below ({text!r}) was left out with its {len(rows) - other - 1} rows")
+        notes.append(f"a second table below ({text!r}) was excluded with its {len(rows) - other - 1} rows")
         rows = rows[:other]
     if not again:
         return names, rows[start:]
@@ -58,9 +58,9 @@ def blocks(
 def sections(
     names: list[str], rows: list[list[Cell]], first: str, notes: list[str]
 ) -> tuple[list[str], list[list[Cell]]]:
-    """Names and rows with the side, and the run, that lines among the rows state of those below: `Run 2 reverse`.
+    """Names and rows with the side, and the run, that lines among the rows state for the rows below: `Run 2 reverse`.
 
-    first: the line right above the first row. Raises DataError where rows stand above the first line that states a
+    first: the line right above the first row. Raises DataError if rows precede the first line that states a
     side.
     """
     lone = {r: str(cells[0]) for r, row in enumerate(rows) if len(cells := filled_cells(row)) == 1}
@@ -69,7 +69,7 @@ def sections(
         return names, rows
     if way_in(first) is None and min(titles) > 0:
         raise DataError(
-            f"a line among the rows says {titles[min(titles)]!r}, and none says from which side the rows above it were "
+            f"a line states {titles[min(titles)]!r}, but none states from which side the rows above it were "
             "approached: write the direction of every row in a column"
         )
     said, out, numbered = first, [], all(re.search(r"\d", t) for t in titles.values())
@@ -95,21 +95,21 @@ def _repeated(
     titles: list[str],
     notes: list[str],
 ) -> tuple[list[str], list[list[Cell]]]:
-    """Names and rows of blocks below one header, with what their titles say of each: axis, run, side."""
+    """Names and rows of blocks below one header, with the axis, run and side that their titles state."""
     axes = [axis_above([title]) or "" for title in titles]
     ways = [way_of(title) for title in titles]
     several = all(axes) and len(set(axes)) > 1
     sided = None not in ways and len(set(ways)) == 2
     if sided and not several and len(titles) == 2 and all(re.search(r"\d", name) for name in names[1:]):
-        notes.append(f"the header stands twice, below {titles[0]!r} and {titles[1]!r}: the way there and back")
+        notes.append(f"the header occurs twice, below {titles[0]!r} and {titles[1]!r}: forward and return pass")
         back = [[row[0], *[None] * (len(names) - 1), *row[1:]] for row in rows[again[0] + 1 :] if row]
-        parts = [(*split_header(n), title) for title in titles for n in names[1:]]  # a column per run
+        parts = [(*split_header(n), title) for title in titles for n in names[1:]]  # one column per run
         sides = [f"{n} {title}" + (f" [{unit}]" if unit else "") for n, unit, title in parts]
         return [names[0], *sides], [*rows[start : again[0]], *back]
     labels: dict[str, list[Cell]] = {"axis": [*axes]} if several else {}
     one_each = several and len(set(axes)) == len(axes)
     if not one_each and not any(re.search(r"\b(run|lauf)\b", name.lower()) for name in names):
-        notes.append(f"the header stands {len(titles)} times: the rows below it are a run each time")
+        notes.append(f"the header occurs {len(titles)} times: the rows below each are one run")
         labels["run"] = [float(b + 1) for b in range(len(titles))]
         if sided:
             labels["run"] = [f"{ways[: b + 1].count(ways[b])} {title}" for b, title in enumerate(titles)]
@@ -126,7 +126,7 @@ def _repeated(
 
 
 def _above_headers(rows: list[list[Cell]], numbers: list[list[float | None]], start: int, again: list[int]) -> set[int]:
-    """Rows that belong to the next header, with the words of its preamble in the first column (`Delta_X;60;60`)."""
+    """Rows that belong to the next header, with its preamble in the first column (`Delta_X;60;60`)."""
     out: set[int] = set()
     for r in again if numbers[start] and numbers[start][0] is not None else []:
         while r - 1 > start and rows[r - 1] and numbers[r - 1][0] is None and rows[r - 1][0] not in (None, ""):
@@ -136,19 +136,19 @@ def _above_headers(rows: list[list[Cell]], numbers: list[list[float | None]], st
 
 
 def _title(rows: list[list[Cell]], numbers: list[list[float | None]], header: int) -> str:
-    """The words right above a header, or nothing where a row of data stands there."""
+    """The words right above a header, or nothing if a row of data precedes it."""
     data = header == 0 or sum(v is not None for v in numbers[header - 1]) > 1
     return "" if data else " ".join(map(label, filled_cells(rows[header - 1])))
 
 
 def _is_way_back(header: list[Cell], other: list[Cell]) -> bool:
-    """Whether two tables have one first column, and readings of one direction each: `Forward 1`, below `Reverse 1`."""
+    """Whether two tables have the same first column and one direction each: `Forward 1`, below `Reverse 1`."""
     ways = [{way_of(label(c)) for c in filled_cells(row[1:])} for row in (header, other) if row]
     return header[:1] == other[:1] and sorted(map(str, ways)) == ["{-1.0}", "{1.0}"]
 
 
 def _starts_table(row: list[Cell], numbers: list[float | None], below: list[list[float | None]]) -> bool:
-    """Whether a row is words alone, at least two, with numbers in the rows below."""
+    """Whether a row consists of at least two words, with numbers in the rows below."""
     words = [c for c in row if isinstance(c, str) and any(map(str.isalpha, c))]
     plain = len(words) >= 2 and not any(v is not None for v in numbers)
     remark = label(words[0] if words else "").startswith(COMMENT) and len(words) < max(map(len, below), default=0)

@@ -1,7 +1,7 @@
 """Readings of a ball bar over the angle of a circle (ISO 230-4) as a recording of protocol `ballbar_circle`.
 
-Radius and plane stand in lines above the table. An angle is a place on the circle: 0 on the first axis of the plane,
-90 deg on the second one. A run is one way round; its rows are in the order of motion, positions count from the centre.
+Radius and plane are stated in lines above the table. An angle is a point on the circle: 0 on the first axis of the
+plane, 90 deg on the second. A run is one pass; its rows are in the order of motion, positions count from the centre.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ _PLANE = re.compile(
     r"\b([xyz])[ /-]?([xyz])[ -]?(?:plane|ebene|plan\b|piano)|\b(?:plane|ebene|plan|piano)\W+([xyz])\W?([xyz])\b"
 )
 _G_PLANE = {"g17": "XY", "g18": "ZX", "g19": "YZ"}
-FEWEST = 12  # readings of a run, and half a turn: less is no circle
-WIDEST = 0.2  # of the radius: readings near it are lengths of the bar, not their deviations
+FEWEST = 12  # readings of a run, and half a turn: less is not a circle
+WIDEST = 0.2  # of the radius: readings near it are bar lengths, not their deviations
 
 
 def proposal(layout: Layout, options: ImportOptions) -> Proposal | None:
-    """The recording of a ball bar's table; None where nothing names a ball bar beside a column of angles.
+    """The recording of a ball-bar table; None if nothing identifies a ball bar with a column of angles.
 
-    Raises DataError where radius or plane are not stated, or the order of the rows contradicts the way round.
+    Raises DataError if radius or plane are missing, or if the order of the rows contradicts the stated direction.
     """
     texts = [plain(text) for text in [*layout.above, *(c.header for c in layout.columns)]]
     angle = next((c for c in layout.columns if c.numeric and _ANGLE.search(plain(c.header))), None)
     if angle is None or angle.unit not in (None, "deg", "rad") or not any(map(_NAMED.search, texts)):
         return None
     if angle.unit is None and (odd := in_brackets(angle.header)) is not None:
-        raise DataError(f"column {angle.header!r}: {odd!r} is no unit of an angle (allowed: deg, rad)")
+        raise DataError(f"column {angle.header!r}: {odd!r} is not a unit of angle (allowed: deg, rad)")
     radius, first, second = _radius(texts), *_plane(texts)
     runs = _runs(layout, angle, first + second)
     if not runs:
@@ -56,11 +56,11 @@ def proposal(layout: Layout, options: ImportOptions) -> Proposal | None:
     turn = np.concatenate([angles for _, angles, _ in runs])
     values = np.concatenate([read for _, _, read in runs])
     of, unit = _unit(layout, options, values)
-    values, unit, why = resolve.unit_of_readings(values, unit, "E_R", f"{of}: along the bar")
+    values, unit, why = resolve.unit_of_readings(values, unit, "E_R", f"{of}: deviation along the bar")
     if unit == "mm" and np.all(np.abs(values - radius) < WIDEST * radius):
-        values, why = values - radius, f"{why}; the length of the bar less its radius {radius:g} mm"
+        values, why = values - radius, f"{why}; bar length minus radius {radius:g} mm"
     labels = [name for name, angles, _ in runs for _ in angles]
-    p.put("run", labels, "plane and way round", role="run")
+    p.put("run", labels, "plane and direction of rotation", role="run")
     for axis, share in ((first, np.cos(turn)), (second, np.sin(turn))):
         place = np.round(radius * share, 6)
         p.put(axis, place, "from the centre of the circle", role="position", axis=axis, unit="mm")
@@ -73,7 +73,7 @@ def proposal(layout: Layout, options: ImportOptions) -> Proposal | None:
     p.facts["protocol"] = "ballbar_circle"
     p.notes.append(
         f"a ball bar: circle of radius {radius:g} mm in {first}{second}, angle 0 at +{first}, 90 deg at +{second}; "
-        f"where it lies is not read: write centre_{first}, centre_{second} into the constants of recording.yaml"
+        f"its centre is not in the table: write centre_{first}, centre_{second} into the constants of recording.yaml"
     )
     return p
 
@@ -88,9 +88,7 @@ def _fact(pattern: re.Pattern[str], texts: list[str]) -> float | None:
 def _radius(texts: list[str]) -> float:
     radius = _fact(_RADIUS, texts)
     if radius is None or radius <= 0:
-        raise DataError(
-            "a ball bar's table, and no line above it states the radius: write one, such as `Radius: 100 mm`"
-        )
+        raise DataError("a ball bar's table, but no line above it states the radius: add one, such as `Radius: 100 mm`")
     return radius
 
 
@@ -100,12 +98,12 @@ def _plane(texts: list[str]) -> tuple[str, str]:
     for match in filter(None, map(_PLANE.search, texts)):
         named = "".join(filter(None, match.groups())).upper()
     if named is None or named[0] == named[1]:
-        raise DataError("a ball bar's table, and no line above it states the plane: write one, such as `Plane: XY`")
+        raise DataError("a ball bar's table, but no line above it states the plane: add one, such as `Plane: XY`")
     return named[0], named[1]
 
 
 def _unit(layout: Layout, options: ImportOptions, values: np.ndarray) -> tuple[str, str | None]:
-    """The header of the first column of readings, and the unit of all."""
+    """The header of the first column of readings, and the unit of all of them."""
     read = [c for c in layout.columns if _is_reading(c)]
     units = {c.unit for c in read}
     if len(units) > 1:
@@ -126,7 +124,7 @@ def _way(text: str) -> str | None:
 
 
 def _runs(layout: Layout, angle: RawColumn, plane: str) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Label, angles in rad in the order of motion, and readings of every run. Raises DataError for an unclear way."""
+    """Label, angles in rad in the order of motion, and readings of every run. Raises DataError if unclear."""
     turn = angle.values * (1.0 if angle.unit == "rad" else np.pi / 180.0)
     read = [c for c in layout.columns if _is_reading(c)]
     ways = next((c for c in layout.columns if not c.numeric and any(_way(label(x)) for x in c.cells)), None)
@@ -152,10 +150,10 @@ def _runs(layout: Layout, angle: RawColumn, plane: str) -> list[tuple[str, np.nd
 def _in_order(
     said: str | None, angles: np.ndarray, values: np.ndarray, beside_another: bool
 ) -> tuple[str, np.ndarray, np.ndarray]:
-    """The way round, and angles and readings in the order of motion; by the rows where nothing states it.
+    """Direction of rotation, and angles and readings in the order of motion; derived from the rows if not stated.
 
-    beside_another: whether readings of both ways stand beside one column of angles. Raises DataError where rows in the
-    order of motion run the other way.
+    beside_another: whether readings of both directions share one column of angles. Raises DataError if rows in the
+    order of motion run in the other direction.
     """
     rises = bool(np.sum(np.diff(np.unwrap(angles))) > 0)
     way = said or ("ccw" if rises else "cw")
@@ -163,7 +161,7 @@ def _in_order(
         return way, angles, values
     if not beside_another:
         raise DataError(
-            f"rows that are {way} have angles that {'rise' if rises else 'fall'}: write the rows in the "
-            "order of motion, angles counterclockwise (both ways beside one angle may stay)"
+            f"rows labelled {way} have angles that {'increase' if rises else 'decrease'}: write the rows in the "
+            "order of motion, angles counterclockwise (both directions may share one column of angles)"
         )
     return way, angles[::-1], values[::-1]

@@ -1,4 +1,4 @@
-"""What a column probably is, from its header, unit and values: a guess with its reason, for a person to judge."""
+"""The probable role of a column, from its header, unit and values: a guess with its reason, for the user to confirm."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ KIND_OF_UNIT = {
     **dict.fromkeys(("s", "ms", "h"), "time"),
     **dict.fromkeys(("um", "urad", "arcsec", "mrad", "um/m", "mm/m", "nm", "mdeg", "arcmin"), "error"),
 }
-SMALL_ANGLES = ("arcsec", "arcmin", "urad", "mrad", "mdeg", "um/m", "mm/m")  # of an axis that turns, or tilts
-# Of a pitch; " and ' are written for inch and for arcsec.
+SMALL_ANGLES = ("arcsec", "arcmin", "urad", "mrad", "mdeg", "um/m", "mm/m")  # of a rotary or tilting axis
+# Units that an angle may be written in; " and ' are read as inch and min.
 _ANY_ANGLE = (*SMALL_ANGLES, "deg", "rad", "inch", "s", "min")
 OF_SMALL_LENGTHS = ("um", "urad", "arcsec", "nm", "0.001 inch", "0.0001 inch", "microinch")
 OF_DEVIATIONS = ("um", "urad", "nm", "arcsec", "mrad")
 UNKNOWN = "neither its name, its unit nor its values identify it"
-_SHARES = r"load|last|torque|moment|override|duty|power|leistung|utili"  # in %, and no humidity
+_SHARES = r"load|last|torque|moment|override|duty|power|leistung|utili"  # in %, not a humidity
 PLACE = ("command", "position", "actual", "counts")
-PLACES = ("error", "counts")  # kinds of units in which a place may be logged, too: um, arcsec, counts
-# Symbols of physics that are letters of axes as well: `v [mm/s]` is no velocity of the axis V.
+PLACES = ("error", "counts")  # kinds of units in which a position may also be logged: um, arcsec, counts
+# Physical symbols that are also axis letters: `v [mm/s]` is not the velocity of axis V.
 SYMBOLS = {"velocity": "V", "feed": "V", "acceleration": "A", "temperature": "C", "pressure": "B"}
 _BEFORE = (
     r"(?:[dΔδ]|e(?=[XYZ]\b)|pos|err(?:or)?|dev|cmd|act|nom|target|soll|ist|ref)(?=[XYZ](?![a-z]))"  # posX, errY, dZ
@@ -50,16 +50,16 @@ _WORDS = re.compile(
     r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|(?<=[\u3040-\ud7af])(?=[A-Za-z])|(?<=[A-Za-z])(?=[\u3040-\ud7af])"
 )
 _FILLER = re.compile(r"(from|von|approach(ed)?|direction|richtung|dir|the|side|to|towards?)?")
-_FROM = ("from", "von", "de", "da", "desde")  # behind it a sign states where the axis came from: `from -` is below
+_FROM = ("from", "von", "de", "da", "desde")  # a sign after it states where the axis came from: `from -` is from below
 _SIGNS_IN_WORDS = ("plus", "minus", "positive", "negative", "positiv", "negativ")
 _SIGN = re.compile(r"\+|-|plus|minus|p|n|pos(itive?)?|neg(ative?)?")
 EVEN_STEPS = "its even steps"
-NO_SIDES = "called a direction, but its values are no two signs"
+NO_SIDES = "named as a direction, but its values are not two signs"
 
 
 @dataclass(frozen=True)
 class ColumnGuess:
-    """kind: a role, `actual` or `counts`; axis: letter or None; why: the reason, in words."""
+    """kind: a role, `actual` or `counts`; axis: letter or None; why: the reason, for the user."""
 
     kind: str
     axis: str | None
@@ -67,7 +67,7 @@ class ColumnGuess:
 
 
 def guess(column: RawColumn) -> ColumnGuess:
-    """What a column probably is. A column that fits nothing is `ignore`."""
+    """The probable role of a column. A column that fits no role is `ignore`."""
     found = _guess(column, axis_in(column.header))
     return replace(found, axis=None) if found.axis is not None and found.axis == SYMBOLS.get(found.kind) else found
 
@@ -83,7 +83,7 @@ def _guess(column: RawColumn, axis: str | None) -> ColumnGuess:
     if KIND_OF_UNIT.get(column.unit or "") == "error" and values.is_scatter(column):
         return ColumnGuess("ignore", axis, values.SCATTER)
     if column.unit == "%" and re.search(_SHARES, plain(column.header)):
-        return ColumnGuess("ignore", axis, "a share in %, and by its name no humidity")
+        return ColumnGuess("ignore", axis, "a percentage, and not a humidity by its name")
     if column.unit in KIND_OF_UNIT and column.numeric:
         return ColumnGuess(KIND_OF_UNIT[column.unit], axis, f"its unit ({column.unit})")
     if _side(column) is not None and column.values.size > 3:
@@ -94,25 +94,25 @@ def _guess(column: RawColumn, axis: str | None) -> ColumnGuess:
 
 
 def with_period(layout: Layout, period: float | None) -> Layout:
-    """The layout with a column of times where a person states the time between rows and no column is a time."""
+    """The layout with a time column if the user states the time between rows and no column is a time."""
     if period is None or not layout.columns or any(guess(c).kind == "time" for c in layout.columns):
         return layout
     times = period * np.arange(len(layout.columns[0].cells))
     layout.columns.insert(0, RawColumn("t", "s", times.tolist(), times))
-    layout.notes.append(f"a row each {period:g} s, as --period states")
+    layout.notes.append(f"one row every {period:g} s, from --period")
     return layout
 
 
 def with_one_clock(guesses: dict[str, ColumnGuess]) -> dict[str, ColumnGuess]:
-    """The guesses, where beside a clock `T_nut` is a temperature, however evenly it rises."""
+    """The guesses; if there is a clock, `T_nut` is a temperature, however evenly it rises."""
     even = {h: ColumnGuess("temperature", None, g.why) for h, g in guesses.items() if g.why.endswith(EVEN_STEPS)}
     return guesses | even if len(even) < sum(g.kind == "time" for g in guesses.values()) else guesses
 
 
 def with_place(columns: list[RawColumn], guesses: dict[str, ColumnGuess], stated: str | None) -> dict[str, ColumnGuess]:
-    """The guesses, and where none is a place, the only column that names an axis and is as long as a travel as one.
+    """The guesses; if no column is a position, the only column that names an axis and has the size of a travel is one.
 
-    stated: an axis, by a person; of a rotary one the only column of angles is the place: `q1 [rad]`.
+    stated: an axis declared by the user; for a rotary one the only column of angles is the position: `q1 [rad]`.
     """
     if any(g.kind in PLACE for g in guesses.values()):
         return guesses
@@ -126,16 +126,16 @@ def with_place(columns: list[RawColumn], guesses: dict[str, ColumnGuess], stated
     why = (
         f"its unit ({long[0].unit}): the only angle"
         if turns
-        else f"its axis ({axis}), unit and size: as long as a travel"
+        else f"its axis ({axis}), unit and size: the range of a travel"
     )
     return {**guesses, long[0].header: ColumnGuess("position", axis, why)}
 
 
 def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
-    """The kind corrected where the column's unit and values contradict it."""
+    """The kind, corrected if the column's unit and values contradict it."""
     unit = column.unit
     if kind not in ("time", "run", "group", "direction") and not column.numeric:
-        return "ignore", "its values are no numbers"
+        return "ignore", "its values are not numbers"
     if kind == "time" and KIND_OF_UNIT.get(unit or "", "time") != "time":
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     if kind == "time" and plain(column.header) in ("min", "h") and not values.rises_evenly(column):
@@ -153,42 +153,42 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
     if kind == "temperature" and unit is None and values.ticks(column):
         return "time", f"its name ({column.header!r}) and {EVEN_STEPS}"
     if kind == "temperature" and unit is None and column.numeric and not values.like_degrees(column):
-        return "ignore", "called like a temperature, but its values are none in degC"
+        return "ignore", "named like a temperature, but its values are not plausible in degC"
     if kind == "group" and unit in ("mm", "m", "inch", "deg"):
         return ("position" if group_of(column.header) == "machine" else "ignore"), f"its unit ({unit})"
     if kind == "group" and not 1 < len({*_texts(column)}) <= 0.5 * len(column.cells):
-        return "ignore", "called like a label of groups, but its values group no rows"
+        return "ignore", "named like a group label, but its values do not group rows"
     if kind == "error" and values.is_scatter(column):
         return "ignore", values.SCATTER
     if kind == "error" and re.search(DISPLACEMENT, plain(column.header)) and values.as_long_as_a_travel(column):
-        return "actual", "its size: a displacement as long as a travel is a position"
+        return "actual", "its size: a displacement with the range of a travel is a position"
     if kind == "coolant" and KIND_OF_UNIT.get(unit or "") is not None:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     if kind == "coolant" and not set(np.unique(values.known(column))) <= {0.0, 1.0}:
-        return "ignore", "called a coolant, but its values are not 0 and 1 (off and on)"
+        return "ignore", "named as coolant, but its values are not 0 and 1 (off and on)"
     if kind == "direction" and None in [side(c) for c in column.cells if c not in (None, "")]:
         return "ignore", NO_SIDES
     if kind == "error" and re.search(CORRECTION, plain(column.header)) and np.unique(values.known(column)).size <= 2:
-        return "ignore", "called a compensation, but of two values: it states whether one is on"
+        return "ignore", "named as a compensation, but with two values: it states whether one is active"
     if kind in ("position", "command", "actual") and KIND_OF_UNIT.get(unit or "", "error") not in PLACES:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
     if kind in ("position", "command", "actual") and unit == "counts":
         return "counts", "its unit (counts)"
     if kind == "counts" and (unit in OF_SMALL_LENGTHS or unit in OF_DEVIATIONS):
-        return "error", f"its unit ({unit})"  # divisions of a dial, with what one is
+        return "error", f"its unit ({unit})"  # divisions of a dial, with their size
     if kind in ("velocity", "feed") and unit in ("rpm",):
         return "spindle_speed", f"its unit ({unit})"
     return kind, ""
 
 
 def group_of(header: str) -> str:
-    """What the labels of a column stand for: season, month, ... by its header, else the header itself."""
+    """What the labels of a column denote: season, month, ... by its header, else the header itself."""
     text = plain(header)
     return next((name for name, words in GROUPS.items() if re.match(words, text)), text.replace(" ", "_"))
 
 
 def axis_in(text: str) -> str | None:
-    """The axis letter that a text names, or None: `ErrorY`, `posz`, `Y軸位置`; of EYX the axis moved."""
+    """The axis letter that a text names, or None: `ErrorY`, `posz`, `Y軸位置`; for EYX the moving axis."""
     if (name := component_in(text)) is not None and (moved := components.parse(name).axis) is not None:
         return moved
     match = _AXIS.search(text) or _AXIS.search(_WORDS.sub(" ", text))
@@ -207,7 +207,7 @@ def component_in(text: str) -> str | None:
     return None
 
 
-# Angular errors of a horizontal axis by their usual names (ISO 230-1): the axis they turn about.
+# Angular errors of a horizontal axis by their usual names (ISO 230-1): the axis of rotation.
 ANGLES = {
     "X": {"roll": "A", "pitch": "B", "yaw": "C"},
     "Y": {"roll": "B", "pitch": "A", "yaw": "C"},
@@ -216,7 +216,7 @@ ANGLES = {
 
 
 def is_straightness(text: str) -> bool:
-    """Whether a header names a straightness: its letter is the axis across the one that moves."""
+    """Whether a header names a straightness: its letter is the axis perpendicular to the moving one."""
     return re.search(_STRAIGHT, plain(text)) is not None
 
 
@@ -225,7 +225,7 @@ def is_radius(text: str) -> bool:
     return re.search(_RADIUS, plain(text)) is not None
 
 
-# Quantities that are no positioning deviation of the axis along which they were measured.
+# Quantities that are not the positioning deviation of the axis along which they were measured.
 _DIAMETER = r"\b(diamet(er|re|ro)|durchmesser)|直[径徑]|(?i:^ø)"
 _OF_A_LATHE = r"\b(dia|diam|diamet\w*|durchm\w*)\b|[øØ⌀]|直[径徑]"  # of a position
 _RADIUS = r"\b(radi(us|al\w*)|d ?r|ball ?bar)\b|半径"  # of a circular test
@@ -243,9 +243,9 @@ _SHAPES = (
 
 
 def other_component(text: str, moved: str) -> str | None:
-    """EYX of 'straightness Y' along X, ECX of 'yaw', E_D of 'diameter', E_R of 'radius'; None of any other header.
+    """EYX for 'straightness Y' along X, ECX for 'yaw', E_D for 'diameter', E_R for 'radius'; None for other headers.
 
-    Raises DataError for half of it, and for a shape (flatness, squareness), which is no component of the axis alone.
+    Raises DataError if incomplete, and for a shape (flatness, squareness), which is not a component of the axis alone.
     """
     word = plain(text)
     if re.search(_DIAMETER, word):
@@ -253,20 +253,20 @@ def other_component(text: str, moved: str) -> str | None:
     if is_radius(text):
         return "E_R"
     if re.search(_SHAPES, word):
-        raise DataError(f"column {text!r}: of what component is this? Say it with --component, such as EZX or C0Y")
+        raise DataError(f"column {text!r}: which component is this? Declare it with --component, such as EZX or C0Y")
     if is_straightness(text):
         across = axis_in(text)
         if across is None or across == moved:
             raise DataError(
-                f"column {text!r}: a straightness across which axis? Say it with --component, such as EYX, or beside "
-                f"other readings with --set '{text}.component=EYX'"
+                f"column {text!r}: a straightness in which direction? Declare it with --component, such as "
+                f"EYX (next to other readings: --set '{text}.component=EYX')"
             )
         return f"E{across}{moved}"
     for pattern, name in TURNS:
         if re.search(pattern, word):
             about = ANGLES.get(moved[0], {}).get(name)
             if about is None:
-                raise DataError(f"column {text!r}: about which axis? Say it with --component, such as EBZ")
+                raise DataError(f"column {text!r}: about which axis? Declare it with --component, such as EBZ")
             return f"E{about}{moved}"
     return None
 
@@ -287,13 +287,13 @@ _STRAIGHT = r"straight|gerad(?!e)|rectitud|rettilin|直线度|真直度"
 
 
 def titles_other_component(line: str) -> bool:
-    """Whether a line above a table names a straightness, a turn or a shape as measured: not `Squareness: off`."""
+    """Whether a line above a table names a straightness, a rotation or a shape as measured: not `Squareness: off`."""
     said = [part for part in re.split("[:=：]", plain(line)) if part.strip()]
     return bool(said) and re.search(rf"{_STRAIGHT}|\b(yaw|roll)\b|{_SHAPES}", said[-1]) is not None
 
 
 def side(text: object) -> float | None:
-    """+1 or -1 of a word for a direction (`fwd`, `from above`, `zurück`), or None."""
+    """+1 or -1 for a word of direction (`fwd`, `from above`, `zurück`), or None."""
     word = re.sub(r"^([+-])ve$", r"\1", plain(text).removesuffix(".0").strip(".:()"))
     word = re.sub(r"^[xyzabcuvw]\d? ?([+-])$|^([+-])[xyzabcuvw]\d?$", r"\1\2", word)
     words = [w for w in re.split(r"[\s_.]+", word) if not _FILLER.fullmatch(w)]
@@ -317,7 +317,7 @@ _LONE_SIGN = re.compile(r"\(([+-])\)|[:=] ?([+-])$")
 
 
 def side_above(lines: list[str]) -> str | None:
-    """What a line above a table states of the side of all its readings: `backward` of `Direction: backward`; or None.
+    """The side of all readings as stated in a line above a table: `backward` from `Direction: backward`; or None.
 
     A sign alone may be that of a beam or a drive: it states a side only in a line on the approach.
     """
@@ -328,7 +328,7 @@ def side_above(lines: list[str]) -> str | None:
 
 
 def _approach(line: str) -> str | None:
-    """What a line on the approach states of its side: `-` of `Approach from above (-)`, `from above` of `from +`."""
+    """The side stated in a line on the approach: `-` in `Approach from above (-)`, `from above` for `from +`."""
     if not _OF_AN_APPROACH.search(line) or re.search(r"\d", line):
         return None
     if came := _CAME_FROM.search(line):
@@ -340,7 +340,7 @@ def _approach(line: str) -> str | None:
 
 
 def side_in(header: str) -> str | None:
-    """The word of a header that states the side of its readings: `bwd` of `Error bwd [um]`; or None."""
+    """The word in a header that states the side of its readings: `bwd` in `Error bwd [um]`; or None."""
     found = [w for w in re.findall(r"[^\W\d_]{2,}", plain(header)) if not _SIGN.fullmatch(w) and side(w) is not None]
     return found[0] if len(found) == 1 else None
 
@@ -349,13 +349,13 @@ _CAME_FROM_HEADER = re.compile(r"\b(from|von|aus|desde|depuis|da)$|\b(approach|a
 
 
 def _came_or_went(header: str, cell: object) -> float | None:
-    """The side of a cell; below `Approach from` a sign states where the axis came from: + is from above."""
+    """The side of a cell; below `Approach from` a sign states the origin of the motion: + is from above."""
     way, came = side(cell), _CAME_FROM_HEADER.search(plain(header).strip(" :.()"))
     return -way if came and way is not None and _SIGN.fullmatch(plain(cell)) else way
 
 
 def _side(column: RawColumn) -> np.ndarray | None:
-    """The column as +1 and -1, where every filled cell is a direction and both occur."""
+    """The column as +1 and -1, if every filled cell is a direction and both occur."""
     filled = [c for c in column.cells if c not in (None, "")]
     signs = [_came_or_went(column.header, c) for c in filled]
     return np.array(signs, dtype=float) if filled and None not in signs and len(set(signs)) == 2 else None

@@ -1,7 +1,7 @@
-"""Compensation files of controllers, which strangers bring as if they were measurements: named, and refused.
+"""Compensation files of controllers submitted as measurements: identified, and refused.
 
-A controller's file holds what the control adds or subtracts, not what an axis did; taken as deviations it doubles an
-error, or corrects a machine that was corrected already.
+A controller's file contains what the control adds or subtracts, not what an axis did; taken as deviations it doubles
+the error, or corrects a machine that is already corrected.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 
 ECT = b"ECT\x00"  # a table of errpipe itself (schemas/ect-2.md)
 
-# What the text of a file holds -> what the file is, and how the control leaves it out ("": see its manual).
+# What a file's text contains -> what the file is, and how to deactivate it in the control ("": see its manual).
 _BY_TEXT: tuple[tuple[str, str, str], ...] = (
     (
         r"\$AA_ENC_COMP|_EEC_INI",
@@ -67,11 +67,11 @@ _BY_NAME: tuple[tuple[str, str, str], ...] = (
 
 
 def controller_file_kind(path: Path, head: bytes) -> str | None:
-    """The message for a compensation file of a control, with what to do instead; None for any other file."""
+    """The message for a compensation file of a control, with the alternative; None for any other file."""
     if head.startswith(ECT):
         return (
-            "a compensation table of errpipe, not a measurement: deviations that were measured with it switched on are "
-            "imported alone, and the stage ingest takes it as `compensated_by`"
+            "a compensation table of errpipe, not a measurement: import only the deviations measured with it "
+            "active, and declare it as `compensated_by` in the stage ingest"
         )
     text = head.replace(b"\0", b"").decode("latin-1").replace("\r\n", "\n")
     kinds = [k for k in _BY_TEXT if re.search(k[0], text, re.IGNORECASE | re.MULTILINE)]
@@ -80,7 +80,7 @@ def controller_file_kind(path: Path, head: bytes) -> str | None:
         return None
     _, what, off = kinds[0]
     return (
-        f"{what}: what the control adds or subtracts, no measurement. Import the deviations that were measured with it "
-        f"switched off ({off or 'as the manual of the control describes'}); measured with it on, they are only what it "
-        "leaves, and the new table is added to this one"
+        f"{what}: what the control adds or subtracts, not a measurement. Import the deviations measured with it "
+        f"switched off ({off or 'as the manual of the control describes'}); if it was active, they are only its "
+        "residual, and the new table is added to it"
     )

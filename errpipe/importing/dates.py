@@ -14,8 +14,8 @@ from errpipe.importing.layout import RawColumn
 from errpipe.importing.sheet import Cell
 from errpipe.importing.units import unit_of
 
-NOT_UNDERSTOOD = "a date that is not understood"
-MIDNIGHT = "T00:00:00"  # how a workbook gives a date without a time of day
+NOT_UNDERSTOOD = "a date in an unknown format"
+MIDNIGHT = "T00:00:00"  # how a workbook writes a date without a time of day
 _DATE = re.compile(
     rf"(\d{{4}}-\d\d-\d\d|\d{{1,2}}[./-]\d{{1,2}}[./-]\d{{2,4}}|\d{{4}}/\d\d?/\d\d?)(?:{MIDNIGHT})?"
     r"|\d{1,2}[-. ]{1,2}[^\W\d_]{3,9}[-. ]{1,2}\d{2,4}"  # 20-Feb-2026
@@ -25,7 +25,7 @@ _ELAPSED = re.compile(
     r"(?:(\d+)\s*(?:d|days?|tage?|[.:])?\s+|(\d+)[.:](?=\d+:\d\d:))?(\d+):(\d\d)(?::(\d\d(?:\.\d+)?))?"
 )
 _COMPACT = re.compile(r"(?:19|20)\d{12}")  # yyyymmddhhmmss, read as a number
-_FIRST_YEAR = 1901  # strptime gives 1900 where a text has a clock time alone
+_FIRST_YEAR = 1901  # strptime returns 1900 for a text with only a clock time
 _HALF_A_DAY = 43200.0  # s
 
 _CLOCKS = ("%H:%M:%S.%f", "%H:%M:%S", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
@@ -42,24 +42,24 @@ _USUAL = (
     *("%Y%m%d%H%M%S", "%Y%m%d_%H%M%S", "%Y%m%d-%H%M%S", "%Y%m%d %H:%M:%S"),
     *_CLOCKS,
 )
-# Slashes and dashes may put the month first or the day: both are tried, and the shorter time that never falls is taken.
+# With slashes and dashes, month or day may come first: both are tried, and the shorter ascending time is used.
 _OTHER_ORDER = _forms("%d/%m/%Y", "%d/%m/%y", "%m-%d-%Y", "%y-%m-%d")
 _YEAR_OF_TWO_DIGITS = _forms("%y/%m/%d", "%d-%m-%y")
 
-# Ticks since an epoch, by the size of their numbers: from, to, s of one tick.
+# Ticks since an epoch, by magnitude: from, to, s per tick.
 EPOCHS = ((1e9, 4.2e9, 1.0), (1e12, 4.2e12, 1e-3), (1e15, 4.2e15, 1e-6), (1.1e17, 1.7e17, 1e-7), (1e18, 4.2e18, 1e-9))
-# Days of the years 2000 to 2099: of a spreadsheet (or modified Julian), of MATLAB's datenum, Julian.
-SPREADSHEET_ZERO = datetime(1899, 12, 30)  # of the days that Excel and its relatives count
+# Days of the years 2000 to 2099: spreadsheet (or modified Julian), MATLAB's datenum, Julian.
+SPREADSHEET_ZERO = datetime(1899, 12, 30)  # of the day count of Excel and similar programs
 DAY = 86400.0  # s
 SERIAL_DAYS = ((36526.0, 73050.0), (730486.0, 767010.0), (2451544.5, 2488069.5))
 
 
-SHORT = {"us": 1e-6, "ns": 1e-9}  # units of a time that the manifest does not have, in s
-FILE_TIME = 1e-7  # s: such ticks do not count from 1970
+SHORT = {"us": 1e-6, "ns": 1e-9}  # units of time that the manifest does not have, in s
+FILE_TIME = 1e-7  # such ticks do not count from 1970
 
 
 def seconds(column: RawColumn) -> tuple[np.ndarray, str | None, str] | None:
-    """Dates, clocks or elapsed times as s since the first, that date by ISO 8601, and how it is written; or None."""
+    """Dates, clock or elapsed times as s since the first, that date in ISO 8601, and the format; or None."""
     texts = [_usual_signs(str(c).strip()) if c not in (None, "") else "" for c in _cells(column)]
     first = next((t for t in texts if t), None)
     if first is None:
@@ -72,25 +72,25 @@ def seconds(column: RawColumn) -> tuple[np.ndarray, str | None, str] | None:
 
 
 def numbered(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str, str, str | None]:
-    """Times that are numbers, their unit, the reason and when they were 0.
+    """Times that are numbers, their unit, the reason and the date of 0.
 
-    Raises DataError for what may be days or seconds.
+    Raises DataError for values that may be days or seconds.
     """
     if (counted := unwrapped(c.values)) is not c.values:
-        c, why = RawColumn(c.header, c.unit, c.cells, counted), f"{why}; its counter overflowed, and is counted on"
+        c, why = RawColumn(c.header, c.unit, c.cells, counted), f"{why}; counter overflow corrected"
     first, last = float(np.nanmin(c.values)), float(np.nanmax(c.values))
-    unit = unit or unit_of(c.header)  # a column that is called `minutes`
+    unit = unit or unit_of(c.header)  # a column named `minutes`
     tick = next((tick for low, high, tick in EPOCHS if low <= first < high), None)
     epoch = None if tick in (None, FILE_TIME) else datetime.fromtimestamp(first * tick, UTC).isoformat()
     if unit in SHORT:
-        return (c.values - first) * SHORT[unit], "s", f"{why}; {unit} written as s", epoch
+        return (c.values - first) * SHORT[unit], "s", f"{why}; {unit} converted to s", epoch
     if tick is not None and (unit not in ROLE_UNITS["time"] or {"s": 1.0, "ms": 1e-3}.get(unit or "") == tick):
-        return (c.values - first) * tick, "s", f"{why}; ticks of {tick:g} s since an epoch, by their size", epoch
+        return (c.values - first) * tick, "s", f"{why}; ticks of {tick:g} s since an epoch, by their magnitude", epoch
     days = any(low <= first <= last < high for low, high in SERIAL_DAYS)
     dated = re.search(r"\b(date|datum|fecha|data|zeitstempel|time ?stamp)\b", c.header, re.IGNORECASE)
     if days and first < 1e5 and (unit == "d" or (unit is None and dated)):
         start = (SPREADSHEET_ZERO + timedelta(days=first)).isoformat(timespec="seconds")
-        return (c.values - first) * DAY, "s", f"{why}; days as spreadsheets count them, written as s", start
+        return (c.values - first) * DAY, "s", f"{why}; spreadsheet days converted to s", start
     if unit is None and days and last - first < len(c.values):
         raise DataError(
             f"column {c.header!r} starts at {first:g}: days since a date, or seconds? (--set '{c.header}.unit=d', or s)"
@@ -101,11 +101,11 @@ def numbered(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str,
     return c.values - first if late else c.values, unit, why, None
 
 
-FEW_STEPS = 5.0  # of a clock: between the last row before an overflow and the first one behind it
+FEW_STEPS = 5.0  # of a clock: between the last row before an overflow and the first one after it
 
 
 def unwrapped(values: np.ndarray) -> np.ndarray:
-    """Times that count on where a counter of 16, 24 or 32 bits began again from its least; else as they are."""
+    """Times continued where a 16, 24 or 32 bit counter restarted from its minimum; else unchanged."""
     steps, usual = np.diff(values), float(np.median(np.diff(values), axis=0)) if values.size > 1 else 0.0
     for span in (2.0**16, 2.0**24, 2.0**32):
         if usual > 0 and (steps < 0).any() and (np.abs(steps[steps < 0] + span) <= FEW_STEPS * usual).all():
@@ -114,7 +114,7 @@ def unwrapped(values: np.ndarray) -> np.ndarray:
 
 
 def order_of(form: str) -> str:
-    """What was assumed of a form in which day and month could be exchanged, for a person to judge."""
+    """The assumption on a format in which day and month could be exchanged, for the user to confirm."""
     if form.startswith(("%m/", "%m-")):
         return "; the month first"
     if form.startswith(("%y/", "%y-")):
@@ -123,7 +123,7 @@ def order_of(form: str) -> str:
 
 
 def refuse_an_hour_back(c: RawColumn, since: np.ndarray) -> None:
-    """Raise DataError where a clock goes back once, by an hour less one step, as at the end of summer time."""
+    """Raise DataError if a clock goes back once, by an hour less one step, as at the end of summer time."""
     rows = np.flatnonzero(np.isfinite(since))
     steps = np.diff(since[rows])
     usual = float(np.median(steps)) if steps.size else 0.0
@@ -131,19 +131,19 @@ def refuse_an_hour_back(c: RawColumn, since: np.ndarray) -> None:
     if back.size == 1 and 0 <= steps[back[0]] + 3600.0 <= 2.0 * usual:
         before, after = (str(c.cells[rows[back[0] + k]]) for k in (0, 1))
         raise DataError(
-            f"column {c.header!r}: {after!r} stands below {before!r}, an hour back: the end of summer time? Write the "
+            f"column {c.header!r}: {after!r} follows {before!r}, one hour back: the end of summer time? Write the "
             "times in UTC or with their zone (2026-10-25T02:10:00+02:00, ... +01:00)"
         )
 
 
 def refuse_unread(entries: dict[str, dict[str, Any]], guesses: dict[str, str], data: dict[str, Any]) -> None:
-    """Raise DataError where a drift has no time that is understood, but a column of what may be dates."""
+    """Raise DataError if a drift has no readable time, but a column of possible dates."""
     unread = next((name for name, why in guesses.items() if why == NOT_UNDERSTOOD), None)
     if unread is not None and not any(e["role"] == "time" for e in entries.values()):
         first = next((x for x in data[unread] if x), "")
         raise DataError(
-            f"column {unread!r}: {first!r} is no time that is understood (allowed: 2025-03-01T07:00:00, the usual "
-            f"orders of day, month and year, seconds): write it so, or say --set {unread}.role=ignore"
+            f"column {unread!r}: {first!r} is not a known time format (allowed: 2025-03-01T07:00:00, the usual "
+            f"orders of day, month and year, seconds): convert it, or use --set {unread}.role=ignore"
         )
 
 
@@ -153,7 +153,7 @@ def is_date(text: str) -> bool:
 
 
 def date_and_clock(columns: list[RawColumn]) -> list[RawColumn]:
-    """A column of dates without a time of day and one of clock times as one column of both."""
+    """A column of dates without a time of day and one of clock times, merged."""
     dates = [c for c in columns if not c.numeric and all(map(_DATE.fullmatch, _texts(c))) and _texts(c)]
     clocks = [c for c in columns if not c.numeric and all(map(_CLOCK.fullmatch, _texts(c))) and _texts(c)]
     if len(dates) != 1 or len(clocks) != 1:
@@ -169,7 +169,7 @@ def date_and_clock(columns: list[RawColumn]) -> list[RawColumn]:
 
 
 def _cells(column: RawColumn) -> list[Cell]:
-    """The cells, numbers of fourteen digits that begin with a year as texts; no others where the column is numeric."""
+    """The cells, numbers of fourteen digits that begin with a year as texts; empty if the column is numeric."""
     if not column.numeric:
         return column.cells
     texts = [f"{v:.0f}" if np.isfinite(v) else "" for v in column.values]
@@ -203,7 +203,7 @@ def _stamp(text: str, form: str) -> datetime:
 
 
 def _elapsed(texts: list[str]) -> tuple[np.ndarray, str | None, str] | None:
-    """`0 days 00:01:00`, `1.02:00:00`, `25:10:00`: days, hours, minutes and seconds since something began."""
+    """`0 days 00:01:00`, `1.02:00:00`, `25:10:00`: days, hours, minutes and seconds since a start."""
     parts = [_ELAPSED.fullmatch(t) for t in texts]
     if not all(part or not t for part, t in zip(parts, texts, strict=True)):
         return None
@@ -216,7 +216,7 @@ def _seconds_of(part: re.Match[str]) -> float:
     return ((days * 24.0 + hours) * 60.0 + minutes) * 60.0 + rest
 
 
-_MONTHS = {  # beginnings of the months' names elsewhere -> as `%b` reads them
+_MONTHS = {  # beginnings of month names in other languages -> as `%b` parses them
     **dict.fromkeys(("mär", "mrz", "mars", "marz"), "Mar"),
     **dict.fromkeys(("mai", "mag", "may"), "May"),
     **dict.fromkeys(("gen", "ene", "janv"), "Jan"),
@@ -233,9 +233,9 @@ _EAST_ASIAN = str.maketrans({"年": "/", "月": "/", "日": " ", "時": ":", "�
 
 
 def _usual_signs(text: str) -> str:
-    """`7:00:00,5` with a point, `Mar 1, 2025 7:00` with a blank, `2. März 2026` in English, `07.58.00` with colons.
+    """`7:00:00,5` with a point, `Mar 1, 2025 7:00` with a space, `2. März 2026` in English, `07.58.00` with colons.
 
-    Also a date in quotes, and `2021/06/12-12:54:51` with a blank between date and clock.
+    Also a date in quotes, and `2021/06/12-12:54:51` with a space between date and clock.
     """
     text = re.sub(r"^(\d{1,4}[/.-]\d\d?[/.-]\d{1,4})[-_](?=\d\d?:\d\d)", r"\1 ", text.strip("\"' "))
     text = re.sub(r",(?=\d)", ".", text.translate(_EAST_ASIAN)).replace(",", " ")

@@ -1,4 +1,4 @@
-"""Facts on the set-up that lines above a table state."""
+"""Facts on the set-up stated in lines above a table."""
 
 from __future__ import annotations
 

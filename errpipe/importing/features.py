@@ -1,8 +1,8 @@
-"""Inspection prints: nominal and actual places of features, as CMMs and probing cycles write them, as a recording.
+"""Inspection reports: nominal and actual positions of features, from CMMs and probing cycles, as a recording.
 
-A row states one coordinate of a feature: below a header (`AX NOMINAL MEAS DEV`), or with the words beside the numbers
+A row states one coordinate of a feature: below a header (`AX NOMINAL MEAS DEV`), or with words between the numbers
 (`POSN X50.0000 ACTUAL 50.0031 DEV 0.0031`); or a table has columns for each axis. A part that the machine made shows
-its deviations, an artefact that it measured minus its deviations: a print does not say which it is, a person does.
+the machine's deviations, an artefact that it measured minus its deviations: only the user knows which it is.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from errpipe.importing.units import split_header
 from errpipe.importing.words import kind_by_name, plain
 
 NOMINAL, ACTUAL, DEVIATION = "command", "actual", "error"
-WHO = "who made what was measured"
+WHO = "was a part or an artefact measured"
 FEWEST = 3  # features
 MOST_ROWS = 20_000  # of a sheet: a thousand features have ten rows each; longer ones are logs
-FARTHEST = 5.0  # mm: as the largest deviation elsewhere; beyond it another number was read
-ROUNDING = 2.1e-4  # mm: of three numbers that are printed with four decimals (0.002 mm with three)
+FARTHEST = 5.0  # mm: as the largest deviation elsewhere; beyond it a wrong number was read
+ROUNDING = 2.1e-4  # mm: of three numbers printed with four decimals (0.002 mm with three)
 _COORDINATE = re.compile(r"(?<![a-z\d])([xyz])(?![a-z\d])")
 _OF_A_COORDINATE = re.compile(r"\b(value|wert|coord\w*|koord\w*|val)\b|[^\w]|_")
 _NAME_OF_FEATURE = re.compile(
@@ -39,7 +39,7 @@ _GLUED = re.compile(r"([A-Za-z]{1,8})[=:]?([+-]?\d+[.,]\d+)")  # `X50.0000`, `XN
 _TOLERANCE = re.compile(r"((upper|lower|ob|unt|o|u|out)\w*[. ]*|[+-] ?)tol\w*\.?", re.IGNORECASE)
 _LIMIT = re.compile(r"limit|grenz|maxim|minim|mass?\b|toler|height|hoehe")
 _IDENTIFIES = re.compile(r"(?<![\d.,])\d+(?![\d.,])")  # `FEATURE NO 2`, `DIM LOC2=`, not `ERROR TP 0.1311`
-_VERDICT = re.compile(r"\bfail|\bok\b|^$")  # `Pass/Fail` is no run
+_VERDICT = re.compile(r"\bfail|\bok\b|^$")  # `Pass/Fail` is not a run
 _DIFFERENCE = re.compile(r"\b(diff\w*|delta)\b")
 
 
@@ -47,7 +47,7 @@ _DIFFERENCE = re.compile(r"\b(diff\w*|delta)\b")
 class _Reading:
     """One coordinate of a feature: the numbers by kind.
 
-    breaks: a line before it begins another feature; apart: so it does, or the row holds the words as well.
+    breaks: a preceding line starts another feature; apart: likewise, or the row contains the words as well.
     """
 
     row: int
@@ -59,9 +59,9 @@ class _Reading:
 
 
 def proposal(sheet: Sheet, options: ImportOptions) -> Proposal | None:
-    """The recording of a print; None of any other sheet.
+    """The recording of a report; None for any other sheet.
 
-    Raises DataError where numbers contradict one another, and where nobody states who made what was measured.
+    Raises DataError if numbers contradict each other, and if the user does not state what was measured.
     """
     rows: list[list[Cell]] = [[*sheet.header], *sheet.rows] if sheet.header else sheet.rows
     if len(rows) > MOST_ROWS:
@@ -78,7 +78,7 @@ def proposal(sheet: Sheet, options: ImportOptions) -> Proposal | None:
     if len(kept) < max(FEWEST, 0.5 * len(features)) or (len(axes) < 2 and not apart):
         return None
     if len(units) > 1:
-        raise DataError(f"a print in {' and '.join(sorted(units))}: write it in one unit")
+        raise DataError(f"an inspection report in {' and '.join(sorted(units))}: write it in one unit")
     unit = options.unit if options.unit in ("mm", "inch") else next(iter(units), "mm")
     scale = 25.4 if unit == "inch" else 1.0
     place = {a: scale * np.array([f[a].numbers[NOMINAL] for f in kept]) for a in axes}
@@ -86,16 +86,16 @@ def proposal(sheet: Sheet, options: ImportOptions) -> Proposal | None:
     moved = [a for a in axes if np.unique(place[a]).size > 1]
     measured = [a for a in (moved if len(moved) == 1 else axes) if np.any(read[a])]
     if not moved or not measured:
-        raise DataError("a print of features, all at one place or without a deviation: nothing to compensate")
+        raise DataError("an inspection report without positions or deviations that vary: nothing to compensate")
     _ask_who_made_it(len(kept), moved, options)
     p = Proposal(notes=[*sheet.notes], headers={label(c) for row in rows[:1] for c in row})
-    p.put("run", _runs([place[a] for a in axes]), "how often a place was measured before", role="run")
-    why = "nominal place of the feature" + ("" if units else "; no unit is stated, taken as mm")
+    p.put("run", _runs([place[a] for a in axes]), "repetition number of the position", role="run")
+    why = "nominal position of the feature" + ("" if units else "; no unit is stated, taken as mm")
     for a in moved:
         p.put(a, np.round(place[a], 4), why, role="position", axis=a, unit="mm")
     for a in measured:
         component = f"E{a}{a}" if len(moved) == 1 else f"E_{a}"
-        p.put(component, np.round(read[a], 7), "actual less nominal", role="error", component=component, unit="mm")
+        p.put(component, np.round(read[a], 7), "actual minus nominal", role="error", component=component, unit="mm")
     signs.change(p, Layout([], []), options)
     made = options.sign == "actual-minus-commanded"
     if len(moved) > 1:
@@ -104,25 +104,25 @@ def proposal(sheet: Sheet, options: ImportOptions) -> Proposal | None:
         p.notes.append("reference axis, minor axis, tool axis: taken as X, Y and Z, as where Z is the axis of the tool")
     p.notes.append(f"a print of {len(kept)} features: {'a part that the machine made' if made else 'an artefact'}")
     if any(f[a].numbers.get(DEVIATION, 0.0) * d < 0 for a in measured for f, d in zip(kept, read[a], strict=True)):
-        p.notes.append("its column of deviations is nominal less actual: taken from these two")
+        p.notes.append("its column of deviations is nominal minus actual: deviations computed from these two")
     if left := {r.name or f"line {r.row + 1}" for f in features if f not in kept for r in f.values()}:
-        p.notes.append(f"features without {' and '.join(axes)} were left out: {', '.join(sorted(left))}"[:160])
+        p.notes.append(f"features without {' and '.join(axes)} were excluded: {', '.join(sorted(left))}"[:160])
     for a in {*axes} - {*measured}:
-        p.notes.append(f"{a} was left out: " + ("it does not vary" if len(moved) == 1 else "every deviation is 0"))
+        p.notes.append(f"{a} was excluded: " + ("it does not vary" if len(moved) == 1 else "every deviation is 0"))
     return p
 
 
 def _ask_who_made_it(count: int, moved: list[str], options: ImportOptions) -> None:
     if options.sign is None:
         raise DataError(
-            f"a print of {count} features in {', '.join(moved)}: {WHO}? A part that this machine "
+            f"an inspection report of {count} features in {', '.join(moved)}: {WHO}? A part that this machine "
             "made and a CMM measured: --sign actual-minus-commanded; a calibrated artefact (ball plate, step gauge) "
             "that this machine measured with its own probe: --sign commanded-minus-actual"
         )
 
 
 def _units(rows: list[list[Cell]]) -> tuple[set[str], str | None]:
-    """Units of length that the print names, and that of a column of deviations where its header states another."""
+    """Units of length that the report names, and that of a column of deviations if its header states another."""
     found, of_deviation = set(), None
     for row in rows:
         texts = [c for c in row if isinstance(c, str) and _has_letters(c)]
@@ -139,7 +139,7 @@ def _has_letters(cell: Cell) -> bool:
 
 @lru_cache(maxsize=1024)
 def _kind(cell: Cell) -> str | None:
-    """command, actual or error of a word; None of any other cell."""
+    """command, actual or error for a word; None for any other cell."""
     if not _has_letters(cell) or _TOLERANCE.search(str(cell)):
         return None
     text = _COORDINATE.sub(" ", plain(split_header(str(cell))[0])).strip()
@@ -160,7 +160,7 @@ def _readings(rows: list[list[Cell]]) -> Iterator[_Reading]:
     for r, row in enumerate(rows):
         if not per_axis and not any(map(_has_letters, row)):
             continue
-        if len(alone := filled_cells(row)) == 1:  # a line among columns that blanks part
+        if len(alone := filled_cells(row)) == 1:  # a line among columns with blanked cells
             row = [*label(alone[0]).split()]
         texts = [label(c) for c in row]
         kinds, cells = [_kind(c) for c in row], [part for c in row for part in _split(c)]
@@ -180,7 +180,7 @@ def _readings(rows: list[list[Cell]]) -> Iterator[_Reading]:
             found = _below(header, row, comma)
         whole = [one for one in found if NOMINAL in one[2] and {ACTUAL, DEVIATION} & {*one[2]}]
         for axis, name, numbers in whole:
-            last = name or last  # a cell that is merged over the coordinates of a feature
+            last = name or last  # a cell merged over the coordinates of a feature
             yield _Reading(r, axis, last, numbers, breaks, breaks or beside or of_features)
             breaks = False
         breaks |= not whole and not found and _IDENTIFIES.search(" ".join(texts)) is not None
@@ -196,9 +196,9 @@ _NAMED_VALUE = re.compile(r"([^\d:=]*[^\W\d][^:=]*?)\s*[:=]\s*([+-]?\d+[.,]?\d*)
 
 
 def _below_headings(rows: list[list[Cell]]) -> Iterator[_Reading]:
-    """Coordinates of features whose nominal and actual values stand below headings: `ACTUAL VALUES:`, `CENTER IN X: 5`.
+    """Coordinates of features with nominal and actual values below headings: `ACTUAL VALUES:`, `CENTER IN X: 5`.
 
-    A heading of nominal values after others begins another feature.
+    A heading of nominal values after others starts another feature.
     """
     kind, feature = None, dict[str, tuple[int, dict[str, float]]]()
     last: list[Cell] = ["nominal values:"]
@@ -223,7 +223,7 @@ def _below_headings(rows: list[list[Cell]]) -> Iterator[_Reading]:
 
 
 def _with_groups(above: list[Cell], texts: list[str]) -> list[str]:
-    """Names below merged cells of axes: `X` above Nominal, Actual, Deviation, and `Y` above the same again."""
+    """Names below merged cells of axes: `X` above Nominal, Actual, Deviation, and `Y` above the same."""
     if sum(_axis(c) is not None for c in above) < 2 or any(map(_axis, texts)):
         return texts
     groups, last = list[str](), ""
@@ -234,16 +234,16 @@ def _with_groups(above: list[Cell], texts: list[str]) -> list[str]:
 
 
 def _split(cell: Cell) -> list[Cell]:
-    """`X50.0000` as a word and a number; any other cell as it is."""
+    """`X50.0000` as a word and a number; any other cell unchanged."""
     match = _GLUED.fullmatch(cell) if isinstance(cell, str) else None
     return [match[1], match[2]] if match else [cell]
 
 
 def _beside_words(cells: list[Cell], comma: bool) -> list[tuple[str, dict[str, float]]]:
-    """The coordinates of a row and their numbers, each behind the word that says what it is.
+    """The coordinates of a row and their numbers, each after the word that identifies it.
 
-    Where such a word begins the row, each stands before all coordinates: `NOM X50.0 Y40.0 ACT X50.1 Y40.0`; elsewhere
-    a row is of one coordinate.
+    If such a word starts the row, it precedes all coordinates: `NOM X50.0 Y40.0 ACT X50.1 Y40.0`; otherwise
+    a row has one coordinate.
     """
     axis, kind, said, found = None, None, None, dict[str, dict[str, float]]()
     for cell in filled_cells(cells):
@@ -267,7 +267,7 @@ def _below(header: list[str], row: list[Cell], comma: bool) -> list[tuple[str, s
     first = next((i for i in range(at[-1], len(row)) if number(row[i], comma) is not None), len(row))
     if len(row) == len(header):
         named = list(zip(header, row, strict=True))
-    else:  # parted by blanks: the numbers behind the words, below the names from the first kind on
+    else:  # separated by blanks: the numbers after the words, below the names from the first kind on
         joined = _TOLERANCE.sub("tol", " ".join(header)).split()
         begin = next(i for i, text in enumerate(joined) if _kind(text))
         begin = min(begin, next((i for i, text in enumerate(joined) if text == "tol"), begin))
@@ -293,7 +293,7 @@ def _columns_per_axis(
 
 
 def _features(readings: list[_Reading]) -> list[dict[str, _Reading]]:
-    """Readings by feature: of one name, until a coordinate comes again or, without names, a line begins another."""
+    """Readings by feature: of one name, until a coordinate repeats or, without names, a line starts another."""
     features: list[dict[str, _Reading]] = []
     current: dict[str, int] = {}
     several = len({r.name for r in readings}) > 1
@@ -307,7 +307,7 @@ def _features(readings: list[_Reading]) -> list[dict[str, _Reading]]:
 
 
 def _deviations(readings: list[_Reading], unit: str | None, scale: float, options: ImportOptions) -> np.ndarray:
-    """Actual less nominal in mm. Raises DataError where a printed deviation is another number."""
+    """Actual minus nominal in mm. Raises DataError if a printed deviation differs."""
     stated = np.array([r.numbers.get(DEVIATION, np.nan) for r in readings])
     both = np.array([r.numbers.get(ACTUAL, np.nan) - r.numbers[NOMINAL] for r in readings]) * scale
     if np.isnan(both).any():
@@ -323,19 +323,19 @@ def _deviations(readings: list[_Reading], unit: str | None, scale: float, option
             r = readings[int(np.argmax(off))]
             raise DataError(
                 f"line {r.row + 1}: {r.axis}: the deviation {r.numbers[DEVIATION]:g} is not actual "
-                f"{r.numbers[ACTUAL]:g} less nominal {r.numbers[NOMINAL]:g}: which column is which?"
+                f"{r.numbers[ACTUAL]:g} minus nominal {r.numbers[NOMINAL]:g}: which column is which?"
             )
     if np.abs(both).max() > FARTHEST:
         r = readings[int(np.argmax(np.abs(both)))]
         raise DataError(
-            f"line {r.row + 1}: {r.axis}: actual less nominal is {np.abs(both).max():.4g} mm (at most "
-            f"{FARTHEST:g} mm): is the header that of these numbers?"
+            f"line {r.row + 1}: {r.axis}: actual minus nominal is {np.abs(both).max():.4g} mm (at most "
+            f"{FARTHEST:g} mm): does the header belong to these numbers?"
         )
     return both
 
 
 def _runs(places: list[np.ndarray]) -> list[str]:
-    """1, 2, ... of each row: how often its place stands above it, and itself."""
+    """1, 2, ... for each row: how often its position has occurred so far."""
     seen: Counter[tuple[float, ...]] = Counter()
     out = []
     for place in zip(*(np.round(x, 3).tolist() for x in places), strict=True):

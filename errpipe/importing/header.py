@@ -1,4 +1,4 @@
-"""The rows of a table that name its columns: words, groups above them, units below; remarks among them."""
+"""The rows of a table that name its columns: words, groups above them, units below; and comments among them."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from errpipe.importing.units import split_header, unit_of
 from errpipe.importing.units_above import UNITS
 from errpipe.importing.words import kind_by_name
 
-DEEPEST_LEGEND = 200  # rows of a legend, and of a sheet above its data: the longest preamble seen has 60
+DEEPEST_LEGEND = 200  # rows of a legend, and of a sheet above its data: the longest known preamble has 60
 NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
 _CHANNEL = re.compile(r"[^\W\d_]{0,8}\W?\d[\d-]*")  # `CH1`, `AI-03`
 _LABELS = re.compile(r"(?:comment|kommentar|tag|label|(?:signal|channel|kanal)?[ _-]?name)s?", re.IGNORECASE)
 _WORD = re.compile(
     r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?|open|burn ?out|over ?(range|flow)|no ?sensor)$).*[^\W\d_]",
     re.IGNORECASE,
-)  # no missing value
+)  # not a missing value
 _MOMENT = re.compile(
     r"(?=.*\d:\d|.*\d[./-]\d+[./-]\d)\d[\d.:/\-T ,+Z]*( ?[AaPp]\.?[Mm]\.?)?"
     r"|\d{1,2}[-. ]{1,2}[^\W\d_]{3,9}[-. ]{1,2}\d{2,4}( \d.*)?"
@@ -32,17 +32,17 @@ _DATE_FORM = re.compile(
 
 
 def is_word(cell: Cell) -> bool:
-    """Whether a cell is a word, and not one of those for a missing value."""
+    """Whether a cell is a word other than those for a missing value."""
     return isinstance(cell, str) and _WORD.match(cell) is not None and not is_moment(cell)
 
 
 def is_moment(cell: Cell) -> bool:
-    """Whether a cell is a date or a clock time in figures."""
+    """Whether a cell is a numeric date or clock time."""
     return isinstance(cell, str) and _MOMENT.fullmatch(cell.strip()) is not None
 
 
 def is_header(row: list[Cell], numbers: list[list[float | None]], r: int) -> bool:
-    """A row with a word above a column of numbers is a header even where its other cells are numbers (run 1, 2, 3)."""
+    """A row with a word above a column of numbers is a header even if its other cells are numbers (run 1, 2, 3)."""
     below = numbers[r + 1 : r + 6]
     alone = len(filled_cells(row)) == 1 and max((sum(v is not None for v in b) for b in below), default=0) > 1
     for c, cell in enumerate([] if alone else row):
@@ -53,7 +53,7 @@ def is_header(row: list[Cell], numbers: list[list[float | None]], r: int) -> boo
 
 
 def _counts_runs(row: list[Cell], numbers: list[list[float | None]], r: int, start: int) -> bool:
-    """A row of run numbers below names of groups: `;1;2;3;1;2;3`, with nothing above the column of targets.
+    """A row of run numbers below names of groups: `;1;2;3;1;2;3`, with an empty cell above the column of targets.
 
     start: row of the first data.
     """
@@ -65,7 +65,7 @@ def _counts_runs(row: list[Cell], numbers: list[list[float | None]], r: int, sta
 
 
 def lift_comments(rows: list[list[Cell]], numbers: list[list[float | None]], start: int) -> None:
-    """Put comments between a header and its data above the header, in place. start: row of the first data."""
+    """Move comments between a header and its data above the header, in place. start: row of the first data."""
     head = start - 1
     while head > 0 and _is_comment(rows[head], numbers[head], len(filled_cells(rows[start]))):
         head -= 1
@@ -74,14 +74,14 @@ def lift_comments(rows: list[list[Cell]], numbers: list[list[float | None]], sta
     if head == start - 1 or not wide or any(v is not None for v in numbers[head]) or texts[0].startswith(COMMENT):
         return
     top = head
-    if _are_units([label(c) for c in rows[head]]):  # the names stand above it
+    if _are_units([label(c) for c in rows[head]]):  # the names are above it
         top -= head > 0 and sum(map(is_word, rows[head - 1])) >= 2 and not any(v is not None for v in numbers[head - 1])
     for table in (rows, numbers):
         table[top:start] = [*table[head + 1 : start], *table[top : head + 1]]
 
 
 def _is_comment(row: list[Cell], numbers: list[float | None], width: int) -> bool:
-    """Whether a row is a remark: it begins with a mark of comments, or is text beside few of the columns and no unit.
+    """Whether a row is a comment: it starts with a comment mark, or is text in few of the columns without a unit.
 
     width: filled cells of a row of data. An event of a log has a comma as well: `INFO: SETTLING, started`.
     """
@@ -91,14 +91,14 @@ def _is_comment(row: list[Cell], numbers: list[float | None], width: int) -> boo
 
 
 def header_rows(rows: list[list[Cell]], numbers: list[list[float | None]], start: int) -> list[int]:
-    """Up to three rows right above the data that are a header: words, at least two, or as `is_header` decides."""
+    """Up to three rows right above the data that are a header: at least two words, or as `is_header` decides."""
     found: list[int] = []
     for r in range(start - 1, max(start - 4, -1), -1):
         if found and label(rows[r][0] if rows[r] else None).startswith(("#", "%", "//")):
-            break  # a remark above the header
+            break  # a comment above the header
         words = [c for c in rows[r] if isinstance(c, str) and c]
         figures = sum(v is not None for v in numbers[r])
-        above_units = all(_are_units([label(c) for c in rows[k]]) for k in found)  # or none stand there
+        above_units = all(_are_units([label(c) for c in rows[k]]) for k in found)  # or there are none
         named = above_units and _counts_runs(rows[r], numbers, r, start)
         named = named or (not found and bool(words) and is_header(rows[r], numbers, r))
         if (len(words) >= 2 and figures == 0) or named:
@@ -109,7 +109,7 @@ def header_rows(rows: list[list[Cell]], numbers: list[list[float | None]], start
 
 
 def names_of(rows: list[list[Cell]], head: list[int], width: int) -> tuple[list[str], list[str | None], int]:
-    """Header texts, units, and how many rows they took."""
+    """Header texts, units, and the number of rows used."""
     if not head:
         return [f"column {i + 1}" for i in range(width)], [None] * width, 0
     texts = [[label(c) for c in rows[r]] + [""] * width for r in head]
@@ -145,16 +145,16 @@ def names_of(rows: list[list[Cell]], head: list[int], width: int) -> tuple[list[
 
 
 def _are_units(texts: list[str]) -> bool:
-    """Whether cells are units and nothing else; the first may say so: `Unit;s;µm`."""
+    """Whether all cells are units; the first may say so: `Unit;s;µm`."""
     named = [t for k, t in enumerate(texts) if t and (k or not UNITS.fullmatch(t.strip(" :")))]
     cells = [t.strip("[]() ") for t in named]
     return any(map(unit_of, cells)) and all(unit_of(c) or c in ("-", "1") or _DATE_FORM.fullmatch(c) for c in cells)
 
 
 def named_above(names: list[str], above: list[list[Cell]]) -> list[str]:
-    """Names of channels as lines above call them: `CH1` below `CH1,Spindle,TEMP`; as they are where two agree.
+    """Channel names from the lines above: `CH1` below `CH1,Spindle,TEMP`; unchanged if two would be equal.
 
-    Or as a row of labels over all columns calls them: `Comment,X target,X deviation` above `Time,U1-1[mm],U1-2[um]`.
+    Or from a row of labels over all columns: `Comment,X target,X deviation` above `Time,U1-1[mm],U1-2[um]`.
     """
     labels = next((r for r in above if len(r) == len(names) > 2 and _LABELS.fullmatch(label(r[0]))), [])
     if labels and all(map(is_word, labels)) and len({*labels}) == len(labels):
@@ -170,9 +170,9 @@ def named_above(names: list[str], above: list[list[Cell]]) -> list[str]:
 
 
 def with_legend(sheets: list[Sheet]) -> list[Sheet]:
-    """The sheets with the names and units that a sheet of words gives to channels of another: `CH1 | Bearing | degC`.
+    """The sheets with the names and units that a legend sheet assigns to channels of another: `CH1 | Bearing | degC`.
 
-    A legend has a row for each of at least two cells of a header, the channel first. It stays among the sheets.
+    A legend has a row for each of at least two cells of a header, the channel first. It is kept among the sheets.
     """
     for legend in sheets if len(sheets) > 1 else []:
         said = [[label(c) for c in filled_cells(row)] for row in legend.rows]
@@ -191,9 +191,9 @@ def with_legend(sheets: list[Sheet]) -> list[Sheet]:
 
 
 def metres(names: list[str]) -> list[str]:
-    """`x_m` as `x [m]` where another header ends so too, or it is a target: alone it may be a measured x."""
+    """`x_m` as `x [m]` if another header ends likewise, or if it is a target: alone it may be a measured x."""
     ending = [n for n in names if re.fullmatch(r".*\w[_ ]m", n)]
-    bare = any("[" not in n and "(" not in n and split_header(n)[1] for n in names)  # `Deviation um` beside it
+    bare = any("[" not in n and "(" not in n and split_header(n)[1] for n in names)  # `Deviation um` next to it
     metres = ending if len(ending) > 1 else [n for n in ending if bare and kind_by_name(n[:-2]) == "command"]
     return [f"{n[:-2]} [m]" if n in metres else n for n in names]
 
@@ -208,13 +208,13 @@ def _is_preamble(group: list[str], names: list[str]) -> bool:
 
 
 def _is_amount(text: str) -> bool:
-    """Whether a cell above the names is a number with its unit, a fact: `100,000 mm`."""
+    """Whether a cell above the names is a fact, a number with its unit: `100,000 mm`."""
     match = NUMBER_AND_UNIT.fullmatch(text)
     return match is not None and unit_of(match.group(2)) is not None
 
 
 def _are_positions(header: list[str]) -> bool:
-    """Whether the names of most columns are rising or falling numbers, and no count: a column per target."""
+    """Whether the names of most columns are increasing or decreasing numbers, not a count: a column per target."""
     values = [v for text in header if text and (v := number(text, "," in text)) is not None]
     steps = np.diff(values)
     counted = np.array_equal(values, 1.0 + np.arange(len(values)))

@@ -1,4 +1,4 @@
-"""Rows of a table that are readings: not sums, remarks, figures over the runs, or copies of rows before."""
+"""Rows of a table that are readings: not sums, comments, statistics over the runs, or duplicates."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from errpipe.importing.sheet import label
 
 
 def readings(layout: Layout, guesses: dict[str, ColumnGuess], p: Proposal) -> np.ndarray:
-    """Whether each row is a reading; what else is left out is noted in the proposal."""
+    """Whether each row is a reading; other exclusions are noted in the proposal."""
     out = ~_figures_below(layout, guesses, p) & ~_written_twice(layout, guesses, p) & ~_repeated(layout, guesses, p)
     measured = _measured_rows(layout, guesses)
     if count := int((out & ~measured).sum()):
-        p.notes.append(f"{count} rows without a position, time or reading were left out (remarks, blank lines)")
+        p.notes.append(f"{count} rows without a position, time or reading were excluded (comments, blank lines)")
     return measured & out
 
 
 MOVING = ("command", "position", "actual", "error")
-LESS_FAR = 0.9  # of the way from row to row that columns go as the rows stand
-MOST_REPEATED = 0.1  # share of the rows: more of them are a log whose clock is coarse
+LESS_FAR = 0.9  # of the row-to-row path of the columns in file order
+MOST_REPEATED = 0.1  # share of the rows: above it, the clock of the log is coarse
 
 
 def in_order_of_time(layout: Layout, guesses: dict[str, ColumnGuess]) -> Layout:
-    """The rows by their dates, where positions and readings then go less far from row to row; else as they stand.
+    """The rows sorted by date, if positions and readings then change less from row to row; else in file order.
 
-    A clock that was set back interleaves what it wrote before and after: that is no order of the readings.
+    A clock that was set back interleaves what it wrote before and after: its order is not that of the readings.
     """
     clock = next((c for c in layout.columns if guesses[c.header].kind == "time" and not c.numeric), None)
     t, epoch, _ = (dates.seconds(clock) if clock else None) or (np.zeros(1), None, "")
@@ -45,21 +45,21 @@ def in_order_of_time(layout: Layout, guesses: dict[str, ColumnGuess]) -> Layout:
     if far[1] > LESS_FAR * far[0]:
         return layout
     parts = [RawColumn(c.header, c.unit, [c.cells[i] for i in order], c.values[order]) for c in layout.columns]
-    notes = [*layout.notes, f"{falls} rows were earlier than the row above them: rows put in the order of their dates"]
+    notes = [*layout.notes, f"{falls} rows were earlier than the row above: rows sorted by date"]
     return Layout(parts, layout.above, notes, layout.below)
 
 
 def _repeated(layout: Layout, guesses: dict[str, ColumnGuess], p: Proposal) -> np.ndarray:
-    """Rows that repeat the row above in every cell, its time included: one reading that was written twice."""
+    """Rows equal to the row above in every cell, including the time: one reading written twice."""
     rows = list(zip(*(c.cells for c in layout.columns), strict=True))
     out = np.array([False, *(a == b for a, b in pairwise(rows))])
     out &= any(guesses[c.header].kind == "time" for c in layout.columns) and out.mean() <= MOST_REPEATED
-    p.notes += [f"{int(out.sum())} rows repeat the row above, its time included: left out"] if out.any() else []
+    p.notes += [f"{int(out.sum())} duplicates of the row above, including the time: excluded"] if out.any() else []
     return out
 
 
 def _measured_rows(layout: Layout, guesses: dict[str, ColumnGuess]) -> np.ndarray:
-    """Rows in which every position column that has numbers has one."""
+    """Rows with a value in every numeric position column."""
     keep = np.ones(len(layout.columns[0].cells), dtype=bool)
     for c in layout.columns:
         if guesses[c.header].kind in ("command", "position") and c.numeric:
@@ -69,36 +69,36 @@ def _measured_rows(layout: Layout, guesses: dict[str, ColumnGuess]) -> np.ndarra
 
 
 def _figures_below(layout: Layout, guesses: dict[str, ColumnGuess], p: Proposal) -> np.ndarray:
-    """Rows of figures over the runs: `Mean;400;8.1`. The column of their names has numbers, or other names, above.
+    """Rows of statistics over the runs: `Mean;400;8.1`. The column of their names has numbers, or other names, above.
 
-    In a column of runs each such name is one; elsewhere they are few.
+    In a column of runs each such name is a statistic; elsewhere they are few.
     """
     rows = len(layout.columns[0].cells)
     out, begun, texts = np.zeros(rows, dtype=bool), np.zeros(rows, dtype=bool), np.zeros(rows)
     for c in layout.columns:
         figure = np.isfinite(c.values)
         words = {int(i): str(c.cells[i]) for i in np.flatnonzero(~figure) if c.cells[i] not in (None, "")}
-        after = np.flatnonzero(figure)[-1] if c.numeric else rows  # a word below the last number is no run
+        after = np.flatnonzero(figure)[-1] if c.numeric else rows  # a word below the last number is not a run
         for_all = [i for i, t in words.items() if wide.statistic(t) or (i > after and re.search(r"[^\W\d]", t))]
-        named = [i for i in for_all if not begun[i]]  # in the first filled cell of a row: elsewhere it is a remark
+        named = [i for i in for_all if not begun[i]]  # in the first filled cell of a row: elsewhere it is a comment
         out[named] |= len(named) < 0.2 * rows
         out[[i for i, t in words.items() if guesses[c.header].kind == "run" and wide.is_figure_over_runs(t)]] = True
         texts[[i for i, t in words.items() if c.numeric and is_word(t)]] += 1
         begun |= figure
         begun[list(words)] = True
     numeric = sum(c.numeric for c in layout.columns)
-    if numeric > 1:  # lines of facts above the numbers, as wide as they are
+    if numeric > 1:  # lines of facts above the numbers, equally wide
         out |= 2 * texts >= numeric
     if out.any():
         first = " ".join(label(c.cells[int(np.argmax(out))]) for c in layout.columns).strip()
         p.notes.append(
-            f"{int(out.sum())} rows are figures over the runs, not readings (the first: {first!r}): left out"
+            f"{int(out.sum())} rows are statistics over the runs, not readings (the first: {first!r}): excluded"
         )
     return out
 
 
 def _written_twice(layout: Layout, guesses: dict[str, ColumnGuess], p: Proposal) -> np.ndarray:
-    """Rows from where time goes back to where it goes on, all of them copies of rows before: parts that overlap."""
+    """Rows from where time goes back to where it continues, all duplicates of earlier rows: overlapping parts."""
     clock = next((c for c in layout.columns if guesses[c.header].kind == "time" and c.numeric), None)
     out = np.zeros(len(layout.columns[0].cells), dtype=bool)
     if clock is None or out.size < 2:
@@ -111,5 +111,5 @@ def _written_twice(layout: Layout, guesses: dict[str, ColumnGuess], p: Proposal)
     for stretch in np.split(np.flatnonzero(again), np.flatnonzero(np.diff(np.flatnonzero(again)) > 1) + 1):
         out[stretch] = stretch.size > 1 and set(rows[stretch[0] : stretch[-1] + 1]) <= set(rows[: stretch[0]])
     if out.any():
-        p.notes.append(f"{int(out.sum())} rows are copies of rows before, where time goes back: left out")
+        p.notes.append(f"{int(out.sum())} rows duplicate earlier rows where time goes back: excluded")
     return out

@@ -26,14 +26,14 @@ from errpipe.importing.units import split_header, unit_of
 from errpipe.importing.units_above import units_of_columns
 from errpipe.importing.words import is_correction, is_following_error, kind_by_name
 
-DEEPEST_HEADER = 200  # lines above the data: the longest preamble seen, of a laser's own file, has 60
-MOST_REMARKS = 50  # lines below a table that are kept as remarks
-SAMPLE_ROWS = 200  # rows in which a unit behind the numbers is looked for
+DEEPEST_HEADER = 200  # lines above the data: the longest known preamble, of a laser's own file, has 60
+MOST_REMARKS = 50  # lines below a table that are kept as comments
+SAMPLE_ROWS = 200  # rows in which a unit after the numbers is searched for
 BY_NAME = "of the sheet or file"
-COMPONENT = r"\bE[XYZABC][XYZABCUVW]\b"  # by ISO 230-1, of an axis that moves
+COMPONENT = r"\bE[XYZABC][XYZABCUVW]\b"  # from ISO 230-1, of a moving axis
 NEEDED = "needed: a table of measurements with a column per signal"
-EMPTY = "columns without a value:"  # a note that an error repeats
-NUMERIC_SHARE = 0.6  # of a column's cells: what is a number column with gaps and remarks
+EMPTY = "columns without a value:"  # a note that an error message repeats
+NUMERIC_SHARE = 0.6  # of a column's cells: minimum for a numeric column with gaps and comments
 
 _AXIS_OF_SHEET = re.compile(
     r"^([XYZ])\d?$|\b(?:axis|achse|axe|asse|eje)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse|axe|asse)\b",
@@ -44,12 +44,12 @@ _RULE = re.compile(r"[-=_+:~*|]{2,}")
 
 @dataclass
 class RawColumn:
-    """One column: its header without the unit, the unit as written here, its cells, and the numbers among them."""
+    """One column: its header without the unit, the unit in canonical spelling, its cells, and their numbers."""
 
     header: str
     unit: str | None
     cells: list[Cell]
-    values: np.ndarray  # NaN where a cell is no number
+    values: np.ndarray  # NaN for a cell that is not a number
 
     @property
     def numeric(self) -> bool:
@@ -60,7 +60,7 @@ class RawColumn:
 
 @dataclass
 class Layout:
-    """Columns of a sheet, the text above them, and notes on what was decided."""
+    """Columns of a sheet, the text above them, and notes on decisions."""
 
     columns: list[RawColumn]
     above: list[str]
@@ -68,17 +68,17 @@ class Layout:
     below: list[str] = field(default_factory=list)  # lines of text among and below the rows
 
     def column(self, header: str) -> RawColumn | None:
-        """The column of a header, or None."""
+        """The column with a header, or None."""
         return next((c for c in self.columns if c.header == header), None)
 
 
 def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
-    """Header, units and data of a sheet. Raises DataError where there is no block of numbers.
+    """Header, units and data of a sheet. Raises DataError if there is no block of numbers.
 
-    stated: names of the columns of a file without a header, by a person.
+    stated: names of the columns of a file without a header, from the user.
     """
     rows = [row for row in sheet.rows if filled_cells(row) and not _is_rule(row)]
-    if len(rows) > 4 and rows[0][:1] == ["TOA5"]:  # of a data logger: names, units, and how values were taken
+    if len(rows) > 4 and rows[0][:1] == ["TOA5"]:  # of a data logger: names, units, and how values were sampled
         units_below = [f" [{u}]" if u not in ("", None, "TS", "RN") else "" for u in rows[2]]
         rows = [[f"{n}{u}" for n, u in zip(rows[1], units_below, strict=False)], *rows[4:]]
     rows, unit_in_cells = _without_units(rows)
@@ -120,9 +120,9 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
 
 
 def _merged(names: list[str], numbers: list[list[float | None]]) -> list[str]:
-    """Names with those of cells that were merged over several columns of numbers: `Up`, `Up 2`, `Up 3`, `Down`, ...
+    """Names completed for cells merged over several columns of numbers: `Up`, `Up 2`, `Up 3`, `Down`, ...
 
-    At least two such cells, of one width: else a column without a name is one.
+    At least two such cells of equal width are needed: a single unnamed column is not a merged cell.
     """
     out, width = list(names), Counter[int]()
     last = -1
@@ -137,7 +137,7 @@ def _merged(names: list[str], numbers: list[list[float | None]]) -> list[str]:
 
 
 def _said_by_name(name: str) -> list[str]:
-    """Lines that state the axis, the component, and whether corrections, by which a sheet or file is named."""
+    """Lines that state the axis, the component, and whether corrections, from the name of a sheet or file."""
     text = name.replace("_", " ")
     kind = [text] if is_correction(text) or is_following_error(text) else []
     axis = [f"Axis: {letter} ({BY_NAME} {name!r})" for letter in _axis_of_sheet(name)]
@@ -145,26 +145,26 @@ def _said_by_name(name: str) -> list[str]:
 
 
 def _axis_of_sheet(name: str) -> list[str]:
-    """The axis by which a sheet or file is named: `Y`, `Achse Y`, `y-axis_2026`, `laser_Y_run1`; not `b1`, `X_Y`."""
+    """The axis in the name of a sheet or file: `Y`, `Achse Y`, `y-axis_2026`, `laser_Y_run1`; not `b1`, `X_Y`."""
     name = name.replace("_", " ")
     match, alone = _AXIS_OF_SHEET.search(name), re.findall(r"(?:^|(?<=[ -]))[XYZ](?=[ -]|$)", name)
     return [next(filter(None, match.groups())).upper()] if match else alone if len(alone) == 1 else []
 
 
 def _is_rule(row: list[Cell]) -> bool:
-    """Whether a row is a line drawn with signs, as below the header of a table in Markdown."""
+    """Whether a row is a drawn line, as below the header of a table in Markdown."""
     return all(isinstance(c, str) and _RULE.fullmatch(c) for c in filled_cells(row)) and len(filled_cells(row)) != 1
 
 
 def _stated_names(stated: tuple[str, ...], width: int, header: bool) -> tuple[str, ...]:
-    """The names that a person stated. Raises DataError where they are not as many as the columns of a header."""
+    """The names from the user. Raises DataError if their number differs from that of the columns."""
     if len(stated) > width or (header and len(stated) != width):
         raise DataError(f"--names gives {len(stated)} names, the table has {width} columns")
     return stated
 
 
 def _without_units(rows: list[list[Cell]]) -> tuple[list[list[Cell]], dict[int, str]]:
-    """The rows without units behind their numbers (`12,5 µm`), and the unit of each column that had one."""
+    """The rows without units after their numbers (`12,5 µm`), and the unit of each column that had one."""
     counts: dict[int, Counter[str]] = {}
     for row in rows[:SAMPLE_ROWS]:
         for i, cell in enumerate(row):
@@ -183,7 +183,7 @@ def _without_units(rows: list[list[Cell]]) -> tuple[list[list[Cell]], dict[int, 
 
 
 def _first_data_row(name: str, rows: list[list[Cell]], numbers: list[list[float | None]]) -> int:
-    """The first row of a run of rows of the usual width that hold numbers."""
+    """The first row of a run of rows of the usual width that contain numbers."""
     filled, counts = _widths(rows, numbers)
     widths = Counter(n for n, c in zip(filled, counts, strict=True) if c >= 2 or (c and n <= 2))
     if not widths:
@@ -199,7 +199,7 @@ def _first_data_row(name: str, rows: list[list[Cell]], numbers: list[list[float 
 
 
 def _widths(rows: list[list[Cell]], numbers: list[list[float | None]]) -> tuple[list[int], list[int]]:
-    """Filled cells and numbers of each row; of rows of numbers those of the widest one near.
+    """Filled cells and numbers of each row; for rows of numbers those of the widest one nearby.
 
     A log of several devices fills some columns in one row and others in the next.
     """
@@ -232,18 +232,18 @@ def _layout(
         header, unit = split_header(text)
         stated = units[i] if i < len(units) else None
         if stated and unit and stated != unit:
-            raise DataError(f"column {header!r}: its name states {unit}, its cells or a line above it {stated}")
+            raise DataError(f"column {header!r}: its name states {unit}, but its cells or a line above it {stated}")
         count_of[header] += 1
         if count_of[header] > 1:
-            header += "'" * (count_of[header] - 1)  # no number, which would be taken for that of a run
+            header += "'" * (count_of[header] - 1)  # not a number, which would be read as that of a run
         cells = [row[i] if i < len(row) else None for row in rows]
         try:
             thousands = (stated or unit) not in ("degC", "degF", "K") and kind_by_name(header) != "temperature"
             cells = of_one_mark(cells, comma, thousands)
         except ValueError as err:
             raise DataError(
-                f"column {header!r}: {err} may have a mark of thousands or of decimals (write its numbers without "
-                "thousands, with the mark of the other columns)"
+                f"column {header!r}: {err} has an ambiguous thousands or decimal separator (write its numbers without "
+                "thousands separators, with the decimal separator of the other columns)"
             ) from None
         values = np.array([v if (v := number(c, comma)) is not None else np.nan for c in cells])
         if any(map(is_sexagesimal, cells)):
@@ -251,7 +251,7 @@ def _layout(
         part, _, base = (stated or unit or "").partition(" ")
         if base == "degC" and part.startswith("0."):  # `Bed [0.1 °C]`
             values, stated = values * float(part), base
-            notes.append(f"{header}: {part} degC written as degC")
+            notes.append(f"{header}: {part} degC converted to degC")
         if any(c not in (None, "") for c in cells):
             columns.append(RawColumn(header, stated or unit, cells, values))
         elif not header.startswith("column "):

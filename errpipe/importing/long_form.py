@@ -1,4 +1,4 @@
-"""Logs with a row per value (signal, time, value), as historians and databases export them: a column per signal."""
+"""Logs with one row per value (signal, time, value), as historians and databases export them: one column per signal."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from errpipe.importing.layout import RawColumn
 from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number
 from errpipe.importing.words import plain
 
-MOST_SIGNALS = 60  # names in one column; more are remarks, not signals
-MOST_COLUMNS = 12  # signal, time, value, unit, quality, and what a database adds
+MOST_SIGNALS = 60  # distinct names in one column; with more it contains comments
+MOST_COLUMNS = 12  # signal, time, value, unit, quality, and additions of a database
 FEWEST_VALUES = 3  # of each signal
 _SIGNAL = re.compile(
     r"(signal|serie|series|tag|var|topic|channel|kanal|name|variable|sensor|field|point|measurement|messstelle|item|path|node"
@@ -28,10 +28,10 @@ _UNIT = re.compile(r"(?:eng(?:ineering)? ?)?(unit|einheit|units|unite|uom)s?")
 
 
 def unstacked(sheet: Sheet) -> Sheet:
-    """The sheet with a row per time and a column per signal; any other sheet as it is.
+    """The sheet with one row per time and one column per signal; any other sheet unchanged.
 
-    A sheet is of this form where one column names signals, one holds dates and one numbers, or where its header states
-    so. Values of one time stand in one row; signals of other times leave empty cells in it.
+    A sheet has this form if one column names signals, one contains dates and one numbers, or if its header states
+    so. Values of one time share one row; signals of other times are empty there.
     """
     rows = [r for r in sheet.rows if any(c not in (None, "") for c in r) and not label(r[0]).startswith("#")]
     rows = [row for k, row in enumerate(rows) if k == 0 or row != rows[0]]
@@ -63,7 +63,7 @@ def unstacked(sheet: Sheet) -> Sheet:
     if len(counts) > MOST_SIGNALS or len(counts) - len(few) < 2:
         return sheet
     counts = {s: n for s, n in counts.items() if s not in few}
-    for signal in counts:  # before values of one hour are put beside those of the next one of the same name
+    for signal in counts:  # before values of one hour are merged with those of the next one of the same name
         column = RawColumn(
             header[time] if header else "time", None, stamps[signal], np.full(len(stamps[signal]), np.nan)
         )
@@ -71,17 +71,17 @@ def unstacked(sheet: Sheet) -> Sheet:
             refuse_an_hour_back(column, since[0])
     again = sum(counts.values()) - sum(sum(s in counts for s in values) for values in table.values())
     if again:
-        sheet.notes.append(f"{again} further values of a signal at a time that has one were left out")
+        sheet.notes.append(f"{again} duplicate values of a signal at one time were excluded")
     if wrong is not None and wrong.any():
-        sheet.notes.append(f"{int(wrong.sum())} values of bad quality were left out")
-    left = [f"signals of less than {FEWEST_VALUES} values were left out: {', '.join(few)}"[:160]] if few else []
-    note = f"a row per value: {len(counts)} signals became columns"
+        sheet.notes.append(f"{int(wrong.sum())} values of bad quality were excluded")
+    left = [f"signals with fewer than {FEWEST_VALUES} values were excluded: {', '.join(few)}"[:160]] if few else []
+    note = f"one row per value: {len(counts)} signals became columns"
     out: list[list[Cell]] = [[when, *(values.get(s) for s in counts)] for when, values in table.items()]
     return Sheet(sheet.name, _by_time(out), ["time", *counts], [*sheet.notes, note, *left])
 
 
 def _by_time(rows: list[list[Cell]]) -> list[list[Cell]]:
-    """Rows in the order of their dates: an export may hold one signal after the other."""
+    """Rows sorted by date: an export may list one signal after the other."""
     since = seconds(RawColumn("time", None, [row[0] for row in rows], np.full(len(rows), np.nan)))
     return rows if since is None else [rows[i] for i in np.argsort(since[0], kind="stable")]
 
@@ -92,7 +92,7 @@ def _is_header(rows: list[list[Cell]]) -> bool:
 
 
 def _columns(header: list[str], body: list[list[Cell]]) -> tuple[list[int], int, int, int | None] | None:
-    """Where signals, times, values and units (or None) stand; None where the sheet is of another form."""
+    """Indices of signal, time, value and unit (or None) columns; None if the sheet has another form."""
     comma = decimal_comma(body)
     columns = range(len(body[0]))
     sample = body[:200]

@@ -1,4 +1,4 @@
-"""Logs in which every value stands behind its name: prints of NC programs (DPRNT, FN16, WRITE), line protocols."""
+"""Logs with a name before every value: prints of NC programs (DPRNT, FN16, WRITE), line protocols."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ _VALUE = r"[+-]?\s?(?:\d+(?:[.,]\d+)*|[.,]\d+)(?:[eE][+-]?\d+)?"
 _PAIR = re.compile(  # `X_SOLL=1.5`, `RUN*1`, `SOLLWERT X : 1,5 MM`, `#5061=1.5`, `DIR=PLUS`
     rf"\s*([^\W\d][^=:*]*?|#\d+)\s*[=:*]\s*({_VALUE}|[^\W\d][\w.]*|[+-](?![\w.]))(?:\s*(?!\w+\s*[=:*])([^\W\d]{{1,4}}|\")(?=[\s;,]|$))?[\s;,]*"
 )
-_TICKS = re.compile(r"\d{10,19}")  # of a line protocol: when, behind all values
+_TICKS = re.compile(r"\d{10,19}")  # of a line protocol: the time stamp after all values
 FEWEST_ROWS = 3  # of a table
-MOSTLY = 0.8  # share of the lines that are names and values; share of the rows that have a name
+MOSTLY = 0.8  # share of the lines that are names and values; share of the rows that contain a name
 
 
 def tabled(sheet: Sheet) -> Sheet:
-    """The sheet with a column for each name, where its lines are names and values; any other sheet as it is.
+    """The sheet with one column per name, if its lines are names and values; any other sheet unchanged.
 
-    A row ends where the first of the names that come in every row comes again, in the same line or in a later one.
+    A row ends where the first of the names that occur in every row repeats, in the same line or in a later one.
     """
     cells = [[label(c) for c in filled_cells(row)] for row in sheet.rows]
-    for mark in (" ", ",") if sheet.header is None else ():  # a decimal comma may have parted the cells
+    for mark in (" ", ",") if sheet.header is None else ():  # a decimal comma may have split the cells
         lines = [line for row in cells if re.search(r"\w", line := mark.join(row))]
         found = [_pairs(line) for line in lines]
         count = Counter(name for of_line in found for name, _, _ in of_line)
@@ -47,12 +47,12 @@ def _table(sheet: Sheet, names: list[str], pairs: list[tuple[str, str, str]], ab
         return sheet
     header = [f"{name} [{units[name]}]" if name in units else name for name in names]
     cells: list[list[Cell]] = [[row.get(name) for name in names] for row in rows]
-    notes = [*sheet.notes, f"values behind their names: {len(names)} of them became columns"]
+    notes = [*sheet.notes, f"values with their names: {len(names)} names became columns"]
     return Sheet(sheet.name, cells, header, notes, [*sheet.above, *above])
 
 
 def _pairs(line: str) -> list[tuple[str, str, str]]:
-    """Names, values and units of a line; none of a line that holds anything else."""
+    """Names, values and units of a line; empty if it contains anything else."""
     out = [(m[1].strip(), m[2], m[3] or "") for m in _PAIR.finditer(line)]
     rest = _PAIR.sub("", line).strip()
     return [*out, ("time stamp", rest, "")] if out and _TICKS.fullmatch(rest) else [] if rest else out

@@ -1,4 +1,4 @@
-"""Cells where there is no reading: emptied where that is sure, asked about where they may be one."""
+"""Cells without a reading: emptied if certain, queried if they may be readings."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from errpipe.importing.dates import is_date
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.words import kind_by_name
 
-LARGEST = 1e30  # in any unit; SCPI instruments write 9.91e37 where they have no reading
-FILLED_IN = (  # written for none: nines, and the largest of an integer
+LARGEST = 1e30  # in any unit; SCPI instruments write 9.91e37 for a missing reading
+FILLED_IN = (  # markers of missing values: nines, and the largest integer
     *(999, 999.9, 999.99, 9999, 9999.9, 9999.99, 99999, 99999.9, 99999.99, 999999, 999999.9),
     *(32767, 32768, 65535, 2147483647),
 )
@@ -25,7 +25,7 @@ COLDEST, WARM, HOTTEST = -60.0, 120.0, 300.0  # degC: beyond them a broken or sh
 
 
 def _of_no_machine(c: RawColumn) -> np.ndarray:
-    """Temperatures that no machine has, beside others of which none is hotter than WARM."""
+    """Temperatures that are implausible for a machine, next to others of which none is hotter than WARM."""
     factor, shift = _DEGREES.get(c.unit, (0.0, 0.0))
     if factor == 0.0 or (c.unit is None and kind_by_name(c.header) != "temperature"):
         return np.zeros(c.values.size, dtype=bool)
@@ -36,17 +36,19 @@ def _of_no_machine(c: RawColumn) -> np.ndarray:
 
 
 def blank(layout: Layout) -> None:
-    """Numbers that no quantity reaches, and -9999 far beyond the others, become empty cells, with a note.
+    """Empty numbers beyond any quantity, and -9999 far from the others, with a note.
 
-    Raises DataError for a number in brackets (less than zero, as in accounts, or doubtful) and for a cell that is no
-    number although it has nothing but digits and marks.
+    Raises DataError for a number in brackets (negative, as in accounting, or doubtful) and for a cell that is not a
+    number although it consists of digits and marks.
     """
     for c in layout.columns:
         texts = [str(c.cells[i]) for i in np.flatnonzero(np.isnan(c.values))] if c.numeric else []
         if doubtful := next((x for x in texts if _IN_BRACKETS.fullmatch(x)), None):
-            raise DataError(f"column {c.header!r}: {doubtful!r}: below zero, or doubtful? (write -1.5, or nothing)")
+            raise DataError(
+                f"column {c.header!r}: {doubtful!r}: negative, or doubtful? (write -1.5, or leave it empty)"
+            )
         if odd := next((x for x in texts if _MARKED.fullmatch(x) and not is_date(x)), None):
-            raise DataError(f"column {c.header!r}: {odd!r} is no number as the others are (correct or empty it)")
+            raise DataError(f"column {c.header!r}: {odd!r} is not a number like the others (correct or empty it)")
         beyond = (np.abs(c.values) > LARGEST) | _of_no_machine(c)
         filled = np.isin(np.abs(c.values), FILLED_IN)
         others = np.abs(c.values[np.isfinite(c.values) & ~filled & ~beyond])
@@ -56,4 +58,4 @@ def blank(layout: Layout) -> None:
             first = c.values[np.argmax(beyond)]
             c.cells = [None if out else cell for cell, out in zip(c.cells, beyond, strict=True)]
             c.values = np.where(beyond, np.nan, c.values)
-            layout.notes.append(f"{c.header}: {int(beyond.sum())} values count as no reading (the first: {first:g})")
+            layout.notes.append(f"{c.header}: {int(beyond.sum())} values are treated as missing (the first: {first:g})")

@@ -1,4 +1,4 @@
-"""From the order of the rows: directions and runs of a test of targets, velocities of a log."""
+"""Directions and runs of a positioning test, and velocities of a log, from the order of the rows."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from errpipe.importing import words
 from errpipe.importing.columns import NO_SIDES
 from errpipe.importing.proposed import Proposal
 
-DENSE_ROWS = 500  # rows: a log, not a test of targets
+DENSE_ROWS = 500  # rows: a log, not a positioning test
 FEWEST_VISITS = 6  # readings; fewer do not show which positions are targets
-DENSE_PLACES = 100  # different commands: a log, not a test of targets
+DENSE_PLACES = 100  # distinct commands: a log, not a positioning test
 
 
-SHARED = 3  # visits to the last digit of a place that is a target
+SHARED = 3  # visits with the same digits that make a position a target
 
 
 def refuse_swapped(p: Proposal, command: str, actual: str) -> None:
-    """Raise DataError where the actual position comes back to equal places to the last digit, and the command does not.
+    """Raise DataError if the actual position repeats exactly to the last digit, and the command does not.
 
-    The names are swapped, or a gauge stood at known places and the machine was read: only a person can decide.
+    The names are swapped, or the machine was read at known gauge positions: only the user can decide.
     """
     x, y = p.data.get(command), p.data.get(actual)
     guessed = p.guesses.get(command) and p.guesses.get(actual)
@@ -35,23 +35,23 @@ def refuse_swapped(p: Proposal, command: str, actual: str) -> None:
     places, moves = np.unique(y[np.isfinite(y)]).size, float(np.mean(np.diff(y) != 0))
     if np.unique(x).size > 0.8 * x.size and places <= 0.5 * y.size and moves > 0.8:
         raise DataError(
-            f"{actual!r} comes back to the same {places} places to the last digit, and {command!r} does not: are the "
-            f"names swapped? Say --set {command}.role=actual --set {actual}.role=command; where a gauge stood at these "
-            f"places and the machine was read, --set {command}.role=command --set {actual}.role=actual"
+            f"{actual!r} repeats the same {places} positions to the last digit, but {command!r} does not: are the "
+            f"names swapped? Use --set {command}.role=actual --set {actual}.role=command; if a gauge was at these "
+            f"positions and the machine was read, --set {command}.role=command --set {actual}.role=actual"
         )
     targets, visits = np.unique(x, return_counts=True)
     targets = targets[visits >= SHARED]
     swapped = np.isin(y, targets) & ~np.isin(x, targets)
     if swapped.sum() >= SHARED and swapped.sum() > 0.8 * np.sum(~np.isin(x, targets)):
         raise DataError(
-            f"in {int(swapped.sum())} rows, from row {int(np.argmax(swapped)) + 1} on, {actual!r} holds the targets of "
-            f"the other rows and {command!r} does not: were the two exchanged there? Put these cells right, or leave "
-            "the rows out"
+            f"in {int(swapped.sum())} rows, from row {int(np.argmax(swapped)) + 1} on, {actual!r} has the targets of "
+            f"the other rows and {command!r} does not: were the two exchanged there? Correct these cells, or remove "
+            "the rows"
         )
 
 
 def resolve_order(p: Proposal, axis: str) -> None:
-    """Directions and runs of a test, or velocity, acceleration and an ideal simulation of a log."""
+    """Directions and runs of a test, or velocity, acceleration and an ideal simulation for a log."""
     if is_log(p, axis):
         _log_of_an_axis(p, axis)
     else:
@@ -87,15 +87,15 @@ def _log_of_an_axis(p: Proposal, axis: str) -> None:
     if p.first("simulated") is None:
         component, unit = p.entries[error]["component"], p.entries[error]["unit"]
         p.put(f"{component}_sim", None, role="simulated", component=component, unit=unit, derived={"constant": 0.0})
-        p.guesses[f"{component}_sim"] = "the simulation is an ideal axis that follows its command (deviation 0)"
+        p.guesses[f"{component}_sim"] = "the simulation is an ideal axis without deviation from its command"
 
 
 THERE_AND_BACK = "; in words for the way there and back"  # a guess of a direction: up or down by the motion
-FEWEST_OF_A_LABEL = 0.9  # share of the rows with a label that lie on one side of the motion, to be that side's label
+FEWEST_OF_A_LABEL = 0.9  # minimum share of a label's rows on one side of the motion, to be that side's label
 
 
 def _turn_there_and_back(p: Proposal, x: np.ndarray) -> None:
-    """Directions called forward and reverse, of an axis whose way there is down: `forward` from 0 to -500."""
+    """Correct directions named forward and reverse if the forward pass is downwards: `forward` from 0 to -500."""
     side, moves = p.first("direction"), motion_sides(x)
     if side not in p.data or moves is None or not p.guesses.get(side, "").endswith(THERE_AND_BACK):
         return
@@ -103,16 +103,16 @@ def _turn_there_and_back(p: Proposal, x: np.ndarray) -> None:
     if against >= FEWEST_OF_A_LABEL and np.unique(moves).size == 1:
         way = "rise" if moves[0] > 0 else "fall"
         raise DataError(
-            f"column {side!r} names one way of there and back, and the positions {way}: write + (approached from "
-            f"below) or - (from above) instead, or say --set {side}.role=ignore"
+            f"column {side!r} names a forward or return pass, and the positions {way}: write + (approached from "
+            f"below) or - (from above) instead, or use --set {side}.role=ignore"
         )
     if against >= FEWEST_OF_A_LABEL and np.unique(moves).size == 2:
         p.data[side] = -p.data[side]
-        p.guesses[side] += "; the way there is down, as the positions fall there"
+        p.guesses[side] += "; the forward pass is downwards, as the positions fall there"
 
 
 def set_side(p: Proposal, axis: str, text: str, why: str) -> None:
-    """Add the side of all rows, as a word states it; the rows of a pass that is listed the other way are reversed."""
+    """Set the side of all rows from a word; the rows of a pass that is listed in the opposite order are reversed."""
     way, listed = guessing.side(text), []
     place = p.first("command", axis) or p.first("position", axis)
     if way is None or place is None or place not in p.data:
@@ -159,15 +159,15 @@ def _directions_and_runs(p: Proposal, axis: str) -> None:
             p.put("run", runs, why, role="run")
     if p.first("direction") is None and _repeated(x, p.data.get(p.first("run") or "")):
         p.notes.append(
-            "targets come several times in a run and no column states from which side: backlash cannot be "
+            "targets repeat within a run and no column states from which side: backlash cannot be "
             "distinguished from scatter"
         )
 
 
 def sides_of_falling_runs(p: Proposal) -> None:
-    """The side of each run of targets where the positions of some, or of all, fall and no column states a side.
+    """The side of each run of targets if positions of some or all runs fall and no column states a side.
 
-    Where all rise nothing is added: targets are listed so whichever way they were approached.
+    If all rise, nothing is added: targets are often listed in ascending order regardless of the approach.
     """
     error = p.first("error")
     axis = components.parse(p.entries[error]["component"]).axis if error is not None else None
@@ -186,12 +186,12 @@ def sides_of_falling_runs(p: Proposal) -> None:
         p.put("direction", side, why, role="direction", axis=axis)
 
 
-LONGEST_PAUSE = 3600.0  # s: a drift that was not measured for longer has cooled, and may count from another zero
-PAUSE_OF_STEPS = 5.0  # of the steps that nine in ten do not exceed: a longer one is a pause, not a slow logger
+LONGEST_PAUSE = 3600.0  # s: after a longer pause in a drift measurement the machine has cooled, and its zero may differ
+PAUSE_OF_STEPS = 5.0  # times the 90th percentile of the steps: a longer step is a pause, not a slow logger
 
 
 def _runs_by_gaps(p: Proposal) -> None:
-    """A run of a drift for each stretch without a pause; they are called by their dates, or numbered."""
+    """A run of a drift for each stretch without a pause, named by its date, or numbered."""
     time = p.first("time")
     if p.first("run") is not None or time is None:
         return
@@ -216,11 +216,11 @@ def _runs_by_gaps(p: Proposal) -> None:
     )
 
 
-FEWEST_COPIED = 3  # rows that repeat the rows before: fewer may be equal by chance on a coarse gauge
+FEWEST_COPIED = 3  # rows equal to the rows before: fewer may be equal by chance on a coarse gauge
 
 
 def _refuse_copied_rows(p: Proposal, x: np.ndarray) -> None:
-    """Raise DataError where rows of a run repeat those right above them to the last digit: the motion is not theirs."""
+    """Raise DataError if rows of a run repeat those right above to the last digit: their motion was not measured."""
     run = p.first("run")
     if run is None:
         return
@@ -232,28 +232,28 @@ def _refuse_copied_rows(p: Proposal, x: np.ndarray) -> None:
             if same[start : start + shift].all() and np.ptp(x[start : start + shift]) > 0:
                 raise DataError(
                     f"rows {start + shift + 1} to {start + 2 * shift} repeat the {shift} rows above them to the last "
-                    "digit, in one run: copied? (take them out, or give each pass a run of its own)"
+                    "digit, in one run: copied? (remove them, or give each pass its own run)"
                 )
 
 
 def _repeated(x: np.ndarray, runs: list[str] | None) -> bool:
-    """Whether most targets come more than once in a run."""
+    """Whether most targets occur more than once in a run."""
     pairs = list(zip(runs or [""] * x.size, np.round(x, 6).tolist(), strict=True))
     return x.size > 3 and len(set(pairs)) <= 0.6 * len(pairs)
 
 
 def _counted_on(p: Proposal, place: str) -> np.ndarray:
-    """Positions as they stand; of an angle counted on where it passes 360 = 0."""
+    """Positions unchanged; for an angle, continued where it passes 360 = 0."""
     x: np.ndarray = p.data[place]
     turns = p.entries[place].get("unit") in ("deg", "rad") and np.isfinite(x).all()
     return np.round(np.unwrap(p.canonical(place), period=360.0), 9) if turns else x
 
 
 def motion_sides(x: np.ndarray, runs: Sequence[str] | None = None) -> np.ndarray | None:
-    """+1 where positions rise, -1 where they fall; None where unordered.
+    """+1 where positions rise, -1 where they fall; None if unordered.
 
-    Readings of one visit stand one after another. Where the axis turns, twice as many as elsewhere are of two visits:
-    the second half belongs to the way back. The first target of a run is approached as the next one is.
+    Readings of one visit are consecutive. At the reversal, twice as many readings as elsewhere are two visits:
+    the second half belongs to the return pass. The first target of a run has the same side as the next one.
     """
     first = np.flatnonzero(np.r_[True, np.diff(x) != 0])
     places, readings = x[first], np.diff(np.r_[first, x.size])
@@ -263,7 +263,7 @@ def motion_sides(x: np.ndarray, runs: Sequence[str] | None = None) -> np.ndarray
     far = np.flatnonzero(np.abs(np.diff(places)) > 0.5 * np.ptp(x))
     for i in far if far.size < step.size else []:
         if i + 1 < step.size and step[i + 1] == -step[i]:
-            step[i] = 0  # back to the first target, to pass all of them the same way again
+            step[i] = 0  # return to the first target, for another pass in the same direction
     way = np.r_[step[np.flatnonzero(step)[0]], step]
     labels = np.asarray([""] * x.size if runs is None else runs, dtype=str)
     begins = 1 + np.flatnonzero(labels[1:] != labels[:-1])
@@ -278,11 +278,11 @@ def motion_sides(x: np.ndarray, runs: Sequence[str] | None = None) -> np.ndarray
     return out if np.count_nonzero(np.diff(way)) <= places.size / 3 else None
 
 
-FEWEST_OF_A_LABEL = 0.9  # share of the rows with a label that lie on one side of the motion, to be that side's label
+FEWEST_OF_A_LABEL = 0.9  # minimum share of a label's rows on one side of the motion, to be that side's label
 
 
 def _sides_of_labels(p: Proposal, moves: np.ndarray | None) -> None:
-    """Raise DataError where a column called a direction has two labels that neither words nor the motion explain."""
+    """Raise DataError if a direction column has two labels that neither words nor the motion explain."""
     unread = [n for n, why in p.guesses.items() if why == NO_SIDES and n in p.data]
     place = p.first("command") or p.first("position")
     lost = place in p.data and (moves is None or np.unique(moves).size < 2)
@@ -295,14 +295,14 @@ def _sides_of_labels(p: Proposal, moves: np.ndarray | None) -> None:
         rising = [0.0 if moves is None else float(np.mean(moves[labels == n] > 0)) for n in names]
         if max(rising) < FEWEST_OF_A_LABEL or min(rising) > 1.0 - FEWEST_OF_A_LABEL:
             raise DataError(
-                f"column {name!r} holds {names[0]!r} and {names[1]!r}, and the order of the rows does not show which "
-                f"of them comes from below: write + (from below) and -, or say --set {name}.role=ignore"
+                f"column {name!r} has {names[0]!r} and {names[1]!r}, but the order of the rows does not show which "
+                f"of them is from below: write + (from below) and -, or use --set {name}.role=ignore"
             )
-        p.guesses[name] = f"{names[int(np.argmax(rising))]!r} is the way up, as the positions rise there"
+        p.guesses[name] = f"{names[int(np.argmax(rising))]!r} is upwards, as the positions rise there"
 
 
 def _may_be_sides(p: Proposal, name: str, x: np.ndarray) -> bool:
-    """Whether a column of words that are not understood has two of them, both at nearly every target."""
+    """Whether a column of unknown words has two of them, both at nearly every target."""
     if p.guesses.get(name) != guessing.UNKNOWN or not isinstance(p.data.get(name), list):
         return False
     words_of = np.array(p.data[name], dtype=str)
@@ -312,7 +312,7 @@ def _may_be_sides(p: Proposal, name: str, x: np.ndarray) -> bool:
 
 
 def _visits(x: np.ndarray, way: np.ndarray) -> list[str]:
-    """How often each target was approached from the same side until then, counted from 1."""
+    """How often each target has been approached from the same side so far, counted from 1."""
     seen: Counter[tuple[float, float]] = Counter()
     out = []
     for pair in zip(np.round(x, 6).tolist(), way.tolist(), strict=True):
@@ -322,13 +322,13 @@ def _visits(x: np.ndarray, way: np.ndarray) -> list[str]:
 
 
 def sweeps(x: np.ndarray, side: np.ndarray | None) -> list[str]:
-    """Labels of the runs: a pass up and a pass down are one run; without a way back each pass is one."""
+    """Labels of the runs: a pass up and a pass down are one run; without a return pass, each pass is one."""
     way = motion_sides(x) if side is None else side
     if way is None:
         return ["1"] * x.size
     again = _visits(x, way)
     if _repeated(x[: x.size // 2], None) and len(set(again)) > 1:
-        return again  # every target several times before the next: the first, second, ... visit of each
+        return again  # several readings per target before the next: the first, second, ... visit of each
     jumps = np.r_[False, np.diff(way) != 0]
     if np.unique(way).size < 2:
         span = np.ptp(x) or 1.0

@@ -1,4 +1,4 @@
-"""Tests of more than one axis at once, which are no table of one axis: named, with what reads them."""
+"""Tests of more than one axis at once, which are not a table of one axis: identified, with the stage for them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Iterable
 from errpipe.importing.sheet import Cell, Sheet, filled_cells
 from errpipe.importing.words import plain
 
-LINES, WIDTH = 40, 300  # lines of a file, and letters of each, in which a test is named
+LINES, WIDTH = 40, 300  # lines of a file, and characters per line, searched for the name of a test
 _WRITE = "write a recording (docs/recordings.md, Tests of a machine) for the stage identify:"
-# Name; what a line (as `plain` writes it) says of it; what it is; what reads it.
+# Name; pattern of a line (as `plain` writes it); description; what reads it.
 TESTS: tuple[tuple[str, str, str, str], ...] = (
     (
         "ball bar",
@@ -24,36 +24,36 @@ TESTS: tuple[tuple[str, str, str, str], ...] = (
         "R-test",
         r"\br-?test\b|^(\W*[abc]( ?(pos\w*|axis|achse))?\b[^a-z]*((deg|grad)\b\W*)?){1,2}\bd? ?x\b.*"
         r"\bd? ?y\b.*\bd? ?z\b",
-        "an R-test: where a ball stands at each position of a rotary axis",
-        f"{_WRITE} protocol r_test, the positions of all axes, and the ball less its nominal place as E_X, E_Y, E_Z; "
+        "an R-test: the position of a ball at each position of a rotary axis",
+        f"{_WRITE} protocol r_test, the positions of all axes, and ball minus nominal position as E_X, E_Y, E_Z; "
         "deviations are imported with --set COLUMN.component=E_X and so on",
     ),
     (
         "grid encoder",
         r"\bkgm ?\d*\b|\bgrid ?encoder\b|\bkreuzgitter|^\W*[xyz]( \W?mm\W?)?\W+[xyz]( \W?mm\W?)?$",
         "the log of a grid encoder, where two axes move together",
-        f"{_WRITE} protocol point_cloud, the commanded positions of both axes, and measured less commanded as E_X, "
-        "E_Y; where commanded and measured positions stand in the file, --axis X imports X alone",
+        f"{_WRITE} protocol point_cloud, the commanded positions of both axes, and measured minus commanded as E_X, "
+        "E_Y; if the file contains commanded and measured positions, --axis X imports only X",
     ),
     (
         "frequency response",
         r"^\W*(freq(uency|uenz|uence)?|hz)\b",
         "a frequency response, of an input shaper or a hammer test",
-        "it holds no positions, and errpipe compensates positions; it has no use here",
+        "it contains no positions, and errpipe compensates positions; it cannot be used",
     ),
     (
         "inspection print",
         r"^\W*posn\b|\bdprnt\b|\bfeature no\b.*\d|\binspection (report|print)\b|\btchpr|\bmeasuring log\b|messprotokoll"
         r"|^\W*(n\d+ )?x ?-?\d+[.,]\d*\W+y ?-?\d|\bdim loc|\bcmm\b|^dmismn\b|\bfeat/",
         "an inspection print of a CMM or of the machine's own probe",
-        "it lacks rows that state axis, nominal and actual place of each feature: write them as a table "
+        "rows with axis, nominal and actual position of each feature are missing: write them as a table "
         "`Feature;Axis;Nominal;Actual` (Hole 1;X;50.000;50.012), in mm, which is imported",
     ),
 )
 
 
 def named(sheets: Iterable[Sheet]) -> str:
-    """What the first lines of a file say it is and what reads it, as a sentence; '' where they name none of TESTS."""
+    """The test that the first lines of a file identify and what reads it, as a sentence; '' if it is none of TESTS."""
     for sheet in sheets:
         rows: list[list[Cell]] = [[*(sheet.header or [])], *sheet.rows[:LINES]]
         lines = [plain(" ".join(map(str, filled_cells(row)))[:WIDTH]) for row in rows]

@@ -1,4 +1,4 @@
-"""Columns of a log that are of no axis that is read: a spindle's `S` beside X, Y and Z, a motor that was left out."""
+"""Columns of a log that belong to no imported axis: a spindle's `S` next to X, Y and Z, an excluded motor."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _NUMBERED = re.compile(r"(.*?)[ _.]?[(\[]?(\d+)[)\]]?")
 
 
 def only_of_axes(columns: list[RawColumn], guesses: dict[str, ColumnGuess]) -> dict[str, ColumnGuess]:
-    """The guesses without those of a channel that is no axis, where channels of axes have a column of the same name.
+    """The guesses without columns of a channel that is not an axis, if channels of axes have a column of the same name.
 
-    `S1_ActualVelocity` beside `X1_ActualVelocity` would else be a velocity of the axis that the file names first.
+    Otherwise `S1_ActualVelocity` next to `X1_ActualVelocity` would be a velocity of the axis that the file names first.
     """
     parts = {c.header: match.groups() for c in columns if (match := _CHANNEL.fullmatch(c.header))}
     of_axes = {rest for letter, rest in parts.values() if letter in _AXES}
@@ -26,19 +26,19 @@ def only_of_axes(columns: list[RawColumn], guesses: dict[str, ColumnGuess]) -> d
     for header, (letter, _) in parts.items():
         g = guesses[header]
         if letter in others and g.why and g.axis is None and g.kind in OF_AN_AXIS:
-            out[header] = replace(g, kind="ignore", why=f"of {letter}, which is no axis of ISO 841")
+            out[header] = replace(g, kind="ignore", why=f"of {letter}, which is not an axis of ISO 841")
     return {**out, **_left_out(guesses)}
 
 
 def _left_out(guesses: dict[str, ColumnGuess]) -> dict[str, ColumnGuess]:
-    """What moves with a numbered channel whose places a person left out, as ignored: `speed (3)` beside `pos (3)`."""
+    """Columns of a numbered channel whose positions the user excluded, as ignored: `speed (3)` with `pos (3)`."""
     numbers = {h: match.groups() for h in guesses if (match := _NUMBERED.fullmatch(h))}
     places = ("command", "position", "actual")
     of_places = {base for h, (base, _) in numbers.items() if guesses[h].kind in places}
     kept = {n for h, (_, n) in numbers.items() if guesses[h].kind in places}
     stated = {n for h, (base, n) in numbers.items() if base in of_places and guesses[h].kind == "ignore"}
     return {
-        h: replace(guesses[h], kind="ignore", why=f"of channel {n}, whose positions are left out")
+        h: replace(guesses[h], kind="ignore", why=f"of channel {n}, whose positions are excluded")
         for h, (_, n) in numbers.items()
         if n in stated - kept and guesses[h].why and guesses[h].kind in OF_AN_AXIS
     }

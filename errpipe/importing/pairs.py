@@ -1,4 +1,4 @@
-"""Exports in which every channel has a column of times of its own: `t, A, t, B`, with a label in each row above."""
+"""Exports in which every channel has its own time column: `t, A, t, B`, with a label in each row above."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _SAMPLE = re.compile(r"sampl\w* ?(time|period|interval)|abtastzeit|time|zeit")
 
 
 def paired(sheet: Sheet) -> Sheet:
-    """The sheet with one column of times, where rows above the data repeat a label beside the value of each channel.
+    """The sheet with one time column, if rows above the data repeat a label next to the value of each channel.
 
-    `Name;SetPos;Name;ActPos` above `SampleTime[ms];4;SampleTime[ms];4`: the label stands above the times. Any other
-    sheet as it is. Raises DataError where the channels have other times.
+    `Name;SetPos;Name;ActPos` above `SampleTime[ms];4;SampleTime[ms];4`: the label is above the times. Any other
+    sheet unchanged. Raises DataError if the channels have different times.
     """
     rows = [row for row in sheet.rows if filled_cells(row)]
     labelled = {k: row for k, row in enumerate(rows) if _repeats(row)}
@@ -35,7 +35,7 @@ def paired(sheet: Sheet) -> Sheet:
     for k in channels[1:]:
         if any(len(row) > k and row[k - 1] not in (None, "") and row[k - 1] != row[0] for row in data):
             raise DataError(
-                f"{sheet.name}: {label(named[k])!r} has other times than {label(named[1])!r}: export them alike"
+                f"{sheet.name}: {label(named[k])!r} has different times from {label(named[1])!r}: export the same times"
             )
     units = next((row for text, row in said.items() if _UNIT.fullmatch(text)), [])
     sample = next((label(row[0]) for text, row in said.items() if _SAMPLE.fullmatch(text)), "")
@@ -51,7 +51,7 @@ def paired(sheet: Sheet) -> Sheet:
 
 
 def _repeats(row: list[Cell]) -> bool:
-    """Whether every second cell of a row, from the first, is one word."""
+    """Whether every second cell of a row, from the first, is the same word."""
     labels = {label(c) for c in row[0::2] if c not in (None, "")}
     return (
         len(row) > 3

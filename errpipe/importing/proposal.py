@@ -1,6 +1,6 @@
-"""From guesses to a proposed recording: rows in one order, a manifest, and every guess in words.
+"""From guesses to a proposed recording: ordered rows, a manifest, and a description of every guess.
 
-Everything computed here is stated in the manifest or in a note.
+Everything computed here is documented in the manifest or in a note.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ from errpipe.importing.units import PER_LENGTH, in_brackets, in_role, per_length
 from errpipe.importing.units_above import unit_above
 from errpipe.importing.words import THERE_AND_BACK, axis_above, plain
 
-# What may be a unit that is not known: `um/m`, `pm`, `x 0.05um`, `0.0001`.
+# Possible unknown units: `um/m`, `pm`, `x 0.05um`, `0.0001`.
 _OTHER_UNIT = re.compile(r"[^\d\s]{1,3}/[^\d\s]{1,3}|[^\W\d_]{1,14}|%|°|[x×*]?\s?\d.*[^\W\d_]|0?[.,]0*\d")
 OF_A_COUNT = ", times --resolution"
 _NO_UNIT = ("64 bit", "32 bit", "x", "y", "z", "abs", "rel", "raw", "avg", "mean", "inc", "meas", "all")
 
 
 def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) -> Proposal:
-    """A recording of what the columns probably are. Raises DataError where there is nothing to measure in them.
+    """A recording with the probable role of each column. Raises DataError if it contains nothing measured.
 
-    may_be_log: whether a file may hold no deviation, but what another device logged meanwhile.
+    may_be_log: whether a file may have no deviation, only the simultaneous log of another device.
     """
     headers = {c.header for c in layout.columns}
     for c in layout.columns:
@@ -80,7 +80,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     proposal.notes += signs.compensated(layout.above)
     said = next((line for line in layout.above if axis_above([line])), None)
     if options.axis is None and said is not None:
-        proposal.notes.append(f"the axis is {axis_above([said])}, as {said[:60]!r} says (--axis says another one)")
+        proposal.notes.append(f"the axis is {axis_above([said])}, from {said[:60]!r} (to change it: --axis)")
     wide_layout = wide.find(layout, guesses)
     guesses = guesses if wide_layout else _of_stated_axis(layout, guesses, options.axis)  # `V1`, `R1` are runs
     axis = options.axis or _axis(layout, guesses, wide_layout)
@@ -88,25 +88,25 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         angles = [c for c in layout.columns if c.unit in ("deg", "rad") and guesses[c.header].kind in resolve.PLACES]
         if angles and any(guessing.is_radius(c.header) for c in layout.columns):
             raise DataError(
-                f"column {angles[0].header!r} holds angles of a circle: errpipe needs the commanded position of each "
-                "reading, a column per axis (X = centre_X + radius * cos(angle), ...)"
+                f"column {angles[0].header!r} has angles of a circle: errpipe needs the commanded position of each "
+                "reading, one column per axis (X = centre_X + radius * cos(angle), ...)"
             )
         if angles:
-            raise DataError(f"column {angles[0].header!r} holds angles, and no axis is named: say it with --axis C")
+            raise DataError(f"column {angles[0].header!r} has angles, and no axis is named: declare it with --axis C")
         axis, proposal.assumed_axis = "X", True
-        proposal.notes.append("no axis is named in the file: taken as X (--axis states another)")
+        proposal.notes.append("no axis is named in the file: taken as X (to change it: --axis)")
     if wide_layout is not None:
         _wide(layout, guesses, wide_layout, axis, options, proposal)
     else:
         _long(layout, guesses, axis, options, proposal, may_be_log)
     ambiguities.refuse_another_title(proposal, layout, options)
     if options.resolution is not None and not any(OF_A_COUNT in why for why in proposal.guesses.values()):
-        raise UsageError("--resolution would be ignored: no column holds counts, or whole numbers without a unit")
+        raise UsageError("--resolution would be ignored: no column contains counts, or whole numbers without a unit")
     return proposal
 
 
 def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess | None:
-    """A column's guess with what `--set COLUMN.role=...` and `--set COLUMN.axis=...` say, or None."""
+    """A column's guess from `--set COLUMN.role=...` and `--set COLUMN.axis=...`, or None."""
     stated = options.sets.get(column.header) or options.sets.get(slug(column.header)) or {}
     role, axis = stated.get("role"), stated.get("axis")
     if role is None:
@@ -121,9 +121,9 @@ def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess |
 def _of_stated_axis(
     layout: Layout, guesses: dict[str, guessing.ColumnGuess], axis: str | None
 ) -> dict[str, guessing.ColumnGuess]:
-    """The guesses with the axis that --axis states, where a line above names it as well: `U1-1` is then a channel.
+    """The guesses with the axis from --axis, even if a line above names another axis: `U1-1` is then a channel.
 
-    Raises DataError where all columns of an axis name another one and no line above does: the option would be ignored.
+    Raises DataError if all columns of an axis name another one and no line above does: the option would be ignored.
     """
     named = {h: g for h, g in guesses.items() if g.axis is not None and g.kind in (*guessing.PLACE, "error")}
     letters = {str(g.axis)[0] for g in named.values()}
@@ -133,8 +133,8 @@ def _of_stated_axis(
         return guesses | {h: replace(g, axis=None) for h, g in named.items()}
     corrected = " ".join(f"--set '{header}.axis={axis}'" for header in named)
     raise DataError(
-        f"--axis {axis}: column {next(iter(named))!r} names the axis {letters.pop()}. Leave --axis out, or, where the "
-        f"file is wrong, say it of each column: {corrected}"
+        f"--axis {axis}: column {next(iter(named))!r} names the axis {letters.pop()}. Omit --axis, or, if the "
+        f"file is wrong, correct each column: {corrected}"
     )
 
 
@@ -150,7 +150,7 @@ def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], unfolded: wi
     above = axis_above(layout.above)
     if named and above is not None and above not in named:
         raise DataError(
-            f"a line above the table, its sheet or file names the axis {above}, a column {named[0]}: say it "
+            f"a line above the table, its sheet or file names the axis {above}, a column {named[0]}: declare it "
             f"with --axis {named[0]} (or {above})"
         )
     return above or (named[0] if named else None)
@@ -164,10 +164,10 @@ def _long(
     p: Proposal,
     may_be_log: bool,
 ) -> None:
-    """One row of the file is one row of the recording."""
+    """One row of the file becomes one row of the recording."""
     keep = kept_rows.readings(layout, guesses, p)
     if not keep.any():
-        raise DataError("no row holds a reading")
+        raise DataError("no row contains a reading")
     parts = [
         RawColumn(c.header, c.unit, [c.cells[i] for i in np.flatnonzero(keep)], c.values[keep]) for c in layout.columns
     ]
@@ -177,7 +177,7 @@ def _long(
     for column in [c for c in parts if any(cell not in (None, "") for cell in c.cells)]:
         odd = [c for c, v in zip(column.cells, column.values, strict=True) if c not in (None, "") and np.isnan(v)]
         if odd and column.numeric:
-            p.notes.append(f"{len(odd)} cells of {column.header!r} are no numbers (the first: {odd[0]!r}): left empty")
+            p.notes.append(f"{len(odd)} cells of {column.header!r} are not numbers (the first: {odd[0]!r}): missing")
         add_column(column, guesses[column.header], axis, options, p)
     if may_be_log and not {e["role"] for e in p.entries.values()} & {"error", *resolve.PLACES}:
         resolve.resolve_units(p, layout)
@@ -194,7 +194,7 @@ def _wide(
     options: ImportOptions,
     p: Proposal,
 ) -> None:
-    """A row per target becomes a row per reading."""
+    """A row per target becomes one row per reading."""
     index, run, sides, values = wide.unpivot(table)
     unit, why = table.target.unit, "the column of targets"
     if unit is None:
@@ -212,14 +212,14 @@ def _wide(
         if any(c is other for other in (table.target, table.run, table.way, *(r for r, _, _ in table.readings))):
             continue
         if any(c is s for s in table.statistics):
-            p.notes.append(f"column {c.header!r} was left out: a figure over the runs, not a reading")
+            p.notes.append(f"column {c.header!r} was excluded: a statistic over the runs, not a reading")
             continue
         g = guesses[c.header]
         if g.kind in ("temperature", "pressure", "humidity", "feed", "spindle_speed"):
             cells = [c.cells[i] for i in index]
             add_column(RawColumn(c.header, c.unit, cells, c.values[index]), g, axis, options, p)
         else:
-            p.notes.append(f"column {c.header!r} was left out: {g.why}")
+            p.notes.append(f"column {c.header!r} was excluded: {g.why}")
     resolve.finish(p, layout, axis, options)
 
 
@@ -240,7 +240,7 @@ def _wide_readings(
 
 
 def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: ImportOptions, p: Proposal) -> None:
-    """One column of the file with the role that was guessed."""
+    """Add one column of the file with its guessed role."""
     stated = options.sets.get(c.header) or options.sets.get(slug(c.header)) or {}
     unit, own = c.unit, stated.get("axis") or g.axis or axis
     why = "" if stated.get("role") else f"{g.kind} by {g.why}"
@@ -283,9 +283,9 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
             if taken is None:
                 unknown, allowed = c.unit or in_brackets(c.header), ", ".join(ROLE_UNITS[g.kind])
                 if stated.get("unit"):
-                    raise UsageError(f"--set {c.header}.unit={unknown}: no unit of role {g.kind} (allowed: {allowed})")
-                why = f"{why}, but {unknown!r} is no unit of role {g.kind} (allowed: {allowed})"
-                p.put(c.header, c.values, f"{why}: say it with --set '{c.header}.unit=...'", role="ignore")
+                    raise UsageError(f"--set {c.header}.unit={unknown}: not of role {g.kind} (allowed: {allowed})")
+                why = f"{why}, but {unknown!r} is not a unit of role {g.kind} (allowed: {allowed})"
+                p.put(c.header, c.values, f"{why}: declare it with --set '{c.header}.unit=...'", role="ignore")
                 return
             values, unit, why = taken
             turns = own[0] in "ABC" and g.kind in ("velocity", "acceleration")
@@ -298,17 +298,17 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
 
 
 def _filled_down(c: RawColumn, p: Proposal) -> RawColumn:
-    """The column with empty cells as the one above, where only the first row of each block is filled (merged cells)."""
+    """The column with empty cells filled from above, if only the first row of each block is filled (merged cells)."""
     filled = np.array([cell not in (None, "") for cell in c.cells])
     if filled.all() or not filled[0] or filled.mean() > 0.5:
         return c
     at = np.maximum.accumulate(np.where(filled, np.arange(filled.size), 0))
-    p.notes.append(f"empty cells of {c.header!r} are as the filled one above them (merged cells)")
+    p.notes.append(f"empty cells of {c.header!r} take the value above them (merged cells)")
     return RawColumn(c.header, c.unit, [c.cells[i] for i in at], c.values[at])
 
 
 def _known_unit(c: RawColumn, unit: str | None) -> str | None:
-    """The unit of a column, or None. Raises DataError where its header has another one in brackets."""
+    """The unit of a column, or None. Raises DataError if its header has an unknown one in brackets."""
     match = re.search(r"[\[(]\s*([^\[\]()]{1,14}?)\s*[\])]", c.header)
     odd = match if unit is None and match and _OTHER_UNIT.fullmatch(match.group(1)) else None
     word = RawColumn(odd.group(1), None, c.cells, c.values) if odd else c
@@ -318,8 +318,8 @@ def _known_unit(c: RawColumn, unit: str | None) -> str | None:
         raise DataError(f"column {c.header!r}: readings per length; errpipe needs them in um (or mm) at each position")
     if odd and not named and (len(word.header) == 1 or guessing.guess(word).kind == "ignore"):
         raise DataError(
-            f"column {c.header!r}: {odd.group(1)!r} is no known unit (such as um, mm, inch, thou, deg, urad, arcsec): "
-            f"say it with --set '{c.header}.unit=...'"
+            f"column {c.header!r}: {odd.group(1)!r} is not a known unit (um, mm, inch, thou, deg, urad, arcsec, ...): "
+            f"declare it with --set '{c.header}.unit=...'"
         )
     return unit
 
@@ -360,10 +360,10 @@ def _counts(c: RawColumn, axis: str, why: str, options: ImportOptions, p: Propos
 def _response(
     c: RawColumn, role: str, axis: str, unit: str | None, why: str, component: str | None, moved: str, p: Proposal
 ) -> None:
-    """An error or simulated column; inches are converted, a missing unit is judged by the size of the readings."""
+    """An error or simulated column; inches are converted, a missing unit is inferred from the size of the readings."""
     magnitude = re.search(r"^\|.*\||\b(abs(olute|olut\w*)?|magnitude|betrag)\b", c.header, re.IGNORECASE)
     if magnitude and not np.any(c.values < 0):
-        raise DataError(f"column {c.header!r} may hold sizes without their sign (if not: rename it, or --set its role)")
+        raise DataError(f"column {c.header!r} may have magnitudes without sign (if not: rename it, or --set its role)")
     if component is None:
         of_a_screw = unit in ("um", "mm", "nm") and re.search(r"\bpitch\b", plain(c.header))
         component = None if of_a_screw else guessing.other_component(c.header, moved)
@@ -372,7 +372,7 @@ def _response(
         component = components.positioning(axis)
         why += f"; component {component} from the axis"
     if unit in PER_LENGTH and components.unit(component) == "um" and why.startswith("error by its unit"):
-        why = f"{unit}: of a level, an angle: say what it measured with --component, such as EBX"
+        why = f"{unit}: of a level, an angle: declare what it measured with --component, such as EBX"
         p.put(c.header, c.values, why, role="ignore")
         return
     values, unit, why = resolve.unit_of_readings(c.values, _known_unit(c, unit), component, why)

@@ -1,4 +1,4 @@
-"""A proposed recording: its columns, their manifest entries, and every guess in words."""
+"""A proposed recording: its columns, their manifest entries, and a description of every guess."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from errpipe.domain import units
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Options of the command line that replace guesses.
+    """Command-line options that replace guesses.
 
     resolution: mm (deg) of one encoder count; torque_constant: N m per A; sets: column -> key -> value.
     """
@@ -32,16 +32,16 @@ class ImportOptions:
 
 @dataclass
 class Proposal:
-    """Rows by column name, the manifest's entry of each column, what was guessed of it, and notes on the whole."""
+    """Rows by column name, the manifest entry of each column, the reason for each guess, and notes on the whole."""
 
     data: dict[str, Any] = field(default_factory=dict)  # column -> float array (NaN: empty) or list of texts
     entries: dict[str, dict[str, Any]] = field(default_factory=dict)
     guesses: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     facts: dict[str, str] = field(default_factory=dict)  # of the set-up, from the lines above the table
-    side: str | None = None  # from which all targets were approached, as a line above the table, or its header, states
-    assumed_axis: bool = False  # whether neither the file nor a person named one
-    names: dict[str, str] = field(default_factory=dict)  # what a column is called in the file -> here
+    side: str | None = None  # approach direction of all targets, from a line above the table or its header
+    assumed_axis: bool = False  # whether neither the file nor the user named one
+    names: dict[str, str] = field(default_factory=dict)  # name of a column in the file -> name here
     headers: set[str] = field(default_factory=set)  # of the file's table
 
     @property
@@ -50,7 +50,7 @@ class Proposal:
         return max((len(v) for v in self.data.values()), default=0)
 
     def put(self, name: str, values: Any, why: str = "", **entry: Any) -> str:
-        """Add a column under a name that is free; returns that name."""
+        """Add a column under an unused name; return that name."""
         base, n = slug(name), 2
         base = entry["role"] if base == "c_" else base
         unique = base

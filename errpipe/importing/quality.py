@@ -1,4 +1,4 @@
-"""Columns on a value beside them: whether it is good (OPC UA, historians, data loggers), and its unit."""
+"""Columns that qualify a neighbouring value: its quality (OPC UA, historians, data loggers), or its unit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from errpipe.importing.words import kind_by_name, plain
 
 _NAMED = re.compile(r".*\b(quality|qualitaet|qualite|calidad|qualita|status|status ?code|valid(ity)?)\b'*")
 _GOOD_WORDS = re.compile(r"good.*|gut|ok|okay|valid|gueltig|192|0x0+|0|normal|bon|buono|buena?")
-# Not `fail` and `nok`: beside deviations they say that a tolerance was left.
+# Not `fail` and `nok`: next to deviations they mean that a tolerance was exceeded.
 _BAD_WORDS = re.compile(
     r"(?:bad|uncertain|invalid|ungueltig|schlecht|stale|questionable|not connected|no data|comm|mauvais|malo|substitut"
     r"|last known|sensor|0x[48c])\w*.*"
@@ -26,14 +26,14 @@ _KEPT = ("time", "run", "group", "direction", "command", "position")
 
 
 def named(header: str) -> bool:
-    """Whether a column is called by a quality or a status."""
+    """Whether a column is named as a quality or a status."""
     return _NAMED.fullmatch(plain(header)) is not None
 
 
 def bad(cells: Sequence[Cell]) -> np.ndarray:
-    """Which values are not good, shape (cells,); none where the labels are not those of a quality.
+    """Which values are not good, shape (cells,); none if the labels are not those of a quality.
 
-    As numbers: 192 is good, less is not (OPC DA); 0 is good, 0x40000000 and more are not (OPC UA).
+    As numbers: 192 is good, less is not (OPC DA); 0 is good, 0x40000000 and above are not (OPC UA).
     """
     words = [plain(label(c)) for c in cells]
     codes = [float(w) for w in words if re.fullmatch(r"\d{1,10}(\.0)?", w)]
@@ -47,9 +47,9 @@ def bad(cells: Sequence[Cell]) -> np.ndarray:
 
 
 def blank(layout: Layout) -> None:
-    """Empty the values that a column of qualities to the right of them calls bad, with a note.
+    """Empty the values that a quality column to their right marks as bad, with a note.
 
-    A quality is of the columns of numbers before it, up to another quality; of times and positions none is emptied.
+    A quality applies to the numeric columns before it, up to another quality; times and positions are not emptied.
     """
     begin = 0
     for k, c in enumerate(layout.columns):
@@ -60,16 +60,16 @@ def blank(layout: Layout) -> None:
             if of.numeric and kind_by_name(of.header) not in _KEPT and np.isfinite(of.values[out]).any():
                 of.cells = [None if o else cell for o, cell in zip(out, of.cells, strict=True)]
                 of.values = np.where(out, np.nan, of.values)
-                layout.notes.append(f"{of.header}: {int(out.sum())} values that {c.header!r} calls bad were left out")
+                layout.notes.append(f"{of.header}: {int(out.sum())} values marked as bad by {c.header!r} were excluded")
         begin = k + 1
 
 
 def units_beside(layout: Layout) -> None:
-    """A column of one unit, called so, states that of the numbers left of it: `Value;Unit`, in every row `mm`."""
+    """A unit column, named as such, states the unit of the numbers to its left: `Value;Unit`, in every row `mm`."""
     for of, c in pairwise([*layout.columns]):
         written = {label(cell) for cell in c.cells if cell not in (None, "")}
         unit = unit_of(next(iter(written))) if len(written) == 1 else None
         if unit is not None and of.numeric and of.unit is None and UNITS.fullmatch(plain(c.header).strip("' ")):
             of.unit = unit
             layout.columns = [other for other in layout.columns if other is not c]
-            layout.notes.append(f"{of.header}: in {unit}, as {c.header!r} beside it says")
+            layout.notes.append(f"{of.header}: in {unit}, from column {c.header!r} next to it")

@@ -1,4 +1,4 @@
-"""Absolute readings beside commanded positions: turned where they count the other way, and subtracted."""
+"""Absolute readings with commanded positions: sign changed if they count the other way, and subtracted."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from errpipe.importing.columns import ColumnGuess
 from errpipe.importing.layout import RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 
-NARROW = 100.0  # a longer travel is in mm: machines of more than 100 inch are few, and their files name the unit
-ABSOLUTE = 0.1  # of the position: a steeper "deviation" is a reading (no axis is wrong by 10 %)
+NARROW = 100.0  # a longer travel is in mm: machines above 100 inch are rare, and their files name the unit
+ABSOLUTE = 0.1  # of the position: a steeper "deviation" is a reading (no axis has an error of 10 %)
 
 
 def change_sign_of_readings(p: Proposal) -> None:
-    """Readings that fall one for one as the command rises count the other way: the actual position is minus them."""
+    """Readings that fall one for one as the command rises have the opposite sign: the actual position is minus them."""
     for name in [n for n, e in p.entries.items() if e["role"] in ("actual", "position") and n in p.data]:
         entry = p.entries[name]
         command = p.first("command", entry["axis"]) or p.first("position", entry["axis"])
@@ -28,13 +28,13 @@ def change_sign_of_readings(p: Proposal) -> None:
         if slope is not None and abs(slope + 1.0) < ABSOLUTE:
             raw = p.put(f"{name}_as_read", p.data.pop(name), role="ignore")
             p.entries[name] = {**entry, "role": "actual", "derived": {"of": raw, "factor": -1.0}}
-            p.guesses[name] = f"{raw} falls one for one as {command} rises: it counts the other way and is turned"
+            p.guesses[name] = f"{raw} falls one for one as {command} rises: opposite direction, sign changed"
 
 
 def unit_by_positions(columns: Sequence[RawColumn], guesses: Mapping[str, ColumnGuess]) -> list[str]:
-    """Give deviations without a unit that of actual less commanded position, where they are it, or 1000 times it.
+    """Infer the unit of deviations without one that equal actual minus commanded position, or 1000 times it.
 
-    Positions without a unit are mm where they are longer than any travel in inches. Returns a note on each.
+    Positions without a unit are in mm if they exceed any travel in inches. Returns a note on each.
     """
     kinds = {
         kind: [c for c in columns if guesses[c.header].kind == kind and c.numeric]
@@ -56,12 +56,12 @@ def unit_by_positions(columns: Sequence[RawColumn], guesses: Mapping[str, Column
         if near is not None:
             c.unit = unit if near == 1.0 else {"mm": "um", "inch": "0.001 inch"}[unit]
             times = "" if near == 1.0 else f"{near:g} times "
-            notes.append(f"{c.header} is in {c.unit}: it is {times}{actual[0].header} less {places[0].header}")
+            notes.append(f"{c.header} is in {c.unit}: it is {times}{actual[0].header} minus {places[0].header}")
     return notes
 
 
 def slope_of(x: np.ndarray, y: np.ndarray) -> float | None:
-    """Least-squares slope of y over x; None where x does not vary, or values are too small or large to say."""
+    """Least-squares slope of y over x; None if x does not vary, or if values are too small or large."""
     good = np.isfinite(x) & np.isfinite(y)
     if good.sum() <= 3:
         return None
@@ -73,7 +73,7 @@ def slope_of(x: np.ndarray, y: np.ndarray) -> float | None:
 
 
 def readings_as_errors(p: Proposal, axis: str) -> None:
-    """An error column that runs along with the position is a reading: the error is derived from it."""
+    """Treat an error column that follows the position as a reading: the error is derived from it."""
     place = p.first("command", axis) or p.first("position", axis)
     for name in [n for n, e in p.entries.items() if e["role"] == "error" and n in p.data]:
         entry = p.entries[name]
@@ -94,15 +94,15 @@ def readings_as_errors(p: Proposal, axis: str) -> None:
 
 
 def _in_unit_of_places(values: np.ndarray, unit: str, of_places: str) -> np.ndarray:
-    """Readings in the unit of the positions: 1 um per inch is an error of an axis, 25.4 mm per inch are readings."""
+    """Readings in the unit of the positions: 1 um per inch is an axis error, 25.4 mm per inch are readings."""
     of_readings, places = units.conversion("error", unit), units.conversion("position", of_places)
     assert of_readings is not None and places is not None  # both roles have units
-    part = 1e-3 if of_readings.unit == "um" else 180e-6 / np.pi  # mm or deg, in which positions are
+    part = 1e-3 if of_readings.unit == "um" else 180e-6 / np.pi  # mm or deg, the units of positions
     return values * (of_readings.factor * part / places.factor)
 
 
 def _within_half_a_turn(p: Proposal, command: str, actual: str) -> None:
-    """Actual positions of a rotary axis that passed 360 = 0 before or after the command, less or more one turn."""
+    """Shift by one turn the actual positions of a rotary axis that passed 360 = 0 before or after the command."""
     if p.entries[actual]["axis"][0] not in "ABC" or {p.entries[n].get("unit") for n in (command, actual)} != {"deg"}:
         return
     if command not in p.data or actual not in p.data:
@@ -117,22 +117,22 @@ def _within_half_a_turn(p: Proposal, command: str, actual: str) -> None:
 
 
 def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
-    """error = actual - commanded, where both are recorded and no error column is."""
+    """error = actual - commanded, if both are recorded and no error column is."""
     if any(e["role"] == "error" for e in p.entries.values()):
         return
-    for name, keys in options.sets.items():  # also of a column that a wide layout made: `actual_Y`
+    for name, keys in options.sets.items():  # also for a column created from a wide layout: `actual_Y`
         if slug(name) in p.entries and keys.get("role") in ("command", "actual", "position"):
             p.entries[slug(name)]["role"] = keys["role"]
     letters = list(dict.fromkeys([axis, *(e["axis"] for e in p.entries.values() if e.get("axis"))]))
     moving = [a for a in letters if (c := p.first("command", a)) in p.data and np.ptp(p.data[c]) > 0]
     if options.axis is not None:
         letters = [options.axis]
-    elif len(moving) == 1:  # the others stand: `Nominal Y` of a tracker along X
+    elif len(moving) == 1:  # the others are constant: `Nominal Y` of a tracker along X
         letters = [a for a in letters if a in moving or p.first("command", a) not in p.data]
     elif len(moving) > 1 and p.rows < order.DENSE_ROWS:
         raise DataError(
-            f"axes {', '.join(moving)} move together, and no column holds deviations: a cloud of points is a recording "
-            f"for `identify` (docs/recordings.md); --axis {moving[0]} imports that axis alone"
+            f"axes {', '.join(moving)} move together, and there are no deviations: a cloud of points is a recording "
+            f"for `identify` (docs/recordings.md); --axis {moving[0]} imports only that axis"
         )
     for letter in letters:
         command = p.first("command", letter)
@@ -147,8 +147,8 @@ def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
             keys.get("role") for keys in options.sets.values()
         }:
             raise DataError(
-                f"the error is {actual!r} less {command!r}, both of which are recorded: --sign would be ignored. Where "
-                f"the machine read {actual!r} on a gauge or part of known size, say --set {actual}.role=command "
+                f"the error is {actual!r} minus {command!r}, both of which are recorded: --sign would be ignored. If "
+                f"the machine read {actual!r} on a gauge or part of known size, use --set {actual}.role=command "
                 f"--set {command}.role=actual instead"
             )
         _within_half_a_turn(p, command, actual)

@@ -1,4 +1,4 @@
-"""Runs whose numbers begin again, on another day or in another state of the machine, are runs of their own."""
+"""Runs whose labels repeat, on another day or in another state of the machine, are separate runs."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from errpipe.domain import units
 from errpipe.importing.proposed import Proposal
 
-SAME_TARGET = 1e-3  # of the range of a position: closer ones are one target, as `measured_points` takes them
-AGAIN = 0.5  # of the targets of a stretch, measured before from the same side: a target or two are a reading repeated
+SAME_TARGET = 1e-3  # of the range of a position: closer ones are one target, as in `measured_points`
+AGAIN = 0.5  # of the targets of a stretch measured before from the same side: one or two targets are a repeated reading
 
 
 def told_apart(p: Proposal) -> None:
-    """Give a run another label where its targets are measured again, from the same side, after other runs."""
+    """Give a run another label if its targets are measured again, from the same side, after other runs."""
     run = p.first("run")
     names = [n for role in ("command", "position") for n, e in p.entries.items() if e["role"] == role and n in p.data]
     if run is None or run not in p.data or not names:
@@ -36,15 +36,15 @@ def told_apart(p: Proposal) -> None:
         for v, t, day in zip(labels, turn.tolist(), days if days is not None else labels, strict=True)
     ]
     p.notes.append(
-        f"the runs of {run!r} begin again with the same targets: taken as other runs, "
+        f"the runs of {run!r} restart with the same targets: taken as separate runs, "
         f"{', '.join(dict.fromkeys(p.data[run]))}"
     )
 
 
 def _turns(label: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """How often the run of a row had been made before, (rows,): a stretch of rows that repeats its targets is one more.
+    """How often each row's run was measured before, (rows,): a stretch of rows that repeats its targets is one more.
 
-    A stretch ends where another run follows: rows sorted by target come back to a run with other targets.
+    A stretch ends where another run follows: rows sorted by target return to a run with other targets.
     """
     turn = np.zeros(label.size, dtype=int)
     edges = np.r_[0, np.flatnonzero(np.diff(label)) + 1, label.size]
@@ -60,7 +60,7 @@ def _turns(label: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def _days(p: Proposal) -> list[str] | None:
-    """The date of every row; None where the file has none."""
+    """The date of every row; None if the file has none."""
     time = p.first("time")
     epoch = p.entries[time].get("epoch") if time is not None else None
     if time is None or epoch is None or not np.isfinite(p.data[time]).all():

@@ -1,8 +1,8 @@
-"""Relations between the columns of a proposed recording: actual and commanded, sign, direction, runs, a log.
+"""Relations between the columns of a proposed recording: actual and commanded, sign, direction, runs, log.
 
-Deviation is actual minus commanded. Where a file holds both positions, the error is derived from them at the door of
-the recording (`derived: {minus: [actual, commanded]}`); where it holds deviations of the other sign, their sign is
-reversed there, and the manifest states it.
+Deviation is actual minus commanded. If a file contains both positions, the error is derived from them when the
+recording is read (`derived: {minus: [actual, commanded]}`); if it contains deviations of the opposite sign, the sign is
+changed there, and the manifest states it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ NO_DEVIATION = "no column holds a deviation"
 
 
 def resolve_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
-    """Roles of positions: beside a command the other one is actual; alone a target is the position."""
+    """Roles of positions: next to a command the other one is actual; a single target is the position."""
     ignore_target_numbers(p)
     one_position_per_axis(p)
     deviations_as_errors(p, options)
@@ -34,57 +34,57 @@ def resolve_positions(p: Proposal, axis: str, options: ImportOptions) -> None:
     for letter in sorted(axes):
         command, place, actual = (p.first(role, letter) for role in ("command", "position", "actual"))
         if command is None and place is not None and actual is not None:
-            p.entries[place]["role"], command, place = "command", place, None  # a nominal position beside a reading
+            p.entries[place]["role"], command, place = "command", place, None  # a nominal position next to a reading
         if command is not None and place is None and actual is not None and not errors:
             p.entries[actual]["role"] = "position"
         elif place is None and (alone := command or actual) is not None and None in (command, actual):
             p.entries[alone]["role"] = "position"
 
 
-# Of an angle; elsewhere a length (inch: both are written as "), a time, or a slope. A level reads um per m.
+# For an angle; otherwise a length (inch: both are written as "), a time, or a slope. A level reads um per m.
 _OF_AN_ANGLE = {"inch": "arcsec", "s": "arcsec", "min": "arcmin", "um/m": "urad", "mm/m": "mrad"}
 
 _BESIDE_AN_ANGLE = {"inch": '"', "min": "'"}  # how the unit of a length, or of a time, was written
 
 
 def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: str) -> tuple[np.ndarray, str, str]:
-    """Readings in a unit that the manifest has, that unit, and the reason; of lengths without one, by their size.
+    """Readings in a unit of the manifest, that unit, and the reason; lengths without a unit by their size.
 
-    Raises DataError for angles without a unit: arcsec taken as urad would be compensated by a fifth.
+    Raises DataError for angles without a unit: arcsec taken as urad would be compensated by only a fifth.
     """
     standard = components.unit(component)
     if standard == "urad" and unit in _OF_AN_ANGLE:
-        why = why.replace("unit (inch)", 'unit (")')  # as it was read before an angle was known
-        why += f"; {_BESIDE_AN_ANGLE.get(unit, unit)} beside an angle is {_OF_AN_ANGLE[unit]}"
+        why = why.replace("unit (inch)", 'unit (")')  # as it was read before the angle was known
+        why += f"; {_BESIDE_AN_ANGLE.get(unit, unit)} for an angle is {_OF_AN_ANGLE[unit]}"
         unit = _OF_AN_ANGLE[unit]
     if standard == "um" and unit in PER_LENGTH:
         raise DataError(
             f"readings of {component} in {unit}, per length: errpipe needs them in um (or mm) at each position, and of "
-            "a level what it measured, with --component, such as EBX"
+            "a level declare what it measured with --component, such as EBX"
         )
     if standard == "um" and unit in guessing.SMALL_ANGLES:
         raise DataError(
-            f"readings in {unit} are angles, no {component}: say what turned with --component, such as "
+            f"readings in {unit} are angles, not {component}: declare what rotated with --component, such as "
             f"{_turns(component)}"
         )
     values, unit, why = plain_unit(values, unit, why)
     if standard == "urad" and unit in ("um", "mm", "nm"):
         raise DataError(
-            f"readings in {unit} are no {component}, which is an angle: say what was displaced, with --set "
+            f"readings in {unit} are not {component}, which is an angle: declare what was displaced with --set "
             "COLUMN.component=E_X (E_R: along a bar) of each column, and --set COLUMN.role=ignore of the others"
         )
     if unit is None and standard == "urad":
         raise DataError(
-            f"no unit is stated for the angles of {component}: say it with --unit (arcsec, urad, mrad, mdeg, deg)"
+            f"no unit is stated for the angles of {component}: declare it with --unit (arcsec, urad, mrad, mdeg, deg)"
         )
     if unit is None and standard in ("N", "N m"):
         raise DataError(
-            f"no unit is stated for {component}, and drives log torques in % or in A as well: say it with --set "
-            f"COLUMN.unit={standard!r} (or kN, N mm), after a conversion where it is neither"
+            f"no unit is stated for {component}, and drives also log torques in % or in A: declare it with --set "
+            f"COLUMN.unit={standard!r} (or kN, N mm), after a conversion if it is neither"
         )
     if unit is None:
         unit = unit_by_size(values)
-        why += f"; no unit is stated, taken as {unit} by the size of the readings (--unit says it)"
+        why += f"; no unit is stated, taken as {unit} by the size of the readings (to change it: --unit)"
     return values, unit, why
 
 
@@ -97,24 +97,24 @@ def _turns(component: str) -> str:
 
 
 def stated_unit(options: ImportOptions, written: str | None, header: str) -> str | None:
-    """The unit of readings that a person states, else the written one. Raises DataError where the two differ."""
+    """The unit of readings stated by the user, else the written one. Raises DataError if the two differ."""
     if options.unit is None or written in (None, options.unit) or _OF_AN_ANGLE.get(written) == options.unit:
         return options.unit or written
     raise DataError(
-        f"column {header!r} is in {written}, and --unit states {options.unit}: where the file is wrong, say "
+        f"column {header!r} is in {written}, but --unit states {options.unit}: if the file is wrong, use "
         f"--set '{header}.unit={options.unit}'"
     )
 
 
-SMALLEST = 0.1  # um: no error of an axis is smaller
-LARGEST = 5.0  # mm: no axis that is to be compensated is wrong by more
-OF_MM = (3, 4)  # decimals that dials and lasers show in mm; what was computed has more
+SMALLEST = 0.1  # um: no axis error is smaller
+LARGEST = 5.0  # mm: no axis that is to be compensated has a larger error
+OF_MM = (3, 4)  # decimals that dials and lasers display in mm; computed values have more
 
 
 def unit_by_size(values: np.ndarray) -> str:
-    """um or mm, where only one of them is possible: 0.1 um are no error of an axis, nor are 5 mm.
+    """um or mm, if only one of them is plausible: 0.1 um is not an axis error, nor is 5 mm.
 
-    Raises DataError where both are possible, and for whole and half numbers, which may be steps of a gauge.
+    Raises DataError if both are plausible, and for whole and half numbers, which may be steps of a gauge.
     """
     size = np.abs(values[np.isfinite(values)])
     most = float(size.max()) if size.size else 0.0
@@ -126,14 +126,14 @@ def unit_by_size(values: np.ndarray) -> str:
     if most >= 1.0 and (in_steps or np.array_equal(size, np.round(size))):
         raise DataError(
             f"the readings are whole numbers, or halves, up to {most:g} and no unit is stated: um, or the steps of a "
-            "gauge? Say it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
+            "gauge? Declare it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
         )
     if most <= LARGEST:
         likely = {1: "um is likely, by their decimal", **dict.fromkeys(OF_MM, "mm is likely, by their decimals")}.get(
-            decimals, "nothing says which is likely"
+            decimals, "both are equally likely"
         )
         raise DataError(
-            f"the readings reach {most:.3g} and no unit is stated: um or mm ({likely})? Say it with --unit mm (or um)"
+            f"readings reach {most:.3g} without a stated unit: um or mm ({likely})? Declare it with --unit mm (or um)"
         )
     return "um"
 
@@ -144,9 +144,9 @@ _OWN_SCALE = re.compile(r"encoder|(?<![a-z])enc(?![a-z])|display|read_?out|(?<![
 
 
 def one_position_per_axis(p: Proposal) -> None:
-    """One commanded and one actual position of an axis; of two actual ones a laser's or a dial's is the measured one.
+    """One commanded and one actual position per axis; of two actual ones that of the laser or dial is the measured one.
 
-    Raises DataError where two of a kind differ and nothing states which is meant.
+    Raises DataError if two of a kind differ and nothing states which is meant.
     """
     for role in ("command", "actual", "position"):
         for letter in sorted({e["axis"] for e in p.entries.values() if e["role"] == role}):
@@ -158,18 +158,18 @@ def one_position_per_axis(p: Proposal) -> None:
             other = next((n for n in names if n not in own and _MEASURED.search(n)), None)
             if role == "actual" and len(own) == 1 and len(names) == 2 and other and not _commanded(p, letter):
                 p.entries[own[0]]["role"] = "command"
-                p.guesses[own[0]] = "the machine's own reading beside a measured one: it stands for the command"
+                p.guesses[own[0]] = "the machine's own reading next to a measured one: used as the command"
                 continue
             beside = role == "actual" and len(measured) == 1
             kept, kind = measured[0] if beside else names[0], f"{role} ".removeprefix("position ")
             for name in [n for n in names if n != kept]:
                 if not beside and not np.array_equal(p.data[name], p.data[kept], equal_nan=True):
                     raise DataError(
-                        f"columns {kept!r} and {name!r} both hold {kind}positions of {letter}: say which is meant, "
+                        f"columns {kept!r} and {name!r} both contain {kind}positions of {letter}: select one "
                         f"with --set {name}.role=ignore (or command, actual)"
                     )
                 p.entries[name] = {"role": "ignore"}
-                p.guesses[name] = f"beside {kept}, which is the {role} position"
+                p.guesses[name] = f"not used: {kept} is the {role} position"
 
 
 def _commanded(p: Proposal, letter: str) -> bool:
@@ -177,9 +177,9 @@ def _commanded(p: Proposal, letter: str) -> bool:
 
 
 def deviations_as_errors(p: Proposal, options: ImportOptions) -> None:
-    """Readings that do not rise with the command are deviations: a dial that is set to nothing at every target.
+    """Readings that do not rise with the command are deviations: a dial that is zeroed at every target.
 
-    Raises DataError where readings without a unit are neither positions nor deviations in mm.
+    Raises DataError if readings without a unit are neither positions nor deviations in mm.
     """
     if any(e["role"] == "error" for e in p.entries.values()):
         return
@@ -198,7 +198,7 @@ def deviations_as_errors(p: Proposal, options: ImportOptions) -> None:
         if guessed and slope is not None and steep and abs(abs(slope) - 1.0) > readings.ABSOLUTE:
             raise DataError(
                 f"{name!r} changes by {slope:.3g} for each mm of {command!r} and has "
-                "no unit: say it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
+                "no unit: declare it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
             )
         if slope is None or steep or not np.ptp(p.data[name]):
             continue
@@ -209,7 +209,7 @@ def deviations_as_errors(p: Proposal, options: ImportOptions) -> None:
 
 
 def ignore_target_numbers(p: Proposal) -> None:
-    """Beside another command or position of an axis, one that counts 1, 2, 3 holds the numbers of the targets."""
+    """If an axis has another command or position, ignore a column that counts 1, 2, 3: the numbers of the targets."""
     places = ("command", "position")
     for name, entry in p.entries.items():
         others = [e for n, e in p.entries.items() if n != name and e["role"] in places and entry["role"] in places]
@@ -218,11 +218,11 @@ def ignore_target_numbers(p: Proposal) -> None:
         values = np.unique(p.data[name])
         if values.size > 2 and np.array_equal(values, np.arange(1, values.size + 1)):
             p.entries[name] = {"role": "ignore"}
-            p.guesses[name] = "it counts 1, 2, 3, ... beside another position: the numbers of the targets"
+            p.guesses[name] = "it counts 1, 2, 3, ... next to another position: the numbers of the targets"
 
 
 def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> None:
-    """The error of the axis, its sign, directions, runs, and what a log of an axis needs besides."""
+    """The error of the axis, its sign, directions, runs, and the derived columns of a log of an axis."""
     of_errors = [e.get("_headers", ()) for e in p.entries.values() if e["role"] == "error"]
     if p.side is None and len(of_errors) == 1 and len(of_errors[0]) == 1:
         p.side = guessing.side_in(of_errors[0][0])
@@ -238,8 +238,8 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     if not any(e["role"] == "error" for e in p.entries.values()):
         have = ", ".join(_found(p, n) for n in p.entries)
         raise DataError(
-            f"{NO_DEVIATION}, and no two hold an actual and a commanded position (found: {have}). "
-            "Say it with --set COLUMN.role=error, or --set COLUMN.role=actual"
+            f"{NO_DEVIATION}, and no two contain an actual and a commanded position (found: {have}). "
+            "Declare it with --set COLUMN.role=error, or --set COLUMN.role=actual"
             + simulated.as_a_load(p, axis)
             + "".join(f"; {note}" for note in layout.notes if "--names" in note or note.startswith(EMPTY))
         )
@@ -257,25 +257,25 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
             if unknown:
                 header = unknown[0].header
                 raise DataError(
-                    f"column {header!r} ({unknown[0].unit}) is not understood, and no position is recorded: say "
+                    f"column {header!r} ({unknown[0].unit}) is unknown, and no position is recorded: use "
                     f"--set '{header}.role=position', or --set '{header}.role=ignore'"
                 )
             if p.assumed_axis:
                 raise DataError(
-                    f"no axis is named, and no position is recorded: along which axis is {name!r}? Say it with --axis"
+                    f"no axis is named and no position recorded: along which axis is {name!r}? Declare it with --axis"
                 )
             _refuse_other_axis(p, name, letter, options)
             dates.refuse_unread(p.entries, p.guesses, p.data)
             entry["component"] = f"E_{letter}"  # a drift of the tool point: no position is recorded
-            p.guesses[name] = f"{p.guesses.get(name, '')}; E_{letter}, for no position of {letter} is recorded".strip(
-                "; "
+            p.guesses[name] = (
+                f"{p.guesses.get(name, '')}; E_{letter}, because no position of {letter} is recorded".strip("; ")
             )
     order.resolve_order(p, axis)
     p.entries = dict(sorted(p.entries.items(), key=lambda item: item[1]["role"] not in ("run", "time")))
 
 
 def _refuse_one_of_several_axes(p: Proposal, layout: Layout, options: ImportOptions) -> None:
-    """Raise DataError where several axes move and neither a column of deviations nor a line above names one."""
+    """Raise DataError if several axes move and neither a column of deviations nor a line above names one."""
     moving = {
         e["axis"]
         for n, e in p.entries.items()
@@ -296,31 +296,31 @@ def _refuse_one_of_several_axes(p: Proposal, layout: Layout, options: ImportOpti
         if "from the axis" in p.guesses.get(name, "") and not any(map(guessing.axis_in, headers)):
             raise DataError(
                 f"axes {', '.join(sorted(moving))} move, and {headers[0]!r} names none of them: deviations of which? "
-                f"Say it with --axis {min(moving)}, or --component (E_R: along a beam or bar)"
+                f"Declare it with --axis {min(moving)}, or --component (E_R: along a beam or bar)"
             )
 
 
 def _refuse_other_axis(p: Proposal, name: str, letter: str, options: ImportOptions) -> None:
-    """Raise DataError where readings of one axis, without its position, stand beside moving positions of another."""
+    """Raise DataError if readings of one axis, without its position, are next to moving positions of another."""
     moving = [n for n, e in p.entries.items() if e["role"] in PLACES and n in p.data and np.ptp(p.data[n]) > 0]
     if not moving or options.component is not None:
         return
     other = p.entries[moving[0]]["axis"]
     raise DataError(
-        f"{name!r} names {letter}, and {moving[0]!r} holds positions of {other}: say what was measured, with --set "
+        f"{name!r} names {letter}, but {moving[0]!r} has positions of {other}: declare what was measured with --set "
         f"{name}.component=E{letter}{other} (straightness), E{other}{other} (positioning) or E_{letter} (tool point)"
     )
 
 
 def _found(p: Proposal, name: str) -> str:
-    """A column with its role; one that is ignored with the reason where it has numbers or a known name."""
+    """A column with its role; an ignored one with the reason if it has numbers or a known name."""
     role, why = p.entries[name]["role"], p.guesses.get(name, "")
     header = next((h for h, n in p.names.items() if n == name), name) if name.startswith(role) else name
     return f"{header} ({role}: {why})" if role == "ignore" and why and why != guessing.UNKNOWN else f"{header} ({role})"
 
 
 def _may_be_a_place(p: Proposal, c: RawColumn) -> bool:
-    """Whether a column that nothing was made of has a unit of length and many values."""
+    """Whether an unused column has a unit of length and many values."""
     left_out = p.entries.get(p.names.get(c.header, ""), {}).get("role") == "ignore"
     return (
         left_out

@@ -1,4 +1,4 @@
-"""Rows of one axis, and of one machine, where a column of the file names those of each row."""
+"""Rows of one axis, and of one machine, if a column of the file names them for each row."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from errpipe.importing.words import kind_by_name
 
 
 def one_axis(layout: Layout, options: ImportOptions) -> Layout:
-    """Rows of one axis where a column names the axis of each row. Raises DataError where the axis is ambiguous."""
+    """Rows of one axis if a column names the axis of each row. Raises DataError if the axis is ambiguous."""
     for c in layout.columns:
         filled = {str(cell).strip() for cell in c.cells if cell not in (None, "")}
         letters = {text.upper() for text in filled}
@@ -25,8 +25,8 @@ def one_axis(layout: Layout, options: ImportOptions) -> Layout:
         axis = options.axis or min(letters)
         if len(letters) > 1 and options.axis is None:
             raise DataError(
-                f"column {c.header!r} holds rows of several axes ({', '.join(sorted(letters))}): "
-                "choose one with --axis; one recording for each"
+                f"column {c.header!r} contains rows of several axes ({', '.join(sorted(letters))}): "
+                "select one with --axis; one recording for each"
             )
         if axis not in letters:
             raise DataError(f"column {c.header!r} has no row of axis {axis} (found: {', '.join(sorted(letters))})")
@@ -48,7 +48,7 @@ def _rows(layout: Layout, by: RawColumn, keep: np.ndarray, value: str) -> Layout
 
 
 def one_machine(layout: Layout, options: ImportOptions) -> Layout:
-    """Rows of the machine that is named. Raises DataError where rows are of several: a table is of one of them."""
+    """Rows of the named machine. Raises DataError if there are rows of several: a table belongs to one of them."""
     for c in layout.columns:
         texts = [label(cell) for cell in c.cells]
         names = sorted({*texts} - {""})
@@ -58,7 +58,7 @@ def one_machine(layout: Layout, options: ImportOptions) -> Layout:
             continue
         if options.machine not in names:
             raise DataError(
-                f"column {c.header!r} holds rows of several machines ({', '.join(names)}): choose one "
+                f"column {c.header!r} contains rows of several machines ({', '.join(names)}): select one "
                 f"with --machine; one recording for each (--set '{c.header}.role=group' keeps them together)"
             )
         return _rows(layout, c, np.array([text == options.machine for text in texts]), options.machine)

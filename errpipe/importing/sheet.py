@@ -9,11 +9,11 @@ from typing import Any
 from errpipe.errors import DataError
 
 Cell = str | float | None
-MOST_CELLS = 12_000_000  # about 1 GB of Python objects at 80 bytes each would be 12 million
+MOST_CELLS = 12_000_000  # cells: about 1 GB of Python objects of 80 bytes each
 MINUS = str.maketrans(
     {"−": "-", "–": "-", "－": "-", "＋": "+", "．": ".", "，": ",", "\u00a0": "", "\u202f": "", "\u2009": ""}
 )
-_USUAL = re.compile(r"[+-]?[0-9]{1,20}(\.[0-9]{0,18})?")  # the same by every rule below, without their time
+_USUAL = re.compile(r"[+-]?[0-9]{1,20}(\.[0-9]{0,18})?")  # equal by every rule below, without their cost
 _PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")  # D: the exponent of Fortran
 _COMMA = re.compile(r"[+-]?\d*,\d+([eEdD][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+")
@@ -30,7 +30,7 @@ _SEXAGESIMAL = re.compile(  # 15°00'01.86", -0° 0′ 2″
 
 @dataclass(frozen=True)
 class DoorOptions:
-    """Options of a file. names: of the columns where it has no header; period: s between rows."""
+    """Options of a file. names: of the columns if it has no header; period: s between rows."""
 
     sheet: str | None = None
     names: tuple[str, ...] = ()
@@ -39,9 +39,9 @@ class DoorOptions:
 
 @dataclass
 class Sheet:
-    """One table of cells. header: its column names where the file states them apart; notes: remarks of the door.
+    """One table of cells. header: column names if the file states them separately; notes: remarks of the door.
 
-    above: lines of text that the file states beside the table.
+    above: lines of text that the file states outside the table.
     """
 
     name: str
@@ -51,13 +51,13 @@ class Sheet:
     above: list[str] = field(default_factory=list)
 
     def limited(self) -> Sheet:
-        """The sheet itself. Raises DataError where it holds more cells than MOST_CELLS."""
+        """The sheet itself. Raises DataError if it has more cells than MOST_CELLS."""
         affordable(sum(len(row) for row in self.rows), self.name)
         return self
 
 
 def affordable(cells: int, name: object) -> None:
-    """Raise DataError where so many cells, or lines, are more than memory should be spent on."""
+    """Raise DataError if so many cells, or lines, would need too much memory."""
     if cells > MOST_CELLS:
         raise DataError(f"{name}: {cells} cells (at most {MOST_CELLS} are imported; split the file)")
 
@@ -73,7 +73,7 @@ def number(cell: Any, comma: bool) -> float | None:
     if isinstance(cell, str) and _USUAL.fullmatch(cell):
         return float(cell)
     text = str(cell).strip().translate(MINUS)
-    if " " in text:  # of thousands, or behind a sign: `12 345`, `- 5.2`
+    if " " in text:  # thousands separator, or after a sign: `12 345`, `- 5.2`
         text = _BLANK_WITHIN.sub("", text)
     if len(text) > 40:
         return None
@@ -97,11 +97,11 @@ def is_sexagesimal(cell: Cell) -> bool:
 
 
 def of_one_mark(cells: list[Cell], comma: bool, thousands: bool = True) -> list[Cell]:
-    """The cells of a column as `number` reads them, whichever mark its decimals and thousands have.
+    """The cells of a column as `number` reads them, whichever decimal and thousands separators it has.
 
-    comma: whether the file writes decimal commas. `75.000` there is 75000 where the column shows it: it holds commas,
-    `1.234.567`, or `0` beside `75.000`. thousands: whether the quantity reaches them, as no
-    temperature does. Raises ValueError with the cell that may be either.
+    comma: whether the file writes decimal commas. `75.000` there is 75000 if the column shows it: it contains commas,
+    `1.234.567`, or `0` with `75.000`. thousands: whether the quantity can reach thousands, unlike a
+    temperature. Raises ValueError with an ambiguous cell.
     """
     other = "." if comma else ","
     texts = {
@@ -132,14 +132,14 @@ def label(cell: Cell) -> str:
 
 
 def filled_cells(row: list[Cell]) -> list[Cell]:
-    """The cells of a row that hold something."""
+    """The cells of a row that are not empty."""
     return [c for c in row if c not in (None, "")]
 
 
 def decimal_comma(rows: list[list[Cell]]) -> bool:
     """Whether the numbers of a file have decimal commas: more cells are numbers with them than with points.
 
-    A mark before three digits may be one of thousands: it counts where no other cell shows more.
+    A separator before three digits may be one of thousands: it counts if no other cell shows more.
     """
     commas = points = doubtful = 0
     for row in rows[:2000]:
@@ -149,7 +149,7 @@ def decimal_comma(rows: list[list[Cell]]) -> bool:
                 if _DOUBTFUL.fullmatch(text):
                     doubtful += 1 if "," in text else -1
                     continue
-                if groups := _GROUPS.fullmatch(text):  # 1,000,000: the mark of decimals is the other one
+                if groups := _GROUPS.fullmatch(text):  # 1,000,000: the decimal separator is the other one
                     points, commas = points + (groups[1] == ","), commas + (groups[1] == ".")
                     continue
                 commas += _COMMA.fullmatch(text) is not None or _GROUPED.fullmatch(text) is not None

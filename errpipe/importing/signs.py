@@ -1,7 +1,7 @@
-"""The sign of readings: actual minus commanded, by an option, by both positions, by a header or a line of the file.
+"""The sign of readings: actual minus commanded, from an option, both positions, a header or a line of the file.
 
-A header that states a difference, an offset or a gap whose sign is not understood is asked about: a sign that is taken
-the wrong way doubles the error of the machine.
+A header that states a difference, an offset or a gap of unknown sign causes a question: a wrong sign doubles
+the error of the machine.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from errpipe.importing.proposed import ImportOptions, Proposal
 from errpipe.importing.units import split_header
 
 SHOWN = 0.9  # correlation with actual - commanded: as `reversed-sign` of the plausibility checks
-ASSUMED = "the file does not state its sign: taken as actual minus commanded (--sign states another)"
+ASSUMED = "the file does not state its sign: taken as actual minus commanded (to change it: --sign)"
 # A line above a table whose readings are corrections: `Korrekturwerte in um`, not `Compensation: off`.
 _TITLE_OF_CORRECTIONS = re.compile(
     r"(korrekturwerte|korrekturtabelle|(correction|compensation|comp\.?) (values?|table|data))\b[^:=;]*$"
@@ -27,7 +27,7 @@ _TITLE_OF_CORRECTIONS = re.compile(
 _OF_CORRECTIONS = re.compile(
     r"(?:values?|werte?|table|data|to (?:apply|enter|be \w+)|valore|valeur|valor|d[aei]|del?|of|in|[値值量表数]|\W|\d)+"
 )
-# Quantities that count either way: what is entered in a control, or the gap between a sensor and what it looks at.
+# Quantities that may have either sign: a value entered in a control, or the gap between a sensor and its target.
 _EITHER_WAY = re.compile(
     r"\b(offset|trim|gap|spalt|luftspalt|abstand|distance|stellwert|einstellwert|nachstellwert|eingabewert|to enter"
     r"|undershoot|short|zu kurz|trop court)\b|[x×*·] ?\(?-1|-1\)? ?[x×*·]|(?<![\w-])[a-z]-[a-z](?![\w-])"
@@ -70,18 +70,18 @@ _A_WAY = re.compile(
 
 
 def ignore_corrections(p: Proposal) -> None:
-    """A column of corrections beside one of deviations is left out, and a following error beside both positions."""
+    """Ignore a column of corrections if there is one of deviations, and a following error if both positions exist."""
     errors = [n for n, e in p.entries.items() if e["role"] == "error"]
     for name in [n for n in errors if any(map(words.is_following_error, p.entries[n].get("_headers", (n,))))]:
         letter = p.entries[name].get("_axis")
         if p.first("command", letter) and (p.first("actual", letter) or p.first("position", letter)):
             p.entries[name] = {"role": "ignore"}
-            p.guesses[name] = "a following error beside both positions: the error is derived from them"
+            p.guesses[name] = "a following error with both positions: the error is derived from them"
             errors.remove(name)
     corrections = [n for n in errors if any(map(words.is_correction, p.entries[n].get("_headers", (n,))))]
     for name in corrections if len(corrections) < len(errors) else []:
         p.entries[name] = {"role": "ignore"}
-        p.guesses[name] = "corrections beside deviations: only the deviations are used"
+        p.guesses[name] = "corrections in addition to deviations: only the deviations are used"
 
 
 _INSTRUMENT = re.compile(r"laser|interferom|gauge|dial|probe|dev|abw|measured|gemessen")
@@ -96,18 +96,18 @@ _OF_THE_AIR = re.compile(
 
 
 def compensated(above: list[str]) -> list[str]:
-    """A note where a line above states that the control's compensation was on; that of a laser's air is another one."""
+    """A note if a line above states that the control's compensation was active; not that of a laser for air."""
     lines = [x for x in above if _SWITCHED_ON.search(words.plain(x)) and not _OF_THE_AIR.search(words.plain(x))]
     return [
-        f"a line says {x[:60]!r}: these are the deviations that a compensation leaves, and a new table is added to it"
+        f"a line states {x[:60]!r}: these are residual deviations with compensation, and a new table is added to it"
         for x in lines[:1]
     ]
 
 
 def change(p: Proposal, layout: Layout, options: ImportOptions) -> None:
-    """Every error column as actual minus commanded. Raises DataError where a stated sign is not understood.
+    """Convert every error column to actual minus commanded. Raises DataError if a stated sign is unknown.
 
-    An option goes before both positions, these before the column's header, and that before the lines around the table.
+    Priority: option, both positions, the column's header, the lines around the table.
     """
     for name in [n for n, e in p.entries.items() if e["role"] == "error" and "derived" not in e]:
         turned, reason = _stated(p, name, options) or _said(p, name, layout)
@@ -122,7 +122,7 @@ def change(p: Proposal, layout: Layout, options: ImportOptions) -> None:
 def _titles_corrections(line: str) -> bool:
     """Whether a line above a table states that its readings are corrections: `Korrekturwerte`, `Correction [mm]`.
 
-    One without a unit may be about a compensation: `Compensation`.
+    Without a unit it may refer to a compensation: `Compensation`.
     """
     if _TITLE_OF_CORRECTIONS.match(words.plain(line)) is not None:
         return True
@@ -132,7 +132,7 @@ def _titles_corrections(line: str) -> bool:
 
 
 def _may_title_corrections(line: str) -> bool:
-    """Whether a line above readings whose headers do not name them may: `Correction`, `Type: following error`."""
+    """Whether a line above readings with uninformative headers may do so: `Correction`, `Type: following error`."""
     said = re.split("[:=：]", line)[-1]
     of_a_control = words.is_correction(said) or words.is_following_error(said)
     text = words.plain(line)
@@ -140,7 +140,7 @@ def _may_title_corrections(line: str) -> bool:
 
 
 def _stated(p: Proposal, name: str, options: ImportOptions) -> tuple[bool, str] | None:
-    """Whether a sign is turned by the option or by the recorded positions, with the reason; None: neither states it."""
+    """Whether the option or the recorded positions reverse a sign, with the reason; None: neither states it."""
     if options.sign is not None:
         return options.sign == "commanded-minus-actual", ""
     component = p.entries[name]["component"]
@@ -155,34 +155,34 @@ def _stated(p: Proposal, name: str, options: ImportOptions) -> tuple[bool, str] 
         r = float(np.corrcoef(x[good], y[good])[0, 1])
         if abs(r) > SHOWN:
             says = f"{actual} - {command} (correlation {r:.2f})"
-            return r < 0, f"it is minus {says}: the sign is turned" if r < 0 else f"its sign is that of {says}"
+            return r < 0, f"it is minus {says}: the sign is changed" if r < 0 else f"its sign is that of {says}"
     return None
 
 
 def _said(p: Proposal, name: str, layout: Layout) -> tuple[bool, str]:
-    """Whether a sign is turned by what the file states of it, with the reason."""
+    """Whether the file's statements reverse a sign, with the reason."""
     headers = p.entries[name].get("_headers", (name,))
     if any(map(words.is_correction, headers)) or any(map(_titles_corrections, layout.above)):
-        return True, "a correction is minus the deviation: the sign is turned"
+        return True, "a correction is minus the deviation: the sign is changed"
     if any(map(words.is_following_error, headers)):
-        return True, "a following error is commanded minus actual: the sign is turned"
+        return True, "a following error is commanded minus actual: the sign is changed"
     around = " | ".join([name, *(c.header for c in layout.columns), *layout.above, *layout.below])
     said = words.difference(" | ".join(headers)) or words.difference(around)
     if said is not None:
-        return said[0] < 0, f"the file says {said[1]!r}" + (": the sign is turned" if said[0] < 0 else "")
+        return said[0] < 0, f"the file states {said[1]!r}" + (": the sign is changed" if said[0] < 0 else "")
     if components.parse(p.entries[name]["component"]).kind == "force":
         return False, "a load of the drive: its sign is taken as recorded"
     _ask(headers, layout, p.guesses.get(name, ""))
     if order.is_log(p) and not any(map(_INSTRUMENT.search, map(words.plain, headers))):
         raise DataError(
-            f"{headers[0]!r} is logged beside a moving axis: controls show commanded minus actual there, instruments "
-            "actual minus commanded. Say it: --sign commanded-minus-actual, or --sign actual-minus-commanded"
+            f"{headers[0]!r} is logged with a moving axis: controls then show commanded minus actual, instruments "
+            "actual minus commanded. Declare it: --sign commanded-minus-actual, or --sign actual-minus-commanded"
         )
     return False, ASSUMED
 
 
 def _doubtful(header: str, why: str) -> bool:
-    """Whether a header may say that its readings count the other way. why: what made its column one of errors."""
+    """Whether a header may mean that its readings have the opposite sign. why: the reason for its role `error`."""
     text = words.plain(header)
     less = _DIFFERENCE.search(text)
     names = [w for w in less.groups()[:2] if w] if less else []
@@ -200,30 +200,30 @@ def _doubtful(header: str, why: str) -> bool:
 
 
 def _is_on_the_sign(text: str) -> bool:
-    """Whether a line around the table states which way readings count; one on the approach states a side."""
+    """Whether a line around the table states the sign of readings; one on the approach states a side."""
     means = _SIGN_MEANS.search(text)
     said = means is not None and bool(re.search(r"[^\W\d]{3}", means[1])) and not _A_WAY.search(means[1])
     return said or _ON_THE_SIGN.search(text) is not None
 
 
 def _ask(headers: tuple[str, ...], layout: Layout, why: str) -> None:
-    """Raise DataError for a header, or a line on the sign, whose statement of the sign is not understood."""
+    """Raise DataError for a header, or a line on the sign, with an unknown statement of the sign."""
     for header in headers:
         if _doubtful(header, why):
             raise DataError(
-                f"column {header!r}: does it rise where the axis (the tool) goes too far, or fall? Say it: --sign "
+                f"column {header!r}: does it rise if the axis (the tool) moves too far, or fall? Declare it: --sign "
                 "actual-minus-commanded, or --sign commanded-minus-actual"
             )
     line = next((x for x in layout.below if _titles_corrections(x)), None)
     line = line or next((x for x in [*layout.above, *layout.below] if _is_on_the_sign(words.plain(x))), None)
     if line is not None:
         raise DataError(
-            f"a line says {line[:60]!r} of the sign, which is not understood: say it with --sign "
-            "actual-minus-commanded (positive: the axis goes too far), or --sign commanded-minus-actual"
+            f"a line states the sign as {line[:60]!r}, which is unknown: declare it with --sign "
+            "actual-minus-commanded (positive: the axis moves too far), or --sign commanded-minus-actual"
         )
     title = next(filter(_may_title_corrections, layout.above), None)
     if title is not None and not any(words.kind_by_name(header) == "error" for header in headers):
         raise DataError(
-            f"a line, sheet or file says {title[:60]!r}: are the readings deviations, positive where the axis goes too "
+            f"a line, sheet or file states {title[:60]!r}: are the readings deviations, positive if the axis moves too "
             "far (--sign actual-minus-commanded), or the opposite (--sign commanded-minus-actual)?"
         )

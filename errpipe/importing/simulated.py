@@ -1,4 +1,4 @@
-"""What a file holds of a simulation: positions become deviations, and a force beside its simulation is the response."""
+"""Simulated columns: positions become deviations, and a force with its simulation becomes the response."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from errpipe.errors import DataError
 from errpipe.importing.proposed import Proposal
 from errpipe.importing.words import FORCES, SIMULATED, difference, plain
 
-AGAINST = -0.5  # correlation below which a simulation counts the other way than the recording beside it
-ALONG = 0.1  # of the command: a simulated value that rises with it by 1 within this is a position, no deviation
+AGAINST = -0.5  # correlation below which a simulation has the opposite sign to its recording
+ALONG = 0.1  # of the command: a simulated value with a slope of 1 within this tolerance is a position, not a deviation
 
 
 def component_of_force(header: str, unit: str | None, axis: str) -> str | None:
-    """F_X of a simulated force or torque, None where a header and its unit name none."""
+    """F_X for a simulated force or torque, None if a header and its unit name none."""
     force = unit in (*ROLE_UNITS["force"], *ROLE_UNITS["torque"]) or (unit is None and re.search(FORCES, plain(header)))
     return f"F_{axis}" if force and re.search(SIMULATED, plain(header)) else None
 
 
 def as_a_load(p: Proposal, axis: str) -> str:
-    """How a force or torque that is there becomes what is diagnosed; empty where none is."""
+    """Hint how to diagnose a recorded force or torque; empty if there is none."""
     found = p.first("torque") or p.first("force")
     return (
         f"; the load of a drive is one with --set {found}.role=error --set {found}.component=F_{axis}" if found else ""
@@ -32,9 +32,9 @@ def as_a_load(p: Proposal, axis: str) -> str:
 
 
 def forces_as_responses(p: Proposal) -> None:
-    """The force beside a simulated one is the response, unless a deviation has a simulation of its own.
+    """A force with a simulation is the response, unless a deviation has its own simulation.
 
-    Raises DataError where several forces are, or a unit is another's.
+    Raises DataError if there are several forces, or if the unit belongs to another quantity.
     """
     for name in [n for n, e in p.entries.items() if e["role"] == "simulated" and e["component"].startswith("F_")]:
         component = p.entries[name]["component"]
@@ -44,7 +44,7 @@ def forces_as_responses(p: Proposal) -> None:
             continue
         if len(measured) > 1:
             raise DataError(
-                f"beside the simulated {name!r} stand several forces ({', '.join(measured)}): say which one it is of, "
+                f"there are several forces ({', '.join(measured)}) for the simulated {name!r}: select its force "
                 f"with --set {measured[0]}.role=error"
             )
         (force,) = measured
@@ -55,11 +55,11 @@ def forces_as_responses(p: Proposal) -> None:
                 "lever (screw lead / 2 pi), or name a rotary axis with --axis"
             )
         p.entries[force] = {"role": "error", "component": component, "unit": unit}
-        p.guesses[force] = f"{p.guesses.get(force, '')}; {component}, for its simulation stands beside it".strip("; ")
+        p.guesses[force] = f"{p.guesses.get(force, '')}; {component}, because its simulation is recorded".strip("; ")
 
 
 def of_the_only_response(p: Proposal) -> None:
-    """A simulation that names no component beside one response is of that one: a diameter beside `simulated`."""
+    """A simulation that names no component belongs to the only response: a diameter with `simulated`."""
     errors = [e for e in p.entries.values() if e["role"] == "error"]
     simulations = [n for n, e in p.entries.items() if e["role"] == "simulated"]
     if len(errors) != 1 or len(simulations) != 1:
@@ -73,7 +73,7 @@ def of_the_only_response(p: Proposal) -> None:
 
 
 def positions_as_deviations(p: Proposal) -> list[str]:
-    """Simulated positions, which rise with the command one for one, less the command: simulated deviations; which."""
+    """Convert simulated positions, which rise with the command one for one, to simulated deviations; returns which."""
     turned = []
     for name in [n for n, e in p.entries.items() if e["role"] == "simulated" and n in p.data]:
         entry = p.entries[name]
@@ -93,33 +93,33 @@ def positions_as_deviations(p: Proposal) -> list[str]:
         convert = units.conversion("position", unit)
         less = convert(y) - convert(x) if convert is not None else y - x
         p.data[name], p.entries[name] = less * (1e3 if own == "um" else np.pi / 180 * 1e6), {**entry, "unit": own}
-        p.guesses[name] = f"it rises with {command} one for one: simulated positions, less {command}, in {own}"
+        p.guesses[name] = f"it rises with {command} one for one: simulated positions minus {command}, in {own}"
         turned.append(name)
     return turned
 
 
 def change_signs(p: Proposal, known: Sequence[str]) -> None:
-    """Simulated deviations as actual minus commanded: by their own header, else as the recorded ones beside them.
+    """Simulated deviations as actual minus commanded: by their own header, else as the recorded ones.
 
-    known: columns whose sign is known already. A simulation that runs against the recording as both are written keeps
-    its sign: then only the recording counts the other way.
+    known: columns whose sign is already known. A simulation with negative correlation to the recording as written keeps
+    its sign: then only the recording has the opposite sign.
     """
     for name in [n for n, e in p.entries.items() if e["role"] == "simulated" and n in p.data and n not in known]:
         component = p.entries[name]["component"]
         says = plain(" ".join(p.entries[name].get("_headers", (name,))))
         said = difference(says)
-        reason = f"its header reads {says!r}" if said is not None and said[0] < 0 else ""
+        reason = f"its header states {says!r}" if said is not None and said[0] < 0 else ""
         if said is None:
             reason = _sign_of_recorded(p, name, component)
         if reason:
             entry = p.entries[name]
             raw = p.put(f"{name}_as_written", p.data.pop(name), role="ignore")
             p.entries[name] = {**entry, "derived": {"of": raw, "factor": -1.0}}
-            p.guesses[name] = f"{p.guesses.get(name, '')}; {reason}: the sign is turned".strip("; ")
+            p.guesses[name] = f"{p.guesses.get(name, '')}; {reason}: the sign is changed".strip("; ")
 
 
 def _sign_of_recorded(p: Proposal, name: str, component: str) -> str:
-    """Why a simulated column changes its sign with the recorded one, in words; '' where it does not."""
+    """Why a simulated column changes its sign with the recorded one; '' if it does not."""
     for error, entry in p.entries.items():
         raw = entry.get("derived", {}).get("of")
         if entry["role"] != "error" or entry["component"] != component or raw not in p.data:
@@ -128,6 +128,6 @@ def _sign_of_recorded(p: Proposal, name: str, component: str) -> str:
         good = np.isfinite(x) & np.isfinite(y)
         varies = good.sum() > 3 and np.ptp(x[good]) > 0 and np.ptp(y[good]) > 0
         if not varies or np.corrcoef(x[good], y[good])[0, 1] > AGAINST:
-            return f"as {error} beside it"
-        p.guesses[name] = f"{p.guesses.get(name, '')}; it runs against {raw}: its sign stays".strip("; ")
+            return f"as for {error}"
+        p.guesses[name] = f"{p.guesses.get(name, '')}; negative correlation with {raw}: its sign is kept".strip("; ")
     return ""

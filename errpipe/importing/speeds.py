@@ -1,4 +1,4 @@
-"""Speeds that are not stated as such: velocities without a unit, spindles that are on or off."""
+"""Speeds with missing units: velocities without a unit, spindles that are on or off."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from errpipe.importing.proposed import Proposal
 from errpipe.importing.sheet import label, number
 from errpipe.importing.words import kind_by_name, plain
 
-OF_ONE = 1.3  # factor within which a scale is that of a unit: noise and delay shift it, units differ by 6 at least
-FOLLOWS = 0.9  # correlation with the change of the position: below it, it is no velocity of this axis
-# A velocity in a unit, of an axis that moves by 1 mm/s (deg/s).
+OF_ONE = 1.3  # factor within which a scale matches a unit: noise and delay shift it, units differ by at least 6
+FOLLOWS = 0.9  # correlation with the change of the position: below it, it is not a velocity of this axis
+# A velocity in each unit for an axis that moves at 1 mm/s (deg/s).
 _SCALES = {
     "mm": {"mm/s": 1.0, "m/s": 1e-3, "um/s": 1e3, "mm/min": 60.0, "m/min": 0.06},
     "deg": {"deg/s": 1.0, "rad/s": np.pi / 180.0, "rpm": 1.0 / 6.0, "mdeg/s": 1e3, "deg/min": 60.0},
@@ -29,9 +29,9 @@ _SPEED = re.compile(r"(\d[\d.,' ]*\d|\d+)\s*(?:rpm|min-1|1/min|u/min|tr/min|r/mi
 
 
 def read_switches(layout: Layout) -> None:
-    """Spindles and coolants that are written as on and off in numbers, in place: rpm by a line above; 1 and 0.
+    """Convert spindles and coolants written as on and off, in place: to rpm from a line above; to 1 and 0.
 
-    Of a spindle whose speed no line states, or several, a note says what to write.
+    If no line states the spindle's speed, or several do, a note asks for it.
     """
     said = {number(m[1], comma=False) for line in layout.above for m in _SPEED.finditer(plain(line))} - {None}
     for c in layout.columns:
@@ -41,7 +41,7 @@ def read_switches(layout: Layout) -> None:
             continue
         if spindle and len(said) != 1:
             layout.notes.append(
-                f"{c.header}: on and off, and no line above states one speed: write `Spindle speed: 8000 rpm` there, "
+                f"{c.header}: on and off, but no line above states one speed: write `Spindle speed: 8000 rpm` there, "
                 "or a column of the speed"
             )
             continue
@@ -52,9 +52,9 @@ def read_switches(layout: Layout) -> None:
 
 
 def units_by_positions(p: Proposal) -> None:
-    """Velocities without a unit in that by which the position changes; one that is none of this axis is left out.
+    """Give velocities without a unit that of the position's change; a velocity of another axis is excluded.
 
-    Without a position in time beside it, a velocity keeps the usual unit, but that of a motor is left out: in rpm.
+    Without a position over time, a velocity keeps the usual unit, but that of a motor, in rpm, is excluded.
     """
     for name in [n for n, e in p.entries.items() if e["role"] == "velocity" and n in p.data]:
         why = p.guesses.get(name, "")
@@ -67,7 +67,9 @@ def units_by_positions(p: Proposal) -> None:
         if found is None or found[1] is None:
             said = f"; {found[0]:.3g} for 1 {usual} of the position" if found else ""
             p.entries[name] = {"role": "ignore"}
-            p.guesses[name] = f"a velocity{said} without a unit: say it with --set {name}.unit=... (mm/s, deg/s, ...)"
+            p.guesses[name] = (
+                f"a velocity{said} without a unit: declare it with --set {name}.unit=... (mm/s, deg/s, ...)"
+            )
             continue
         unit = found[1]
         if unit != usual:
@@ -76,7 +78,7 @@ def units_by_positions(p: Proposal) -> None:
 
 
 def _scale(p: Proposal, name: str) -> tuple[float, str | None] | None:
-    """What a velocity is where the position changes by 1 a second, and its unit if that is one; None: nothing says."""
+    """Velocity per unit rate of position, and its unit if it matches one; None if it cannot be determined."""
     axis, clock = p.entries[name].get("axis"), p.first("time")
     place = next((n for r in ("command", "actual", "position") if (n := p.first(r, axis)) in p.data), None)
     if place is None or clock not in p.data:

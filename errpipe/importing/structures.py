@@ -1,7 +1,7 @@
 """Structures of arrays, as MATLAB and numpy files hold them, as sheets.
 
-Vectors of one length, also of structures within, are the columns of a sheet, called by the path to it; elements of an
-array of structures are sheets, or rows where each holds single values; texts stand above the sheets they are about.
+Vectors of equal length, also in nested structures, are the columns of a sheet, named by the path to them; elements of
+an array of structures are sheets, or rows if each contains single values; texts precede the sheets they describe.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from errpipe.importing.sheet import Cell, Sheet, affordable
 from errpipe.importing.units import split_header
 from errpipe.importing.words import kind_by_name
 
-LABELS = ("label", "name", "title")  # fields that call the structure they are in
-VALUES = ("values", "value", "data")  # fields that are called by the structure they are in
-DEEPEST = 12  # structures within one another
-LONGEST_TEXT = 200  # letters of a text that is a remark
+LABELS = ("label", "name", "title")  # fields that name the structure they are in
+VALUES = ("values", "value", "data")  # fields that are named by the structure they are in
+DEEPEST = 12  # depth of nested structures
+LONGEST_TEXT = 200  # characters of a text that is a comment
 
 
 @dataclass
 class Node:
-    """A structure: its vectors and matrices, texts, lists of texts, and the structures within it.
+    """A structure: its vectors and matrices, texts, lists of texts, and nested structures.
 
     of: the name of the array of which it is an element.
     """
@@ -40,12 +40,12 @@ class Node:
 
     @property
     def called(self) -> str:
-        """What a text within calls it, else its key."""
+        """The name given by a text within, else its key."""
         return next((self.texts[n] for n in self.texts if n.lower() in LABELS and self.texts[n]), self.key)
 
     @property
     def full_name(self) -> str:
-        """What it is called, behind the name of its array."""
+        """Its name, after the name of its array."""
         return f"{self.of} {self.called}" if self.of and self.called != self.key else self.key
 
     @property
@@ -55,7 +55,7 @@ class Node:
 
 
 def put(node: Node, key: str, value: Any, depth: int = 0, of: str = "") -> None:
-    """Put a variable, a field of a structure, or an element of an array `of` into its node."""
+    """Insert a variable, a field of a structure, or an element of an array `of` into its node."""
     array = np.asarray(value)
     if depth > DEEPEST:
         return
@@ -83,7 +83,7 @@ def put(node: Node, key: str, value: Any, depth: int = 0, of: str = "") -> None:
 
 
 def _are_rows(array: np.ndarray) -> bool:
-    """Whether every element of an array of structures holds single values, as in numpy's structured arrays."""
+    """Whether every element of an array of structures contains single values, as in numpy's structured arrays."""
     return array.ndim == 1 and array.size > 1 and all(np.ndim(v) == 0 for element in array for v in element)
 
 
@@ -102,7 +102,7 @@ def _arrays(node: Node) -> Iterator[np.ndarray]:
 
 
 def _sheets(node: Node, path: str, stem: str, lines: list[str]) -> list[Sheet]:
-    """The sheets of a structure and those within it. lines: texts of the structures around it."""
+    """The sheets of a structure and its nested structures. lines: texts of the enclosing structures."""
     above = [*lines, *node.lines]
     above += [line for inner in node.within if not any(True for _ in _arrays(inner)) for line in inner.lines]
     clocks = _of_one_clock(node)
@@ -126,7 +126,7 @@ def _sheets(node: Node, path: str, stem: str, lines: list[str]) -> list[Sheet]:
 
 
 def _columns(arrays: dict[str, np.ndarray], of: str, length: int) -> Iterator[tuple[str, np.ndarray]]:
-    """Vectors of a length, and the columns of matrices beside them; of: what the structure around them is called."""
+    """Vectors of a length, and the columns of matrices with that length; of: name of the enclosing structure."""
     for key, array in arrays.items():
         bare = len(arrays) == 1 and key.lower() in VALUES and of
         text = of if bare else " ".join(filter(None, (of, key) if split_header(key)[1] else (key, of)))
@@ -137,7 +137,7 @@ def _columns(arrays: dict[str, np.ndarray], of: str, length: int) -> Iterator[tu
 
 
 def _of_inner(node: Node, of: str, length: int) -> Iterator[tuple[str, np.ndarray]]:
-    """Columns of a structure within another one, called by the path from inside out: `forward error_um`."""
+    """Columns of a nested structure, named by the path from inside out: `forward error_um`."""
     called = f"{node.called} {of}".strip()
     yield from _columns(node.arrays, called, length)
     for inner in node.within:
@@ -145,7 +145,7 @@ def _of_inner(node: Node, of: str, length: int) -> Iterator[tuple[str, np.ndarra
 
 
 def _of_one_clock(node: Node) -> dict[str, np.ndarray]:
-    """Signals that each are a structure of a time and values, where their times are the same; else nothing."""
+    """Signals that are each a structure of a time and values, if their times are equal; else nothing."""
     out: dict[str, np.ndarray] = {}
     for inner in node.within:
         clock = [k for k in inner.arrays if kind_by_name(k) == "time"]

@@ -1,6 +1,6 @@
-"""Temperatures that no unit states: by the sensor's or the place's name, and by values that warm and cool slowly.
+"""Temperatures without a unit: identified by the name of the sensor or place, and by slowly changing values.
 
-A name alone is not enough (`spindle` may be a speed or a load), nor are values alone. Where one of the two is missing,
+A name alone is not enough (`spindle` may be a speed or a load), nor are values alone. If one of the two is missing,
 the column is not used, and a note states it.
 """
 
@@ -58,28 +58,28 @@ _OTHER_QUANTITY = re.compile(
 _SET_POINT = re.compile(
     r"(.*[^\W\d_]{2}.*?)[\W_]*(?:temp[a-z]*[\W_]*)?(?:target|set ?point|set|soll[a-z]*)"
 )  # `bed_target`
-LONGEST_WORD = 40  # letters: compounds are not longer, and what a pattern tries grows with them
-COLDEST, HOTTEST = 0.0, 120.0  # degC: of a machine that runs in a shop
-START = (5.0, 45.0)  # degC: a machine begins near the temperature of its shop; readings in degF begin above
-FEWEST = 5  # readings from which a slow change is seen
-JUMP = 0.15  # of the span, in one row: a step of a speed or a load, where the rows beside it stand still
-STILL = 0.25  # of the jump: what the rows beside it move at most
-UNEVEN = 0.25  # of what independent readings give (2 variances): the mean squared step of values that change slowly
-CALM = 1.0  # K: a room that does not leave this span shows noise alone
+LONGEST_WORD = 40  # characters: compounds are not longer, and the cost of a pattern grows with the length
+COLDEST, HOTTEST = 0.0, 120.0  # degC: range of a machine running in a shop
+START = (5.0, 45.0)  # degC: a machine starts near the temperature of its shop; readings in degF start above
+FEWEST = 5  # readings needed to detect a slow change
+JUMP = 0.15  # of the span, in one row: a step of a speed or a load, if the neighbouring rows are constant
+STILL = 0.25  # of the jump: largest change in the neighbouring rows
+UNEVEN = 0.25  # of the value for independent readings (2 variances): the mean squared step of slowly changing values
+CALM = 1.0  # K: within this span a room shows only noise
 
 
 def with_temperatures(
     columns: Sequence[RawColumn], guesses: Mapping[str, ColumnGuess]
 ) -> tuple[dict[str, ColumnGuess], list[str]]:
-    """The guesses with the columns that are plainly temperatures, and notes on those that may be some."""
+    """The guesses with the columns that are clearly temperatures, and notes on possible ones."""
     out, notes = dict(guesses), []
     starts = _starts(columns, guesses)
     for c in columns:
         guess = guesses[c.header]
         if guess.kind != "ignore" or not guess.why or not c.numeric or c.unit is not None:
-            continue  # without a reason: a person stated that it is not used
+            continue  # without a reason: excluded by the user
         if _letter_of_a_unit(c, starts):
-            out[c.header] = ColumnGuess("temperature", None, f"its place and {c.unit} behind it")
+            out[c.header] = ColumnGuess("temperature", None, f"its location and the unit {c.unit}")
             continue
         text, known = plain(c.header), c.values[np.isfinite(c.values)]
         if known.size < FEWEST or _OTHER_QUANTITY.search(text):
@@ -90,10 +90,10 @@ def with_temperatures(
             why = f"its name and values ({between}, slow)"
             out[c.header] = ColumnGuess("temperature", None, why)
         elif named + slow + usual > 1 or (_SENSOR.search(text) and np.unique(known).size > 2):
-            doubt = "by its values it is none in degC" if named else "its name does not say so"
+            doubt = "its values are not plausible in degC" if named else "its name does not state it"
             notes.append(
-                f"column {c.header!r} ({between}) is not used: it may be a temperature, but {doubt}; if it is one, say "
-                f"--set '{c.header}.role=temperature', and its unit where that is not degC"
+                f"column {c.header!r} ({between}) is not used: it may be a temperature, but {doubt}; if it is one, use "
+                f"--set '{c.header}.role=temperature', and its unit if it is not degC"
             )
     warm = [plain(h) for h, g in out.items() if g.kind == "temperature"]
     for c in columns:
@@ -104,7 +104,7 @@ def with_temperatures(
 
 
 def _letter_of_a_unit(c: RawColumn, starts: np.ndarray) -> bool:
-    """Give a column such as `bed_K` or `Bed (F)` the unit of its last letter, where its values may be in it."""
+    """Give a column such as `bed_K` or `Bed (F)` the unit of its last letter, if its values are plausible in it."""
     letter = re.fullmatch(r"(.*[^\s_(\[])[\s_(\[]+([KCF])[)\]]?", c.header)
     if letter is None or not _named(plain(letter[1])) or not np.isfinite(c.values).any():
         return False
@@ -116,7 +116,7 @@ def _letter_of_a_unit(c: RawColumn, starts: np.ndarray) -> bool:
 
 
 def _named(text: str) -> bool:
-    """Whether a header (`plain`) names a sensor of temperature, or a place of a machine and nothing else."""
+    """Whether a header (`plain`) names a temperature sensor, or a machine part and nothing else."""
     if _SENSOR.search(text):
         return True
     words = [w for w in re.split(r"[^\w]+|(?<=[^\W\d])(?=\d)", text) if w]
@@ -126,7 +126,7 @@ def _named(text: str) -> bool:
 
 
 def _starts(columns: Sequence[RawColumn], guesses: Mapping[str, ColumnGuess]) -> np.ndarray:
-    """Rows at which a run begins, by its label, or by times that go back or pause; (rows,), the first one True."""
+    """Rows at which a run starts, by its label, or by times that go back or pause; (rows,), the first one True."""
     rows = len(columns[0].cells)
     begins = np.zeros(rows, dtype=bool)
     begins[:1] = True
@@ -140,7 +140,7 @@ def _starts(columns: Sequence[RawColumn], guesses: Mapping[str, ColumnGuess]) ->
 
 
 def _in_range(values: np.ndarray, starts: np.ndarray) -> bool:
-    """Whether a machine may be so warm, and its shop as it begins."""
+    """Whether the values are plausible for a machine, and their start for its shop."""
     if not (np.nanmin(values) > COLDEST and np.nanmax(values) < HOTTEST):
         return False
     first = np.median([v[0] for v in _stretches(values, starts)])
@@ -148,7 +148,7 @@ def _in_range(values: np.ndarray, starts: np.ndarray) -> bool:
 
 
 def _is_slow(values: np.ndarray, starts: np.ndarray) -> bool:
-    """Whether values change, by less than their span from row to row, without a single step and not at one rate."""
+    """Whether values change by less than their span per row, without a single step and not at a constant rate."""
     stretches = [v for v in _stretches(values, starts) if v.size > 1]
     known = np.concatenate(stretches) if stretches else np.zeros(0)
     if np.unique(known).size < FEWEST:
@@ -167,6 +167,6 @@ def _is_slow(values: np.ndarray, starts: np.ndarray) -> bool:
 
 
 def _stretches(values: np.ndarray, starts: np.ndarray) -> list[np.ndarray]:
-    """The known readings of every run."""
+    """The readings of every run, without missing ones."""
     parts = np.split(values, np.flatnonzero(starts)[1:])
     return [known for part in parts if (known := part[np.isfinite(part)]).size]

@@ -1,4 +1,4 @@
-"""Several files as one recording: files of one layout, and logs of other devices by date and time."""
+"""Several files as one recording: files of one layout, and logs of other devices merged by date and time."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from errpipe.importing.proposed import Proposal, slug
 from errpipe.importing.words import plain
 
 OF_A_MACHINE = ("command", "position", "actual")
-MAX_SHEETS_NAMED = 6  # sheets that a message names
-STALE_STEPS = 10.0  # of a log: a reading that is older than so many of its steps is none of the row
+MAX_SHEETS_NAMED = 6  # sheets named in a message
+STALE_STEPS = 10.0  # steps of a log: an older reading is not used for the row
 
 
 def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Proposal:
-    """Files of one layout one after another; the runs of each carry its name, and times count from the first date."""
+    """Concatenate files of one layout; the runs of each carry its name, and times count from the first date."""
     if len(parts) == 1:
         return parts[0]
     first = parts[0]
@@ -55,9 +55,9 @@ def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Propos
 
 
 def _without_sensor(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]:
-    """Fill temperatures that some files lack, or hold without a reading, with empty cells, in place; notes of them.
+    """Fill temperatures that some files lack, or have without a reading, with empty cells, in place; notes on them.
 
-    Only where a file has every other column of the one with most of them: a sensor of another name is none that fails.
+    Only if a file has all other columns of the most complete one: a sensor of another name has not failed.
     """
     notes = []
     whole = max(parts, key=lambda part: len(part.entries))
@@ -72,7 +72,7 @@ def _without_sensor(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str
             part.guesses[name] = whole.guesses.get(name, "")
             part.data[name] = np.full(part.rows, np.nan)
         if missing:
-            notes.append(f"{stem}: no reading of {', '.join(missing)}: left empty")
+            notes.append(f"{stem}: no reading of {', '.join(missing)}: missing")
     return notes
 
 
@@ -82,7 +82,7 @@ _RUN_WORD = r"(?:run|lauf|durchlauf|messung|messreihe|cycle|zyklus|pass|trial|es
 def are_runs(names: Sequence[str]) -> bool:
     """Whether names of sheets are those of the runs of one test: `Run 1`, `Run 2`, or `Forward`, `Backward`.
 
-    Names that differ in more than a run's number and a side, or say neither, may be of other machines or states.
+    Names that differ in more than a run number and a side, or have neither, may be of other machines or states.
     """
     rests = {re.sub(rf"{_RUN_WORD}[ _.-]*\d+", "", plain(name)) for name in names}
     bare = {re.sub(r"[^\W\d_]{2,}", lambda m: "" if side(m[0]) is not None else m[0], rest).strip() for rest in rests}
@@ -99,12 +99,12 @@ _STATES = re.compile(
 
 
 def refuse_states(names: Sequence[str], what: str, answer: str) -> None:
-    """Raise DataError where names state several states of one machine, such as before and after a compensation."""
+    """Raise DataError if names state several states of one machine, such as before and after a compensation."""
     said = [tuple(m[0] for m in _STATES.finditer(plain(name))) for name in names]
     if len(set(said)) > 1:
         raise DataError(
-            f"{what} {', '.join(names)}: of several states of the machine? Runs of one test are of one state: {answer} "
-            "(where they are of one, rename them)"
+            f"{what} {', '.join(names)}: several states of the machine? Runs of one test share one state: {answer} "
+            "(if the state is the same, rename them)"
         )
 
 
@@ -117,9 +117,9 @@ def of_one_test(part: Proposal, first: Proposal) -> bool:
 
 
 def runs_of_sheets(sheets: list[tuple[Proposal, str]]) -> list[tuple[Proposal, str]]:
-    """Sheets with their names; those that are runs of one test, by their names and columns, as one.
+    """Sheets with their names; those that are runs of one test, by names and columns, merged.
 
-    Raises DataError where they have the same columns and no names of runs: of two years, or copied and corrected.
+    Raises DataError if columns are equal and the names are not those of runs: two years, or a corrected copy.
     """
     alike = [(part, name) for part, name in sheets if of_one_test(part, sheets[0][0])]
     parts, names = [part for part, _ in alike], [name for _, name in alike]
@@ -128,7 +128,7 @@ def runs_of_sheets(sheets: list[tuple[Proposal, str]]) -> list[tuple[Proposal, s
     if not are_runs(names):
         shown = ", ".join(names[:MAX_SHEETS_NAMED])
         raise DataError(
-            f"sheets {shown} hold the same columns: which is meant? Choose one with --sheet (runs of one test: call "
+            f"sheets {shown} have the same columns: which one is meant? Select it with --sheet (runs of one test: name "
             "them Run 1, Run 2)"
         )
     joined = one_after_another(parts, sides_of_names(parts, names))
@@ -137,9 +137,9 @@ def runs_of_sheets(sheets: list[tuple[Proposal, str]]) -> list[tuple[Proposal, s
 
 
 def sides_of_names(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]:
-    """Names of the runs of files that differ by their sides alone, whose rows get these: `X_up`, `X_down`.
+    """Run names of files that differ only by their sides, whose rows get these: `X_up`, `X_down`.
 
-    The names of the files where their columns state the sides, and where not every name does.
+    The file names if their columns state the sides, or if not every name does.
     """
     said = [[w for w in re.findall(r"[^\W\d_]{2,}", stem) if side(w) is not None] for stem in stems]
     shared = set(said[0]).intersection(*said) if said else set()  # `pos` of `pos_X_up` and `pos_X_down`
@@ -158,17 +158,17 @@ def sides_of_names(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]
 
 
 def _refuse_another(name: str, entries: tuple[dict[str, Any], ...], stems: tuple[str, str]) -> None:
-    """Raise DataError where a column of two files is of another axis or component: they are no runs of one test."""
+    """Raise DataError if a column of two files belongs to another axis or component: they are not runs of one test."""
     for key in ("role", "axis", "component", "of", "derived"):
         here, there = (entry.get(key) for entry in entries)
         if here != there:
-            raise DataError(f"{stems[1]}: {key} of {name!r} is {there}, in {stems[0]} {here}: import each by itself")
+            raise DataError(f"{stems[1]}: {key} of {name!r} is {there}, in {stems[0]} {here}: import them separately")
 
 
 def _in_one_unit(parts: Sequence[Proposal], stems: Sequence[str]) -> None:
-    """Columns that files state in several units in the canonical one, in place.
+    """Convert columns in several units to the canonical one, in place.
 
-    Raises DataError where one of the units was guessed.
+    Raises DataError if one of the units was guessed.
     """
     for name, entry in parts[0].entries.items():
         if len({part.entries[name].get("unit") for part in parts}) < 2 or entry["role"] == "ignore":
@@ -176,27 +176,29 @@ def _in_one_unit(parts: Sequence[Proposal], stems: Sequence[str]) -> None:
         guessed = [s for s, part in zip(stems, parts, strict=True) if "no unit is stated" in part.guesses.get(name, "")]
         if guessed:
             raise DataError(
-                f"{guessed[0]}: no unit is stated for {name!r}, and it seems to be another one than elsewhere"
+                f"{guessed[0]}: no unit is stated for {name!r}, and it seems to differ from that of the other files"
             )
         for part in parts:
             convert = units.conversion(entry["role"], part.entries[name].get("unit"))
             if convert is not None:
                 part.data[name] = convert(part.data[name])
                 part.entries[name]["unit"] = convert.unit
-        parts[0].notes.append(f"{name}: written in {parts[0].entries[name]['unit']}, for the files have several units")
+        parts[0].notes.append(
+            f"{name}: converted to {parts[0].entries[name]['unit']}, because the files have several units"
+        )
 
 
 def add_log(p: Proposal, log: Proposal, stem: str) -> None:
-    """Put a log without deviations beside the readings, by date and time, in place.
+    """Merge a log without deviations with the readings, by date and time, in place.
 
-    Readings at a position take the last reading of the log before them. A drift keeps the rows of both, so that what
-    warmed between two readings stays known; rows of the log outside every run are runs of their own.
-    Raises DataError where a clock has no date, or where the two have no time in common.
+    Readings at a position take the last reading of the log before them. A drift keeps the rows of both, so that the
+    warming between two readings is preserved; rows of the log outside every run become separate runs.
+    Raises DataError if a clock has no date, or if the two have no common time.
     """
     start, own = _epoch(p), _epoch(log)
     if start is None or own is None:
         raise DataError(
-            f"{stem}: it holds no deviation, and files are put together by date and time, which not all of them have "
+            f"{stem}: it contains no deviation, and files are merged by date and time, which not all of them have "
             "(write times such as 2025-03-01T07:00:00, or join the columns in one table)"
         )
     _shift(log, start, own)
@@ -209,29 +211,27 @@ def add_log(p: Proposal, log: Proposal, stem: str) -> None:
     fresh = (latest >= 0) & (at - logged[log_time].to_numpy()[np.maximum(latest, 0)] <= STALE_STEPS * step)
     if not fresh.any():
         raise DataError(
-            f"{stem}: no row of it is from the time of the deviations ({_period(start, at)}; "
+            f"{stem}: none of its rows is from the time of the deviations ({_period(start, at)}; "
             f"of {stem}: {_period(start, logged[log_time].to_numpy())})"
         )
-    p.notes.append(
-        f"{stem}: its clock is taken to agree with that of the deviations: where not, write its times shifted"
-    )
+    p.notes.append(f"{stem}: its clock is taken to agree with that of the deviations: if not, shift its times")
     names = {n: n if n not in p.entries else slug(f"{stem}_{n}") for n in logged.columns if n != log_time}
     logged = logged.rename(columns={log_time: time, **names})
     if any(e["role"] in OF_A_MACHINE for e in p.entries.values()):
         values = logged.drop(columns=time).reindex(np.where(fresh, latest, -1)).reset_index(drop=True)
         both = pd.concat([pd.DataFrame(p.data), values], axis=1)
-        p.notes.append(f"{stem}: the last of its readings before each row; {int((~fresh).sum())} rows have none")
+        p.notes.append(f"{stem}: its last reading before each row; {int((~fresh).sum())} rows have none")
     else:
         both = _interleaved(p, logged, time, step)
-        p.notes.append(f"{stem}: its rows stand among those of the deviations, by date and time")
+        p.notes.append(f"{stem}: its rows are merged with those of the deviations by date and time")
     for n, name in names.items():
         p.put(name, None, log.guesses.get(n, ""), **log.entries[n])
     p.data = {n: both[n].fillna("").tolist() if _text(both[n]) else both[n].to_numpy(float) for n in both}
 
 
 def _interleaved(p: Proposal, logged: pd.DataFrame, time: str, step: float) -> pd.DataFrame:
-    """Rows of readings and of a log in the order of time, shape (both,); `run` is added where there is none."""
-    run = p.first("run") or p.put("run", None, "the run of the deviations; what was logged with it", role="run")
+    """Rows of readings and of a log sorted by time, shape (both,); `run` is added if there is none."""
+    run = p.first("run") or p.put("run", None, "the run of the deviations; the log at that time", role="run")
     rows = pd.DataFrame(p.data)
     rows[run] = rows[run].astype(str) if run in rows else "1"
     spans = rows.groupby(run, sort=False)[time].agg(["min", "max"]).sort_values("min")
@@ -247,20 +247,20 @@ def _text(column: pd.Series) -> bool:
 
 
 def _epoch(p: Proposal) -> datetime | None:
-    """When the time of a proposal, in s, was 0."""
+    """The date at which the time of a proposal, in s, was 0."""
     entry = p.entries.get(p.first("time") or "", {})
     return datetime.fromisoformat(entry["epoch"]) if entry.get("epoch") and entry.get("unit") == "s" else None
 
 
 def _shift(p: Proposal, start: datetime | None, own: datetime | None) -> None:
-    """Let the times of a proposal count from another date. Raises DataError where one date has a time zone alone."""
+    """Make the times of a proposal count from another date. Raises DataError if only one date has a time zone."""
     if start is None or own is None:
         return
     if (start.tzinfo is None) != (own.tzinfo is None):
         zoned, bare = (start, own) if start.tzinfo else (own, start)
         raise DataError(
-            f"the times of one file have a time zone ({zoned.isoformat()}) and those of another have none "
-            f"({bare.isoformat()}), which may be hours apart: write both with it, or both as the same clock shows them"
+            f"the times of one file have a time zone ({zoned.isoformat()}) and those of another do not "
+            f"({bare.isoformat()}), which may differ by hours: write both with a time zone, or both without"
         )
     time = p.first("time") or ""
     p.data[time] = p.data[time] + (own - start).total_seconds()

@@ -1,4 +1,4 @@
-"""Units as files write them: in headers, in brackets, behind numbers; also those that a manifest does not have."""
+"""Units as files write them: in headers, in brackets, after numbers; including those unknown to a manifest."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from errpipe.domain.recording import ROLE_UNITS
 from errpipe.importing.words import kind_by_name
 
-# How units are written -> how the manifest writes them. Lower case, blanks removed.
+# Spellings of units -> spelling in the manifest. Lower case, blanks removed.
 UNITS = {
     **dict.fromkeys(
         ("µm", "μm", "um", "micron", "microns", "mikron", "mikrometer", "micrometer", "micrometers", "мкм", "微米"),
@@ -37,7 +37,7 @@ UNITS = {
     **dict.fromkeys(("mdeg", "m°"), "mdeg"),
     **dict.fromkeys(("arcmin", "arc-min", "arcminutes"), "arcmin"),
     **dict.fromkeys(("µrad", "μrad", "urad"), "urad"),
-    **dict.fromkeys(("µm/m", "μm/m", "um/m"), "um/m"),  # of a level: an angle; of a length it is no reading
+    **dict.fromkeys(("µm/m", "μm/m", "um/m"), "um/m"),  # of a level: an angle; for a length it is not a reading
     **dict.fromkeys(("arcsec", "″", "''", "asec", "winkelsekunden", "bogensekunden", "winkelsek"), "arcsec"),
     **dict.fromkeys(
         ("arc-sec", "arc-seconds", "arcseconds", "arcsecs", "secofarc", "secondsofarc", "угл.сек"), "arcsec"
@@ -62,7 +62,7 @@ UNITS = {
 # A tenth, hundredth, ... of a unit: `0.1 um`, `1/1000 mm`, `x 0.0001"`, `10^-4 mm`.
 _PART = re.compile(r"[x×*]?(?:1/(10+)|(?:10\^?|1e)[-−]([1-6])|(0?[.,]0*1))[x×*·]?([a-zµμ°\"]+)")
 _BRACKET = re.compile(r"\s*(?:[\[(]\s*([^\[\]()]{1,14})\s*[\])]|\"([^\W\d]{1,4})\")\s*")
-# A last letter is a unit only of a quantity that has it: `time h`, `T1_K`; not in `current A`, perhaps that of axis A.
+# A last letter is a unit only for a quantity that has it: `time h`, `T1_K`; not in `current A`, perhaps of axis A.
 LETTERS = {
     "s": (("time", "s"),),
     "h": (("time", "h"),),
@@ -72,12 +72,12 @@ LETTERS = {
     "N": (("force", "N"),),
 }
 _LAST_LETTER = re.compile(r"^(.*[^\s_/,.(\[])[\s_/,(\[]+([shKCFN])[)\]]?$")
-_INLET = re.compile(r"((coolant|oil|water|air|chiller)[\s_]+|\b[^\W\dxyz]_)in$", re.IGNORECASE)  # no inches; `u_in`
+_INLET = re.compile(r"((coolant|oil|water|air|chiller)[\s_]+|\b[^\W\dxyz]_)in$", re.IGNORECASE)  # not inches; `u_in`
 _SIGNS = '"°″'
 _AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,11})$")
 
 
-# Units in words, with their plurals: `micrometres`, `Mikrometern`, `micromètres`, `micras`; parts of them in words.
+# Units in words, with their plurals: `micrometres`, `Mikrometern`, `micromètres`, `micras`; and their fractions.
 _METRES = re.compile(
     r"\b(micro|mikro|micró|milli|milí|mili|nano|nanó|миллим|микром|наном)(?:-?m[eè]t(?:er|re?|ro?|ri)(?:s|n|i|y|ów|ach|u)?|етр\w{0,2})\b"
     r"|\b(micras|micra)\b",
@@ -103,14 +103,14 @@ _PART_IN_WORDS = re.compile(
     r"(mm|um|µm|inch|inches|in|\"|thou|mil|zoll|metre|meter|m)(?![^\W_])",
     re.IGNORECASE,
 )
-_PART_OF = re.compile(  # `0.001 mm`, `1/100mm`, `10^-4 mm` outside of brackets
+_PART_OF = re.compile(  # `0.001 mm`, `1/100mm`, `10^-4 mm` outside brackets
     r"(?<![\[(\d.,/])([x×*]?(?:1/10+|(?:10\^?|1e)[-−][1-6]|0?[.,]0*1)\s?(?:mm|um|µm|inch|in|\"|°C|degC))(?![^\W_])(?!\s?[\])])",
     re.IGNORECASE,
 )
 
 
 def in_words(text: str) -> str:
-    """A text whose units stand as `[0.01 mm]` where they are words, or a part: `hundredths of a millimetre`."""
+    """A text with `[0.01 mm]` for units or fractions written in words: `hundredths of a millimetre`."""
 
     def symbol(match: re.Match[str]) -> str:
         word = match.group(0).lower()
@@ -132,9 +132,9 @@ _RESOLUTION = re.compile(r"resol|aufl[oö]|schritt|\bstep|least|count", re.IGNOR
 
 
 def units_in(line: str) -> list[str]:
-    """The units that a line of text names, in its order, not those of amounts.
+    """The units in a line of text, in order, without those of amounts.
 
-    `in` is one at the end, or alone in brackets.
+    `in` counts only at the end, or alone in brackets.
     """
     line = in_words(line)
     found: dict[int, str] = {}
@@ -156,7 +156,7 @@ _PER_LENGTH = re.compile(
 )
 
 
-PER_LENGTH = ("um/m", "mm/m")  # urad and mrad of an angle
+PER_LENGTH = ("um/m", "mm/m")  # urad and mrad for an angle
 
 
 def per_length(header: str) -> bool:
@@ -165,8 +165,8 @@ def per_length(header: str) -> bool:
 
 
 def unit_of(text: str) -> str | None:
-    """The unit that a text is, or None. Capital Nm is a torque, nm a length; a part of a length is `0.1 um`."""
-    plain = text.strip().lstrip(":").rstrip(".:")  # `.0001"` begins with its point
+    """The unit that a text is, or None. Nm is a torque, nm a length; a fraction of a length is `0.1 um`."""
+    plain = text.strip().lstrip(":").rstrip(".:")  # `.0001"` starts with its point
     if plain in ("Nm", "N m"):
         return "N m"
     word = plain.lower().replace(" ", "")
@@ -177,7 +177,7 @@ def unit_of(text: str) -> str | None:
 
 
 def split_header(text: str) -> tuple[str, str | None]:
-    """'Abw. [µm]' -> ('Abw.', 'um'); 'pos_mm' -> ('pos', 'mm'); a header without a unit as it is."""
+    """'Abw. [µm]' -> ('Abw.', 'um'); 'pos_mm' -> ('pos', 'mm'); a header without a unit unchanged."""
     text = in_words(" ".join(str(text).split()))
     for bracket in reversed(list(_BRACKET.finditer(text))):
         if (unit := unit_of(bracket.group(1) or bracket.group(2))) is not None:
@@ -205,11 +205,11 @@ def split_header(text: str) -> tuple[str, str | None]:
 
 
 def _of_a_temperature(unit: str, header: str) -> str:
-    """degC for degrees of a temperature: `Temp °`; any other unit as it is."""
+    """degC for degrees of a temperature: `Temp °`; any other unit unchanged."""
     return "degC" if unit == "deg" and kind_by_name(header) == "temperature" else unit
 
 
-# Units of readings which the manifest does not have -> the unit it has, and the factor.
+# Units of readings unknown to the manifest -> its unit, and the factor.
 PLAIN_UNITS = {
     "inch": ("mm", 25.4),
     "m": ("mm", 1000.0),
@@ -222,7 +222,7 @@ PLAIN_UNITS = {
 }
 
 
-# Units that a manifest does not have, as they are written -> a unit that it has, and the factor (exact by definition,
+# Units unknown to the manifest -> its unit, and the factor (exact by definition,
 # NIST SP 811; pressures to 7 digits).
 OTHER_UNITS = {
     "dan": ("N", 10.0),
@@ -269,11 +269,11 @@ OTHER_UNITS = {
 _UNIT_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]{1,14}?)\s*[\])]")
 
 
-_OF_A_SENSOR = ("v", "mv", "volt", "volts")  # before it is scaled
+_OF_A_SENSOR = ("v", "mv", "volt", "volts")  # before scaling
 
 
 def in_brackets(header: str) -> str | None:
-    """What stands in brackets in a header, unit or not."""
+    """The text in brackets in a header, unit or not."""
     bracket = _UNIT_IN_BRACKETS.search(header)
     return bracket.group(1) if bracket and not bracket.group(1).isdigit() else None  # `speed (5)`: of channel 5
 
@@ -281,9 +281,9 @@ def in_brackets(header: str) -> str | None:
 def in_role(
     values: np.ndarray, header: str, unit: str | None, role: str, why: str
 ) -> tuple[np.ndarray, str | None, str] | None:
-    """Values in a unit of a role, that unit (None: the file states none), and the reason with what was converted.
+    """Values in a unit of a role, that unit (None: the file states none), and the reason with the conversion.
 
-    None where the file states a unit that is none of the role's, such as a torque in %.
+    None if the file states a unit of another quantity, such as a torque in %.
     """
     allowed, said = ROLE_UNITS[role], unit or in_brackets(header)
     if said is None or not allowed:
@@ -295,18 +295,18 @@ def in_role(
     for key in (f"{word} {role.partition('_')[0]}", word):
         of, factor = OTHER_UNITS.get(key, ("", 1.0))
         if of in allowed:
-            return values * factor, of, f"{why}; {said} written as {of}".strip("; ")
+            return values * factor, of, f"{why}; {said} converted to {of}".strip("; ")
         if of == "m" and "mm" in allowed:
-            return values * factor * 1e3, "mm", f"{why}; {said} written as mm"
+            return values * factor * 1e3, "mm", f"{why}; {said} converted to mm"
         if of == "mm" and "m" in allowed:
-            return values * factor * 1e-3, "m", f"{why}; {said} written as m"
+            return values * factor * 1e-3, "m", f"{why}; {said} converted to m"
     if unit is None and word not in (*OTHER_UNITS, *_OF_A_SENSOR) and not re.search(r"[/%°\d]", said):
         return values, None, why  # a word in brackets: `force (filtered)`
     return None
 
 
 def _one_spelling(unit: str) -> str:
-    """A unit without blanks, dots, powers as signs and case: `N·cm` and `Ncm` are one, `mm/s²` is mm/s2."""
+    """A unit without blanks, dots, power signs and case: `N·cm` and `Ncm` are equal, `mm/s²` is mm/s2."""
     return re.sub(
         r"[\s·*.^-]", "", unit.lower().replace("µ", "u").replace("μ", "u").replace("²", "2").replace('"', "in")
     )
@@ -315,10 +315,10 @@ def _one_spelling(unit: str) -> str:
 def plain_unit(
     values: np.ndarray, unit: str | None, why: str, allowed: tuple[str, ...] = ()
 ) -> tuple[np.ndarray, str | None, str]:
-    """Values in a unit that the manifest has, that unit, and the reason with what was converted."""
+    """Values in a unit of the manifest, that unit, and the reason with the conversion."""
     part, _, of = (unit or "").partition(" ")
     if unit in allowed or not (unit in PLAIN_UNITS or (part.startswith("0.") and of)):
         return values, unit, why
     plain, factor = PLAIN_UNITS.get(of or unit or "", (of, 1.0))
     factor *= float(part) if of else 1.0
-    return values * factor, plain, f"{why}; {unit} written as {plain}"
+    return values * factor, plain, f"{why}; {unit} converted to {plain}"

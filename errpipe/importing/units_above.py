@@ -1,4 +1,4 @@
-"""Units that lines above a table state: of all its columns, or of its readings."""
+"""Units stated in lines above a table: of all its columns, or of its readings."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from errpipe.importing.sheet import Cell, filled_cells, label
 from errpipe.importing.units import split_header, unit_of, units_in
 from errpipe.importing.words import kind_by_name, plain
 
-DEEPEST = 12  # lines above the header in which a line of units is looked for
-LARGEST = {"mm": 5.0, "inch": 0.2}  # reading: no axis that is to be compensated is wrong by more
+DEEPEST = 12  # lines above the header in which a line of units is searched for
+LARGEST = {"mm": 5.0, "inch": 0.2}  # reading: no axis that is to be compensated has a larger error
 UNITS_OF_READINGS = ("um", "mm", "inch", "0.001 inch", "nm", "urad", "arcsec")
 UNITS = re.compile(r"(?:(?:y_)?unit|einheit|unidad|unità|unité)(?:s|en|es|_label)?", re.IGNORECASE)
 
 
 def units_of_columns(rows: list[list[Cell]], end: int, names: list[str]) -> list[str | None]:
-    """The units of a line above the header that holds nothing else: `Units,mm,um`, or LabVIEW's `Y_Unit_Label`.
+    """The units in a line above the header that contains nothing else: `Units,mm,um`, or LabVIEW's `Y_Unit_Label`.
 
-    `Units: inch` (mm, m) is one of the positions; whether of the readings as well, their size says.
+    `Units: inch` (mm, m) applies to the positions; whether also to the readings is inferred from their size.
     """
     width = len(names)
     for row in rows[max(end - DEEPEST, 0) : end]:
@@ -41,9 +41,9 @@ def units_of_columns(rows: list[list[Cell]], end: int, names: list[str]) -> list
 
 
 def unit_above(lines: list[str], values: np.ndarray) -> str | None:
-    """The unit of the readings that the lines above the table name: of a line on readings, else of one on units.
+    """The unit of the readings named in the lines above the table: in a line on readings, else in one on units.
 
-    A line on units may be of the positions: mm or inch only where no reading is larger than a deviation.
+    A line on units may refer to the positions: mm or inch only if no reading is larger than a deviation.
     """
     large = np.abs(values[np.isfinite(values)]).max(initial=0.0)
     readings = r"(abweich|deviation|error|fehler|reading|ecart)"

@@ -1,4 +1,4 @@
-"""Units that a file does not state, and that only a person can: inches, metres, degF, ms, rad."""
+"""Units missing in a file that only the user can state: inches, metres, degF, ms, rad."""
 
 from __future__ import annotations
 
@@ -13,60 +13,60 @@ from errpipe.importing.proposed import Proposal
 from errpipe.importing.temperatures import START
 from errpipe.importing.units import split_header
 
-COLDEST_K = 200.0  # K: no machine is so cold
-LONGEST_STEP = 0.5  # s: a log of a moving axis with longer ones is seldom; in ms it is usual
+COLDEST_K = 200.0  # K: below any machine
+LONGEST_STEP = 0.5  # s: longer steps are rare in a log of a moving axis; in ms they are usual
 PLACES = ("command", "position", "actual")
 
 
 def _refuse_warm_without_a_unit(p: Proposal) -> None:
-    """Raise DataError where temperatures without a unit are all above what a shop and a cold machine have in degC."""
+    """Raise DataError if temperatures without a unit are all above those of a shop and a cold machine in degC."""
     temperatures = [n for n, e in p.entries.items() if e["role"] == "temperature" and np.isfinite(p.data[n]).any()]
     unstated = [n for n in temperatures if "no unit is stated" in p.guesses.get(n, "")]
     if unstated and len(unstated) == len(temperatures) and min(np.nanmin(p.data[n]) for n in unstated) > START[1]:
         sets = " ".join(f"--set {n}.unit=degF" for n in unstated)
         raise DataError(
             f"no unit is stated for {', '.join(unstated)}, and no reading is below {START[1]:g}: degF, or degC of a "
-            f"warm machine? Say it, with {sets} (or degC)"
+            f"warm machine? Declare it with {sets} (or degC)"
         )
 
 
 def _refuse_radians(p: Proposal) -> None:
-    """Raise DataError where angles without a unit stay within a turn in rad, and are no multiples of half a degree."""
+    """Raise DataError if angles without a unit stay within a turn in rad, and are not multiples of half a degree."""
     unstated = [n for n, e in p.entries.items() if e["role"] in PLACES and e.get("unit") == "deg" and n in p.data]
     for name in [n for n in unstated if "no unit is stated" in p.guesses.get(n, "")]:
         angles = p.data[name][np.isfinite(p.data[name])]
         if np.max(np.abs(angles), initial=0.0) <= 2.0 * np.pi + 0.01 and np.any(2.0 * angles % 1.0):
             raise DataError(
                 f"no unit is stated for {name!r}, which stays within {np.max(np.abs(angles)):.3g}: rad, or deg? "
-                f"Say it, with --set {name}.unit=rad (or deg)"
+                f"Declare it with --set {name}.unit=rad (or deg)"
             )
 
 
 def resolve_units(p: Proposal, layout: Layout) -> None:
-    """Raise DataError where a length without a unit may be inches: beside inches, or with no unit in the file.
+    """Raise DataError if a length without a unit may be in inches: with others in inches, or with no unit in the file.
 
-    A temperature without one is not taken as degC beside another in degF.
+    A temperature without a unit is not assumed to be in degC next to another in degF.
     """
     _refuse_warm_without_a_unit(p)
     for n in [n for n, e in p.entries.items() if e["role"] == "temperature" and e.get("unit") == "K"]:
         if np.nanmax(p.data[n], initial=0.0) < COLDEST_K:
             raise DataError(
-                f"{n!r} is in K and nowhere above {np.nanmax(p.data[n], initial=0.0):g}: a rise, counted from the "
-                f"start? Where it may stand for a temperature, say --set {n}.unit=degC, else --set {n}.role=ignore"
+                f"{n!r} is in K and at most {np.nanmax(p.data[n], initial=0.0):g}: a rise, counted from the "
+                f"start? If it may be used as a temperature, use --set {n}.unit=degC, else --set {n}.role=ignore"
             )
     time = p.first("time")
     if time in p.data and "no unit is stated" in p.guesses.get(time, "") and order.is_log(p):
         step = float(np.nanmedian(np.abs(np.diff(p.data[time]))))
         if step > LONGEST_STEP:
             raise DataError(
-                f"no unit is stated for {time!r}, in which a moving axis is logged every {step:g}: s, or ms? Say it, "
+                f"no unit is stated for {time!r}, and a moving axis is logged every {step:g}: s, or ms? Declare it "
                 f"with --set {time}.unit=ms (or s)"
             )
     other_scale = next((n for n, e in p.entries.items() if e.get("unit") == "degF"), None)
     for name in [n for n, e in p.entries.items() if e["role"] == "temperature" and other_scale]:
         if "no unit is stated" in p.guesses.get(name, ""):
             raise DataError(
-                f"no unit is stated for {name!r}, and {other_scale!r} is in degF: say it, with "
+                f"no unit is stated for {name!r}, and {other_scale!r} is in degF: declare it with "
                 f"--set {name}.unit=degC (or degF)"
             )
     _refuse_radians(p)
@@ -82,11 +82,11 @@ def resolve_units(p: Proposal, layout: Layout) -> None:
         written = [h for h, n in p.names.items() if n == name]
         if entry["role"] in PLACES and any(re.search(r"[ _/]m$", text) for text in (name, *written)):
             raise DataError(
-                f"no unit is stated for {name!r}: metres, or measured? Say it, with --set {name}.unit=m (or mm)"
+                f"no unit is stated for {name!r}: metres, or measured? Declare it with --set {name}.unit=m (or mm)"
             )
-        narrow = entry["role"] in PLACES and widest < readings.NARROW  # places of one file have one unit
+        narrow = entry["role"] in PLACES and widest < readings.NARROW  # positions in one file have one unit
         if inches or (narrow and not metric):
             raise DataError(
-                f"no unit is stated for {name!r}, and it may be inches: say it, with "
+                f"no unit is stated for {name!r}, and it may be inches: declare it with "
                 f"--set {name}.unit={entry['unit']} (or inch, m)"
             )

@@ -1,4 +1,4 @@
-"""What the values of a column show, whatever its header says: sizes, even steps, figures of scatter."""
+"""Properties of a column's values, independent of its header: sizes, even steps, statistics of scatter."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ COLDEST, HOTTEST = -40.0, 250.0  # degC: usual range of sensors in shops and mac
 FARTHEST_UM = 1e4  # um: threshold: no deviation of an axis reaches a centimetre
 
 
-SCATTER = "a figure of scatter by its name and its values, none of them negative: no reading"
+SCATTER = "a measure of scatter by its name and its non-negative values: not a reading"
 
 
 def ticks(column: RawColumn) -> bool:
-    """Whether a column called `t ...` rises by even steps: `t_NI` of a card of that name."""
+    """Whether a column named `t ...` rises by even steps: `t_NI` of a card of that name."""
     return plain(column.header).startswith("t ") and rises_evenly(column)
 
 
@@ -28,19 +28,19 @@ def rises_evenly(column: RawColumn) -> bool:
 
 
 def too_large_for_a_deviation(column: RawColumn) -> bool:
-    """Whether values in um span more than any deviation does: positions that were logged in um."""
+    """Whether values in um exceed the range of any deviation: positions logged in um."""
     numbers = known(column)
     return column.unit == "um" and numbers.size > 0 and float(np.ptp(numbers)) > FARTHEST_UM
 
 
 def like_degrees(column: RawColumn) -> bool:
-    """Whether the middle reading may be one in degC, in a shop or in a machine."""
+    """Whether the median reading is plausible in degC, for a shop or a machine."""
     numbers = known(column)
     return numbers.size == 0 or COLDEST <= float(np.median(numbers)) <= HOTTEST
 
 
 def as_long_as_a_travel(column: RawColumn) -> bool:
-    """Whether values in mm (um) span more than any deviation does."""
+    """Whether values in mm (um) exceed the range of any deviation."""
     numbers, unit = known(column), {"mm": 1e3, "um": 1.0, "m": 1e6, "inch": 25.4e3}.get(column.unit or "mm", 0.0)
     return numbers.size > 0 and float(np.ptp(numbers)) * unit > FARTHEST_UM
 
@@ -51,6 +51,6 @@ def known(column: RawColumn) -> np.ndarray:
 
 
 def is_scatter(column: RawColumn) -> bool:
-    """Whether a column holds figures of scatter beside readings: `Image RMS`, `U(95) X`, `sigma`."""
+    """Whether a column contains a measure of scatter next to readings: `Image RMS`, `U(95) X`, `sigma`."""
     named = re.search(r"\b(rms|rmse|std ?(dev)?|stdev|sigma|noise|scatter|streuung|u ?\(?95)", plain(column.header))
     return named is not None and not bool(np.any(column.values < 0))

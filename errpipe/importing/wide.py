@@ -1,4 +1,4 @@
-"""Wide layouts: a row per target, a column per run (and direction). Unfolded into one reading a row."""
+"""Wide layouts: one row per target, one column per run (and direction); unfolded into one reading per row."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from errpipe.importing.words import THERE_AND_BACK, kind_by_name
 _TOKEN = re.compile(r"\d+|[^\W\d_]+|[+\-−↑↓→←<>]+")
 _RUN_AND_LETTER = re.compile(r"(?:run|lauf|[rl#])? ?(\d+) ?([a-z])")  # `R1f`, `run 2 r`
 _LETTER_AND_RUN = re.compile(r"[a-z] ?\d+|\d+ ?[a-z]")
-_DATE_WITHIN = re.compile(r"\b\d{1,4}([./-])\d{1,2}\1\d{2,4}(T[\d:.]+)?")  # of a run that is called by its day
+_DATE_WITHIN = re.compile(r"\b\d{1,4}([./-])\d{1,2}\1\d{2,4}(T[\d:.]+)?")  # of a run named by its date
 _NO_NAME = re.compile(r"column \d+'*")  # of a column without a header
 _INSTRUMENT = re.compile(r"\b(laser|sensor|enc|encoder|probe|gauge|dial|channel|ch|kanal|taster|uhr|messuhr|t)\W?\d+\b")
 ARROWS = "↑↓→←"
@@ -26,7 +26,9 @@ _STATISTIC = re.compile(
     r"|max\w*|min\w*|sum\w*|([smrbu]|[bsx]i)(?=[ ↑↓]|$)|\d ?s(igma)?|standard\w*"
     r"|repeatab\w*|reproduc\w*|uncertainty|unsicherheit|moyenne|ecart type|media|promedio)\b|平均|最大|最小|標準|标准"
 )
-_FIGURE = re.compile("[UBMRS]")  # beside targets: the reversal of VDI/DGQ 3441, figures of ISO 230-2; no axis U or B
+_FIGURE = re.compile(
+    "[UBMRS]"
+)  # next to targets: the reversal of VDI/DGQ 3441, statistics of ISO 230-2; not axes U or B
 _MEAN = re.compile(r"\b(mean|average|avg|mittel\w*|mw|moyenne|media|promedio)\b|[Øø∅\u0304\u0305]|平均")
 MEASURED = ("command", "position", "actual", "error", "time")
 KINDS = ("ignore", "error", "run", "direction", "actual", "position", "command")
@@ -35,7 +37,7 @@ KINDS = ("ignore", "error", "run", "direction", "actual", "position", "command")
 class Wide:
     """The target column, the run and side (+1, -1, None) of every column of readings, and columns of statistics.
 
-    run, way: the columns that name the run, and the side, of each row where the headers do not, or None.
+    run, way: the columns that name the run, and the side, of each row if the headers do not, or None.
     """
 
     def __init__(
@@ -66,11 +68,11 @@ def run_and_side(header: str) -> tuple[str | None, float | None]:
     tokens = _TOKEN.findall(re.sub(r"([+-])ve\b", r"\1", guessing.plain(header)))
     letters = [t for t in tokens if not t.isdigit()]
     numbers = [t for t in tokens if t.isdigit()]
-    lone = len(letters) == 1 and len(tokens) <= 2  # `F1`, `1u`: elsewhere a letter is an axis or a unit
+    lone = len(letters) == 1 and len(tokens) <= 2  # `F1`, `1u`: otherwise a letter is an axis or a unit
     side = None
     for k, token in enumerate(reversed(tokens)):
         mark = not token[0].isalnum()
-        sign_within = k > 0 and mark and token not in ARROWS  # a sign counts at the end alone: `Soll-Ist`, `1-2`
+        sign_within = k > 0 and mark and token not in ARROWS  # a sign counts only at the end: `Soll-Ist`, `1-2`
         letter = len(token) == 1 and token.isascii() and not mark
         if token.isdigit() or token == "pos" or (letter and not lone) or sign_within:
             continue
@@ -80,8 +82,8 @@ def run_and_side(header: str) -> tuple[str | None, float | None]:
 
 
 def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | None:
-    """The wide layout of a table, or None where a row is one reading."""
-    left_out = [header for header, g in guesses.items() if g.kind == "ignore" and not g.why]  # by a person
+    """The wide layout of a table, or None if a row is one reading."""
+    left_out = [header for header, g in guesses.items() if g.kind == "ignore" and not g.why]  # by the user
     numeric, repeated = [c for c in layout.columns if c.numeric and c.header not in left_out], []
     headers = {c.header.lower() for c in numeric}
     said = {c.header: run_and_side(_positive_side(c.header, headers)) for c in numeric}
@@ -92,7 +94,9 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     names = [re.sub(r"\d+", "", guessing.plain(c.header)) for c in numeric[:2]]
     alike = len(names) == 2 and names[0] == names[1] != ""  # `j1`, `j2`: joints
     first = numeric[0].header if numeric else ""
-    no_place = not first or alike or guesses[first].kind == "time" or kind_by_name(first) == "ignore"  # of a spectrum
+    no_place = (
+        not first or alike or guesses[first].kind == "time" or kind_by_name(first) == "ignore"
+    )  # as in a spectrum
     if not targets and not no_place and _rises(numeric[0]):
         unsaid = [c for c in numeric[1:] if said[c.header] == (None, None) and _rises(c)]
         targets = numeric[:1] if not _counts(numeric[0]) else [c for c in unsaid if not _counts(c)][:1]
@@ -116,12 +120,12 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
             statistics.append(c)
         else:
             readings.append((c, run or "1", side))
-    if not readings:  # a report of the means alone: one run
+    if not readings:  # a report with only the means: one run
         readings = [(c, "mean", said[c.header][1]) for c in statistics if _is_mean(c.header)]
         statistics = [c for c in statistics if not any(c is r for r, _, _ in readings)]
     letters = all(_LETTER_AND_RUN.fullmatch(guessing.plain(c.header)) for c, _, _ in readings)
-    alone = letters and len({side for _, _, side in readings}) == 1  # `R1`, `R2`: readings, where no `F1` stands there
-    if alone or any(side is None for _, _, side in readings):  # `1a`, `1b`: b alone is no direction
+    alone = letters and len({side for _, _, side in readings}) == 1  # `R1`, `R2`: readings, if there is no `F1`
+    if alone or any(side is None for _, _, side in readings):  # `1a`, `1b`: b alone is not a direction
         readings = [(c, run, None) for c, run, _ in readings]
     labels = [c for c in layout.columns if guesses[c.header].kind == "run" and not any(c is r for r, _, _ in readings)]
     named = len({said[c.header][0] for c, _, _ in readings} - {None}) > bool(labels)  # `+1`, `-1`: sides
@@ -145,37 +149,37 @@ def _refuse_runs_without_sides(readings: list[tuple[RawColumn, str, float | None
     words = [{*re.findall(r"[^\W\d_]{2,}", guessing.plain(c.header))} for c in (first, other)]
     if not all(words) or words[0] & words[1]:
         raise DataError(
-            f"columns {first.header!r} and {other.header!r} are both of one run, and neither states from which "
+            f"columns {first.header!r} and {other.header!r} are both of one run, but neither states from which "
             "side its targets were approached: write + and -, up and down, or fwd and rev into the header"
         )
 
 
 def _positive_side(header: str, headers: set[str]) -> str:
-    """The header with `pos` read as a side where another header has `neg` in its place; else `pos` is a position."""
+    """The header with `pos` read as a side if another header has `neg` in its place; else `pos` is a position."""
     words = re.compile(r"\bpos(?![^\W\d_])", re.IGNORECASE)
     return words.sub("+", header) if words.sub("neg", header).lower() in headers - {header.lower()} else header
 
 
 def statistic(name: str) -> bool:
-    """Whether a header or the name of a row is that of a figure over the runs: a mean, a standard deviation."""
+    """Whether a header or the name of a row is that of a statistic over the runs: a mean, a standard deviation."""
     return _STATISTIC.search(guessing.plain(name)) is not None or re.search("[Øø∅\u0304\u0305]", name) is not None
 
 
 def is_figure_over_runs(name: str) -> bool:
-    """Whether a run is called by a figure over the runs and nothing else: `Mean`, `Mean up`; `max load` is a run."""
+    """Whether a run is named only by a statistic over the runs: `Mean`, `Mean up`; `max load` is a run."""
     rest = _STATISTIC.sub(" ", guessing.plain(name))
     return statistic(name) and all(guessing.side(w) is not None for w in re.findall(r"[^\W\d_]+", rest))
 
 
 def _is_mean(header: str) -> bool:
-    """Whether a header names a mean, also as a bar over a letter; `x̄ + 2s` is a bound of it."""
+    """Whether a header names a mean, also as a bar over a letter; `x̄ + 2s` is a bound, not a mean."""
     text = guessing.plain(header)
     named = _MEAN.search(text) or re.search("[\u0304\u0305]", header)
     return named is not None and re.search(r"\d ?s(igma)?\b|\d ?σ", text) is None
 
 
 def is_figure(header: str) -> bool:
-    """Whether a header beside the targets names a figure over the runs, although its letter is that of an axis."""
+    """Whether a header next to the targets names a statistic over the runs, although its letter is that of an axis."""
     return _FIGURE.fullmatch(header) is not None or statistic(header)
 
 
@@ -190,17 +194,17 @@ def _rises(c: RawColumn) -> bool:
 
 
 def unpivot(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]:
-    """Row of the table, run, side and reading of every reading: runs after one another.
+    """Row of the table, run, side and reading of every reading, sorted by run.
 
-    A pass down goes through the targets as they fall. Raises DataError where no row has a target and a reading.
+    A pass down visits the targets in descending order. Raises DataError if no row has a target and a reading.
     """
     target, readings = layout.target.values, [c for c, _, _ in layout.readings]
     keep = np.isfinite(target) & np.any([np.isfinite(c.values) for c in readings], axis=0)
     names = ["" for _ in target] if layout.run is None else [label(c) for c in layout.run.cells]
-    keep &= np.array([not is_figure_over_runs(name) for name in names])  # the mean of each target is no run
+    keep &= np.array([not is_figure_over_runs(name) for name in names])  # the mean of each target is not a run
     rows = np.flatnonzero(keep)
     if not rows.size:
-        raise DataError("no row holds a target and a reading")
+        raise DataError("no row contains a target and a reading")
     of_row = np.full(target.size, np.nan) if layout.way is None else guessing.sides(layout.way)
     refuse_there_and_back([c.header for c in readings], target[rows])
     order, run, side, value = [], [], [], []
@@ -223,14 +227,14 @@ def unpivot(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray
 
 
 def _by_side(rows: np.ndarray, side: np.ndarray) -> list[tuple[float | None, np.ndarray]]:
-    """The rows of each side, from below first; all of them with None where no row, or not every row, has a side."""
+    """The rows of each side, from below first; all of them with None unless every row has a side."""
     if not np.isfinite(side[rows]).all():
         return [(None, rows)]
     return [(way, rows[side[rows] == way]) for way in (1.0, -1.0) if (side[rows] == way).any()]
 
 
 def side_by_side(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Layout:
-    """Two tables beside each other, whose targets stand in another order, in the order of the first: the way back."""
+    """Two tables side by side, with targets in different order, in the order of the first: the return pass."""
     kinds = [guesses[c.header].kind for c in layout.columns]
     at = [k for k, c in enumerate(layout.columns) if kinds[k] in ("command", "position") and c.numeric]
     said = [run_and_side(c.header)[1] for k, c in enumerate(layout.columns) if k not in at and c.numeric]
@@ -248,16 +252,14 @@ def side_by_side(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> La
         c if k < at[1] else RawColumn(c.header, c.unit, [c.cells[i] for i in rows], c.values[rows])
         for k, c in enumerate(layout.columns)
     ]
-    note = (
-        f"two tables side by side: the rows from {layout.columns[at[1]].header!r} on stand at the targets of the first"
-    )
+    note = f"two tables side by side: the rows from {layout.columns[at[1]].header!r} on follow the targets of the first"
     return Layout(turned_columns, layout.above, [*layout.notes, note], layout.below)
 
 
 def merged_targets(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Layout:
-    """The layout with each target also in the row of its other side, where both share one merged cell.
+    """The layout with each target also in the row of its other side, if both share one merged cell.
 
-    Raises DataError where more than one in ten rows holds a reading and no target.
+    Raises DataError if more than one in ten rows has a reading and no target.
     """
     kinds = {c.header: guesses[c.header].kind for c in layout.columns}
     places = [c for c in layout.columns if kinds[c.header] in ("command", "position") and c.numeric]
@@ -277,11 +279,11 @@ def merged_targets(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> 
     for r in np.flatnonzero(~filled[1:] & reading[1:] & np.isfinite(side[1:])) + 1:
         at[r] = r - 1 if filled[r - 1] and side[r - 1] == -side[r] else r
     left = ~np.isfinite(place.values[at]) & reading & (np.arange(filled.size) < np.flatnonzero(filled)[-1])
-    for r in np.flatnonzero(left):  # `Mean` of each target is no reading
+    for r in np.flatnonzero(left):  # `Mean` of each target is not a reading
         left[r] = not any(isinstance(c.cells[r], str) and statistic(str(c.cells[r])) for c in layout.columns)
     if left.sum() > max(1.0, 0.1 * filled.size):
         raise DataError(
-            f"{int(left.sum())} rows hold readings and no {place.header!r} (first: row {int(np.argmax(left)) + 1} "
+            f"{int(left.sum())} rows contain readings but no {place.header!r} (first: row {int(np.argmax(left)) + 1} "
             "of the table): write the target into each row, and in a column of directions + (from below) or -"
         )
     if np.array_equal(at, np.arange(filled.size)):
@@ -295,18 +297,18 @@ def merged_targets(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> 
 
 
 def refuse_there_and_back(names: Sequence[str], targets: np.ndarray) -> None:
-    """Raise DataError where targets fall and names say the way there and back: forward may be up or down."""
+    """Raise DataError if targets fall and names state forward and return pass: forward may be up or down."""
     words = [t for name in names for t in _TOKEN.findall(guessing.plain(name)) if THERE_AND_BACK.fullmatch(t)]
     steps = np.diff(targets)
     if words and steps.size and not (steps > 0).any():
         raise DataError(
             f"the targets fall from {targets[0]:g} to {targets[-1]:g}, and {words[0]!r} may be the way down or up"
-            ": write + (approached from below) and - (from above) instead of it and its opposite"
+            ": write + (approached from below) and - (from above) instead"
         )
 
 
 def unpivoted(layout: Layout) -> Layout:
-    """A table with a row per run and a column per target (headers that are positions) as one reading a row."""
+    """A table with one row per run and one column per target (headers that are positions) as one reading per row."""
     places = {c.header: v for c in layout.columns if c.numeric and (v := _place(c.header)) is not None}
     others = [c for c in layout.columns if c.header not in places]
     x = np.array(list(places.values()))
@@ -331,17 +333,17 @@ def unpivoted(layout: Layout) -> Layout:
     columns.append(RawColumn("target", unit, [float(v) for v in x[at]], x[at]))
     values = readings[rows, at]
     columns.append(RawColumn("error", unit_above(layout.above, values), [float(v) for v in values], values))
-    note = f"a row per run, a column per target: {x.size} targets from {x.min():g} to {x.max():g}"
+    note = f"one row per run, one column per target: {x.size} targets from {x.min():g} to {x.max():g}"
     return Layout(columns, layout.above, [*layout.notes, note])
 
 
 def split_labels(c: RawColumn) -> list[RawColumn]:
-    """A column that names run and side of every row (`Lauf 1 auf`) as two; any other as it is."""
+    """A column that names run and side of every row (`Lauf 1 auf`) as two; any other unchanged."""
     if guessing.guess(c).kind not in ("ignore", "run") or c.numeric:
         return [c]
     labels = [run_and_side(label(cell)) for cell in c.cells]
     if any(run is None or way is None for run, way in labels) or len({way for _, way in labels}) < 2:
-        return [c]  # `r01` of a run is no way back
+        return [c]  # `r01` of a run is not a return pass
     no_numbers = np.full(len(labels), np.nan)
     ways: list[str | float | None] = ["+" if way == 1.0 else "-" for _, way in labels]
     return [
@@ -351,6 +353,6 @@ def split_labels(c: RawColumn) -> list[RawColumn]:
 
 
 def _place(header: str) -> float | None:
-    """A header that is nothing but a position: '50', '50,0', '-12.5'."""
+    """The position if a header is nothing else: '50', '50,0', '-12.5'."""
     value = number(header, comma=False)
     return value if value is not None else number(header, comma=True)

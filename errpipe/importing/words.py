@@ -1,8 +1,8 @@
-"""What columns, directions and signs are called: English, German, French, Italian, Spanish, Japanese, Chinese.
+"""Names of columns, directions and signs: English, German, French, Italian, Spanish, Japanese, Chinese.
 
 Deviations, corrections and targets also in Portuguese, Dutch, Polish, Czech, Swedish, Danish, Turkish, Russian, Korean.
 
-Texts are compared as `plain` writes them: small letters, umlauts transcribed, no accents, blanks for underscores.
+Texts are compared in the form of `plain`: lower case, umlauts transcribed, no accents, blanks for underscores.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ CORRECTION = (  # minus the deviation
     r"|補正|补偿|修正|коррекц\w*|компенсац\w*|поправ\w*|보정"
 )
 
-# Of readings that are referred to 20 degC, or to the air of a laser: it says nothing on their sign.
+# For readings referred to 20 degC, or to the air of a laser: it does not concern their sign.
 _TO_20_DEGREES = re.compile(
     r"\(?\b(temp(erature?|eratur)?|thermal(ly)?|thermisch|wavelength|material|air)[ .-]*"
     r"(comp(ensated)?|compense\w*|corr(ected)?|kompensiert|korrigiert)\b\.?\)?"
@@ -38,13 +38,13 @@ SIMULATED = (
     r"|仿真"
 )
 FORCES = r"(force|kraft|torque|drehmoment|moment)"
-# Of a tool point: a deviation, unless it is as long as a travel.
+# Of a tool point: a deviation, unless it has the range of a travel.
 DISPLACEMENT = (
     r"(displacement|\bdisp\b|\bgrowth|wachstum|laengung|verlagerung|verschiebung|\bdrift\b|\bderiv[ae]\b|spostamento|deplacement|desplazamiento"
     r"|変位|位移)"
 )
 
-# Header of labels that a hold-out can leave out -> what they are labels of (`of` of the manifest).
+# Header of labels that can form hold-out groups -> what they label (`of` in the manifest).
 GROUPS = {
     "season": r"season|saison|jahreszeit",
     "month": r"month|monat|mois",
@@ -57,7 +57,7 @@ GROUPS = {
 }
 GROUP = rf"^({'|'.join(GROUPS.values())})[ -]?(no\.?|nr\.?|id|name|number|nummer|#)?$"
 
-# What headers are called -> what they hold. The first pattern that fits wins.
+# Patterns of headers -> their role. The first match applies.
 WORDS: tuple[tuple[str, str], ...] = (
     (SIMULATED, "simulated"),
     (r"\b(limite?|grenz(e|wert)|toleran(ce|z)|[lu]sl|uncertainty|\w*unsicherheit|incertitude)\b|\bu ?\(k", "ignore"),
@@ -143,7 +143,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     ),
 )
 
-# Words of a cell or header -> from which side a target was approached.
+# Words of a cell or header -> the side from which a target was approached.
 UP = re.compile(
     r"\+1?|1|↑|→|>+|up?|auf(waerts)?|f|fw|fwd|forwards?|v|vor(waerts)?|h|hin(weg|fahrt)?|p|pos|positive?|plus|rising|asc(ending)?"
     r"|increasing|steigend|below|unten|aller|avance|montee|andata|avanti|ida|往|往路|行き?|正|正向"
@@ -156,7 +156,7 @@ DOWN = re.compile(
     r"|обратн\w*|назад|вниз|terug|tillbaka|zpet|vissza|arriere|volta|retorno|retroceso|bajada|discesa|ujemn\w*|(w )?tył"
 )
 
-# Of those, words that mean the way there and the way back: where targets fall, the way there comes from above.
+# Those that mean forward and return pass: if targets fall, the forward pass is from above.
 THERE_AND_BACK = re.compile(
     r"fw|fwd|forwards?|vor(waerts)?|hin(weg|fahrt)?|aller|andata|ida|往|往路|行き?"
     r"|b|bw|bwd|back|backwards?|rv|rev|reverse|retour|return|zur|zurueck|rueck(waerts|weg|fahrt)?|her(weg|fahrt)?"
@@ -164,7 +164,7 @@ THERE_AND_BACK = re.compile(
     r"|avance|avanco|avant|arriere|volta|retorno|retroceso|(w )?przod|(w )?tył"
 )
 
-# What a difference is of, by how far out it is read: the command, the machine's own scale, what the axis did.
+# Quantities in a difference, by their order: the command, the machine's own scale, the actual position.
 _OF_A_DIFFERENCE = (
     (
         0,
@@ -188,14 +188,14 @@ _ONE, _OTHER = (
 )
 _ACTUAL_AND_COMMANDED = re.compile(rf"(?:{_ONE}){_LESS}(?:{_OTHER})")
 
-# Words of a header that say nothing about the sign of its readings.
+# Words of a header that do not concern the sign of its readings.
 _NEUTRAL = re.compile(
     r"readings?|values?|werte?|data|daten|results?|ergebnis(se)?|delta|diff(erence|erenz)?|probe|sensor|taster|channel"
     r"|kanal|axis|axe|asse|eje|achse|mittel(wert)?|mean|average|avg|median|the|von|der|des|and|und|raw|roh(wert)?|test"
     r"|pitch|yaw|roll\w*|nick\w*|gier\w*|level|tilt|neigung|inclination"
 )
 
-# Of an axis, with the number of a second one: X2. X1 is X, as controls name the only one too.
+# Of an axis, with the number of a second one: X2. X1 is X, as controls also number a single one.
 AXIS_LETTER = r"([XYZABCUVW](?:[2-9](?!\d))?)"
 _CALLED_AXIS = (
     r"(?:axis|(?:mess|pruef|prüf|maschinen|linear|rund|dreh|schwenk|vorschub|haupt)?achse|achs(?:bezeichnung|name)"
@@ -215,7 +215,7 @@ _ALONG = re.compile(  # `X direction`, `Richtung: X`, `positioning error along X
     r"|\b(?i:(?:direction|richtung)(?: of (?:travel|motion|movement))?|along|entlang|laengs|längs)"
     r"\s{0,3}[:=]?\s{0,3}([XYZABCUVW])\b"
 )
-_ACROSS = re.compile(  # readings of one direction over the way of another
+_ACROSS = re.compile(  # readings of one direction over the motion of another
     r"straight|gerad(?!e)|rectitud|rettilin|square|perpendic|recht|orthogon|flat|eben|parallel|probe|taster|sensor"
 )
 _AXIS_BEFORE = re.compile(
@@ -231,7 +231,7 @@ _LETTERS = str.maketrans(
 
 
 def plain(text: object) -> str:
-    """A text as the patterns here are written; `xAct` and `Xact` are `x act`."""
+    """A text in the form of these patterns; `xAct` and `Xact` are `x act`."""
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", str(text).strip())
     spaced = _AXIS_BEFORE.sub(r"\1 ", spaced)
     word = unicodedata.normalize("NFKD", spaced.lower().translate(_LETTERS))
@@ -239,7 +239,7 @@ def plain(text: object) -> str:
 
 
 def kind_by_name(header: str) -> str | None:
-    """What a column holds by its header, or None."""
+    """The role of a column by its header, or None."""
     text = _measured(header)
     texts = [text.rpartition(":")[2], text] if re.search(r"[^\W\d]:(?=\S)", text) else [text]  # `TARGET_DU:X-PosAct`
     kind = next((kind for said in texts for pattern, kind in WORDS if re.search(pattern, said)), None)
@@ -247,14 +247,14 @@ def kind_by_name(header: str) -> str | None:
 
 
 def _measured(header: str) -> str:
-    """A header as `plain` writes it, without `temperature compensated` behind or before what was measured."""
+    """A header in the form of `plain`, without `temperature compensated` after or before the measured quantity."""
     text = plain(header)
     rest = _TO_20_DEGREES.sub(" ", text).strip()
     return rest if re.search(r"[^\W\d_]{2}", rest) else text
 
 
 def unknown_word(header: str) -> str | None:
-    """The first word of a header of readings that is not understood, and may say their sign: `Fehlbetrag`; or None."""
+    """The first unknown word in a header of readings that may state their sign: `Fehlbetrag`; or None."""
     for word in re.findall(r"[^\W\d_]{3,}|[^\W\d_a-z]{2,}", plain(header)):
         if not _NEUTRAL.fullmatch(word) and kind_by_name(word) is None and not _ways_of(word):
             return word
@@ -262,13 +262,13 @@ def unknown_word(header: str) -> str | None:
 
 
 def way_in(header: str) -> str | None:
-    """The word of a text that is a direction, where all such words of it are one way: `reverse` of `Run 2 reverse`."""
+    """The direction word of a text, if all its direction words agree: `reverse` in `Run 2 reverse`."""
     found = [word for word in re.findall(r"[^\W\d_]+|[+\-↑↓→←]+", plain(header)) if _ways_of(word)]
     return found[-1] if way_of(header) is not None else None
 
 
 def way_of(header: str) -> float | None:
-    """+1 or -1 where one word of a header, and no other, is a direction: `Forward 1 (um)`; else None."""
+    """+1 or -1 if exactly one word of a header is a direction: `Forward 1 (um)`; else None."""
     ways = {way for word in re.findall(r"[^\W\d_]+|[+\-↑↓→←]+", plain(header)) for way in _ways_of(word)}
     return ways.pop() if len(ways) == 1 else None
 
@@ -285,18 +285,18 @@ def is_correction(header: str) -> bool:
 
 
 def is_error_of_a_correction(header: str) -> bool:
-    """Whether a header names an error behind a correction: `comp. error` may be either; `error correction` is not."""
+    """Whether a header names the error of a correction: `comp. error` may be either; `error correction` is not."""
     of = re.search(rf"(?:{CORRECTION})\W+(?:errors?|err|fehler|erreur|errore)\b", _measured(header))
     return of is not None
 
 
 def is_following_error(header: str) -> bool:
-    """Whether a header names what controllers show as command minus actual position."""
+    """Whether a header names a quantity that controllers show as command minus actual position."""
     return re.search(FOLLOWING, plain(header)) is not None
 
 
 def difference(text: str) -> tuple[float, str] | None:
-    """+1 and the words where a text reads `measured - nominal`, -1 where it reads `cmd - act`; else None."""
+    """+1 and the words if a text reads `measured - nominal`, -1 if it reads `cmd - act`; else None."""
     for match in _ACTUAL_AND_COMMANDED.finditer(plain(text)):
         one, other = sorted(name for name, word in match.groupdict().items() if word)
         if one[1] != other[1]:
@@ -305,14 +305,14 @@ def difference(text: str) -> tuple[float, str] | None:
 
 
 def names_both(text: str) -> bool:
-    """Whether a text names command and actual position, and not which of them is subtracted: `Soll zu Ist`."""
+    """Whether a text names command and actual position, but not which is subtracted: `Soll zu Ist`."""
     (_, command), _, (_, actual) = _OF_A_DIFFERENCE
     found = [re.search(rf"(?<![^\W_])(?:{p})(?![^\W_])", plain(text)) for p in (command, actual)]
     return all(found) and difference(text) is None
 
 
 def axis_above(lines: list[str]) -> str | None:
-    """The axis that the lines above a table name."""
+    """The axis named in the lines above a table."""
     for line in lines:
         match = _AXIS_ABOVE.search(line)
         if match:

@@ -2,10 +2,10 @@
 
 A door module has
     name                    as `errpipe formats` lists it
-    suffixes                file name endings it is asked for first
-    sniff(path, head)       whether the first bytes look like it; never raises
+    suffixes                file name endings for which it is tried first
+    sniff(path, head)       whether the first bytes match; never raises
     read(path, options)     -> list of Sheet; raises DataError
-    binary                  True where a small file can unpack to much: it is read in a process of its own first
+    binary                  True if a small file can expand to a large one: it is first read in a separate process
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ DOORS: tuple[ModuleType, ...] = (
     delimited,
 )
 
-MOST_BYTES = 256 << 20  # 256 MB: a larger log belongs in Parquet beside a manifest, which is read in blocks
-HEAD_BYTES = 1 << 16  # that a format is recognised by
-MOST_MEMORY = 3 << 30  # bytes beside what is in use: 256 MB of packed numbers as Python's
+MOST_BYTES = 256 << 20  # 256 MB: a larger log is stored as Parquet with a manifest, which is read in blocks
+HEAD_BYTES = 1 << 16  # for recognition of a format
+MOST_MEMORY = 3 << 30  # bytes in addition to those in use: 256 MB of packed numbers as Python objects
 MOST_SECONDS = 120  # s
 
 
 def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
-    """Name of the door that takes a file, and its sheets. Raises DataError."""
+    """Name of the door that reads a file, and its sheets. Raises DataError."""
     if not path.is_file():
         raise DataError(f"{path}: no such file")
     size = path.stat().st_size
@@ -68,7 +68,7 @@ def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
     if size > MOST_BYTES:
         raise DataError(
             f"{path}: {size >> 20} MB (at most {MOST_BYTES >> 20} MB are imported; write larger logs as CSV or Parquet "
-            "beside a recording.yaml, which is read in blocks)"
+            "with a recording.yaml, which is read in blocks)"
         )
     with path.open("rb") as stream:
         head = stream.read(HEAD_BYTES)
@@ -86,20 +86,20 @@ def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
 
 
 def _refuse_known(path: Path, head: bytes) -> None:
-    """Raise DataError for kinds of files that are not imported, with what to do instead."""
+    """Raise DataError for kinds of files that are not imported, with the alternative."""
     if (what := controller_files.controller_file_kind(path, head)) is not None:
         raise DataError(f"{path}: {what}")
     if path.name.startswith(("~$", ".~lock.")):
-        raise DataError(f"{path}: what a spreadsheet leaves beside a file that is open in it: name that file")
+        raise DataError(f"{path}: the lock file of a workbook that is open: name the workbook")
     if head[4:19] in (b"Standard Jet DB", b"Standard ACE DB"):
-        raise DataError(f"{path}: a database of Access: export the table as CSV or as an Excel workbook")
+        raise DataError(f"{path}: an Access database: export the table as CSV or as an Excel workbook")
     if head.startswith((b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"7z\xbc\xaf")):
-        raise DataError(f"{path}: a packed file: unpack it first")
+        raise DataError(f"{path}: a compressed archive: extract it first")
 
 
 def _check_in_child_process(door: ModuleType, path: Path, options: DoorOptions) -> None:
-    """Read a file in a process of its own, bounded in memory and time, before this one does. Raises DataError."""
-    if not hasattr(os, "fork") or sys.platform == "darwin":  # no fork, or none that is safe: read unbounded
+    """Read a file in a child process first, bounded in memory and time. Raises DataError."""
+    if not hasattr(os, "fork") or sys.platform == "darwin":  # no fork, or an unsafe one: read unbounded
         return
     answers, pipe_end = os.pipe()
     sys.stderr.flush()

@@ -1,4 +1,4 @@
-"""The door for XML that others wrote: no entities of its own, which grow without end, in whatever encoding."""
+"""Door for XML files of other programs: own entities, which can expand without limit, are rejected in any encoding."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from errpipe.errors import DataError
 
 
 def root_of(path: Path, data: bytes) -> ElementTree.Element:
-    """The root of a document. Raises DataError, with the line where there is one."""
-    if re.search(rb"<!(DOCTYPE|ENTITY)", data.replace(b"\0", b"")):  # of UTF-16, every other byte is 0
+    """The root of a document. Raises DataError, with the line if known."""
+    if re.search(rb"<!(DOCTYPE|ENTITY)", data.replace(b"\0", b"")):  # in UTF-16, every other byte is 0
         raise DataError(f"{path}: an XML file with its own entities is not read")
     try:
         return ElementTree.fromstring(data)

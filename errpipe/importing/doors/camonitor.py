@@ -1,7 +1,7 @@
-"""Logs of EPICS `camonitor`: a line for each change of a process variable (name, date, time, value).
+"""Logs of EPICS `camonitor`: one line per change of a process variable (name, date, time, value).
 
-A value holds until the next one of its variable (EPICS Channel Access Reference Manual, monitors), so that a variable
-which stands still has no lines. Changes of one cycle of the controller become one row.
+A value is valid until the next one of its variable (EPICS Channel Access Reference Manual, monitors), so a constant
+variable has no lines. Changes within one cycle of the controller become one row.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def sniff(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
-    """One sheet, a column per variable, a row per cycle. Raises DataError where no value is a number."""
+    """One sheet, a column per variable, a row per cycle. Raises DataError if no value is a number."""
     events: list[tuple[float, str, float]] = []
     epoch: datetime | None = None
     for line in path.read_text("utf-8", errors="replace").splitlines():
@@ -45,12 +45,12 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         raise DataError(f"{path}: no value of a variable is a number")
     affordable(len(events) * (len(names) + 1), path)
     rows = _cycles(sorted(events, key=lambda e: e[0]), names)
-    note = f"a value holds until the next one of its variable; first line at {epoch.isoformat()}"
+    note = f"a value is valid until the next one of its variable; first line at {epoch.isoformat()}"
     return [Sheet(path.stem, rows, ["time [s]", *names], [note]).limited()]
 
 
 def _cycles(events: list[tuple[float, str, float]], names: list[str]) -> list[list[Cell]]:
-    """A row for the changes within one cycle, with what every variable holds then; none before all are known."""
+    """A row for the changes within one cycle, with the current value of every variable; none before all are known."""
     steps = [float(np.median(np.diff(t))) for n in names if len(t := [e[0] for e in events if e[1] == n]) > 2]
     cycle = OF_A_CYCLE * min((s for s in steps if s > 0), default=0.0)
     held: dict[str, Cell] = dict.fromkeys(names)

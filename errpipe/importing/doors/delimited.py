@@ -1,4 +1,4 @@
-"""Delimited text: CSV and its relatives as spreadsheets, lasers, loggers and scripts write them.
+"""Delimited text: CSV and similar formats of spreadsheets, lasers, loggers and scripts.
 
 Encodings UTF-8 (with or without a byte order mark), UTF-16, Windows-1252 and those of Japan, China, Korea and Russia;
 separators semicolon, tab, comma, bar or runs of blanks; decimal points or commas; any number of lines above the header.
@@ -22,7 +22,7 @@ name = "delimited text"
 suffixes = (".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".prn", ".lvm", ".xls")
 
 SEPARATORS = (";", "\t", "|", ",")
-LONGEST_LINE = 1 << 16  # characters: beyond it a file is no table
+LONGEST_LINE = 1 << 16  # characters: with a longer line a file is not a table
 ENCODINGS = {
     "utf-8-sig": "UTF-8",
     "cp1252": "Windows-1252",
@@ -30,11 +30,11 @@ ENCODINGS = {
     "cp1251": "Windows-1251",
     "cp1250": "Windows-1250",
 }
-SAMPLE_LINES = 400  # from which the dialect is guessed
+SAMPLE_LINES = 400  # lines from which the dialect is inferred
 
 
 def sniff(path: Path, head: bytes) -> bool:
-    """Whether the first bytes are text of one of the encodings."""
+    """Whether the first bytes are text in one of the encodings."""
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE, codecs.BOM_UTF8)):
         return True
     if b"\0" in head:
@@ -44,7 +44,7 @@ def sniff(path: Path, head: bytes) -> bool:
 
 
 def _wide(head: bytes) -> str | None:
-    """UTF-16 without a mark: every second byte of Latin text is zero."""
+    """UTF-16 without a byte order mark: every second byte of Latin text is zero."""
     even, odd = head[0::2].count(0), head[1::2].count(0)
     if odd > 0.4 * len(head) / 2 and even < 0.05 * len(head):
         return "utf-16-le"
@@ -52,7 +52,7 @@ def _wide(head: bytes) -> str | None:
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
-    """The cells of a text file. Raises DataError where it is no table."""
+    """The cells of a text file. Raises DataError if it is not a table."""
     if options.sheet is not None:
         raise UsageError(f"{path}: a text is one table: --sheet would be ignored")
     data = path.read_bytes()
@@ -84,9 +84,9 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
 
 
 def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
-    """Cells between blanks. Raises DataError where a row of numbers lacks one: it is unknown in which column.
+    """Cells separated by blanks. Raises DataError if a row of numbers lacks one: its column is unknown.
 
-    Names may hold blanks themselves (`Soll [mm]`): then two blanks or a bracket part them, or they are a line of text.
+    Names may contain blanks (`Soll [mm]`): then two blanks or a bracket separate them, or they are a line of text.
     """
     sample = [line.split() for line in lines[:SAMPLE_LINES]]
     figures = [sum(map(_figure, row)) for row in sample]
@@ -96,7 +96,7 @@ def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
     for r, line in enumerate(lines):
         row: list[Cell] = [*line.split()]
         if r < first and len(row) == width + 1 and re.fullmatch(r"[#%;!]+|//", str(row[0])):
-            row = row[1:]  # names behind the mark of a comment
+            row = row[1:]  # names after a comment mark
         if len(row) != width > 1 < len(row):
             if r > first and all(map(_figure, row)):
                 raise DataError(f"{path}:{r + 1}  {len(row)} numbers, not {width}: a gap between blanks has no column")
@@ -107,7 +107,7 @@ def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
 
 
 def _with_prose_quoted(lines: list[str]) -> list[str]:
-    """Lines above a header as one cell each where blanks follow all their commas, and none of those of the table."""
+    """Lines above a header as one cell each if blanks follow all their commas, and none of those of the table."""
     first = next((r for r, line in enumerate(lines) if sum(map(_figure, line.split(","))) > 1), 0)
     head = next((r for r in range(first - 1, 0, -1) if "," in lines[r] and not _only_units(lines[r])), 0)
     if not head or any(", " in line for line in lines[head : first + 1]):
@@ -120,11 +120,11 @@ def _only_units(line: str) -> bool:
     return all(unit_of(cell.strip(' "[]()')) for cell in line.split(",") if cell.strip())
 
 
-MOST_SHORT = 0.1  # share of the rows of numbers; more of them are a layout of their own
+MOST_SHORT = 0.1  # share of the rows of numbers; above it, short rows are a layout
 
 
 def _refuse_short_rows(path: Path, rows: list[list[Cell]]) -> None:
-    """Raise DataError where a row of numbers between full ones lacks a cell: its numbers may stand in other columns."""
+    """Raise DataError if a row of numbers between full ones lacks a cell: its numbers may be in other columns."""
     width, full = (Counter(n for n in map(len, rows) if n > 2).most_common(1) or [(0, 0)])[0]
     filled = [r for r, row in enumerate(rows) if any(row)]
     around = zip(filled, filled[1:], filled[2:], strict=False)
@@ -140,7 +140,7 @@ def _refuse_short_rows(path: Path, rows: list[list[Cell]]) -> None:
 
 
 def _refuse_torn_numbers(path: Path, rows: list[list[Cell]]) -> None:
-    """Raise DataError where commas are decimal marks and separators: rows of whole numbers, longer than the header."""
+    """Raise DataError if commas are decimal marks and separators: rows of whole numbers, longer than the header."""
     figures = [sum(map(_figure, row)) for row in rows]
     first = next((r for r, n in enumerate(figures) if n >= 2), 0)
     header = [c for c in rows[first - 1] if c] if first else []
@@ -155,7 +155,7 @@ def _refuse_torn_numbers(path: Path, rows: list[list[Cell]]) -> None:
 
 
 def _without_formula(text: str) -> str:
-    """`="12,5"`, as spreadsheets keep a number as text, without the formula."""
+    """`="12,5"`, a number that a spreadsheet stores as text, without the formula."""
     return re.sub(r"^=(\"?)(.*)\1$", r"\2", text)
 
 
@@ -170,7 +170,7 @@ def _names_with_blanks(line: str, width: int) -> list[Cell]:
 
 
 def _bounded(cells: Iterable[list[Cell]], path: Path) -> list[list[Cell]]:
-    """The rows, no more of them than memory should be spent on."""
+    """The rows, limited to a reasonable amount of memory."""
     rows, count = [], 0
     for row in cells:
         count += len(row)
@@ -196,7 +196,7 @@ def _decode(path: Path, data: bytes) -> tuple[str, str]:
 
 
 def _central(head: bytes) -> list[str]:
-    """Windows-1250 where Western letters would be signs within words: `Odchy³ka`, `w ty³`."""
+    """Windows-1250 if Western letters would be signs within words: `Odchy³ka`, `w ty³`."""
     text = head.decode("cp1252", errors="replace")
     within = re.search(r"(?<=[A-Za-z])[³¹¿¼¾](?=[a-z³¹¿¼¾])|(?<=[a-z]{3})³|\bOœ\b|œæ", text)
     return ["cp1250"] if within else []
@@ -207,7 +207,7 @@ FEWEST_HANGUL = 0.9  # of the letters beyond ASCII; Chinese read as Korean shows
 
 
 def _cyrillic(head: bytes) -> list[str]:
-    """The Cyrillic encoding in which the bytes beyond ASCII are words: no mixed scripts, capitals at the beginning."""
+    """The Cyrillic encoding in which the bytes beyond ASCII are words: one script, capitals only at the start."""
     beyond = sum(byte > 127 for byte in head)
     for encoding in ("cp1251", "koi8-r", "cp866"):
         words = re.findall(r"[^\W\d_]+", head.decode(encoding, errors="replace"))
@@ -218,15 +218,15 @@ def _cyrillic(head: bytes) -> list[str]:
 
 
 def _east_asian(head: bytes) -> list[str]:
-    """Encodings of two bytes a letter, where the bytes beyond ASCII stand in pairs as European letters seldom do.
+    """Two-byte encodings, if the bytes beyond ASCII occur in pairs, which is rare in European text.
 
-    Chinese read as Japanese shows half-width katakana, which Japanese files hardly use.
+    Chinese decoded as Japanese contains half-width katakana, which are rare in Japanese files.
     """
     letters = [c for c in head.decode("euc_kr", errors="replace") if c > "\x7f"]
     if len(letters) > 3 and sum("가" <= c <= "힣" for c in letters) >= FEWEST_HANGUL * len(letters):
         return ["cp949"]
     if 2 * len(re.findall(rb"[a-z][\xc0-\xfe]{2}[a-z\s]", head)) > len(re.findall(rb"[\x81-\xfe]{2,}", head)):
-        return []  # letters with accents within words: `Dire\xe7\xe3o`
+        return []  # accented letters within words: `Dire\xe7\xe3o`
     pairs = b"".join(re.findall(rb"[\x81-\xfe][\x80-\xfe](?:[\x81-\xfe][\x40-\xfe])*", head))
     if sum(byte > 127 for byte in pairs) < 0.7 * sum(byte > 127 for byte in head):
         return []
@@ -248,14 +248,14 @@ def _separator(lines: list[str]) -> str:
         agree = sum(n for w, n in counts.items() if abs(w - width) <= 1)
         if separator == "," and _commas_are_decimal(filled):
             continue
-        all_lines = agree == len(filled) > most  # also the header: `;` may stand within cells (`ns=2;s=Axis.X`)
+        all_lines = agree == len(filled) > most  # also the header: `;` may occur within cells (`ns=2;s=Axis.X`)
         if (agree > 1.05 * most or all_lines) and agree >= 0.3 * len(filled):
             best, most = separator, agree
     return best
 
 
 def _commas_are_decimal(lines: list[str]) -> bool:
-    """Whether commas stand inside numbers and blanks between them: `1,5  2,25`, `1  +  0,5  2,25`."""
+    """Whether commas are inside numbers and blanks between them: `1,5  2,25`, `1  +  0,5  2,25`."""
     marked = [[word for word in line.split() if "," in word] for line in lines]
     decimal = sum(len(w) > 1 and all(re.fullmatch(r"[+-]?\d+,\d+", word) for word in w) for w in marked)
     return decimal > 0.5 * len(lines)

@@ -1,6 +1,6 @@
 """Output of DMIS programs (ISO 22093): nominal (F) and actual features (FA), and coordinate tolerances (TA, CORTOL).
 
-`OUTPUT/FA(P1),TA(T1)` joins them to `TA(T1)=TOL/CORTOL,XAXIS,0.0031,INTOL`, a deviation.
+`OUTPUT/FA(P1),TA(T1)` links them to `TA(T1)=TOL/CORTOL,XAXIS,0.0031,INTOL`, a deviation.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def sniff(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
-    """A row per feature that has a nominal place. Raises DataError where none was measured, and for units of no CMM."""
+    """A row per feature with a nominal position. Raises DataError if none was measured, and for unknown units."""
     text = re.sub(r"\$\s*\n\s*", "", path.read_text(encoding="latin-1"))
     places = {(kind, label): numbers.strip(",").split(",") for kind, label, numbers in _FEATURE.findall(text)}
     measured = {label: (axis, value) for label, axis, value in _TOLERANCE.findall(text)}

@@ -13,7 +13,7 @@ name = "Excel workbook"
 suffixes = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 binary = True
 _OLE = b"\xd0\xcf\x11\xe0"
-_BEFORE_OLE = (b"\t\0", b"\t\x02", b"\t\x04")  # .xls of Excel 2 to 4, as some instruments write to this day
+_BEFORE_OLE = (b"\t\0", b"\t\x02", b"\t\x04")  # .xls of Excel 2 to 4, still written by some instruments
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -42,7 +42,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
             sheets.append(Sheet(each, [[_cell(c) for c in row] for row in sheet.to_python(skip_empty_area=False)]))
     except (UsageError, DataError, MemoryError):
         raise
-    except Exception as err:  # calamine raises many kinds, none of them ours
+    except Exception as err:  # calamine raises many types of exception
         raise DataError(
             f"{path}: not a workbook that can be read ({type(err).__name__}): damaged, locked by a password, or older "
             "than Excel 5. Open it in a spreadsheet, and save it as .xlsx or .csv"

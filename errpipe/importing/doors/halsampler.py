@@ -1,6 +1,6 @@
-"""Logs of LinuxCNC's `halsampler`: numbers separated by blanks, no header, the columns in the order of the pins.
+"""Logs of LinuxCNC's `halsampler`: numbers separated by blanks, no header, columns in the order of the pins.
 
-With `-t` the first column counts the samples. The file names neither pins nor period: `--names` and `--period` do.
+With `-t` the first column counts the samples. The file contains neither pin names nor period: `--names`, `--period`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from errpipe.importing.words import kind_by_name
 name = "LinuxCNC halsampler"
 suffixes = (".log", ".sampler", ".txt")
 _LINE = re.compile(rb"\s*([+-]?[0-9.]+([eE][+-]?\d+)?[ \t]+)+[+-]?[0-9.]+([eE][+-]?\d+)?\s*")
-FEWEST_SAMPLES = 500  # with fewer rows, and no counter, overrun or --period, a file is a table, not a log
+FEWEST_SAMPLES = 500  # with fewer rows and without a counter, overrun or --period, a file is a table, not a log
 PERIOD = 0.001  # s: the servo period of most LinuxCNC machines
 
 
@@ -45,7 +45,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         rows.append(numbers)
         affordable(len(rows) * width, path)
     if overruns:
-        notes.append(f"{overruns} overruns: samples were lost there")
+        notes.append(f"{overruns} overruns: samples were lost")
     counted = len(rows) > 2 and all(rows[i + 1][0] == rows[i][0] + 1 for i in range(min(len(rows) - 1, 200)))
     period = options.period or PERIOD
     names = list(options.names)
@@ -58,17 +58,17 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         note = (
             []
             if len(names) == width
-            else [f"the file names no columns: give them with --names, {width}, such as target,error"]
+            else [f"the file has no column names: give them with --names, {width}, such as target,error"]
         )
         return [Sheet(path.stem, [[*row] for row in rows], header, note).limited()]
     elif len(names) == width and kind_by_name(names[0]) == "time":
-        notes.append(f"the first column is the time, as its name {names[0]!r} says")
+        notes.append(f"the first column is the time, from its name {names[0]!r}")
     else:
         rows = [[period * i, *r] for i, r in enumerate(rows)]
         names, width = ["t [s]", *names], width + 1
-        notes.append(f"rows are {period:g} s apart" + ("" if options.period else " (a guess: --period states it)"))
+        notes.append(f"rows are {period:g} s apart" + ("" if options.period else " (a guess; to change it: --period)"))
     if len(names) != width:
         names = ["t [s]", *(f"pin.{i}" for i in range(width - 1))]
-        notes.append(f"the file names no columns: give them with --names, {width - 1} of them, such as x_cmd,x_fb")
+        notes.append(f"the file has no column names: give them with --names, {width - 1} of them, such as x_cmd,x_fb")
     cells: list[list[Cell]] = [[*row] for row in rows]
     return [Sheet(path.stem, cells, names, notes).limited()]

@@ -1,6 +1,6 @@
 """HDF5 files (.h5, .hdf5), by h5py (extra `hdf`). Data sets of one length are the columns of a sheet.
 
-A two-dimensional or compound data set is a sheet of its own; an attribute `units` or `unit` is the unit.
+A two-dimensional or compound data set is a separate sheet; an attribute `units` or `unit` is the unit.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MOST_COLUMNS = 64  # of a matrix
 
 
 def sniff(path: Path, head: bytes) -> bool:
-    """The signature of HDF5, but not a MATLAB file, which has a header of its own before it."""
+    """The signature of HDF5, but not a MATLAB file, which has another header before it."""
     return head.startswith(SIGNATURE)
 
 
@@ -52,9 +52,9 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
 
 
 def refuse_linked_data(path: Path, key: str, item: Any) -> None:
-    """Raise DataError where a data set keeps its values in other files, or states more of them than are imported."""
+    """Raise DataError if a data set stores its values in other files, or declares more of them than are imported."""
     if item.external or item.is_virtual:
-        raise DataError(f"{path}: {key} keeps its values in another file (copy them into this one)")
+        raise DataError(f"{path}: {key} stores its values in another file (copy them into this one)")
     affordable(item.size, f"{path}: {key}")
 
 
@@ -67,7 +67,7 @@ def _unit(item: Any) -> str:
 
 
 def sheets_of(datasets: list[tuple[str, Any, str]], stem: str) -> list[Sheet]:
-    """(name, array, unit) of every data set as sheets: the columns of one length and group belong together."""
+    """(name, array, unit) of every data set as sheets: columns of one length and group form a sheet."""
     groups: dict[tuple[str, int], list[tuple[str, Any, str]]] = {}
     matrices = []
     for key, value, unit in datasets:
@@ -91,7 +91,7 @@ def sheets_of(datasets: list[tuple[str, Any, str]], stem: str) -> list[Sheet]:
 
 
 def columns_of(name: str, matrix: np.ndarray, unit: str, length: int) -> list[tuple[str, np.ndarray, str]]:
-    """The columns of a matrix that stands beside vectors of one length: readings of several runs."""
+    """The columns of a matrix with the length of the vectors: readings of several runs."""
     if matrix.shape[0] != length and matrix.shape[1] == length:
         matrix = matrix.T
     return (

@@ -1,6 +1,6 @@
-"""Tables of HTML pages (also those that are called .xls), and records of XML: control traces, workbooks of Excel 2003.
+"""Tables of HTML pages (also if named .xls), and records of XML: control traces, workbooks of Excel 2003.
 
-Elements of one name below one another are the rows of a sheet, their attributes and the elements within them its cells.
+Consecutive elements of one name are the rows of a sheet, their attributes and nested elements its cells.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from errpipe.importing.units import unit_of
 name = "XML or HTML"
 suffixes = (".xml", ".html", ".htm", ".xls")
 FEWEST = 3  # records
-MOST_LINES = 60  # of text beside a table
+MOST_LINES = 60  # of text next to a table
 LONGEST_LINE = 200
-MOST_SHEETS = 32  # groups of records, the largest; smaller ones are settings
-NEAREST = 8  # elements around records whose name may be that of the sheet
+MOST_SHEETS = 32  # the largest groups of records; smaller ones are settings
+NEAREST = 8  # enclosing elements of records whose name may be that of the sheet
 MOST_SPAN = 64  # columns of one cell
-_CALLED = ("description", "label", "title", "name")  # attributes that say what a column, or a table, holds
+_CALLED = ("description", "label", "title", "name")  # attributes that name a column, or a table
 
 
 def sniff(path: Path, head: bytes) -> bool:
-    """Text that begins as XML or HTML does."""
+    """Text that starts like XML or HTML."""
     return _beginning(head).startswith((b"<?xml", b"<html", b"<!doctype html", b"<table", b"<head", b"<body"))
 
 
 def _beginning(data: bytes) -> bytes:
-    """The first bytes in small letters, without mark of the byte order, blanks, and the zeros of UTF-16."""
+    """The first bytes in lower case, without byte order mark, blanks, and the zeros of UTF-16."""
     return data[:4096].lstrip(b"\xef\xbb\xbf\xff\xfe").replace(b"\0", b"").lstrip().lower()
 
 
@@ -61,7 +61,7 @@ class _Tables(HTMLParser):
         self.span, self.open = 1, False
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag in ("td", "th", "tr"):  # also where the page leaves out the end of the cell before
+        if tag in ("td", "th", "tr"):  # also if the page omits the end tag of the previous cell
             self._end_cell()
         if tag in ("td", "th"):
             self.open = True
@@ -147,7 +147,7 @@ def _of_xml(path: Path, data: bytes) -> list[Sheet]:
 
 
 def _outside(root: ElementTree.Element, records: set[ElementTree.Element]) -> Iterator[ElementTree.Element]:
-    """The elements that are no records, nor within one."""
+    """The elements that are not records, nor within one."""
     left = [root]
     while left:
         element = left.pop()
@@ -161,14 +161,14 @@ def _local(tag: str) -> str:
 
 
 def _what(element: ElementTree.Element) -> str:
-    """What an element with an id says of the column that has it: `Position setpoint X1 [mm]`."""
+    """The name that an element with an id gives to its column: `Position setpoint X1 [mm]`."""
     text = next((element.get(n, "") for n in _CALLED if element.get(n)), "")
     unit = next((v for k, v in element.attrib.items() if k.lower() in ("unit", "units", "unitstype")), "")
     return f"{text} [{unit}]" if text and unit_of(unit) else text
 
 
 def _name(element: ElementTree.Element | None, parents: dict[ElementTree.Element, ElementTree.Element]) -> str:
-    """The nearest name of the elements around records, at most NEAREST of them."""
+    """The nearest name among the elements that enclose records, at most NEAREST of them."""
     for _ in range(NEAREST):
         if element is None:
             break
@@ -180,7 +180,7 @@ def _name(element: ElementTree.Element | None, parents: dict[ElementTree.Element
 
 
 def _sheet(name: str, records: list[ElementTree.Element], called: dict[str | None, str]) -> Sheet | None:
-    """The records as rows; cells of one element name have no names of columns. None where they hold nothing."""
+    """The records as rows; cells of one element name have no column names. None if they are empty."""
     tags = Counter(_local(c.tag) for record in records for c in record)
     if tags and max(Counter(_local(c.tag) for c in r).most_common(1)[0][1] for r in records if len(r)) > 1:
         return Sheet(name, [_cells(record) for record in records])
@@ -198,7 +198,7 @@ def _sheet(name: str, records: list[ElementTree.Element], called: dict[str | Non
 
 
 def _cells(record: ElementTree.Element) -> list[Cell]:
-    """Cells in their order; one with an index stands in that column (workbooks leave empty ones out)."""
+    """Cells in order; one with an index goes to that column (workbooks omit empty ones)."""
     cells: list[Cell] = []
     for child in record:
         index = next((v for k, v in child.attrib.items() if _local(k) == "Index"), "")

@@ -1,7 +1,7 @@
-"""Saved answers of an MTConnect agent (`/sample`, `/current`): one column per data item, one row per time stamp.
+"""Saved responses of an MTConnect agent (`/sample`, `/current`): one column per data item, one row per time stamp.
 
-UNAVAILABLE is an empty cell; a value holds until the next one of its item. Units are not in a stream: columns are named
-by the item's name and type, and a person states the unit where the name does not.
+UNAVAILABLE is an empty cell; a value is valid until the next one of its item. A stream has no units: columns are named
+by the item's name and type, and the user declares the unit if the name does not contain it.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ def _moment(path: Path, stamp: str) -> datetime:
     try:
         moment = datetime.fromisoformat(re.sub(r"(\.\d{6})\d+", r"\1", stamp).replace("Z", "+00:00"))
     except ValueError:
-        raise DataError(f"{path}: {stamp!r} is no time stamp of ISO 8601") from None
+        raise DataError(f"{path}: {stamp!r} is not a time stamp of ISO 8601") from None
     return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
-    """All numeric samples in order of time. Raises DataError."""
+    """All numeric samples sorted by time. Raises DataError."""
     root = root_of(path, path.read_bytes())
     samples: list[tuple[str, str, float | None]] = []
     labels: dict[str, tuple[str, str]] = {}  # by data item: component and label
@@ -50,7 +50,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
             labels[item] = component, f"{element.get('name') or item}{part}" + (f" [{unit}]" if unit else "")
             samples.append((stamp, item, value))
     if not samples:
-        raise DataError(f"{path}: no numeric sample with a time stamp (time series are not read: ask for samples)")
+        raise DataError(f"{path}: no numeric sample with a time stamp (time series are not read: request samples)")
     names = list(dict.fromkeys(item for _, item, _ in samples))
     affordable(len({stamp for stamp, _, _ in samples}) * len(names), path)
     held: dict[str, float | None] = dict.fromkeys(names)

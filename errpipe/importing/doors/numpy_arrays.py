@@ -33,6 +33,6 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     except Exception as err:  # numpy raises ValueError, EOFError, BadZipFile, ... for damaged files
         raise DataError(
             f"{path}: not arrays of numpy that can be read without running code in them ({type(err).__name__}): save "
-            "numbers and texts, no objects, or write CSV"
+            "numbers and texts without objects, or write CSV"
         ) from None
     return sheets_of(root, path, options.sheet)

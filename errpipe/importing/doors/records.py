@@ -1,4 +1,4 @@
-"""Parquet tables (by pyarrow), and JSON: a record a line, a list of records or rows, or a list for each column."""
+"""Parquet tables (by pyarrow), and JSON: one record per line, a list of records or rows, or a list for each column."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable
 
 name = "Parquet or JSON"
 suffixes = (".parquet", ".json", ".jsonl", ".ndjson")
-binary = True  # a few bytes can state many rows
+binary = True  # a few bytes can declare many rows
 _PARQUET = b"PAR1"
-DEEPEST = 5  # objects and lists within each other in which tables are looked for: a result of InfluxDB has 4
-FEWEST_ROWS = 3  # of a table beside the largest: fewer are facts of the set-up
-LONGEST_TEXT = 200  # letters of a text that is a remark
-MOST_SERIES = 20  # of a list, in which tables are looked for
-_NAMES = ("columns", "fields", "header")  # keys of the names of columns beside rows
+DEEPEST = 5  # nesting depth in which tables are searched for: a result of InfluxDB has 4
+FEWEST_ROWS = 3  # of a table next to the largest: fewer are facts of the set-up
+LONGEST_TEXT = 200  # characters of a text that is a comment
+MOST_SERIES = 20  # of a list, in which tables are searched for
+_NAMES = ("columns", "fields", "header")  # keys of column names stored with rows
 
 
 def sniff(path: Path, head: bytes) -> bool:
-    """A Parquet file, or text that begins as records of JSON do; a line `[1] Circle` does not."""
+    """A Parquet file, or text that starts like JSON records; a line `[1] Circle` does not match."""
     begin = "".join(head[:64].decode("utf-8-sig", "replace").split())
     return head.startswith(_PARQUET) or begin.startswith(('{"', '[{"', "[{}", "[["))
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
-    """A row per record. Raises DataError for a damaged file, and for JSON that is no table."""
+    """A row per record. Raises DataError for a damaged file, and for JSON without a table."""
     if path.read_bytes()[:4] == _PARQUET:
         return [_sheet(path.stem, _parquet(path), [], [])]
     return [s for s in _json(path) if options.sheet in (None, s.name)]
@@ -56,14 +56,14 @@ def _parquet(path: Path) -> dict[str, list[Cell]]:
 
 
 def _with_unit(field: Any) -> str:
-    """The name of a field, and the unit that its metadata state."""
+    """The name of a field, and the unit in its metadata."""
     stated = {k.decode(errors="replace").lower(): v.decode(errors="replace") for k, v in (field.metadata or {}).items()}
     unit = stated.get("unit") or stated.get("units")
     return f"{field.name} [{unit}]" if unit else str(field.name)
 
 
 def _column(values: Any) -> list[Cell]:
-    """The cells of a column; of numbers at once."""
+    """The cells of a column; numeric ones in one step."""
     if str(values.type).startswith(("int", "uint", "float", "double")):
         numbers: list[Cell] = values.to_numpy().astype(float).tolist()
         return numbers
@@ -71,18 +71,18 @@ def _column(values: Any) -> list[Cell]:
 
 
 def _json(path: Path) -> list[Sheet]:
-    """The largest table and those of the same columns, which may be runs or axes; of others, where they are, a note."""
+    """The largest table and those with the same columns, which may be runs or axes; a note on others."""
     text = path.read_text("utf-8-sig", errors="replace")
     try:
         document = json.loads(text)
     except ValueError:
         document = [_line(path, n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip()]
     except RecursionError:
-        raise DataError(f"{path}: JSON that is nested too deep for a table") from None
+        raise DataError(f"{path}: JSON nested too deeply for a table") from None
     tables = list(_tables(document))
     if not tables:
         raise DataError(
-            f"{path}: JSON that is no table (allowed: a record a line, a list of records or of rows, lists by column, "
+            f"{path}: JSON without a table (allowed: one record per line, a list of records, rows or columns, "
             "also within one object)"
         )
     _, largest = max(tables, key=lambda table: _rows(table[1]))
@@ -91,7 +91,7 @@ def _json(path: Path) -> list[Sheet]:
     alike = alike or [("", largest)]
     affordable(sum(len(t) * _rows(t) for _, t in alike), path)
     others = [at for at, t in tables if at and not {*t} & {*largest} and _rows(t) >= FEWEST_ROWS and _is_flat(t)]
-    notes = [f"tables of other columns are left out: {', '.join(dict.fromkeys(others))}"] if others else []
+    notes = [f"tables with other columns are excluded: {', '.join(dict.fromkeys(others))}"] if others else []
     facts = document.items() if isinstance(document, dict) else ()
     above = [f"{k}: {v}" for k, v in facts if isinstance(v, str) and len(v) <= LONGEST_TEXT]  # `Axis: X`
     named = [(at if len(alike) > 1 and at else path.stem, t) for at, t in alike]
@@ -107,9 +107,9 @@ def _is_flat(table: dict[str, list[Any]]) -> bool:
 
 
 def _tables(document: Any, depth: int = DEEPEST, at: str = "") -> Iterator[tuple[str, dict[str, list[Any]]]]:
-    """Keys to, and columns of, every table of a document: facts of the set-up beside the readings may be small ones.
+    """Keys to, and columns of, every table of a document, including small tables with facts of the set-up.
 
-    A table is a list of records, lists by column (pandas: `list`), a list of rows beside the names of the columns
+    A table is a list of records, lists by column (pandas: `list`), a list of rows with the names of the columns
     (`split`), or values by the number of the row (`columns`, `index`).
     """
     if isinstance(document, dict):
@@ -141,7 +141,7 @@ def _tables(document: Any, depth: int = DEEPEST, at: str = "") -> Iterator[tuple
 
 
 def _of_series(series: list[Any]) -> dict[str, list[Any]]:
-    """A row per value of series that each hold one list of values with their times, as historians write a signal.
+    """A row per value of series that each contain one list of values with times, as historians store a signal.
 
     `[{"NodeId": "X.ActPos", "DataValues": [{"SourceTimestamp": ..., "Value": 1.0}]}, ...]`; {} for any other list.
     """
@@ -177,7 +177,7 @@ def _line(path: Path, n: int, line: str) -> Any:
     try:
         return json.loads(line)
     except (ValueError, RecursionError) as err:
-        raise DataError(f"{path}:{n}  no record of JSON: {err}") from None
+        raise DataError(f"{path}:{n}  not a JSON record: {err}") from None
 
 
 def _flat(record: dict[str, Any]) -> dict[str, Any]:
@@ -188,7 +188,7 @@ def _flat(record: dict[str, Any]) -> dict[str, Any]:
 
 
 def _named(values: list[Any]) -> Any:
-    """A list of records that name themselves as a record by these names; any other list as it is."""
+    """A list of records with names as one record keyed by these names; any other list unchanged."""
     key = next((k for k in ("id", "name") if values and all(isinstance(v, dict) and k in v for v in values)), None)
     return values if key is None else {str(v[key]): {k: x for k, x in v.items() if k != key} for v in values}
 

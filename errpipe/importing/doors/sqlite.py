@@ -1,4 +1,4 @@
-"""Databases of SQLite, a sheet per table. Views are not opened: they are programs."""
+"""SQLite databases, a sheet per table. Views are not opened because they are programs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def sniff(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
-    """The named table, else all, the largest first. Raises DataError, also where rows stand in a journal beside it."""
+    """The named table, else all, the largest first. Raises DataError, also if a journal contains pending rows."""
     for beside in (Path(f"{path}-wal"), Path(f"{path}-journal")):
         if beside.is_file() and beside.stat().st_size:
             raise DataError(

@@ -22,14 +22,14 @@ def sniff(path: Path, head: bytes) -> bool:
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
-    """Channels of each group, with a time column where the channels state their increment. Raises DataError."""
+    """Channels of each group, with a time column if the channels state their increment. Raises DataError."""
     try:
         from nptdms import TdmsFile
         from nptdms.log import log_manager
     except ImportError:
         raise UsageError(f"{path}: reading TDMS needs npTDMS: pip install 'errpipe[tdms]'") from None
     remarks = _Remarks()
-    log_manager.console_handler.addFilter(remarks.add)  # what it would print becomes a note of the import
+    log_manager.console_handler.addFilter(remarks.add)  # its log messages become notes of the import
     try:
         file = TdmsFile.read(str(path))
         groups = [g for g in file.groups() if options.sheet in (None, g.name) and g.channels()]
@@ -46,7 +46,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
 
 
 class _Remarks:
-    """Warnings of npTDMS on a file, such as that its last segment is cut, once each."""
+    """Warnings of npTDMS on a file, such as a truncated last segment, once each."""
 
     def __init__(self) -> None:
         self.messages: dict[str, None] = {}
@@ -57,7 +57,7 @@ class _Remarks:
 
 
 def _sheet(group) -> Sheet:
-    """The channels of a group beside each other; those of another sampling than the longest are read at its times."""
+    """The channels of a group as columns; those sampled differently from the longest are resampled at its times."""
     header, columns, notes = [], [], []
     channels = group.channels()
     base = max(channels, key=len)
@@ -74,8 +74,8 @@ def _sheet(group) -> Sheet:
             continue
         own = _times(channel)
         if times is not None and own is not None and values.size and not np.array_equal(own, times):
-            notes.append(f"{channel.name}: sampled at other times than {base.name}: values between its samples")
-            held = times <= own[-1] + (own[-1] - own[0]) / max(len(own) - 1, 1)  # the last value stands for one step
+            notes.append(f"{channel.name}: sampled at other times than {base.name}: interpolated")
+            held = times <= own[-1] + (own[-1] - own[0]) / max(len(own) - 1, 1)  # the last value is held for one step
             values = np.where(held, np.interp(times, own, values, left=np.nan), np.nan)
         columns.append(np.asarray(values, dtype=float).tolist())
     length = max(map(len, columns), default=0)
@@ -87,7 +87,7 @@ def _sheet(group) -> Sheet:
 
 
 def _times(channel) -> np.ndarray | None:
-    """s, of every sample of a channel that states its increment, from the start of 1970 where it states its start."""
+    """s, of every sample of a channel that states its increment; from the start of 1970 if it states its start."""
     step = channel.properties.get("wf_increment")
     if not step:
         return None

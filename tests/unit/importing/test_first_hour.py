@@ -240,7 +240,7 @@ def test_numbers_in_brackets_are_asked_about(tmp_path: Path) -> None:
     """`(5.2)` may be a negative number or a doubtful one: left empty, the errors below zero would be missing."""
     text = long("Run;Target [mm];Deviation [um]", lambda r, x, s, d: f"{r};{x};{d if d > -1 else f'({-d})'}")
     (tmp_path / "f.csv").write_text(text)
-    with pytest.raises(DataError, match="below zero, or doubtful"):
+    with pytest.raises(DataError, match="negative, or doubtful"):
         imported(tmp_path, tmp_path / "f.csv")
 
 

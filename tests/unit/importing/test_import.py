@@ -98,7 +98,7 @@ def test_a_file_that_says_commanded_minus_actual_is_turned(tmp_path: Path, words
     recording = imported(tmp_path, tmp_path / "s.csv")
     holds_the_truth(recording)
     text = (tmp_path / "rec" / "recording.yaml").read_text(encoding="utf-8")
-    assert "factor: -1.0" in text and "the sign is turned" in text
+    assert "factor: -1.0" in text and "the sign is changed" in text
 
 
 def test_a_person_says_the_sign(tmp_path: Path) -> None:
@@ -274,7 +274,7 @@ def test_an_axis_with_a_number_and_angles_in_seconds(tmp_path: Path, above: str,
 def test_angles_without_a_unit_are_not_taken_as_urad(tmp_path: Path) -> None:
     file = tmp_path / "angles.csv"
     file.write_text("Axis C\nTarget (deg),Error\n" + "".join(f"{x},{x / 40:.2f}\n" for x in range(0, 361, 30)))
-    with pytest.raises(DataError, match=r"no unit is stated for the angles of ECC: say it with --unit \(arcsec"):
+    with pytest.raises(DataError, match=r"no unit is stated for the angles of ECC: declare it with --unit \(arcsec"):
         imported(tmp_path, file)
     assert imported(tmp_path, file, unit="arcsec").components() == ("ECC",)
 

@@ -132,7 +132,7 @@ def test_lines_among_the_rows_state_the_side(tmp_path: Path, runs: bool) -> None
 def test_a_side_that_is_stated_for_the_last_rows_alone_is_asked_about(tmp_path: Path) -> None:
     lines = ["Axis X", "Target [mm];Error [um]", "0;1", "50;2", "100;3", "reverse", "0;5", "50;6", "100;7"]
     (tmp_path / "f.csv").write_text("\n".join(lines), "utf-8")
-    with pytest.raises(DataError, match="'reverse', and none says from which side the rows above"):
+    with pytest.raises(DataError, match="'reverse', but none states from which side the rows above"):
         imported(tmp_path, tmp_path / "f.csv")
 
 

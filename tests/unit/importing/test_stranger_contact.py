@@ -308,7 +308,7 @@ OF_CONTROLS = {
 @pytest.mark.parametrize("name", OF_CONTROLS)
 def test_a_compensation_file_of_a_control_is_named(tmp_path: Path, name: str) -> None:
     """A `.comp` of LinuxCNC was imported as deviations: corrections are minus those."""
-    refused(tmp_path, OF_CONTROLS[name], "no measurement. Import the deviations", name)
+    refused(tmp_path, OF_CONTROLS[name], "not a measurement. Import the deviations", name)
 
 
 def test_a_table_of_errpipe_is_named(tmp_path: Path) -> None:
@@ -362,7 +362,7 @@ LINES_ON |= {"Laser air compensation: on": False, "Temperature compensation is o
 def test_a_compensation_that_was_on_is_said(tmp_path: Path, line: str) -> None:
     (tmp_path / "f.csv").write_text(signed(above=line), encoding="utf-8")
     holds_the_truth(imported(tmp_path, tmp_path / "f.csv"))
-    assert ("that a compensation leaves" in (tmp_path / "rec" / "recording.yaml").read_text("utf-8")) == LINES_ON[line]
+    assert ("residual deviations with compensation" in (tmp_path / "rec" / "recording.yaml").read_text("utf-8")) == LINES_ON[line]
 
 
 def test_a_sheet_with_a_question_is_not_passed_over(tmp_path: Path) -> None:

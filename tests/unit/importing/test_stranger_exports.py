@@ -165,7 +165,7 @@ def test_a_remark_or_a_sensor_that_ends_costs_no_row(tmp_path: Path) -> None:
 ASKED = {
     "a unit that is none of an error": (long("x mm,error (ppm)", lambda r, x, s, d: f"{x},{d}"), "readings per length"),
     "an error in volts": (long("x mm,error [V]", lambda r, x, s, d: f"{x},{d}"), "'V' is no known unit"),
-    "thousands or decimals": (long("Soll [mm];Abw. [µm]", lambda r, x, s, d: f"{100 + x:.3f};{de(d)}"), "mark of thousands or of decimals"),
+    "thousands or decimals": (long("Soll [mm];Abw. [µm]", lambda r, x, s, d: f"{100 + x:.3f};{de(d)}"), "ambiguous thousands or decimal separator"),
     "um or mm": (long("target,error", lambda r, x, s, d: f"{x},{d / 30:.4f}"), "um or mm"),
     "a place that is not understood": (long("Stelle [mm],error [um]", lambda r, x, s, d: f"{x},{d}"), "'Stelle' .mm. is not understood"),
     "angles of no axis": (long("Target (deg),Deviation (arcsec)", lambda r, x, s, d: f"{x},{d}"), "--axis C"),

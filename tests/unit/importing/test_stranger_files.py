@@ -113,12 +113,12 @@ REFUSED = {
     "rows of several axes": (FILES["rows of two axes"], r"several axes \(X, Y\): choose one with --axis"),
     "sides that no header says": (
         FILES["1u 1d"].replace("u;", "a;").replace("d\n", "b\n").replace("d;", "b;"),
-        "both of one run, and neither states from which side",
+        "both of one run, but neither states from which side",
     ),
     "no header": (FILES["no header, and names"], "give them with --names"),
     "a straightness across nothing": (
         long_table("x [mm];straightness [um]", lambda r, x, s, d: f"{x};{d}"),
-        "straightness across which axis",
+        "straightness in which direction",
     ),
     "a pitch of a vertical axis": (
         long_table("Z [mm];pitch [urad]", lambda r, x, s, d: f"{x};{d}"),
@@ -154,7 +154,7 @@ def test_a_number_that_says_no_reading_is_an_empty_cell(tmp_path: Path, capsys: 
     rows = long_table("run;target [mm];error [um]", lambda r, x, s, d: f"{r};{x};{9.91e37 if x == TARGETS[2] else d}")
     (tmp_path / "f.csv").write_text(rows, encoding="utf-8")
     assert main(["import", str(tmp_path / "f.csv"), "--out", str(tmp_path / "rec"), "--yes", "--axis", "X"]) == 0
-    assert "6 values count as no reading (the first: 9.91e+37)" in capsys.readouterr().out
+    assert "6 values are treated as missing (the first: 9.91e+37)" in capsys.readouterr().out
     assert "e+37" not in (tmp_path / "rec" / "recording.csv").read_text()
 
 

@@ -53,7 +53,7 @@ def test_degrees_minutes_and_seconds(tmp_path: Path) -> None:
 def test_lengths_read_beside_a_rotary_axis_are_no_angle(tmp_path: Path) -> None:
     rows = [f"{b},{c},{c / 100:.2f},1.5,-0.5" for b in (-30, 0, 30) for c in range(0, 360, 60)]
     text = "\n".join(["B [deg],C [deg],U1 [um],U2 [um],U3 [um]", *rows])
-    with pytest.raises(DataError, match="which is an angle: say what was displaced"):
+    with pytest.raises(DataError, match="which is an angle: declare what was displaced"):
         imported(tmp_path, write(tmp_path, text))
 
 
@@ -130,7 +130,7 @@ def test_a_spindle_that_is_on_or_off_has_the_speed_that_a_line_states(tmp_path: 
 def test_commands_and_readings_that_are_exchanged_in_one_run_are_refused(tmp_path: Path) -> None:
     rows = [(r, *((x + d / 1e3, x) if r == "2" else (x, x + d / 1e3))) for r, x, _, d in long_rows() if d != 0.0 != x]
     text = "\n".join(["Run;X target [mm];X actual [mm]", *(f"{r};{a:.4f};{b:.4f}" for r, a, b in rows)])
-    with pytest.raises(DataError, match="holds the targets of the other rows"):
+    with pytest.raises(DataError, match="has the targets of the other rows"):
         imported(tmp_path, write(tmp_path, text))
 
 

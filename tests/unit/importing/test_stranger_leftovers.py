@@ -68,7 +68,7 @@ def test_a_term_that_reads_a_sensor_which_stood_still_says_so(
 @pytest.mark.parametrize(
     "values, match",
     [
-        ([0.012, 0.215, 0.433, 0.652], r"um or mm \(mm is likely, by their decimals\)\? Say it with --unit mm"),
+        ([0.012, 0.215, 0.433, 0.652], r"um or mm \(mm is likely, by their decimals\)\? Declare it with --unit mm"),
         ([0.1, 0.2, 0.4, 0.6], r"um or mm \(um is likely, by their decimal\)"),
         ([0.2, -2.3], r"um or mm \(um is likely"),  # a router, measured with a caliper
         ([0.012, 0.415, 0.833, 1.252], "um or mm"),
@@ -178,7 +178,7 @@ def test_a_quote_beside_an_angle_is_an_arc_second(tmp_path: Path) -> None:
     """`inch of an angle` was a riddle."""
     (tmp_path / "f.csv").write_text("\n".join(['X [mm];Pitch ["]', *(f"{x};{x / 60}" for x in TARGETS)]), "utf-8")
     proposal, _ = prepared([tmp_path / "f.csv"])
-    assert '" beside an angle is arcsec' in proposal.guesses["Pitch"] and "inch" not in proposal.guesses["Pitch"]
+    assert '" for an angle is arcsec' in proposal.guesses["Pitch"] and "inch" not in proposal.guesses["Pitch"]
 
 
 def positions(header: str = "Target [mm];Error [um]", above: str = "") -> str:

@@ -99,7 +99,7 @@ def test_a_log_of_the_control_does_not_say_its_sign(tmp_path: Path) -> None:
     """`ERR` was taken as actual minus commanded: in a servo trace it is the other way round."""
     rows = [f"{4 * k},{x:.4f},{np.sign(k - 300) * 1.52:.2f}" for k, x in enumerate(PLACES)]
     (tmp_path / "f.csv").write_text("\n".join(["Time[ms],POSF X[mm],ERR X[um]", *rows]), "utf-8")
-    with pytest.raises(DataError, match="controls show commanded minus actual there"):
+    with pytest.raises(DataError, match="controls then show commanded minus actual"):
         prepared([tmp_path / "f.csv"])
     recording = imported(tmp_path, tmp_path / "f.csv", sign="commanded-minus-actual")
     assert recording.array(recording.name("error", component="EXX"))[-1] == pytest.approx(-1.52)
@@ -155,7 +155,7 @@ def test_metres_of_a_target(tmp_path: Path) -> None:
 
 def test_the_mark_of_an_open_workbook(tmp_path: Path) -> None:
     (tmp_path / "~$laser.xlsx").write_bytes(b"\x05owner" + b" " * 50)
-    with pytest.raises(DataError, match="name that file"):
+    with pytest.raises(DataError, match="name the workbook"):
         prepared([tmp_path / "~$laser.xlsx"])
 
 
@@ -174,7 +174,7 @@ def test_an_answer_to_who_read_a_gauge_is_heard(tmp_path: Path) -> None:
 def test_readings_at_one_place_are_no_positioning(tmp_path: Path) -> None:
     rows = [f"0.000;{0.001 * (k % 5):.3f}" for k in range(12)]
     (tmp_path / "f.csv").write_text("\n".join(["Axis Z, heights", "Nominal [mm];Actual [mm]", *rows]), "utf-8")
-    with pytest.raises(DataError, match="at which places of Z"):
+    with pytest.raises(DataError, match="at which positions of Z"):
         prepared([tmp_path / "f.csv"])
 
 

@@ -84,7 +84,7 @@ def test_angles_without_a_unit_that_may_be_radians_are_asked_about(tmp_path: Pat
     angles = np.round(np.linspace(-1.5, 1.5, 31), 4)
     lines = ["A_cmd,A_act", *(f"{a},{a + 5e-5 * np.sin(a):.9f}" for a in [*angles, *angles[::-1]])]
     file = written(tmp_path / "joint.csv", lines)
-    with pytest.raises(DataError, match=r"rad, or deg\? Say it, with --set A_cmd\.unit=rad"):
+    with pytest.raises(DataError, match=r"rad, or deg\? Declare it with --set A_cmd\.unit=rad"):
         prepared([file])
     recording = imported(tmp_path, file, sets=["A_cmd.unit=rad", "A_act.unit=rad"])
     assert np.max(recording.array(recording.names("error")[0])) == pytest.approx(50 * np.sin(1.5), abs=0.01)
@@ -116,7 +116,7 @@ def test_a_column_that_a_person_left_out_is_not_asked_about_again(tmp_path: Path
         *(f"{k},{k / 20:.2f},{k / 30:.2f},{20 + k / 50:.2f}" for k in range(60)),
     ]
     file = written(tmp_path / "five.csv", lines)
-    with pytest.raises(DataError, match=r"second probe along X\? Say --set X2\.role=ignore"):
+    with pytest.raises(DataError, match=r"second probe along X\? Use --set X2\.role=ignore"):
         prepared([file])
     proposal, _ = prepared([file], sets=["X2.role=ignore"])
     assert proposal.entries["X1"]["component"] == "E_X"

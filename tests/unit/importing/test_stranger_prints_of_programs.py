@@ -95,7 +95,7 @@ def test_a_clock_that_was_set_back_is_no_order_of_the_rows(tmp_path: Path) -> No
     back = [row.replace("08:00:", "07:59:") if i >= 40 else row for i, row in enumerate(ROWS)]
     (tmp_path / "log.csv").write_text("\n".join([HEAD, *back]))
     proposal, _ = prepared([tmp_path / "log.csv"])
-    assert not any("order of their dates" in note for note in proposal.notes)
+    assert not any("sorted by date" in note for note in proposal.notes)
 
 
 def test_a_row_that_is_written_twice_is_one_reading(tmp_path: Path) -> None:
@@ -156,7 +156,7 @@ def test_a_stated_axis_is_used_or_refused(tmp_path: Path) -> None:
 def test_an_instrument_that_looks_the_other_way_is_asked_about(tmp_path: Path, line: str) -> None:
     rows = [f"{r};{x};{-d}" for r, x, _, d in long_rows()]
     (tmp_path / "log.csv").write_text("\n".join(["Axis: X", line, "", "Run;Target [mm];Deviation [um]", *rows]))
-    with pytest.raises(DataError, match="of the sign, which is not understood"):
+    with pytest.raises(DataError, match="a line states the sign as"):
         prepared([tmp_path / "log.csv"])
 
 

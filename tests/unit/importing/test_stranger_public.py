@@ -45,7 +45,7 @@ def test_a_sample_of_halscope_that_is_no_number_leaves_the_others_in_their_rows(
     assert [row[1:] for row in sheet.rows if row[1] is not None] == [[i, 2.0 * i] for i in range(6) if i != 3]
     assert [row[0] for row in sheet.rows] == pytest.approx([1e-3 * i for i in range(6)])
     (tmp_path / "s.log").write_text("\n".join(["Sampling period is 1000000 nSec ", "", *lines[:3], "a +1", lines[4]]))
-    with pytest.raises(DataError, match="sample 4 has other names"):
+    with pytest.raises(DataError, match="sample 4 has different names"):
         halscope.read(tmp_path / "s.log", DoorOptions())
 
 

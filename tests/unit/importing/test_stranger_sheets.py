@@ -60,7 +60,7 @@ def test_readings_without_a_target_are_asked_about(tmp_path: Path) -> None:
     lines = ["Target X [mm];Deviation [um]"]
     for i, x in enumerate(TARGETS):
         lines += [f"{x:g};{deviation(1, 1.0)[i]}", f";{deviation(1, -1.0)[i]}"]
-    with pytest.raises(DataError, match="12 rows hold readings and no"):
+    with pytest.raises(DataError, match="12 rows contain readings but no"):
         imported(tmp_path, written(tmp_path, "\n".join(lines)))
 
 
@@ -297,7 +297,7 @@ def test_sheets_that_are_runs_are_joined(tmp_path: Path, names: list[str], joine
     if joined:
         holds_the_truth(imported(tmp_path, tmp_path / "f.xlsx"))
         return
-    with pytest.raises(DataError, match=r"which is meant|of several states"):
+    with pytest.raises(DataError, match=r"which one is meant|several states"):
         imported(tmp_path, tmp_path / "f.xlsx")
     assert len(imported(tmp_path, tmp_path / "f.xlsx", DoorOptions(sheet=names[1]))) == 2 * TARGETS.size
 

@@ -69,7 +69,7 @@ def test_lost_motion_speaks_against_a_sign_that_nobody_said(tmp_path: Path, caps
     (tmp_path / "f.csv").write_text("\n".join(["Run;Dir;X [mm];Delta um", *rows]), encoding="utf-8")
     command = ["import", str(tmp_path / "f.csv"), "--out", str(tmp_path / "rec"), "--yes"]
     assert main(command) == 3 and not (tmp_path / "rec").exists()
-    assert "say it with --sign" in " ".join(capsys.readouterr().err.split())
+    assert "declare it with --sign" in " ".join(capsys.readouterr().err.split())
     assert main([*command, "--sign", "commanded-minus-actual"]) == 0
     assert main([*command[:-2], str(tmp_path / "other"), "--yes", "--sign", "actual-minus-commanded"]) == 0
 
@@ -132,7 +132,7 @@ def test_labels_of_sides_are_told_by_the_motion_or_asked_for(tmp_path: Path, up:
     (tmp_path / "f.csv").write_text(measured, encoding="utf-8")
     holds_the_truth(imported(tmp_path, tmp_path / "f.csv"))
     (tmp_path / "g.csv").write_text(by_target(up, down), encoding="utf-8")
-    with pytest.raises(DataError, match="does not show which of them comes from below"):
+    with pytest.raises(DataError, match="does not show which of them is from below"):
         imported(tmp_path, tmp_path / "g.csv")
 
 

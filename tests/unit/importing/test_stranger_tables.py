@@ -99,7 +99,7 @@ def test_files_of_several_axes_are_no_runs_of_one(tmp_path: Path) -> None:
         of_one_run(tmp_path, r, f"Axis: {axis}\nPos [mm];Abw [um]", lambda x, d: f"{x};{d}")
         for r, axis in ((1, "X"), (2, "Y"))
     ]
-    with pytest.raises(DataError, match="axis of 'Pos' is Y, in 1 X: import each by itself"):
+    with pytest.raises(DataError, match="axis of 'Pos' is Y, in 1 X: import them separately"):
         imported(tmp_path, files)
 
 
@@ -145,7 +145,7 @@ ASKED = {
     "a level": (long("X [mm];Level [um/m]", lambda r, x, s, d: f"{x};{d}"), "--component"),
     "an error per length": (long("X [mm];Error [um/m]", lambda r, x, s, d: f"{x};{d}"), "per length"),
     "a diagonal": (long("X;Y;Z;Deviation [um]", lambda r, x, s, d: f"{x};{x};{x};{d}"), "X, Y, Z move"),
-    "an ordinate": (long("X [mm];Y [um]", lambda r, x, s, d: f"{x};{d}"), "names Y, and 'X' holds positions of X"),
+    "an ordinate": (long("X [mm];Y [um]", lambda r, x, s, d: f"{x};{d}"), "names Y, but 'X' has positions of X"),
     "a circle": ("Angle [deg];Radial deviation [um]\n0;1.5\n90;2.5\n180;1.5\n270;2.5\n", "angles of a circle"),
     "formulas": (long("Run;X [mm];Error [um]", lambda r, x, s, d: f"{r};{x};"), "columns without a value: 'Error'"),
 }
@@ -215,7 +215,7 @@ LONG = long("Run;Dir;X [mm];Dev [um]", lambda r, x, s, d: f"{r};{mark(s)};{x};{d
 IN_VAIN = {
     "a column that is not there": ({"sets": ["Deviaton.unit=mm"]}, "no such column"),
     "a sheet of a text": ({"door": DoorOptions("X")}, "--sheet would be ignored"),
-    "another unit than the file's": ({"unit": "mm"}, "is in um, and --unit states mm"),
+    "another unit than the file's": ({"unit": "mm"}, "is in um, but --unit states mm"),
     "another axis than the file's": ({"axis": "Y"}, "--axis Y: column 'X' names the axis X.*--set 'X.axis=Y'"),
 }
 

@@ -155,5 +155,5 @@ def test_a_scale_beside_an_encoder_is_no_command(tmp_path: Path) -> None:
         "t [s],X motor encoder [mm],X linear scale [mm]", lambda i, x, y: f"{0.002 * i},{x:.6f},{y:.6f}"
     )
     (tmp_path / "f.csv").write_text(text, encoding="utf-8")
-    with pytest.raises(DataError, match="no two hold an actual and a commanded position"):
+    with pytest.raises(DataError, match="no two contain an actual and a commanded position"):
         imported(tmp_path, tmp_path / "f.csv")

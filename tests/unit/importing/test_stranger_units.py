@@ -68,7 +68,7 @@ def test_inches_in_quotation_marks(tmp_path: Path) -> None:
     [
         ("position,dial", "{x},{e:.0f}", "whole numbers"),
         ("Target [inch],Reading", "{x},0.000{r}", "may be inches"),
-        ("Target [mm];|Error| [µm]", "{x};{r}.5", "without their sign"),
+        ("Target [mm];|Error| [µm]", "{x};{r}.5", "without sign"),
         ("Target [mm];Error [mm]", "{x};{e} µm", "its name states mm"),
         ("Target [mm];Error [0.05 µm]", "{x};{e}", "no known unit"),
         ("Target [mm];Laser 1 [mm];Laser 2 [mm]", "{x};{x}1;{x}2", "both hold actual"),
@@ -120,7 +120,7 @@ def test_a_number_that_stands_for_no_reading(tmp_path: Path) -> None:
     lines[5] = "1,200,-9999"
     assert np.isnan(read(tmp_path, "\n".join(lines))[1][4])
     lines[5] = "1,200,1.2.3"
-    with pytest.raises(DataError, match="is no number as the others are"):
+    with pytest.raises(DataError, match="is not a number like the others"):
         read(tmp_path, "\n".join(lines))
 
 
