@@ -46,7 +46,7 @@ def protocol_of(recording: Recording) -> str:
     named = recording.manifest.constants.get("protocol")
     protocol = "" if named is None or named.value is None else str(named.value)
     if protocol not in PROTOCOLS:
-        what = "the recording does not say which test it is" if not protocol else f"{protocol!r} is no test"
+        what = "the recording does not state which test it is" if not protocol else f"{protocol!r} is not a test"
         hint = did_you_mean(protocol, PROTOCOLS)
         raise DataError(
             f"constants.protocol: {what} (allowed: {', '.join(PROTOCOLS)}). Write it into recording.yaml, under "

@@ -47,7 +47,7 @@ class ComponentSpec(Frozen):
             terms = [t for t in self.terms if prior.concerns(t)]
             if len(terms) != 1:
                 allowed = ", ".join(dict.fromkeys(t.term for t in self.terms)) or "none"
-                hint = "say which by `where`" if terms else f"allowed: {allowed}"
+                hint = "select one by `where`" if terms else f"allowed: {allowed}"
                 raise ValueError(f"priors of {self.component}: {len(terms)} terms {prior.term} ({hint})")
             names = [p.name for p in terms[0].linear() if p.name not in terms[0].fixed]
             if prior.parameter not in names:

@@ -70,7 +70,7 @@ def read(path: Path, options: Options | None = None) -> Recording:
     facts = dict(_facts(sections.get("USER-TEXT", [])))
     axis = options.axis or _AXIS.sub("", facts.get("axis", "").upper())
     if not re.fullmatch(r"[XYZUVWPQR]\d?", axis):
-        raise DataError(f"{path}: the file's axis is {axis!r}, not a linear ISO 841 axis (say which: `axis: X`)")
+        raise DataError(f"{path}: the file's axis is {axis!r}, not a linear ISO 841 axis (declare it: `axis: X`)")
     runs, numbers, deviation = _deviations(path, sections.get("DEVIATIONS", []), len(targets))
     position = targets[numbers - 1]
     columns = columns_of(axis)
@@ -136,7 +136,7 @@ def _refuse_other_kinds(path: Path, lines: list[_Line]) -> None:
         if kind and (_OTHER_KINDS.search(kind) or (key.lower() == "file type" and kind.lower() != "rtl")):
             raise DataError(
                 f"{path}:{number}  {text[:60]!r}: not linear positioning, which alone is read here (allowed: File type "
-                "rtl of an owner such as Linear); export the deviations as CSV and say --component, such as EBX"
+                "rtl of an owner such as Linear); export the deviations as CSV and use --component, such as EBX"
             )
 
 

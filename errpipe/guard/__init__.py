@@ -1,1 +1,1 @@
-"""Sensors watched, doubted and replaced: learnt from healthy readings, lowered to driver operations."""
+"""Sensor guard: monitors, rejects and replaces temperature readings; learnt from healthy ones, lowered to drivers."""

@@ -1,4 +1,4 @@
-"""Drivers put together from others: lags, flags and their logic, what was seen last while a gate was open.
+"""Drivers composed of others: lags, flags and their logic, values latched while a gate was open.
 
 A flag is a driver that is 1 or 0.
 """
@@ -18,7 +18,7 @@ def lag(of: d.Driver, tau: float) -> d.Driver:
 
 
 def since_start(of: d.Driver) -> d.Driver:
-    """A driver less its own value at the start of the run."""
+    """A driver minus its own value at the start of the run."""
     return d.Affine(weights=(1.0, -1.0), of=(of, d.First(of=of)))
 
 
@@ -29,7 +29,7 @@ def larger(one: d.Driver, other: d.Driver) -> d.Driver:
 
 
 def squared(of: d.Driver) -> d.Driver:
-    """A driver times itself."""
+    """The square of a driver."""
     return d.Product(of=(of, of))
 
 
@@ -44,5 +44,5 @@ def any_of(*flags: d.Driver) -> d.Driver:
 
 
 def held(of: d.Driver, gate: d.Driver) -> d.Driver:
-    """What never falls, as it was when the gate was last 1: a lag that follows upwards at once and downwards never."""
+    """A non-decreasing value, latched when the gate was last 1: a lag that rises at once and never falls."""
     return d.Lag(of=d.Product(of=(gate, of)), tau_up=AT_ONCE, tau_down=NEVER, start="zero")

@@ -1,38 +1,38 @@
-"""A sensor guard: what healthy temperatures have to do with each other, and what is done when one fails.
+"""A sensor guard: the relations between healthy temperatures, and the response to a failed one.
 
 After Ni (1997, Fig. 10), T27 = g(T26, T29): every sensor is estimated from the others. Method: leave-one-sensor-out
 regression with a generalised likelihood ratio test per sensor, as in fault detection by parity relations (Willsky and
 Jones 1976; Gertler 1998). With x the readings and C the covariance of u for healthy sensors, P = (C + ridge)^-1,
 
-    u_i = x_i - lag(x_i, horizon)                 what the last hour brought
+    u_i = x_i - lag(x_i, horizon)                 change over about the last hour
     s_i = (P u)_i / sqrt(P_ii) / threshold         standardised residual of sensor i given all others: (P u)_i / P_ii is
                                                  its leave-one-out regression residual, s_i^2 its likelihood ratio
     a_i = 1 where s_i^2 >= 1 and is the largest    sensor i explains the readings best. A fault of i alone shows in
                                                  every other s_j by |P_ij| / sqrt(P_ii P_jj) < 1, so it is the largest
-    a2_j = the same with the sensor of the largest s left out: a second one that fails (two whose plugs were swapped).
-                                                 A frozen sensor is left out first: its held reading is in every s
-    frozen_i = lag((x_i - lag(x_i, freeze))^2, freeze) <= still_i: less alive than it ever was when healthy
-    jumped_i = 1 from the first |x_i - lag(x_i, freeze)| >= jump_i on: quicker than it ever was when healthy
+    a2_j = the same with the sensor of the largest s excluded: a second failed sensor (two exchanged plugs).
+                                                 A frozen sensor is excluded first: its held reading affects every s
+    frozen_i = lag((x_i - lag(x_i, freeze))^2, freeze) <= still_i: less activity than any healthy reading
+    jumped_i = 1 from the first |x_i - lag(x_i, freeze)| >= jump_i on: a faster change than any healthy one
     fault_i = 1 from the first a_i, a2_i or jumped_i on, until the next start; or while frozen
 
-What stands in for a failed reading:
+Replacement of a failed reading:
 
-    r_i = x_i - sum v_ij x_j, less its value at the start     residual of the best estimate of a shift's changes
-    m_i = lag(r_i, settle) as it was when the largest s^2 was last below QUIET_SHARE and x_i moved
-    guarded reading = x_i - f_i,  f_i = r_i - m_i + sum v_ij f_j over failed j: the last trusted reading, carried on
-               by its estimate from the others. Solved exactly for two failed sensors, approximately for more (frozen)
+    r_i = x_i - sum v_ij x_j, minus its value at the start    residual of the best estimate of changes within a shift
+    m_i = lag(r_i, settle) when the largest s^2 was last below QUIET_SHARE and x_i changed
+    guarded reading = x_i - f_i,  f_i = r_i - m_i + sum v_ij f_j over failed j: the last trusted reading, continued
+               by its estimate from the others. Exact for two failed sensors, approximate for more (frozen)
 
-The correction fades to zero (`trust`) where more than `most_failed` sensors are at fault, and where one is whose
-stand-in is of no use (`errpipe.stages._guarded`). A guard without P (one sensor, one run) has no stand-in: a sensor
-that freezes or jumps fades it.
+The correction fades to zero (`trust`) if more than `most_failed` sensors have failed, or if one has whose
+replacement is too inaccurate (`errpipe.stages._guarded`). A guard without P (one sensor, one run) replaces nothing: a
+sensor that freezes or jumps fades the correction.
 
-All of it is built of the operations of `errpipe.domain.driver`, so it is compiled, exported and evaluated like any
-driver, causally. Empty, impossible and racing readings are caught before, by each input's own range, rate and hold
-(`low`, `high`, `max_rate`); a held reading is a frozen one.
+The guard consists of operations of `errpipe.domain.driver`, so it is compiled, exported and evaluated like any
+driver, causally. Missing, implausible and too fast readings are rejected before, by each input's own range, rate and
+hold (`low`, `high`, `max_rate`); a held reading is a frozen one.
 
-Limits. A fault that is there at the start and constant does not show, and does no harm to a model of rises. Drifts so
-slow that `horizon` forgets them do not show either: the smallest fault per sensor is `smallest`, in K per horizon.
-Two sensors that always move together cannot be distinguished: the ridge is raised until no fault shows in another
+Limits. A constant fault that exists at the start is not detected, and does not affect a model of rises. Drifts slower
+than `horizon` are not detected either: the smallest detectable fault per sensor is `smallest`, in K per horizon.
+Two sensors that always move together cannot be distinguished: the ridge is raised until no fault appears in another
 sensor by more than MAX_CORRELATION of its own size (`errpipe.guard.learn`).
 """
 
@@ -49,35 +49,35 @@ class GuardedSensor(Frozen):
     """One sensor. Units: the sensor's own (degC; differences K), s."""
 
     name: str
-    low: float = Field(description="No healthy reading lies below.")
-    high: float = Field(description="No healthy reading lies above.")
-    max_rate: float = Field(gt=0, description="No healthy reading changes faster, per s.")
+    low: float = Field(description="Healthy readings are above it.")
+    high: float = Field(description="Healthy readings are below it.")
+    max_rate: float = Field(gt=0, description="Fastest change of a healthy reading, per s.")
     precision: tuple[float, ...] = Field((), description="Row of P, 1/K2, sensors in the guard's order; none: no P.")
     estimate: tuple[float, ...] = Field(description="Weights v of the sensors in the guard's order; 0 for itself.")
     smallest: float | None = Field(None, gt=0, description="Smallest fault that reaches the threshold, K.")
-    jump: float = Field(gt=0, description="No healthy reading is further from its lag of `freeze`, K.")
-    stands_in: bool = Field(True, description="Whether its estimate is of use; else the correction fades.")
-    reach: float = Field(gt=0, description="Largest residual r that is remembered; twice what a healthy one had.")
-    lively: float | None = Field(None, description="Of the lagged square; a healthy reading is mostly above.")
-    still: float | None = Field(None, description="Of the lagged square; None: it stands still when healthy.")
+    jump: float = Field(gt=0, description="Largest distance of a healthy reading from its lag of `freeze`, K.")
+    stands_in: bool = Field(True, description="Whether its estimate is accurate enough; else the correction fades.")
+    reach: float = Field(gt=0, description="Largest residual r that is latched; twice that of healthy readings.")
+    lively: float | None = Field(None, description="Threshold of the lagged square; healthy readings are mostly above.")
+    still: float | None = Field(None, description="Threshold of the lagged square; None: constant when healthy.")
 
 
 class SensorGuard(Frozen):
-    """Format version 3. `false_alarms` is the rate the thresholds were set for, on healthy sensors."""
+    """Format version 3. `false_alarms` is the rate for which the thresholds were set, on healthy sensors."""
 
     sensor_guard: Literal[3] = 3
     sensors: tuple[GuardedSensor, ...]
     threshold: float = Field(1.0, gt=0, description="Of the standardised residual; reached at the stated rate.")
-    horizon_s: float = Field(gt=0, description="Time constant of what the test forgets.")
-    freeze_s: float = Field(gt=0, description="Time constant of the stillness.")
-    settle_s: float = Field(gt=0, description="Time constant of what is remembered of a residual.")
-    most_failed: int = Field(1, ge=0, description="Sensors that may be at fault; with one more the correction fades.")
+    horizon_s: float = Field(gt=0, description="Time constant of the test's high-pass filter.")
+    freeze_s: float = Field(gt=0, description="Time constant of the activity.")
+    settle_s: float = Field(gt=0, description="Time constant of the latched residual.")
+    most_failed: int = Field(1, ge=0, description="Largest number of failed sensors; above it the correction fades.")
     false_alarms: float = Field(description="Expected per 1000 hours, all sensors together.")
-    hours: float = Field(description="Hours of healthy readings the thresholds come from.")
-    correlation: float = Field(0.0, description="Largest share of a fault that shows in another sensor's s.")
+    hours: float = Field(description="Hours of healthy readings behind the thresholds.")
+    correlation: float = Field(0.0, description="Largest share of a fault that appears in another sensor's s.")
 
     def widened(self, times: float) -> SensorGuard:
-        """The guard that accepts residuals and jumps that many times as large, and activity as many times as small."""
+        """The guard with limits for residuals and jumps multiplied by `times`, and for activity divided by it."""
         wider = tuple(
             s.model_copy(
                 update={
@@ -92,7 +92,7 @@ class SensorGuard(Frozen):
 
     @property
     def compares(self) -> bool:
-        """Whether sensors are judged by each other, and stand in for each other."""
+        """Whether sensors are compared with each other, and replace each other."""
         return bool(self.sensors[0].precision)
 
     def names(self) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
-"""Which sensors a guard accepts, as drivers. The letters are those of `errpipe.guard.description`.
+"""Drivers that decide which sensors are accepted. The letters are those of `errpipe.guard.description`.
 
-Every function returns one driver per sensor, in the guard's order, unless it says otherwise. The same part asked for
-again is the same object, so that a table holds it once.
+Every function returns one driver per sensor, in the guard's order, unless stated otherwise. A repeated call
+returns the same object, so that a table contains each part once.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ from errpipe.domain import driver as d
 from errpipe.guard import composed as c
 from errpipe.guard.description import SensorGuard
 
-WARM_UP = 3.0  # freeze times after the start before stillness means anything: its lag has then settled to 5 %
-REVIVED = 4.0  # times `still`: hysteresis, a frozen sensor must be that alive again to be accepted (taste)
-QUIET_SHARE = 0.36  # of the squared threshold: from here up residuals are no longer remembered; 0.25 to 0.5 do alike
-FROZEN_FIRST = 1e6  # squared thresholds: more than a dead sensor's residual
-UNTIL_RESTART = -1.0  # a switch's lower level that no flag or square ever reaches
-FADE_S = 600.0  # of the correction where readings are no longer trusted: slower than a cut, faster than a body
-TIE = 1e-6  # relative: below single precision's rounding of a sum, above double's
+WARM_UP = 3.0  # freeze times after the start before activity is meaningful: its lag has then settled to 5 %
+REVIVED = 4.0  # times `still`: hysteresis, the activity from which a frozen sensor is accepted again (by judgement)
+QUIET_SHARE = 0.36  # of the squared threshold: above it residuals are not latched; 0.25 to 0.5 give equal results
+FROZEN_FIRST = 1e6  # squared thresholds: more than a failed sensor's residual
+UNTIL_RESTART = -1.0  # lower level of a switch that no flag or square reaches
+FADE_S = 600.0  # fade time of the correction when readings are not trusted: slower than a cut, faster than a body
+TIE = 1e-6  # relative: below the rounding of a sum in single precision, above that in double
 
 shared = lru_cache(maxsize=256)
 
 
 @shared
 def residuals(guard: SensorGuard) -> tuple[d.Driver, ...]:
-    """s: leave-one-sensor-out residuals of what the last hour brought, in thresholds."""
+    """s: leave-one-sensor-out residuals of the recent changes, in thresholds."""
     inputs = [d.Input(name=n) for n in guard.names()]
     recent = tuple(d.Affine(weights=(1.0, -1.0), of=(x, c.lag(x, guard.horizon_s))) for x in inputs)
     out = []
@@ -38,15 +38,15 @@ def residuals(guard: SensorGuard) -> tuple[d.Driver, ...]:
 
 @shared
 def _first(guard: SensorGuard) -> tuple[tuple[d.Driver, ...], d.Driver]:
-    """Per sensor 1 where its squared residual is the largest; and the largest. One known to fail comes first."""
+    """Per sensor 1 where its squared residual is the largest; and the largest. Failed sensors come first."""
     squares, still = map(c.squared, residuals(guard)), _by_itself(guard)
-    ahead = [FROZEN_FIRST * (len(still) - i) for i in range(len(still))]  # distinct, so that one of two is the first
+    ahead = [FROZEN_FIRST * (len(still) - i) for i in range(len(still))]  # distinct, so that two of them are ordered
     return _largest(tuple(d.Affine(weights=(1.0, w), of=(q, f)) for q, f, w in zip(squares, still, ahead, strict=True)))
 
 
 @shared
 def _second(guard: SensorGuard) -> tuple[tuple[d.Driver, ...], d.Driver]:
-    """The same once the sensor of the largest residual is left out (orthogonal matching pursuit)."""
+    """The same after excluding the sensor of the largest residual (orthogonal matching pursuit)."""
     top, s = _first(guard)[0], residuals(guard)
     left_out = tuple(d.Product(of=pair) for pair in zip(top, s, strict=True))
     squares = []
@@ -58,7 +58,7 @@ def _second(guard: SensorGuard) -> tuple[tuple[d.Driver, ...], d.Driver]:
 
 
 def correlations(guard: SensorGuard) -> list[list[float]]:
-    """P_ij / sqrt(P_ii P_jj): the share of a fault of sensor j that shows in the residual of i; 1 on the diagonal."""
+    """P_ij / sqrt(P_ii P_jj): the share of a fault of sensor j that appears in the residual of i; 1 on the diagonal."""
     rows = [s.precision for s in guard.sensors]
     size = [math.sqrt(row[i]) for i, row in enumerate(rows)]
     return [[p / size[i] / size[j] if i != j else 1.0 for j, p in enumerate(row)] for i, row in enumerate(rows)]
@@ -76,7 +76,7 @@ def _largest(values: tuple[d.Driver, ...]) -> tuple[tuple[d.Driver, ...], d.Driv
 def isolated(guard: SensorGuard) -> tuple[d.Driver, ...]:
     """1 once a sensor's residual has been the largest and above the threshold, until the next start; else 0.
 
-    While one is frozen or has jumped the others are judged without it: its reading shows in their residuals.
+    While one is frozen or has jumped, the others are tested without it: its reading affects their residuals.
     """
     (top, most), (second, left) = _first(guard), _second(guard)
     judged = d.Product(of=(most, c.none_of(*_by_itself(guard))))
@@ -92,20 +92,20 @@ def isolated(guard: SensorGuard) -> tuple[d.Driver, ...]:
 
 @shared
 def activity(guard: SensorGuard, name: str) -> d.Driver:
-    """How much alive one reading is: the lagged square of its own quick part, K2."""
+    """Activity of one reading: the lagged square of its high-pass filtered value, K2."""
     return c.lag(_quick(guard, name), guard.freeze_s)
 
 
 @shared
 def _quick(guard: SensorGuard, name: str) -> d.Driver:
-    """Square of what the last minutes brought to one reading, K2."""
+    """Square of the change of one reading over the last minutes, K2."""
     reading = d.Input(name=name)
     return c.squared(d.Affine(weights=(1.0, -1.0), of=(reading, c.lag(reading, guard.freeze_s))))
 
 
 @shared
 def frozen(guard: SensorGuard) -> tuple[d.Driver, ...]:
-    """1 while a reading is constant for longer than a healthy one ever is; else 0."""
+    """1 while a reading is constant for longer than any healthy one; else 0."""
     age = d.lag(d.ONE, guard.freeze_s)
     settled = d.Switch(of=age, on=1.0 - math.exp(-WARM_UP), off=0.0)
     out: list[d.Driver] = []
@@ -113,7 +113,7 @@ def frozen(guard: SensorGuard) -> tuple[d.Driver, ...]:
         if s.still is None:
             out.append(d.Constant(value=0.0))
             continue
-        # Activity begins at zero: until it has settled it counts as large, or the switch would start on.
+        # Activity starts at zero: until it has settled it is set to a large value, or the switch would start on.
         large = 2.0 * REVIVED * s.still
         alive = d.Affine(offset=-large, weights=(-1.0, large), of=(activity(guard, s.name), settled))
         out.append(d.Switch(of=alive, on=-s.still, off=-REVIVED * s.still))
@@ -122,13 +122,13 @@ def frozen(guard: SensorGuard) -> tuple[d.Driver, ...]:
 
 @shared
 def jumped(guard: SensorGuard) -> tuple[d.Driver, ...]:
-    """1 from the first change that is quicker than any healthy one on, until the next start; else 0."""
+    """1 from the first change that is faster than any healthy one on, until the next start; else 0."""
     return tuple(d.Switch(of=_quick(guard, s.name), on=s.jump**2, off=UNTIL_RESTART) for s in guard.sensors)
 
 
 @shared
 def _by_itself(guard: SensorGuard) -> tuple[d.Driver, ...]:
-    """Above 0 where a reading shows by itself that it is wrong; else 0."""
+    """Above 0 if a reading alone shows that it is wrong; else 0."""
     return tuple(d.Affine(weights=(1.0, 1.0), of=pair) for pair in zip(frozen(guard), jumped(guard), strict=True))
 
 
@@ -142,7 +142,7 @@ def faults(guard: SensorGuard) -> tuple[d.Driver, ...]:
 
 @shared
 def trust(guard: SensorGuard) -> d.Driver:
-    """1 while the readings, or what stands in for them, are of use; else it goes to 0."""
+    """1 while the readings, or their replacements, are usable; else it fades to 0."""
     failed = faults(guard)
     lost = [f for s, f in zip(guard.sensors, failed, strict=True) if not s.stands_in]
     most = guard.most_failed + 0.5
@@ -152,7 +152,7 @@ def trust(guard: SensorGuard) -> d.Driver:
 
 @shared
 def all_quiet(guard: SensorGuard) -> d.Driver:
-    """One driver: 1 while no sensor is at fault and no residual near the threshold; else 0."""
+    """One driver: 1 while no sensor has failed and no residual is near the threshold; else 0."""
     if not guard.compares:
         return c.none_of(*faults(guard))
     suspect = d.Switch(of=_first(guard)[1], on=QUIET_SHARE, off=QUIET_SHARE - TIE)

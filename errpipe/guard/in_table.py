@@ -1,7 +1,7 @@
-"""A guard in a compiled table: whether it has one, and the same table without it.
+"""A guard in a compiled table: whether there is one, and the table without it.
 
-A table's settled states, of which formats without memory hold values, have no guard: every sensor that has settled
-stands still, which is what a guard calls a fault.
+The steady states of a table, which formats without memory export, are evaluated without a guard: every settled sensor
+is constant, which a guard reports as a fault.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ from errpipe.guard.detect import FADE_S
 
 
 def watched(table: t.CompensationTable) -> bool:
-    """Whether the table holds a guard of its sensors."""
+    """Whether the table contains a sensor guard."""
     return bool(_gates(table))
 
 
 def stands_in(table: t.CompensationTable) -> bool:
-    """Whether a guarded table holds estimates of sensors by each other."""
+    """Whether a guarded table contains estimates of sensors from each other."""
     return any(_guarded_input(table, node) is not None and _estimates(table, node) for node in table.nodes)
 
 
 def without_guard(table: t.CompensationTable) -> t.CompensationTable:
-    """The table with plain readings, and without the gate of its guard; itself where it has none."""
+    """The table with plain readings, and without the gate of its guard; unchanged if it has none."""
     return _without(table) if _gates(table) else table
 
 
 def _gates(table: t.CompensationTable) -> set[int]:
-    """Numbers of the nodes that fade a correction where readings are not trusted (`detect.trust`)."""
+    """Numbers of the nodes that fade a correction when readings are not trusted (`detect.trust`)."""
     out = set()
     for number, node in enumerate(table.nodes):
         if isinstance(node, t.LagNode) and node.tau_up == node.tau_down == FADE_S:
@@ -40,7 +40,7 @@ def _gates(table: t.CompensationTable) -> set[int]:
 
 
 def _guarded_input(table: t.CompensationTable, node: t.Node) -> int | None:
-    """Number of the input that a node holds the guarded reading of (`replace.readings`, clipped); else None."""
+    """Number of the input whose guarded reading a node is (`replace.readings`, clipped); else None."""
     if not isinstance(node, t.ClipNode):
         return None
     shift = table.nodes[node.of[0]]
@@ -52,7 +52,7 @@ def _guarded_input(table: t.CompensationTable, node: t.Node) -> int | None:
 
 
 def _estimates(table: t.CompensationTable, node: t.Node) -> bool:
-    """Whether what a guarded reading is replaced by knows other sensors."""
+    """Whether the replacement of a guarded reading depends on other sensors."""
     below = {node.of[0]}
     for n in range(max(below), -1, -1):
         if n in below:

@@ -1,8 +1,8 @@
 """Learning a sensor guard from healthy readings: covariances, leave-one-out estimates, thresholds.
 
-The threshold keeps a stated false-alarm rate: the largest residuals of every two hours, on groups that had no part in
-the covariance, are extrapolated to that rate by the law of largest values. With few hours of learning that
-extrapolates far; `hours` says how many there were. The rate holds for conditions like those learnt from.
+The threshold has a stated false-alarm rate: the largest residuals of every two hours, on groups not used for
+the covariance, are extrapolated to that rate by the extreme-value distribution. With few hours of learning this
+extrapolates far; `hours` states their number. The rate holds for conditions like those of the learning data.
 """
 
 from __future__ import annotations
@@ -19,38 +19,38 @@ from errpipe.guard import rates
 from errpipe.guard.detect import WARM_UP
 from errpipe.guard.rows import Healthy, rows_of
 
-# Time constants, chosen on the turning centre with both seasons in view (examples/sensor-failure); residuals are
-# worst in 60 failures: horizon 0.75 h 1.4, 1 h 1.38, 1.5 h 1.29, 2 h 2.1; settle 15 min 1.38, 30 min 1.29, 1 h 1.36.
+# Time constants, chosen on the turning centre with both seasons in view (examples/sensor-failure); largest ratio to
+# healthy in 60 failures: horizon 0.75 h 1.4, 1 h 1.38, 1.5 h 1.29, 2 h 2.1; settle 15 min 1.38, 30 min 1.29, 1 h 1.36.
 HORIZON_S = 5400.0
 SETTLE_S = 1800.0
 FREEZE_S = 300.0  # heaters and pumps switch every few minutes, so a healthy reading moves within this
 FALSE_ALARMS = 0.5  # expected per 1000 hours, all sensors together
-RIDGES = np.logspace(-5, 1, 13)  # times the mean square of the readings: half a decade apart
-MAX_CORRELATION = 0.8  # of a fault at most shows in another sensor's residual; above, noise picks the wrong one
-SELECTION_MARGIN = 1.1  # times: the lowest of many thresholds is lower than it should be
+RIDGES = np.logspace(-5, 1, 13)  # times the mean square of the readings: steps of half a decade
+MAX_CORRELATION = 0.8  # largest share of a fault in another sensor's residual; above it, noise selects the wrong sensor
+SELECTION_MARGIN = 1.1  # factor: the lowest of many thresholds is biased low
 KINDS = 3  # of alarms: departed, frozen, jumped
-MAX_RATE = 3.0  # times the fastest change seen of a healthy reading
-# Of the range seen, and K at least: readings outside by more are impossible. A shop spans 5 to 35 degC over a year, and
-# a winter that was learnt from must not make a summer impossible: with 10 K a healthy machine paid 65 %
-# (`trials.thermal`, seed 102, machine 2).
+MAX_RATE = 3.0  # times the fastest change of a healthy reading
+# Margins beyond the range in the recording, share and K at least: readings outside are impossible. A shop spans 5 to
+# 35 degC over a year, and learning in winter must not make summer readings impossible: with 10 K a healthy machine
+# lost 65 % (`trials.thermal`, seed 102, machine 2).
 RANGE_SHARE, RANGE_K = 0.5, 25.0
-JUMP_MARGIN = 1.5  # times: a door that opens in another season is quicker
-LEAST_JUMP = 1.0  # K: below it a jump does little harm, and noise of a sensor that was read seldom may look like one
-QUICKER = 2.0  # times what one run shows: it bounds no later one
-# Of a sensor that no other replaces, where a false alarm costs the whole correction: a healthy one always shows its own
-# noise, unless its resolution hides it; and the air of a hall moves by a kelvin a minute when a door opens.
-NOISE_SHARE, MOST_EQUAL = 0.1, 0.05  # of its variance, that an active one shows; of equal successive readings
+JUMP_MARGIN = 1.5  # factor: an opening door in another season is faster
+LEAST_JUMP = 1.0  # K: a smaller jump does little harm, and noise of a slowly sampled sensor may look like one
+QUICKER = 2.0  # times the largest change in one run: a single run does not bound later ones
+# For a sensor without replacement, where a false alarm costs the whole correction: a healthy one always shows its own
+# noise, unless its resolution hides it; and the air of a hall changes by a kelvin a minute when a door opens.
+NOISE_SHARE, MOST_EQUAL = 0.1, 0.05  # least share of its variance in an active one; share of equal successive readings
 REACH = 2.0  # times the largest residual of healthy readings
-ACTIVE = 0.2  # quantile: a healthy reading is stiller only so much of the time
-LEAST_ACTIVITY = 1e-12  # of the median liveliness: reached 2.3 h after a reading froze; below it single precision ends
-STILL_MORE = 20.0  # times as often a sound sensor may look frozen: it is believed again when it moves
+ACTIVE = 0.2  # quantile: share of the time in which a healthy reading is less active
+LEAST_ACTIVITY = 1e-12  # of the median activity: reached 2.3 h after a reading froze; the limit of single precision
+STILL_MORE = 20.0  # factor on the rate at which a healthy sensor may look frozen: it is accepted again when it changes
 LEAST_HOURS = 10.0  # h of recording to learn from
 
 
 def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.SensorGuard:
     """Learn from a recording whose sensors were healthy (clean it first).
 
-    sensors: default all temperatures. Runs are left out one by one. Raises DataError if there are fewer than two
+    sensors: default all temperatures. Leave-one-run-out. Raises DataError if there are fewer than two
     sensors, two runs, or ten hours.
     """
     names = tuple(sensors) if sensors is not None else recording.names("temperature")
@@ -101,7 +101,7 @@ class _Test:
     threshold: float
 
     def correlation(self) -> float:
-        """The largest share of a fault that shows in another sensor's residual."""
+        """The largest share of a fault that appears in another sensor's residual."""
         size = np.sqrt(np.diag(self.precision))
         shown = np.abs(self.precision) / np.outer(size, size)
         return float(np.max(shown - np.eye(size.size)))
@@ -112,7 +112,7 @@ class _Test:
 
 
 def _test(rows: Healthy, per_hour: float) -> _Test:
-    """The ridge that detects the smallest faults, of those that tell the sensors from each other; else the largest."""
+    """The ridge with the smallest detectable faults, among those that separate the sensors; else the largest ridge."""
     recent = rows.x - rows.lagged(rows.x, HORIZON_S)
     tried = []
     for ridge in RIDGES:
@@ -137,8 +137,8 @@ def _precision(values: np.ndarray, ridge: float) -> np.ndarray:
 def _estimate(rows: Healthy) -> tuple[np.ndarray, np.ndarray]:
     """Weights (sensors, sensors) of the best estimates, and the largest residual since the start per sensor, K.
 
-    Learnt from what changes within a shift, for an estimate only has to carry a reading on from where it was last
-    accepted; with the ridge that leaves the least of groups left out.
+    Learnt from changes within a shift, because an estimate only continues a reading from where it was last
+    accepted; with the ridge of the smallest leave-one-group-out residual.
     """
     rise = rows.rises()
     shift = rows.centred(rise)
@@ -159,7 +159,7 @@ def _regress(values: np.ndarray, ridge: float) -> np.ndarray:
 def left_out(
     group: np.ndarray, learnt_from: np.ndarray, judged: np.ndarray, weights: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """What estimates leave of every row, weights learnt without its group; shape as judged."""
+    """Residuals of estimates in every row, with weights learnt without its group; shape as judged."""
     out = judged.copy()
     for label in np.unique(group):
         inside = group == label
@@ -168,7 +168,7 @@ def left_out(
 
 
 def limits(recording: Recording, names: Sequence[str]) -> g.SensorGuard:
-    """A guard by each sensor's own readings, without stand-ins: one that jumps, or loses its own noise, is at fault.
+    """A guard that tests each sensor alone, without replacement: one that jumps, or loses its own noise, has failed.
 
     Raises DataError if no row has all sensors, or if no sensor changes within a run: the recording shows no rates then.
     """
@@ -211,14 +211,14 @@ def _hours(rows: Healthy) -> float:
 
 
 def _alive(rows: Healthy) -> np.ndarray:
-    """Lagged squares of the quick part of readings, K2, (rows, sensors)."""
+    """Lagged squares of the high-pass filtered readings, K2, (rows, sensors)."""
     return rows.lagged((rows.x - rows.lagged(rows.x, FREEZE_S)) ** 2, FREEZE_S)
 
 
 def _jump(rows: Healthy, i: int, per_hour: float) -> float:
-    """The quickest change of a healthy reading, K, exceeded at the stated rate.
+    """The fastest change of a healthy reading, K, exceeded at the stated rate.
 
-    Of a row's reading beside the lag before it: a controller, which reads more often, may see all of a row's change.
+    Of a row's reading minus the lag before it: a controller, which samples faster, may see all of a row's change.
     """
     x, before = rows.x[:, [i]], rows.lagged(rows.x[:, [i]], FREEZE_S)
     first = np.r_[True, rows.run[1:] != rows.run[:-1]]
@@ -237,9 +237,9 @@ def _believable(rows: Healthy, i: int) -> dict[str, float]:
 
 
 def _still(alive: np.ndarray, rows: Healthy, per_hour: float) -> float | None:
-    """Threshold of stillness of a healthy sensor at the stated false-alarm rate; None if it is constant when healthy.
+    """Activity threshold of a healthy sensor at the stated false-alarm rate; None if it is constant when healthy.
 
-    Near 0 a square of noise is distributed as a power, so minus its logarithm has Gumbel's tail.
+    Near 0 a square of noise follows a power law, so minus its logarithm has Gumbel's tail.
     """
     late = rows.since() > WARM_UP * FREEZE_S
     if not late.any() or alive[late].min() <= 0:

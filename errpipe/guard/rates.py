@@ -1,4 +1,4 @@
-"""How fast each sensor moved in a recording, and how much of it was noise: what a controller accepts of a reading."""
+"""Rate of change and noise of each sensor in a recording: the limits within which a controller accepts a reading."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import numpy as np
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
 
-FASTER = 2.0  # times the fastest change recorded: a shift may warm a machine faster than the one that was recorded
-NOISE_SIGMAS = 6.0  # of a reading's noise: 2 in 1e9 samples of a normal distribution lie beyond
+FASTER = 2.0  # times the fastest recorded change: another shift may warm a machine faster
+NOISE_SIGMAS = 6.0  # standard deviations of the noise: 2 in 1e9 samples of a normal distribution are beyond
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Least and largest rate, per s, and least noise of a role's readings, in its canonical unit."""
+    """Smallest and largest rate, per s, and smallest noise of a role's readings, in its canonical unit."""
 
     slowest: float
     fastest: float
     noise: float
 
 
-# Chosen on: a shop sensor of the 0.1 K class shows 0.2 K of noise and resolution; the air of a hall moves by a kelvin
-# a minute when a door opens, and nothing that follows a machine's body moves faster than 2 K/s.
+# Chosen on: a shop sensor of the 0.1 K class has 0.2 K of noise and resolution; the air of a hall changes by a kelvin
+# a minute when a door opens, and no machine body changes faster than 2 K/s.
 ROLES = {
     "temperature": Bounds(1 / 60, 2.0, 0.2),
     "pressure": Bounds(1 / 60, 10.0, 0.5),
@@ -41,7 +41,7 @@ class ReadingRate:
 
 
 def learn(recording: Recording) -> dict[str, ReadingRate]:
-    """Column -> rate and noise, for temperatures, pressures and humidities; without times the least of its role."""
+    """Column -> rate and noise, for temperatures, pressures and humidities; without times the smallest of its role."""
     run = recording.run_codes()
     time = recording.time() if recording.name("time") is not None else np.full(len(recording), np.nan)
     limits = {}
@@ -66,7 +66,7 @@ def of_readings(values: np.ndarray, time: np.ndarray, run: np.ndarray, bounds: B
 
 
 def noise_of(values: np.ndarray, run: np.ndarray) -> float:
-    """Standard deviation of the noise, from second differences, by their median: drift and single jumps do not count.
+    """Standard deviation of the noise, from the median of second differences: insensitive to drift and single jumps.
 
     A second difference of white noise has six times its variance; 0.6745 is the median of |x| of a standard normal.
     """

@@ -12,11 +12,11 @@ from errpipe.guard import composed as c
 from errpipe.guard.description import SensorGuard
 from errpipe.guard.detect import TIE, activity, all_quiet, faults, shared, trust
 
-LONGEST_S = 1e9  # of a session: the clock that rises beside remembered values has this time constant
+LONGEST_S = 1e9  # time constant of the rising clock added to latched values: longer than any session
 
 
 def trusted(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None = None) -> d.Driver:
-    """`guarded`, times `trust`; a driver that reads no guarded sensor as it is."""
+    """`guarded`, times `trust`; a driver without guarded sensors is unchanged."""
     if set(d.inputs(driver)).isdisjoint(guard.names()):
         return driver
     return d.Product(of=(guarded(driver, guard, within), trust(guard)))
@@ -25,8 +25,8 @@ def trusted(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[flo
 def guarded(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None = None) -> d.Driver:
     """The driver with every guarded sensor's reading replaced by its guarded one.
 
-    within: sensor -> range that an estimate may not leave, degC; default: what a healthy sensor can read. Without a
-    range the remembered values, which carry a clock, would leave the correction without a bound.
+    within: sensor -> range of an estimate, degC; default: the range of a healthy sensor. Without a
+    range the latched values, which contain a clock, would leave the correction unbounded.
     """
     if isinstance(driver, d.Input):
         names = guard.names()
@@ -44,14 +44,14 @@ def guarded(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[flo
 
 @shared
 def readings(guard: SensorGuard) -> tuple[d.Driver, ...]:
-    """Per sensor the reading while it is accepted, else what stands in for it."""
+    """Per sensor the reading while it is accepted, else its replacement."""
     failed, gone = faults(guard), tuple(_shift_since_trusted(guard, i) for i in range(len(guard.sensors)))
     alone = tuple(d.Product(of=pair) for pair in zip(failed, gone, strict=True))
     weights, out = [s.estimate for s in guard.sensors], []
     for i, name in enumerate(guard.names()):
         fault, others = gone[i], [j for j in range(len(gone)) if j != i]
         if guard.most_failed > 1:
-            both = {j: weights[i][j] * weights[j][i] for j in others}  # what comes back through the other failed sensor
+            both = {j: weights[i][j] * weights[j][i] for j in others}  # feedback through the other failed sensor
             through = tuple(b / (1.0 - b) for b in both.values())
             own = d.Affine(offset=1.0, weights=through, of=tuple(failed[j] for j in others))
             shown = tuple(weights[i][j] / (1.0 - b) for j, b in both.items())
@@ -79,9 +79,9 @@ def _residual_shift(guard: SensorGuard, i: int, residual_of: d.Driver) -> d.Driv
 
 
 def _value_at_last_quiet(guard: SensorGuard, i: int, value: d.Driver) -> d.Driver:
-    """The value as it was when all was last calm and this sensor moved.
+    """The value when all residuals were last below their thresholds and this sensor changed.
 
-    No operation holds a value that may fall; so a clock is added that rises faster, and subtracted once both are held.
+    No operation latches a decreasing value; so a faster rising clock is added, and subtracted once both are latched.
     """
     sensor = guard.sensors[i]
     gate = all_quiet(guard)
@@ -94,6 +94,6 @@ def _value_at_last_quiet(guard: SensorGuard, i: int, value: d.Driver) -> d.Drive
 
 @shared
 def _rising_clock(guard: SensorGuard) -> d.Driver:
-    """Rises without end, faster than anything that is remembered, K."""
+    """Rises without limit, faster than any latched value, K."""
     fastest = max(2.0 * s.reach / guard.settle_s for s in guard.sensors)
     return d.lag(d.Constant(value=2.0 * fastest * LONGEST_S), LONGEST_S)

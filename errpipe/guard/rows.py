@@ -1,4 +1,4 @@
-"""Readings of healthy sensors, and what is asked of them: rises, lags, changes within a shift, rare extremes."""
+"""Readings of healthy sensors and quantities derived from them: rises, lags, changes within a shift, rare extremes."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
 
-SHIFT_S = 36000.0  # estimates are learnt from what changes within one shift of ten hours
-BLOCK_S = 7200.0  # largest values are taken per two hours, beyond which residuals hardly correlate (turning centre)
-MAX_SHAPE = 0.25  # of the extreme-value law: a tail that ends sooner is not used where hours are few
+SHIFT_S = 36000.0  # estimates are learnt from changes within one shift of ten hours
+BLOCK_S = 7200.0  # block length for largest values, beyond which residuals hardly correlate (turning centre)
+MAX_SHAPE = 0.25  # of the extreme-value law: a shorter tail is not used if hours are few
 
 
 @dataclass(frozen=True)
 class Healthy:
-    """Readings x, shape (rows, sensors), and per row the session, time (s) and group that is left out."""
+    """Readings x, shape (rows, sensors), and per row the session, time (s) and hold-out group."""
 
     x: np.ndarray
     run: np.ndarray
@@ -36,15 +36,15 @@ class Healthy:
         return self.t - self.t[self._starts()]
 
     def rises(self) -> np.ndarray:
-        """Readings less the first of their session."""
+        """Readings minus the first of their session."""
         return self.x - self.x[self._starts()]
 
     def centred(self, values: np.ndarray) -> np.ndarray:
-        """Values less their mean over every shift of a session."""
+        """Values minus their mean over every shift of a session."""
         return values - self._per_stretch(values, SHIFT_S, np.mean)
 
     def rare(self, values: np.ndarray, per_hour: float, max_shape: float = MAX_SHAPE) -> float:
-        """The level that values (rows,) exceed `per_hour` times an hour; no less than the largest value seen."""
+        """The level that values (rows,) exceed `per_hour` times an hour; at least the largest value."""
         _, first = np.unique(self._stretches(BLOCK_S), return_index=True)
         return return_level(self._per_stretch(values, BLOCK_S, np.max)[first], per_hour * BLOCK_S / 3600, max_shape)
 
@@ -73,10 +73,10 @@ def rows_of(recording: Recording, names: tuple[str, ...]) -> Healthy:
 
 
 def return_level(largest: np.ndarray, per_block: float, max_shape: float = MAX_SHAPE) -> float:
-    """The level that the largest value of a block exceeds with a frequency `per_block`; at least the largest seen.
+    """The level that the largest value of a block exceeds with a frequency `per_block`; at least the largest value.
 
     Generalised extreme-value law by L-moments (Hosking, Wallis and Wood 1985, Technometrics 27:251, equations 14 and
-    15), its shape held between Gumbel's (0) and `max_shape`.
+    15), its shape limited between Gumbel's (0) and `max_shape`.
     """
     values = np.sort(largest)
     n, rank = values.size, np.arange(values.size)

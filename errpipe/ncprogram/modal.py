@@ -244,7 +244,7 @@ def _modes(block: Block, state: State, setup: Setup) -> State:
 def offset_of(block: Block, setup: Setup, code: str) -> tuple[float, float, float]:
     """A work offset in mm. Raises DataError if the set-up does not name it."""
     if code not in setup.offsets:
-        raise refuse(block.line, block.source, f"the work offset {code} was not given (say --offset {code}=x,y,z)")
+        raise refuse(block.line, block.source, f"the work offset {code} is missing (give --offset {code}=x,y,z)")
     return setup.offsets[code]
 
 
@@ -270,7 +270,7 @@ def _change_tool(block: Block, state: State, setup: Setup, code: str) -> State:
         number = block.value("H")
         if number is None or number != int(number) or int(number) not in setup.tools:
             which = "H" if number is None else f"H{int(number)}"
-            raise refuse(block.line, block.source, f"the tool length of {which} was not given (say --tool H1=120)")
+            raise refuse(block.line, block.source, f"the tool length of {which} is missing (give --tool H1=120)")
         length = setup.tools[int(number)]
     z = state.position[2]
     moved = None if z is None else z + state.tool_length - length

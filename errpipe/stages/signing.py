@@ -232,7 +232,7 @@ def _time_after(past: Sequence[Entry], text: str | None) -> str:
     if text is None and past and time < past[-1].time:
         raise UsageError(
             f"this host's clock reads {time}, which is before entry {past[-1].number} ({past[-1].time}): one of them"
-            " is wrong, and `log --at` would go by it. Set the clock, or say --time."
+            " is wrong, and `log --at` would use it. Set the clock, or use --time."
         )
     return time
 

@@ -1,1 +1,1 @@
-"""What the thermal families share: rises and lags, causes of heat, the thermal network, competition, intervals."""
+"""Common parts of the thermal families: rises and lags, causes of heat, thermal network, competition, intervals."""

@@ -1,4 +1,4 @@
-"""Small arithmetic of the season model: zeros of runs, groups, ridge on triangles, conformal widths."""
+"""Arithmetic of the season model: zeros of runs, groups, ridge on triangles, conformal widths."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from errpipe.fitting.solve import one_thread
 from errpipe.fitting.statistics import normal_quantile, student_quantile
 from errpipe.fitting.validity import LONGEST_HELD
 
-# A prediction starts at zero in a run's first row, its deviation is counted from the mean of the first few, and may be
-# judged from either. Half-way is best: 3.5 um on runs of a turning centre left out, by both ways of counting;
+# A prediction starts at zero in a run's first row, its deviation counts from the mean of the first few rows, and the
+# residual may count from either. Half-way is best: 3.5 um on held-out runs of a turning centre with both datums;
 # 3.3 and 4.0 or 4.3 and 3.3 at the ends.
 DATUM_SHARE = 0.5
-BLOCKS = 5  # inner groups of a run where there are fewer than `FEWEST_RUNS`
-FEWEST_RUNS = 3  # that can be left out one by one
-# Of the span of deviations seen, beyond the largest of them: limit of the sum. 0.25 to 1 do alike on seeds 1 to 3 of
-# trials.thermal; a turning centre's winter, fitted on spring, has 7.1 um with 0.25 and 6.9 with 0.5 and more.
+BLOCKS = 5  # inner groups of a run if there are fewer than `FEWEST_RUNS`
+FEWEST_RUNS = 3  # for leave-one-run-out
+# Limit of the sum, as share of the span of deviations beyond the largest of them. 0.25 to 1 are equal on seeds 1 to 3
+# of trials.thermal; a turning centre's winter, fitted on spring, has 7.1 um with 0.25 and 6.9 with 0.5 and more.
 SPAN_BEYOND = 0.5
 MOST_FITTED = 0.8  # of the measured rows: with fewer, the fit reports it (by judgement)
-MUCH_BY_PLACE = 0.3  # of the squares left, by a straight line over a position, from which on the fit reports it
+MUCH_BY_PLACE = 0.3  # of the squared residual explained by a straight line over position, from which it is reported
 FEWEST_PASSES = (
     4  # of a run through the middle of its places; with fewer a drift looks like a profile (both by judgement)
 )
@@ -33,7 +33,7 @@ SEEN_BEYOND = 0.25  # of the span; with more a failed sensor cost over 1.3 of he
 
 
 def since_start(values: np.ndarray, run: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
-    """Values less the mean of each run's first `rows` finite rows, and that mean; shapes (n,), (n,)."""
+    """Values minus the mean of each run's first `rows` finite rows, and that mean; shapes (n,), (n,)."""
     zero = np.full(values.size, np.nan)
     for code in np.unique(run):
         own_rows = np.flatnonzero(run == code)
@@ -43,18 +43,18 @@ def since_start(values: np.ndarray, run: np.ndarray, rows: int) -> tuple[np.ndar
 
 
 def held_readings(recording: Recording) -> Recording:
-    """The recording as a prediction reads it: every run by itself, short holes of temperatures hold the reading before.
+    """The recording as a prediction reads it: every run separately, short gaps of temperatures filled from before.
 
-    Where runs follow each other within minutes, heat of the run before must not act on a fit: `predict` begins each run
-    anew, and a fit that knew more was worse there than it had been judged.
+    If runs follow each other within minutes, heat of the previous run must not enter a fit: `predict` restarts with
+    each run, and a fit that used more history had a larger residual there than in validation.
     """
     return short_gaps_held(recording.each_run_alone())
 
 
 def short_gaps_held(recording: Recording, names: Iterable[str] | None = None) -> Recording:
-    """The recording with sensors (default: temperatures) as a controller has them: between readings, the one before.
+    """The recording with sensors (default: temperatures) as a controller has them: held between readings.
 
-    Readings missing at the start of a run take its first one. Holes of more than LONGEST_HELD readings, at the rate at
+    Readings missing at the start of a run take its first one. Gaps of more than LONGEST_HELD readings, at the rate at
     which the sensor is logged, stay empty.
     """
     held = {}
@@ -69,12 +69,12 @@ def short_gaps_held(recording: Recording, names: Iterable[str] | None = None) ->
 
 
 def sampled_less_often(recording: Recording, names: Iterable[str]) -> list[str]:
-    """Those sensors that have a reading in every second row or less often."""
+    """Those sensors with a reading in at most every second row."""
     return [n for n in names if rows_between(recording.array(n)) > 1]
 
 
 def longest_silence(recording: Recording, names: Iterable[str]) -> dict[str, float]:
-    """Sensor sampled less often than the rows -> s after which it counts as silent; empty without times.
+    """Sensor sampled less often than the rows -> time in s after which it counts as failed; empty without times.
 
     LONGEST_HELD times the usual time between two of its readings.
     """
@@ -86,17 +86,17 @@ def longest_silence(recording: Recording, names: Iterable[str]) -> dict[str, flo
 
 
 def no_usable_row(recording: Recording, component: str) -> DataError:
-    """What to raise where no row can be fitted: names the emptiest temperature."""
+    """The error to raise if no row can be fitted: names the temperature with most gaps."""
     return DataError(
-        f"thermal model of {component}: no row has a deviation and all temperatures, these without a long hole since "
+        f"thermal model of {component}: no row has a deviation and all temperatures without a long gap since "
         f"the start of its run ({_sensor_with_most_gaps(recording)})"
     )
 
 
 def dead_sensors(recording: Recording, component: str) -> list[str]:
-    """Temperatures that have gone silent for good before most of the deviations were read; not if all have.
+    """Temperatures without a reading at the end of the recording, from before most deviations; none if all have failed.
 
-    The machine that is to be compensated has them no more, and a fit with them lacks the rows behind.
+    The machine to be compensated no longer has them, and a fit with them would lack the later rows.
     """
     measured = np.flatnonzero(np.isfinite(recording.array(response_name(recording, component))))
     names = recording.names("temperature")
@@ -106,7 +106,7 @@ def dead_sensors(recording: Recording, component: str) -> list[str]:
 
 
 def living_sensors(recording: Recording, component: str) -> Recording:
-    """The recording, with its readings held, without temperatures that have died (`dead_sensors`)."""
+    """The recording, with readings held, without failed temperatures (`dead_sensors`)."""
     recording = held_readings(recording)
     dead = dead_sensors(recording, component)
     return replace(recording, frame=recording.frame.drop(columns=dead)) if dead else recording
@@ -118,12 +118,12 @@ def all_known(recording: Recording) -> np.ndarray:
 
 
 def few_rows_fitted(recording: Recording, component: str, fitted: int) -> str:
-    """A few words where a sensor has died, many measured rows lack a temperature, or all rows of a run; else ''.
+    """A note if a sensor has failed, if many measured rows lack a temperature, or all rows of a run; else ''.
 
-    recording: with short holes held (`held_readings`).
+    recording: with short gaps filled (`held_readings`).
     """
     if dead := dead_sensors(recording, component):
-        return f"; without {', '.join(dead)}, silent at the end of the recording"
+        return f"; without {', '.join(dead)}, without readings at the end of the recording"
     measured = np.isfinite(recording.array(response_name(recording, component)))
     rows = int(measured.sum())
     if fitted > MOST_FITTED * rows:
@@ -134,20 +134,20 @@ def few_rows_fitted(recording: Recording, component: str, fitted: int) -> str:
 
 
 def changes_with_place(recording: Recording, left: np.ndarray) -> str:
-    """A few words where a straight line over a position, in each run, explains much of what is left (um, (rows,))."""
+    """A note if a straight line over a position, per run, explains much of the residual (um, (rows,)); else ''."""
     run = recording.run_codes()
     for name in recording.names("position"):
         place, before, after = recording.array(name), 0.0, 0.0
         known = np.isfinite(left) & np.isfinite(place)
         for code in np.unique(run[known]):
             x, y = (values[known & (run == code)] for values in (place, left))
-            if np.count_nonzero(np.diff(x > x.mean())) >= FEWEST_PASSES:  # else place and time are one
+            if np.count_nonzero(np.diff(x > x.mean())) >= FEWEST_PASSES:  # else position and time are collinear
                 before += float(np.sum((y - y.mean()) ** 2))
                 after += float(np.sum((y - np.polyval(np.polyfit(x, y, 1), x)) ** 2))
         if before - after > MUCH_BY_PLACE * before:
             return (
                 f"; {100 * (1 - after / before):.0f} % of the residual is a straight line over {name} in each run: a "
-                "thermal family is the same at every place, fit terms over the position instead"
+                "thermal family is the same at every place, fit terms over position instead"
             )
     return ""
 
@@ -155,7 +155,7 @@ def changes_with_place(recording: Recording, left: np.ndarray) -> str:
 def _sensor_with_most_gaps(recording: Recording) -> str:
     empty = recording.frame[list(recording.names("temperature"))].isna().sum()
     name = empty.idxmax()
-    return f"emptiest: {name}, no reading in {empty.max()} of {len(recording)} rows; with `role: ignore` it is not used"
+    return f"most gaps: {name}, no reading in {empty.max()} of {len(recording)} rows; `role: ignore` excludes it"
 
 
 def since_start_of(recording: Recording, component: str, rows: int = 3) -> np.ndarray:
@@ -166,14 +166,14 @@ def since_start_of(recording: Recording, component: str, rows: int = 3) -> np.nd
 def conformal_half_width(
     error: np.ndarray, group: np.ndarray, coverage: float, run_count: int | None = None, raised: bool = True
 ) -> float:
-    """Half width that covers a row of a new group: group-balanced quantile of |error|, with the groups' own correction.
+    """Half width that covers a row of a new group: group-balanced quantile of |error|, with finite-group correction.
 
-    Each group counts once whatever its length; the level is raised by (groups + 1) / groups, as for
-    exchangeable groups (split conformal prediction over groups), but by no more than half of the remaining probability:
-    with a handful of groups the full level would be the worst row ever seen. For the small sample
+    Each group counts once regardless of its length; the level is raised by (groups + 1) / groups, as for
+    exchangeable groups (split conformal prediction over groups), but by at most half of the remaining probability:
+    with few groups the full level would be the worst row ever recorded. For the small sample
     the width is multiplied by the ratio of Student's quantile to the normal one.
-    raised: whether the level is raised; without, the stated coverage is met on average instead of guaranteed.
-    run_count: independent groups where it is fewer than there are labels (blocks of one run count once).
+    raised: whether the level is raised; if not, the stated coverage is met on average instead of guaranteed.
+    run_count: independent groups if fewer than the labels (blocks of one run count once).
     """
     labels = np.unique(group)
     level = min((1.0 + coverage) / 2, coverage * (labels.size + 1) / labels.size) if raised else coverage
@@ -191,9 +191,9 @@ def conformal_half_width(
 def centred(
     columns: np.ndarray, run: np.ndarray, rows: int, measured: np.ndarray, share: float = DATUM_SHARE
 ) -> np.ndarray:
-    """Columns (n, p) less a share of the mean of each run's first `rows` measured rows (see `DATUM_SHARE`).
+    """Columns (n, p) minus a share of the mean of each run's first `rows` measured rows (see `DATUM_SHARE`).
 
-    measured: whether a row has a deviation, (n,): temperatures are often logged faster, and both count from the same
+    measured: whether a row has a deviation, (n,): temperatures are often sampled faster, and both count from the same
     rows.
     """
     out = columns.copy()
@@ -205,12 +205,12 @@ def centred(
 
 
 def predicted_since_start(values: np.ndarray, run: np.ndarray, rows: int, measured: np.ndarray) -> np.ndarray:
-    """Predictions less their mean in each run's first `rows` measured rows, as `since_start` of deviations, (n,)."""
+    """Predictions minus their mean in each run's first `rows` measured rows, as `since_start` of deviations, (n,)."""
     return values - since_start(np.where(measured, values, np.nan), run, rows)[1]
 
 
 def inner_groups(run: np.ndarray, rows: np.ndarray, blocks: int = BLOCKS) -> np.ndarray:
-    """Runs, or blocks of time inside them where there are fewer than three."""
+    """Runs, or blocks of time within them if there are fewer than three."""
     if np.unique(run[rows]).size >= FEWEST_RUNS:
         return run.copy()
     group = run * blocks
@@ -223,9 +223,9 @@ def inner_groups(run: np.ndarray, rows: np.ndarray, blocks: int = BLOCKS) -> np.
 def ridge_gains(
     triangle: np.ndarray, response: np.ndarray, rows: float, strength: float, scale: np.ndarray | None = None
 ) -> np.ndarray:
-    """Ridge gains, (p,), from a triangle (k, p) that stands for `rows` rows.
+    """Ridge gains, (p,), from a triangle (k, p) that represents `rows` rows.
 
-    strength: 1, of columns of unit root mean square; `scale`: theirs (default: that of the triangle).
+    strength: 1, for columns of unit root mean square; `scale`: theirs (default: that of the triangle).
     """
     if triangle.shape[1] == 0:
         return np.empty(0)
@@ -238,16 +238,16 @@ def ridge_gains(
 
 
 def slope(y: np.ndarray, x: np.ndarray, rows: np.ndarray, low: float = 0.0, high: float = 1.0) -> float:
-    """Least-squares slope of y on x, held in low..high; 0 where x never moved."""
+    """Least-squares slope of y on x, clipped to low..high; 0 if x is constant."""
     below = float(np.sum(x[rows] ** 2))
     return float(np.clip(np.sum(x[rows] * y[rows]) / below, low, high)) if below > 0 else 0.0
 
 
 def limits(y: np.ndarray, seen_only: bool = False) -> tuple[float, float]:
-    """Lowest and highest deviation that may be predicted, um: gains proved on warming hold for as much cooling.
+    """Lowest and highest deviation that may be predicted, um: gains fitted on warming are valid for equal cooling.
 
-    A gantry frame's first block, fitted on days that only shrank: 7.8 um left, 24 with a limit that follows the sign.
-    seen_only: the range of deviations seen and SEEN_BEYOND of its span more instead; zero is always inside.
+    A gantry frame's first block, fitted on cooling days only: residual 7.8 um, 24 with a limit that follows the sign.
+    seen_only: the range of deviations and SEEN_BEYOND of its span instead; zero is always inside.
     """
     low, high = min(float(y.min()), 0.0), max(float(y.max()), 0.0)
     if seen_only:

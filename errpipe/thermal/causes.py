@@ -1,17 +1,17 @@
 """Causes of thermal deviation, as drivers with a known sign.
 
-Three kinds of cause, each in K, so that a gain is an expansion in um/K and its size can be judged:
+Three kinds of cause, each in K, so that a gain is an expansion in um/K with a plausible size:
 
-    body      the rise of a measured part over the start of the run: its sign is (+)
-    running   the same rise, counted only while the spindle runs and arriving late: unmeasured heat
+    body      the rise of a measured part since the start of the run; sign (+)
+    running   the same rise, counted only while the spindle runs, and lagged: unmeasured heat
               of bearings and nuts, comes and goes with the stop at midday (+). It is friction of oil, and oil
               is thinner in a warm shop: it counts less by the oil's own law where the machine starts warmer
     follower  a part without a sensor that begins the run as warm as the machine, or some of the way to the room's
               temperature, and then follows the room through a slow lag: it carries the other side of the
-              tool-point loop, so its sign is (-)
+              temperature, and then follows the room through a slow lag: it is on the other side of the
 
-Where the room is warm before the machine is (the heating starts early, the machine stood all night), the
-follower moves at once although nothing was switched on; that is what separates the seasons.
+If the room is warm before the machine is (the heating starts early, the machine stood all night), the
+follower moves at once although nothing was switched on; this distinguishes the seasons.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ _ROOM = re.compile(r"ambient|room|\bair\b|shop|hall|environment", re.IGNORECASE)
 _SPINDLE = re.compile(r"spindle|headstock|motor|bearing", re.IGNORECASE)
 _BED = re.compile(r"\bbed\b|base|frame", re.IGNORECASE)
 
-HEAT_WINDOW = 360.0  # s: shortest window over which a rate of 0.01 K readings stands above their steps
-COOLING_TIME = 9000.0  # s: a headstock's own cooling time; its loss at a standstill must not look like running
+HEAT_WINDOW = 360.0  # s: shortest window over which a rate exceeds the resolution of 0.01 K readings
+COOLING_TIME = 9000.0  # s: a headstock's own cooling time; its loss at standstill must not count as running
 OIL_REFERENCE = 20.0  # degC at which the share of running is one
-OIL_RANGE = (-5.0, 55.0)  # degC of the table of it, held beyond
+OIL_RANGE = (-5.0, 55.0)  # degC range of its table, held beyond
 HEATED = (3.0, 2.7)  # K/h: default thresholds, on above, off below; a turning centre at rest showed -5..2.0
 HYSTERESIS = 0.15  # hysteresis of the threshold, as share of half the distance between standing and running
-STANDING = 0.5  # largest heat of a standstill as share of that of running: above it, a slower speed
+STANDING = 0.5  # largest heat at standstill as share of that of running: above it, it is a slower speed
 MIXES = (
     0.0,
     0.25,
     0.5,
 )  # how far towards the room a follower may begin, from the temperature of the machine's own body
 VALLEY = 0.35  # largest density between two modes over that of the lower peak; a uniform distribution gives 0.5
-NEIGHBOURS = (0.03, 30)  # nearest neighbours for the density estimate: share of the rows, and least number
+NEIGHBOURS = (0.03, 30)  # nearest neighbours for the density estimate: share of the rows, and smallest number
 
 
 @dataclass(frozen=True)
 class Cause:
-    """One driver with the sign its gain must have, in K."""
+    """One driver, in K, with the sign of its gain."""
 
     name: str
     kind: Literal["body", "running", "follower"]
@@ -87,9 +87,9 @@ def sensors(
     bed: str | None = None,
     use: Sequence[str] = (),
 ) -> Sensors:
-    """Sort the temperature columns by their location in the manifest; names given win.
+    """The temperature columns by location; given names take precedence.
 
-    Raises DataError where a named sensor is not a temperature of the recording, or there is no sensor on the machine.
+    Raises DataError if a named sensor is not a temperature of the recording, or if there is no sensor on the machine.
     """
     present = recording.names("temperature")
     for name in (*use, *(n for n in (room, spindle, bed) if n)):
@@ -121,15 +121,15 @@ def _first(recording: Recording, names: Sequence[str], pattern: re.Pattern) -> s
 
 
 def running(recording: Recording, sensors: Sensors, rows: np.ndarray | None = None) -> d.Driver | None:
-    """1 while the spindle runs, 0 while it stands, or None where no column shows it.
+    """1 while the spindle runs, 0 at standstill, or None if no column shows it.
 
-    From the spindle speed where it is recorded; else from the heat that its bearings must be taking up to warm as
-    they do, through a switch between the two kinds of heat seen in the rows of a mask (all where not given). The mean
-    of all sensors near the spindle: one that drifts or fails moves it by its share only.
+    From the spindle speed if recorded; else from the heat flow that warms its bearings,
+    through a switch between the two levels in the rows of a mask (default: all). The mean
+    of all sensors near the spindle is used: one that drifts or fails has only its share.
     """
     speed = recording.name("spindle_speed")
     if speed is not None:
-        squared = d.Product(of=(d.Input(name=speed), d.Input(name=speed)))  # either sense of rotation
+        squared = d.Product(of=(d.Input(name=speed), d.Input(name=speed)))  # either direction of rotation
         return d.Switch(of=squared, on=100.0, off=1.0)
     near_spindle = tuple(n for n in sensors.spindles if n != sensors.bed)
     if not near_spindle or sensors.bed is None:
@@ -153,9 +153,9 @@ def _heat(warm: tuple[str, ...], bed: str) -> d.Driver:
 
 
 def _levels(heat: np.ndarray) -> tuple[float, float]:
-    """Where a spindle counts as running and as standing again, K/h: about half-way between the two kinds of heat.
+    """Thresholds, K/h, from which a spindle counts as running and as standing: about half-way between the two levels.
 
-    Otsu's threshold (1979) between two modes with a low density between them; `HEATED` where there is
+    Otsu's threshold (1979) between two modes with a low density between them; `HEATED` if there is
     one mode, or two speeds.
     """
     ordered = np.sort(heat[np.isfinite(heat)])
@@ -195,7 +195,7 @@ def causes(
 ) -> tuple[Cause, ...]:
     """The dictionary: bodies, bodies while running (lags `late`, s), followers of the room (lags `slow`, s).
 
-    thinning: of the oil whose friction heats, 1/K; rows: mask of those that may be looked at.
+    thinning: of the oil whose friction heats, 1/K; rows: mask of the usable rows.
     """
     out = [Cause(f"rise of {n}", "body", d.rise(n)) for n in placed.bodies]
     state = running(recording, placed, rows)
@@ -226,7 +226,7 @@ def _towards(mix: float, room: str) -> str:
 
 
 def oil(sensors: Sensors, thinning: float) -> d.Driver | None:
-    """Friction of an oil as warm as the machine at the start of the run, 1 at 20 degC; None where it does not thin."""
+    """Friction of an oil at the machine's temperature at the start of the run, 1 at 20 degC; None if constant."""
     if thinning == 0.0:
         return None
     starts = tuple(d.at_start(n) for n in sensors.bodies)
@@ -239,7 +239,7 @@ def oil(sensors: Sensors, thinning: float) -> d.Driver | None:
 def follower(room: str, start: str, tau: float, mix: float = 0.0) -> d.Lag:
     """Rise since the start of the run of a part that follows the room, K.
 
-    It began at `start`'s temperature, or the share `mix` of the way from there to the room's.
+    It starts at the temperature of `start`, or the share `mix` of the way from there to the room's.
     """
     parts: tuple[d.Driver, ...] = (d.Input(name=room), d.at_start(start))
     weights: tuple[float, ...] = (1.0, mix - 1.0)

@@ -1,14 +1,14 @@
 """Stacked regression of thermal models of several families, chosen by leave-one-group-out.
 
-Every entrant predicts each run by gains fitted without it and, once per grouping, without its season, duty cycle or
-day. Held-out runs choose: of each family the setting with the least error enters the mixture, whose weights are
-least squares with no negative weight and a sum of at most one (stacked regression, Breiman 1996), so that doing nothing
-and partial gains compete.
+Every entrant predicts each run with gains fitted without it and, once per grouping, without its season, duty cycle or
+day. Held-out runs decide: the setting of each family with the smallest error enters the mixture, whose weights are
+least squares with no negative weight and a sum of at most one (stacked regression, Breiman 1996), so that no
+compensation and partial gains compete.
 
-Groupings by surroundings (season, warmth of the start) have a veto. A fit without a season uses about half of the data,
-so its residual cannot be compared with held-out runs, and would choose models that are too simple; but an entrant with
+Groupings by environment (season, warmth of the start) have a veto. A fit without a season uses about half of the data,
+so its residual cannot be compared with held-out runs, and would favour too simple models; but an entrant with
 more than `REGRET` times the best one's rms there, or a larger one than no compensation, is excluded.
-All of this uses the fitted rows only, so that the result can be judged on other rows.
+Only the fitted rows are used, so that the result can be validated on other rows.
 """
 
 from __future__ import annotations
@@ -26,27 +26,28 @@ from errpipe.errors import DataError
 from errpipe.fitting import holdout
 from errpipe.fitting.statistics import student_tail
 
-MOST_FOLDS = 10  # of a grouping; more groups are left out in as many batches
-LEVEL = 0.3  # p over runs, one-sided, above which a partial gain is not kept; 0.1 to 0.5 do alike on seeds 101 to 103
+MOST_FOLDS = 10  # of a grouping; more groups are held out in as many batches
+LEVEL = 0.3  # p over runs, one-sided, above which a partial gain is rejected; 0.1 to 0.5 are equal on seeds 101 to 103
 LEAST_WEIGHT = 0.05  # smallest weight of an entrant in the mixture, because each costs operations in a table
 FEWEST_RUNS = 3  # on either side of a split by the warmth of the start
 RUN = "run"
-HALF = "half"  # of one run, by the other half: what the next run may be like is nearer to that than to a block
-NOTHING, MIXTURE = "nothing", "mixture"  # beside the names of entrants
+HALF = "half"  # of one run, by the other half: closer to the next run than a block is
+NOTHING, MIXTURE = "nothing", "mixture"  # in addition to the names of entrants
 WARMTH = "cold or warm starts"
-# Times the rms of the best entrant. Chosen on seeds 1 to 3 of `trials.thermal`: 1.5 has 4 % more rms than 2, and 3
-# leaves 2 % less; entrants excluded by it have 2 to 4 times the rms in another season (turning centre, no signs).
+# Ratio to the rms of the best entrant. Chosen on seeds 1 to 3 of `trials.thermal`: 1.5 has 4 % more rms than 2, 3 has
+# 2 % less; entrants excluded by it have 2 to 4 times the rms in another season (turning centre, no signs).
 REGRET = 2.0
-# Times the rms of the best entrant on blocks of one run, up to which a plain one is taken. Chosen on seeds 111, 112 of
-# `trials.thermal`; stretches of a spindle's run (16 sensors) are within it (1.2 to 2.6) but one.
+# Ratio to the rms of the best entrant on blocks of one run, up to which a plain one is used. Chosen on seeds 111, 112
+# of `trials.thermal`; stretches of a spindle's run (16 sensors) are within it (1.2 to 2.6) but one.
 PLAIN_REGRET = 3.0
-# Times the rms of the best entrant on runs of one season, and one-sided p over runs (two-sided 0.05), above and below
-# which those of possible signs are not taken alone. Chosen on 12 simulated machines (seeds 1 to 3), one of two seasons
-# fitted: 1.2 leaves 0.061 of the deviation in the other one, 1.5 0.065, 1e9 0.087; and on 12 draws of 3 to 6 days of a
-# turning centre: 1.2 without p leaves 12.3 and 26.4 um where these alone leave 7.0 and 19.0, 1.5 with p is never worse.
+# Ratio to the rms of the best entrant on runs of one season, and one-sided p over runs (two-sided 0.05), above and
+# below which entrants with possible signs are not used alone. Chosen on 12 simulated machines (seeds 1 to 3), one of 2
+# seasons fitted: residual 0.061 of the deviation in the other one with 1.2, 0.065 with 1.5, 0.087 with 1e9; and on 12
+# draws of 3 to 6 days of a turning centre: 1.2 without p 12.3 and 26.4 um, with them alone 7.0 and 19.0, 1.5 with p is
+# never worse.
 PHYSICAL_REGRET, PHYSICAL_LEVEL = 1.5, 0.025
 EXACT = 1e-9  # um2: below it a mean square is rounding
-WHOLE = 1e3  # weight of the row that holds the sum of weights at one, beside rows of unit mean square
+WHOLE = 1e3  # weight of the row that fixes the sum of weights at one, relative to rows of unit mean square
 
 Groups = tuple[int, ...]
 Parts = tuple[tuple[str, float, d.Driver], ...]
@@ -56,10 +57,10 @@ Parts = tuple[tuple[str, float, d.Driver], ...]
 class Entrant:
     """One setting of a family.
 
-    predict: groups to learn from -> deviation since the start of the run on every row, um, (rows,).
-    parts: the same as named gains (um/K) times drivers (K), for a table. physical: gains are constrained to physically
+    predict: training groups -> deviation since the start of the run on every row, um, (rows,).
+    parts: the same as named gains (um/K) times drivers (K), for a table. physical: gains are limited to physically
     possible signs, so that it may be used in environments without a fitted run. linear: gains times drivers that do not
-    depend on the groups; None: `parts` are so. plain: taken before all others of one run, where it is nearly as good.
+    depend on the groups; None: `parts` already are. plain: preferred for one run, if nearly as good.
     """
 
     family: str
@@ -73,9 +74,9 @@ class Entrant:
 
 @dataclass(frozen=True)
 class Grouping:
-    """A way to leave groups out: its name, its folds (each a tuple of the held-out groups) and their labels.
+    """A hold-out grouping: its name, its folds (each a tuple of the held-out groups) and their labels.
 
-    labels: empty where folds are batches of groups. decides: whether it stands for other surroundings, and may exclude.
+    labels: empty if folds are batches of groups. decides: whether it represents other environments, and may exclude.
     """
 
     name: str
@@ -89,9 +90,9 @@ class Outcome:
     """weights: entrant -> share of the mixture; left: grouping -> entrant's name (or "mixture", "nothing") -> rms, um.
 
     predictions: grouping -> prediction of the mixture on held-out groups, um, (rows,), NaN where nothing is judged.
-    by_group: grouping -> label of the group left out -> name -> rms, um. chance: name -> probability that the mixture
-    leaves less of the runs left out by chance alone (paired t test). rivals: the best setting of each family that
-    was admitted; apart: variance between what they predict of the first grouping's groups left out, um2, (rows,).
+    by_group: grouping -> label of the held-out group -> name -> rms, um. chance: name -> probability that the mixture's
+    smaller leave-one-run-out residual is due to chance (paired t test). rivals: the best setting of each family that
+    was admitted; apart: variance between their predictions of the first grouping's held-out groups, um2, (rows,).
     """
 
     weights: tuple[tuple[Entrant, float], ...]
@@ -104,7 +105,7 @@ class Outcome:
 
 
 def groupings(recording: Recording, group: np.ndarray, groups: Sequence[int], environment: str) -> tuple[Grouping, ...]:
-    """Runs, and every label by which runs can be left out together: season (environment), duty cycle, day, machine."""
+    """Runs, and every label by which runs can be held out together: season (environment), duty cycle, day, machine."""
     candidates = [Grouping(RUN, _batches([(g,) for g in groups]))]
     first = {g: int(np.flatnonzero(group == g)[0]) for g in groups}
     for name in recording.names("group"):
@@ -128,7 +129,7 @@ def groupings(recording: Recording, group: np.ndarray, groups: Sequence[int], en
 
 
 def halves(groups: Sequence[int]) -> Grouping:
-    """Each half of the blocks of a run predicted by the other one; a block in the middle fits neither."""
+    """Each half of the blocks of a run predicted by the other one; a middle block is in neither."""
     count = len(groups) // 2
     return Grouping(
         HALF, tuple(tuple(g for g in groups if g not in own) for own in (groups[-count:], groups[:count])), (), False
@@ -136,7 +137,7 @@ def halves(groups: Sequence[int]) -> Grouping:
 
 
 def _start_warmth(recording: Recording, group: np.ndarray, groups: Sequence[int]) -> dict[int, float]:
-    """Mean temperature at the first row of each group that all sensors read, degC."""
+    """Mean temperature at the first row of each group in which all sensors have a reading, degC."""
     level = np.mean([recording.array(n) for n in recording.names("temperature")], axis=0)
     return {g: float(level[(group == g) & np.isfinite(level)][0]) for g in groups}
 
@@ -161,11 +162,11 @@ def compete(
 ) -> Outcome:
     """The mixture of entrants. response: um, (rows,); rows: mask of usable rows; group: run of each row.
 
-    ahead: groups are blocks of one run in their order, between which a fit interpolates: its stretches choose that
-    predict what lies ahead of them (`_ahead`). one_environment: all rows are of one season, so that entrants without
-    possible signs compete only where those with them are behind already there (`PHYSICAL_REGRET`).
+    ahead: groups are consecutive blocks of one run, between which a fit interpolates: the choice is then made on
+    stretches that extrapolate (`_ahead`). one_environment: all rows are of one season, so that entrants without
+    possible signs compete only if those with them are already worse there (`PHYSICAL_REGRET`).
 
-    Raises DataError where nothing can be left out.
+    Raises DataError if no group can be held out.
     """
     groups = tuple(int(g) for g in np.unique(group[rows]))
     left_out = {
@@ -208,7 +209,7 @@ def compete(
 
 @dataclass(frozen=True)
 class _Judged:
-    """What entrants predict of rows left out: (entrants, rows) in um, NaN where nothing judged."""
+    """Predictions of held-out rows by entrants: (entrants, rows) in um, NaN where not validated."""
 
     predicted: np.ndarray
     response: np.ndarray
@@ -225,7 +226,7 @@ class _Judged:
         return np.array([self.by_group({k: 1.0}).mean() for k in range(len(self.predicted))])
 
     def mixture(self, weights: Mapping[int, float]) -> np.ndarray:
-        """Weighted sum of predictions, um, (rows,); NaN where nothing judged."""
+        """Weighted sum of predictions, um, (rows,); NaN where not validated."""
         total = sum((w * self.predicted[k] for k, w in weights.items()), np.zeros(self.rows.size))
         return np.where(self.seen, total, np.nan)
 
@@ -236,7 +237,7 @@ class _Judged:
         return np.bincount(codes, squares) / np.bincount(codes)
 
     def rms(self, weights: Mapping[int, float], among: np.ndarray | bool = True) -> float:
-        """Residual rms of a mixture on all judged rows, or on those of a mask, um."""
+        """Residual rms of a mixture on all validated rows, or on those of a mask, um."""
         residual = (self.response - self.mixture(weights))[self.seen & among]
         return float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0
 
@@ -244,7 +245,7 @@ class _Judged:
 def _by_label(
     way: Grouping, judge: _Judged, named: Mapping[str, Mapping[int, float]], group: np.ndarray
 ) -> dict[str, dict[str, float]]:
-    """Label of each group left out -> name -> rms, um."""
+    """Label of each held-out group -> name -> rms, um."""
     return {
         label: {name: judge.rms(share, np.isin(group, fold)) for name, share in named.items()}
         for label, fold in zip(way.labels, way.folds, strict=True)
@@ -252,11 +253,11 @@ def _by_label(
 
 
 def _admitted(judged: Mapping[str, _Judged], deciding: set[str]) -> np.ndarray:
-    """Mask of the entrants that no grouping by surroundings excludes (see `REGRET`).
+    """Mask of the entrants that no grouping by environment excludes (see `REGRET`).
 
-    Where groupings contradict each other, the entrant of the least worst regret stays (minimax regret, Savage 1951).
-    Other groupings are shown and exclude no family: that half of the duty cycles does not predict the other half shows
-    little of the next season. Seed 9811 of `trials.thermal`, 24 machines: 2 % less is left so.
+    Other groupings are reported and exclude no family: if a fit of half of the duty cycles fails on the others, that is
+    little evidence about the next season. Seed 9811 of `trials.thermal`, 24 machines: 2 % less residual.
+    hardly informative about the next season. Seed 9811 of `trials.thermal`, 24 machines: 2 % less residual.
     """
     count = len(next(iter(judged.values())).predicted)
     regret, useful = np.ones(count), np.ones(count, dtype=bool)
@@ -269,7 +270,7 @@ def _admitted(judged: Mapping[str, _Judged], deciding: set[str]) -> np.ndarray:
 
 
 def _physical_first(entrants: Sequence[Entrant], score: np.ndarray, judged: _Judged) -> np.ndarray:
-    """Scores, infinite without physically possible signs unless those with them are behind by more than chance."""
+    """Scores, infinite without physically possible signs unless those with them are significantly worse."""
     signed = np.where([e.physical for e in entrants], score, np.inf)
     if not np.isfinite(signed).any():
         return score
@@ -279,7 +280,7 @@ def _physical_first(entrants: Sequence[Entrant], score: np.ndarray, judged: _Jud
 
 
 def _plain(entrants: Sequence[Entrant], judged: Mapping[str, _Judged]) -> dict[int, float]:
-    """The plain entrant with the weight of one where blocks are left nearly as well by it as by the best."""
+    """The plain entrant with the weight of one if its residual on blocks is nearly that of the best."""
     left = next(iter(judged.values())).mean_square()
     return {k: 1.0 for k, e in enumerate(entrants) if e.plain and left[k] <= PLAIN_REGRET**2 * left.min()}
 
@@ -287,9 +288,9 @@ def _plain(entrants: Sequence[Entrant], judged: Mapping[str, _Judged]) -> dict[i
 def _ahead(
     entrants: Sequence[Entrant], groups: Groups, response: np.ndarray, rows: np.ndarray, group: np.ndarray
 ) -> _Judged:
-    """What every stretch from either end of a run, of half of its blocks or more, predicts of the rest of it.
+    """Predictions by every stretch from either end of a run, of at least half of its blocks, of the remaining blocks.
 
-    Forward chaining (prequential analysis, Dawid 1984) in both directions of time: a later run lies ahead of all rows.
+    Forward chaining (prequential analysis, Dawid 1984) in both directions of time: a later run is beyond all rows.
     """
     rests = [rest for size in range(len(groups) // 2, len(groups)) for rest in (groups[size:], groups[:-size])]
     ways = [Grouping("", (rest,)) for rest in rests]
@@ -314,10 +315,10 @@ def _left_out(entrant: Entrant, way: Grouping, groups: Groups, rows: np.ndarray,
 
 
 def _stacked(ranked: Sequence[int], judged: _Judged) -> dict[int, float]:
-    """Weights of the entrants that predict rows left out best together; small ones are left out (`LEAST_WEIGHT`).
+    """Weights of the entrants that jointly predict held-out rows best; small ones are dropped (`LEAST_WEIGHT`).
 
-    A sum below one (a partial gain) is kept only where it is better by more than chance: shrinking what is right costs
-    most where a season goes further than those that fitted.
+    A sum below one (a partial gain) is accepted only if significantly better: shrinking correct gains costs
+    most if the next season exceeds the fitted range.
     """
     kept = [k for k, w in _weights(ranked, judged).items() if w >= LEAST_WEIGHT] if ranked else []
     if not kept:
@@ -328,7 +329,7 @@ def _stacked(ranked: Sequence[int], judged: _Judged) -> dict[int, float]:
 
 
 def _weights(kept: Sequence[int], judged: _Judged, whole: bool = False) -> dict[int, float]:
-    """Least squares on rows left out; no negative weight, a sum of at most one. whole: a sum of one."""
+    """Least squares on held-out rows; no negative weight, a sum of at most one. whole: a sum of one."""
     right = judged.response[judged.seen]
     size = np.sqrt(np.sum(right**2)) or 1.0
     both = np.column_stack([judged.predicted[kept][:, judged.seen].T, right]) / size

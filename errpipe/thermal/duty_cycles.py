@@ -1,11 +1,11 @@
-"""What a duty cycle would teach a thermal model, from temperatures and the deviations measured so far.
+"""Value of a duty cycle for a thermal model, from temperatures and the deviations measured so far.
 
 The deviation since the start of run r, um, is a regression with random coefficients (Swamy 1970, Econometrica 38:311):
 
     y = X (b + d_r) + e,    b ~ N(0, gain^2 I),  d_r ~ N(0, own^2 I),  e ~ N(0, noise^2 I)
 
 X: principal components of the thermal states (causes of `thermal.causes`, else rises) over every run, of unit rms.
-b holds in every run, d_r is one run's departure from it, which no other run can teach. The information on b
+b is common to all runs, d_r is one run's departure from it, which no other run can show. The information on b
 depends on a run's temperatures alone, so it is known for a run that was logged without a measured deviation: the
 posterior covariance of b after it, and the expected square of a prediction's error over all logged states,
 are computed before it is measured (Bayesian I-optimal design; Chaloner and Verdinelli 1995,
@@ -31,19 +31,19 @@ from errpipe.thermal.arithmetic import centred, held_readings, since_start_of
 from errpipe.thermal.season_options import SeasonOptions
 
 # Least variance of a principal component over that of the first. Chosen on simulated machines (trials.duty_cycles, seed
-# 7, 9 machines): geometric mean of what three chosen runs leave of a third season 3.9 um, 5.0 with 1e-2, 9.6 with 3e-2.
-# Judged on the turning centre: 7.7 um of runs left out where 8.2 are expected; 1e-3 leaves 10.9 there, 3e-4 leaves 46.
+# 7, 9 machines): geometric mean of the residual in a third season after three chosen runs 3.9 um, 5.0 with 1e-2, 9.6
+# with 3e-2. Judged on the turning centre: leave-one-run-out 7.7 um, 8.2 expected; 10.9 with 1e-3, 46 with 3e-4.
 LEAST_VARIANCE = 3e-3
-DATUM_ROWS = 3  # of a run, whose mean is its zero; as the thermal families have it
+DATUM_ROWS = 3  # of a run, whose mean is its zero; as in the thermal families
 # Prior of gain, own and noise: shares of the rms deviation, and standard deviation of their logarithms (judgement: a
 # machine's gains explain most of its drift, and each within a factor of e of that).
 SHARES, CERTAINTY = (1.0, 0.25, 0.1), 1.0
-TYPICAL = 30.0  # um: drift of a machine of which nothing was measured yet
+TYPICAL = 30.0  # um: drift of a machine without measurements
 
 
 @dataclass(frozen=True)
 class _Run:
-    """Of one run: information of its rows on X (triangle, rotated deviation, rest), rows, mean of X'X."""
+    """One run: information of its rows on X (triangle, rotated deviation, rest), rows, mean of X'X."""
 
     triangle: np.ndarray
     rotated: np.ndarray
@@ -118,21 +118,21 @@ class DutyCycles:
         return half.T @ half
 
     def expected(self, known: Posterior, candidate: Iterable[int] = ()) -> float:
-        """Expected rms of what b is unknown by, over the states of all runs, um, after a run like the candidate's.
+        """Expected rms due to the uncertainty of b, over the states of all runs, um, after a run like the candidate's.
 
-        Each run counts once whatever its length; a candidate of several runs is the mean over them.
+        Each run counts once regardless of its length; a candidate of several runs is their mean.
         """
         weight = np.mean([r.square for r in self.runs.values()], axis=0)
         after = [known.precision + self.information_of(r, known) for r in candidate] or [known.precision]
         return float(np.sqrt(np.mean([np.trace(np.linalg.solve(p, weight)) for p in after])))
 
     def irreducible(self, known: Posterior) -> float:
-        """Expected rms of what no further run can teach, over the states of all runs, um."""
+        """Expected rms that no further run can reduce, over the states of all runs, um."""
         weight = np.mean([np.trace(r.square) for r in self.runs.values()])
         return float(np.hypot(known.own * np.sqrt(weight), known.noise))
 
     def left(self, run: int, mean: np.ndarray) -> float:
-        """rms of the measured deviation of a run less its prediction, um."""
+        """rms of the measured deviation of a run minus its prediction, um."""
         rows = (self.run == run) & np.isfinite(self.deviation)
         return rms(self.deviation[rows] - self.states[rows] @ mean)
 
@@ -166,7 +166,7 @@ class DutyCycles:
 
 
 def _thermal_states(recording: Recording) -> np.ndarray:
-    """Causes of a thermal deviation, (rows, causes), K; rises where no sensor sits on the machine itself."""
+    """Causes of a thermal deviation, (rows, causes), K; rises if no sensor is on the machine itself."""
     names = recording.names("temperature")
     if not names:
         raise DataError("plan-day: the recording has no temperature")

@@ -1,13 +1,13 @@
-"""Thermal models that are a sum of gains times drivers: rises of temperatures, rises through lags, heat of the spindle.
+"""Thermal models that are a sum of gains times drivers: temperature rises, lagged rises, heat of the spindle.
 
 Deviations count from the start of each run, so every driver is zero there and no constant is fitted. Runs are reduced
 once to a triangle each (QR of [drivers, deviation]); any hold-out then costs a stack of triangles.
 
 Lags are first-order responses. Their time constants are a geometric grid from a few samples to the length of a run:
 shorter ones are indistinguishable from none, longer ones from a straight line (`time_constants`).
-Where the spindle speed is recorded, its heat (speed and its square) through the same lags stands beside them: a part
-that no sensor sees warms with it. Without a temperature it is all there is. Where it is recorded whether coolant flows,
-so does the heat that it takes (`coolant_heat`).
+If the spindle speed is recorded, its heat (speed and its square) through the same lags is added: it warms parts
+without a sensor. Without a temperature it is the only input. If coolant flow is recorded, so is the heat
+that it removes (`coolant_heat`).
 """
 
 from __future__ import annotations
@@ -27,32 +27,32 @@ from errpipe.thermal.causes import columns
 from errpipe.thermal.network import stack, triangles
 from errpipe.thermal.starts import started
 
-SAMPLES = 1.0  # shortest time constant in sampling steps: a faster lag is over before the next reading
-# Of neighbouring time constants. Chosen on seeds 1 to 3 of `trials.thermal`: 2.5 leaves 2 % more, 4 leaves 8 % more.
+SAMPLES = 1.0  # shortest time constant in sampling steps: a faster lag has settled before the next reading
+# Ratio of neighbouring time constants. Chosen on seeds 1 to 3 of `trials.thermal`: 2.5 has 2 % more residual, 4 8 %.
 RATIO = 1.8
 MOST_LAGS = 12  # time constants of each sensor
-SPEED_UNIT = 1e-3  # 1/rpm: a spindle's thousands of rpm then stand beside kelvins
-# Window of a rate, as a share of a run, in shortest time constants at least. 300 to 1800 s of runs of 6 to 9 h left
-# within 1 % of each other on seed 7301 of `trials.thermal` (18 machines).
+SPEED_UNIT = 1e-3  # 1/rpm: scales thousands of rpm to the size of kelvins
+# Window of a rate, as a share of a run, and at least so many shortest time constants. 300 to 1800 s of runs of 6 to 9 h
+# are within 1 % of each other on seed 7301 of `trials.thermal` (18 machines).
 RATE_WINDOW, LEAST_WINDOW = 0.02, 2.0
-# Share of a run's mean that a fit does not look at. A run's zero is the mean of a few noisy readings, and its error is
-# in every row of the run (a random effect): generalised least squares takes such a share off. Chosen on seeds 7301 and
-# 7302 of `trials.thermal` (24 machines each): 0.5 leaves 1.4 and 1.9 % less (ridge on lagged rises), 2.7 and 2.2 %
-# (bilinear); 0.3 to 0.7 and shares from each recording's own noise do alike, 1 (a constant per run) leaves 5 % more.
+# Share of a run's mean that is removed before a fit. A run's zero is the mean of a few noisy readings, and its error is
+# in every row of the run (a random effect): generalised least squares removes such a share. Chosen on seeds 7301 and
+# 7302 of `trials.thermal` (24 machines each): 0.5 has 1.4 and 1.9 % less residual (ridge on lagged rises), 2.7, 2.2 %
+# (bilinear); 0.3 to 0.7 and shares from each recording's own noise are equal, 1 (a constant per run) has 5 % more.
 # Judged on seed 8811 (24 machines): 1.3 and 4.9 % less, the mixture of all families 3 % less.
 ZERO_SHARE = 0.5
-MOST_DRIVERS = 120  # of all sensors together: a table takes 1024 operations, each lag costs two
+MOST_DRIVERS = 120  # of all sensors together: a table has at most 1024 operations, each lag costs two
 
 
 @dataclass(frozen=True)
 class LinearProblem:
-    """Drivers on every row, and the triangles of the groups (runs) that may be used.
+    """Drivers on every row, and the triangles of the usable groups (runs).
 
     drivers: the rises first (`plain` of them), then the lagged rises, sensor by sensor, then `heat` of spindle and
     coolant, on the same lags; values: (rows, drivers), K, counted from the first rows of each run as the response is;
     response: deviation since the start of the run, um; group: run of each row; rows: mask of usable rows; datum_rows:
-    first rows of a run whose mean is its zero. own: number of the recording's rows, behind which the same rows may
-    stand again from later starts (`thermal.starts`); run_count: number of independent runs.
+    first rows of a run whose mean is its zero. own: number of the recording's rows, after which the same rows may
+    be repeated from later starts (`thermal.starts`); run_count: number of independent runs.
     """
 
     recording: Recording
@@ -71,17 +71,17 @@ class LinearProblem:
 
     @property
     def groups(self) -> list[int]:
-        """Numbers of the groups that may be used."""
+        """Numbers of the usable groups."""
         return sorted(self.triangle)
 
     @property
     def one_run(self) -> bool:
-        """Whether the groups are neighbouring blocks of runs too few to be left out."""
+        """Whether the groups are neighbouring blocks of runs too few for leave-one-run-out."""
         return np.unique(self.recording.run_codes()[self.rows]).size < len(self.triangle)
 
     @property
     def blocks(self) -> bool:
-        """Whether the groups are blocks of runs too few to be left out, read from one start or from several."""
+        """Whether the groups are blocks of runs too few for leave-one-run-out, from one start or from several."""
         return self.one_run or len(self.recording) > self.own
 
     @property
@@ -96,7 +96,7 @@ class LinearProblem:
 
 
 def problem(recording: Recording, component: str, rows: np.ndarray | None, datum_rows: int) -> LinearProblem:
-    """The problem of the rows of a mask. Raises DataError without a row that has all."""
+    """The problem of the rows of a mask. Raises DataError if no row is complete."""
     names = recording.names("temperature")
     own, response = len(recording), response_name(recording, component)
     measured = np.isfinite(sum((recording.array(n) for n in names), recording.array(response)))
@@ -133,7 +133,7 @@ def problem(recording: Recording, component: str, rows: np.ndarray | None, datum
 
 
 def extended(problem: LinearProblem, nodes: Sequence[d.Driver]) -> LinearProblem:
-    """The same problem with further drivers behind its own, of the same sensors."""
+    """The same problem with additional drivers of the same sensors."""
     rows, group = problem.rows, problem.group
     run, measured = problem.recording.run_codes(), np.isfinite(problem.response)
     further = centred(columns(problem.recording, nodes), run, problem.datum_rows, measured, 1.0)
@@ -145,25 +145,25 @@ def extended(problem: LinearProblem, nodes: Sequence[d.Driver]) -> LinearProblem
 def _triangles(
     values: np.ndarray, response: np.ndarray, rows: np.ndarray, group: np.ndarray, run: np.ndarray
 ) -> dict[int, np.ndarray]:
-    """Triangles of the groups of usable rows; the zero that blocks of one run have in common is left as it is."""
+    """Triangles of the groups of usable rows; the zero common to blocks of one run is not removed."""
     whole_runs = np.array_equal(group[rows], run[rows])
     return triangles(values[rows], response[rows], group[rows], ZERO_SHARE if whole_runs else 0.0)
 
 
 def rates(problem: LinearProblem) -> tuple[d.Driver, ...]:
-    """How much each sensor has warmed within a window, K; none where nothing can be lagged."""
+    """Warming of each sensor within a window, K; none if no lag can be resolved."""
     names = problem.recording.names("temperature")
     taus = time_constants(problem.recording, len(names))
     if not taus:
         return ()
     least = max(RATE_WINDOW * taus[-1], LEAST_WINDOW * taus[0])
-    window = min(taus, key=lambda tau: abs(tau - least))  # of the grid, so that a table has the lag anyway
+    window = min(taus, key=lambda tau: abs(tau - least))  # from the grid, because the table contains that lag anyway
     slow = (d.lag(d.rise(n), window) for n in names)
     return tuple(d.Affine(weights=(1.0, -1.0), of=(d.rise(n), late)) for n, late in zip(names, slow, strict=True))
 
 
 def spindle_heat(recording: Recording, taus: Sequence[float]) -> list[d.Driver]:
-    """Speed (either sense of rotation) and its square through lags, 1000 rpm; none without a speed."""
+    """Speed (either direction of rotation) and its square through lags, 1000 rpm; none without a speed."""
     name = recording.name("spindle_speed")
     if name is None:
         return []
@@ -174,12 +174,12 @@ def spindle_heat(recording: Recording, taus: Sequence[float]) -> list[d.Driver]:
 
 
 def coolant_heat(recording: Recording, taus: Sequence[float]) -> list[d.Driver]:
-    """While coolant flows: each temperature over the mean of all at the start of the run, through lags, K.
+    """While coolant flows: each temperature minus the mean of all at the start of the run, through lags, K.
 
-    Newton's law of cooling with a film that is switched: what flows takes heat by how far it is from the parts (which
-    start as warm as the sensors are on average), not by how far it has changed since. None without a coolant column.
-    Four simulated screws with a chiller, a third season: 0.45 to 0.30 of the deviation left instead of 1.47 to 0.6; a
-    column that no deviation follows costs 6 % (two columns of a machine in finite differences).
+    Newton's law of cooling with a switched film: the flow removes heat in proportion to its temperature difference from
+    the parts (which start at the mean of the sensors), not to its change since. None without a coolant column.
+    Four simulated screws with a chiller, a third season: residual 0.45 to 0.30 of the deviation instead of 1.47 to 0.6;
+    an irrelevant column costs 6 % (two columns of a machine in finite differences).
     """
     flow = recording.name("coolant")
     if flow is None:
@@ -189,7 +189,7 @@ def coolant_heat(recording: Recording, taus: Sequence[float]) -> list[d.Driver]:
 
 
 def gaps(recording: Recording) -> tuple[d.Driver, ...]:
-    """Each temperature over the mean of all of them at the start of the run, K."""
+    """Each temperature minus the mean of all of them at the start of the run, K."""
     names = recording.names("temperature")
     first = tuple(d.First(of=d.Input(name=n)) for n in names)
     share = (-1.0 / max(len(names), 1),) * len(names)
@@ -217,7 +217,7 @@ def ridge_path(
 ) -> np.ndarray:
     """Ridge gains of a triangle for each strength (above 0), (strengths, p); one singular value decomposition.
 
-    scale: 1, (p,); a column of unit rms is held down by the strength times its square.
+    scale: 1, (p,); a column of unit rms is penalised by the strength times its square.
     """
     size = np.sqrt(np.sum(design**2, axis=0) / rows)
     size = np.where(size > 0, size, 1.0) * scale
@@ -238,9 +238,9 @@ def mean_of_sensors(design: np.ndarray, response: np.ndarray) -> np.ndarray:
 
 
 def common_gains(parts: Sequence[tuple[np.ndarray, np.ndarray, float]], strength: float, freedom: float) -> np.ndarray:
-    """Gains that groups share, each group having a deviation of its own from them (random effects), (p,), um/K.
+    """Gains common to groups, each of which deviates from them (random effects), (p,), um/K.
 
-    parts: triangle, response and rows of each group. freedom: variance of a group's own deviation over that of the
+    parts: triangle, response and rows of each group. freedom: variance of a group's deviation over that of the
     noise per row, columns of unit rms: the larger, the less weight a group with many rows has.
     Each group's information G = X'X becomes G - G (G + m I)^-1 G, m = rows / freedom (Henderson's equations).
     """
@@ -256,14 +256,14 @@ def common_gains(parts: Sequence[tuple[np.ndarray, np.ndarray, float]], strength
             inner = np.linalg.solve(gram + own, np.column_stack([gram, cross]))
             normal_matrix += gram - gram @ inner[:, :-1]
             right += cross - gram @ inner[:, -1]
-        if not normal_matrix.any():  # no sensor moved
+        if not normal_matrix.any():  # no sensor changed
             return np.zeros(size.size)
         total = normal_matrix + strength * np.trace(normal_matrix) / size.size * np.eye(size.size)
         return np.linalg.solve(total, right) / size
 
 
 def lasso_path(design: np.ndarray, response: np.ndarray, rows: float, strengths: Sequence[float]) -> np.ndarray:
-    """Lasso gains for each strength (share of the one that leaves nothing), shape (strengths, p), um/K."""
+    """Lasso gains for each strength (share of the one with all gains zero), shape (strengths, p), um/K."""
     from sklearn.linear_model import lasso_path as path
 
     size = np.sqrt(np.sum(design**2, axis=0) / rows)
@@ -273,7 +273,7 @@ def lasso_path(design: np.ndarray, response: np.ndarray, rows: float, strengths:
     if most == 0.0:
         return np.zeros((len(strengths), size.size))
     order = np.argsort(strengths)[::-1]
-    with one_thread(), no_warnings():  # at its weakest penalties the path may stop short of convergence
+    with one_thread(), no_warnings():  # at its weakest penalties the path may not converge
         _, gains, _ = path(
             np.asfortranarray(scaled), response, alphas=[most * strengths[k] for k in order], max_iter=2000, tol=1e-4
         )

@@ -1,7 +1,7 @@
 """A correction by start temperature: one ridge regression per knot, interpolated between knots.
 
-Runs are weighted by the distance of their start temperature from the knot (Gaussian); a run in between two knots gets
-both in proportion. Nothing is extrapolated in warmth: beyond the ends the last knot is held.
+Runs are weighted by the distance of their start temperature from the knot (Gaussian); between two knots, both are
+used in proportion. Beyond the ends the last knot is held: there is no extrapolation.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ def fit(
 ) -> Local:
     """Ridge on the columns behind the core's, per knot.
 
-    parts: group -> triangle of [core columns, further columns, response]; rows: group -> number of rows it stands
-    for; warmth: group -> mean start temperature, degC; core: gains of the core's columns; width: K, standard
+    parts: group -> triangle of [core columns, further columns, response]; rows: group -> number of rows it
+    represents; warmth: group -> mean start temperature, degC; core: gains of the core's columns; width: K, standard
     deviation of the weights and distance of the knots; strength: of the ridge.
     """
     groups = sorted(parts)
@@ -74,6 +74,6 @@ def fit(
 
 
 def _left_by(core: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Triangle of the further columns and of what the core leaves of the response: a few of hundreds of columns."""
+    """Triangle of the further columns and of the residual of the core."""
     residual = part[:, -1] - part[:, : core.size] @ core
     return network.stack({0: np.column_stack([part[:, core.size : -1], residual])}, [0])

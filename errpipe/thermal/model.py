@@ -36,9 +36,9 @@ class Prediction:
 class ThermalModel:
     """A fitted model. `terms` is what a table compiles: their sum is the deviation since the start of the run.
 
-    parts: the same, cause by cause and without fade and limit, for a person to read. factor: of the interval
+    parts: the same, cause by cause and without fade and limit, for the report. factor: of the interval
     (`thermal.interval`). fade: K, see the options.
-    datum: mean and standard deviation of the runs' zeros, um: how far the start of a new run is unknown.
+    datum: mean and standard deviation of the runs' zeros, um: uncertainty of the start of a new run.
     """
 
     component: str
@@ -54,7 +54,7 @@ class ThermalModel:
     report: dict[str, Any] = field(default_factory=dict)
 
     def values(self, recording: Recording) -> np.ndarray:
-        """Deviation since the start of the run, um, shape (rows,); causal, every run by itself."""
+        """Deviation since the start of the run, um, shape (rows,); causal, every run separately."""
         gains = np.array([gain for gain, _ in self.terms])
         return drive_all([node for _, node in self.terms], recording.each_run_alone()) @ gains
 
@@ -84,7 +84,7 @@ class ThermalModel:
 
     def error_model(self, recording: Recording) -> ErrorModel:
         """As an error model of one component; `recording` gives machine, title and the columns' entries."""
-        read = (name for _, node in self.terms for name in inputs(node))  # a spindle's state reads its speed, say
+        read = (name for _, node in self.terms for name in inputs(node))  # a spindle's state reads its speed
         names = dict.fromkeys([*self.validity.ranges, *sorted(read)])
         notes = (
             "counts from the start of each run: temperatures do not show where the probe was zeroed "

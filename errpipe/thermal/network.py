@@ -2,7 +2,7 @@
 
 A gain that physics allows is positive (or negative) and a few um/K; a gain of the wrong sign fits its own
 season 2 um better and the next 50 um worse. The sign alone removes most of that freedom
-(non-negative least squares chooses few causes by itself), a small penalty in um/K the rest. Several networks
+(non-negative least squares selects few causes), a small penalty in um/K the rest. Several networks
 that differ in unmeasured states are averaged, because a choice among collinear ones is noise.
 
 Groups of rows (runs) are reduced once to a triangle each; any hold-out then costs a stack of triangles.
@@ -17,7 +17,7 @@ from scipy.optimize import nnls
 
 from errpipe.fitting.solve import one_thread
 
-LEAST_MISFIT = 0.3  # um: below it a run fits as well as it is measured
+LEAST_MISFIT = 0.3  # um: below it a run is fitted to its measurement noise
 
 
 def triangles(
@@ -25,7 +25,7 @@ def triangles(
 ) -> dict[int, np.ndarray]:
     """R of the QR of [design, response] per group, rows scaled so that every group counts by its rows.
 
-    design: (n, p) in K; response: (n,) in um; groups: (n,) integers; share: of its mean that is taken off each group,
+    design: (n, p) in K; response: (n,) in um; groups: (n,) integers; share: of its mean removed from each group,
     0 to 1 (quasi-demeaning, Fuller and Battese 1974). -> group -> (<= p+1, p+1).
     """
     both = np.column_stack([design, response])
@@ -47,10 +47,10 @@ def _triangle(rows: np.ndarray) -> np.ndarray:
 def signed_gains(
     triangle: np.ndarray, rows: int, members: Sequence[np.ndarray], signs: np.ndarray, penalty: float
 ) -> np.ndarray:
-    """Mean gains over networks, shape (p,), um/K; each solves its own causes with signs held.
+    """Mean gains over networks, shape (p,), um/K; each solves for its own causes with fixed signs.
 
     triangle: from `stack`; members: indices of each network's causes; signs: (p,) of +1 and -1;
-    penalty: K2, added to each cause's mean square: a cause that moved less than its root is shrunk by more than half.
+    penalty: K2, added to each cause's mean square: a cause whose rms is below its root is shrunk by more than half.
     """
     total = np.zeros(signs.size)
     root = np.sqrt(penalty * rows)
@@ -68,7 +68,7 @@ def signed_gains(
 def reweighted(
     weight: Mapping[int, float], parts: Mapping[int, np.ndarray], rows: Mapping[int, int], gains: np.ndarray
 ) -> dict[int, float]:
-    """Weights of groups times the root of how badly each fits, mean square over rows one: half-way to the worst day.
+    """Weights of groups multiplied by the root of their misfit, mean square over rows one: half-way to minimax.
 
     A mean over days is dominated by the many similar ones; the next season resembles the outlying ones.
     parts: group -> triangle of [columns of the gains, ..., response]; rows: group -> rows it stands for.
@@ -84,9 +84,9 @@ def reweighted(
 
 
 def networks(kinds: Sequence[str], starts: Sequence[str]) -> list[np.ndarray]:
-    """Index sets of the networks: all bodies, one way for the heat while running, one start of the hidden part.
+    """Index sets of the networks: all bodies, one path for the heat while running, one start of the hidden part.
 
-    Which part takes up the heat of running and how warm the hidden part begins are not measured: one network
+    Which part absorbs the heat of running and how warm the hidden part starts are not measured: one network
     for each combination, and their gains are averaged.
     """
     kinds_, starts_ = np.asarray(kinds), np.asarray(starts)

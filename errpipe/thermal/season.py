@@ -8,12 +8,12 @@ correction   ridge on lagged differences to the room, fitted to the residual of 
              unseen season worse, so `gate` scales it by its improvement on held-out runs with a similar start,
              down to zero where a run starts outside the temperatures seen
 share        1 inside; outside it fades to the slope that the core had on environments left out (at most 1)
-fade         1 as far outside as seasons left out have been judged, then down to 0.6: where the residual is as large as
-             the deviation, 0.6 of the prediction still reduces it, and costs little where the model is right
-clip         causes stay within twice the span seen, the sum within a quarter span beyond the deviations seen
+fade         1 up to the distance tested on left-out seasons, then down to 0.6: if the residual is as large as
+             the deviation, 0.6 of the prediction still reduces it, and costs little if the model is right
+clip         causes stay within twice the recorded span, the sum within a quarter span beyond the deviations
 
 Every part is an expression of driver operations, so a table gives the same figures. The datum is the start of
-the run: no temperature shows where the probe was zeroed, so each run's first rows are a nuisance of the
+the run: temperatures do not show where the probe was zeroed, so each run's first rows are a nuisance of the
 fit and the prediction starts at zero.
 """
 
@@ -41,28 +41,28 @@ from errpipe.thermal.interval import Intervals, LeftOut
 from errpipe.thermal.model import Part, ThermalModel
 from errpipe.thermal.season_options import SeasonOptions
 
-Rows = np.ndarray | None  # a mask or label of each row; None: all of them, grouped by run
-CAUSE_BEYOND = 1.0  # of the span seen of each cause
+Rows = np.ndarray | None  # a mask or label of each row; None: all, grouped by run
+CAUSE_BEYOND = 1.0  # of the recorded span of each cause
 CORRECTION_LAGS = (900.0, 3600.0, 14400.0)  # s: of its temperatures
 CORRECTION_PENALTY = 3e-3  # ridge strength on columns of unit root mean square
-CORRECTION_WIDTH = 0.8  # K: runs whose starts differ by more teach each other little
+CORRECTION_WIDTH = 0.8  # K: runs whose starts differ by more hardly inform each other
 SLOPE_WIDTH = 0.5  # K: width of the kernel over start temperatures in `correction_slope`
 SLOPE_PRIOR = 1.0  # um2: regularisation of that ratio; a correction below 1 um on held-out runs counts little
 WITNESSES = 2.0  # prior of that ratio, in runs with no improvement: one run is little evidence
 SLOPE_STEPS = 16  # intervals of the table over the start temperature
 FULL_WITHIN = 3.0  # K, mean over sensors: distance between the starts of two held-out seasons that were predicted well
-FADED_AT = 9.0  # K: from here on only FAR_SHARE of the core is used
-FAR_SHARE = 0.6  # of the core that is kept far from every start seen
-INNER_FOLDS = 6  # of runs, where many models are fitted for a competition; a fold per run costs three times as much
-FEWEST_RUNS = 3  # an environment is left out only where so many runs stay to learn from
+FADED_AT = 9.0  # K: beyond this only FAR_SHARE of the core is used
+FAR_SHARE = 0.6  # of the core that is used far from every recorded start
+INNER_FOLDS = 6  # of runs, if many models are fitted for a competition; leave-one-run-out costs three times as much
+FEWEST_RUNS = 3  # an environment is held out only if so many runs remain
 
 
 def fit(
     recording: Recording, component: str, options: SeasonOptions | None = None, rows: np.ndarray | None = None
 ) -> ThermalModel:
-    """Fit on the rows of a mask (all where not given). Of other rows only the datum is read.
+    """Fit on the rows of a mask (default: all). Of other rows only the datum is used.
 
-    Raises DataError where the response is missing or no sensor sits on the machine.
+    Raises DataError if the response is missing or no sensor is on the machine.
     """
     options = options or SeasonOptions()
     with one_thread():
@@ -73,7 +73,7 @@ def fit(
 
 @dataclass(frozen=True)
 class _Gains:
-    """Fit to one set of groups: gains, correction, the box of starts it saw, and the balance of its days."""
+    """Fit to one set of groups: gains, correction, the range of its starts, and the balance of its days."""
 
     core: np.ndarray
     correction: local.Local | None
@@ -83,7 +83,7 @@ class _Gains:
 
 
 class Problem:
-    """Design columns of all rows, and the triangles of the groups that may be used."""
+    """Design columns of all rows, and the triangles of the usable groups."""
 
     def __init__(self, recording: Recording, component: str, options: SeasonOptions, rows: Rows, group: Rows = None):
         self.recording, self.component, self.options = recording, component, options
@@ -122,19 +122,19 @@ class Problem:
         self.core_centred, self.extra_centred = core, extra
 
     def restricted(self, groups: Sequence[int]) -> Problem:
-        """The same problem with fewer groups to learn from; signs and columns are shared."""
+        """The same problem with fewer training groups; signs and columns are shared."""
         fewer = copy(self)
         fewer.groups = list(groups)
         fewer.rows = self.rows & np.isin(self.group, fewer.groups)
         return fewer
 
     def full_core(self) -> np.ndarray:
-        """Values of the causes less the mean of each run's first rows, (rows, causes), K."""
+        """Values of the causes minus the mean of each run's first rows, (rows, causes), K."""
         measured = np.isfinite(self.response)
         return centred(self.core, self.recording.run_codes(), self.options.datum_rows, measured, 1.0)
 
     def choose_signs(self) -> None:
-        """Reverse all signs where held-out runs are predicted better so: a response may count the other way."""
+        """Reverse all signs if held-out runs are then predicted better: the response may have the opposite sign."""
         turned = -self.signs
         errors = []
         for signs in (self.signs, turned):
@@ -146,7 +146,7 @@ class Problem:
         self.rounds = self.options.rounds
 
     def solve(self, groups: Sequence[int], corrected: bool = True) -> _Gains:
-        """Gains from some of the groups. corrected: also those of the correction."""
+        """Gains from some of the groups. corrected: including those of the correction."""
         weight = dict.fromkeys(groups, 1.0)
         core = self._core(weight)
         for _ in range(self.rounds):
@@ -170,12 +170,12 @@ class Problem:
         return local.fit(parts, self.count, warmth_of, core, CORRECTION_WIDTH, CORRECTION_PENALTY)
 
     def start_distance(self, gains: _Gains) -> np.ndarray:
-        """How far outside the seen starts each row's run began, mean over sensors, K."""
+        """Distance of each run's start outside the recorded starts, mean over sensors, K."""
         outside = np.maximum(gains.low - self.starts, 0.0) + np.maximum(self.starts - gains.high, 0.0)
         return np.nan_to_num(outside).mean(axis=1)
 
     def left_out(self, folds: Sequence[Sequence[int]], corrected: bool = True) -> dict[str, np.ndarray]:
-        """Core and gated correction of every used row by gains that never saw its fold."""
+        """Core and gated correction of every used row by gains fitted without its fold."""
         out = {k: np.full(self.rows.size, np.nan) for k in ("core", "correction")}
         warmth = self.warmth()
         for fold in folds:
@@ -193,15 +193,15 @@ class Problem:
         return out
 
     def temperature_ranges(self, rows: np.ndarray) -> Validity:
-        """The temperatures of the rows of a mask."""
+        """The temperature ranges of the rows of a mask."""
         return box(self.recording, self.sensors.all(), rows).model_copy(update={"fades": False})
 
     def _folds(self, count: int) -> list[list[int]]:
-        """Groups that are left out together, in at most `count` folds; neighbours in time go to different ones."""
+        """Groups held out together, in at most `count` folds; neighbours in time are in different folds."""
         return [self.groups[k::count] for k in range(min(count, len(self.groups)))]
 
     def environments(self) -> list[list[int]]:
-        """Groups by their surroundings: the labelled ones, else runs that started cold and runs that started warm."""
+        """Groups by environment: the labelled ones, else runs that started cold and runs that started warm."""
         try:
             labels = holdout.labels(self.recording, self.options.environment)
         except DataError:
@@ -223,7 +223,7 @@ class Problem:
 
     def correction_slope(self, runs: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Start temperature (grid, degC) -> regularised slope of the residual on the correction over held-out runs."""
-        warmth = self.warmth()  # of used rows: a log may begin before the sensors do
+        warmth = self.warmth()  # of used rows: a log may start before the sensors do
         starts = np.array([warmth[self.rows & (self.group == g)][0] for g in self.groups])
         grid = np.linspace(starts.min(), max(starts.max(), starts.min() + 1e-3), SLOPE_STEPS + 1)
         if not self.further:
@@ -240,11 +240,11 @@ class Problem:
         return grid, np.clip((near @ above) / (near @ below + WITNESSES * below.mean()), 0.0, 1.0)
 
     def model(self, alone: bool = True) -> ThermalModel:
-        """The final model: gains from all groups, its scales from groups left out.
+        """The final model: gains from all groups, its scales from held-out groups.
 
-        alone: with its figures, its fade and a tight limit. A mixture of families is held by its own limit, and a
-        fade that no fold goes far enough outside to show let it win where it failed: third seasons of machines 1 and 6
-        of seed 9701 (`trials.thermal`) had 18 and 7 um left, 5 and 1 without.
+        alone: with its figures, its fade and a tight limit. A mixture of families has its own limit, and a
+        fade that no fold tests far enough outside let it win where it failed: third seasons of machines 1 and 6
+        of seed 9701 (`trials.thermal`) had residuals of 18 and 7 um, 5 and 1 without it.
         """
         y = self.response
         runs = self.left_out(self._folds(len(self.groups) if alone else INNER_FOLDS))
@@ -256,7 +256,7 @@ class Problem:
         share = self._share(unseen["core"], judged) if judged.any() else 1.0
         gains = self.solve(self.groups)
         intervals = self._intervals(runs["core"] + runs["correction"], unseen["core"])
-        limit = limits(y[self.rows], seen_only=alone)  # wider ones let a failed sensor cost more than 1.3 times
+        limit = limits(y[self.rows], seen_only=alone)  # with wider ones a failed sensor costs more than 1.3 times
         core, correction, known = self._parts(gains, correction_slope)
         held = d.Clip(of=_sum(core), low=limit[0], high=limit[1])
         trusted = (self._fading(gains, share), held) if alone else (held,)
@@ -295,9 +295,9 @@ class Problem:
         return ThermalModel(**(model.__dict__ | {"report": report}))
 
     def _share(self, core: np.ndarray, rows: np.ndarray) -> float:
-        """Slope of the deviation on the core over environments left out, one standard error in its favour, 0..1.
+        """Slope of the deviation on the core over held-out environments, plus one standard error, 0..1.
 
-        The standard error is a jackknife over groups: rows of one run are not independent.
+        The standard error is a jackknife over groups: rows of one run are correlated.
         """
         whole = slope(self.response, core, rows, 0.0, np.inf)
         each = [slope(self.response, core, rows & (self.group != g), 0.0, np.inf) for g in self.groups]
@@ -305,7 +305,7 @@ class Problem:
         return float(np.clip(whole + spread, 0.0, 1.0))
 
     def _intervals(self, near: np.ndarray, afar: np.ndarray) -> Intervals:
-        """From predictions of rows left out with their run, and with their environment; um."""
+        """From predictions of rows held out with their run, and with their environment; um."""
         runs = interval.independent_runs(self.recording, self.rows)
         left, far = (LeftOut((self.response - p)[self.rows], p[self.rows]) for p in (near, afar))
         return interval.calibrate(left, far, self.group[self.rows], self.options.coverage, runs)
@@ -333,19 +333,19 @@ class Problem:
         return core, d.Product(of=(known, gains.correction.driver(warmth, self.further))), known
 
     def _fading(self, gains: _Gains, share: float) -> d.Driver:
-        """What the core is multiplied by: by how far outside of what was seen the run started and the day moves."""
+        """Factor of the core, from the distance of the run's start and the day's change outside the recorded range."""
         faded = self._ramp(gains, FAR_SHARE)
         if share >= 1.0:
             return faded
         return d.Product(of=(faded, d.Affine(offset=1.0, weights=(share - 1.0,), of=(self._outside(gains),))))
 
     def _outside(self, gains: _Gains) -> d.Driver:
-        """0 where the run started inside what was seen, 1 from `fade` outside on."""
+        """0 if the run started inside the recorded range, 1 from `fade` outside on."""
         away = self._distance_driver(gains)
         return d.Clip(of=d.Affine(weights=(1.0 / self.options.fade,), of=(away,)), low=0.0, high=1.0)
 
     def _ramp(self, gains: _Gains, end: float) -> d.Lookup:
-        """1 as far outside as was tried, `end` from FADED_AT on; starts and balance of the day have equal weight, K."""
+        """1 up to the tested distance, `end` from FADED_AT on; starts and balance of the day have equal weight, K."""
         low, high = gains.balance
         day = _balance(self.sensors)
         excess = d.Affine(weights=(1.0, -1.0), of=(day, d.Clip(of=day, low=low, high=high)))

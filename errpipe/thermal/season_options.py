@@ -1,4 +1,4 @@
-"""Options of a thermal model for all seasons; light imports, because every pipeline file is checked against it."""
+"""Options of a thermal model for all seasons; light imports, because every pipeline file is validated against it."""
 
 from __future__ import annotations
 
@@ -14,25 +14,30 @@ class SeasonOptions(Frozen):
     """How a thermal model for all seasons is fitted."""
 
     kind: Literal["thermal_season"] = "thermal_season"
-    sensors: tuple[str, ...] = Field((), description="Temperatures to use; all of them where empty.")
-    room: str | None = Field(None, description="Sensor of the room; found by its location where not given.")
-    spindle: str | None = Field(None, description="Shows whether the spindle runs; all sensors near it if not given.")
-    bed: str | None = Field(None, description="Sensor of the bed; found by its location where not given.")
+    sensors: tuple[str, ...] = Field((), description="Temperatures to use; empty: all.")
+    room: str | None = Field(None, description="Sensor of the room; default: found by its location.")
+    spindle: str | None = Field(
+        None, description="Sensor that shows whether the spindle runs; default: all sensors near it."
+    )
+    bed: str | None = Field(None, description="Sensor of the bed; default: found by its location.")
     late: tuple[float, ...] = quantity("s", "Lags of heat while the spindle runs.", (900.0,))
     slow: tuple[float, ...] = quantity(
         "s", "Lags of parts without a sensor that follow the room.", (3600.0, 7200.0, 14400.0, 28800.0)
     )
-    # a mineral oil of 32 to 68 mm2/s loses so much of its viscosity per kelvin at 20 to 30 degC
+    # viscosity loss per kelvin at 20 to 30 degC of a mineral oil of 32 to 68 mm2/s
     thinning: float = quantity(
         "1/K", "Loss of viscosity of the oil whose friction heats while the spindle runs.", 0.05, ge=0
     )
-    penalty: float = quantity("K2", "Shrinks causes that moved less than its root.", 1e-3, gt=0)
+    penalty: float = quantity("K2", "Ridge penalty: shrinks causes with an rms below its root.", 1e-3, gt=0)
     rounds: int = Field(
-        2, ge=0, le=20, description="How often runs that fitted badly are given more weight: towards the worst day."
+        2, ge=0, le=20, description="Number of times that badly fitted runs get more weight, towards minimax."
     )
-    correction: bool = Field(True, description="Whether a data-driven part may be added where it was learnt.")
+    correction: bool = Field(True, description="Whether a data-driven part may be added within its validity range.")
     fade: float = quantity(
-        "K", "Start this much outside what was seen (mean over sensors): the correction is gone.", 0.4, gt=0
+        "K",
+        "Distance of the start outside the recorded range (mean over sensors) at which the correction is zero.",
+        0.4,
+        gt=0,
     )
     environment: str = Field("season", description="Group whose members differ in environment, such as seasons.")
     coverage: float = quantity("1", "Coverage of the prediction interval.", 0.9, gt=0.5, lt=1)

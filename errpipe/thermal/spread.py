@@ -1,18 +1,18 @@
-"""How far apart predictions lie that the fitted rows cannot choose between: of fits without a run, and of families.
+"""Spread of predictions that the fitted rows cannot distinguish: between fits without a run, and between families.
 
 With g_k the gains of a fit without group k and x the drivers of a row, the jackknife's variance of a prediction is
 (Tukey 1958)
 
     spread(x)^2 = (n - 1) / n  x  sum over k of ((g_k - mean g) . x)^2
 
-and with p_k what the best setting of each of K families predicts, the variance between models is (Buckland, Burnham and
-Augustin 1997, Biometrics 53:603; equal weights)
+and with p_k the prediction by the best setting of each of K families, the variance between models is (Buckland,
+Burnham and Augustin 1997, Biometrics 53:603; equal weights)
 
     spread(x)^2 = 1 / K  x  sum over k of (p_k - mean p)^2
 
-Both are large where a row lies outside the fitted ones in a direction that these disagree on, and small where it lies
-outside in one that they all show: the distance that matters to an interval. A turning centre's winter, predicted from
-spring alone: 3.5 um between fits on the slow spindle's days, which are 10 um off, and 2 um on days that are 4 um off.
+Both are large if a row lies outside the fitted ones in a direction in which these disagree, and small in one that they
+all cover: the relevant distance for an interval. A turning centre's winter, predicted from
+spring alone: 3.5 um between fits on the slow spindle's days, with an error of 10 um, and 2 um on days with 4 um.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.shared import drive_all
 from errpipe.thermal.competition import Entrant, Groups, Outcome
 
-DIRECTIONS = 3  # principal ones that are kept: a table of fits without a run has few large ones (chosen, not measured)
-# Shares of what is left beyond noise that are constant, follow the spread of fits and that of families. Chosen on 72
+DIRECTIONS = 3  # principal ones that are used: fits without a run differ mainly in few (by judgement)
+# Shares of the residual variance beyond noise: constant, by the spread of fits, by that of families. Chosen on 72
 # machines (g3 seeds 1 to 6 and 41 to 46 of a generator of columns, spindles, gantries and screws, 140001 of
 # `trials.thermal`): the third season is covered 92 and 95 %, the least 78 % (the factor before: 91 and 95 %, 49 %).
 CONSTANT, FITS, FAMILIES = 0.25, 0.25, 0.5
@@ -40,9 +40,9 @@ Directions = tuple[d.Driver, ...]
 def between_fits(
     outcome: Outcome, groups: Groups, folds: Sequence[Groups], recording: Recording, rows: np.ndarray
 ) -> Directions:
-    """Sums of drivers, um, whose squares add up to the jackknife's variance; none where too little is left out.
+    """Sums of drivers, um, whose squares add up to the jackknife's variance; none if too few groups are held out.
 
-    folds: groups left out together, from those that fitted; rows: mask of the fitted rows.
+    folds: groups held out together, from the fitted ones; rows: mask of the fitted rows.
     """
     fits = [
         [
@@ -56,7 +56,7 @@ def between_fits(
 
 
 def between_families(entrants: Sequence[Entrant], groups: Groups, recording: Recording, rows: np.ndarray) -> Directions:
-    """The same of the variance between the best settings of families, all fitted to every group."""
+    """Likewise for the variance between the best settings of families, all fitted to every group."""
     fits = [[(gain, node) for _, gain, node in entrant.parts(groups)] for entrant in entrants]
     return _directions(fits, 1.0 / max(len(fits), 1), recording, rows)
 
@@ -102,6 +102,6 @@ def root(offset: float, variances: Sequence[tuple[float, Directions]]) -> d.Driv
 
 
 def _square(node: d.Driver) -> d.Driver:
-    """The square of a driver that stands in it once: as a product of two it would double an error model's file."""
+    """The square of a driver that is referenced once: as a product of two it would double an error model's file."""
     size = d.Lookup(of=node, start=-LARGEST, step=LARGEST, values=(LARGEST, 0.0, LARGEST))
     return d.Power(of=size, exponent=2.0)

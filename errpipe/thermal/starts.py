@@ -1,8 +1,9 @@
-"""A log of several days in one run, read as runs that start at several places of it.
+"""A log of several days in one run, treated as runs that start at several places of it.
 
-A prediction starts anew wherever the next recording does, with slow effects that have not begun. One run has one
-start, so nothing in it shows what slow lags do behind another: a gantry in a hall, fitted to one log of three weeks,
-was predicted 35 um off for two weeks that began on a cold morning. So the log is read again from each of its blocks on.
+A prediction starts where the next recording does, with slow effects at zero. One run has one
+start, so it does not show how slow lags combine: a gantry in a hall, fitted to one log of three weeks,
+was predicted with an error of 35 um for two weeks that began on a cold morning. So the log is also evaluated from
+each of its blocks on.
 """
 
 from __future__ import annotations
@@ -15,15 +16,15 @@ from errpipe.domain.recording import Column, Recording
 from errpipe.thermal.arithmetic import BLOCKS, FEWEST_RUNS, inner_groups
 from errpipe.thermal.interval import DAY, independent_runs
 
-# Blocks of a run (one a day), and how many a start is followed for. Chosen on logs of 5, 8 and 21 days of six simulated
-# gantries, the next two weeks judged: rms over uncompensated 0.39, 0.21, 0.29 without later starts, 0.13, 0.16, 0.11
-# with these; five blocks followed to the end 0.17, 0.15, 0.16; ten followed for three 0.14, 0.13, 0.11.
+# Blocks of a run (one a day), and the number of blocks for which a start is followed. Chosen on logs of 5, 8 and 21
+# days of six simulated gantries, the next two weeks judged: rms over uncompensated 0.39, 0.21, 0.29 without later
+# starts, 0.13, 0.16, 0.11 with these; five blocks followed to the end 0.17, 0.15, 0.16; ten for three 0.14, 0.13, 0.11.
 MOST_STARTS = 10
 FOLLOWED = 2
 
 
 class LaterStarts(NamedTuple):
-    """recording: its own rows first, then those of each later start; rows: mask of those that may be used; group: of
+    """recording: its own rows first, then those of each later start; rows: mask of the usable ones; group: of
     each row, the same for one block of time in all runs; run_count: number of independent runs.
     """
 
@@ -34,7 +35,7 @@ class LaterStarts(NamedTuple):
 
 
 def started(recording: Recording, rows: np.ndarray) -> LaterStarts:
-    """The rows of a mask as they are, or again from every block on where too few runs hold several days."""
+    """The rows of a mask, and again from every block on if too few runs contain several days."""
     run, run_count, time = recording.run_codes(), independent_runs(recording, rows), recording.time()
     used_runs = np.unique(run[rows])
     days = sum(round(float(np.ptp(time[rows & (run == code)])) / DAY) for code in used_runs)

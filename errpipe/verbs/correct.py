@@ -255,7 +255,7 @@ def readings_of(table: CompensationTable, at: Mapping[str, float]) -> dict[str, 
     missing = [i for i in needed if i.name not in at]
     if missing:
         words = " ".join(f"--at {i.name}={i.unit or 'VALUE'}" for i in missing)
-        raise UsageError(f"correct: the table reads {', '.join(i.name for i in missing)}: say what it is ({words})")
+        raise UsageError(f"correct: the table reads {', '.join(i.name for i in missing)}: give the value ({words})")
     return dict(at)
 
 

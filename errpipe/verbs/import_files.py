@@ -116,7 +116,7 @@ def _refuse_several_axes(files: Sequence[Path], options: ImportOptions) -> None:
     if len(letters) > 1 and options.axis is None:
         raise DataError(
             f"{', '.join(Path(f).name for f in files)}: of the axes {', '.join(sorted(letters))}? Import each by "
-            "itself (or say --axis, where they are runs of one)"
+            "itself (or use --axis if they are runs of one)"
         )
 
 
@@ -251,7 +251,7 @@ def _plausible(proposal: Proposal, options: ImportOptions) -> list[str]:
     against = next((f for f in findings if f.of_sign and signs.ASSUMED in proposal.guesses.get(f.column, "")), None)
     if against is not None:
         raise DataError(
-            f"{against}. The file does not state its sign: say it with --sign (commanded-minus-actual, or "
+            f"{against}. The file does not state its sign: declare it with --sign (commanded-minus-actual, or "
             "actual-minus-commanded)"
         )
     return [str(f) for f in findings]

@@ -100,7 +100,7 @@ def _component(folder: Path, recording: Recording, component: str | None) -> str
         return present[0]
     if component not in present:
         value = "several errors" if component is None else f"no error {component!r}"
-        hint = "; say which with --component" if component is None else did_you_mean(component, present)
+        hint = "; select it with --component" if component is None else did_you_mean(component, present)
         raise DataError(f"{folder}: the recording has {value} (present: {', '.join(present) or 'none'}){hint}")
     return component
 

@@ -86,7 +86,7 @@ def test_a_plane_begins_with_its_first_axis(tmp_path: Path) -> None:
         (beside("Angle [deg];CCW [um];CW [um]"), ("Ballbar", "Plane: XY"), "states the radius"),
         (beside("Angle [deg];CCW [um];CW [um]"), ("Ballbar", "Radius: 100 mm"), "states the plane"),
         (beside("Angle [deg];Dev 1 [um];Dev 2 [um]"), HEAD, "'Dev 1': clockwise or counterclockwise"),
-        (below(1), HEAD, "rows that are cw have angles that rise"),
+        (below(1), HEAD, "rows labelled cw have angles that increase"),
     ],
 )
 def test_what_a_ball_bar_does_not_state_is_asked(

@@ -79,7 +79,7 @@ PRINTS = [pc_dmis, lambda made: pc_dmis(made, 25.4), calypso, probing_cycle, tab
 @pytest.mark.parametrize(("made", "protocol"), [(True, "hole_pattern"), (False, "ball_plate")])
 def test_a_print_is_a_recording_of_the_machine(tmp_path: Path, lines, made: bool, protocol: str) -> None:
     (tmp_path / "print.txt").write_text("\n".join(lines(made)), "utf-8")
-    with pytest.raises(DataError, match="who made what was measured"):
+    with pytest.raises(DataError, match="was a part or an artefact measured"):
         prepared([tmp_path / "print.txt"])
     recording = imported(tmp_path, tmp_path / "print.txt", sign=MADE if made else MEASURED)
     assert protocol_of(recording) == protocol and missing_readings(recording) is None

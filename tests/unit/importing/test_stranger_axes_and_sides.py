@@ -162,7 +162,7 @@ def test_sides_in_more_languages(tmp_path: Path, head: str, ways: tuple[str, str
 def test_two_unknown_words_at_every_target_are_asked_about(tmp_path: Path) -> None:
     """They were left out, and lost motion was scatter between runs."""
     file = by_target(tmp_path / "f.csv", "Run;Kulku;Pos [mm];Deviation [um]", ("meno", "paluu"))
-    with pytest.raises(DataError, match="'Kulku' holds 'meno' and 'paluu'"):
+    with pytest.raises(DataError, match="'Kulku' has 'meno' and 'paluu'"):
         imported(tmp_path, file)
     assert imported(tmp_path, file, sets=["Kulku.role=ignore"]).name("direction") is None
 

@@ -108,11 +108,11 @@ DOUBTS = {
     "diameters by a header": (signed(header="Run;Dir;X (dia) [mm];Error [um]"), "diameters"),
     "signs in a column": (
         long("Run;Dir;X [mm];Error [um];L/S", lambda r, x, s, d: f"{r};{mark(s)};{x};{abs(d)};{'L' if d > 0 else 'S'}"),
-        "signs of the readings",
+        "signs of readings",
     ),
     "a column called sign": (
         long("Run;X [mm];Error [um];Sign", lambda r, x, s, d: f"{r};{x};{abs(d)};{'+' if d > 0 else '-'}"),
-        "signs of the readings",
+        "signs of readings",
     ),
     "a gauge read by the machine": (
         "Step gauge nominal [mm];X deviation [um]\n" + "\n".join(f"{x};{-x / 60}" for x in SEVEN),
@@ -321,7 +321,7 @@ OF_NO_KNOWN_FORM = ("volumetric.csv", "X_lut.dat", "PRG_Backlash.st", "backlash.
 
 @pytest.mark.parametrize("file", [f for f in sorted(KEPT.glob("*/*")) if f.name not in OF_NO_KNOWN_FORM], ids=str)
 def test_what_errpipe_exports_is_no_measurement(tmp_path: Path, file: Path) -> None:
-    refused(tmp_path, file.read_bytes(), "no measurement", file.name)
+    refused(tmp_path, file.read_bytes(), "not a measurement", file.name)
 
 
 def test_a_folder_of_init_takes_an_imported_recording(tmp_path: Path) -> None:
@@ -362,7 +362,9 @@ LINES_ON |= {"Laser air compensation: on": False, "Temperature compensation is o
 def test_a_compensation_that_was_on_is_said(tmp_path: Path, line: str) -> None:
     (tmp_path / "f.csv").write_text(signed(above=line), encoding="utf-8")
     holds_the_truth(imported(tmp_path, tmp_path / "f.csv"))
-    assert ("residual deviations with compensation" in (tmp_path / "rec" / "recording.yaml").read_text("utf-8")) == LINES_ON[line]
+    assert (
+        "residual deviations with compensation" in (tmp_path / "rec" / "recording.yaml").read_text("utf-8")
+    ) == LINES_ON[line]
 
 
 def test_a_sheet_with_a_question_is_not_passed_over(tmp_path: Path) -> None:

@@ -136,7 +136,7 @@ def probing_log(made: bool, words: tuple[str, ...]) -> list[str]:
 def test_the_log_of_a_probing_cycle(tmp_path: Path, words: tuple[str, ...], made: bool) -> None:
     file = tmp_path / "TCHPR421.TXT"
     file.write_text("\n".join(probing_log(made, words)), encoding="utf-8")
-    with pytest.raises(DataError, match="who made what was measured") as asked:
+    with pytest.raises(DataError, match="was a part or an artefact measured") as asked:
         prepared([file])
     assert "lacks rows" not in str(asked.value)
     recording = imported(tmp_path, file, sign=MADE if made else MEASURED)
@@ -191,7 +191,7 @@ def test_a_print_along_one_axis_is_asked_about(tmp_path: Path, monkeypatch: pyte
     """It was a table of positions: a step gauge that the machine read would have doubled its error."""
     monkeypatch.chdir(tmp_path)
     printed(MADE)
-    with pytest.raises(DataError, match="who made what was measured"):
+    with pytest.raises(DataError, match="was a part or an artefact measured"):
         prepared([Path("a.csv")])
 
 
@@ -207,7 +207,7 @@ def test_prints_of_other_layouts(tmp_path: Path, form: str) -> None:
     for x, y in HOLES:
         lines += PRINTS[form](x, y, x - 0.010 * x / 350, y)
     (tmp_path / "a.txt").write_text("\n".join(lines), encoding="utf-8")
-    with pytest.raises(DataError, match="who made what was measured"):
+    with pytest.raises(DataError, match="was a part or an artefact measured"):
         prepared([tmp_path / "a.txt"])
     recording = imported(tmp_path, tmp_path / "a.txt", sign=MEASURED)
     assert recording.array("E_X") == pytest.approx([10.0 * x / 350 for x, _ in HOLES], abs=0.06)

@@ -79,7 +79,7 @@ def test_a_file_that_lacks_a_temperature_has_empty_cells(tmp_path: Path, capsys:
         other.write_text("\n".join(",".join(row) for row in lacking))
         files = [str(tmp_path / "day1.csv"), str(other)]
         assert main(["import", *files, "--out", str(tmp_path / "rec"), "--yes", "--component", "E_Z"]) == 0
-        assert "day2: no reading of T2: left empty" in " ".join(capsys.readouterr().out.split())
+        assert "day2: no reading of T2: missing" in " ".join(capsys.readouterr().out.split())
         recording = manifest_folder.read(tmp_path / "rec")
         own = np.char.startswith(np.array(recording.run_labels())[recording.run_codes()], "day2")
         assert np.array_equal(np.isnan(recording.array("T2")), own)

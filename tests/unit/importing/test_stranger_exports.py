@@ -164,14 +164,14 @@ def test_a_remark_or_a_sensor_that_ends_costs_no_row(tmp_path: Path) -> None:
 
 ASKED = {
     "a unit that is none of an error": (long("x mm,error (ppm)", lambda r, x, s, d: f"{x},{d}"), "readings per length"),
-    "an error in volts": (long("x mm,error [V]", lambda r, x, s, d: f"{x},{d}"), "'V' is no known unit"),
+    "an error in volts": (long("x mm,error [V]", lambda r, x, s, d: f"{x},{d}"), "'V' is not a known unit"),
     "thousands or decimals": (long("Soll [mm];Abw. [µm]", lambda r, x, s, d: f"{100 + x:.3f};{de(d)}"), "ambiguous thousands or decimal separator"),
     "um or mm": (long("target,error", lambda r, x, s, d: f"{x},{d / 30:.4f}"), "um or mm"),
-    "a place that is not understood": (long("Stelle [mm],error [um]", lambda r, x, s, d: f"{x},{d}"), "'Stelle' .mm. is not understood"),
+    "a place that is not understood": (long("Stelle [mm],error [um]", lambda r, x, s, d: f"{x},{d}"), "'Stelle' .mm. is unknown"),
     "angles of no axis": (long("Target (deg),Deviation (arcsec)", lambda r, x, s, d: f"{x},{d}"), "--axis C"),
     "a gap between blanks": (long("Run Target Error Temp", lambda r, x, s, d: f"{r} {x} {'' if x == TARGETS[3] else d} 20.1"), "a gap between blanks"),
-    "two readings of an axis": (long("cmd mm,actual mm,feedback mm", lambda r, x, s, d: f"{x},{x + d / 1000},{x + d / 500}"), "both hold actual positions"),
-    "targets of two tables": ("\n".join(["Target +;R1;R2;Target -;R3;R4", *(f"{TARGETS[i]};1;2;{TARGETS[-1 - i]};3;4" for i in range(len(TARGETS)))]), "both hold command positions"),
+    "two readings of an axis": (long("cmd mm,actual mm,feedback mm", lambda r, x, s, d: f"{x},{x + d / 1000},{x + d / 500}"), "both contain actual positions"),
+    "targets of two tables": ("\n".join(["Target +;R1;R2;Target -;R3;R4", *(f"{TARGETS[i]};1;2;{TARGETS[-1 - i]};3;4" for i in range(len(TARGETS)))]), "both contain command positions"),
     "days of a spreadsheet": (long("Time,target mm,actual mm", lambda r, x, s, d: f"{46112 + ticks(r, x, s, 1) % 9999 / 86400:.6f},{x},{x + d / 1000}"), "days since a date"),
     "a row a signal": ("\n".join(f"Axis.X.{n},2026-03-31T08:00:{i:02d}Z,{i},Good" for i in range(9) for n in ("Cmd", "Act")), "may be inches"),
     "XML of another kind": ("<?xml version='1.0'?><Trace><rec t='0' v='1'/></Trace>", "without a table"),

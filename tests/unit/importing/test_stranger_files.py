@@ -110,7 +110,7 @@ def test_a_file_of_a_stranger(tmp_path: Path, name: str) -> None:
 
 
 REFUSED = {
-    "rows of several axes": (FILES["rows of two axes"], r"several axes \(X, Y\): choose one with --axis"),
+    "rows of several axes": (FILES["rows of two axes"], r"several axes \(X, Y\): select one with --axis"),
     "sides that no header says": (
         FILES["1u 1d"].replace("u;", "a;").replace("d\n", "b\n").replace("d;", "b;"),
         "both of one run, but neither states from which side",

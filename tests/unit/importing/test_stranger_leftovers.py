@@ -211,7 +211,7 @@ def test_an_axis_in_words_is_taken_with_a_note(tmp_path: Path, name: str, above:
     (tmp_path / name).write_text(positions(above=above), encoding="utf-8")
     proposal, _ = import_files.prepare([tmp_path / name], DoorOptions(), ImportOptions())
     assert proposal.entries["Target"]["axis"] == axis
-    assert any(note.startswith(f"the axis is {axis}, as ") for note in proposal.notes)
+    assert any(note.startswith(f"the axis is {axis}, from ") for note in proposal.notes)
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ def test_a_time_is_called_by_its_unit(tmp_path: Path, header: str, seconds: floa
 
 def test_the_end_of_summer_time_is_asked_about(tmp_path: Path) -> None:
     clock = [datetime(2026, 10, 25, 2, 40) + timedelta(minutes=k - (60 if k > 19 else 0)) for k in range(40)]
-    with pytest.raises(DataError, match="'2026-10-25 02:00:00' stands below '2026-10-25 02:59:00'"):
+    with pytest.raises(DataError, match="'2026-10-25 02:00:00' follows '2026-10-25 02:59:00'"):
         prepared([drift(tmp_path, "Time", [str(t) for t in clock])])
 
 
@@ -135,8 +135,8 @@ def test_records(tmp_path: Path, kind: str) -> None:
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ('{"a": 1', ":1  no record of JSON"),
-        ('{"a": 1}', "JSON that is no table"),
+        ('{"a": 1', ":1  not a JSON record"),
+        ('{"a": 1}', "JSON without a table"),
         ("PAR1 none PAR1", "not a Parquet file"),
     ],
 )

@@ -144,7 +144,7 @@ def test_a_component_that_is_none_is_a_wrong_option(tmp_path: Path, capsys: pyte
     path = log(tmp_path, **{"time [s]": T, "torque": V})
     assert main(["import", str(path), "--out", str(tmp_path / "r"), "--set", "torque.component=M_C", "--yes"]) == 2
     assert "'M_C' is not an ISO 230-1 component" in capsys.readouterr().err
-    with pytest.raises(UsageError, match="no unit of role velocity"):
+    with pytest.raises(UsageError, match="not of role velocity"):
         prepared(log(tmp_path, **{"time [s]": T, "X [mm]": X, "v": V}), sets={"v": {"role": "velocity", "unit": "kg"}})
 
 
@@ -202,7 +202,7 @@ def test_values_of_camonitor_hold_and_cycles_are_rows(tmp_path: Path) -> None:
 def test_two_positions_of_which_none_is_measured_are_asked_about(tmp_path: Path) -> None:
     """The encoder was taken as the command of the other one: the deviation had the wrong sign."""
     path = log(tmp_path, **{"time [s]": T, "X Enc PosAct [mm]": X, "X Axis PosAct [mm]": X + 0.01})
-    with pytest.raises(DataError, match="both hold actual positions of X"):
+    with pytest.raises(DataError, match="both contain actual positions of X"):
         prepared(path)
 
 

@@ -162,7 +162,7 @@ def test_channels_with_their_own_times(tmp_path: Path) -> None:
     assert recording.array("EXX") == pytest.approx(np.full(500, 10.0), abs=0.11)
     assert recording.array(recording.names("time")[0])[-1] == pytest.approx(0.998)
     lines[-1] = lines[-1].replace("998;", "999;", 1)
-    with pytest.raises(DataError, match="other times"):
+    with pytest.raises(DataError, match="different times"):
         prepared([written(tmp_path, lines)])
 
 

@@ -69,7 +69,7 @@ def test_a_column_of_one_side_is_kept(tmp_path: Path) -> None:
     recording = imported(tmp_path, written(tmp_path, "\n".join(["Run;Dir;X [mm];Deviation [um]", *rows])))
     assert set(recording.array("Dir")) == {-1.0}
     text = "\n".join(["Run;Dir;X [mm];Deviation [um]", *(row.replace("-;", "fwd;", 1) for row in rows)])
-    with pytest.raises(DataError, match="one way of there and back"):
+    with pytest.raises(DataError, match="a forward or return pass"):
         imported(tmp_path, written(tmp_path, text))
 
 

@@ -60,7 +60,7 @@ def test_a_block_for_each_axis_is_asked_about(tmp_path: Path, header: str) -> No
     """Two axes below one another would be two runs of one."""
     runs = RUNS[: header.count(";")]
     file = written(tmp_path, block("Achse X", 1.0, runs, header) + block("Achse Y", -1.0, runs, header))
-    with pytest.raises(DataError, match=r"rows of several axes \(X, Y\): choose one with --axis"):
+    with pytest.raises(DataError, match=r"rows of several axes \(X, Y\): select one with --axis"):
         imported(tmp_path, file)
     for axis, side in (("X", 1.0), ("Y", -1.0)):
         found = imported(tmp_path, file, axis=axis)

@@ -71,7 +71,7 @@ def test_inches_in_quotation_marks(tmp_path: Path) -> None:
         ("Target [mm];|Error| [µm]", "{x};{r}.5", "without sign"),
         ("Target [mm];Error [mm]", "{x};{e} µm", "its name states mm"),
         ("Target [mm];Error [0.05 µm]", "{x};{e}", "no known unit"),
-        ("Target [mm];Laser 1 [mm];Laser 2 [mm]", "{x};{x}1;{x}2", "both hold actual"),
+        ("Target [mm];Laser 1 [mm];Laser 2 [mm]", "{x};{x}1;{x}2", "both contain actual"),
         ("tavoite [mm],error [um]", "{x},{e}", "no position is recorded"),
         ("X nom [mm],Y nom [mm],X act [mm],Y act [mm]", "{x},{x},{x}1,{x}2", "move together"),
     ],
@@ -202,7 +202,7 @@ def test_a_column_in_a_unit_of_something_else_is_left_out(tmp_path: Path, header
     (tmp_path / "f.csv").write_text(table(f"run,x [mm],error [um],{header}", "{r},{x},{e},2.0"), encoding="utf-8")
     recording = imported(tmp_path, tmp_path / "f.csv")
     assert not any(recording.names(role) for role in ("torque", "feed", "temperature"))
-    assert "is no unit of role" in (tmp_path / "rec" / "recording.yaml").read_text()
+    assert "is not a unit of role" in (tmp_path / "rec" / "recording.yaml").read_text()
 
 
 def test_symbols_of_physics_are_no_axes(tmp_path: Path) -> None:
