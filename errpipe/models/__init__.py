@@ -1,4 +1,4 @@
-"""Model families: one file each, and one word here. A family states its options, and how it is fitted and judged.
+"""Model families: one file and one registry entry each. A family states its options, its fit and its validation.
 
 The stage `fit` offers every family; validation, export and report name none.
 """
@@ -12,8 +12,8 @@ from errpipe.errors import VerifyError
 from errpipe.models._base import Family
 from errpipe.yamlfile import Choice
 
-DEFAULT = "terms"  # where a pipeline names no family
-SEVERAL = "auto"  # where it names a list of them
+DEFAULT = "terms"  # if a pipeline names no family
+SEVERAL = "auto"  # if it names a list of families
 BY_FIT = (
     *(SEVERAL, "bilinear", "lagged", "network", "neural", "neural_volume", "nothing", "plate", "rises", "season"),
     DEFAULT,
@@ -25,15 +25,15 @@ __all__ = ["BY_FIT", "DEFAULT", "FAMILIES", "SEVERAL", "Family", "family_of", "p
 
 
 def family_of(document: Mapping[str, Any]) -> Family:
-    """The family behind `fit.json`, with what it was asked for. Raises VerifyError where it is unknown."""
+    """The family of `fit.json`, with its options. Raises VerifyError if it is unknown."""
     asked = {key: value for key, value in document.items() if key != "fit"}
     name = asked.get("family")
     if name not in FAMILIES.tags:
-        raise VerifyError(f"fit.json: the model family {name!r} is not known")
+        raise VerifyError(f"fit.json: the model family {name!r} is unknown")
     family: Family = FAMILIES[name].model_validate(asked)
     return family
 
 
 def procedure(family: Family) -> dict[str, Any]:
-    """The fit as `fit.json` records it, so that it can be repeated without a held-out group."""
+    """The fit as recorded in `fit.json`, so that it can be repeated without a held-out group."""
     return {"fit": 1, **family.model_dump(mode="json")}

@@ -1,8 +1,8 @@
-"""What a model family is: options, a fit, its refit on the rows of a fold, and what a report shows of it.
+"""Base of model families: options, a fit, its refit on the rows of a fold, and its parts of a report.
 
 A family is a pydantic model of its options. The stage `fit` reads them from the pipeline file (`family: NAME`
 chooses one), writes them beside the error model, and validation reads them back to repeat the fit without a held-out
-group. Every family gives an error model, so one compiler lowers all of them.
+group. Every family returns an error model, so one compiler lowers all of them.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ Progress = Callable[[float, str], None]
 
 
 def no_progress(share: float, text: str) -> None:
-    """Progress callback that does nothing."""
+    """Progress callback that ignores its arguments."""
 
 
 class Table(NamedTuple):
-    """A table for the report: heading, names of the columns, rows, and a sentence below it."""
+    """A table of the report: heading, column names, rows, and a sentence below it."""
 
     heading: str
     columns: list[str]
@@ -45,7 +45,7 @@ class Table(NamedTuple):
 class Grid(NamedTuple):
     """Figures of rows by columns for the report, the first row without compensation.
 
-    values: None is a dash. remarks: a remark behind each row. best: name of the row that is used.
+    values: None is printed as a dash. remarks: a remark after each row. best: name of the row that is used.
     """
 
     heading: str
@@ -59,8 +59,8 @@ class Grid(NamedTuple):
 
 @dataclass(frozen=True)
 class Judged:
-    """Folds of a recording read batch by batch. scheme: short form of the hold-out; by component: folds; rows of the
-    sample with the row of the recording each is, (rows,); largest deviation before and after of each fold, (folds, 2).
+    """Folds of a recording read batch by batch. scheme: name of the hold-out; by component: folds; rows of the
+    sample with the row of the recording of each, (rows,); largest deviation before and after in each fold, (folds, 2).
     """
 
     scheme: str
@@ -71,7 +71,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Fitted:
-    """model: what was fitted; documents: further JSON files by name; summary: a few words per component."""
+    """model: the fitted model; documents: further JSON files by name; summary: a short text per component."""
 
     model: ErrorModel
     documents: Mapping[str, Any] = field(default_factory=dict)
@@ -81,10 +81,10 @@ class Fitted:
 class Family(Frozen, ABC):
     """Base of every model family; the fields of a subclass are its options, `family` is its name.
 
-    documents: names of the JSON files that its fit adds. seasonal: whether `train` gives a predictor of the deviation
+    documents: names of the JSON files that its fit adds. seasonal: whether `train` returns a predictor of the deviation
     since the start of each run. competes: whether it has entrants for a competition of thermal families.
-    nonlinear: whether it is fitted to curved relations, which one run does not prove for another. default_scheme: of
-    the hold-out. solved_by: how it is solved, where its name does not show it.
+    nonlinear: whether its relations are non-linear, so that one run cannot validate them for another. default_scheme:
+    of the hold-out. solved_by: the solution method, if not evident from its name.
     """
 
     documents: ClassVar[tuple[str, ...]] = ()
@@ -101,7 +101,7 @@ class Family(Frozen, ABC):
 
     @property
     def responses(self) -> tuple[str, ...]:
-        """Components that it models: its `component` or `components`."""
+        """The components that it models: its `component` or `components`."""
         own: Any = self
         return (own.component,) if "component" in type(self).model_fields else own.components
 
@@ -114,11 +114,11 @@ class Family(Frozen, ABC):
 
     @property
     def method_name(self) -> str:
-        """How it is solved, for `validation.json`."""
+        """The solution method, for `validation.json`."""
         return self.solved_by or self.family_name().replace("_", " ")
 
     def missing_input(self, recording: Recording) -> str:
-        """What columns the family needs of a recording (its header is enough) and does not find, in words; or ''."""
+        """The missing columns that the family needs of a recording (its header is enough), as a sentence; or ''."""
         return ""
 
     @abstractmethod
@@ -134,10 +134,10 @@ class Family(Frozen, ABC):
 
     @abstractmethod
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
-        """Fit on the training rows of a fold, judge on its test rows; component -> held-out residuals."""
+        """Fit on the training rows of a fold, validate on its test rows; component -> held-out residuals."""
 
     def in_batches(self, source: Source) -> bool:
-        """Whether a recording is too long to be fitted whole. Raises DataError where it is and cannot be otherwise."""
+        """Whether a recording is too long to be fitted in memory. Raises DataError if batches are impossible, too."""
         return False
 
     def fit_batches(self, source: Source) -> Fitted:
@@ -145,12 +145,12 @@ class Family(Frozen, ABC):
         raise TypeError(f"{self.family_name()} is not fitted in batches")
 
     def judge_batches(self, source: Source, scheme: HoldOut | None) -> Judged:
-        """Every fold of a recording that is read batch by batch; without a scheme, the family's own."""
+        """Every fold of a recording read batch by batch; without a scheme, the family's own."""
         raise TypeError(f"{self.family_name()} is not judged in batches")
 
     @classmethod
     def competitor(cls, shared: Mapping[str, Any]) -> Family:
-        """The family as it competes: default settings, and what all competitors share by name (component, ...)."""
+        """The family as a competitor: default settings, and the options common to all competitors (component, ...)."""
         return cls(**{name: value for name, value in shared.items() if name in cls.model_fields})
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
@@ -158,16 +158,16 @@ class Family(Frozen, ABC):
         return ()
 
     def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:
-        """What the report adds, from the documents of the fit and `validation.json`."""
+        """Tables of the report, from the documents of the fit and `validation.json`."""
         return []
 
     def grids(self, documents: Mapping[str, Any]) -> list[Grid]:
-        """What the report draws as a grid of figures, from the documents of the fit."""
+        """Grids of figures of the report, from the documents of the fit."""
         return []
 
 
 def held_out(fold: Fold, before: np.ndarray, after: np.ndarray, outside: np.ndarray, used: float = 0.0) -> HeldOut:
-    """The judged rows of a fold that have a value before and after, um; arrays over all rows, (rows,)."""
+    """The test rows of a fold with a value before and after, um; arrays over all rows, (rows,)."""
 
     from errpipe.fitting.judging import HeldOut, NothingJudged
 
@@ -178,8 +178,7 @@ def held_out(fold: Fold, before: np.ndarray, after: np.ndarray, outside: np.ndar
 
 
 def fit_summary(model: ErrorModel) -> dict[str, str]:
-    """Component -> rms before and after on the rows that fitted."""
+    """Component -> rms before and after on the fitted rows."""
     return {
-        c.component: f"{c.rms_before:.3g} -> {c.rms_after:.3g} {c.unit} on the rows that fitted"
-        for c in model.components
+        c.component: f"{c.rms_before:.3g} -> {c.rms_after:.3g} {c.unit} on the fitted rows" for c in model.components
     }

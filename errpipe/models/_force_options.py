@@ -1,4 +1,4 @@
-"""Options of the force family: what was pushed on, what is cut, and where."""
+"""Options of the force family: what was pushed, what is cut, and where."""
 
 from __future__ import annotations
 
@@ -61,11 +61,11 @@ class Body(Frozen):
 
 
 class ForceOptions(Frozen):
-    """What a pipeline file states of the family."""
+    """Options of the family in a pipeline file."""
 
     family: Literal["force"] = Field("force", description="Model family.")
     configuration: Literal["turning", "milling"] = Field(
-        "turning", description="turning: the workpiece gives way over the axis of the cut; milling: tool and structure."
+        "turning", description="turning: workpiece compliance along the axis of the cut; milling: tool and structure."
     )
     component: str = Field("E_X", description="Component that the force moves, such as E_X, or E_D (twice the radius).")
     force: str = Field(description="Column of the force, in the direction of the deviation.")
@@ -79,8 +79,8 @@ class ForceOptions(Frozen):
     pushed_tool: Body | None = Field(None, description="The tool of the tests; default: rigid.")
     gauge_datum: Literal["neighbour", "bed"] = Field(
         "neighbour",
-        description="What a gauge at the workpiece reads against, where several gauges were recorded: the spindle "
-        "(neighbour), or the bed as the others do.",
+        description="Reference of a gauge at the workpiece if several gauges were recorded: the spindle "
+        "(neighbour), or the bed as for the others.",
     )
 
     @model_validator(mode="after")
@@ -88,7 +88,7 @@ class ForceOptions(Frozen):
         if self.configuration == "turning" and self.axis is None:
             raise ValueError("turning needs the axis of the cut (axis: Z)")
         if self.configuration == "milling" and (self.workpiece or self.pushed_workpiece):
-            raise ValueError("milling takes the workpiece as rigid: leave it out")
+            raise ValueError("milling takes the workpiece as rigid: omit it")
         return self
 
     def missing_input(self, recording: Recording) -> str:

@@ -17,14 +17,14 @@ from errpipe.thermal.linear import LinearProblem
 
 MOST_ROWS = 1500  # training rows, evenly thinned: neighbours are correlated
 MOST_STEPS = 150  # iterations of L-BFGS (early stopping): more fit the noise
-REACH, STEPS = 4.0, 65  # the table of tanh ends where it is 0.9993; linear between its points it is within 0.0015
+REACH, STEPS = 4.0, 65  # the table of tanh ends at 0.9993; its linear interpolation is within 0.0015
 
 
 class Start(NamedTuple):
     """First measured rows of every run, whose mean is its zero: their numbers, mean (runs, first), run of each row.
 
-    A bent function of inputs that count from the start is not zero in the mean of the first rows. A net that was
-    trained as if it were, was off by up to 12 um where a machine warms quickly (`trials.thermal`, seed 7301).
+    A non-linear function of inputs that count from the start is not zero in the mean of the first rows. A network
+    trained as if it were had errors of up to 12 um on a machine that warms quickly (`trials.thermal`, seed 7301).
     """
 
     first: np.ndarray
@@ -41,13 +41,13 @@ class Start(NamedTuple):
         return cls(np.concatenate(own), mean / mean.sum(axis=1, keepdims=True), number)
 
     def centred(self, values: np.ndarray) -> np.ndarray:
-        """Values of every row less the mean of the first rows of its run, (rows,)."""
+        """Values of every row minus the mean of the first rows of its run, (rows,)."""
         return values - (self.mean @ values[self.first])[self.run]
 
 
 class Layer(NamedTuple):
-    """nodes: inputs of the layer; centre: what is taken off each, (nodes,); units: how many; penalty: of squared
-    weights, on inputs of unit rms; ridge: of a linear model on all drivers of the problem beside it, None: without one.
+    """nodes: inputs of the layer; centre: subtracted from each, (nodes,); units: their number; penalty: of squared
+    weights, on inputs of unit rms; ridge: of an additional linear model on all drivers of the problem, None: without.
     """
 
     nodes: Sequence[d.Driver]
@@ -94,7 +94,7 @@ def entrant(family: str, name: str, problem: LinearProblem, layer: Layer) -> Ent
         at_zero = bias - weights @ np.broadcast_to(layer.centre, size.shape)
         units = [_unit(layer.nodes, w, float(z)) for w, z in zip(weights, at_zero, strict=True)]
         named = [(f"unit {k + 1}", float(g), node) for k, (g, node) in enumerate(zip(outer, units, strict=True))]
-        if np.any(layer.centre):  # runs do not start where every input is zero
+        if np.any(layer.centre):  # the inputs are not all zero at the start of a run
             start_value = (start.mean @ bent(groups)[start.first]).mean() - np.tanh(at_zero) @ outer
             named.append(("start", -float(start_value), d.Constant(value=1.0)))
         return (*linear(groups), *named)
@@ -107,12 +107,12 @@ def _trained(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Weights (columns, units), biases (units,), outer weights (units,), um.
 
-    x: (all rows, columns), unit rms; rows: numbers of those to learn from; y: (rows,), um, since the start of the run;
+    x: (all rows, columns), unit rms; rows: numbers of the training rows; y: (rows,), um, since the start of the run;
     penalty: of squared weights.
     """
     scale = float(np.sqrt(np.mean(y**2))) or 1.0
     right, run, width = y / scale, start.run[rows], x.shape[1]
-    both = x[np.r_[rows, start.first]]  # training rows, then those that are the zeros
+    both = x[np.r_[rows, start.first]]  # training rows, then those that define the zeros
 
     def unpacked(w: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return w[: width * units].reshape(width, units), w[width * units : -units], w[-units:]

@@ -1,8 +1,8 @@
-"""Static push tests read from a recording: compliance of each part of the chain that a gauge reads, and of all of it.
+"""Static push tests read from a recording: compliance of each part of the chain between gauges, and of the whole.
 
-One error column of the component is the deviation between tool and work. Several are gauges, each with its place as
-`location`: tool_post, spindle, workpiece. Every gauge counts as the component does (positive where the gap opens), and
-reads its own part alone: the workpiece against the spindle, unless `gauge_datum` states that all read against the bed.
+One error column of the component is the deviation between tool and work. Several are gauges, each with its
+`location`: tool_post, spindle, workpiece. Every gauge has the sign of the component (positive if the gap opens), and
+reads only its own part: the workpiece against the spindle, unless `gauge_datum` states that all read against the bed.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from errpipe.fitting.design import response_name
 from errpipe.models._force_options import ForceOptions
 
 GAUGES = ("tool_post", "spindle", "workpiece")
-WHOLE = "structure"  # the part where no gauge distinguishes them
-# Powers of the lever in structure(z), simplest first: a rigid spindle on springs has the square, and the lever too
-# where the middle of its springs is away from the chuck's face.
+WHOLE = "structure"  # the part if no gauge distinguishes parts
+# Powers of the lever in structure(z), simplest first: a rigid spindle on springs has the square, and also the lever
+# if the centre of its springs is not at the chuck's face.
 POWERS = ((0,), (0, 2), (0, 1, 2))
 NAMES = ("level", "per_m", "per_m2")
 
 
 @dataclass(frozen=True)
 class Pushes:
-    """Rows of push tests: force (N), lever (m), by part its deviation less its run's zero (um), all (rows,).
+    """Rows of push tests: force (N), lever (m), by part its deviation minus its run's zero (um), all (rows,).
 
-    known: by part what the bodies of the tests give of it, um/N (rows,).
+    known: by part the computed compliance of the bodies of the tests, um/N (rows,).
     """
 
     force: np.ndarray
@@ -41,12 +41,12 @@ class Pushes:
 
     @property
     def whole(self) -> np.ndarray:
-        """Deviation between tool and work, um; NaN where a gauge reads nothing."""
+        """Deviation between tool and work, um; NaN if a gauge has no reading."""
         return np.sum(list(self.deviation.values()), axis=0)
 
     @property
     def all_known(self) -> np.ndarray:
-        """What the bodies of the tests give in all, um/N."""
+        """Computed compliance of all bodies of the tests, um/N."""
         return np.sum(list(self.known.values()), axis=0)
 
 
@@ -60,16 +60,16 @@ class Structure:
 
 
 def whole(parts: Mapping[str, Structure]) -> Structure:
-    """The chain: compliances of its parts add up, and so do the squares of their standard errors and noise."""
+    """The chain: compliances of its parts add, and so do the squares of their standard errors and noise."""
     values = np.sum([p.values for p in parts.values()], axis=0)
     errors = np.sqrt(np.sum([p.errors**2 for p in parts.values()], axis=0))
     return Structure(values, errors, float(np.sqrt(sum(p.noise**2 for p in parts.values()))))
 
 
 def read(options: ForceOptions, recording: Recording) -> Pushes:
-    """The rows of a recording. Raises DataError for a force, gauge or place that is not there.
+    """The rows of a recording. Raises DataError for a missing force, gauge or position.
 
-    A run's zero is what it would read at no force, by its own straight line over the force.
+    A run's zero is its reading at zero force, from its own regression line over the force.
     """
     if lacking := options.missing_input(recording):
         raise DataError(lacking)
@@ -93,7 +93,7 @@ def read(options: ForceOptions, recording: Recording) -> Pushes:
 
 
 def _gauges(options: ForceOptions, recording: Recording) -> dict[str, str]:
-    """Part -> its error column. Raises DataError where the columns' places do not say which is which."""
+    """Part -> its error column. Raises DataError if the columns' locations are ambiguous."""
     names = recording.names("error", component=options.component)
     places = {n: recording.manifest.columns[n].location for n in names}
     if len(names) <= 1 and not set(places.values()) & set(GAUGES):
@@ -102,7 +102,7 @@ def _gauges(options: ForceOptions, recording: Recording) -> dict[str, str]:
         if place not in GAUGES:
             raise DataError(
                 f"push tests: {len(names)} columns are {options.component}; columns.{name}.location: {place!r} is "
-                f"no gauge (allowed: {', '.join(GAUGES)}). Give a column that is their sum the role ignore."
+                f"not a gauge (allowed: {', '.join(GAUGES)}). Give a column that is their sum the role ignore."
             )
     if len(set(places.values())) < len(places):
         raise DataError(
@@ -110,12 +110,12 @@ def _gauges(options: ForceOptions, recording: Recording) -> dict[str, str]:
             f"{', '.join(GAUGES)})"
         )
     if options.pushed_tool is not None:
-        raise DataError("push tests: gauges do not read the tool that was pushed: leave out pushed_tool")
+        raise DataError("push tests: gauges do not read the tool that was pushed: omit pushed_tool")
     return {g: n for g in GAUGES for n, place in places.items() if place == g}
 
 
 def _less_zero(pushes: np.ndarray, value: np.ndarray, run: np.ndarray) -> np.ndarray:
-    """Readings less what each run reads at no force, um (rows,)."""
+    """Readings minus the reading of each run at zero force, um (rows,)."""
     value = value.copy()
     design = np.column_stack([np.ones(len(value)), pushes])
     known = np.isfinite(design).all(axis=1) & np.isfinite(value)
@@ -131,13 +131,13 @@ def diameter_factor(options: ForceOptions) -> float:
 
 
 def solve(options: ForceOptions, recording: Recording, rows: np.ndarray) -> dict[str, Structure]:
-    """Structure of each part from the rows of a mask (rows,). Raises DataError where they are too few."""
+    """Structure of each part from the rows of a mask (rows,). Raises DataError if there are too few."""
     pushes = read(options, recording)
     return {part: _part(options, pushes, part, rows) for part in pushes.deviation}
 
 
 def _part(options: ForceOptions, pushes: Pushes, part: str, rows: np.ndarray) -> Structure:
-    """Least squares of what the pushed bodies leave over force times powers of the lever, which by BIC."""
+    """Least squares of the residual of the pushed bodies over force times powers of the lever, selected by BIC."""
     force, lever, deviation = pushes.force, pushes.lever, pushes.deviation[part]
     use = rows & np.isfinite(force) & np.isfinite(lever) & np.isfinite(deviation)
     if use.sum() < 4 or np.ptp(force[use]) <= 0:
@@ -158,5 +158,5 @@ def _part(options: ForceOptions, pushes: Pushes, part: str, rows: np.ndarray) ->
             every[list(powers)] = values
             errors[list(powers)] = noise * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
             best = (float(score), Structure(every, errors, noise))
-    assert best is not None  # a level was tried
+    assert best is not None  # at least the constant was tried
     return best[1]

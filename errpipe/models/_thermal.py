@@ -1,4 +1,4 @@
-"""Thermal families: entrants, their competition inside the fitted rows, and the model that a table compiles."""
+"""Thermal families: entrants, their competition within the fitted rows, and the model that a table compiles."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     from errpipe.thermal.model import ThermalModel
 
 COMPETITION = "competition.json"
-MOST_OPERANDS = 48  # of one sum; a table takes 64
+MOST_OPERANDS = 48  # of one sum; a table allows 64
 MOST_GROUPS = 4  # columns of one grouping in the figure of the competition
-TIE_LEVEL = 0.05  # p over runs left out
+TIE_LEVEL = 0.05  # p over held-out runs
 MACHINE = "machine"  # group of a recording
-UNLIKE_MACHINES = 1.5  # times what is left of runs; with more left of machines the fit reports it (by judgement)
+UNLIKE_MACHINES = 1.5  # ratio to the leave-one-run-out residual; above it the fit reports machines (by judgement)
 
 
 class ThermalFamily(Family):
-    """A thermal model of one response: entrants that compete on groups left out of the rows it is fitted to."""
+    """A thermal model of one response: entrants that compete on held-out groups of the fitted rows."""
 
     component: str = Field(description="Response of the recording, such as E_D or E_Z.")
     environment: str = Field("season", description="Group whose members differ in environment, such as seasons.")
@@ -47,7 +47,7 @@ class ThermalFamily(Family):
 
     @property
     def scheme(self) -> HoldOut:
-        """Leave-one-environment-out; `folds` leaves runs out where the recording names none."""
+        """Leave-one-environment-out; `folds` holds runs out if the recording names none."""
         from errpipe.fitting.holdout import HoldOut
 
         return HoldOut(scheme="leave-one-group-out", of=self.environment)
@@ -57,19 +57,19 @@ class ThermalFamily(Family):
         if recording.names("temperature") or recording.name("spindle_speed") is not None:
             return ""
         return (
-            f"thermal model of {self.component}: the recording has no temperature, nor a spindle speed (`clean` sets "
-            "sensors aside that show one value in every row: its cleaning.json names them)"
+            f"thermal model of {self.component}: no temperature and no spindle speed is recorded (`clean` excludes "
+            "constant sensors: its cleaning.json names them)"
         )
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
-        """Without a scheme: each environment in turn, or each run where the recording names less than two.
+        """Without a scheme: each environment in turn, or each run if the recording names fewer than two.
 
-        A group in which a temperature has no reading judges nothing; where that leaves one environment, its runs
-        are left out. Fewer than three runs, of one environment or two: each half by the other, for no test over two
-        runs tells a correction from chance. A block between two that fit is interpolated, which shows little of the
-        next run: of 12 simulated days
-        (seeds 5101 and 5102 of `trials.thermal`), later days were left 1.8 times as far off as such blocks (0.8 times
-        as far as halves), and their 90 % width held 65 % (89 %) of the rows.
+        A group in which a temperature has no reading is not used for testing; if that leaves one environment, its runs
+        are held out. Fewer than three runs, of one environment or two: each half by the other, because no test over two
+        runs separates a correction from chance. A block between two fitted ones is interpolated and says little about
+        the next run: of 12 simulated days
+        (seeds 5101 and 5102 of `trials.thermal`), later days had 1.8 times the residual of such blocks (0.8 times
+        that of halves), and their 90 % interval covered 65 % (89 %) of the rows.
         """
 
         from errpipe.fitting import holdout
@@ -91,11 +91,11 @@ class ThermalFamily(Family):
         return name, [fold for fold in folds if known[fold.test].any() and known[fold.train].any()] or folds
 
     def train(self, recording: Recording, rows: np.ndarray | None = None) -> ThermalModel:
-        """The model of the rows of a mask (all where None); it predicts the deviation since the start of each run."""
+        """The model of the rows of a mask (default: all); it predicts the deviation since the start of each run."""
         return self._compete(recording, rows)[0]
 
     def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
-        """Fit on every row. Raises DataError without a temperature or with one run only."""
+        """Fit on every row. Raises DataError without a temperature or with only one run."""
         from errpipe.thermal.arithmetic import changes_with_place, few_rows_fitted, held_readings
 
         fitted, outcome = self._compete(recording, None)
@@ -114,7 +114,7 @@ class ThermalFamily(Family):
         return Fitted(model, {COMPETITION: document}, {self.component: said})
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
-        """Compete and fit on one side of a fold, judge on the other.
+        """Compete and fit on one side of a fold, validate on the other.
 
         Deviation and prediction both count from the mean of a run's first rows: the zero of a run is its datum.
         """
@@ -129,11 +129,11 @@ class ThermalFamily(Family):
         since = since_start_of(recording, self.component, self.datum_rows)
         run = recording.run_codes()
         residual = since - predicted_since_start(model.values(recording), run, self.datum_rows, since == since)
-        known = np.where(all_known(recording), since, np.nan)  # a lag goes on where its sensor has stopped
+        known = np.where(all_known(recording), since, np.nan)  # a lag continues after its sensor has failed
         return {self.component: held_out(fold, known, residual, distance(model.validity, recording))}
 
     def grids(self, documents: Mapping[str, Any]) -> list[Grid]:
-        """The competition: rms of every family on groups left out, beside no compensation and the noise floor."""
+        """The competition: rms of every family on held-out groups, with no compensation and the noise floor."""
         from errpipe.thermal.competition import MIXTURE, NOTHING
 
         document = documents[COMPETITION]
@@ -151,8 +151,8 @@ class ThermalFamily(Family):
             values = [*values, [document["noise_floor_um"]] * len(columns)]
         caption = (
             "rms in um of the fitted rows, each predicted by a fit without its group (column); of each family the best "
-            "setting. The mixture is what is exported. These rows chose it: the validation judges it on others. A tie "
-            f"is a setting that the mixture beats on runs left out by chance with a probability above {TIE_LEVEL:g}."
+            "setting. The mixture is exported. It was chosen on these rows; the validation uses others. In a tie "
+            f"the mixture's advantage on held-out runs has a p value above {TIE_LEVEL:g}."
         )
         return [Grid("Competition of families", list(columns), names, values, remarks, MIXTURE, caption)]
 
@@ -182,9 +182,9 @@ class ThermalFamily(Family):
     def one_environment(self, problem: LinearProblem) -> bool:
         """Whether all rows are of one labelled environment (season).
 
-        Nothing then shows which gains hold in another one, and gains without a known sign fail first: fitted to
-        the winter of a turning centre, lagged gains left 3.7 um of a run left out and 17 um in spring, where 8.7 were.
-        So these compete there only where gains of known sign are behind already (`competition.PHYSICAL_REGRET`).
+        Then nothing shows which gains hold in another one, and gains without a known sign fail first: fitted to
+        the winter of a turning centre, lagged gains had 3.7 um on a held-out run and 17 um in spring, 8.7 without.
+        So these compete there only if gains of known sign are already worse (`competition.PHYSICAL_REGRET`).
         """
 
         from errpipe.fitting import holdout
@@ -196,21 +196,21 @@ class ThermalFamily(Family):
 
 
 def _said(outcome: Outcome) -> str:
-    """A few words on the outcome: what the mixture leaves of groups left out, and what it is made of."""
+    """A short text on the outcome: residuals of the mixture on held-out groups, and its components."""
     from errpipe.thermal.competition import HALF, MIXTURE, NOTHING
 
     way = HALF if HALF in outcome.left else next(iter(outcome.left))
     left = outcome.left[way]
     made_of = " + ".join(f"{w:.2g} {e.name}" for e, w in outcome.weights) or "nothing"
-    said = f"{left[NOTHING]:.3g} -> {left[MIXTURE]:.3g} um on each {way} left out; {made_of}"
+    said = f"{left[NOTHING]:.3g} -> {left[MIXTURE]:.3g} um on each held-out {way}; {made_of}"
     other = outcome.left.get(MACHINE, left)[MIXTURE]
     if other <= UNLIKE_MACHINES * left[MIXTURE]:
         return said
-    return f"{said}; {other:.3g} um on each {MACHINE} left out: machines that differ need a recording each"
+    return f"{said}; {other:.3g} um on each held-out {MACHINE}: machines that differ need one recording each"
 
 
 def _left(recording: Recording, family: ThermalFamily, outcome: Outcome) -> np.ndarray:
-    """What the mixture leaves of groups left out, um, (rows,); NaN where nothing is judged."""
+    """Residual of the mixture on held-out groups, um, (rows,); NaN where not validated."""
     from errpipe.thermal.arithmetic import since_start_of
 
     predicted = next(iter(outcome.predictions.values()))[: len(recording)]
@@ -241,7 +241,7 @@ def _remark(name: str, weights: Mapping[str, float], chance: Mapping[str, float]
 
 
 def linear(family: str, name: str, problem: LinearProblem, gains: Callable[[tuple[int, ...]], np.ndarray]) -> Entrant:
-    """An entrant that is gains (of the first drivers of a problem) from groups."""
+    """An entrant whose parameters are gains (of the first drivers of a problem) from groups."""
     from errpipe.thermal.competition import Entrant
 
     known = lru_cache(maxsize=None)(gains)
@@ -302,7 +302,7 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
 
 
 def _sum_of(outcome: Outcome, groups: tuple[int, ...]) -> Any:
-    """A mixture as one affine driver, equal nodes added up."""
+    """A mixture as one affine driver, with equal nodes merged."""
     from errpipe.domain import driver as d
 
     merged: dict[str, tuple[float, d.Driver]] = {}

@@ -1,4 +1,4 @@
-"""The network of `neural_volume` as arrays: trained, chosen by groups left out, and as nodes of a table."""
+"""The network of `neural_volume` as arrays: trained, selected by held-out groups, and as nodes of a table."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from errpipe.fitting.validity import box
 from errpipe.terms import fitted_term
 from errpipe.terms.profile_driver import ProfileDriver
 
-PENALTIES = (1e-3, 1e-2, 1e-1, 1.0)  # of squared weights, on standardised columns; groups left out choose
+PENALTIES = (1e-3, 1e-2, 1e-1, 1.0)  # of squared weights, on standardised columns; selected by held-out groups
 MOST_ROWS = 3000  # training rows, evenly thinned
 MOST_STEPS = 300  # iterations of L-BFGS
-REACH, STEPS = 4.0, 129  # the table of tanh ends where it is 0.9993; linear between its points it is within 0.0004
-SPAN_BEYOND = 0.25  # of the span of deviations seen, beyond them: limit of a prediction
+REACH, STEPS = 4.0, 129  # the table of tanh ends at 0.9993; its linear interpolation is within 0.0004
+SPAN_BEYOND = 0.25  # share of the span of deviations by which a prediction may exceed them
 
 
 class Network(NamedTuple):
@@ -59,7 +59,7 @@ def data(recording: Recording, components: Sequence[str]) -> tuple[np.ndarray, n
 def chosen(
     recording: Recording, x: np.ndarray, y: np.ndarray, rows: np.ndarray, units: int
 ) -> tuple[Network, float | None]:
-    """The network of the rows of a mask and its penalty; None and a network of zero where nothing is better."""
+    """The network of the rows of a mask and its penalty; None and a zero network if no penalty improves."""
     good = rows & np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1)
     if not good.any():
         raise DataError(
@@ -71,7 +71,7 @@ def chosen(
     none = _nothing(x, y)
     try:
         folds = holdout.groups(recording.take(number), "auto")
-    except DataError:  # a single group: nothing shows that a network is better
+    except DataError:  # a single group: nothing can be validated
         return none, None
     left: dict[float | None, float] = {None: 0.0, **dict.fromkeys(PENALTIES, 0.0)}
     for fold in folds:
@@ -113,14 +113,14 @@ def error_model(
 
 
 def positions(recording: Recording) -> list[str]:
-    """One column of each axis, commanded where there is one."""
+    """One column per axis, commanded if available."""
     axes = {recording.manifest.columns[n].axis: n for n in recording.names("position")}
     axes |= {recording.manifest.columns[n].axis: n for n in recording.names("command")}
     return [name for _, name in sorted(axes.items(), key=lambda item: str(item[0]))]
 
 
 def columns(recording: Recording) -> list[str]:
-    """Columns that the network reads."""
+    """Columns that are inputs of the network."""
     return [*positions(recording), *recording.names("temperature")]
 
 
@@ -130,14 +130,14 @@ def _limits(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _nothing(x: np.ndarray, y: np.ndarray) -> Network:
-    """A network whose output is zero everywhere."""
+    """A network whose output is always zero."""
     wide, many = x.shape[1], y.shape[1]
     inner, outer = np.zeros((wide, 1)), np.zeros((1, many))
     return Network(np.zeros(wide), np.ones(wide), inner, np.zeros(1), outer, np.zeros(many), *_limits(y))
 
 
 def _trained(x: np.ndarray, y: np.ndarray, units: int, penalty: float) -> Network:
-    """Least squares with squared weights penalised; equal data give equal networks."""
+    """Penalised least squares; equal data give equal networks."""
     few = slice(None, None, max(1, len(x) // MOST_ROWS))
     centre, size = x.mean(axis=0), x.std(axis=0)
     size = np.where(size > 0, size, 1.0)

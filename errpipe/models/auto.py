@@ -1,4 +1,4 @@
-"""All thermal families that fit the recording, or those that are named, in one competition."""
+"""All thermal families that fit the recording, or the named ones, in one competition."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class Auto(ThermalFamily):
         return among
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """The entrants of every family that competes; of one run or season, those that bend only where they are named.
+        """The entrants of every family that competes; for one run or season, non-linear ones only if named.
 
         Single days of 108 simulated machines (seed 901 of `trials.thermal --log-days 1` and formulas): with a neural
-        network later days were left 0.112 to 0.245 of what they were, one worse than nothing; 0.109 to 0.230 without.
-        A turning centre's winter, fitted on spring with one: 8.7 um left instead of 6.9.
+        network the residual of later days was 0.112 to 0.245 of uncompensated, one worse; 0.109 to 0.230 without.
+        A turning centre's winter, fitted on spring with one: 8.7 um instead of 6.9.
         """
         little = problem.one_run or self.one_environment(problem)
         shared = {name: getattr(self, name) for name in ThermalFamily.model_fields}
@@ -50,7 +50,7 @@ class Auto(ThermalFamily):
 
 
 def competitors() -> list[type[Family]]:
-    """The families of the registry that compete, by name; those that no pipeline names are loaded too."""
+    """The families of the registry that compete, by name; including those that the pipeline does not name."""
     from errpipe.models import FAMILIES
 
     kinds = [kind for kind in FAMILIES if kind.competes and kind is not Auto]

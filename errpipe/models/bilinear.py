@@ -1,12 +1,12 @@
-"""Gains times lagged rises, and times products of how fast one sensor warms with how warm another one is.
+"""Gains times lagged rises, and times products of one sensor's rate of warming with another one's rise.
 
-Films grow with speed, so what a kelvin does depends on whether the machine runs. No sensor shows it, but the rate at
-which it warms does. The state equation of such a machine is bilinear,
+Heat transfer grows with speed, so the effect of a kelvin depends on whether the machine runs. No sensor measures it,
+but the rate of warming indicates it. The state equation of such a machine is bilinear,
 
     d theta / dt = (A + s W) theta + B u          theta: rises, s: speed, u: heat
 
-and the part of theta that W makes is, to first order, lagged products of s and theta (Volterra series of second order;
-Rugh 1981, Nonlinear System Theory, chapter 3). The sensors' rates stand for s.
+and the part of theta due to W is, to first order, lagged products of s and theta (Volterra series of second order;
+Rugh 1981, Nonlinear System Theory, chapter 3). The sensors' rates replace s.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ if TYPE_CHECKING:
     from errpipe.thermal.competition import Entrant
     from errpipe.thermal.linear import LinearProblem
 
-# Of columns of unit rms, and how many times less a product of unit rms may do. The competition chooses both.
+# For columns of unit rms, and the factor by which a product of unit rms is reduced. The competition selects both.
 RIDGE = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
 SCALES = (1.0, 3.0, 10.0)
-MOST_SENSORS = 8  # products are twice the square of it
-LATE = 0.25  # which of the recording's time constants a product also acts through, as a share of their number
+MOST_SENSORS = 8  # products grow with twice its square
+LATE = 0.25  # time constant of the lagged products, as a share of the number of the recording's time constants
 
 
 class Bilinear(ThermalFamily):
-    """Ridge on rises, lagged rises, and products of a sensor's rate with a sensor's rise, at once and late."""
+    """Ridge on rises, lagged rises, and products of a sensor's rate with a sensor's rise, direct and lagged."""
 
     family: Literal["bilinear"] = Field("bilinear", description="Model family.")
     nonlinear: ClassVar[bool] = True
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """Every setting; none of one run, of no sensor or more than `MOST_SENSORS`, or where nothing can be lagged.
+        """Every setting; none for one run, for no sensor or more than `MOST_SENSORS`, or if no lag can be resolved.
 
-        Within a single run nothing shows that a product holds on another day.
+        A single run cannot validate a product for another day.
         """
 
         from errpipe.thermal import linear as t
@@ -79,14 +79,14 @@ class Bilinear(ThermalFamily):
 
 
 class _Products(NamedTuple):
-    """Rates and rises of the sensors, K, and the time constant through which their products act late, s."""
+    """Rates and rises of the sensors, K, and the time constant of their lagged products, s."""
 
     rates: tuple[d.Driver, ...]
     rises: tuple[d.Driver, ...]
     late: float
 
     def columns(self) -> list[d.Driver]:
-        """Every product, and every product late; K2."""
+        """Every product, and every lagged product; K2."""
         from errpipe.domain import driver as d
 
         plain: list[d.Driver] = [d.Product(of=(rate, x)) for rate in self.rates for x in self.rises]

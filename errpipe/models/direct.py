@@ -1,4 +1,4 @@
-"""Components read one by one by laser and level; zero, straightedge and beam are set-up, not machine."""
+"""Components measured directly by laser and level; zero, straightedge and beam belong to the set-up."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from errpipe.kinematics.chain import Chain
     from errpipe.kinematics.direct import Laser
 
-MOST_FOLDS = 5  # folds of targets where whole runs cannot be held out
+MOST_FOLDS = 5  # folds of targets if whole runs cannot be held out
 
 
 class Direct(Family):
@@ -40,7 +40,7 @@ class Direct(Family):
         raise UsageError("direct records are fitted by the stage that identifies the machine")
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
-        """Without a scheme: whole runs where each way was run twice, else every fifth target."""
+        """Without a scheme: whole runs if each direction was run twice, else every fifth target."""
         from errpipe.fitting.holdout import Fold
 
         if scheme is not None:
@@ -49,7 +49,7 @@ class Direct(Family):
         return name, [Fold(*fold) for fold in splits]
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
-        """Fit on one side of a fold, judge on the other."""
+        """Fit on one side of a fold, validate on the other."""
         from errpipe.fitting.judging import HeldOut
         from errpipe.kinematics.chain import compile_chain
         from errpipe.kinematics.direct import Laser
@@ -62,7 +62,7 @@ class Direct(Family):
 
 @dataclass(frozen=True)
 class HeldOutComponent:
-    """One component on held-out rows: before (n,), the machine's deviation; after (n,), less the model."""
+    """One component on held-out rows: before (n,), the machine's deviation; after (n,), minus the model."""
 
     component: str
     rows: np.ndarray
@@ -79,9 +79,9 @@ def judge(
     modes: int = 12,
     lasers: Mapping[str, Laser] | None = None,
 ) -> list[HeldOutComponent]:
-    """Every component with readings on both sides. Zero, straightedge and beam are set-up: out of before and after.
+    """Every component with readings on both sides. Zero, straightedge and beam are set-up: in neither before nor after.
 
-    train, test: masks of rows. The zero and lay of a set-up come from the rows that fit.
+    train, test: masks of rows. The zero and alignment of a set-up come from the fitted rows.
     """
     from errpipe.kinematics import direct, identify, records
 
@@ -97,7 +97,7 @@ def judge(
     readings = records.observations(chain, {"": recording}, lasers=own, take=used_rows)
     parts = records.read(chain, {"": recording}, lasers=own, take=used_rows)
     sits_out = test[np.concatenate([r.rows for r in parts])]
-    # one design for both sides: a run in one direction takes the reversal identified from the other runs
+    # one design for both sides: a run in one direction uses the reversal identified from the other runs
     train_readings = records.observations(
         chain, {"": recording}, lasers=own, take=_rows_at_targets(recording, train, axes)
     )
@@ -131,7 +131,7 @@ def judge(
 
 
 def _without_zeros(values: np.ndarray, run: np.ndarray) -> np.ndarray:
-    """Values (n,) less the mean of their run: the zero of a held-out run is nowhere else to be found."""
+    """Values (n,) minus the mean of their run: the zero of a held-out run cannot be known otherwise."""
     _, number = np.unique(run, return_inverse=True)
     return values - (np.bincount(number, values) / np.bincount(number))[number]
 
@@ -147,7 +147,7 @@ def _components(recording: Recording, rows: np.ndarray) -> set[str]:
 
 
 def _rows_at_targets(recording: Recording, rows: np.ndarray, axes: set[str]) -> np.ndarray:
-    """Those rows at which one of some axes stands at a target."""
+    """Those rows at which one of some axes is at a target."""
     from errpipe.kinematics import direct
 
     rows_of_axis = np.zeros(len(recording), dtype=bool)
@@ -158,9 +158,9 @@ def _rows_at_targets(recording: Recording, rows: np.ndarray, axes: set[str]) -> 
 
 
 def direct_folds(recording: Recording) -> tuple[str, list[tuple[str, np.ndarray, np.ndarray]]]:
-    """Folds of direct records: whole runs where every component has several, else every so many targets.
+    """Folds of direct records: whole runs if every component has several, else every n-th target.
 
-    Returns the scheme in words and (label, train, test) masks.
+    Returns the scheme's name and (label, train, test) masks.
     """
     from errpipe.kinematics import direct
 

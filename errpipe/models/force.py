@@ -1,9 +1,9 @@
-"""What machine, tool and workpiece give way to a cutting force: static push tests and beams of stepped sections.
+"""Compliance of machine, tool and workpiece under a cutting force: static push tests and stepped beams.
 
     deviation(z) = F * (structure(z) + workpiece(z) + tool)                               [um] = [N] * [um/N]
 
-The structure (tool post, spindle and its tilt) comes from push tests as a polynomial in the distance from the chuck, in
-all or by gauge (`_push_tests`);
+The structure (tool post, spindle and its tilt) comes from push tests as a polynomial in the distance from the chuck,
+as a whole or by gauge (`_push_tests`);
 workpiece and tool are computed from their geometry (`kinematics.beam`), those of the push tests and those of the cut.
 """
 
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 FIGURES = "compliance.json"
 POINTS = 129  # of the compliance curve over the travel
-SEGMENTS = 40  # of the spline that carries it into the table
-MISSED = 0.002  # of the largest compliance: how far the spline may be off
+SEGMENTS = 40  # of the spline that represents it in the table
+MISSED = 0.002  # of the largest compliance: tolerance of the spline
 
 
 class Force(ForceOptions, Family):
@@ -60,7 +60,7 @@ class Force(ForceOptions, Family):
         return Fitted(model, {FIGURES: document}, {self.component: f"at most {1e3 * worst:.3g} um/kN"})
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
-        """The structure from one side, the other side's deflections judged; zero is that of each run."""
+        """The structure from one side, validated on the deflections of the other; zero is that of each run."""
 
         from errpipe.models import _push_tests as push
 
@@ -99,7 +99,7 @@ def _figures(part: Structure) -> dict[str, Any]:
 
 
 def _curve(options: Force, recording: Recording, parts: Mapping[str, Structure]) -> dict[str, np.ndarray]:
-    """Compliance of the cut over the axis, um/N, with its parts; one place where no axis moves."""
+    """Compliance of the cut along the axis, um/N, with its parts; one position if no axis moves."""
 
     from errpipe.drivers.motion import position
     from errpipe.models import _push_tests as push
@@ -123,7 +123,7 @@ def _curve(options: Force, recording: Recording, parts: Mapping[str, Structure])
     for name, value in pulled.items():
         if value.min() < -3 * push.whole(parts).errors[0]:
             raise DataError(
-                f"push tests: the {name} would be {value.min():.3g} um/N: a force pulls what it should push. Check "
+                f"push tests: the {name} would be {value.min():.3g} um/N, opposite to the force. Check "
                 "the sign of force and deviation, `sign`, and what was pushed in the tests."
             )
     bodies = {"structure": structure, "workpiece": work, "tool": tool}

@@ -1,4 +1,4 @@
-"""Gains times the rises of all temperatures and times the same through lags, sparse (lasso) or shrunk (ridge)."""
+"""Gains times the rises of all temperatures and their lagged rises, sparse (lasso) or shrunk (ridge)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from errpipe.thermal.competition import Entrant
     from errpipe.thermal.linear import LinearProblem
 
-# Shares of the least lasso penalty at which all gains are zero; the competition chooses.
+# Shares of the smallest lasso penalty at which all gains are zero; selected by the competition.
 LASSO = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 RIDGE = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # on columns of unit rms
 
@@ -27,7 +27,7 @@ class Lagged(ThermalFamily):
     family: Literal["lagged"] = Field("lagged", description="Model family.")
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """Every setting; the best of lasso and the best of ridge may join the mixture."""
+        """Every setting; the best lasso and the best ridge may join the mixture."""
         from errpipe.thermal import linear as t
 
         width, family = len(problem.drivers), self.family_name()

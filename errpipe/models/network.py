@@ -26,7 +26,7 @@ class Network(ThermalFamily):
     options: SeasonOptions = Field(SeasonOptions(), description="Causes and how they are weighed.")
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """One setting; none where no sensor is on the machine."""
+        """One setting; none if no sensor is on the machine."""
         from errpipe.thermal.competition import Entrant
         from errpipe.thermal.season import Problem
 

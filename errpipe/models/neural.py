@@ -1,4 +1,4 @@
-"""A small neural network, alone or on what a ridge leaves: few tanh units on rises, lagged rises, and rates."""
+"""A small neural network, alone or on the residual of a ridge: few tanh units on rises, lagged rises, and rates."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from errpipe.thermal.competition import Entrant
     from errpipe.thermal.linear import LinearProblem
 
-UNITS = 4  # of the hidden layer; a network of few units extrapolates by few bends
-# Of squared weights, on standardised columns: of a network alone, and of one beside a ridge on all lagged rises. Chosen
-# on seed 9811 of `trials.thermal` (24 machines): the mixture leaves 3 % less with the second one.
+UNITS = 4  # of the hidden layer; few units limit the extrapolation
+# For squared weights, on standardised columns: of a network alone, and of one with a ridge on all lagged rises. Chosen
+# on seed 9811 of `trials.thermal` (24 machines): the mixture has 3 % less residual with the second one.
 PENALTY, PENALTY_WITH_RIDGE = 0.01, 0.1
-RIDGE = 1e-5  # the middle one of the ridges that the competition tries (`lagged`)
-LAGS = (0.4, 0.8)  # which of the recording's time constants, as a share of their number
+RIDGE = 1e-5  # the middle one of the competition's ridges (`lagged`)
+LAGS = (0.4, 0.8)  # the recording's time constants used, as shares of their number
 
 
 class Neural(ThermalFamily):
@@ -29,7 +29,7 @@ class Neural(ThermalFamily):
     nonlinear: ClassVar[bool] = True
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """A network alone, and one beside a ridge on the rates too; none without a temperature."""
+        """A network alone, and one with a ridge that also uses the rates; none without a temperature."""
         from errpipe.models._perceptron import Layer, entrant
         from errpipe.thermal.linear import rates
 

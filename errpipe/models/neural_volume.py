@@ -1,6 +1,6 @@
-"""A small neural network of axis positions and temperatures to the deviations of the tool point, as Ni (1997) names it.
+"""A small neural network from axis positions and temperatures to the deviations of the tool point, after Ni (1997).
 
-Its hidden units become nodes of the table (a sum of readings, a table of tanh), so that a controller computes them.
+Its hidden units become nodes of the table (a weighted sum, a table of tanh), so that a controller can compute them.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class NeuralVolume(Family):
         return cls(components=(shared["component"],))
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """A network of positions and rises for each penalty; none where the recording has no position."""
+        """A network of positions and rises for each penalty; none if the recording has no position."""
 
         from errpipe.domain import driver as d
         from errpipe.models._perceptron import Layer, entrant
@@ -52,7 +52,7 @@ class NeuralVolume(Family):
         return [entrant(name, f"{name}, penalty {one.penalty:g}", problem, one) for one in layers]
 
     def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
-        """Fit on every row. Raises DataError without a position, a component, or a row that has everything."""
+        """Fit on every row. Raises DataError without a position, a component, or a complete row."""
 
         from errpipe.models import _volume_network as net
 
@@ -60,10 +60,10 @@ class NeuralVolume(Family):
         network, penalty = net.chosen(recording, x, y, np.ones(len(recording), dtype=bool), self.units)
         model = net.error_model(recording, self.components, network, x, y, drivers)
         said = "nothing" if penalty is None else f"{self.units} units, penalty {penalty:g}"
-        return Fitted(model, {}, dict.fromkeys(self.components, f"{said} on groups left out"))
+        return Fitted(model, {}, dict.fromkeys(self.components, f"{said} on held-out groups"))
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
-        """Train on one side of a fold (penalty included), judge on the other."""
+        """Train on one side of a fold (penalty included), validate on the other."""
         from errpipe.fitting import holdout
         from errpipe.fitting.validity import box, distance
         from errpipe.models import _volume_network as net

@@ -1,4 +1,4 @@
-"""No thermal compensation: what every other family is compared with, and what is exported of it is nothing."""
+"""No thermal compensation: the reference for every other family; it exports nothing."""
 
 from __future__ import annotations
 

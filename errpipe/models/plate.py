@@ -60,7 +60,7 @@ class Plate(Family):
         return Fitted(_error_model(fitted, recording), {FIGURES: document}, summary)
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
-        """Without a scheme whole plates are held out; of a single plate, every so many of its holes in turn."""
+        """Without a scheme whole plates are held out; of a single plate, every n-th hole in turn."""
 
         from errpipe.fitting.holdout import Fold
 
@@ -71,7 +71,7 @@ class Plate(Family):
         return f"one plate, every {self.every}th hole in turn", out
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
-        """A plate's shift and rotation come from its fitted holes, else (a plate never seen) from the judged ones."""
+        """A plate's shift and rotation come from its fitted holes, or from the test holes if none was fitted."""
 
         from errpipe.fitting.design import response_name
         from errpipe.kinematics import planar
@@ -87,7 +87,7 @@ class Plate(Family):
         for code in np.unique(run[fold.test]):
             rows, fitted = fold.test & known & (run == code), fold.train & known & (run == code)
             setup_rows = fitted if fitted.any() else rows
-            used += 0.0 if fitted.any() else 1.5  # of three degrees of freedom a plate, half for each direction
+            used += 0.0 if fitted.any() else 1.5  # of three degrees of freedom per plate, half for each direction
             chosen = rows | setup_rows
             for source, target in ((deviation, before), (residual, after)):
                 target[chosen] = planar.without_setup(x[chosen], y[chosen], source[chosen], setup_rows[chosen])
@@ -96,7 +96,7 @@ class Plate(Family):
         return {c: held_out(fold, before[:, k], after[:, k], outside, used=used) for k, c in enumerate(DIRECTIONS)}
 
     def _chosen_rows(self, recording: Recording, rows: np.ndarray) -> np.ndarray:
-        """Rows of the plate that option `plate` chooses; the last one in the mask `rows` where that one is held out."""
+        """Rows of the plate selected by option `plate`; the last one in the mask `rows` if that one is held out."""
         run = recording.run_codes()
         if self.plate == "all":
             return np.ones(run.size, dtype=bool)
@@ -105,15 +105,13 @@ class Plate(Family):
         return run == (named if named in present else max(present))
 
     def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:
-        """Scale and squareness with intervals; the residual beside what measuring a plate twice leaves."""
+        """Scale and squareness with intervals; the residual with the repeatability of measuring a plate twice."""
         document = documents[FIGURES]
         rows = [[f"{name} in {f['unit']}", f["value"], *f["ci95"]] for name, f in document["figures"].items()]
         caption = "The straight line through the whole map; intervals are 95 %."
         out = [Table("Scale and squareness", ["figure", "value", "from", "to"], rows, caption)]
         rows = [[f"{p['component']}: {p['part']}", p["range_um"]] for p in document["parts"]]
-        out.append(
-            Table("What the map is made of", ["part", "range, um"], rows, "Largest less smallest, over the map.")
-        )
+        out.append(Table("Components of the map", ["part", "range, um"], rows, "Largest minus smallest, over the map."))
         twice = document.get("measured_twice")
         return [*out, _floor(twice, validation)] if twice else out
 
@@ -123,7 +121,7 @@ def _plain(figure: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def chosen_plates(recording: Recording, chosen: str) -> Recording:
-    """The holes of the chosen plate: machines are moved and settle, so an old plate is no measure of the present one.
+    """The holes of the selected plate: machines are moved and settle, so an old plate does not show the present state.
 
     Raises DataError for a label that is not in the recording.
     """
@@ -137,7 +135,7 @@ def chosen_plates(recording: Recording, chosen: str) -> Recording:
 
 
 def _parts(fitted: Any) -> list[dict[str, Any]]:
-    """What the map is made of, in words, with the range of each part over the pattern, um; largest first."""
+    """The components of the map, with the range of each over the pattern, um; largest first."""
     box, curves = fitted.functions.box, fitted.components(POINTS)
     out = [
         {"component": f"E_{name[1]}", "part": f"curve over {name[2]} ({name})", "range_um": float(np.ptp(curve[1]))}
@@ -198,7 +196,7 @@ def _lookup(name: str, positions: Any, values: Any):
 
 
 def _rms_without_setup(recording: Recording) -> dict[str, float]:
-    """rms of each direction once every plate's best shift and rotation is taken off, um."""
+    """rms of each direction after removing every plate's best shift and rotation, um."""
 
     from errpipe.fitting.design import response_name
     from errpipe.kinematics import planar
@@ -214,7 +212,7 @@ def _rms_without_setup(recording: Recording) -> dict[str, float]:
 
 
 def _floor(twice: Mapping[str, Any], validation: Mapping[str, Any]) -> Table:
-    """The metrology floor of a plate measured twice, beside what the map leaves on held-out holes."""
+    """The metrology floor of a plate measured twice, with the residual of the map on held-out holes."""
 
     def rms(key: str) -> float:
         values = [c[key] for c in validation["components"]]
@@ -224,12 +222,12 @@ def _floor(twice: Mapping[str, Any], validation: Mapping[str, Any]) -> Table:
     rows = [
         ["shift and rotation alone, held-out holes", rms("rms_before")],
         ["the map, held-out holes", rms("rms_after")],
-        [f"{second} less {first}, hole by hole", twice["difference"]],
+        [f"{second} minus {first}, hole by hole", twice["difference"]],
         ["one measurement's share of that", twice["floor"]],
-        ["the same, a smooth drift between the two taken out", twice["smooth"]],
+        ["the same, without a smooth drift between the two", twice["smooth"]],
     ]
     caption = (
         f"um rms of one coordinate. One plate, measured as {first} and as {second}: {twice['holes']} holes in common, "
-        "each less its own shift and rotation. No map of that plate can be judged finer than one measurement's share."
+        "each minus its own shift and rotation. One measurement's share limits the validation of any map."
     )
     return Table("Residual and metrology floor", ["", "um rms"], rows, caption)

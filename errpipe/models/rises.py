@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from errpipe.thermal.competition import Entrant
     from errpipe.thermal.linear import LinearProblem
 
-STRENGTHS = (0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)  # of the ridge, on columns of unit rms; the competition chooses
-# Sensors for each block of one run from which on their mean goes before gains of their own, which so few blocks cannot
-# distinguish. Stretches of a spindle's run (16 sensors): the rest of it is left 0.74 um, 1.39 um without; for machines
+STRENGTHS = (0.0, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)  # of the ridge, on columns of unit rms; selected by the competition
+# Sensors per block of one run from which their mean is used before individual gains, which so few blocks cannot
+# distinguish. Stretches of a spindle's run (16 sensors): residual of the rest 0.74 um, 1.39 um without; for machines
 # of 4 to 6 sensors the mean is worse (165 single days: 0.112 to 0.245 of uncompensated, 0.127 to 0.275 with it).
 MANY = 2.0
 LEAST_RIDGE = 1e-5  # keeps the normal equations of collinear sensors well conditioned
-FREEDOMS = (0.1, 1.0, 10.0)  # of each run's own gains beside the common ones (`thermal.linear.common_gains`)
+FREEDOMS = (0.1, 1.0, 10.0)  # of each run's own gains relative to the common ones (`thermal.linear.common_gains`)
 
 
 class Rises(ThermalFamily):
@@ -31,7 +31,7 @@ class Rises(ThermalFamily):
     family: Literal["rises"] = Field("rises", description="Model family.")
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """Every strength of the ridge, and every freedom of the runs; of one day the mean of sensors taken alone."""
+        """Every strength of the ridge, and every freedom of the runs; for one day only the mean of sensors."""
         from errpipe.thermal import linear as t
         from errpipe.thermal.arithmetic import ridge_gains
 

@@ -1,4 +1,4 @@
-"""A thermal model that is meant to hold in a season it has not seen: causes of known sign and a gated correction."""
+"""A thermal model for unseen seasons: causes of known sign and a gated correction."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Season(Family):
         return HoldOut(scheme="leave-one-group-out", of=self.options.environment)
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
-        """Without a scheme: each environment in turn, or runs where the recording names less than two."""
+        """Without a scheme: each environment in turn, or runs if the recording names fewer than two."""
         try:
             return super().folds(recording, scheme)
         except DataError:
@@ -58,7 +58,7 @@ class Season(Family):
         return "" if recording.names("temperature") else text
 
     def train(self, recording: Recording, rows: np.ndarray | None = None) -> ThermalModel:
-        """The model of the rows of a mask (all where None); it predicts the deviation since the start of each run."""
+        """The model of the rows of a mask (default: all); it predicts the deviation since the start of each run."""
         from errpipe.thermal import season
         from errpipe.thermal.arithmetic import living_sensors
 
@@ -66,12 +66,12 @@ class Season(Family):
 
     @classmethod
     def competitor(cls, shared: Mapping[str, Any]) -> Season:
-        """Its options take what all competitors share."""
+        """Its options with those common to all competitors."""
         named = {name: value for name, value in shared.items() if name in SeasonOptions.model_fields}
         return cls(component=shared["component"], options=SeasonOptions(**named))
 
     def entrants(self, problem: LinearProblem) -> Sequence[Entrant]:
-        """One setting, the network with its correction; none where no sensor is on the machine."""
+        """One setting, the network with its correction; none if no sensor is on the machine."""
 
         from errpipe.thermal.arithmetic import predicted_since_start
         from errpipe.thermal.competition import Entrant
@@ -107,17 +107,17 @@ class Season(Family):
         return [Entrant(self.family_name(), "network + correction (season)", predict, parts, True, linear)]
 
     def fit(self, recording: Recording, progress: Progress = no_progress) -> Fitted:
-        """Fit on every row. Raises DataError where no sensor sits on the machine."""
+        """Fit on every row. Raises DataError if no sensor is on the machine."""
         fitted = self.train(recording)
         model = fitted.error_model(recording)
         causes = [{"cause": name, "gain": gain} for name, gain, _ in fitted.parts]
         document = {"season": 1, "causes": causes, "report": _plain(fitted.report)}
         left = fitted.report["rms_runs_left_out"]
-        said = "no run could be left out" if left is None else f"-> {left:.3g} um on each run left out"
+        said = "no run could be held out" if left is None else f"-> {left:.3g} um on each held-out run"
         return Fitted(model, {CAUSES: document}, {self.component: f"{fitted.report['rms_before']:.3g} {said}"})
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
-        """Fit on one side of a fold, judge on the other; deviations count from the start of each run."""
+        """Fit on one side of a fold, validate on the other; deviations count from the start of each run."""
         from errpipe.fitting import holdout
         from errpipe.fitting.validity import distance
         from errpipe.thermal.arithmetic import held_readings, predicted_since_start, since_start_of
@@ -133,9 +133,7 @@ class Season(Family):
         """Causes with their gains, the largest first."""
         rows = [[c["cause"], c["gain"]] for c in documents[CAUSES]["causes"] if c["gain"]]
         rows.sort(key=lambda row: -abs(row[1]))
-        caption = (
-            "Gain of each cause, um per K (per hour of running for a state); signs are held to what physics allows."
-        )
+        caption = "Gain of each cause, um per K (per hour of running for a state); only physically possible signs."
         return [Table("Causes", ["cause", "gain"], rows, caption)]
 
 

@@ -22,7 +22,7 @@ ROWS_IN_MEMORY = 1_000_000  # with ten columns and ten parameters least squares 
 
 
 class Terms(ModelSpec, Family):
-    """Fit the terms of every component on all rows of the recording; refuse what the rows cannot distinguish."""
+    """Fit the terms of every component on all rows of the recording; reject what the rows cannot distinguish."""
 
     family: Literal["terms"] = Field("terms", description="Model family.")
     less_simulated: bool = Field(
@@ -30,7 +30,7 @@ class Terms(ModelSpec, Family):
     )
     rows_in_memory: int | None = quantity(
         "1",
-        "A longer recording is fitted and judged batch by batch, and what cannot be (other methods than "
+        "A longer recording is fitted and validated batch by batch, and what cannot be (other methods than "
         "linear, free non-linear parameters, nuisance, smooth curves) is refused by name. Default: 1,000,000, and what "
         "cannot be fitted in batches is fitted whole.",
         None,
@@ -72,7 +72,7 @@ class Terms(ModelSpec, Family):
         return judging.judge(self._response(_as_read(recording)), self, fold)
 
     def in_batches(self, source: Source) -> bool:
-        """Longer than `rows_in_memory`. Raises DataError where that was asked for and something cannot be done so."""
+        """Longer than `rows_in_memory`. Raises DataError if that was set and something is not possible in batches."""
         from errpipe.fitting import history
 
         if source.rows <= (self.rows_in_memory or ROWS_IN_MEMORY):
@@ -81,7 +81,7 @@ class Terms(ModelSpec, Family):
         if unsupported and self.rows_in_memory is not None:
             raise DataError(
                 f"fit: {source.rows} rows are more than rows_in_memory ({self.rows_in_memory}), and in batches there is"
-                f" no {', no '.join(unsupported)}. Leave it out, or raise rows_in_memory."
+                f" no {', no '.join(unsupported)}. Omit it, or raise rows_in_memory."
             )
         return not unsupported
 
@@ -114,9 +114,9 @@ class Terms(ModelSpec, Family):
 
 
 def _as_read(recording: Recording) -> Recording:
-    """The recording with temperatures that are sampled less often than the rows as a table reads them: the one before.
+    """The recording with temperatures that are sampled less often than the rows held, as a table reads them.
 
-    Where every tenth row holds one, nine of ten rows of production are of that kind; single empty cells stay empty.
+    If every tenth row has one, nine of ten rows in production are held values; single empty cells stay empty.
     """
     from errpipe.thermal.arithmetic import sampled_less_often, short_gaps_held
 
@@ -124,7 +124,7 @@ def _as_read(recording: Recording) -> Recording:
 
 
 def mismatch(recording: Recording, spec: ModelSpec) -> Recording:
-    """The recording with recorded less simulated as its responses. Raises DataError where a twin is missing."""
+    """The recording with recorded minus simulated as its responses. Raises DataError if a simulation is missing."""
     left = {}
     for component in (c.component for c in spec.components):
         error, twin = (recording.name(role, component=component) for role in ("error", "simulated"))

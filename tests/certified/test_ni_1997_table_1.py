@@ -103,4 +103,4 @@ def test_a_reversed_sign_of_the_deviation_is_refused(paper, tmp_path, capsys):
     folder.write(tmp_path / "push-tests", recording)
     shutil.copy(HERE / "pipeline.yaml", tmp_path)
     assert main(["run", str(tmp_path / "pipeline.yaml"), "--out", str(tmp_path / "out")]) == 3
-    assert "a force pulls what it should push" in capsys.readouterr().err
+    assert "opposite to the force" in capsys.readouterr().err

@@ -55,7 +55,7 @@ SETUP = Setup(offsets={"G54": (100.0, 50.0, 0.0), "G55": (300.0, 50.0, 0.0)}, to
         ("(a(b)", "not closed"),
         ("G1 X5)", "not closed"),
         ("G1 X" + "0" * 5000 + "5", "characters"),
-        ("G43 H1.5", "was not given"),
+        ("G43 H1.5", "is missing"),
         ("G90 X40 Z-30", "turning cycle"),
         ("G94 X40 Z-30 (face)", "turning cycle"),
         ("G90 G1 X40 Z-30", None),

@@ -322,7 +322,7 @@ def test_a_prior_names_one_parameter_of_one_term(axis):
         prior = {"term": "thermal_drift", "parameter": "gain", "value": 1.0, "spread": 0.5} | prior
         return ModelSpec.model_validate({"components": [{"component": "EXX", "terms": both, "priors": [prior]}]})
 
-    with pytest.raises(ValueError, match=r"2 terms thermal_drift .say which by `where`"):
+    with pytest.raises(ValueError, match=r"2 terms thermal_drift .select one by `where`"):
         spec()
     with pytest.raises(ValueError, match=r"0 terms thermal_drfit .allowed: thermal_drift"):
         spec(term="thermal_drfit")

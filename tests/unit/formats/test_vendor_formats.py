@@ -107,7 +107,7 @@ WRONG_RTL = {
         "DEVIATIONS::",
         "DEVIATION::",
     ): ": no section DEVIATIONS:: (found: HEADER, TARGET DATA, USER-TEXT, RUNS, DEVIATION",
-    ("Axis:Y", "Axis:vertical"): ": the file's axis is 'VERTICAL', not a linear ISO 841 axis (say which: `axis: X`)",
+    ("Axis:Y", "Axis:vertical"): ": the file's axis is 'VERTICAL', not a linear ISO 841 axis (declare it: `axis: X`)",
     ("File type  : rtl", "File type  : rta"): ":2  'File type  : rta': not linear positioning",
     ("Owner      : Linear", "Owner      : Winkel"): ":3  'Owner      : Winkel': not linear positioning",
     ("1   2     -1.200", "1   6     -1.200"): ": run 1 visits its targets neither upwards nor downwards",

@@ -139,14 +139,14 @@ def test_runs_and_other_tables_of_one_json(tmp_path: Path) -> None:
     file.write_text(json.dumps({"run": runs, "air": {"hour": [1, 2, 3, 4], "degC": [20.1, 20.2, 20.1, 20.3]}}))
     assert imported(tmp_path, file).frame.shape[0] == len(ROWS)  # the first run alone was taken
     proposal, _ = prepared([file])
-    assert any("left out: air" in note for note in proposal.notes)
+    assert any("excluded: air" in note for note in proposal.notes)
     facts = {"Axis": "X", "Note": "error = commanded - actual"}
     table = {"target_mm": [r[2] for r in ROWS], "error_um": [-r[3] for r in ROWS], "dir": [r[1] for r in ROWS]}
     file.write_text(json.dumps({**facts, "readings": table}))  # the texts beside a table were not read
     read = imported(tmp_path / "facts", file)
     assert read.array("error").tolist() == pytest.approx([r[3] for r in ROWS])
     file.write_text(json.dumps({"before": runs[0], "later": runs[1]}))
-    with pytest.raises(DataError, match=r"which is meant|two states|choose one"):
+    with pytest.raises(DataError, match=r"which one is meant|several states"):
         prepared([file])
 
 

@@ -149,5 +149,5 @@ def test_columns_of_one_component_need_a_place_each(place):
     wrong = recording.with_columns({}, {"tool_post": column})
     with pytest.raises(DataError, match=r"is no gauge|the same location"):
         turning().fit(wrong)
-    with pytest.raises(DataError, match="leave out pushed_tool"):
+    with pytest.raises(DataError, match="omit pushed_tool"):
         turning(pushed_tool=PUSHED).fit(recording)

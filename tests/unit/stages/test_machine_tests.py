@@ -52,7 +52,7 @@ def test_every_protocol_has_a_reader():
 @pytest.mark.parametrize(
     "component, protocol, said",
     [
-        ("E_X", None, "does not say which test it is"),
+        ("E_X", None, "does not state which test it is"),
         ("E_X", "point_clouds", "Did you mean point_cloud?"),
         ("E_X", "ballbar_circle", "needs an error column of component E_R (the recording has: E_X)"),
     ],
