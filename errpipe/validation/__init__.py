@@ -1,1 +1,1 @@
-"""Whether to believe it: ISO 230-2 figures, cross-validation over groups, champion against challenger, drift."""
+"""Validation: ISO 230-2 figures, cross-validation over groups, champion against challenger, plausibility, drift."""

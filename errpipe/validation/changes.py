@@ -1,8 +1,8 @@
-"""How far two compensations differ: both evaluated at the same states of a machine, over both validity boxes.
+"""Difference between two compensations, evaluated at the same states of a machine over both validity ranges.
 
-Half of the states are drawn uniformly (the rms is theirs), half with the ends of each range drawn more often. Each is a
-run of its own: the machine stands at rest in the middle of the box (axes anywhere, so that it is approached from both
-sides), jumps to the state, and stays there; both are evaluated 1 s, 1 min, 10 min, 1 h, 10 h and 30 years later.
+Half of the states are uniform (the rms is theirs), half favour the ends of each range. Each is a separate
+run: the machine rests in the middle of the range (axes anywhere, so that it is approached from both
+sides), steps to the state, and stays there; both are evaluated 1 s, 1 min, 10 min, 1 h, 10 h and 30 years later.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from errpipe.tables import batch
 AFTER = np.array([0.0, 1.0, 60.0, 600.0, 3600.0, 36000.0, 1e9])  # s after the jump; the first row is before it
 STATES = 4000  # a bump of 1/200 of the travel is missed by all of them in 1 of 10^6 comparisons
 ENDS = 0.15  # share of the second half at each end of a range: corners of a box of five inputs are then among them
-MOVING = ("position", "command", "actual", "direction")  # roles of what moves with an axis
-BINS = 10  # parts of an input's range in which differences are summed up
+MOVING = ("position", "command", "actual", "direction")  # roles of the columns of a moving axis
+BINS = 10  # parts of an input's range in which differences are averaged
 
 Range = tuple[float, float]
 Bins = tuple[tuple[float, float, float, float], ...]
@@ -48,7 +48,7 @@ class Compensation:
 
 @dataclass(frozen=True)
 class States:
-    """Runs of a machine: readings by input, (rows,); time in s; a run's number per row."""
+    """Runs of a machine: readings by input, (rows,); time in s; run number of each row."""
 
     readings: Mapping[str, np.ndarray]
     time: np.ndarray
@@ -57,11 +57,11 @@ class States:
 
 @dataclass(frozen=True)
 class Change:
-    """How far one response differs, in its unit. at: readings where it differs most; settled: the largest difference
-    once nothing moves any more, as of two that follow a step at another rate.
+    """Difference of one response, in its unit. at: readings where it is largest; settled: the largest difference
+    in steady state, unlike that of two compensations with different time constants.
 
-    goes_with: the input that explains most of the difference, with its share of the variance; by_bin: that input's
-    value, the difference's mean, least and largest in each part of its range.
+    goes_with: the input that explains most of the difference, with its share of the variance; by_bin: the input's
+    value, and mean, smallest and largest difference in each part of its range.
     """
 
     component: str
@@ -97,7 +97,7 @@ def of_model(model: ErrorModel) -> Compensation:
 def of_table(table: CompensationTable) -> Compensation:
     """A table as a controller runs it with healthy sensors: the deviation of each of its outputs.
 
-    Without the guard of its sensors: states that jump and settle are what a guard calls faults.
+    Without the sensor guard, which treats states that jump and settle as faults.
     """
     table = without_guard(table)
 
@@ -117,9 +117,9 @@ def _profile_span(table: CompensationTable, name: str) -> Range | None:
 
 
 def one_axis_one_name(old: Compensation, new: Compensation) -> tuple[Compensation, dict[str, str]]:
-    """The new one with the old one's names of positions and directions of the same axis; new name -> old name.
+    """The new one with the old one's names for positions and directions of the same axis; new name -> old name.
 
-    An axis has one position under any column name: evaluated at two positions, two equal ones would differ.
+    An axis has one position, whatever its column is named: at two positions, two equal compensations would differ.
     """
     names = {}
     for name, place in ((n, _place(new, n)) for n in new.roles if n not in old.roles):
@@ -139,13 +139,13 @@ def one_axis_one_name(old: Compensation, new: Compensation) -> tuple[Compensatio
 
 
 def _place(of: Compensation, name: str) -> tuple[bool, str] | None:
-    """Whether an input is a direction, and its axis; None where it is neither a place nor a direction of one."""
+    """Whether an input is a direction, and its axis; None if it is neither position nor direction."""
     role = of.roles[name]
     return (role == "direction", of.axes[name]) if role in MOVING and name in of.axes else None
 
 
 def draw(old: Compensation, new: Compensation, seed: int = 1) -> States:
-    """States over the union of both validity boxes."""
+    """States over the union of both validity ranges."""
     rng = np.random.default_rng(seed)
     roles = {**old.roles, **new.roles}
     readings = {}
@@ -168,7 +168,7 @@ def _drawn(rng: np.random.Generator, role: str, low: float, high: float) -> np.n
 
 
 def compare(old: Compensation, new: Compensation, seed: int = 1) -> list[Change]:
-    """One change per response of either; a response that one of them lacks is zero there."""
+    """One change per response of either; a response missing in one is zero there."""
     states = draw(old, new, seed)
     before, after = (_asked(c, states, old.relative or new.relative) for c in (old, new))
     units = {**old.units, **new.units}
@@ -212,7 +212,7 @@ def _goes_with(readings: Mapping[str, np.ndarray], gap: np.ndarray) -> tuple[str
         rows: Sequence[np.ndarray] = [gap[part == k] for k in range(BINS)]
         middle = [float(values[part == k].mean()) if r.size else 0.0 for k, r in enumerate(rows)]
         between = sum(r.size * (float(r.mean()) - float(gap.mean())) ** 2 for r in rows if r.size) / gap.size
-        share = between / total if total > 0.0 else 0.0  # of a shift: it is drawn over the first input
+        share = between / total if total > 0.0 else 0.0  # of a constant shift: assigned to the first input
         if share > best[1]:
             filled = [(m, r) for m, r in zip(middle, rows, strict=True) if r.size]
             bins = tuple((m, float(r.mean()), float(r.min()), float(r.max())) for m, r in filled)
@@ -221,9 +221,9 @@ def _goes_with(readings: Mapping[str, np.ndarray], gap: np.ndarray) -> tuple[str
 
 
 def rows_changed(old: Recording, new: Recording) -> dict[str, dict[str, float]]:
-    """Numeric column -> rows that differ and the largest and rms difference, over the runs that both hold.
+    """Numeric column -> number of different rows, largest and rms difference, over the common runs.
 
-    A run is shared where its label and its number of rows are the same in both.
+    A run is common if its label and its number of rows are equal in both.
     """
     labels = shared_runs(old, new)
     columns = [n for n in old.frame.columns if n in new.frame.columns and pd.api.types.is_numeric_dtype(old.frame[n])]
@@ -242,9 +242,9 @@ def rows_changed(old: Recording, new: Recording) -> dict[str, dict[str, float]]:
 
 
 def of_rows(old: Recording, new: Recording, name: str) -> Change:
-    """How far a column of deviations differs over the rows of the runs that both hold, in its unit.
+    """Difference of a column of deviations over the rows of the common runs, in its unit.
 
-    It may go with a numeric column of the old recording, or with the number of the run there, from 1.
+    It may correlate with a numeric column of the old recording, or with the run number there, from 1.
     """
     labels = shared_runs(old, new)
     before, after = (_rows_of(r, labels) for r in (old, new))
@@ -263,7 +263,7 @@ def of_rows(old: Recording, new: Recording, name: str) -> Change:
 
 
 def _readings_of(recording: Recording, rows: pd.DataFrame, labels: Sequence[str]) -> dict[str, np.ndarray]:
-    """What a difference may go with, in the rows of runs: the number of the run, and every numeric column, (rows,)."""
+    """Candidate inputs for a difference, in the rows of runs: the run number, and every numeric column, (rows,)."""
     numbers = {label: float(k) for k, label in enumerate(recording.run_labels(), 1)}
     of_run = np.sort(_labels(recording)[np.isin(_labels(recording), labels)], kind="stable")
     readings = {"run number": np.array([numbers[label] for label in of_run])}
@@ -275,7 +275,7 @@ def _readings_of(recording: Recording, rows: pd.DataFrame, labels: Sequence[str]
 
 
 def shared_runs(old: Recording, new: Recording) -> list[str]:
-    """Labels of the runs that both hold with as many rows."""
+    """Labels of the runs that have equally many rows in both."""
     counts = [dict(zip(*np.unique(_labels(r), return_counts=True), strict=True)) for r in (old, new)]
     return [label for label in dict.fromkeys(_labels(old)) if counts[0][label] == counts[1].get(label)]
 

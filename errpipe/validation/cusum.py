@@ -7,19 +7,19 @@ from functools import lru_cache
 
 import numpy as np
 
-REFERENCE = 1.0  # of a standard error: half of the shift that is to be found quickest (Page 1954)
-FALSE_ALARMS = 0.02  # of years without drift that raise an alarm, any sensor, normal noise; measured: docs/trials.md
-HORIZON = 365  # runs for which that holds: a year of nights
+REFERENCE = 1.0  # standard errors: half of the shift to be detected fastest (Page 1954)
+FALSE_ALARMS = 0.02  # share of years without drift with an alarm, any sensor, normal noise; measured: docs/trials.md
+HORIZON = 365  # runs for which that is valid: a year of nights
 SIMULATED = 4000  # simulated years without drift per threshold
-MIN_THRESHOLD = 5.0  # standard errors; below it one odd run would be an alarm
-FEWEST_RUNS = 4  # reference runs below which no scatter between runs is known
+MIN_THRESHOLD = 5.0  # standard errors; with less, one outlying run would be an alarm
+FEWEST_RUNS = 4  # reference runs needed to estimate the scatter between runs
 
 
 @lru_cache
 def threshold(freedom: int, share: float) -> float:
-    """Threshold of the CUSUM, standard errors: a year of runs without drift exceeds it in a share of the years.
+    """Threshold of the CUSUM, standard errors: exceeded in a stated share of the years of runs without drift.
 
-    freedom: degrees of freedom of the scatter by which residuals are divided.
+    freedom: degrees of freedom of the standard deviation by which residuals are divided.
     """
     rng = np.random.default_rng(1)
     freedom = max(freedom, 1)
@@ -33,7 +33,7 @@ def threshold(freedom: int, share: float) -> float:
 
 
 def cusum(z: np.ndarray) -> tuple[float, int]:
-    """Largest two-sided cumulative sum of standardised values, and where the excursion that reached it began."""
+    """Largest two-sided cumulative sum of standardised values, and the start of the excursion that reached it."""
     best, begin = 0.0, 0
     for sign in (1.0, -1.0):
         total, start = 0.0, 0
@@ -47,7 +47,7 @@ def cusum(z: np.ndarray) -> tuple[float, int]:
 
 
 def level_drift(old: Sequence[float], new: Sequence[float]) -> tuple[float, int] | None:
-    """CUSUM of a figure per run that has one level, such as a champion's mean residual, and where it began.
+    """CUSUM of a figure per run with a constant level, such as a champion's mean residual, and the start of the drift.
 
     None below its threshold, or with too few reference runs.
     """
@@ -56,7 +56,7 @@ def level_drift(old: Sequence[float], new: Sequence[float]) -> tuple[float, int]
         return None
     scale = max(float(np.std(old, ddof=1)), 1e-9)
     values = np.array([*old, *new], dtype=float)
-    seen = np.arange(count, values.size)  # runs before each new one, whose mean is what it is judged by
+    seen = np.arange(count, values.size)  # runs before each new one, whose mean is its reference
     before = np.cumsum(values)[count - 1 : -1] / seen
     alarm, begin = cusum((values[count:] - before) / (scale * np.sqrt(1.0 + 1.0 / seen)))
     return (alarm, begin) if alarm >= threshold(count - 1, FALSE_ALARMS) else None

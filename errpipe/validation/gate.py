@@ -1,4 +1,4 @@
-"""Gate of an export: the components that improve held-out runs, at the gain that was judged there."""
+"""Gate of an export: the components that improve held-out runs, at the validated gain."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from errpipe.fitting.holdout import HALVES
 
 @dataclass(frozen=True)
 class Passed:
-    """model: components with the gain that was judged; left_out: those without one; judged: figures for the reader."""
+    """model: components with the validated gain; left_out: those without one; judged: figures for the report."""
 
     model: ErrorModel
     left_out: tuple[str, ...]
@@ -21,10 +21,10 @@ class Passed:
 
 
 def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> Passed:
-    """The part of a model that every validation of it found better than nothing, each component at its least gain.
+    """The part of a model that is better than no compensation in every validation, each component at its smallest gain.
 
-    validations: documents of `validation.json` of this very model. Doing nothing wins ties. Raises GateError if no
-    validation judged the model, or no component is left.
+    validations: documents of `validation.json` of this model. No compensation wins ties. Raises GateError if no
+    validation covers the model, or if no component remains.
     """
     if not validations:
         raise not_judged(model)
@@ -40,7 +40,7 @@ def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> Pa
     if not kept:
         halves = any(v.get("scheme") == HALVES for v in validations)
         reasons = "; ".join(_reason(one, halves) for one in judged) or "no component was judged"
-        more = " One run shows too little of the next one: measure further days, each as a run." if halves else ""
+        more = " One run is not enough to predict the next one: measure further days, each as a run." if halves else ""
         raise GateError(
             f"export: not better than no compensation on held-out rows ({reasons}). Nothing was exported.{more}"
         )
@@ -48,10 +48,10 @@ def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> Pa
 
 
 def not_judged(model: ErrorModel) -> GateError:
-    """What to raise for a model that no validation judged."""
+    """The error to raise for a model without validation."""
     names = ", ".join(c.component for c in model.components)
     return GateError(
-        f"export: no validation judged this model ({names}) on held-out rows (add a `validate` stage after the fit, or "
+        f"export: this model ({names}) was not validated on held-out rows (add a `validate` stage after the fit, or "
         "set `ungated: true` to export it anyway)"
     )
 
@@ -60,7 +60,7 @@ def _at_gain(component: ComponentModel, gain: float, figures: Sequence[Mapping[s
     if gain == 1.0:
         return component
     half = max(c["half_width90_at_gain"] for c in figures)
-    if component.factor90 is not None:  # an interval that follows the inputs was calibrated at the whole gain
+    if component.factor90 is not None:  # an interval that depends on inputs was calibrated at full gain
         half = max(half, component.half_width90)
     update = {"gain": component.gain * gain, "half_width90": half}
     return component.model_copy(update=update)

@@ -1,6 +1,6 @@
 """Figures from held-out rows: every one compared with no compensation and the noise floor.
 
-"Do nothing" and partial gains compete with the full model on the same rows; the least of them within 1 % of the best
+No compensation and partial gains compete with the full model on the same rows; the smallest of them within 1 % of the
 wins, if runs agree on it by more than chance (`significance`). The 90 % interval that covers a group comes from the
 other groups alone.
 """
@@ -25,8 +25,8 @@ from errpipe.fitting.noise_floor import noise_floor
 from errpipe.models import Family
 from errpipe.validation import seasons, significance
 
-GAINS = (0.0, 0.25, 0.5, 0.75, 1.0)  # shares of a model that compete, 0 = do nothing
-# Times the half width from halves of one run: covers 93, 90 and 87 % of later logs after one of 1, 3 and 8 days
+GAINS = (0.0, 0.25, 0.5, 0.75, 1.0)  # competing shares of a model, 0 = no compensation
+# Factor on the half width from halves of one run: covers 93, 90 and 87 % of later logs after one of 1, 3 and 8 days
 # (chosen on seeds 5101 and 5102 of `trials.thermal --log-days`, 12 machines; 1.0: 89, 78 and 74 %).
 NEXT_RUN = 1.5
 BLOCKS = "blocks:5"  # of one run, each predicted by the others
@@ -44,11 +44,11 @@ def judged(
     folds: Sequence | None = None,
     progress: Callable[[float, str], None] = lambda share, text: None,
 ) -> tuple[dict[str, Any], dict[str, list[HeldOut]]]:
-    """Refit a family without each group and judge on it: the document of `validation.json` for one scheme, and per
+    """Refit a family without each group and validate on it: the document of `validation.json` for one scheme, and per
     component the held-out rows with their residuals.
 
     folds: splits made elsewhere, as (label, train mask, test mask), instead of those of `scheme`; they are refused
-    where a row both fits and judges. rms in the response's unit. Raises DataError if nothing can be held out.
+    if a row is both fitted and tested. rms in the response's unit. Raises DataError if nothing can be held out.
     """
     if folds is None:
         label, folds = family.folds(recording, scheme)
@@ -84,7 +84,7 @@ def judged(
 def _left_out(
     recording: Recording, family: Family, folds: Sequence[holdout.Fold], progress: Callable[[float, str], None]
 ) -> tuple[dict[str, list[HeldOut]], list[str]]:
-    """Per component the held-out rows of every fold, and why some folds judge nothing."""
+    """Per component the held-out rows of every fold, and why some folds have no test rows."""
     number = itertools.count()
 
     def judge(fold: holdout.Fold) -> Mapping[str, HeldOut]:
@@ -95,7 +95,7 @@ def _left_out(
 
 
 def _of_one_run(document: dict[str, Any]) -> None:
-    """Half widths for a run to come; how much of it they cover, one run (or two) cannot show."""
+    """Half widths for a future run; one run (or two) cannot show their coverage."""
     for component in document["components"]:
         component |= {name: NEXT_RUN * component[name] for name in ("half_width90", "half_width90_at_gain")}
         component["coverage90"] = None
@@ -105,10 +105,10 @@ def _of_one_run(document: dict[str, Any]) -> None:
 def judged_in_batches(
     source: Source, family: Family, scheme: holdout.HoldOut | None = None
 ) -> tuple[dict[str, Any], dict[str, list[HeldOut]]]:
-    """`judged` of a recording that is read batch by batch.
+    """`judged` for a recording that is read batch by batch.
 
     rms, mean, scatter and largest deviation are those of all rows; coverage, noise floor and the test over runs are
-    those of a sample of stretches of every run, which the second part of the answer holds.
+    those of a sample of stretches of every run, which is returned second.
     """
     done = family.judge_batches(source, scheme)
     components, rows = [], {}
@@ -145,7 +145,7 @@ def _of_all_rows(fold: Fold, worst: np.ndarray) -> dict[str, Any]:
 
 
 def _cover(document: dict[str, Any], table: Mapping[str, Any]) -> None:
-    """The coverage of the model's own intervals, instead of one width taken from the other groups."""
+    """The coverage of the model's own intervals, instead of one width derived from the other groups."""
     known = {row["left_out"]: row["coverage"] for row in table["groups"]}
     for component in document["components"]:
         for group in component["groups"]:
@@ -156,7 +156,7 @@ def _cover(document: dict[str, Any], table: Mapping[str, Any]) -> None:
 
 
 def in_short(not_judged: Sequence[str]) -> list[str]:
-    """Why hold-outs were not judged, a sentence for each cause: a sensor that died is no sentence for every night."""
+    """Reasons for hold-outs without test rows, one sentence per cause: a failed sensor is not repeated every night."""
     labels: dict[str, list[str]] = {}
     for sentence in not_judged:
         label, _, why = sentence.partition(": ")
@@ -172,10 +172,10 @@ def component_figures(
     gains: dict[str, float] | None = None,
     halves: Blocks | None = None,
 ) -> dict[str, Any]:
-    """Figures of one component over its held-out groups. gains: rms by gain where it is known from further rows.
+    """Figures of one component over its held-out groups. gains: rms by gain if known from further rows.
 
-    halves: where the groups are blocks of halves that predicted each other, per component blocks that all others of the
-    run predicted; asked for where halves leave it open.
+    halves: if the groups are blocks of halves that predicted each other, per component the blocks predicted by all
+    others of the run; called if halves are inconclusive.
     """
     if not folds:
         raise DataError(f"validate: no held-out rows of {component}")
@@ -238,10 +238,10 @@ def _tested(
 
 
 def _between(halves: Sequence[HeldOut], blocks: Sequence[HeldOut]) -> float:
-    """The gain with the least geometric mean of what halves and blocks of one run are left.
+    """The gain with the smallest geometric mean of the residuals of halves and of blocks of one run.
 
-    The model that is exported is fitted to the whole run. A fit to a half knows less than it and goes too far where it
-    extrapolates, a block lies between the rows that predict it: the next run is between the two.
+    The exported model is fitted to the whole run. A fit to a half has less information and extrapolates too
+    far, a block lies between the rows that predict it: the next run is between the two.
     """
     return _smallest_tied_gain({f"{g:g}": float(np.sqrt(_pooled(halves, g) * _pooled(blocks, g))) for g in GAINS})
 
@@ -272,7 +272,7 @@ def _pooled(folds: Sequence[HeldOut], gain: float) -> float:
 
 
 def _at_gain(fold: HeldOut, gain: float) -> np.ndarray:
-    """Residual if only a share of the correction is applied (linear between two known ends)."""
+    """Residual if only a share of the correction is applied (linear between the two ends)."""
     return (1.0 - gain) * fold.before + gain * fold.after
 
 
@@ -282,7 +282,7 @@ def _smallest_tied_gain(gains: dict[str, float]) -> float:
 
 
 def _coverage(folds: Sequence[HeldOut]) -> list[float | None]:
-    """Share of each group inside the 90 % interval that the others state; None where there is no other."""
+    """Share of each group inside the 90 % interval derived from the others; None if there is no other."""
     if len(folds) < 2:
         return [None] * len(folds)
     out: list[float | None] = []

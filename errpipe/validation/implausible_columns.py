@@ -1,4 +1,4 @@
-"""Checks of a recording's other columns: axes, directions, runs, time, temperatures, copies of one another."""
+"""Checks of a recording's other columns: axes, directions, runs, time, temperatures, copied columns."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from errpipe.domain.recording import Recording
 from errpipe.validation import odd_runs
 from errpipe.validation.plausibility_finding import Finding
 
-MIN_MOVES = 10  # steps or rows; with fewer a check returns nothing
-AT_REST = 1e-3  # of the largest travel: an axis that moves less than that is at rest
+MIN_MOVES = 10  # steps or rows; with fewer a check reports nothing
+AT_REST = 1e-3  # of the largest travel: an axis that moves less is at rest
 MAX_SPEED = {"mm": 10_000.0, "deg": 36_000.0}  # mm/s (linear motors reach 5 m/s), deg/s (100 rev/s)
-ROOM = (-30.0, 150.0)  # degC: what a sensor of a machine tool can read
+ROOM = (-30.0, 150.0)  # degC: range of a machine tool's sensor
 COPY = 1e-6  # of its range: largest rms residual of an affine copy
-OUTSIDE = 0.1  # of the travel: by how much positions may exceed a travel that was stated as a round number
+OUTSIDE = 0.1  # of the travel: tolerance of positions beyond a travel that was stated as a round number
 INCH = 25.4  # mm
-SWEEPS = 0.25  # of the moves: with fewer turns the targets are measured in sweeps, not in a random order
-BOTH_WAYS = 0.2  # threshold: share of the steps one way, from which the rows are in the order of the motion
-COLDEST = 55.0  # degC: no machine is warmer than that at its coldest place
+SWEEPS = 0.25  # of the moves: with fewer reversals the targets are measured in sweeps, not in a random order
+BOTH_WAYS = 0.2  # threshold: share of the steps in one direction, from which the rows are in the order of the motion
+COLDEST = 55.0  # degC: upper limit of the coldest part of a machine
 STEP, STEP_GAP = 15.0, 600.0  # K from one row to the next, s between them: faster than anything but a heater
-RETURN = 0.2  # of the step: how near to its level before a failed sensor comes back; a heated bed cools slowly
+RETURN = 0.2  # of the step: tolerance with which a failed sensor returns to its level; a heated bed cools slowly
 
 
 def axis_of_component(recording: Recording) -> Iterator[Finding]:
@@ -58,7 +58,7 @@ def _renamed(component: components.Component, axis: str) -> str:
 
 
 def direction_against_motion(recording: Recording) -> Iterator[Finding]:
-    """A direction that is the opposite of how the position changes from row to row."""
+    """A direction opposite to the change of the position from row to row."""
     for side in recording.names("direction"):
         axis = recording.manifest.columns[side].axis
         place = recording.name("command", axis=axis) or recording.name("position", axis=axis)
@@ -102,7 +102,7 @@ def direction_against_motion(recording: Recording) -> Iterator[Finding]:
 
 
 def _runs_against_motion(run: np.ndarray, same: np.ndarray) -> list[int]:
-    """Codes of runs in which a direction is against the motion, where the others follow it; run, same: (moves,)."""
+    """Codes of runs in which a direction contradicts the motion, while the others follow it; run, same: (moves,)."""
     codes = np.unique(run)
     agree = np.array([same[run == k].mean() for k in codes])
     moves = np.array([np.sum(run == k) for k in codes])
@@ -111,7 +111,7 @@ def _runs_against_motion(run: np.ndarray, same: np.ndarray) -> list[int]:
 
 
 def travel(recording: Recording) -> Iterator[Finding]:
-    """Positions beyond the stated travel, or so small a part of it that the unit is wrong."""
+    """Positions beyond the stated travel, or in so small a part of it that the unit is wrong."""
     for axis, facts in recording.manifest.constants.items():
         name = recording.name("command", axis=axis) or recording.name("position", axis=axis)
         if facts.role != "axis" or facts.travel is None or name is None:
@@ -152,7 +152,7 @@ def run_per_row(recording: Recording) -> Iterator[Finding]:
 
 
 def speed(recording: Recording) -> Iterator[Finding]:
-    """An axis faster than any axis is: time in another unit, or position in another unit."""
+    """An implausibly fast axis: time in another unit, or position in another unit."""
     time = recording.name("time")
     if time is None:
         return
@@ -170,7 +170,7 @@ def speed(recording: Recording) -> Iterator[Finding]:
 
 
 def temperatures(recording: Recording) -> Iterator[Finding]:
-    """A temperature in kelvin, in tenths, or of something that is no temperature."""
+    """A temperature in kelvin, in tenths, or a column that is not a temperature."""
     for name in recording.names("temperature"):
         t = recording.array(name)
         t = t[np.isfinite(t)]
@@ -193,14 +193,14 @@ def temperatures(recording: Recording) -> Iterator[Finding]:
 
 
 def _kelvin_in_part(t: np.ndarray) -> bool:
-    """Whether finite readings lie in a shop's range, degC, once 273.15 is taken from the hot ones."""
+    """Whether finite readings are in a shop's range, degC, after subtracting 273.15 from the hot ones."""
     hot = t > ROOM[1]
     rest = np.where(hot, t - 273.15, t)
     return bool(hot.any() and (t[hot] > 250.0).all() and rest.min() >= ROOM[0] and rest.max() <= ROOM[1])
 
 
 def _steps(recording: Recording, name: str) -> Iterator[Finding]:
-    """A temperature that leaves its level from one row of a run to the next, and comes back to it as suddenly."""
+    """A temperature that leaves its level from one row of a run to the next, and returns as suddenly."""
     t, time, run = recording.array(name), recording.name("time"), recording.run_codes()
     gap = np.diff(recording.array(time)) if time else np.zeros(t.size - 1)
     steps = np.where((np.diff(run) == 0) & (gap < STEP_GAP), np.diff(t), 0.0)
@@ -214,7 +214,7 @@ def _steps(recording: Recording, name: str) -> Iterator[Finding]:
 
 
 def warm_everywhere(recording: Recording) -> Iterator[Finding]:
-    """Every temperature above what the coldest place of a machine reaches: degF."""
+    """Every temperature above the limit of a machine's coldest part: degF."""
     names = recording.names("temperature")
     lows = [np.nanmin(t) for n in names if np.isfinite(t := recording.array(n)).any()]
     if lows and COLDEST < min(lows) < ROOM[1]:
@@ -243,12 +243,12 @@ def fahrenheit(recording: Recording) -> Iterator[Finding]:
                 break
 
 
-COLD_START, WARMING = 3.0, 1.0  # K: between two sensors of a cold machine; least rise of one that warms up
+COLD_START, WARMING = 3.0, 1.0  # K: between two sensors of a cold machine; smallest rise of one that warms up
 MIN_CORRELATION = 0.9  # correlation of two sensors that warm up together
 
 
 def _is_cold_in_fahrenheit(t: np.ndarray, other: np.ndarray) -> bool:
-    """Whether a sensor that is never cool reads, in degF, what another one reads in degC when that is coldest.
+    """Whether a sensor that is never cool reads, in degF, the temperature of another one in degC when that is coldest.
 
     Both must warm up together: a heated bed or a hot motor does not follow its room.
     """
@@ -260,7 +260,7 @@ def _is_cold_in_fahrenheit(t: np.ndarray, other: np.ndarray) -> bool:
 
 
 def temperature_of_position(recording: Recording) -> Iterator[Finding]:
-    """A 'temperature' that follows the position within every run: columns swapped."""
+    """A 'temperature' that follows the position within every run: exchanged columns."""
     places = [n for role in ("command", "position") for n in recording.names(role)]
     run = recording.run_codes()
     for name in recording.names("temperature"):
@@ -281,11 +281,11 @@ def temperature_of_position(recording: Recording) -> Iterator[Finding]:
 
 
 def _spread(values: np.ndarray) -> np.ndarray:
-    """Values that vary, from their mean in units of their range: squares of them neither overflow nor vanish."""
+    """Varying values, as differences from their mean in units of their range: avoids overflow and underflow."""
     return (values - values.mean()) / np.ptp(values)
 
 
-DENSE_ROWS = 500  # as the import: more are a log of an axis
+DENSE_ROWS = 500  # as in the import: more are a log of an axis
 
 
 def copies(recording: Recording) -> Iterator[Finding]:
@@ -310,12 +310,12 @@ def copies(recording: Recording) -> Iterator[Finding]:
                 break
 
 
-REFERENCE = (0.5, 1 / 3)  # of the runs, from the first: those that others are compared with
-APART = 2.0  # K between two sensors, whose exchange is else neither certain nor of any weight
+REFERENCE = (0.5, 1 / 3)  # of the runs, from the first: reference for the others
+APART = 2.0  # K between two sensors; below it an exchange is neither certain nor relevant
 
 
 def sensors_of_some_runs(recording: Recording) -> Iterator[Finding]:
-    """Temperatures that from some run on read in each other's place, or in another unit, as the runs before show."""
+    """Temperatures that from some run on are exchanged, or in another unit, compared with the runs before."""
     run = recording.run_codes()
     order = list(dict.fromkeys(run.tolist()))
     for share in REFERENCE:

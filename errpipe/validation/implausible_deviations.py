@@ -16,34 +16,34 @@ from errpipe.validation.plausibility_finding import (
     noise_of_difference,
 )
 
-ABSOLUTE_SLOPE = 0.1  # of the position: no axis is wrong by 10 %; a belt with a wrong pulley reaches 3 %
-FILLED_SHARE, FEWEST_FILLED = 0.3, 10  # of the rows; a run that is set to zero at one target has fewer equal ones
+ABSOLUTE_SLOPE = 0.1  # of the position: no axis has an error of 10 %; a belt with a wrong pulley reaches 3 %
+FILLED_SHARE, FEWEST_FILLED = 0.3, 10  # of the rows; a run zeroed at one target has fewer equal ones
 # Of the travel, offsets of runs and directions removed: a belt with a wrong pulley reaches 3 %
 MAX_SHARE_OF_TRAVEL = 0.03
-MIN_SCATTER_UM, SMALLEST_SHARE = 0.05, 1e-6  # um; of the travel: 1 ppm is what air of 1 degC more does to a laser
-QUIETEST = 5e-9  # of the travel: half of what the best interferometer repeats to in air
-# rms of the residual from a line, of its range: no measured screw is as straight as a column of numbers
+MIN_SCATTER_UM, SMALLEST_SHARE = 0.05, 1e-6  # um; of the travel: 1 ppm is the effect of 1 degC of air on a laser
+QUIETEST = 5e-9  # of the travel: half the repeatability of the best interferometer in air
+# rms of the residual from a line, of its range: no measured screw is as straight as computed numbers
 STRAIGHT = 3e-4
 UNIT_RATIO = 0.02  # a step within 2 % of 1 mm or 1 inch is that step
-MIN_STEPS = 8  # neighbours or readings of a direction; fewer have no usual size
+MIN_STEPS = 8  # neighbours or readings of a direction; fewer do not show the usual size
 MAX_EXPANSION = 60.0  # um/m/K: aluminium has 23, the plastics of light frames up to 100 (allowed by name)
 EXPANSION = (-26.0, -5.0)  # um/m/K: minus the expansion of glass (8), steel (11.5), aluminium (23)
-ROUNDING = 1e-12  # of a position: a difference of positions that varies by less is constant
+ROUNDING = 1e-12  # of a position: a smaller variation of a difference of positions is rounding
 COMMON_SLOPES = (
     (1.0, "error = reading - commanded (these are absolute readings, not deviations)"),
-    (-1.0, "another reading (this one is empty, in m beside commands in mm, or absolute with the sign turned)"),
-    (-2.0, "a reading that counts the other way: error = -reading - commanded"),
-    (1 / 25.4 - 1, "readings in inch beside commands in mm: convert before subtracting"),
-    (24.4, "commands in inch beside readings in mm: convert before subtracting"),
-    (999.0, "readings in um beside commands in mm: convert before subtracting"),
-    (-0.5, "a radius beside a diameter"),
+    (-1.0, "another reading (this one is empty, in m with commands in mm, or absolute with reversed sign)"),
+    (-2.0, "a reading of opposite sign: error = -reading - commanded"),
+    (1 / 25.4 - 1, "readings in inch with commands in mm: convert before subtracting"),
+    (24.4, "commands in inch with readings in mm: convert before subtracting"),
+    (999.0, "readings in um with commands in mm: convert before subtracting"),
+    (-0.5, "a radius for a diameter"),
 )
-# Of the unit that the deviations may have been in.
+# Ratios to the unit in which the deviations may have been.
 UNITS = ((1e-3, "1000 times smaller"), (1 / 25.4, "25.4 times smaller"), (1e-3 / 25.4, "25400 times smaller"))
 
 
 def absolute_readings(r: Response) -> Finding | None:
-    """A slope near +1 or -1 (or a unit's ratio) over the own position: readings, not deviations."""
+    """A slope near +1 or -1 (or a unit ratio) over the own position: readings, not deviations."""
     if r.per_unit is None or r.position is None or r.span == 0:
         return None
     slope, residual = _line(r)
@@ -62,7 +62,7 @@ def absolute_readings(r: Response) -> Finding | None:
 
 
 def as_large_as_travel(r: Response) -> Finding | None:
-    """A change beyond 3 % of the travel: swapped columns, or a position in a larger unit."""
+    """A change beyond 3 % of the travel: exchanged columns, or a position in a larger unit."""
     if r.per_unit is None or r.position is None or absolute_readings(r) is not None:
         return None
     shape = r.deviation - group_means(r.deviation, r.run * 2 + (r.side() > 0))
@@ -71,15 +71,15 @@ def as_large_as_travel(r: Response) -> Finding | None:
         return None
     evidence = f"the deviation spans {size:.4g} {r.component.unit} over a travel of {r.span:.4g}"
     if _regular(r.deviation) and not _regular(r.position):
-        meant = "the columns of position and deviation the other way round (the deviation has equal steps)"
+        meant = "exchanged columns of position and deviation (the deviation has equal steps)"
     elif size > 0.5 * r.span * r.per_unit:
-        meant = "columns of position and deviation the other way round, or um declared as mm"
+        meant = "exchanged columns of position and deviation, or um declared as mm"
     else:
         meant = "a position in m or inch that was declared as mm, or um declared as mm for the deviation"
     return Finding("as-large-as-travel", r.column, evidence, meant)
 
 
-OF_ITS_ZERO = 0.2  # largest range of the readings, of their distance from 0: the rest is a constant
+OF_ITS_ZERO = 0.2  # largest range of the readings, as share of their distance from 0: the rest is a constant
 OTHER_ZERO_UM = 500.0  # um: as the limit of a correction
 
 
@@ -96,7 +96,7 @@ def other_zero(r: Response) -> Finding | None:
 
 
 def too_small(r: Response) -> Finding | None:
-    """Deviations below the instrument's own wavelength: millimetres declared as micrometres."""
+    """Deviations below an instrument's resolution: millimetres declared as micrometres."""
     if r.component.unit != "um" or r.per_unit is None or r.span < 1.0:
         return None
     largest, least = float(np.abs(r.deviation).max()), max(MIN_SCATTER_UM, SMALLEST_SHARE * 1e3 * r.span)
@@ -109,7 +109,7 @@ def too_small(r: Response) -> Finding | None:
 
 
 def constant(r: Response) -> Finding | None:
-    """A deviation that never changes, or one precise reading repeated in many rows: it was filled in."""
+    """A deviation that never changes, or one precise reading repeated in many rows: a fill value."""
     values, counts = np.unique(r.deviation, return_counts=True)
     most = counts.max()
     if values.size == 1:
@@ -118,7 +118,7 @@ def constant(r: Response) -> Finding | None:
         return None
     else:
         evidence = f"{int(most)} of {r.deviation.size} readings are {values[np.argmax(counts)]:.6g}"
-        meant = "a value that was filled in, or an instrument that stuck"
+        meant = "a fill value, or a stuck instrument"
     return Finding("constant-deviation", r.column, evidence, meant)
 
 
@@ -139,7 +139,7 @@ def jump(r: Response) -> Finding | None:
 
 
 def mixed_units(r: Response) -> Finding | None:
-    """Runs or directions that hold the same curve 25.4 or 1000 times larger than the others."""
+    """Runs or directions with the same curve, 25.4 or 1000 times larger than the others."""
     if r.position is None or r.component.kind == "force":
         return None
     for what, key in r.groupings():
@@ -175,7 +175,7 @@ def reversed_sign(r: Response) -> Finding | None:
     slope = _slope(true[good], r.deviation[good])
     if match < -0.9:
         evidence = f"it is minus the difference of {actual} and {command} (correlation {match:.2f})"
-        return Finding("reversed-sign", r.column, evidence, "error = actual - commanded: turn the sign")
+        return Finding("reversed-sign", r.column, evidence, "error = actual - commanded: change the sign")
     if match > 0.99 and not 0.9 < slope < 1.1:
         evidence = f"it is {slope:.4g} times {actual} minus {command}"
         return Finding("reversed-sign", r.column, evidence, "another unit of the error, or of one of the positions")
@@ -183,11 +183,11 @@ def reversed_sign(r: Response) -> Finding | None:
 
 
 def expansion_of_no_material(r: Response) -> Finding | None:
-    """Every warm run has a smaller slope, which means a reversed sign; or a larger one than any material has."""
+    """A slope that decreases in every warm run, so that the sign is reversed; or exceeds any material's expansion."""
     rates = _expansion_rates(r)
     if rates and all(match < -0.9 and EXPANSION[0] <= rate <= EXPANSION[1] for match, rate in rates):
         evidence = f"the axis gets {-min(rates)[1]:.3g} um/m shorter for each kelvin of warmth"
-        meant = "error = actual - commanded: turn the sign (steel, iron and glass get longer)"
+        meant = "error = actual - commanded: change the sign (steel, iron and glass get longer)"
         return Finding("shrinks-when-warm", r.column, evidence, meant)
     if rates and all(match > 0.9 and rate > MAX_EXPANSION for match, rate in rates):
         least = min(rate for _, rate in rates)
@@ -198,7 +198,7 @@ def expansion_of_no_material(r: Response) -> Finding | None:
 
 
 def _expansion_rates(r: Response) -> list[tuple[float, float]]:
-    """(correlation, um/m/K) of the slope over position with each temperature, run by run; empty where unknown."""
+    """(correlation, um/m/K) of the slope over position with each temperature, run by run; empty if unknown."""
     warm = r.recording.names("temperature")
     runs = np.unique(r.run)
     if r.component.kind != "positioning" or not warm or runs.size < 3 or r.position is None:
@@ -219,7 +219,7 @@ def _expansion_rates(r: Response) -> list[tuple[float, float]]:
 
 
 def worse_with_compensation(r: Response) -> Finding | None:
-    """Runs with the compensation on that are twice as wrong as those with it off."""
+    """Runs with the compensation on whose error is twice that of those with it off."""
     rec = r.recording
     for name in rec.names("group"):
         if rec.manifest.columns[name].of != "compensation" or r.position is None:
@@ -237,16 +237,16 @@ def worse_with_compensation(r: Response) -> Finding | None:
         turned = _of_the_other(r, on, off)
         if turned is not None and abs(turned + 1.0) < OVER:
             evidence = f"{what} {turned:.2f} times that without it"
-            meant = "an error declared twice as large as it is (a radius beside a diameter, a double pass of a laser)"
+            meant = "an error declared twice as large as it is (a radius for a diameter, a double pass of a laser)"
             return Finding("worse-with-compensation", r.column, evidence, meant)
     return None
 
 
-OVER = 0.15  # about -1: the residual if twice the error was compensated
+OVER = 0.15  # tolerance about -1, the residual if twice the error was compensated
 
 
 def _of_the_other(r: Response, on: np.ndarray, off: np.ndarray) -> float | None:
-    """Slope of the mean curve with a compensation over that without it; None where they have not the same shape."""
+    """Slope of the mean curve with a compensation over that without it; None if their shapes differ."""
     place = r.cells()
     shared = np.intersect1d(place[on], place[off])
     if shared.size < MIN_STEPS:
@@ -257,11 +257,11 @@ def _of_the_other(r: Response, on: np.ndarray, off: np.ndarray) -> float | None:
     return _slope(a, b)
 
 
-MOST_ROWS = 3  # rows that a file's values are shifted by: lines of its header (name, unit, a blank one)
+MOST_ROWS = 3  # largest shift of values in rows: header lines (name, unit, a blank one)
 
 
 def shifted_rows(r: Response) -> Finding | None:
-    """Both directions agree only when each is moved by some targets: the deviations are shifted by as many rows."""
+    """Both directions agree only if each is moved by some targets: the deviations are shifted by as many rows."""
     if r.direction is None or r.position is None:
         return None
     up, down = _curve(r, 1.0), _curve(r, -1.0)
@@ -294,7 +294,7 @@ def _line(r: Response) -> tuple[float, float]:
 
 
 def _noise(r: Response) -> float:
-    """How finely the deviation was read: scatter of repeats or of neighbours, whichever is less, or its resolution."""
+    """Noise of the deviation: the smaller scatter of repeats or of neighbours, or the resolution."""
     variance, freedom = r.repeats()
     scatter = [float(np.sqrt(variance))] if freedom else []
     if r.deviation.size > 2:
@@ -314,7 +314,7 @@ def _scatter(values: np.ndarray) -> float:
 
 
 def _regular(values: np.ndarray) -> bool:
-    """Whether values repeat on a grid of equal steps, as targets do."""
+    """Whether values repeat on a grid of equal steps, like targets."""
     levels = np.unique(np.round(values, 6))
     if levels.size < 4 or levels.size > values.size / 2:
         return False

@@ -1,4 +1,4 @@
-"""Checks of runs and directions against each other: a sign that changes among them, a way back in the wrong order."""
+"""Checks of runs and directions against each other: an inconsistent sign, a return pass in the wrong order."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from errpipe.validation.plausibility_finding import (
     noise_of_difference,
 )
 
-FEWEST_TARGETS = 10  # shared targets; chance reaches a correlation of -0.8 on ten once in 200 tries
+FEWEST_TARGETS = 10  # common targets; by chance a correlation on ten reaches -0.8 once in 200 tries
 OPPOSITE = -0.8  # correlation of a curve with the mean of the others
-MIN_CORRELATION = 0.6  # correlation of the others among themselves
+MIN_CORRELATION = 0.6  # correlation of the others with each other
 MIN_SCATTER_UM = 1.0  # um (urad): scatter of a curve about its line below which its sign is undetermined
 
 
 def mixed_sign(r: Response) -> Finding | None:
-    """One run, or one direction, whose curve is that of the others with the other sign."""
+    """One run, or one direction, whose curve has the opposite sign to the others."""
     if r.position is None or r.component.kind == "force":
         return None
     for what, key in r.groupings():
@@ -40,7 +40,7 @@ def mixed_sign(r: Response) -> Finding | None:
             names = [r.label_of(what, k) for k in labels[minority]]
             evidence = f"{what} {', '.join(names)} has the shape of the others with the other sign"
             evidence += f" (correlation {match[np.ix_(minority, rest)].mean():.2f})"
-            meant = "its deviations are commanded minus actual: turn them"
+            meant = "its deviations are commanded minus actual: change their sign"
             if what == "direction":  # a screw worn in the middle looks the same
                 return Finding("mixed-sign", r.column, evidence, f"{meant}, or lost motion along a worn screw", "ask")
             return Finding("mixed-sign", r.column, evidence, meant)
@@ -48,7 +48,7 @@ def mixed_sign(r: Response) -> Finding | None:
 
 
 def _of_the_other_sign(match: np.ndarray) -> list[np.ndarray]:
-    """The smaller group of curves, where two groups agree within and oppose each other; match: correlations."""
+    """The smaller group of curves, if two groups agree internally and oppose each other; match: correlations."""
     group = match[0] > 0
     if group.all():
         return []
@@ -58,9 +58,9 @@ def _of_the_other_sign(match: np.ndarray) -> list[np.ndarray]:
 
 
 def repeated_run(r: Response) -> Finding | None:
-    """A run that is another one to the last digit, where the readings are finer than chance repeats.
+    """A run that repeats another one to the last digit, with readings too fine for chance.
 
-    Several runs that are all alike were computed, not measured: nothing is reported.
+    If several runs are all equal they were computed, not measured: nothing is reported.
     """
     labels = np.unique(r.run)
     bytes_of = {int(k): r.deviation[r.run == k].tobytes() for k in labels}
@@ -80,7 +80,7 @@ def repeated_run(r: Response) -> Finding | None:
     return None
 
 
-FACTORS = {25.4: "inch beside mm", 1000.0: "m, mm and um mixed", 2.0: "a radius beside a diameter"}
+FACTORS = {25.4: "inch with mm", 1000.0: "m, mm and um mixed", 2.0: "a radius for a diameter"}
 
 
 def mixed_positions(r: Response) -> Finding | None:
@@ -105,7 +105,7 @@ def mixed_positions(r: Response) -> Finding | None:
 
 
 def mirrored_rows(r: Response) -> Finding | None:
-    """The way back agrees with the way there only when its readings are taken in the opposite order."""
+    """The return pass agrees with the forward pass only if its readings are taken in the opposite order."""
     if r.position is None or r.direction is None:
         return None
     curves = _curves(r, [r.direction > 0, r.direction < 0])
@@ -115,18 +115,18 @@ def mirrored_rows(r: Response) -> Finding | None:
     mirrored = float(np.std(curves[0] - curves[1][::-1]))
     if not is_rearranged(r, straight**2, mirrored**2, curves.shape[1], noise_of_difference(r)):
         return None
-    evidence = f"both directions agree {straight / max(mirrored, 1e-12):.3g} times better when one is read backwards"
+    evidence = f"both directions agree {straight / max(mirrored, 1e-12):.3g} times better if one is reversed"
     meant = "readings of the return pass listed in the order of the targets, not of the measurement (or the reverse)"
     return Finding("mirrored-rows", r.column, evidence, meant, level_of_rearranged(r, straight**2, mirrored**2))
 
 
-UNLIKE, SMOOTH, JAGGED = 0.5, 0.7, 1.3  # correlation; ratio of von Neumann: 2 for values in a random order
+UNLIKE, SMOOTH, JAGGED = 0.5, 0.7, 1.3  # correlation; von Neumann ratio: 2 for values in a random order
 
 
 def shuffled_rows(r: Response) -> Finding | None:
-    """One run without the shape of the others, which are smooth and alike, and as jagged as rows in a random order.
+    """One run with another shape than the others, which are smooth and similar, and as jagged as rows in random order.
 
-    Where all runs are shuffled, no check can show it: what holds on a held-out run is little more than their mean.
+    If all runs are shuffled, this cannot be detected: a fit then predicts little more than their mean.
     """
     labels = np.unique(r.run)
     if r.position is None or r.component.kind == "force" or labels.size < 4:
@@ -151,17 +151,17 @@ def shuffled_rows(r: Response) -> Finding | None:
     return None
 
 
-FEWEST_STEPS = 10  # from run to run: fewer show no usual one
-NEW_ZERO = 8.0  # times the usual step (1.4826 times the median size), normal: once in 1e15
+FEWEST_STEPS = 10  # from run to run: fewer do not show the usual size
+NEW_ZERO = 8.0  # times the usual step (1.4826 times the median size); normal noise: once in 1e15
 BEYOND_OTHERS = 3.0  # times the largest other step
-LEAST_ZERO_UM = 3.0  # um (urad): what homing repeats to, and no cause to look for
+LEAST_ZERO_UM = 3.0  # um (urad): repeatability of homing, not worth a report
 FLAT = 0.2  # of a step: scatter of the targets about their line, beyond which the shape changed as well
 
 
 def new_zero(r: Response) -> Finding | None:
-    """Steps from run to run that are the same at every target, far beyond the others; heat turns the line as well.
+    """Steps from run to run that are equal at every target, far beyond the others; heat also changes the slope.
 
-    What heat shifts is proportional to what it turns, about the place where the scale is held: that is taken out.
+    The thermal shift is proportional to the change of slope, about the point where the scale is held: it is removed.
     """
     codes = list(dict.fromkeys(r.run.tolist()))
     if r.position is None or r.component.kind == "force" or len(codes) <= FEWEST_STEPS:
@@ -176,7 +176,7 @@ def new_zero(r: Response) -> Finding | None:
     slope, shift = np.polyfit(shared - shared.mean(), np.diff(means, axis=0).T, 1)
     line = np.outer(shared - shared.mean(), slope) + shift
     rough = (np.diff(means, axis=0).T - line).std(axis=0)
-    place = 0.0  # where heat shifts nothing, mm from the middle
+    place = 0.0  # position without thermal shift, mm from the middle
     for _ in range(20):
         weight = 1.0 / np.maximum(np.abs(shift - place * slope), 1e-3)
         place = float(np.sum(weight * shift * slope) / max(np.sum(weight * slope**2), 1e-12))
@@ -192,13 +192,13 @@ def new_zero(r: Response) -> Finding | None:
     return Finding("new-zero", r.column, evidence, meant, "ask")
 
 
-NEAR = 3  # rows on each side of a step: their median is no single reading
-SHARP = 0.7  # of a step: between two neighbours, where a zero is set; heat and wear take longer
-FEWEST_RUNS = 3  # of which the median is the shape of the axis
+NEAR = 3  # rows on each side of a step: their median is not a single reading
+SHARP = 0.7  # of a step between two neighbours when a zero is set; heat and wear take longer
+FEWEST_RUNS = 3  # whose median is the shape of the axis
 
 
 def zero_within_run(r: Response) -> Finding | None:
-    """Steps within a run that the other runs do not have, far beyond its scatter, and not where the axis turns."""
+    """Steps within a run that other runs do not have, far beyond its scatter, and not at a reversal."""
     run = r.run
     if r.position is None or r.component.kind == "force" or np.unique(run).size < FEWEST_RUNS or run.size < 4 * NEAR:
         return None
@@ -216,7 +216,7 @@ def zero_within_run(r: Response) -> Finding | None:
     said = []
     for k in dict.fromkeys(run[steps].tolist()):
         own, at = np.flatnonzero(run == k), steps[run[steps] == k]
-        if np.diff(at).min(initial=run.size) < 2 * NEAR:  # a gauge that stuck or was touched, and came back
+        if np.diff(at).min(initial=run.size) < 2 * NEAR:  # a gauge that stuck or was touched, and returned
             continue
         terms = np.column_stack([np.ones(own.size), r.position[own], *(own >= i for i in at)])
         size, *_ = np.linalg.lstsq(terms, rest[own], rcond=None)
@@ -228,8 +228,8 @@ def zero_within_run(r: Response) -> Finding | None:
     if not said:
         return None
     meant = (
-        "the zero of the instrument was set anew: subtract each step from the readings that follow it in its run, and "
-        "from the runs after it that did not come back"
+        "the zero of the instrument was changed: subtract each step from the readings that follow it in its run, and "
+        "from the runs after it that did not return"
     )
     return Finding(
         "new-zero", r.column, f"within a run all readings shift at once ({'; '.join(said[:3])})", meant, "ask"
@@ -248,7 +248,7 @@ def _group_medians(values: np.ndarray, group: np.ndarray) -> np.ndarray:
 
 
 def _curves(r: Response, groups: Sequence[np.ndarray]) -> np.ndarray | None:
-    """Mean deviation of each group at the targets that all share, less its own line; None where it is undetermined."""
+    """Mean deviation of each group at the common targets, minus its own line; None if undetermined."""
     levels = np.round(np.asarray(r.position), 3)
     shared = levels[groups[0]] if groups else levels
     for rows in groups:

@@ -1,4 +1,4 @@
-"""Lost motion of the other sign: both directions compared at each target."""
+"""Lost motion of implausible sign: both directions compared at each target."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import numpy as np
 from errpipe.validation.plausibility_finding import Finding, Response
 
 FEWEST_TARGETS = 5  # approached from both sides: of an axis up to 2 m (ISO 230-2, 5.3.2)
-FEWEST_READINGS = 8  # of a direction, where targets are not shared; fewer have no usual size
+FEWEST_READINGS = 8  # of a direction, if targets are not shared; fewer do not show the usual size
 
-SHOWN = 1.0  # um: from here on it is reported; a smaller one is within what an axis with a scale shows either way
-LARGE = 5.0  # um: from here on a sign that was not stated is asked about
+SHOWN = 1.0  # um: reporting threshold; an axis with a scale may have a smaller value of either sign
+LARGE = 5.0  # um: from here on a sign that was not stated is queried
 
 
 def reversal_of_the_other_sign(r: Response) -> Finding | None:
-    """Lost motion stops an axis short; the other sign is possible (a scale, an overcompensated control) but rare."""
+    """Lost motion stops an axis short; the opposite sign is possible (a scale, an overcompensated control) but rare."""
     if r.direction is None or r.component.kind != "positioning":
         return None
     up, down = r.deviation[r.direction > 0], r.deviation[r.direction < 0]
@@ -34,7 +34,7 @@ def reversal_of_the_other_sign(r: Response) -> Finding | None:
 
 
 def _at_shared_targets(r: Response) -> np.ndarray:
-    """Mean from below less mean from above, um, at each target that was approached from both sides: (targets,)."""
+    """Mean from below minus mean from above, um, at each target approached from both sides: (targets,)."""
     if r.position is None or r.direction is None:
         return np.empty(0)
     _, target = np.unique(np.round(r.position, 3), return_inverse=True)

@@ -1,27 +1,27 @@
-"""Which sensor drifts, and since when: leave-one-sensor-out residuals per run in a two-sided CUSUM.
+"""Sensor drift and its start: leave-one-sensor-out residuals per run in a two-sided CUSUM.
 
 Each temperature is predicted from the others by least squares on the runs before (recursive residuals: Brown, Durbin
-and Evans 1975; self-starting as in Hawkins 1987), so a season that the reference runs lack enters the regression as it
-comes. A drifting sensor does not: the regression is no longer updated from an alarm on. The residual, averaged per run
-and divided by the scatter between reference runs left out in turn, goes into a cumulative sum (Page 1954), whose
-threshold allows for a scatter known from few runs. One drifting sensor also moves the predictions of the others, so
-each suspect is left out in turn: the drift is its own where the others then show none, and show one without any other
-suspect. Where they are silent without either of two, it is one of these, and nothing yet shows which.
+and Evans 1975; self-starting as in Hawkins 1987), so a season missing in the reference runs enters the regression as
+it appears. A drifting sensor does not: the regression is not updated after an alarm. The residual, averaged per run
+and divided by the scatter between reference runs (leave-one-out), enters a cumulative sum (Page 1954), whose
+threshold allows for a scatter estimated from few runs. One drifting sensor also moves the predictions of the others, so
+each suspect is excluded in turn: it is the drifting one if the others then show no drift, but do without any other
+suspect. If the others show none without either of two, one of these drifts, and the data do not show which.
 
 Temperatures alone need many nights: even with onset, size and sign known, the most powerful test at that false-alarm
 rate (Neyman and Pearson) sees a drift of 0.25 K a night, in residuals of 0.33 K, in 8 of 100 cases after three nights
-and in half of them after four. A second witness is quicker: what the champion leaves of a response that it was fitted
-to says, in kelvin, how far a sensor would have to be off (`apparent`) if nothing else had changed. Whether the sensor
-or the machine changed is then a test of two simple hypotheses. With a the apparent errors of the runs since the
+and in half of them after four. A second source is faster: the champion's residual of a response that it was fitted
+to gives, in kelvin, the error of a sensor that would explain it (`apparent`) if nothing else had changed. Whether the
+sensor or the machine changed is then a test of two simple hypotheses. With a the apparent errors of the runs since the
 response moved, r the sensor's residuals in them and C their covariance, the regression's own error included:
 
     log likelihood ratio = a' C^-1 r - a' C^-1 a / 2
 
-A machine that changed keeps the ratio below RATIO for ever in all but 1 / RATIO of the cases (Ville 1939).
+For a changed machine the ratio stays below RATIO for ever in all but 1 / RATIO of the cases (Ville 1939).
 
-The same witness clears a sensor: where its temperature left the others and the response followed it, it reads right,
-and what surrounds it changed (coolant, place, load). Two sensors that disagree do not say which of them is wrong, nor
-whether one is: a cold hall that the reference runs lack looks alike. Without a witness none of them is suspected.
+The same source clears a sensor: if its temperature left the others and the response followed it, the sensor is right,
+and its surroundings changed (coolant, place, load). Two sensors that disagree do not show which of them is wrong, nor
+whether one is: a cold hall missing in the reference runs has the same effect. Without a response neither is suspected.
 """
 
 from __future__ import annotations
@@ -36,29 +36,29 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.validation.cusum import FALSE_ALARMS, FEWEST_RUNS, REFERENCE, cusum, threshold
 
-MIN_SD = 0.05  # K; sensors that agree better than their display resolution are not judged finer than it
+MIN_SD = 0.05  # K; residuals are not resolved below a sensor's display resolution
 QUIETER = 0.2  # largest CUSUM without the faulty sensor over that with it: chosen on simulated sensors, seeds 1 to 3
-ALIKE = 2.0  # times the quietest of these: whatever is quieter may as well be the faulty one (a judgement)
+ALIKE = 2.0  # ratio to the smallest of these: within it, a sensor may as well be the faulty one (by judgement)
 SIGNS = np.array([1.0, -1.0])  # up and down
-# Likelihood of a sensor that drifts over that of a machine that changed: at most one change in 10 is misnamed
+# Likelihood of a drifting sensor over that of a changed machine: at most one change in 10 is misidentified
 RATIO = 10.0
-HALF = 0.5  # of what a sensor left the others by: a response that moved by more does not show that it reads right
+HALF = 0.5  # of a sensor's residual: a response that moved by more does not show that the sensor is right
 SCALES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {  # what reads so -> what it would be as declared
     "degF instead of degC": lambda t: (t - 32.0) / 1.8,
     "K instead of degC": lambda t: t - 273.15,
     "degC instead of degF": lambda t: 1.8 * t + 32.0,
     "degC instead of K": lambda t: t + 273.15,
 }
-FAR = 25.0  # K; every sensor of a machine, air among them, moves by less from one run to another
-SEASON = 15.0  # K; between seasons they move by less
+FAR = 25.0  # K; every sensor of a machine, including air, changes by less from one run to another
+SEASON = 15.0  # K; between seasons they change by less
 
 
 @dataclass(frozen=True)
 class Drift:
-    """A column that drifted from the reference. since: label of the run where its excursion began; size: K, mean.
+    """A column that drifted from the reference. since: label of the run in which its excursion started; size: K, mean.
 
-    blamed: the fault is this sensor's; suspected: it is, or it is that of another suspected one; cleared: a response
-    shows that it reads right.
+    blamed: this sensor is faulty; suspected: this or another suspected one is; cleared: a response
+    shows that it is right.
     """
 
     column: str
@@ -88,8 +88,8 @@ def sensor_drift(
 ) -> list[Drift]:
     """Temperatures whose leave-one-sensor-out residual drifts from the reference runs; the faulty one first.
 
-    reference: rows that fitted the champion, (rows,). apparent: column -> error of the sensor that would explain what
-    the champion leaves, K per run in the order of their codes, NaN where unknown. Empty where there are fewer than two
+    reference: rows fitted by the champion, (rows,). apparent: column -> error of the sensor that would explain the
+    champion's residual, K per run in the order of their codes, NaN if unknown. Empty if there are fewer than two
     sensors, fewer than four reference runs, or no run after them.
     """
     names, run = recording.names("temperature"), recording.run_codes()
@@ -131,9 +131,9 @@ def old_and_new(run: np.ndarray, reference: np.ndarray) -> tuple[list[int], list
 
 
 def other_unit(recording: Recording, reference: np.ndarray) -> tuple[str, str] | None:
-    """The scale on which all temperatures of a new run read, and the first such run; None where they read as before.
+    """The scale on which all temperatures of a new run read, and the first such run; None if it is unchanged.
 
-    Sensors that change their scale together agree with each other as before, so no drift shows it. Medians per run.
+    Sensors that change their scale together still agree with each other, so no drift shows it. Medians per run.
     """
     run, names = recording.run_codes(), recording.names("temperature")
     columns = [recording.array(n) for n in names]
@@ -153,7 +153,7 @@ def other_unit(recording: Recording, reference: np.ndarray) -> tuple[str, str] |
 
 
 def drifting_sensors(suspected: Sequence[str]) -> str:
-    """The sensors that may be the faulty one, in words: `T_nut drifts`, `T_nut or T_bed drifts`."""
+    """The possibly faulty sensors, as text: `T_nut drifts`, `T_nut or T_bed drifts`."""
     *others, last = suspected
     if not others:
         return f"{last} drifts"
@@ -161,7 +161,7 @@ def drifting_sensors(suspected: Sequence[str]) -> str:
 
 
 def _sensor_or_machine(data: _Readings, k: int, sd: float, apparent: np.ndarray) -> tuple[float, int, float]:
-    """Log-likelihood ratio that sensor k is off by what a response shows; the new run since when; mean error, K."""
+    """Log-likelihood ratio that sensor k has the error shown by a response; first new run with it; mean error, K."""
     off = _beyond_old(data.old, data.new, apparent)
     alarm, begin = cusum(off / max(float(np.nanstd(apparent[data.old])), MIN_SD))
     if alarm < threshold(len(data.old) - 1, FALSE_ALARMS / data.values.shape[1]):
@@ -172,10 +172,10 @@ def _sensor_or_machine(data: _Readings, k: int, sd: float, apparent: np.ndarray)
 
 
 def _reads_right(data: _Readings, k: int, sd: float, apparent: np.ndarray, begin: int) -> bool:
-    """Whether a response follows sensor k since new run `begin`, where the sensor left the others.
+    """Whether a response follows sensor k since new run `begin`, in which the sensor left the others.
 
-    Likelihood of the apparent errors of a sensor that reads right, zero but for their scatter in the old runs, over
-    that of one which is off by its residuals; and they are less than half of these (the response may drift itself).
+    Likelihood of the apparent errors of a correct sensor, zero but for their scatter in the old runs, over
+    that of one with errors equal to its residuals; and they are below half of these (the response may drift itself).
     """
     since, r, covariance = _residuals_since(data, k, sd, begin)
     known = np.isfinite(apparent[since])
@@ -190,7 +190,7 @@ def _log_likelihood(values: np.ndarray, covariance: np.ndarray) -> float:
 
 
 def _beyond_old(old: Sequence[int], runs: Sequence[int], apparent: np.ndarray) -> np.ndarray:
-    """Apparent errors of some runs beyond the mean of the old ones, K, (runs,); 0 where unknown."""
+    """Apparent errors of some runs minus the mean of the old ones, K, (runs,); 0 if unknown."""
     return np.nan_to_num(apparent[runs] - np.nanmean(apparent[old]))
 
 
@@ -209,7 +209,7 @@ def _residuals_since(data: _Readings, k: int, sd: float, begin: int) -> tuple[li
 
 
 def _faulty_sensors(data: _Readings, loudest: float) -> list[int]:
-    """The sensors without any one of which the others show no drift, the likeliest first: one of them is faulty.
+    """The sensors without each of which the others show no drift, the likeliest first: one of them is faulty.
 
     loudest: largest CUSUM of all sensors over the threshold. The faulty one need not be in alarm itself.
     """
@@ -261,7 +261,7 @@ def _recursive_residuals(
     others = _solve_normal(a - parts[0][:references], b - parts[1][:references])
     sd = max(float(np.sqrt(np.mean(np.square([mean_residual(n, c) for n, c in enumerate(others)])))), MIN_SD)
 
-    # each new run is predicted from all runs before it, up to the alarm, from where no run updates the regression
+    # each new run is predicted from all runs before it, up to the alarm, after which the regression is not updated
     a, b, spans = (np.cumsum([s, *part[references:-1]], axis=0) for s, part in zip(sums, parts, strict=True))
     coefficients, means, known = _solve_normal(a, b), means[references:], -1
     z, cusums = np.zeros(len(means)), np.zeros(2)
@@ -277,7 +277,7 @@ def _recursive_residuals(
 
 
 def _solve_normal(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Least-norm solutions of normal equations, (..., p, p) and (..., p) -> (..., p), columns scaled alike."""
+    """Least-norm solutions of normal equations, (..., p, p) and (..., p) -> (..., p), with scaled columns."""
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=-2, axis2=-1), 1e-300))
     scaled = scale[..., :, None] * normal * scale[..., None, :]
     return scale * (np.linalg.pinv(scaled, 1e-10, hermitian=True) @ (scale * right)[..., None])[..., 0]

@@ -7,7 +7,7 @@
     E    = max mean - min mean  systematic deviation of one direction, or over both (E); M the same of (up + down) / 2
     A    = max(mean + 2 s) - min(mean - 2 s), one direction, or over both
 
-The expanded uncertainty of annex A is not computed: it needs the measuring set-up's own budget.
+The expanded uncertainty of annex A is not computed: it needs the uncertainty budget of the measuring set-up.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from errpipe.domain import components
 from errpipe.domain.recording import Frozen, Recording
 from errpipe.errors import DataError
 
-MIN_CYCLES = 2  # of one target and direction: below, s is not defined. The standard wants 5.
-SAME_TARGET = 1e-3  # mm or deg: readings that close were sent to the same target
+MIN_CYCLES = 2  # of one target and direction: with fewer, s is undefined. The standard requires 5.
+SAME_TARGET = 1e-3  # mm or deg: readings this close belong to one target
 NAMES = {1: "up", -1: "down"}
 ONE_STATE = 2.0  # K between medians of runs: 12 um over a metre of steel and scale, more than most R_i (by judgement)
 
@@ -40,9 +40,9 @@ class Direction(Frozen):
 
 
 class Report(Frozen):
-    """ISO 230-2 figures of one axis. `unit` is of every figure but `targets` (mm, deg).
+    """ISO 230-2 figures of one axis. `unit` applies to every figure but `targets` (mm, deg).
 
-    Bidirectional figures are None where only one direction was measured.
+    Bidirectional figures are None if only one direction was measured.
     """
 
     axis: str
@@ -64,9 +64,9 @@ class Report(Frozen):
 
 
 def figures(recording: Recording, axis: str | None = None, component: str | None = None) -> Report:
-    """ISO 230-2 figures of a recording's positioning deviation (or of one that is named).
+    """ISO 230-2 figures of a recording's positioning deviation (or of a named component).
 
-    Rows without a deviation are passed over; a row counts in the direction its direction column states.
+    Rows without a deviation are ignored; the direction column states the direction of a row.
     Raises DataError if targets or cycles do not suffice.
     """
     component = component or _positioning(recording)
@@ -105,7 +105,7 @@ def _positioning(recording: Recording) -> str:
 
 
 def _rows(recording: Recording, axis: str, component: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Target positions, directions of approach and deviations of the rows that hold a reading."""
+    """Target positions, directions of approach and deviations of the rows with a reading."""
     where = recording.name("command", axis=axis) or recording.name("position", axis=axis)
     side = recording.name("direction", axis=axis)
     error = recording.name("error", component=component)
@@ -120,7 +120,7 @@ def _rows(recording: Recording, axis: str, component: str) -> tuple[np.ndarray, 
 
 
 def _targets(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Targets, ascending, and the target number of each row: readings within 1 um went to the same target."""
+    """Targets, ascending, and the target number of each row: readings within 1 um belong to one target."""
     order = np.argsort(position, kind="stable")
     number = np.zeros(position.size, dtype=int)
     number[order] = np.cumsum(np.r_[False, np.diff(position[order]) > SAME_TARGET])
@@ -186,7 +186,7 @@ def _notes(targets: np.ndarray, cycles: int) -> tuple[str, ...]:
 
 
 def _warmed(recording: Recording) -> list[str]:
-    """That the runs were made in several thermal states, whose spread then counts as repeatability."""
+    """A note if the runs were made in several thermal states, whose spread then counts as repeatability."""
     run, names = recording.run_codes(), recording.names("temperature")
     medians = {
         n: [np.nanmedian(v) for k in np.unique(run) if np.isfinite(v := recording.array(n)[run == k]).any()]

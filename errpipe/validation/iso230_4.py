@@ -1,14 +1,14 @@
-"""Circular tests after ISO 230-4: the figures G, G(b), H, F, and what a metrologist reads off the plot.
+"""Circular tests after ISO 230-4: the figures G, G(b), H, F, and errors identified from the plot.
 
-A run is one circle in a plane of two axes in one sense; positions count from the circle's centre (mm), the
+A run is one circle in a plane of two axes in one direction; positions count from the circle's centre (mm), the
 reading is the radial deviation E_R (um, actual minus nominal radius). With theta the angle from the first axis
 towards the second, s = +1 counter-clockwise, R the radius, v the path speed:
 
     set-up            r0 + a cos(theta) + b sin(theta)            radius and centre, of each run
-    scale mismatch    (k1 - k2) R/2 cos(2 theta)                  same both ways round; oval along an axis
-    squareness        -S R/2 sin(2 theta)                         same both ways round; oval at 45 degrees
-    servo mismatch    s v (t1 - t2)/2 sin(2 theta)                turns with the sense; t: delay of each axis
-    backlash          -B/2 sign(velocity) cos or sin(theta)       steps where an axis turns round
+    scale mismatch    (k1 - k2) R/2 cos(2 theta)                  equal in both directions; oval along an axis
+    squareness        -S R/2 sin(2 theta)                         equal in both directions; oval at 45 degrees
+    servo mismatch    s v (t1 - t2)/2 sin(2 theta)                changes sign with the direction; t: delay of each axis
+    backlash          -B/2 sign(velocity) cos or sin(theta)       steps at reversals
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from errpipe.terms.scale_error import ScaleError
 from errpipe.terms.servo_mismatch import ServoMismatch
 from errpipe.terms.squareness import Squareness
 
-FULL_CIRCLE = 300.0  # deg of arc from which circle figures are given
+FULL_CIRCLE = 300.0  # deg of arc required for circle figures
 NORMAL = {"XY": "C0Y", "XZ": "B0Z", "YZ": "A0Z"}
-# Sign that turns "second axis leans to minus the first" into the ISO component: +B turns +Z towards +X.
+# Converts "second axis leans to minus the first" to the ISO component: +B turns +Z towards +X.
 SQUARENESS_SIGN = {"XY": 1.0, "XZ": -1.0, "YZ": 1.0}
 
 
@@ -46,7 +46,7 @@ class Circle:
 
 @dataclass(frozen=True)
 class Figures:
-    """ISO 230-4 figures of one plane, um. G by sense; both: G(b); hysteresis H; F: largest and smallest deviation.
+    """ISO 230-4 figures of one plane, um. G by direction; both: G(b); hysteresis H; F: largest, smallest deviation.
 
     G is the smallest distance of two concentric circles that enclose the path (centre free), F counts from the
     programmed centre and radius.
@@ -61,7 +61,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class Effect:
-    """One thing read off the circles: effect id, axis or plane, value with 95 % interval, its part of the plot."""
+    """One identified error: effect id, axis or plane, value with 95 % interval, its part of the plot."""
 
     effect: str
     where: str
@@ -74,7 +74,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class CircularTest:
-    """Figures and reading of one plane. noise: rms of what the reading leaves, um."""
+    """Figures and identified errors of one plane. noise: rms of the residual, um."""
 
     figures: Figures
     effects: tuple[Effect, ...]
@@ -82,7 +82,7 @@ class CircularTest:
 
 
 def circles(recording: Recording) -> tuple[Circle, ...]:
-    """The circular runs of a recording. Raises DataError if a run is no circle of two axes."""
+    """The circular runs of a recording. Raises DataError if a run is not a circle of two axes."""
     name = recording.name("error", component="E_R")
     if name is None:
         raise DataError("a circular test needs an error column of component E_R (radial deviation)")
@@ -114,7 +114,7 @@ def _circle(recording, label, plane, first, second, value, rows) -> Circle:
 
 
 def evaluate(recording: Recording) -> tuple[CircularTest, ...]:
-    """Figures and reading of every plane of a recording. Raises DataError for runs that are no circles."""
+    """Figures and identified errors of every plane. Raises DataError for runs that are not circles."""
     runs = circles(recording)
     planes = sorted({c.plane for c in runs})
     return tuple(_plane([c for c in runs if c.plane == plane]) for plane in planes)
@@ -140,7 +140,7 @@ def _arc(circle: Circle) -> float:
 
 
 def minimum_zone(angle: np.ndarray, deviation: np.ndarray, radius: float) -> float:
-    """Circular deviation G: width of the narrowest ring round the path, centre free, um.
+    """Circular deviation G: width of the narrowest ring around the path, centre free, um.
 
     A linear programme in the centre (a, b) and the two radii; exact to second order in centre/radius.
     """
@@ -175,14 +175,14 @@ def _bidirectional(runs: list[Circle]) -> float | None:
 
 
 def _centre_fit(circle: Circle) -> tuple[np.ndarray, np.ndarray]:
-    """Least-squares centre of a run, and what it does to the deviation, um."""
+    """Least-squares centre of a run, and its effect on the deviation, um."""
     design = np.column_stack([np.cos(circle.angle), np.sin(circle.angle), np.ones(len(circle.angle))])
     coefficients, *_ = np.linalg.lstsq(design, circle.deviation, rcond=None)
     return coefficients, design[:, :2] @ coefficients[:2]
 
 
 def centred(circle: Circle) -> np.ndarray:
-    """Radial deviation about the run's own least-squares centre, um; of part of a circle, as it was read."""
+    """Radial deviation about the run's own least-squares centre, um; for part of a circle, unchanged."""
     return circle.deviation - _centre_fit(circle)[1] if is_full(circle) else circle.deviation
 
 
@@ -192,7 +192,7 @@ def is_full(circle: Circle) -> bool:
 
 
 def _hysteresis(runs: list[Circle]) -> float | None:
-    """Largest difference of the two senses at one angle, each about its own centre, um."""
+    """Largest difference of the two directions at one angle, each about its own centre, um."""
     by_sense = {s: [c for c in runs if c.sense == s] for s in (1, -1)}
     if not by_sense[1] or not by_sense[-1]:
         return None
@@ -208,7 +208,7 @@ def _hysteresis(runs: list[Circle]) -> float | None:
 
 
 def read(runs: list[Circle]) -> tuple[tuple[Effect, ...], float]:
-    """Squareness, scale mismatch, backlash of both axes, servo mismatch; largest first; and the noise left, um."""
+    """Squareness, scale mismatch, backlash of both axes, servo mismatch; largest first; and the residual noise, um."""
     angle = np.concatenate([c.angle for c in runs])
     sense = np.concatenate([np.full(len(c.angle), c.sense) for c in runs])
     radius = np.concatenate([np.full(len(c.angle), c.radius) for c in runs])
@@ -245,7 +245,7 @@ def read(runs: list[Circle]) -> tuple[tuple[Effect, ...], float]:
 
 
 def _variance_inflation(runs: list[Circle], left: np.ndarray) -> float:
-    """By how much the variance grows because neighbours on a circle are alike (first-order autocorrelation)."""
+    """Factor on the variance because neighbours on a circle are correlated (first-order autocorrelation)."""
     lagged_product, square, row = 0.0, 1e-300, 0
     for c in runs:
         residual = left[row : row + len(c.angle)]

@@ -30,9 +30,9 @@ def judged(
 ) -> dict[str, Any]:
     """Held-out figures of each test, identified from the others: groups, and rms before and after by linear axis.
 
-    document: the identification with its procedure; components that it does not compensate stay as they are. Readings
+    document: the identification with its procedure; components that it does not compensate are unchanged. Readings
     at the tool are held out by line, circle, plate or socket, records of components by run or target. A test without a
-    second group is not in the result.
+    second group is not included.
     """
     chain, procedure = compile_chain(machine), document["procedure"]
     lasers = {n: Laser(**beam) for n, beam in procedure["lasers"].items()}
@@ -81,7 +81,7 @@ def _rms(before: np.ndarray, after: np.ndarray) -> dict[str, float]:
 
 
 def _pair(values: Sequence[float]) -> dict[str, float]:
-    """rms without and with the correction, as a document has them."""
+    """rms without and with the correction, as in a document."""
     return {"rms_before": float(values[0]), "rms_after": float(values[1])}
 
 
@@ -94,7 +94,7 @@ def _family(machine: Machine, how: Mapping[str, Any], recording: Recording) -> D
 def _of_components(
     chain: Chain, family: Direct, recording: Recording, progress: Any, kept: tuple[str, ...]
 ) -> dict[str, Any]:
-    """Figures of records of single components: each counts with its mean square arm in the volume, um.
+    """Figures of records of single components: each is weighted by its mean square arm in the volume, um.
 
     kept: components that are compensated.
     """
@@ -112,7 +112,7 @@ def _of_components(
 def _held_out(
     family: Direct, recording: Recording, progress: Any
 ) -> tuple[list[dict[str, Any]], dict[str, list[HeldOut]]]:
-    """The groups in which something was judged, and the held-out rows of every component."""
+    """The groups that contain test rows, and the held-out rows of every component."""
     groups, by_component = [], dict[str, list[HeldOut]]()
     _, folds = family.folds(recording, None)
     for number, fold in enumerate(folds):
@@ -126,7 +126,7 @@ def _held_out(
 
 
 def _mean_square_arms(chain: Chain) -> np.ndarray:
-    """Mean square, over the volume, of what 1 um (urad) of each component moves each axis by, (axes, components)."""
+    """Mean square, over the volume, of the shift of each axis by 1 um (urad) of each component, (axes, components)."""
     q = remaining.places(chain)
     to_axes = np.linalg.pinv(synthesis.linear_motion(chain, q))
     return np.mean((to_axes @ synthesis.jacobian(chain, q)[:, :3]) ** 2, axis=0)
@@ -135,15 +135,15 @@ def _mean_square_arms(chain: Chain) -> np.ndarray:
 def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]]) -> tuple[str, ...]:
     """The linear axes that a table of an identification may move.
 
-    Every axis must be expected to get better by its posterior, and must have been better on the measurements that sat
-    out. Of an axis whose identified error is below the noise of a reading the posterior alone is asked; where it
-    doubts, the axis is left alone. Raises GateError if no validation judged it, or where an axis or the machine may
-    get worse: axes are compensated together or not at all, as one that is corrected without the others turns the whole
+    Every axis must be expected to improve by its posterior, and must have improved on the held-out measurements.
+    For an axis whose identified error is below the noise of a reading only the posterior counts; if that is
+    inconclusive, the axis is not compensated. Raises GateError without a validation, or if an axis or the machine may
+    get worse: axes are compensated together or not at all, because correcting one without the others rotates the whole
     part.
     """
     if not validations:
         raise GateError(
-            "export: no validation judged this identification on held-out measurements (add a `validate` stage "
+            "export: this identification was not validated on held-out measurements (add a `validate` stage "
             "after it, or set `ungated: true` to export it anyway)"
         )
     volumetric = document["volumetric"]

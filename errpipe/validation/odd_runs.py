@@ -1,8 +1,8 @@
-"""New runs that do not fit the machine and name their own cause: sensors exchanged, another unit, another sign.
+"""New runs that do not fit the machine, with an identified cause: exchanged sensors, another unit, another sign.
 
-One such run is no drift: the runs after it are as before, and a test of what changed since then forgets it, while every
-later challenger is fitted on it. So each new run is looked at by itself, for as long as the recording holds it. A cause
-is named only where its opposite, done to the readings, leaves what the runs of the champion left.
+One such run is no drift: the runs after it are normal, and a test of later changes ignores it, while every
+later challenger is fitted on it. So each new run is tested separately, as long as it is in the recording. A cause
+is reported only if correcting it reduces the residual to that of the champion's runs.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from errpipe.validation.input_drift import MIN_SD, SCALES, old_and_new
 from errpipe.validation.response_drift import UNITS, meaning
 
 ODD = 4.0  # root of an F ratio: by chance once in years of nights, and then without a cause
-SOUND = 3.0  # root of an F ratio of a sound run; and how much less of an odd one its cause, undone, leaves
-LASTING, FEWEST_LASTING = 0.8, 3  # of the odd runs, and runs: those that one cause must explain
-AS_BEFORE = 2.0  # times the rms that the champion leaves in its own runs, their largest: a run that fits it
-UNLIKE = 5.0  # times that: a run that does not
-LIKELY = 2.0  # times the largest prediction of the champion's runs: beyond it the prediction is in doubt
-LEAST_NOISE = 0.1  # of the usual rms: a compensated machine is measured with no less noise than before
+SOUND = 3.0  # root of an F ratio of a normal run; and the factor by which the correction reduces that of an odd one
+LASTING, FEWEST_LASTING = 0.8, 3  # of the odd runs, and runs: that one cause must explain
+AS_BEFORE = 2.0  # times the largest rms residual of the champion in its own runs: a run that fits
+UNLIKE = 5.0  # times that: a run that does not fit
+LIKELY = 2.0  # times the largest prediction of the champion's runs: beyond it the prediction is doubtful
+LEAST_NOISE = 0.1  # of the usual rms: a compensated machine is measured with at least the previous noise
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class OddRun:
 
 
 def odd_sensors(recording: Recording, reference: np.ndarray) -> list[OddRun]:
-    """New runs in which two temperatures read exchanged, or one in another unit.
+    """New runs in which two temperatures are exchanged, or one is in another unit.
 
-    reference: rows that fitted the champion, (rows,). Empty where there are too few sensors or reference runs to know.
+    reference: rows fitted by the champion, (rows,). Empty if there are too few sensors or reference runs.
     """
     labels, (as_read, causes) = recording.run_labels(), _causes(recording, reference, SOUND)
     new = list(as_read)
@@ -50,9 +50,9 @@ def odd_sensors(recording: Recording, reference: np.ndarray) -> list[OddRun]:
 
 
 def odd_from_there_on(recording: Recording, reference: np.ndarray) -> list[OddRun]:
-    """The runs beside the reference rows, (rows,), that one cause explains, where it does so in nearly all odd ones.
+    """The runs outside the reference rows, (rows,), that one cause explains, if it explains nearly all odd ones.
 
-    Readings that are put right may differ from the reference, as a machine continues to warm up, but less.
+    Corrected readings may differ from the reference, because a machine continues to warm up, but less.
     """
     labels, (_, causes) = recording.run_labels(), _causes(recording, reference, np.inf)
     usual = max(causes.values(), key=list(causes.values()).count, default=None)
@@ -65,9 +65,9 @@ def odd_from_there_on(recording: Recording, reference: np.ndarray) -> list[OddRu
 def _causes(
     recording: Recording, reference: np.ndarray, sound: float
 ) -> tuple[dict[int, float], dict[int, tuple[str, str] | None]]:
-    """Distance of every new run from the reference, and of each odd one the cause that, undone, leaves less than sound.
+    """Distance of every new run from the reference, and for each odd one the cause whose correction makes it normal.
 
-    Both by code; empty where there are too few sensors or reference runs.
+    Both by code; empty if there are too few sensors or reference runs.
     """
     names, run = recording.names("temperature"), recording.run_codes()
     old, new = old_and_new(run, reference)
@@ -92,8 +92,8 @@ def _causes(
 def _distance(reference: np.ndarray) -> Callable[[np.ndarray], float]:
     """Hotelling's distance of a run's mean temperatures, (sensors,), from those of reference runs, (runs, sensors).
 
-    As the root of an F ratio: about 1 for a run of their kind. Unlike a residual over its standard error it does not
-    shrink where readings lie far outside of the reference, as those of sensors that are wrongly taken for exchanged.
+    As the root of an F ratio: about 1 for a run of the same kind. Unlike a residual over its standard error it does not
+    decrease for readings far outside the reference, such as those of sensors wrongly assumed to be exchanged.
     """
     count, sensors = reference.shape
     middle = reference.mean(axis=0)
@@ -110,7 +110,7 @@ def _distance(reference: np.ndarray) -> Callable[[np.ndarray], float]:
 def _stands_alone(
     new: Sequence[int], code: int, as_read: Mapping[int, float], causes: Mapping[int, tuple[str, str] | None]
 ) -> bool:
-    """Whether all odd runs next to a run have its cause: a sensor that drifts looks like an exchange in passing."""
+    """Whether all odd runs next to a run have its cause: a drifting sensor temporarily looks like an exchange."""
     at = new.index(code)
     for side in (new[at + 1 :], new[:at][::-1]):
         for other in side:
@@ -122,7 +122,7 @@ def _stands_alone(
 
 
 def _put_right(mean: np.ndarray, names: Sequence[str]) -> Iterator[tuple[str, str, np.ndarray]]:
-    """(columns, what is wrong with them, the means with that undone)."""
+    """(columns, what is wrong with them, the corrected means)."""
     for a, b in combinations(range(len(names)), 2):
         values = mean.copy()
         values[[a, b]] = mean[[b, a]]
@@ -139,9 +139,9 @@ def odd_responses(
 ) -> list[OddRun]:
     """New runs whose deviations are the champion's with another sign, in another unit or compensated, or unlike any.
 
-    Only where most new runs are what they were. wrong: labels of runs whose temperatures are wrong, and so what is
-    predicted by them. Unlike any, and no proof that it is wrong, is the only run, or the only few in a row, that the
-    champion leaves far more of than of all others.
+    Only if most new runs are normal. wrong: labels of runs with wrong temperatures, and therefore wrong
+    predictions. `Unlike any`, which is no proof of an error, is a single run, or a few in a row, with a far larger
+    residual than all others.
     """
     run, labels = recording.run_codes(), recording.run_labels()
     out = []
@@ -160,7 +160,7 @@ def odd_responses(
 def _odd_of_one_response(
     pairs: Mapping[int, tuple[np.ndarray, np.ndarray]], old: Sequence[int]
 ) -> Iterator[tuple[int, str, bool]]:
-    """Odd runs of one response: code, what is odd, whether the readings are wrong (not the machine).
+    """Odd runs of one response: code, description, whether the readings are wrong (not the machine).
 
     pairs: code -> measured and predicted deviations of a run, um; old: codes of the reference runs.
     """
@@ -171,7 +171,7 @@ def _odd_of_one_response(
     unlike = [c for c in new if left[c] > UNLIKE * usual > 0.0 and rms(pairs[c][1]) < largest]
     sound = [left[c] for c in new if c not in unlike]
     if not sound or np.median(sound) > AS_BEFORE * usual:
-        return  # the machine itself changed, or all new runs are odd: what holds since then says more of them
+        return  # the machine itself changed, or all new runs are odd: a lasting change explains more
     factors = {c: _factor(*pairs[c], usual) for c in unlike}
     yield from ((c, meaning(f), True) for c, f in factors.items() if f is not None)
     alone = [c for c in unlike if factors[c] is None]
@@ -181,9 +181,9 @@ def _odd_of_one_response(
 
 
 def _factor(measured: np.ndarray, predicted: np.ndarray, usual: float) -> float | None:
-    """The factor by which a run was read, if division by it leaves the residual of other runs; else None.
+    """The scale factor of a run, if dividing by it gives the residual of other runs; else None.
 
-    A prediction no larger than the residual does not determine a factor: times 1000 it would fit any run.
+    A prediction no larger than the residual does not determine a factor: with 1000 any run would fit.
     """
     if rms(predicted) <= AS_BEFORE * usual:
         return None
@@ -194,5 +194,5 @@ def _factor(measured: np.ndarray, predicted: np.ndarray, usual: float) -> float 
 
 
 def _few_in_a_row(places: Sequence[int], count: int) -> bool:
-    """Whether places among `count` follow each other, with at least as many others after them."""
+    """Whether places among `count` are consecutive, with at least as many others after them."""
     return places[-1] - places[0] == len(places) - 1 and count - 1 - places[-1] >= len(places)

@@ -1,9 +1,9 @@
-"""Plausibility of what a recording declares, judged before anything is exported.
+"""Plausibility of the declarations of a recording, tested before anything is exported.
 
 A wrong sign, unit, column or axis fits as well as a right one, and the exported correction then doubles the error or
-drives the axis into its end stop. Each check compares the declared deviation (actual minus commanded) with what a
-machine tool can do, and names what was probably meant. A finding refuses the export (`refuse`) or is only shown
-(`ask`). A refusal is lifted by its name alone (`export: {allow: [NAME]}`), never by a general switch.
+drives the axis into its end stop. Each check compares the declared deviation (actual minus commanded) with the range
+of machine tools, and names the probable error. A finding refuses the export (`refuse`) or is only reported
+(`ask`). A refusal is lifted only by name (`export: {allow: [NAME]}`), never by a general switch.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ RESPONSE_CHECKS = (
 
 
 def findings(recording: Recording) -> list[Finding]:
-    """Everything implausible about a recording, refusals first; at most one finding per code and column."""
+    """All implausible declarations of a recording, refusals first; at most one finding per code and column."""
     results: list[Finding] = []
     for response in responses(recording):
         if response.deviation.size >= MIN_FINITE_ROWS:
@@ -36,7 +36,7 @@ def findings(recording: Recording) -> list[Finding]:
 
 
 def refuse(findings: Iterable[Finding], allow: Sequence[str] = ()) -> list[str]:
-    """Notes for the report. Raises GateError with every refusal that is not allowed by its name."""
+    """Notes for the report. Raises GateError with every refusal that is not allowed by name."""
     findings = list(findings)
     refused = [f for f in findings if f.level == "refuse" and f.code not in allow]
     if refused:
@@ -53,7 +53,7 @@ def refuse(findings: Iterable[Finding], allow: Sequence[str] = ()) -> list[str]:
 # ---------------------------------------------------------------- size of the correction
 
 LIMIT_UM = 500.0  # um (0.5 mm): a larger correction is a crash or a missing screw pitch, not an error of a machine tool
-LIMIT_SHARE = 1e-3  # of the travel: what a rack or a belt may be wrong by; the larger of the two holds
+LIMIT_SHARE = 1e-3  # of the travel: error of a rack or a belt; the larger of the two limits applies
 LIMIT_URAD = 1000.0  # urad (1 mm/m): the same share, as an angle
 
 
@@ -87,13 +87,13 @@ SCALES = (
 )
 
 
-# ---------------------------------------------------------------- what will happen, in one sentence
+# ---------------------------------------------------------------- consequence, in one sentence
 
 
 def consequence(
     axis: str, over: str, position: float, side: float, deviation: float, unit: str = "um", over_unit: str = "mm"
 ) -> str:
-    """What the controller will do, in words, at one place. deviation: actual minus commanded of `axis`, in `unit`.
+    """The controller's action at one position, as a sentence. deviation: actual minus commanded of `axis`, in `unit`.
 
     side: +1 approached from below, -1 from above, 0 either way.
     """

@@ -1,4 +1,4 @@
-"""What a plausibility check takes (a response with its axis) and returns (a finding)."""
+"""Input of a plausibility check (a response with its axis) and its result (a finding)."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from errpipe.domain import components
 from errpipe.domain.recording import Recording
 
 URAD_PER_DEG = 1e6 * np.pi / 180
-RARE = 1e-4  # chance that two equal variances give such a ratio; four orders are tried on each recording
-RARE_NOISE = 1e-3  # chance that rows in their right order differ by more than the repeats allow
-SINGLE_RUN_RATIO = 16.0  # of variances: of 1023 sound single runs none passes even the F test alone
+RARE = 1e-4  # probability that two equal variances have such a ratio; four orders are tried on each recording
+RARE_NOISE = 1e-3  # probability that rows in correct order differ by more than the repeats allow
+SINGLE_RUN_RATIO = 16.0  # of variances: of 1023 correct single runs none passes even the F test alone
 FINE = 200.0  # levels within the span; a dial of 0.01 mm has 30 of them over an error of 0.3 mm
-MIN_FINITE_ROWS = 6  # finite rows; too few to estimate a slope
+MIN_FINITE_ROWS = 6  # finite rows; fewer do not determine a slope
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One implausible declaration. code: its name, for `allow`; found: the evidence; meant: what was probably meant.
+    """One implausible declaration. code: its name, for `allow`; found: the evidence; meant: the probable intention.
 
     of_sign: whether it is evidence against the sign of the whole column.
     """
@@ -41,7 +41,7 @@ class Finding:
 class Response:
     """One error column and the position of its own axis, on the rows where both are finite.
 
-    deviation: um, urad or N, shape (n,); position: mm or deg, shape (n,), None where the recording has none;
+    deviation: um, urad or N, shape (n,); position: mm or deg, shape (n,), None if the recording has none;
     direction: +1 or -1, shape (n,), None if there is none; run: run number of each row, shape (n,).
     """
 
@@ -56,7 +56,7 @@ class Response:
 
     @property
     def per_unit(self) -> float | None:
-        """Deviation of one unit of position (1000 um per mm); None where the two are of different kinds."""
+        """Deviation per unit of position (1000 um per mm); None if the two are different quantities."""
         rotary = self.component.axis is not None and components.is_rotary(self.component.axis)
         if self.component.kind == "force" or rotary != (self.component.unit == "urad"):
             return None
@@ -68,7 +68,7 @@ class Response:
         return 0.0 if self.position is None or not self.position.size else float(np.ptp(self.position))
 
     def side(self) -> np.ndarray:
-        """Side that each row was approached from, +1 or -1, shape (n,); 0 without a direction."""
+        """Approach direction of each row, +1 or -1, shape (n,); 0 without a direction."""
         return np.zeros(self.rows.size) if self.direction is None else self.direction
 
     def cells(self) -> np.ndarray:
@@ -76,17 +76,17 @@ class Response:
         return _numbered(np.round(np.asarray(self.position), 3), self.side())
 
     def groupings(self) -> list[tuple[str, np.ndarray]]:
-        """What rows may differ by: the run and, where it is recorded, the direction; each with its label, (n,)."""
+        """Groupings of rows: the run and, if recorded, the direction; each with its label, (n,)."""
         return [("run", self.run)] + ([] if self.direction is None else [("direction", self.direction)])
 
     def label_of(self, what: str, value: float) -> str:
-        """A label of `groupings` in words."""
+        """A label of `groupings` as text."""
         return self.recording.run_labels()[int(value)] if what == "run" else f"{value:+g}"
 
     def repeats(self) -> tuple[float, int]:
         """Variance of the deviation among runs at the same target from the same side, and its degrees of freedom.
 
-        Each run and side about its own mean, so that a run's offset is no noise; (0, 0) without repeats.
+        Each run and side about its own mean, so that a run's offset is not noise; (0, 0) without repeats.
         """
         if self.position is None:
             return 0.0, 0
@@ -121,11 +121,11 @@ def _f_quantile(first: int, second: int, level: float) -> float:
 
 
 def is_rearranged(r: Response, as_declared: float, rearranged: float, targets: int, noise: float) -> bool:
-    """Whether two curves differ by noise in another order of their rows, and by more than noise in the declared one.
+    """Whether two curves differ only by noise in another order of their rows, and by more in the declared one.
 
     as_declared, rearranged: variances of their difference, each with two parameters removed. noise: variance that the
-    repeats expect of the difference, 0 without repeats (only the ratio of the two can be judged then,
-    which is worth a question, no refusal: smooth curves have fewer free values than targets).
+    repeats expect of the difference, 0 without repeats (only the ratio of the two can then be tested,
+    which justifies a question, no refusal: smooth curves have fewer free values than targets).
     Two F tests: against each other (level RARE), and against the repeats (level RARE_NOISE).
     """
     freedom = max(targets - 2, 1)
@@ -136,13 +136,13 @@ def is_rearranged(r: Response, as_declared: float, rearranged: float, targets: i
 
 
 def has_fine_resolution(values: np.ndarray) -> bool:
-    """Whether readings have so many possible levels that chance repeats none: a laser's, not a dial's."""
+    """Whether readings have so many possible levels that none repeats by chance: a laser's, not a dial's."""
     steps = np.diff(np.unique(values))
     return steps.size > 0 and float(np.ptp(values)) > FINE * float(steps.min())
 
 
 def level_of_rearranged(r: Response, as_declared: float, rearranged: float) -> Literal["refuse", "ask"]:
-    """Of a finding that `is_rearranged`: without repeats only a far better agreement refuses."""
+    """Level of a finding that `is_rearranged`: without repeats only a far better agreement refuses."""
     return "refuse" if r.repeats()[1] or as_declared > SINGLE_RUN_RATIO * rearranged else "ask"
 
 
@@ -151,7 +151,7 @@ MAX_MAGNITUDE = 1e15  # of a position or a deviation in its unit; sums of square
 
 
 def responses(recording: Recording) -> list[Response]:
-    """Every error column of a recording; without impossibly large readings, which are refused on import."""
+    """Every error column of a recording; without implausibly large readings, which are refused on import."""
     out = []
     for name in recording.names("error"):
         component = components.parse(str(recording.manifest.columns[name].component))
@@ -175,7 +175,7 @@ def _column_of_axis(recording: Recording, roles: Sequence[str], axis: str | None
 
 
 def means_at(places: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Mean of the values at each of some places, shape (at,), all of them among `places`; places, values: (n,)."""
+    """Mean of the values at each of some positions, shape (at,), all of them among `places`; places, values: (n,)."""
     levels, code = np.unique(places, return_inverse=True)
     means = np.bincount(code, values) / np.bincount(code)
     return np.asarray(means[np.searchsorted(levels, at)])

@@ -1,7 +1,7 @@
-"""What a controller would predict, row by row, with an interval and whether the model may speak there at all.
+"""Prediction of a controller, row by row, with an interval and whether the row is within the validity range.
 
-Causal: row k uses rows up to k of its own run only, so every run is evaluated separately. A sensor that drops out
-keeps its last value, as it does on a controller; before its first value nothing is predicted (deviation 0, without an
+Causal: row k uses rows up to k of its own run only, so every run is evaluated separately. A failed sensor
+keeps its last value, as on a controller; before its first value nothing is predicted (deviation 0, without an
 interval).
 """
 
@@ -47,12 +47,12 @@ INPUTS = (
 
 @dataclass(frozen=True)
 class Predictor:
-    """Anything that gives deviations for the rows of one run: a fitted model, a compiled table.
+    """A source of deviations for the rows of one run: a fitted model, a compiled table.
 
     evaluate: recording of one run -> component -> deviation, (rows,). half_width90: component -> half width of the
-    90 % interval inside the box; widening90: added per range's width outside of it; growth90: its share more per unit
-    predicted; factor90: its multiple from the inputs. begin: from the number of rows that are there, the evaluator of
-    a run that comes in parts, which takes them in order; None where only whole runs can be evaluated.
+    90 % interval inside the validity range; widening90: added per range width outside; growth90: relative increase
+    per unit predicted; factor90: its factor from the inputs. begin: from the number of available rows, the evaluator of
+    a run that arrives in parts, in order; None if only whole runs can be evaluated.
     """
 
     evaluate: Evaluate
@@ -66,7 +66,7 @@ class Predictor:
 
     @property
     def in_parts(self) -> bool:
-        """Whether runs may come in parts."""
+        """Whether runs may arrive in parts."""
         return self.begin is not None and not any(map(remembers, self.factor90.values()))
 
     def half_width(self, component: str, alone: Recording, value: np.ndarray, far: np.ndarray) -> np.ndarray:
@@ -105,10 +105,10 @@ def predict(
     """One row per row of the recording, in order: run, time, and four columns per response.
 
     NAME_predicted, NAME_lower, NAME_upper (90 %, empty where nothing is predicted, and where an input of a model that
-    does not widen it outside the box is silent), in the response's unit, and NAME_outside (1 outside the validity
-    box). NAME is the response's column, or the component where the recording has no such response. silent: takes the
-    number of rows without a reading, or with one too old, of each input of the box that has any. Raises DataError
-    where the recording lacks a column that the model reads.
+    does not widen it outside the range is missing), in the response's unit, and NAME_outside (1 outside the validity
+    range). NAME is the response's column, or the component if the recording has no such response. silent: takes the
+    number of rows without a reading, or with a stale one, of each affected input of the range. Raises DataError
+    if the recording lacks a column that the model needs.
     """
     source = of_model(model) if isinstance(model, ErrorModel) else model
     (frame,) = _frames(source, [recording], lambda _: source.evaluate, silent)
@@ -118,7 +118,7 @@ def predict(
 def predict_parts(
     source: Predictor, parts: Iterable[Recording], silent: MutableMapping[str, int] | None = None
 ) -> Iterator[pd.DataFrame]:
-    """The same of a recording that comes in parts, part by part: equal to the bit, however it is cut.
+    """Likewise for a recording that arrives in parts, part by part: bit-identical for any partition.
 
     Runs may be cut anywhere and may alternate. Memory: a part, and a few kB per run. Raises ValueError if the
     source takes whole runs only (`in_parts`).
@@ -129,8 +129,8 @@ def predict_parts(
 
 
 class _Run:
-    """What lasts of a run from one of its parts to the next: its evaluator, the last value of each input, and how many
-    rows ago it was read, with the rows from the reading before it to it.
+    """State of a run between two of its parts: its evaluator, the last value of each input, how many
+    rows ago it was read, and the rows between that reading and the one before.
     """
 
     def __init__(self, evaluator: Evaluate):
@@ -168,7 +168,7 @@ def _frames(
                     predicted = np.where(np.isfinite(match), match, 0.0)
                     width = source.half_width(component, kept, predicted, far[rows])
                     known = ever if source.widening90.get(component) else now
-                    # a table gives 0 where an input was never there, which is no prediction
+                    # a table returns 0 if an input never had a value, which is no prediction
                     half[component][rows] = np.where(known & np.isfinite(match), width, np.nan)
         frame = _frame(source, part, values, half, far)
         yield frame if part.name("time") is not None else frame.assign(time=frame["time"] + before)
@@ -176,14 +176,14 @@ def _frames(
 
 
 def _inputs_known(source: Predictor, kept: Recording) -> np.ndarray | bool:
-    """Rows on which every input of the validity box has a value, (rows,); of interest to an interval alone."""
+    """Rows on which every input of the validity range has a value, (rows,); needed for an interval only."""
     if not source.half_width90:
         return True
     return np.isfinite(sum((kept.array(n) for n in source.validity.ranges), np.zeros(len(kept))))
 
 
 def _rows_by_run(codes: np.ndarray) -> Iterator[tuple[int, Any]]:
-    """Each run's number with its rows: a slice, which copies nothing, where they follow one another."""
+    """Each run's number with its rows: a slice, which copies nothing, if they are consecutive."""
     if codes.size and (codes == codes[0]).all():
         yield int(codes[0]), slice(0, codes.size)
         return
@@ -196,7 +196,7 @@ def _rows_by_run(codes: np.ndarray) -> Iterator[tuple[int, Any]]:
 def held(recording: Recording, last: dict[str, float] | None = None) -> Recording:
     """Rows of one run with every input's last value held over gaps, and time that never decreases.
 
-    last: the values that the run's rows before these ended with, by column; brought up to date.
+    last: the last values of the run's previous rows, by column; updated.
     """
     last = {} if last is None else last
     changes: dict[str, np.ndarray] = {}
@@ -219,10 +219,9 @@ def held(recording: Recording, last: dict[str, float] | None = None) -> Recordin
 
 
 def _without_old(alone: Recording, kept: Recording, validity: Validity, read: dict[str, tuple[int, int]]) -> Recording:
-    """The held rows, without values of the validity box that are held for longer than such a sensor pauses.
+    """The held rows, without values of the validity range that are held for longer than the sensor's sampling interval.
 
-    A temperature logged every tenth row is known in between; a sensor that stops is not. read: see `_Run`; brought up
-    to date.
+    A temperature logged every tenth row is valid in between; one of a failed sensor is not. read: see `_Run`; updated.
     """
     old: dict[str, np.ndarray] = {}
     for name in validity.ranges:
@@ -246,7 +245,7 @@ def _without_old(alone: Recording, kept: Recording, validity: Validity, read: di
 
 
 def _filled(values: np.ndarray, before: float) -> np.ndarray:
-    """Gaps filled with the value before them; at the beginning with `before`."""
+    """Gaps filled with the value before them; at the start with `before`."""
     return pd.Series(values).ffill().fillna(before).to_numpy(dtype=float)
 
 

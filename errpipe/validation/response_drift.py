@@ -1,9 +1,9 @@
-"""Whether a response moved away from what a model predicts: its level, its size or its rms, and since which run.
+"""Drift of a response from the prediction of a model: its level, its size or its rms, and the first affected run.
 
 The level of a run is the mean residual, its size the slope of the measured deviations on the predicted ones (least
 squares, each about its mean), its rms that of the residual (as the logarithm of the mean square, which is nearly
-normal): lost motion or a worn stretch moves neither mean nor slope. Each goes into a CUSUM against the runs that the
-model was fitted on (`cusum`).
+normal): lost motion or a worn stretch changes neither mean nor slope. Each enters a CUSUM against the runs of the
+model's fit (`cusum`).
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.validation.cusum import level_drift
 
-WEAKEST_RUN = 0.25  # of the median rms of the prediction: a run that hardly moved shows nothing of the size
-NO_RESPONSE = 0.3  # of what is predicted: compensated machines leave less than a third, worn ones show more than that
-FEWEST = 3  # runs of a group before and since a change, from which they have a mean and a scatter
+WEAKEST_RUN = 0.25  # of the median rms of the prediction: a run with less motion does not determine the size
+NO_RESPONSE = 0.3  # of the prediction: compensated machines have less than a third, worn ones more
+FEWEST = 3  # runs of a group before and since a change, needed for a mean and a scatter
 NO_GROUPS: Mapping[str, Mapping[int, str]] = {}
-TINY = 1e-12  # um2: a mean square of which the logarithm exists
-HALF = 0.5  # of a change of the mean: what the median of the same runs must show of it
+TINY = 1e-12  # um2: smallest mean square whose logarithm is taken
+HALF = 0.5  # of a change of the mean: least change of the median of the same runs
 UNITS = {1000.0: "1000", 25.4: "25.4", 1.0 / 25.4: "1/25.4", 0.001: "1/1000"}  # um for mm, inch for mm and back
-QUIETER = 0.3  # of the noise before: readings of that much noise are in the unit of before, whatever their size
-UNIT_TOLERANCE = 0.2  # of such a factor
-SIGN_TOLERANCE = 0.3  # about -1: the same machine, turned round, is no larger or smaller than that (by judgement)
+QUIETER = 0.3  # of the noise before: readings with so little noise are in the previous unit, whatever their size
+UNIT_TOLERANCE = 0.2  # of the factor
+SIGN_TOLERANCE = 0.3  # about -1: with reversed sign, the same machine has the same size within this (by judgement)
 
 
 def drifts(
     recording: Recording, reference: np.ndarray, predictions: Mapping[str, np.ndarray]
 ) -> dict[str, list[dict[str, Any]]]:
-    """Responses whose mean residual moved (`residuals`), whose size changed (`sizes`), of which more is left (`rms`).
+    """Responses whose mean residual moved (`residuals`), whose size changed (`sizes`), whose residual grew (`rms`).
 
     reference: rows of the model's own runs.
     """
@@ -54,11 +54,11 @@ def drifts(
     return out
 
 
-Moved = tuple[int, dict[str, Any]] | None  # the run since when, and what moved
+Moved = tuple[int, dict[str, Any]] | None  # first run of the change, and the change
 
 
 def _level(measured: np.ndarray, prediction: np.ndarray, reference: np.ndarray, run: np.ndarray, groups: Any) -> Moved:
-    """By how much the mean residual moved, um."""
+    """Shift of the mean residual, um."""
     figures = _of_runs(measured - prediction, run)
     moved = _moved(figures, reference, run, groups=groups)
     if moved is None:
@@ -70,7 +70,7 @@ def _level(measured: np.ndarray, prediction: np.ndarray, reference: np.ndarray, 
 def _rms_left(
     measured: np.ndarray, prediction: np.ndarray, reference: np.ndarray, run: np.ndarray, groups: Any
 ) -> Moved:
-    """The rms of what is left before and after, um, where it grew."""
+    """The rms of the residual before and after, um, if it grew."""
     squares = _of_runs((measured - prediction) ** 2, run)
     figures = {c: float(np.log(max(square, TINY))) for c, square in squares.items()}
     moved = _moved(figures, reference, run, groups=groups)
@@ -83,7 +83,7 @@ def _rms_left(
 
 
 def _size(measured: np.ndarray, prediction: np.ndarray, reference: np.ndarray, run: np.ndarray) -> Moved:
-    """The factor by which what is measured of a prediction changed, and what that means."""
+    """The factor by which the measured size of a prediction changed, and its meaning."""
     slopes, strength = _slopes(measured, prediction, run)
     moved = _moved(slopes, reference, run, strength)
     if moved is None:
@@ -96,7 +96,7 @@ def _size(measured: np.ndarray, prediction: np.ndarray, reference: np.ndarray, r
 
 
 def _groups(recording: Recording) -> dict[str, dict[int, str]]:
-    """What a grouping is (duty_cycle, season, day, its column's name) -> code of each run -> its label."""
+    """Name of a grouping (duty_cycle, season, day, its column's name) -> code of each run -> its label."""
     run, out = recording.run_codes(), {}
     for name in recording.names("group"):
         labels = recording.frame[name].astype(str).to_numpy()
@@ -106,17 +106,17 @@ def _groups(recording: Recording) -> dict[str, dict[int, str]]:
 
 
 def _sides(figures: Mapping[int, float], codes: Mapping[int, str], label: str, old: set[int], since: int) -> list[list]:
-    """Figures of a group's runs among the old ones, and since a run; [] where fewer than FEWEST are on a side."""
+    """Figures of a group's runs among the old ones, and since a run; [] if fewer than FEWEST are on a side."""
     own = [c for c in figures if codes[c] == label]
     sides = [[figures[c] for c in own if c in old], [figures[c] for c in own if c not in old and c >= since]]
     return sides if min(map(len, sides)) >= FEWEST else []
 
 
 def _regime(groups, figures: Mapping[int, float], reference: np.ndarray, run: np.ndarray, since: int) -> str:
-    """The group of runs that alone moved, such as 'duty_cycle TM'; '' where others did, too, or too few runs tell.
+    """The only group of runs that moved, such as 'duty_cycle TM'; '' if others did, too, or if there are too few runs.
 
-    figures: one per run, by its code. A group moved by the mean of its runs since then less that of its own before; the
-    others did not where each moved by less than half of it, and by less than it by three standard errors.
+    figures: one per run, by its code. A group's shift is the mean of its runs since then minus that of its own before;
+    the others did not move if each shifted by less than half of it, and by less than it by three standard errors.
     """
     old = {c for c in figures if reference[run == c].any()}
     for kind, codes in groups.items():
@@ -135,9 +135,9 @@ def _regime(groups, figures: Mapping[int, float], reference: np.ndarray, run: np
 
 
 def meaning(factor: float) -> str:
-    """What readings of another size probably are, where a fit would be wrong; empty where the machine changed."""
+    """Probable meaning of readings of another size that must not be fitted; empty if the machine changed."""
     if abs(factor + 1.0) < SIGN_TOLERANCE:
-        return "their sign is the other one"
+        return "their sign is reversed"
     if factor < -NO_RESPONSE:
         return "they fall where it rises: of another machine, or measured elsewhere?"
     unit = next((text for size, text in UNITS.items() if abs(factor / size - 1.0) < UNIT_TOLERANCE), None)
@@ -149,7 +149,7 @@ def meaning(factor: float) -> str:
 
 
 def _noise(measured: np.ndarray, prediction: np.ndarray, rows: np.ndarray) -> float:
-    """rms about the straight line through the prediction: readings in a larger unit have less of it, too."""
+    """rms about the regression line on the prediction: readings in a larger unit also have less of it."""
     known = rows & np.isfinite(measured) & np.isfinite(prediction)
     design = np.column_stack([np.ones(known.sum()), prediction[known]])
     solved = np.linalg.lstsq(design, measured[known])[0]
@@ -163,7 +163,7 @@ def _of_runs(values: np.ndarray, run: np.ndarray) -> dict[int, float]:
 
 
 def _slopes(measured: np.ndarray, prediction: np.ndarray, run: np.ndarray) -> tuple[dict[int, float], dict[int, float]]:
-    """Slope of measured on predicted deviations in each run whose prediction moves, and the rms of what moves, um."""
+    """Slope of measured on predicted deviations in each run whose prediction varies, and rms of the variation, um."""
     known = np.isfinite(measured) & np.isfinite(prediction)
     centred = {}
     for code in dict.fromkeys(run[known].tolist()):
@@ -182,10 +182,10 @@ def _moved(
     strength: Mapping[int, float] | None = None,
     groups: Mapping[str, Mapping[int, str]] = NO_GROUPS,
 ) -> tuple[int, float, float] | None:
-    """The run since when a figure per run has another level, and its means before and after; None where it has not.
+    """The first run with another level of a figure, and its means before and after; None if there is no change.
 
-    strength: what a figure's standard error is inversely proportional to, where that differs between runs. Where most
-    runs stay and those of a group do not, the means are that group's.
+    strength: inverse of a figure's relative standard error, if that differs between runs. If most
+    runs are unchanged and those of a group are not, the means are that group's.
     """
     old = [c for c in figures if reference[run == c].any()]
     new = [c for c in figures if c not in old]
@@ -209,4 +209,4 @@ def _moved(
                 before, after = float(np.mean(sides[0])), float(np.median(sides[1]))
                 if abs(after - before) >= least:
                     return new[drift[1]], before, after
-    return None  # one odd run, such as a night of swapped sensors
+    return None  # a single odd run, such as a night of exchanged sensors

@@ -1,8 +1,8 @@
 """Champion against challenger on runs that neither was fitted on; the test may be repeated after every run.
 
-Every new run is scored once, by a model fitted on the runs before it (forward chaining), beside the champion and doing
-nothing. The evidence is an e-process (Ville 1939; Waudby-Smith and Ramdas 2024, betting): each run multiplies a stake
-by 1 + bet * score, where the score lies between -1 and 1 and has a mean of at most zero while the challenger is no
+Every new run is scored once, by a model fitted on the runs before it (forward chaining), against the champion and no
+compensation. The evidence is an e-process (Ville 1939; Waudby-Smith and Ramdas 2024, betting): each run multiplies a
+stake by 1 + bet * score, where the score lies between -1 and 1 and has a mean of at most zero if the challenger is no
 better. However often it is evaluated, the probability that the evidence ever reaches 1 / alpha is then at most alpha.
 """
 
@@ -23,22 +23,22 @@ from errpipe.fitting.statistics import student_tail
 from errpipe.fitting.validity import as_in_a_table, box, extended, fading
 from errpipe.models import Family
 
-EVIDENCE = "evidence"  # the gate that has not failed while it does not hold: runs have yet to come
-ALPHA = 0.05  # chance of ever promoting a challenger that is no better than the champion
-# Shares of the stake; the mean over them needs no guess of the size of the gain
+EVIDENCE = "evidence"  # the gate that is not failed while it does not hold: more runs are needed
+ALPHA = 0.05  # probability of ever promoting a challenger that is no better than the champion
+# Shares of the stake; their mean does not require an assumed size of the gain
 STAKE_SHARES = (0.1, 0.25, 0.5, 0.75, 0.9)
-BATCHES = 10  # fits at most for the new runs of one look
+BATCHES = 10  # largest number of fits for the new runs of one evaluation
 TOLERANCE = 1.02  # a group may be this much worse than no compensation: rounding of small groups, not a real loss
 LEAST_COVERAGE = 0.8  # of the 90 % interval; ISO/IEC Guide 98-3 asks for the stated one, ten groups scatter by 0.1
 NO_BOX = Validity()
-LEAST_RUNS = 3  # of a group, from which a paired test has any power
+LEAST_RUNS = 3  # of a group, needed for a paired test
 
 
 @dataclass(frozen=True)
 class RunScore:
-    """One new run and component: mean squares (um2) of the response, and of what champion and challenger leave.
+    """One new run and component: mean squares (um2) of the response, and of the residuals of champion and challenger.
 
-    content: digest of the run's readings, by which a copy of it is known.
+    content: digest of the run's readings, which identifies a copy.
     """
 
     key: str
@@ -53,14 +53,14 @@ class RunScore:
 
     @property
     def score(self) -> float:
-        """Between -1 (the challenger is far worse) and 1 (it leaves nothing)."""
+        """Between -1 (the challenger is far worse) and 1 (its residual is zero)."""
         total = self.champion + self.challenger
         return (self.champion - self.challenger) / total if total > 0 else 0.0
 
 
 @dataclass(frozen=True)
 class Gate:
-    """One condition of a promotion: whether it holds, and why, in a sentence."""
+    """One condition of a promotion: whether it is met, and the reason as a sentence."""
 
     name: str
     passed: bool
@@ -69,7 +69,7 @@ class Gate:
 
 @dataclass(frozen=True)
 class Decision:
-    """promote: every gate holds. e_value: evidence for the challenger; needed: 1 / alpha."""
+    """promote: every gate is met. e_value: evidence for the challenger; needed: 1 / alpha."""
 
     promote: bool
     e_value: float
@@ -78,7 +78,7 @@ class Decision:
 
 
 def run_keys(recording: Recording) -> list[str]:
-    """What identifies each run across recordings: its label, its groups and its first time; in order of appearance."""
+    """Identity of each run across recordings: its label, its groups and its first time; in order of appearance."""
     run, time = recording.run_codes(), recording.time()
     names = recording.names("group")
     out = []
@@ -105,14 +105,14 @@ def run_contents(recording: Recording) -> list[str]:
 
 
 def among(recording: Recording, keys: Iterable[str], contents: Iterable[str]) -> frozenset[str]:
-    """Keys of the runs that are among `keys`, or whose readings are among `contents`, whatever they are called now."""
+    """Keys of the runs that are among `keys`, or whose readings are among `contents` under any name."""
     known, read = frozenset(keys), frozenset(contents)
     both = zip(run_keys(recording), run_contents(recording), strict=True)
     return frozenset(key for key, content in both if key in known or content in read)
 
 
 def reused_names(old: Recording, new: Recording) -> list[str]:
-    """Labels of runs that are known by name, groups and time, and hold other readings: another run of an old name."""
+    """Labels of runs with known name, groups and time but other readings: another run with an old name."""
     before = dict(zip(run_keys(old), run_contents(old), strict=True))
     now = zip(new.run_labels(), run_keys(new), run_contents(new), strict=True)
     return [label for label, key, content in now if before.get(key, content) != content]
@@ -126,12 +126,12 @@ def score_new_runs(
     scored: frozenset[str],
     validity: Validity = NO_BOX,
 ) -> list[RunScore]:
-    """Score every run that is neither known to the champion nor scored already, in order of appearance.
+    """Score every run that is neither known to the champion nor already scored, in order of appearance.
 
-    champion: component -> its prediction, (rows,), as its table gives it. known: keys of the runs that fitted it;
-    scored: of runs scored on earlier looks (`among`). Each batch of new runs is judged by a fit on the known runs and
-    the new ones before it; of runs with the same readings the first is scored, for a challenger that has seen a run
-    leaves less of it. validity: of the champion; a challenger's table fades beyond it and beyond its own rows. Raises
+    champion: component -> its prediction, (rows,), from its table. known: keys of the runs of its fit;
+    scored: of runs scored in earlier evaluations (`among`). Each batch of new runs is predicted by a fit on the known
+    runs and the new ones before it; of runs with equal readings only the first is scored, because a challenger fitted
+    on a run has a smaller residual in its copy. validity: of the champion; a challenger's table fades beyond it. Raises
     DataError, NotIdentifiable as the family does.
     """
     keys, run, contents = run_keys(recording), recording.run_codes(), run_contents(recording)
@@ -149,7 +149,7 @@ def score_new_runs(
         if not (train & seen).any():  # nothing before them: these runs fit the first model and are not scored
             train = train | test
             continue
-        with suppress(NothingJudged):  # a sensor was silent in all of them: no evidence for either
+        with suppress(NothingJudged):  # a sensor failed in all of them: no evidence for either
             own = extended(box(recording, [*ends], train), ends, recording)
             held, left = as_in_a_table(recording, own)
             for component, judged in family.judge(held, Fold("new runs", train, test)).items():
@@ -182,10 +182,10 @@ def _scores(
 
 
 def champion_residual(recording: Recording, component: str, left: HeldOut, prediction: np.ndarray) -> np.ndarray:
-    """What the champion leaves on the judged rows, um, (n,), with the same datum as the challenger's figures.
+    """Residual of the champion on the test rows, um, (n,), with the same datum as the challenger's figures.
 
-    Where the family counts from the start of each run, so does the champion; where it solves for a shift of each run,
-    the champion's residual loses its mean per run.
+    If the family counts from the start of each run, so does the champion; if it fits a shift of each run,
+    the champion's residual is reduced by its mean per run.
     """
     name = str(recording.name("error", component=component))
     raw = recording.array(name) - prediction
@@ -205,7 +205,7 @@ def champion_residual(recording: Recording, component: str, left: HeldOut, predi
 
 
 def e_value(scores: Sequence[float]) -> float:
-    """Evidence after these scores (in their order): the mean over the bets of the stake's product; 1 for none."""
+    """Evidence after these scores (in order): the mean over the bets of the stake's product; 1 for none."""
     stakes = np.outer(STAKE_SHARES, np.clip(np.asarray(scores, dtype=float), -1.0, 1.0))
     logs = np.log1p(stakes).sum(axis=1)
     highest = float(logs.max())
@@ -221,7 +221,7 @@ def per_run(scores: Sequence[RunScore]) -> list[float]:
 
 
 def decide(scores: Sequence[RunScore], others: Sequence[Gate] = (), *, alpha: float = ALPHA) -> Decision:
-    """Whether to promote: evidence over all scored runs, no group worse, and whatever else is requested."""
+    """The decision on a promotion: evidence over all scored runs, no group worse, and the other gates."""
     needed = 1.0 / alpha
     value = e_value(per_run(scores))
     runs = len({s.key for s in scores})
@@ -235,7 +235,7 @@ def decide(scores: Sequence[RunScore], others: Sequence[Gate] = (), *, alpha: fl
 
 
 def by_group(scores: Sequence[RunScore]) -> dict[tuple[str, str, str], list[RunScore]]:
-    """(component, grouping, label) -> its runs; the grouping "all" holds every run."""
+    """(component, grouping, label) -> its runs; the grouping "all" contains every run."""
     out: dict[tuple[str, str, str], list[RunScore]] = {}
     for s in scores:
         for grouping, label in (("all", "new runs"), *s.groups.items()):
@@ -245,7 +245,7 @@ def by_group(scores: Sequence[RunScore]) -> dict[tuple[str, str, str], list[RunS
 
 def _no_group_worse(scores: Sequence[RunScore]) -> list[Gate]:
     groups = by_group(scores)
-    level = 0.05 / max(len(groups), 1)  # Bonferroni: a group is called worse by chance in 5 % of all looks at most
+    level = 0.05 / max(len(groups), 1)  # Bonferroni: at most 5 % false alarms over all groups
     out = []
     for (component, grouping, label), runs in groups.items():
         where = f"{component}, {label}" if grouping == "all" else f"{component}, {grouping} {label}"

@@ -1,15 +1,15 @@
 """Leave-one-season-out table of a thermal model, compared with no compensation and the error within the season.
 
     uncompensated   rms of the deviation since the start of the run
-    in_season       rms with only the judged run left out: other runs of its season took part
+    in_season       rms with only the test run left out: other runs of its season were fitted
     out_of_season   rms with the whole group left out
     ratio           out_of_season / in_season
     bias, scatter   mean and standard deviation of the out-of-season residual
     worst           its largest magnitude
-    coverage        share of rows inside the 90 % interval of the model that never saw the group
+    coverage        share of rows inside the 90 % interval of the model fitted without the group
     half_width      mean half width of that interval
 
-The optimism gap is out_of_season less the rms that a random choice of rows would have promised.
+The optimism gap is out_of_season minus the rms suggested by randomly selected rows.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from errpipe.fitting.statistics import rms
 from errpipe.models import Family
 from errpipe.thermal.arithmetic import since_start_of
 
-# Recording, component, mask of the rows to fit -> a model with `values`, and `predict` where it has an interval.
+# Recording, component, mask of the fitted rows -> a model with `values`, and `predict` if it has an interval.
 Fitter = Callable[[Recording, str, np.ndarray], Any]
 
 VERSION = 1  # of the document's layout
 RANDOM_FOLDS = 5  # folds of random rows, for the optimism gap
-FIGURES = (  # of each group left out, in the order of the tables
+FIGURES = (  # of each held-out group, in the order of the tables
     "uncompensated", "in_season", "out_of_season", "ratio", "bias", "scatter", "worst", "coverage", "half_width",
 )  # fmt: skip
 POOLED = ("uncompensated", "out_of_season")
@@ -73,7 +73,7 @@ def table(
 
 
 def by_month(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Rows of days (2017-02-27) pooled by their months; [] where the groups are no days. um."""
+    """Rows of days (2017-02-27) pooled by month; [] if the groups are not days. um."""
     if not all(re.fullmatch(r"\d{4}-\d\d-\d\d", r["left_out"]) for r in rows):
         return []
     out = []
@@ -88,7 +88,7 @@ def by_month(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def optimism(
     recording: Recording, component: str, fit: Fitter, y: np.ndarray, residual: np.ndarray
 ) -> dict[str, float]:
-    """rms promised by random rows against rms of whole groups left out, um."""
+    """rms suggested by random rows against rms of held-out groups, um."""
     pick = np.random.default_rng(0).integers(RANDOM_FOLDS, size=len(recording))
     folds = [Fold(str(k), pick != k, pick == k) for k in range(RANDOM_FOLDS)]
     random = _left_out(recording, component, fit, folds, y)[0]
@@ -98,7 +98,7 @@ def optimism(
 
 
 def _left_out(recording, component: str, fit: Fitter, folds: Sequence[Fold], y: np.ndarray):
-    """Residual of each judged row, whether its interval covered it, its half width (NaN where the model has none)."""
+    """Residual of each test row, whether its interval covers it, its half width (NaN if the model has none)."""
     residual, covered, half = (np.full(y.size, np.nan) for _ in range(3))
 
     def judged(fold: Fold) -> None:
@@ -144,7 +144,7 @@ def _row(fold: Fold, y, residual, covered, half, own) -> dict[str, Any]:
 def documents(
     recording: Recording, family: Family, progress: Callable[[float, str], None] = lambda share, text: None
 ) -> dict[str, Any]:
-    """Tables of a seasonal family by their key in `validation.json`: seasons left out, and trained on the past."""
+    """Tables of a seasonal family by their key in `validation.json`: seasons held out, and fits on the past only."""
     (component,) = family.responses
     progress(0.3, "seasons held out, compared with runs held out")
 
@@ -152,7 +152,7 @@ def documents(
         return family.train(recording, rows)  # type: ignore[attr-defined]  # seasonal families have it
 
     out = {}
-    if family.folds(recording, None)[0] == holdout.name(family.scheme):  # else it names less than two seasons
+    if family.folds(recording, None)[0] == holdout.name(family.scheme):  # else it has fewer than two seasons
         out["seasons"] = table(recording, component, train, family.scheme)
     if any(recording.manifest.columns[n].of == "day" for n in recording.names("group")):
         progress(0.7, "trained on the past alone")

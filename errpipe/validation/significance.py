@@ -1,11 +1,11 @@
-"""Whether a correction is better than none by more than chance: a paired test over runs, never over rows.
+"""Significance of a correction against none: a paired test over runs, never over rows.
 
 Rows of one run share their thermal state and their noise, so they are one observation, not hundreds. Two paired tests
 over runs are made, and the smaller p is doubled (Bonferroni): Student's t of the difference of the mean squares, and
-of the logarithm of their ratio, which is the more powerful one where few runs agree.
+of the logarithm of their ratio, which is more powerful with few consistent runs.
 
-Of one run (or two) only halves predict each other, and neighbouring rows of both series are alike: two that wander
-on their own correlate by chance. So their correlation is tested with the rows that such series are worth.
+For one run (or two) only halves predict each other, and neighbouring rows of both series are correlated: two
+independent drifts correlate by chance. So their correlation is tested with the effective number of rows.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from errpipe.domain.recording import Recording
 from errpipe.fitting.judging import HeldOut
 from errpipe.fitting.statistics import chi2_tail, student_tail
 
-# Largest p of an exported correction. Chosen on: random offsets by run, 3,000 draws for each of 3 to 20 runs, of which
-# the mean offset is exported in 0.1 to 1.3 %; at 0.05 it is up to 3.3 %.
+# Largest p of an exported correction. Chosen on: random offsets by run, 3,000 draws for each of 3 to 20 runs, whose
+# mean offset is exported in 0.1 to 1.3 %; at 0.05 it is up to 3.3 %.
 LEVEL = 0.02
-QUIET = 0.1  # of the rms over all runs, added to both sides of the ratio: runs below it hardly count there
-MIN_RUNS = 2  # runs; one alone shows nothing of the next
-# Largest p from halves. Chosen on single days (seed 901: 36 of `trials.thermal`, 60 of machines by formulas, 36 whose
-# deviation wanders or has a heat that no sensor sees): 1e-4 exports 84 and makes two later ones worse; 2e-4 seven.
+QUIET = 0.1  # of the rms over all runs, added to both sides of the ratio: runs below it have little weight
+MIN_RUNS = 2  # runs; one alone does not predict the next
+# Largest p from halves. Chosen on single days (seed 901: 36 of `trials.thermal`, 60 of machines by formulas, 36 with a
+# drifting deviation or an unmeasured heat source): 1e-4 exports 84 and makes two later ones worse; 2e-4 seven.
 HALVES_LEVEL = 1e-4
-# Largest p from halves, and share that blocks predicted by all others of the run are left, of a correction that is
-# exported although halves alone do not suffice: a day that warms one way is worth three rows. Chosen on 62 single days
+# Largest p from halves, and residual share of blocks predicted by all others of the run, of a correction that is
+# exported although halves alone are inconclusive: a day of steady warming is worth three rows. Chosen on 62 single days
 # of machines (formulas and `trials.thermal`, seed 41001): four that help have 0.04 to 0.21, five that harm 0.3 to 1.0.
 HALVES_LIKELY, INSIDE = 1e-2, 0.12
-UNLIKE = 0.05  # product of autocorrelations from which on rows are independent
+UNLIKE = 0.05  # product of autocorrelations below which rows are independent
 FEWEST_DEGREES = 0.5  # of freedom of a correlation, however few rows the series are worth
 
 
 def p_value(recording: Recording, folds: Sequence[HeldOut], gain: float) -> float:
-    """Probability that chance alone makes the correction at this gain look as good on the held-out runs; 0..1."""
+    """Probability that the correction at this gain looks as good on the held-out runs by chance; 0..1."""
     before, after = _mean_squares(recording, folds, gain)
     if before.size < MIN_RUNS:
         return 1.0
@@ -47,10 +47,10 @@ def p_value(recording: Recording, folds: Sequence[HeldOut], gain: float) -> floa
 def p_between_halves(folds: Sequence[HeldOut], gain: float) -> tuple[float, int]:
     """p of a correction at a gain on halves of one run that predict each other, and the effective number of rows.
 
-    Prediction and deviation are correlated less their mean over the run (drift) and in each half (shape), with the
-    effective number of rows of two autocorrelated series (Quenouille 1952; Bretherton et al. 1999, J. Climate 12:1990),
-    and both one-sided p combined by Fisher's method. The zero of a run is the mean of a few readings: its error stands
-    in both halves and would predict itself. folds: blocks of the first half, then as many of the second.
+    Prediction and deviation are correlated after removing their mean over the run (drift) and per half (shape), with
+    the effective number of rows of two autocorrelated series (Quenouille 1952; Bretherton et al. 1999, J. Climate 12,
+    1990), and both one-sided p combined by Fisher's method. The zero of a run is the mean of a few readings: its error
+    is in both halves and would predict itself. folds: blocks of the first half, then as many of the second.
     """
     halves = folds[: len(folds) // 2], folds[len(folds) // 2 :]
     before = [np.concatenate([f.before for f in half]) for half in halves]
@@ -63,14 +63,14 @@ def p_between_halves(folds: Sequence[HeldOut], gain: float) -> tuple[float, int]
 
 
 def helps_between_halves(p: float, left_inside: Callable[[], float]) -> bool:
-    """Whether a correction judged on halves of one run is exported. p: of `p_between_halves`; left_inside: share of the
-    deviation left on blocks that all others of the run predict, 1; called where p decides neither way.
+    """Whether a correction validated on halves of one run is exported. p: of `p_between_halves`; left_inside: residual
+    share of blocks that all others of the run predict, 1; called if p is inconclusive.
     """
     return p <= HALVES_LEVEL or (p <= HALVES_LIKELY and left_inside() <= INSIDE)
 
 
 def _correlated(one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> tuple[float, float]:
-    """One-sided p of a positive correlation of two series in stretches, and the rows that they are worth."""
+    """One-sided p of a positive correlation of two series in stretches, and their effective number of rows."""
     size = np.sqrt(sum(float(x @ x) for x in one) * sum(float(y @ y) for y in other))
     worth = sum(_effective_rows(x, y) for x, y in zip(one, other, strict=True))
     if size == 0.0:
@@ -82,7 +82,7 @@ def _correlated(one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> tuple
 
 
 def _effective_rows(one: np.ndarray, other: np.ndarray) -> float:
-    """Independent rows that two series of a stretch are worth for their correlation."""
+    """Effective number of independent rows of two series of a stretch for their correlation."""
     alike = _autocorrelation(one) * _autocorrelation(other)
     unlike = np.flatnonzero(alike < UNLIKE)
     return float(one.size / (1.0 + 2.0 * alike[1 : unlike[0] if unlike.size else alike.size].sum()))
@@ -96,7 +96,7 @@ def _autocorrelation(values: np.ndarray) -> np.ndarray:
 
 
 def independent_runs(recording: Recording, folds: Sequence[HeldOut]) -> int:
-    """How many observations the test has."""
+    """Number of observations of the test."""
     return int(np.unique(_units(recording, folds)).size)
 
 
@@ -120,7 +120,7 @@ def _mean_squares(recording: Recording, folds: Sequence[HeldOut], gain: float) -
 
 
 def _units(recording: Recording, folds: Sequence[HeldOut]) -> np.ndarray:
-    """Number of the observation that each held-out row belongs to: its run, or its fold where folds divide runs."""
+    """Number of the observation of each held-out row: its run, or its fold if folds divide runs."""
     run = np.concatenate([recording.run_codes()[f.rows] for f in folds])
     fold = np.repeat(np.arange(len(folds)), [f.rows.size for f in folds])
     divided = any(np.unique(fold[run == code]).size > 1 for code in np.unique(run))

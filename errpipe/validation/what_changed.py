@@ -1,4 +1,4 @@
-"""Which terms of a model its residual asks to be changed: the machine's change in the model's own vocabulary."""
+"""Terms of a model that its residual suggests to change: the machine's change in terms of the model."""
 
 from __future__ import annotations
 
@@ -11,19 +11,21 @@ from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedTerm
 from errpipe.domain.recording import Recording
 from errpipe.fitting.components import from_run_start, term_of
 
-MOST = 3  # terms that are named; a change of more of them is a change of everything
-LEAST_SHARE = 0.02  # of what is beyond the noise, that a further term has to take: a seventh of the rms
-NEARLY = 0.9  # of what the best term takes: a term of fewer parameters that takes as much is named instead
-SIGNIFICANT = 4.0  # standard errors of the mean square of noise: less is no change of the mean square
+MOST = 3  # terms that are named; a change of more terms is not specific
+LEAST_SHARE = 0.02  # of the variance beyond the noise that a further term must explain: a seventh of the rms
+NEARLY = (
+    0.9  # of the variance explained by the best term: a term with fewer parameters that explains as much is preferred
+)
+SIGNIFICANT = 4.0  # standard errors of the mean square of noise: threshold of a change
 AGAIN = 6.0  # standard errors of a second change of the level: chosen on simulated axes, seed 1
-FEWEST = 5  # runs since a second change: a challenger is fitted on no fewer
-SHOWN = 2  # parameters of a term that are written out
-LARGEST_CONDITION = 1e8  # columns that are nearer to each other are not solved for together
+FEWEST = 5  # runs since a second change: a challenger needs at least this many
+SHOWN = 2  # parameters printed per term
+LARGEST_CONDITION = 1e8  # more collinear columns are not solved for together
 
 
 @dataclass(frozen=True)
 class TermChange:
-    """says: parameters before and after; size: rms of the change, um (urad); unexplained: no term of the model."""
+    """says: parameters before and after; size: rms of the change, um (urad); unexplained: by no term of the model."""
 
     term: str
     says: str
@@ -33,9 +35,9 @@ class TermChange:
 def what_changed(
     model: ErrorModel, component: ComponentModel, recording: Recording, residual: np.ndarray, noise: float
 ) -> list[TermChange]:
-    """The fewest terms whose linear parameters explain a residual, the largest first; last what no term explains.
+    """The fewest terms whose linear parameters explain a residual, the largest first; the unexplained part last.
 
-    residual: measured less predicted on the rows since the change, um (urad), (rows,), NaN where unknown; noise: its
+    residual: measured minus predicted on the rows since the change, um (urad), (rows,), NaN if unknown; noise: its
     rms before the change. Terms are added one by one, each fitted with those before it by least squares.
     """
     known = np.isfinite(residual)
@@ -68,7 +70,7 @@ def what_changed(
         for k, steps in zip(chosen, _steps(bases, chosen, r), strict=True)
     ]
     if left > 0.5 * beyond:
-        out.append(TermChange("", "something that the model has no term for", float(np.sqrt(left))))
+        out.append(TermChange("", "no term of the model explains the rest", float(np.sqrt(left))))
     return sorted(out, key=lambda c: (not c.term, -c.size))
 
 
@@ -80,7 +82,7 @@ def changed_again(
     reference: np.ndarray,
     first: int,
 ) -> int:
-    """How many runs after run `first`, at which a machine changed, its level changed once more; 0 where it did not.
+    """Number of runs after run `first`, at which a machine changed, until its level changed again; 0 if it did not.
 
     residual: as of `what_changed`, of all rows; reference: rows before the first change, (rows,). Means of the runs
     since then: a step at the likeliest run, with all linear terms, over the standard deviation between reference runs.

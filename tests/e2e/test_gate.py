@@ -124,7 +124,7 @@ def run(tmp_path: Path, recording: Recording, more: str) -> int:
 
 def test_no_export_without_a_judgement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(tmp_path, axis(1), "  - {kind: export}") == 4
-    assert "no validation judged this model" in capsys.readouterr().err
+    assert "was not validated on held-out rows" in capsys.readouterr().err
     assert not (tmp_path / "out" / "export" / "table.ect").exists()
 
 
@@ -135,7 +135,7 @@ def test_the_judgement_of_another_model_does_not_count(tmp_path: Path, capsys: p
     components: [{component: EXX, terms: [{term: offset}]}]
   - {kind: export%s}"""
     assert run(tmp_path, axis(1), other % ", from: {error_model: other}") == 4
-    assert "no validation judged this model (EXX)" in capsys.readouterr().err
+    assert "this model (EXX) was not validated" in capsys.readouterr().err
     assert run(tmp_path, axis(1), other % "") == 2
     assert "several fits have EXX" in capsys.readouterr().err
 
@@ -167,7 +167,7 @@ def test_components_of_several_fits_are_exported_and_reported_together(tmp_path,
         model = _artefacts.read_model(out / stage / "error_model.json")
         assert np.allclose(predicted[f"{name}_predicted"], evaluate(model, both)[name], atol=0.02)
     assert run(tmp_path, both, STRAIGHT.format(of=", from: {error_model: fit}")) == 4
-    assert "no validation judged this model (EYX)" in capsys.readouterr().err
+    assert "this model (EYX) was not validated" in capsys.readouterr().err
 
 
 def test_an_ungated_export_says_so_in_table_report_and_checklist(tmp_path: Path) -> None:

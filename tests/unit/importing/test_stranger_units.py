@@ -70,7 +70,7 @@ def test_inches_in_quotation_marks(tmp_path: Path) -> None:
         ("Target [inch],Reading", "{x},0.000{r}", "may be inches"),
         ("Target [mm];|Error| [µm]", "{x};{r}.5", "without sign"),
         ("Target [mm];Error [mm]", "{x};{e} µm", "its name states mm"),
-        ("Target [mm];Error [0.05 µm]", "{x};{e}", "no known unit"),
+        ("Target [mm];Error [0.05 µm]", "{x};{e}", "not a known unit"),
         ("Target [mm];Laser 1 [mm];Laser 2 [mm]", "{x};{x}1;{x}2", "both contain actual"),
         ("tavoite [mm],error [um]", "{x},{e}", "no position is recorded"),
         ("X nom [mm],Y nom [mm],X act [mm],Y act [mm]", "{x},{x},{x}1,{x}2", "move together"),

@@ -156,7 +156,7 @@ def test_a_whole_season_sits_out_and_the_mixture_passes_the_gate() -> None:
     assert grid.rows[0] == "nothing" and grid.best == "mixture" and grid.rows[-1] == "noise floor"
     assert grid.columns == ["every run", "every season", "cold or warm starts", *SEASONS, "cold", "warm"]
     assert all(len(row) == len(grid.columns) for row in grid.values)
-    assert "um on each run left out" in fitted.summary["E_Z"]
+    assert "um on each held-out run" in fitted.summary["E_Z"]
 
 
 @pytest.mark.slow

@@ -72,7 +72,7 @@ def test_the_nodes_of_the_table_are_the_network():
 
 def test_of_noise_alone_it_says_nothing():
     fitted = FAMILY.fit(recording(size=0.0))
-    assert set(fitted.summary.values()) == {"nothing on groups left out"}
+    assert set(fitted.summary.values()) == {"nothing on held-out groups"}
     judged = FAMILY.judge(recording(size=0.0), holdout.groups(recording(size=0.0), "auto")[0])
     assert all(np.array_equal(one.before, one.after) for one in judged.values())
 
