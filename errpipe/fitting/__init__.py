@@ -1,1 +1,1 @@
-"""Fitting: from a recording and a list of terms to parameters with honest intervals."""
+"""Fitting: from a recording and a list of terms to parameters with confidence intervals."""

@@ -1,11 +1,11 @@
-"""One pass over a recording that is never whole in memory: what least squares needs of it, batch by batch.
+"""One pass over a recording larger than memory: the statistics that least squares needs, batch by batch.
 
-What a batch leaves is one matrix of sums of products (Gram) of [1 | design | fixed part | response] per cell, a cell
-being the rows of one run, group and block. Those of cells add up: that of any set of cells, such as all runs but one,
-follows from theirs. Columns count from their first rows' mean, so that a large mean costs no digits, and what is solved
+A batch is reduced to one matrix of sums of products (Gram) of [1 | design | fixed part | response] per cell, a cell
+being the rows of one run, group and block. Matrices of cells add up: that of any set of cells, such as all runs but
+one, is their sum. Columns count from the mean of their first rows, so that a large mean costs no digits, and the
 is the triangular factor of the scaled sum (Golub and Van Loan, Matrix Computations, 4th edition, section 5.3: normal
-equations lose what the collinearity of scaled columns squares, and that is refused long before). Beside it stands a
-sample of whole stretches of every run, for what needs single rows; up to `SAMPLE_ROWS` rows it is all of them.
+equations square the condition number of the scaled columns; collinearity is rejected long before). In addition a
+sample of whole stretches of every run is kept for what needs single rows; up to `SAMPLE_ROWS` rows it is all of them.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from errpipe.fitting.design import Problem, Slot, fixed_part, response_name, slo
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
 
 SAMPLE_ROWS = 200_000  # a 90 % quantile of so many independent rows is known to 0.2 % of the rows
-STRETCH = 2000  # rows side by side in the sample: ten times the memory of noise that is correlated by 0.99
-FIRST_ROWS = 10_000  # rows whose mean the sums of products count from
+STRETCH = 2000  # consecutive rows in the sample: ten times the memory of noise with a correlation of 0.99
+FIRST_ROWS = 10_000  # rows whose mean is subtracted before the sums of products
 SHORTEST = 20  # rows of a run in the sample, however many runs there are
 ROUNDING = 1e-15  # of the scaled sum of products, per column: smaller eigenvalues are zero
 
@@ -36,8 +36,8 @@ class Source:
     """A recording on disk.
 
     ends: two rows, the smallest and the largest value of every column. batches: names of columns -> its rows in order,
-    batch by batch, each with what the rows before it leave behind; `runs=` gives the rows of each run where they are
-    known. complete: columns in which no value is missing. runs: rows of each run, where the file states them.
+    batch by batch, each with the state after the rows before it; `runs=` gives the rows of each run if known.
+    complete: columns without a missing value. runs: rows of each run, if the file states them.
     """
 
     rows: int
@@ -54,7 +54,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Layout:
-    """Runs in their order with their rows, the hold-out that suits them, and the column that groups are read from."""
+    """Runs in order with their rows, the hold-out for them, and the column that groups are read from."""
 
     runs: tuple[str, ...]
     lengths: np.ndarray
@@ -69,11 +69,11 @@ class Layout:
 
 @dataclass
 class History:
-    """What one pass leaves of one component. keys: (run, group) of each cell; sums: Gram matrix of each, (k, k)."""
+    """Result of one pass for one component. keys: (run, group) of each cell; sums: Gram matrix of each, (k, k)."""
 
     component: str
     slots: tuple[Slot, ...]
-    moving: tuple[Slot, ...]  # those whose columns are not the same in every row
+    moving: tuple[Slot, ...]  # those with columns that vary from row to row
     width: int
     names: tuple[str, ...]
     layout: Layout
@@ -83,20 +83,20 @@ class History:
     sampled: list[np.ndarray] = field(default_factory=list)  # columns of the sample's rows, (k, rows), batch by batch
     cells: list[np.ndarray] = field(default_factory=list)  # of the sample: number of the cell
     places: list[np.ndarray] = field(default_factory=list)  # of the sample: row of the recording
-    centre: np.ndarray | None = None  # what the columns of `sums` count from, (k,)
+    centre: np.ndarray | None = None  # reference subtracted from the columns of `sums`, (k,)
     kept: list[Recording] = field(default_factory=list)  # rows of the sample
     buffer: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # of the columns of a batch, (k, rows)
 
     def columns(self, batch: Recording) -> np.ndarray:
-        """[1 | design | fixed part | response] of a batch, (rows, k = width + 3); NaN where something is missing.
+        """[1 | design | fixed part | response] of a batch, (rows, k = width + 3); NaN for missing values.
 
-        They stand where those of the batch before stood: new memory for each costs as much as the sums.
+        The memory of the previous batch is reused: allocating it again costs as much as the sums.
         """
         if self.buffer.shape[1] < len(batch):
             self.buffer = np.zeros((self.width + 3, len(batch)))
             self._fill(batch, self.buffer.T, [s for s in self.slots if s not in self.moving])
             self.buffer[0] = 1.0
-        out = self.buffer[:, : len(batch)].T  # columns side by side in memory
+        out = self.buffer[:, : len(batch)].T  # columns contiguous in memory
         self._fill(batch, out, self.moving)
         if self.fixes:
             out[:, -2] = fixed_part(batch, 0, self.slots)
@@ -117,12 +117,12 @@ class History:
 
     @cached_property
     def varying(self) -> list[int]:
-        """Columns that are not the same number in every row, and the first one."""
+        """Columns that vary from row to row, and the first one."""
         inside = [1 + k for s in self.moving for k in range(s.columns.start, s.columns.stop)]
         return [0, *inside, *([self.width + 1] if self.fixes else []), self.width + 2]
 
     def add(self, part: Part) -> None:
-        """Take the rows of a batch."""
+        """Add the rows of a batch."""
         rows, kept = self.columns(part.batch), part.sampled
         self.sampled.append(rows.T.take(kept, axis=1))
         if self.centre is None:
@@ -153,11 +153,11 @@ class History:
         return Recording(manifest, joined(self.kept))
 
     def rows_of_recording(self) -> np.ndarray:
-        """Row of the recording that each row of the sample is."""
+        """Row of the recording of each row of the sample."""
         return np.concatenate(self.places)
 
     def factor(self, cells: np.ndarray | None = None) -> np.ndarray:
-        """The triangular factor of some cells (all where None), (k, k)."""
+        """The triangular factor of some cells (default: all), (k, k)."""
         chosen = self.sums if cells is None else [self.sums[k] for k in np.flatnonzero(cells)]
         total = np.sum(chosen, axis=0)
         size = np.sqrt(np.diag(total))
@@ -174,18 +174,18 @@ class History:
         return back.T @ (self.sums[cell] @ (back @ weights))
 
     def _uncentred(self) -> np.ndarray:
-        """What turns rows that count from their centre into rows, (k, k)."""
+        """Transformation from centred rows to rows, (k, k)."""
         back = np.eye(self.width + 3)
         back[0] += 0.0 if self.centre is None else self.centre
         return back
 
     def weights(self, coefficients: np.ndarray) -> np.ndarray:
-        """What each column counts for in response less fixed part less model, (k,)."""
+        """Weight of each column in response minus fixed part minus model, (k,)."""
         return np.r_[0.0, -coefficients, -1.0, 1.0]
 
 
 def _products(rows: np.ndarray, varying: Sequence[int]) -> tuple[np.ndarray, int]:
-    """Sums of products of the complete rows of (n, k), (k, k), and their number; columns that are not live are 0."""
+    """Sums of products of the complete rows of (n, k), (k, k), and their number; constant columns are 0."""
     sums = _gram(rows.T, varying)
     if not np.isfinite(sums).all():
         rows = rows[np.isfinite(rows.sum(axis=1))]
@@ -214,7 +214,7 @@ def part_stretches(part: Part) -> Iterator[tuple[tuple[str, str], int, int]]:
 def equivalent_rows(factor: np.ndarray) -> np.ndarray:
     """k + 1 rows with the sums of squares and products of all rows, and their correlations about the mean.
 
-    factor: of [1 | ...], (k, k). Whatever least squares and collinearity ask of all rows, these answer alike.
+    factor: of [1 | ...], (k, k). For least squares and collinearity they are equivalent to all rows.
     """
     k = factor.shape[0]
     basis = np.linalg.qr(np.column_stack([np.ones(k + 1), np.eye(k + 1)[:, : k - 1]]))[0]
@@ -255,8 +255,8 @@ def survey(source: Source, spec: ModelSpec, scheme: holdout.HoldOut | str | None
 
 @dataclass(frozen=True)
 class Part:
-    """A batch. keys: (run, group) of each stretch of rows that begins at `starts`; sampled: its rows that are in the
-    sample, ascending; at: row of the recording that it begins at.
+    """A batch. keys: (run, group) of each stretch of rows that starts at `starts`; sampled: its rows in the
+    sample, ascending; at: row of the recording at which it starts.
     """
 
     batch: Recording
@@ -270,7 +270,7 @@ Prepare = Callable[[Recording], Recording]
 
 
 def parts(source: Source, layout: Layout, names: Sequence[str], prepare: Prepare) -> Iterator[Part]:
-    """The batches of a recording, each cut where the run or the group changes. prepare: what is done to each first."""
+    """The batches of a recording, each cut where the run or the group changes. prepare: applied to each first."""
     numbers = {label: k for k, label in enumerate(layout.runs)}
     at, in_run, last = 0, 0, ""
     for batch in map(prepare, source.batches(names, runs=layout.rows_of_runs)):
@@ -339,7 +339,7 @@ def stretches(batch: Recording) -> Iterator[tuple[str, int, int]]:
 
 
 def _groups(batch: Recording, layout: Layout, at: int) -> np.ndarray | None:
-    """Group of each row where the hold-out is not by run, (rows,)."""
+    """Group of each row if the hold-out is not by run, (rows,)."""
     scheme = layout.scheme
     if scheme.blocked:
         number = (at + np.arange(len(batch))) * scheme.blocks // layout.rows
@@ -353,12 +353,12 @@ def _groups(batch: Recording, layout: Layout, at: int) -> np.ndarray | None:
 
 
 def _sampled(layout: Layout, run: int, begin: int, count: int) -> np.ndarray:
-    """Which rows of a part of a run are in the sample, ascending. begin: rows of the run before the part."""
+    """Rows of a part of a run that are in the sample, ascending. begin: rows of the run before the part."""
     every = -(-layout.rows // SAMPLE_ROWS)
     stretch = max(SHORTEST, min(STRETCH, SAMPLE_ROWS // len(layout.runs)))
     period = every * stretch
     buffer = max(1, min(int(layout.lengths[run]), period) - stretch + 1)
-    first = (run * 2_654_435_761) % buffer  # Knuth's multiplicative hash: another place in every run
+    first = (run * 2_654_435_761) % buffer  # Knuth's multiplicative hash: a different offset in every run
     starts = first - begin + period * np.arange((begin - first) // period, (begin + count - first) // period + 1)
     rows = (starts[:, None] + np.arange(stretch)).ravel()
     return rows[(rows >= 0) & (rows < count)]

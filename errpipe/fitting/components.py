@@ -24,9 +24,9 @@ from errpipe.terms.run_offset import RunOffset
 
 
 def evaluate(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
-    """Deviations of every component in its unit, shape (rows,); NaN where an input is missing.
+    """Deviations of every component in its unit, shape (rows,); NaN if an input is missing.
 
-    With datum `run_start` they count from each run's first row that has a value.
+    With datum `run_start` they count from each run's first row with a value.
     """
     out = {}
     for component in model.components:
@@ -44,10 +44,10 @@ def evaluate(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
 
 
 def term_of(fitted: FittedTerm) -> Term:
-    """The term of its plain data. Raises DataError on a term or an option unknown to this version."""
+    """The term from its plain data. Raises DataError for a term or an option unknown to this version."""
     name = fitted.term["term"]
     if name not in TERMS.tags:
-        raise DataError(f"error model: the term {name!r} is not known")
+        raise DataError(f"error model: the term {name!r} is unknown")
     try:
         term: Term = TERMS[name].model_validate(fitted.term)
     except ValidationError as err:
@@ -58,7 +58,7 @@ def term_of(fitted: FittedTerm) -> Term:
 
 
 def from_run_start(recording: Recording, values: np.ndarray) -> np.ndarray:
-    """Values counted from the first finite one of each run, shape (rows,)."""
+    """Values minus the first finite one of each run, shape (rows,)."""
     return values - _first(recording, values)
 
 
@@ -74,8 +74,8 @@ def _first(recording: Recording, values: np.ndarray) -> np.ndarray:
 def solved(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> ErrorModel:
     """The error model of `spec` on the rows of a mask, its prediction interval still open.
 
-    Raises DataError if a response or a needed column is missing, NotIdentifiable where the rows cannot distinguish
-    parameters apart.
+    Raises DataError if a response or a needed column is missing, NotIdentifiable if the rows cannot distinguish
+    parameters.
     """
     models: list[ComponentModel] = []
     for group in groups_of(spec):
@@ -84,7 +84,7 @@ def solved(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> ErrorMode
 
 
 def solved_without_intervals(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> ErrorModel:
-    """`solved` without intervals and without asking whether parameters can be distinguished: for predictions alone."""
+    """`solved` without intervals and without the identifiability check: for predictions only."""
     models: list[ComponentModel] = []
     for group in groups_of(spec):
         problem, solution = solve_group(recording, spec, group, mask, intervals=False)
@@ -107,14 +107,14 @@ def _values(slot: Slot, estimate: Estimate) -> FittedTerm:
 
 
 def nuisance_of(spec: ModelSpec) -> tuple[Term, ...]:
-    """Nuisance terms of a specification; a datum at each run's start brings an offset per run."""
+    """Nuisance terms of a specification; a datum at each run's start adds an offset per run."""
     if spec.datum == "run_start" and not any(isinstance(t, RunOffset) for t in spec.nuisance):
         return (*spec.nuisance, RunOffset())
     return spec.nuisance
 
 
 def groups_of(spec: ModelSpec) -> list[tuple[ComponentSpec, ...]]:
-    """Components solved together: all of them where a nuisance is shared, else each separately."""
+    """Components solved together: all of them if a nuisance is shared, else each separately."""
     if any(hasattr(t, "shared") for t in spec.nuisance):
         return [spec.components]
     return [(c,) for c in spec.components]
@@ -189,7 +189,7 @@ def component_model(problem: Problem, estimate: Estimate, block: int, component:
 
 
 def fitted_term(slot: Slot, estimate: Estimate, width: int, unit: str) -> FittedTerm:
-    """Parameters of one term with 95 % intervals; a non-linear one's by its logarithm where it cannot be negative."""
+    """Parameters of one term with 95 % intervals; on a logarithmic scale for a positive non-linear one."""
     term, out = slot.term, []
     gains = dict(zip((p.name for p in slot.free), range(slot.columns.start, slot.columns.stop), strict=True))
     for p in term.linear():
@@ -231,13 +231,13 @@ def unit_in(unit: str, response: str) -> str:
 
 def _remark(parameter, value: float) -> str:
     low, high = parameter.bounds
-    return "" if low <= value <= high else f"outside what physics allows ({low:g} to {high:g})"
+    return "" if low <= value <= high else f"outside the physically possible range ({low:g} to {high:g})"
 
 
 def _at_bound(parameter, value: float) -> str:
     low, high = parameter.bounds
     near = min(abs(value - low) / max(abs(low), 1e-12), abs(value - high) / max(abs(high), 1e-12)) < 1e-3
-    return "at the end of its bounds: not found" if near else ""
+    return "at a bound: not determined" if near else ""
 
 
 @one_thread()

@@ -1,7 +1,7 @@
 """From terms and a recording to the columns of a least-squares problem, for one response or several at once.
 
-Responses that share a nuisance (a workpiece's rotation shows in two deviations) are stacked into one problem.
-Terms are evaluated on the whole recording, so that a lag sees what happened before a judged block; only then are
+Responses that share a nuisance (a workpiece's rotation affects two deviations) are stacked into one problem.
+Terms are evaluated on the whole recording, so that a lag includes what happened before a test block; then the
 rows chosen.
 """
 
@@ -20,7 +20,7 @@ from errpipe.terms import Parameter, Term
 
 @dataclass(frozen=True)
 class Slot:
-    """A term in a problem: which block it acts in (-1: in all of them), and its linear columns."""
+    """A term in a problem: the block in which it acts (-1: all), and its linear columns."""
 
     term: Term
     block: int
@@ -119,7 +119,7 @@ def inner_values(term: Term, searched: np.ndarray) -> list[float]:
 
 
 def response_name(recording: Recording, component: str, asked_by: str = "fit") -> str:
-    """Name of a component's error column. Raises DataError naming those that are there."""
+    """Name of a component's error column. Raises DataError with the existing ones."""
     name = recording.name("error", component=component)
     if name is None:
         known = recording.components()
@@ -134,10 +134,10 @@ def assemble(
     nuisance: Sequence[Term],
     rows: np.ndarray | None = None,
 ) -> Problem:
-    """The problem of fitting each component with its terms, on the rows of a mask (all where None).
+    """The problem of fitting each component with its terms, on the rows of a mask (default: all).
 
-    Terms are settled on those rows. Rows without the response or without something a term needs are left out.
-    Raises DataError if no row is left.
+    Terms are settled on those rows. Rows without the response or without an input of a term are dropped.
+    Raises DataError if no row remains.
     """
     mask = np.ones(len(recording), dtype=bool) if rows is None else np.asarray(rows, dtype=bool)
     seen = recording if mask.all() else recording.take(mask)
@@ -190,7 +190,7 @@ def _middle(parameter: Parameter) -> float:
 
 
 def fixed_part(recording: Recording, block: int, slots: Sequence[Slot]) -> np.ndarray:
-    """What terms with fixed linear parameters add by themselves, shape (rows,)."""
+    """Contribution of the fixed linear parameters, shape (rows,)."""
     total = np.zeros(len(recording))
     for slot in slots:
         term = slot.term

@@ -1,11 +1,11 @@
 """Optimal experiment design: speeds, durations and stops of the next duty cycle, within a machine's limits.
 
 The model is the usual one of spindle heat: growth = sum of gains x lag_tau(speed^power) over a few time constants and
-powers, gains unknown with a prior. The Fisher information of a duty cycle is known before it is run, because it does
-not depend on the readings:
+powers, gains unknown with a prior. The Fisher information of a duty cycle is known before it is run, because it is
+independent of the readings:
 
     D  largest determinant of the information: all gains at once
-    I  least predictive variance averaged over reference duty cycles: what matters where the machine will be used
+    I  smallest predictive variance averaged over reference duty cycles, i.e. where the machine will be used
 
 Plans are improved segment by segment (coordinate exchange) from a few random starts; equal seeds give equal plans.
 """
@@ -24,7 +24,7 @@ from errpipe.errors import DataError
 from errpipe.kernels import responses
 from errpipe.yamlfile import quantity
 
-SWEEPS = 3  # rounds of exchange of each start (by judgement)
+SWEEPS = 3  # exchange sweeps per start (by judgement)
 
 
 class DesignOptions(Frozen):
@@ -32,17 +32,17 @@ class DesignOptions(Frozen):
 
     highest_speed: float = quantity("rpm", "Of the spindle.", 6000.0, gt=0)
     levels: tuple[float, ...] = Field(
-        (0.0, 0.25, 0.5, 0.75, 1.0), description="Speeds that a plan may ask for, shares of the highest."
+        (0.0, 0.25, 0.5, 0.75, 1.0), description="Speeds that a plan may use, as shares of the highest."
     )
     segment: float = quantity("s", "Shortest stretch of one speed.", 1800.0, gt=0)
     hours: float = quantity("h", "Length of one day; each starts cold.", 8.0, gt=0)
-    standing: float = Field(0.0, ge=0, le=1, description="Least share of a day with the spindle at rest.")
+    standing: float = Field(0.0, ge=0, le=1, description="Smallest share of a day with the spindle at rest.")
     taus: tuple[float, ...] = quantity("s", "Time constants of the model.", (450.0, 1200.0, 3600.0, 9000.0))
-    powers: tuple[float, ...] = Field((1.0, 2.0), description="Powers of the speed that heat may follow.")
-    prior: float = quantity("um", "Spread of each gain beforehand.", 30.0, gt=0)
+    powers: tuple[float, ...] = Field((1.0, 2.0), description="Powers of the speed in the heat model.")
+    prior: float = quantity("um", "Prior standard deviation of each gain.", 30.0, gt=0)
     noise: float = quantity("um", "Of a reading.", 1.0, gt=0)
     every: float = quantity("s", "Time between independent readings.", 600.0, gt=0)
-    criterion: Literal["D", "I"] = Field("I", description="D: all gains at once; I: predictions where it is used.")
+    criterion: Literal["D", "I"] = Field("I", description="D: all gains; I: predictions for the reference duty cycles.")
 
     @property
     def segments(self) -> int:
@@ -57,7 +57,7 @@ class Plan:
     speeds: tuple[float, ...]
 
     def table(self, options: DesignOptions) -> list[dict[str, float]]:
-        """Stretches as a machinist reads them: minutes and rpm, equal neighbours joined."""
+        """Stretches in minutes and rpm, with equal neighbours merged."""
         out: list[dict[str, float]] = []
         for speed in self.speeds:
             rpm, minutes = speed * options.highest_speed, options.segment / 60.0
@@ -108,14 +108,14 @@ def usage(options: DesignOptions, days: int = 12, seed: int = 0) -> list[Plan]:
 
 
 def propose(done: Sequence[Plan], options: DesignOptions | None = None, *, starts: int = 3) -> Plan:
-    """The best next day by the criterion, after the days done. Raises DataError if no plan keeps the limits."""
+    """The best next day by the criterion, given the days done. Raises DataError if no plan satisfies the limits."""
     options = options or DesignOptions()
     rows = np.vstack([basis(p, options) for p in usage(options)])
     weight = rows.T @ rows / len(rows)
     known = information(done, options)
     standing_segments = round(options.standing * options.segments)
     if standing_segments > options.segments or (standing_segments and 0.0 not in options.levels):
-        raise DataError("experiment design: the spindle must stand, but standing still is not among the levels")
+        raise DataError("experiment design: the spindle must rest, but 0 is not among the levels")
     rng = np.random.default_rng(0)
     best: tuple[float, tuple[float, ...]] = (np.inf, ())
     for _ in range(starts):
@@ -135,7 +135,7 @@ def propose(done: Sequence[Plan], options: DesignOptions | None = None, *, start
 
 
 def _exchange(known, speeds: list[float], place: int, rest: int, value: float, options, weight) -> float:
-    """Put the best allowed speed in one place; the cost after it."""
+    """Insert the best allowed speed in one place; returns the cost."""
     kept = speeds[place]
     for level in options.levels:
         speeds[place] = float(level)

@@ -1,4 +1,4 @@
-"""Terms fitted to, and judged on, a recording that is never whole in memory.
+"""Terms fitted to, and validated on, a recording larger than memory.
 
 Parameters, rms and counts, of the fit and of every held-out group, are those of all rows. The noise's memory, the
 noise floor, the 90 % interval and the gaps of the validity box are those of the sample (see `batches`); the memory's
@@ -31,7 +31,7 @@ CUT = "cell_group"  # name of the column of cells' groups
 
 @dataclass
 class Fold:
-    """One held-out group. held_out: its rows in the sample; rows: of all; factor: of those, (k, k).
+    """One held-out group. held_out: its rows in the sample; rows: their number; factor: of them, (k, k).
 
     weights: of the columns of the factor in the residual of the model, (k,).
     """
@@ -109,7 +109,7 @@ def _rms(rotated: np.ndarray, rows: int) -> float:
 
 
 def _sequence(history: History, sample: Recording) -> np.ndarray:
-    """Integer per row of the sample, another one for every run and stretch of it."""
+    """Integer per row of the sample, distinct for every run and stretch."""
     if history.layout.rows <= batches.SAMPLE_ROWS:
         return sample.run_codes()
     jump = np.diff(np.concatenate(history.places)) > batches.SHORTEST
@@ -148,7 +148,7 @@ def _coloured(source: Source, history: History, noise: uncertainty.Noise, prepar
 
 
 def _widened(model: ErrorModel, spec: ModelSpec, source: Source, sample: Recording) -> ErrorModel:
-    """The validity box out to the smallest and largest value of all rows, unless these lie beyond a gap."""
+    """The validity range extended to the smallest and largest value of all rows, unless these are beyond a gap."""
     ranges = model.validity.ranges | model.validity.seen
     for name, (low, high) in ranges.items():
         seen, (least, most) = sample.array(name), source.ends.array(name)
@@ -161,7 +161,7 @@ def _widened(model: ErrorModel, spec: ModelSpec, source: Source, sample: Recordi
 
 
 def all_left_out(histories: list[History], manifest: Manifest) -> list[list[Fold]]:
-    """Per history every group judged by parameters of the others. Raises DataError if nothing can be held out."""
+    """For each history every group, validated with parameters of the others. Raises DataError if that is impossible."""
     sample = histories[0].sample(manifest)
     drivers = list(dict.fromkeys(n for h in histories for s in h.slots for n in s.term.drivers(sample)))
     return [_left_out(history, sample, drivers) for history in histories]

@@ -1,8 +1,8 @@
-"""Hold-out schemes: splits of a recording into rows that fit and rows that judge.
+"""Hold-out schemes: splits of a recording into fitted rows and test rows.
 
-Whole runs, days or seasons are left out, never single rows: neighbouring rows share their noise and
-their thermal state, so a random split flatters every model. Blocks of one long run keep a `gap`
-around the judged block out of the fit. Days, months and years need no column of their own: they are read off the
+Whole runs, days or seasons are held out, never single rows: neighbouring rows share their noise and
+their thermal state, so a random split is optimistic. Blocks of one long run exclude a `gap`
+around the test block from the fit. Days, months and years need no separate column: they are derived from the
 recording's dates.
 """
 
@@ -30,7 +30,7 @@ Scheme = Literal["auto", "leave-one-run-out", "leave-one-group-out", "batches", 
 
 
 class Fold(NamedTuple):
-    """One split: label of the held-out group, rows that fit, rows that judge (boolean masks, shape (rows,))."""
+    """One split: label of the held-out group, fitted rows, test rows (boolean masks, shape (rows,))."""
 
     label: str
     train: np.ndarray
@@ -38,7 +38,7 @@ class Fold(NamedTuple):
 
 
 class HoldOut(Frozen):
-    """How a recording is split.
+    """The hold-out scheme of a recording.
 
     `auto`: leave-one-run-out with 3 to 30 runs, ten batches of runs with more, blocks of time
     with fewer.
@@ -46,23 +46,23 @@ class HoldOut(Frozen):
 
     scheme: Scheme = Field(
         "auto",
-        description="leave-one-group-out leaves a day or season out; batches leave several whole groups out at once; "
-        "halves of one run (or two runs) predict each other; forward fits on the past alone.",
+        description="leave-one-group-out holds out a day or season; batches hold out several whole groups at once; "
+        "halves of one run (or two runs) predict each other; forward fits only on the past.",
     )
     of: str | None = Field(None, description="Group held out: a column's name or its `of` (day, season, machine).")
     blocks: int = Field(5, ge=2, description="Number of blocks or batches (batches, blocks, and forward without `of`).")
-    gap: float = quantity("s", "Rows this close to a judged block do not fit.", 0.0, ge=0)
+    gap: float = quantity("s", "Rows this close to a test block are not fitted.", 0.0, ge=0)
 
     @property
     def blocked(self) -> bool:
-        """Whether blocks of time are held out, not labelled groups."""
+        """Whether blocks of time are held out instead of labelled groups."""
         return self.scheme == "blocks" or (self.scheme == "forward" and self.of is None)
 
 
 def groups(recording: Recording, scheme: HoldOut | str = "auto") -> list[Fold]:
     """All folds of a scheme, in order of first appearance; every fold has measured rows on both sides.
 
-    Runs that only log temperatures judge nothing, so no fold leaves them out.
+    Runs that only log temperatures have no test rows, so they are never held out.
 
     scheme: a `HoldOut`, or its short form: "leave-one-run-out", "leave-one-group-out:season", "blocks:6",
     "forward:month". Raises DataError if the recording has no such group, no date, or too few groups.
@@ -74,7 +74,7 @@ def groups(recording: Recording, scheme: HoldOut | str = "auto") -> list[Fold]:
     if not folds:
         raise DataError(
             f"hold-out {name(chosen)}: the recording has only one group, so nothing can be held out (of one run, "
-            "`holdout: {scheme: blocks}` leaves out stretches of time)"
+            "`holdout: {scheme: blocks}` holds out stretches of time)"
         )
     for fold in folds:
         check(fold)
@@ -106,17 +106,17 @@ def resolved(recording: Recording, scheme: HoldOut | str = "auto") -> HoldOut:
 
 
 def check(fold: Fold) -> None:
-    """Raise DataError if a row both fits and judges, or where one side is empty."""
+    """Raise DataError if a row is both fitted and tested, or if one side is empty."""
     both = int(np.count_nonzero(fold.train & fold.test))
     if both:
-        raise DataError(f"hold-out {fold.label}: {both} rows both fit and judge")
+        raise DataError(f"hold-out {fold.label}: {both} rows are both fitted and tested")
     if not fold.test.any() or not fold.train.any():
         side = "judges" if not fold.test.any() else "fits"
         raise DataError(f"hold-out {fold.label}: no row {side}")
 
 
 def measured(recording: Recording) -> np.ndarray:
-    """Rows with any response, shape (rows,); all of them where the recording has no response column."""
+    """Rows with any response, shape (rows,); all if the recording has no response column."""
     names = recording.names("error")
     if not names:
         return np.ones(len(recording), dtype=bool)
@@ -124,7 +124,7 @@ def measured(recording: Recording) -> np.ndarray:
 
 
 def labels(recording: Recording, of: str | None) -> np.ndarray:
-    """Group label of each row as text, shape (rows,); runs where `of` is None.
+    """Group label of each row as text, shape (rows,); runs if `of` is None.
 
     of: a column of role group or run, or the `of` of a group column.
     """
@@ -138,7 +138,7 @@ def labels(recording: Recording, of: str | None) -> np.ndarray:
 
 
 def with_calendar(recording: Recording, of: str | None) -> Recording:
-    """The recording with a group column for a day, month or year that it lacks; else itself."""
+    """The recording with a group column for a missing day, month or year; else unchanged."""
     if of not in CALENDAR or any(of in (n, recording.manifest.columns[n].of) for n in recording.names("group")):
         return recording
     return recording.with_columns({of: calendar(recording, of)}, {of: Column(role="group", of=of)})
@@ -154,7 +154,7 @@ def calendar(recording: Recording, of: str) -> np.ndarray:
     epoch = recording.manifest.columns[time].epoch if time else None
     if epoch is None:
         raise DataError(f"hold-out by {of}: the recording has neither a column of days nor an epoch of its time")
-    start = datetime.fromisoformat(epoch)  # the shop's own days: neither the time zone of this host nor UTC
+    start = datetime.fromisoformat(epoch)  # local days of the shop: neither this host's time zone nor UTC
     days = np.floor(recording.time() / 60.0)
     known = {m: (start + timedelta(minutes=float(m))).isoformat()[:length] for m in np.unique(days)}
     return np.array([known[m] for m in days], dtype=object)
@@ -195,7 +195,7 @@ def _folds(recording: Recording, scheme: HoldOut) -> Iterator[Fold]:
 
 
 def _halves(recording: Recording, gap: float) -> Iterator[Fold]:
-    """Blocks of each half of the measured rows, or of each of two runs, which the other half alone predicts."""
+    """Blocks of each half of the measured rows, or of each of two runs, predicted only by the other half."""
     seen, run = measured(recording), recording.run_codes()
     place = np.cumsum(seen) - seen
     half = (2 * place >= np.count_nonzero(seen)).astype(int)
@@ -218,7 +218,7 @@ def _batch(groups: np.ndarray) -> str:
 
 
 def _near(recording: Recording, test: np.ndarray, gap: float) -> np.ndarray:
-    """Rows of the judged rows' own runs within `gap` seconds of them."""
+    """Rows of the test rows' own runs within `gap` seconds of them."""
     near = np.zeros(test.size, dtype=bool)
     if gap <= 0:
         return near

@@ -37,10 +37,10 @@ def check(
     penalty: np.ndarray | None = None,
     most: float = MOST_INFLATION,
 ) -> np.ndarray:
-    """Variance inflation of each column, shape (p,), about the level where the design has one.
+    """Variance inflation of each column, shape (p,), about the level if the design has one.
 
-    Raises NotIdentifiable naming the collinear columns, and a remedy. A constant column is refused
-    too.
+    Raises NotIdentifiable with the collinear columns, and a remedy. A constant column is also
+    rejected.
     """
     length = np.sqrt(np.sum(design**2, axis=0))
     for k in np.flatnonzero(length == 0):
@@ -73,7 +73,7 @@ def _spread(scaled: np.ndarray) -> np.ndarray:
 
 
 def _without_level(direction: np.ndarray, level: list[int], scaled: np.ndarray) -> np.ndarray:
-    """The same direction about the level, where two other columns are already collinear there."""
+    """The same direction about the level, if two other columns are already collinear there."""
     about = direction.copy()
     about[level] = 0.0
     one, two = np.argsort(-np.abs(about), kind="stable")[:2] if direction.size > 1 else (0, 0)
@@ -104,7 +104,7 @@ def _is_constant(name: Named, component: str) -> str:
     what = " and ".join(name.drivers) or "its driver"
     return (
         f"fit: {name} of {component} cannot be estimated: {what} is zero or constant on all rows."
-        f"\n     Leave the term out, or record a run in which {what} changes."
+        f"\n     Omit the term, or record a run in which {what} changes."
     )
 
 
@@ -120,19 +120,19 @@ def _why(one: Named, two: Named, recording: Recording) -> str:
     for c in (*first, *second):
         if c in recording.names("temperature"):
             return f"{c} hardly changed"
-    return "they say the same twice" if not first and not second else "their columns move together in every run"
+    return "they are equivalent" if not first and not second else "their columns move together in every run"
 
 
 def _remedy(one: Named, two: Named, recording: Recording) -> str:
     temperatures = set(recording.names("temperature"))
     first, second = set(one.drivers) & temperatures, set(two.drivers) & temperatures
     if not set(one.drivers) ^ set(two.drivers):
-        return "Leave one of them out, or fix its value."
+        return "Omit one of them, or fix its value."
     if first and second and first != second:
-        return "Leave one sensor out, use method: ridge, or record a run in which the two temperatures part."
+        return "Omit one sensor, use method: ridge, or record a run in which the two temperatures differ."
     if first | second:
         return "Fix one of them, or record runs at clearly different temperatures."
-    return "Fix one of them, or record a run in which they part."
+    return "Fix one of them, or record a run in which they differ."
 
 
 def _numeric(recording: Recording, name: str) -> bool:

@@ -1,7 +1,7 @@
-"""Validation by held-out rows: residuals of held-out groups, and the figures derived from them.
+"""Cross-validation: residuals of held-out groups, and the figures derived from them.
 
-Where a recording has nuisance (the datum of a run, the pose of a workpiece), it is solved for on the judged rows
-too, for the model and for no compensation alike, and the degrees of freedom that costs are counted.
+If a recording has nuisance (the datum of a run, the pose of a workpiece), it is fitted on the test rows,
+too, for the model and for no compensation alike, and its degrees of freedom are counted.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from errpipe.fitting.side_by_side import side_by_side
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
 from errpipe.fitting.validity import distance
 
-TIE = 0.01  # a term must take at least this share of the held-out error away to stay (by judgement)
+TIE = 0.01  # share of the held-out error that a term must remove to be kept (by judgement)
 
-FIRST_READINGS = 3  # whose mean is a run's zero where the datum is its start: one alone would add its noise to all
+FIRST_READINGS = 3  # whose mean is a run's zero if the datum is its start: one alone would add its noise to all
 
 
 class NothingJudged(DataError):
-    """A held-out group without a row that has everything the model reads, such as a run that lacks a sensor."""
+    """A held-out group without a row that has every input of the model, such as a run without a sensor."""
 
 
 @dataclass(frozen=True)
 class HeldOut:
     """One held-out group. before: response without the model; after: residual of the model; shape (n,).
 
-    rows: row numbers; outside: distance from the validity box of the rows that fitted, (n,); used: degrees of freedom
-    that nuisance took on these rows.
+    rows: row numbers; outside: distance from the validity range of the fitted rows, (n,); used: degrees of freedom
+    of the nuisance on these rows.
     """
 
     label: str
@@ -51,7 +51,7 @@ class HeldOut:
 
 
 def judge(recording: Recording, spec: ModelSpec, fold: Fold) -> dict[str, HeldOut]:
-    """Fit on one side of a fold, judge on the other, per component. Raises DataError if rows do both.
+    """Fit on one side of a fold, test on the other, per component. Raises DataError if rows are on both.
 
     Terms are selected again on the fitted rows: held-out rows do not influence the selection either.
     """
@@ -93,14 +93,14 @@ def _residual(recording, spec: ModelSpec, group: Sequence[ComponentSpec], fold, 
 
 
 def _empty(recording: Recording, rows: np.ndarray) -> list[str]:
-    """Columns of readings that hold none in some rows."""
+    """Columns of readings without a value in some rows."""
     labels = ("run", "group", "ignore")
     read = [n for n, c in recording.manifest.columns.items() if c.role not in labels and n in recording.frame]
     return [n for n in read if not np.isfinite(recording.array(n)[rows]).any()]
 
 
 def _starts(recording: Recording, problem: Problem, values: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
-    """Mean of each run's first readings (less the model's values there), for every row of the problem, (n,)."""
+    """Mean of each run's first readings (minus the model's values there), for every row of the problem, (n,)."""
     run, out = recording.run_codes(), []
     for component, rows in zip(problem.components, problem.rows, strict=True):
         y = recording.array(response_name(recording, component))
@@ -114,7 +114,7 @@ def _starts(recording: Recording, problem: Problem, values: Mapping[str, np.ndar
 
 
 def judge_all(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> dict[str, list[HeldOut]]:
-    """`judge` for every fold of the specification's hold-out inside the rows of a mask, see `every_judged`."""
+    """`judge` for every fold of the specification's hold-out within the rows of a mask, see `every_judged`."""
     folds = folds_of(recording, spec, mask)
     return every_judged([c.component for c in spec.components], folds, lambda fold: judge(recording, spec, fold))[0]
 
@@ -122,7 +122,7 @@ def judge_all(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> dict[s
 def every_judged(
     components: Iterable[str], folds: Sequence[Fold], judge_one: Callable[[Fold], Mapping[str, HeldOut]]
 ) -> tuple[dict[str, list[HeldOut]], list[str]]:
-    """Per component the held-out rows of every fold, and why some folds judge nothing.
+    """Per component the held-out rows of every fold, and why some folds have no test rows.
 
     Raises DataError if none does.
     """
@@ -147,7 +147,7 @@ def every_judged(
 
 
 def calibrated(model: ErrorModel, judged: dict[str, list[HeldOut]]) -> ErrorModel:
-    """The model with the half width of its 90 % prediction interval, inside the box and beyond it."""
+    """The model with the half width of its 90 % prediction interval, inside the validity range and beyond it."""
     components = []
     for component in model.components:
         folds = judged[component.component]
@@ -157,12 +157,12 @@ def calibrated(model: ErrorModel, judged: dict[str, list[HeldOut]]) -> ErrorMode
 
 
 def half_width90(folds: Sequence[HeldOut]) -> float:
-    """90 % quantile of the held-out error inside the box (conformal by group: every group weighs the same)."""
+    """90 % quantile of the held-out error inside the range (conformal by group: every group has equal weight)."""
     return next(_half_widths90(folds, (None,)))
 
 
 def half_widths90_without_each(folds: Sequence[HeldOut]) -> list[float]:
-    """`half_width90` of all groups but one, for each in turn: the errors of a million rows are ordered once."""
+    """`half_width90` of all groups but one, for each in turn: the errors of a million rows are sorted once."""
     return list(_half_widths90(folds, range(len(folds))))
 
 
@@ -182,7 +182,7 @@ def _half_widths90(folds: Sequence[HeldOut], without: Iterable[int | None]) -> I
 
 
 def widening90(folds: Sequence[HeldOut], half: float) -> float:
-    """Half width added per range's width outside the box, from held-out rows outside, else `half` (by judgement)."""
+    """Half width added per range width outside the range, from held-out rows outside, else `half` (by judgement)."""
     size = np.concatenate([np.abs(f.after) for f in folds])
     outside = np.concatenate([f.outside for f in folds])
     beyond = outside > 0.02

@@ -19,7 +19,7 @@ from errpipe.fitting.components import term_of
 def lower(model: ErrorModel) -> dict[str, list[Lowered]]:
     """Component -> pairs whose sum is the component's deviation, in its unit; nuisance is not among them.
 
-    Profiles over the same axis with the same driver are added up (all static ones become one curve), pairs without a
+    Profiles over the same axis with the same driver are added (all static ones become one curve), pairs without a
     profile become one affine driver. With datum `run_start` the pairs give the deviation before it is zeroed. Readings
     of the deviation come as an input of their own.
     """
@@ -34,12 +34,12 @@ def _scaled(pair: Lowered, gain: float) -> Lowered:
 
 
 def uncompensated_terms(model: ErrorModel) -> dict[str, list[str]]:
-    """Component -> ids of fitted terms that a controller cannot or must not compensate, and that `lower` leaves out."""
+    """Component -> ids of fitted terms that a controller cannot or must not compensate, and that `lower` omits."""
     return {c.component: [f.term["term"] for f in c.terms if not _lowered(f)] for c in model.components}
 
 
 def compensable(model: ErrorModel) -> ErrorModel:
-    """The model with those terms only that `lower` keeps, and without the limits that a table's outputs hold."""
+    """The model with only the terms that `lower` keeps, and without the limits of a table's outputs."""
     parts = (
         c.model_copy(update={"terms": tuple(f for f in c.terms if _lowered(f)), "limit": None})
         for c in model.components
@@ -60,7 +60,7 @@ def _pairs(component: ComponentModel) -> list[Lowered]:
 
 
 def merge(pairs: Sequence[Lowered]) -> list[Lowered]:
-    """The same sum with fewer pairs: curves with a driver first, in order of first use, then what has no curve."""
+    """The same sum with fewer pairs: curves with a driver first, in order of first use, then pairs without a curve."""
     curves: dict[tuple[str, str, float | None], list[Lowered]] = {}
     levels: list[Lowered] = []
     for pair in pairs:
@@ -78,7 +78,7 @@ def merge(pairs: Sequence[Lowered]) -> list[Lowered]:
 
 
 def common_nodes(pairs: Sequence[Lowered]) -> tuple[float, ...]:
-    """The nodes between which a sum of profiles is straight; () where they are not the same for all."""
+    """The nodes between which a sum of profiles is linear; () if they differ."""
     return pairs[0].nodes if len({p.nodes for p in pairs}) == 1 else ()
 
 

@@ -19,9 +19,9 @@ NORMAL90 = 1.645  # standard deviations: half of the central 90 % of a normal di
 def fit(recording: Recording, spec: ModelSpec, *, calibrate: bool = True) -> ErrorModel:
     """Fit every component of `spec` on all rows.
 
-    calibrate: refit without each hold-out group to size the 90 % prediction interval. Where the specification asks
-    for selection, terms that held-out rows do not need are left out. Raises DataError if a response or a needed
-    column is missing, NotIdentifiable where the rows cannot distinguish parameters.
+    calibrate: refit without each hold-out group to size the 90 % prediction interval. If the specification requests
+    selection, terms that do not improve held-out rows are dropped. Raises DataError if a response or a needed
+    column is missing, NotIdentifiable if the rows cannot distinguish parameters.
     """
     mask = np.ones(len(recording), dtype=bool)
     chosen = select(recording, spec, mask) if spec.selection == "held-out" else spec
@@ -36,7 +36,7 @@ def fit(recording: Recording, spec: ModelSpec, *, calibrate: bool = True) -> Err
 
 
 def without_interval(model: ErrorModel, why: str) -> ErrorModel:
-    """No hold-out is possible: the interval is that of the fitted rows, as stated in a note."""
+    """For a fit without hold-out: the interval is that of the fitted rows, as stated in a note."""
     components = tuple(
         c.model_copy(update={"half_width90": NORMAL90 * c.rms_after, "widening90": NORMAL90 * c.rms_after})
         for c in model.components

@@ -1,7 +1,7 @@
 """Multirate recordings read batch by batch: temperatures sampled less often than the rows, held between readings.
 
-One pass finds how far apart the readings of each such sensor usually are, and the first one of every run, which the
-rows before it take. Every later pass holds the last reading of a run over the borders of batches.
+One pass determines the usual interval of the readings of each such sensor, and the first reading of every run, which
+is used for the rows before it. Every later pass holds the last reading of a run across batches.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def held(source: Source) -> Source:
 
 
 def _surveyed(source: Source, names: Sequence[str]) -> dict[str, _Sensor]:
-    """What one pass finds of each sensor."""
+    """Result of one pass for each sensor."""
     sensors = {n: _Sensor() for n in names}
     at, begin, current = 0, 0, None
     for batch in source.batches([*source.manifest.names("run"), *names]) if names else ():
@@ -80,7 +80,7 @@ def _surveyed(source: Source, names: Sequence[str]) -> dict[str, _Sensor]:
 
 
 def _held(batches: Iterator[Recording], sensors: dict[str, tuple[_Sensor, int]]) -> Iterator[Recording]:
-    """The batches with the readings of some sensors held for at most so many rows."""
+    """The batches with the readings of some sensors held for at most a given number of rows."""
     in_run, current = 0, None
     latest: dict[str, tuple[int, float]] = {}  # row within the run, and value, of the last reading before a stretch
     for batch in batches:
@@ -103,7 +103,7 @@ def _filled(
     """A stretch of a run with each reading held for at most `limit` rows, (rows,), and the last reading in it.
 
     row: within the run, (rows,). before, first: row and value of the reading before the stretch and of the run's first
-    one, which the rows before it take.
+    one, which is used for the rows before it.
     """
     known = np.flatnonzero(~np.isnan(values))
     rows, readings = np.r_[before[0], row[known]], np.r_[before[1], values[known]]

@@ -14,8 +14,8 @@ SAME = 1e-6  # share of the range of readings below which two are the same
 OFF_STEP = 1e-3  # of a display's step: readings further off are not rounded to it
 RELATIVE_STEP = 1e-4  # positions closer than this share of their range are the same target
 WINDOWS = (0.7, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0)  # smoothing widths tried, in rows
-# Second differences of the mismatch on those of a simulation's noise have a slope of -1: most they may have, standard
-# errors and correlation that they need (repetitions of five real machines -0.82 to -1.33, beyond 0.26; chosen on them)
+# Second differences of the mismatch on those of a simulation's noise have a slope of -1: upper limit, standard
+# errors and correlation required (repetitions of five real machines -0.82 to -1.33, beyond 0.26; chosen on them)
 DILUTED, SHOWN, MATTERS = -0.7, 4.0, 0.15
 
 
@@ -25,12 +25,12 @@ def noise_floor(
     """Standard deviation of the noise in `values`, in their unit; None with too few pairs.
 
     rows: row numbers, (n,); values: the response there or a residual of it, (n,); readings: the response as recorded,
-    (n,), whose display adds its rounding. From repeats of one target (same
-    run, direction and positions) where a recording has them, one after the other, so that a slow drift stays out;
-    else the smaller of two figures, each of which holds more than noise: repeats of one target in successive runs (and
-    what changed between the runs), and second differences along each run (and the shape between neighbours). Noise
-    with a memory of several rows shows in repeats alone. A coarse display hides noise in repeats, which then read
-    alike: the floor is at least its rounding. Never above the rms of `values`, which holds it.
+    (n,), whose display adds its rounding. From consecutive repeats of one target (same
+    run, direction and positions) if there are any, so that a slow drift is excluded;
+    else the smaller of two figures, each an upper bound: repeats of one target in successive runs (including
+    changes between the runs), and second differences along each run (including the shape between neighbours). Noise
+    with a memory of several rows appears only in repeats. A coarse display hides noise in repeats, which are then
+    equal: the floor is at least its rounding. Never above the rms of `values`, which includes it.
     """
     if values.size < 3:
         return None
@@ -41,7 +41,7 @@ def noise_floor(
 
 
 def rounding(readings: np.ndarray) -> float:
-    """Standard deviation that a display adds to readings (n,) by rounding, step / sqrt(12); 0 where it has no steps.
+    """Standard deviation that a display adds to readings (n,) by rounding, step / sqrt(12); 0 without steps.
 
     Source: ISO/IEC Guide 98-3 (GUM), F.2.2.1: rounding is uniform over one step.
     """
@@ -55,7 +55,7 @@ def rounding(readings: np.ndarray) -> float:
 
 
 def beside_steps(y: np.ndarray, columns: np.ndarray, most: int) -> Iterator[np.ndarray]:
-    """What columns (rows, k) and 1, 2, ... `most` steps at a row each leave of y (rows,), found one by one."""
+    """Residuals of y (rows,) after columns (rows, k) and 1, 2, ... `most` steps at a row, selected one by one."""
     basis, rows = np.linalg.qr(columns)[0], y.size
     for _ in range(most):
         known = np.column_stack([basis, y - basis @ (basis.T @ y)])
@@ -67,10 +67,10 @@ def beside_steps(y: np.ndarray, columns: np.ndarray, most: int) -> Iterator[np.n
 
 
 def noise_of_twin(simulated: np.ndarray, mismatch: np.ndarray, run: np.ndarray) -> np.ndarray | None:
-    """Noise of a simulated signal that was measured itself, shape (rows,); None where it has none of its own.
+    """Noise of a simulated signal that is itself a measurement, shape (rows,); None if it has none.
 
-    Recorded less simulated holds such noise with a gain of -1, which pulls the gain of the whole below 1 (regression
-    dilution: errors in variables, Fuller 1987): second differences of the two then go together by nearly as much.
+    Recorded minus simulated contains such noise with a gain of -1, which pulls the gain of the whole below 1
+    (regression dilution: errors in variables, Fuller 1987): second differences of the two then have nearly that slope.
     """
     noise = simulated - smooth(simulated, run)
     same = (run[2:] == run[1:-1]) & (run[1:-1] == run[:-2])
@@ -133,7 +133,7 @@ def _rms(values: np.ndarray) -> float:
 
 
 def _repeats(recording: Recording, rows: np.ndarray, values: np.ndarray, *, within_runs: bool) -> np.ndarray:
-    """Differences of successive visits to the same target, of the same run or of whatever run comes next."""
+    """Differences of successive visits to the same target, of the same run or of the next one."""
     targets = recording.names("command") or recording.names("position")
     if not targets:
         return np.empty(0)
@@ -147,7 +147,7 @@ def _repeats(recording: Recording, rows: np.ndarray, values: np.ndarray, *, with
     same = np.ones(rows.size - 1, dtype=bool)
     for key in keys:
         same &= key[order][1:] == key[order][:-1]
-    separate = np.abs(np.diff(rows[order])) > 1  # a log standing still at one place is no repeated approach
+    separate = np.abs(np.diff(rows[order])) > 1  # a log at rest at one place is not a repeated approach
     differences = np.diff(values[order])[same & separate]
     return differences[np.isfinite(differences)]
 

@@ -1,9 +1,9 @@
 """Sensor placement: the place at which a temperature is most nearly proportional to the error.
 
-Any field will do (a bar, a column, a finite-element model): readings at candidate places and the error at the same
+For any field (a bar, a column, a finite-element model): readings at candidate places and the error at the same
 times. The heat equation is linear in its sources, so "one curve for every heat flux" (Ni 1997, Fig. 8) means that the
-error is a constant times the reading: a straight line through the origin. A line found on one warm-up then holds
-for any duty cycle; a polynomial found anywhere else does not.
+error is a constant times the reading: a straight line through the origin. A line fitted to one warm-up is then valid
+for any duty cycle; a polynomial fitted anywhere else is not.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from scipy.optimize import brentq
 from errpipe.errors import DataError
 
 TINY_RIDGE = 1e-9  # relative: keeps two equal columns from dividing by zero
-ENOUGH = 1.05  # the smallest set within 5 % of the best held-out rms is taken (chosen, not measured)
+ENOUGH = 1.05  # the smallest set within 5 % of the best held-out rms is used (by judgement)
 
 
 def lag_free_place(loss: float) -> float:
-    """Place on a bar with an insulated end at which the reading lags exactly as the growth does, in bar lengths.
+    """Place on a bar with an insulated end at which the reading has the lag of the growth, in bar lengths.
 
     coth(mu) - 1/mu = (1 - x) tanh(mu (1 - x)), mu = sqrt(loss), loss = h P L2 / (k A) >= 0; 1 - 1/sqrt(3) at no loss.
     """
@@ -43,15 +43,15 @@ class Chosen:
 
 
 def choose(readings: np.ndarray, error: np.ndarray, group: np.ndarray, most: int) -> tuple[float, list[Chosen]]:
-    """Doing nothing's rms, and the best places for 1 to `most` sensors by forward selection.
+    """The uncompensated rms, and the best places for 1 to `most` sensors by forward selection.
 
     readings: (times, places), rises over the start of each duty cycle; error: (times,); group: (times,), the duty
-    cycle, left out one by one. The error is a weighted sum of readings. Places are chosen again without each group that
-    is left out (nested), so that choosing the best of many does not flatter. Raises DataError below two groups.
+    cycle, held out one by one. The error is a weighted sum of readings. Places are selected again without each held-out
+    group (nested), so that selecting the best of many is not optimistic. Raises DataError below two groups.
     """
     labels = np.unique(group)
     if labels.size < 2:
-        raise DataError(f"placement: sensors are judged on duty cycles left out, two at least (found {labels.size})")
+        raise DataError(f"placement: sensors are validated on held-out duty cycles, at least two (found {labels.size})")
     most = min(most, readings.shape[1])
     whole = _forward(readings, error, group, most)
     squares = [{str(label): 0.0 for label in labels} for _ in range(most)]
@@ -69,7 +69,7 @@ def choose(readings: np.ndarray, error: np.ndarray, group: np.ndarray, most: int
 
 
 def _forward(readings: np.ndarray, error: np.ndarray, group: np.ndarray, most: int) -> list[list[int]]:
-    """Places of each size: at every step the one with the least held-out error (of all rows for one group)."""
+    """Places of each size: at every step the one with the smallest held-out error (of all rows for one group)."""
     labels = np.unique(group)
     places: list[int] = []
     out: list[list[int]] = []
@@ -100,7 +100,7 @@ def _weights(columns: np.ndarray, error: np.ndarray) -> np.ndarray:
 
 
 def by_degree(readings: np.ndarray, error: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """The rms on groups left out of a line, a parabola and a cubic through the origin, at each place, (places, 3).
+    """The rms on held-out groups of a line, a parabola and a cubic through the origin, at each place, (places, 3).
 
     Line and parabola are compared at the same place on the same groups.
     """

@@ -3,9 +3,9 @@
     estimate_i ~ N(parameter_i, S_i),   parameter_i ~ N(mean, T)        (Lindley and Smith 1972)
 
 mean and T come from all machines of a type by maximum likelihood (EM, Dempster, Laird and Rubin 1977); a machine's
-pooled parameter is its posterior mean under them (empirical Bayes, Efron and Morris 1975). T's correlations are drawn
-towards none, as if as many uncorrelated machines more as there are parameters had been seen: a few machines leave T
-singular, and every other machine would be forced into the line or plane that they span.
+pooled parameter is its posterior mean under them (empirical Bayes, Efron and Morris 1975). T's correlations are shrunk
+towards zero, as if the data included as many uncorrelated machines as there are parameters: with few machines T is
+singular, and every other machine would be forced into the subspace that they span.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 
 from errpipe.fitting.statistics import chi2_quantile, normal_quantile, student_quantile
 
-STEPS = 200  # of EM, which converges slowly where machines hardly differ
+STEPS = 200  # of EM, which converges slowly if machines hardly differ
 CONVERGED = 1e-5  # convergence threshold: relative change of the spread per step
 REGULAR = 1e-5  # smallest over largest diagonal element of a Cholesky factor: the inverse keeps six digits
 SIGNIFICANT = 0.05  # p of two machines of one type that differ
@@ -28,14 +28,14 @@ LEAST_TO_BORROW = 3  # as few may provide values for a machine without a fit
 
 @dataclass(frozen=True)
 class Pool:
-    """A type of machine. mean: (p,); spread: covariance between machines, (p, p); machines: how many it rests on."""
+    """A type of machine. mean: (p,); spread: covariance between machines, (p, p); machines: their number."""
 
     mean: np.ndarray
     spread: np.ndarray
     machines: int
 
     def of_a_further_machine(self) -> np.ndarray:
-        """Standard deviation of each parameter of a machine that is not among them, (p,): Student's t as a Gaussian."""
+        """Standard deviation of each parameter of a further machine, (p,): Student's t as a Gaussian."""
         variance = np.diag(self.spread) * (1.0 + 1.0 / self.machines)
         return np.sqrt(variance) * student_quantile(0.975, self.machines - 1) / normal_quantile(0.975)
 
@@ -59,7 +59,7 @@ def pooled(
     unit = np.where(unit > 0, unit, 1.0)
     values, errors = values / unit, errors / np.outer(unit, unit)
     mean, spread = values.mean(axis=0), np.cov(values.T).reshape(len(unit), len(unit)) + 1e-9 * np.eye(len(unit))
-    known = len(values) / (len(values) + len(unit))  # share of a correlation that is believed
+    known = len(values) / (len(values) + len(unit))  # shrinkage factor of a correlation
     shares = known + (1.0 - known) * np.eye(len(unit))
     for _ in range(STEPS):
         before = spread
@@ -74,7 +74,7 @@ def pooled(
 
 
 def _inverse(covariances: np.ndarray) -> np.ndarray:
-    """Inverses of covariances (..., p, p); pseudo-inverses, six times as slow, where one is singular or nearly so."""
+    """Inverses of covariances (..., p, p); pseudo-inverses, six times as slow, if one is nearly singular."""
     try:
         root = np.diagonal(np.linalg.cholesky(covariances), axis1=-2, axis2=-1)
     except np.linalg.LinAlgError:
@@ -88,7 +88,7 @@ def _symmetric(matrix: np.ndarray) -> np.ndarray:
 
 
 def distances(estimates: np.ndarray, covariances: np.ndarray) -> np.ndarray:
-    """Squared Mahalanobis distance of every two machines, n (n - 1) / 2; chi-square where they are alike.
+    """Squared Mahalanobis distance of every two machines, n (n - 1) / 2; chi-square if they are equal.
 
     estimates: (n, p); covariances: (n, p, p).
     """

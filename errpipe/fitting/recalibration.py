@@ -2,11 +2,11 @@
 
     deviation(t) = model(t) + share x (last reading - model when it was taken)
 
-The term behind `share` is held until the next reading. `share` is the slope of what the model leaves now on what it
-left at the last reading (lag regression through zero), within 0..1: 0 where a reading predicts nothing of later rows, 1
-where what is left does not change. It depends on how often readings come, and is estimated from held-out rows, never
-from rows that fitted the model. A Kalman filter of offset, gain error and late heat, with eight constants, was little
-better on seasons of a turning centre left out; at 1, 2, 4, 8, 16 readings in 8 h: winter 6.8, 3.5, 2.7, 2.2, 1.9 um
+The term with `share` is held until the next reading. `share` is the slope of the present residual on the residual
+at the last reading (lag regression through zero), within 0..1: 0 if a reading does not predict later rows, 1
+if the residual does not change. It depends on how often readings come, and is estimated from held-out rows, never
+from fitted rows. A Kalman filter of offset, gain error and late heat, with eight constants, was little
+better on held-out seasons of a turning centre; at 1, 2, 4, 8, 16 readings in 8 h: winter 6.8, 3.5, 2.7, 2.2, 1.9 um
 (this: 6.3, 3.5, 3.1, 2.5, 2.1), spring 3.3, 2.7, 2.6, 2.0, 1.7 um (this: 3.4, 2.7, 2.7, 1.9, 1.7).
 """
 
@@ -23,14 +23,14 @@ from errpipe.errors import GateError
 from errpipe.fitting.statistics import rms
 
 SHIFT = 28800.0  # s: eight hours
-PER_SHIFT = (1, 2, 4, 8, 16)  # readings a shift that the report compares
+PER_SHIFT = (1, 2, 4, 8, 16)  # readings per shift compared in the report
 MISSED = 2.0  # intervals: a reading is held if the next one is missed, then expires (by judgement)
-TIE = 0.01  # readings must take at least this share of the held-out error away (by judgement)
-PLAUSIBLE = 2.0  # of the largest error on held-out rows: readings beyond it from the model are refused (by judgement)
+TIE = 0.01  # share of the held-out error that readings must remove (by judgement)
+PLAUSIBLE = 2.0  # of the largest error on held-out rows: readings further from the model are rejected (by judgement)
 
 
 def is_thermal(recording: Recording) -> bool:
-    """Whether a recording is a run over time: temperatures and a clock, and no axis that moves."""
+    """Whether a recording is a run over time: temperatures and a clock, and no moving axis."""
     places = recording.names("position") + recording.names("command")
     moving = [n for n in places if np.nanmax(recording.array(n)) > np.nanmin(recording.array(n))]
     return bool(recording.names("time") and recording.names("temperature") and not moving)
@@ -53,7 +53,7 @@ def schedule(recording: Recording, every: float) -> np.ndarray:
 def last_reading(run: np.ndarray, values: np.ndarray, probed: np.ndarray) -> np.ndarray:
     """The last probed finite value of the same run before each row; 0 before the first. Shape (rows,).
 
-    run: code per row; values: what would be read, NaN where nothing is; probed: mask. A reading is not
+    run: code per row; values: the readings, NaN if missing; probed: mask. A reading is not
     used for its own row.
     """
     out = np.zeros(values.size)
@@ -85,8 +85,8 @@ def by_readings(
     """rms on held-out groups against readings per shift, with the model and, for comparison, with readings alone.
 
     rows, before, left: per group its row numbers, the deviation, and the residual of the model, um. The rows that are
-    probed are rows of the recording, with its noise. A group is judged with the share of the other groups;
-    `share` is that of all. Schedules that would probe more than half of the rows are left out.
+    probed are rows of the recording, with its noise. A group is validated with the share of the other groups;
+    `share` is that of all. Schedules that would probe more than half of the rows are omitted.
     """
     run, levels = recording.run_codes(), []
     for number in (0, *PER_SHIFT):
@@ -108,7 +108,7 @@ def by_readings(
 def _after_readings(
     runs: Sequence[np.ndarray], values: Sequence[np.ndarray], probed: Sequence[np.ndarray]
 ) -> tuple[float, list[np.ndarray]]:
-    """The share of a reading over all groups, and what each group keeps with the share of the others, um.
+    """The share of a reading over all groups, and the residual of each group with the share of the others, um.
 
     runs, values, probed: per group, shape (rows of the group,): run, value in um, whether the row is probed.
     """
@@ -122,10 +122,10 @@ def _after_readings(
 
 
 def with_readings(model: ErrorModel, validations: Sequence[Mapping[str, Any]], per_shift: int) -> ErrorModel:
-    """The model with a share for readings in each component that held-out groups were better with.
+    """The model with a share for readings in each component that they improve on held-out groups.
 
-    validations: documents of `validation.json`; the least share among them counts. Raises GateError if no
-    validation judged readings, or where they helped no component.
+    validations: documents of `validation.json`; the smallest share among them is used. Raises GateError if no
+    validation includes readings, or if they improve no component.
     """
     out, why = [], []
     for component in model.components:
@@ -133,7 +133,7 @@ def with_readings(model: ErrorModel, validations: Sequence[Mapping[str, Any]], p
         judged = [c["readings"] for c in figures if c.get("readings")]
         levels = [(j, level) for j in judged for level in j["levels"] if level["per_shift"] == per_shift]
         if not levels:
-            why.append(f"{component.component}: no validation judged {per_shift} readings per shift")
+            why.append(f"{component.component}: no validation includes {per_shift} readings per shift")
         elif any(level["rms"] > j["levels"][0]["rms"] * (1.0 - TIE) for j, level in levels):
             why.append(f"{component.component}: held-out rows were not better with {per_shift} readings per shift")
         else:

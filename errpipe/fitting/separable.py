@@ -1,6 +1,6 @@
 """Variable projection: the linear parameters are solved for exactly, only the few non-linear ones are searched.
 
-The search starts from every combination that a coarse sweep finds promising, because the sum of squares
+The search starts from every promising combination of a coarse sweep, because the sum of squares
 over a lag or a period has many local minima.
 """
 
@@ -14,9 +14,9 @@ from scipy.optimize import least_squares
 
 from errpipe.fitting.solve import one_thread
 
-STARTS = 12  # values per parameter in the first sweep, spread over its typical range
+STARTS = 12  # values per parameter in the first sweep, over its typical range
 SWEEPS = 2  # rounds of one-at-a-time sweeps before the joint search
-KEPT = 3  # best combinations that the joint search starts from
+KEPT = 3  # best combinations from which the joint search starts
 
 
 @dataclass(frozen=True)
@@ -53,10 +53,10 @@ def search(
     unknowns: Sequence[Unknown],
     begin: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Non-linear parameters of the least residual, shape (q,).
+    """Non-linear parameters of the smallest residual, shape (q,).
 
-    moving: columns that depend on them, (q,) -> (n, k); still: the columns that do not, (n, p), which are projected
-    out once; response: (n,). Weights and penalty rows are the caller's: already multiplied in. begin: where to start
+    moving: columns that depend on them, (q,) -> (n, k); still: the other columns, (n, p), which are projected
+    out once; response: (n,). Weights and penalty rows are already included by the caller. begin: start values
     instead of sweeping.
     """
     with one_thread():
@@ -86,7 +86,7 @@ def search(
 
 
 def _sweep(residual, unknowns: Sequence[Unknown]) -> list[np.ndarray]:
-    """Starting points: one parameter at a time over its trial values, the others fixed, from several middles."""
+    """Starting points: one parameter at a time over its trial values, the others fixed, from several midpoints."""
 
     def cost(outer: np.ndarray) -> float:
         e = residual(np.array([u.to_search_scale(v) for u, v in zip(unknowns, outer, strict=True)]))

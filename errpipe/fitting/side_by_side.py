@@ -1,4 +1,4 @@
-"""Pieces of work that do not depend on each other, on two cores: same results, in the same order, as one by one."""
+"""Independent pieces of work on two cores, with the same results in the same order as sequentially."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from threading import Lock
 from time import perf_counter
 from typing import Any, TypeVar, cast
 
-AT_ONCE = 2  # pieces: what they leave to Python's lock keeps no more cores busy
-WORTH = 0.05  # s of the first piece, below which handing over between threads costs as much as it brings
+AT_ONCE = 2  # pieces: Python's lock keeps no more cores busy
+WORTH = 0.05  # s of the first piece, below which handing over between threads does not pay
 
-AHEAD = 2  # results made before they are requested, by one other thread: more would only hold memory
+AHEAD = 2  # results computed before they are requested, by one other thread: more would only use memory
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -27,10 +27,10 @@ _inside: ContextVar[bool] = ContextVar("inside_side_by_side", default=False)
 def side_by_side(
     work: Callable[..., T], *items: Iterable[Any], at_once: int = AT_ONCE, worth: float = WORTH
 ) -> list[T]:
-    """`work` of each item of some iterables of one length, in threads; within another call one after the other.
+    """`work` of each item of iterables of equal length, in threads; sequentially within another call.
 
-    The first piece is done alone, and the others too where it took less than `worth` seconds. Raises what the first
-    piece in order that fails raises.
+    The first piece is done alone, and the others sequentially if it took less than `worth` seconds. Raises the error
+    of the first failing piece in order.
     """
     waiting, done = list(zip(*items, strict=True)), []
     if _inside.get() or min(at_once, len(waiting), os.cpu_count() or 1) < 2:
@@ -53,9 +53,9 @@ def side_by_side(
 
 
 def ahead(work: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
-    """`work` of each item, in order: a few are made ahead in another thread while the caller is busy with those before.
+    """`work` of each item, in order: a few are computed ahead in another thread while the caller is busy.
 
-    For results that are too large to be held all at once. Within `side_by_side`, or on one core, one after the other.
+    For results too large to be in memory all at once. Within `side_by_side`, or on one core, sequential.
     """
     if _inside.get() or (os.cpu_count() or 1) < 2:
         yield from map(work, items)
@@ -74,9 +74,9 @@ def ahead(work: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
 
 
 class InTurn:
-    """A context manager for one thread at a time; `left` is what the one before left there.
+    """A context manager for one thread at a time; `left` is a value passed from one turn to the next.
 
-    The core of those that wait for their turn is free for what is made `ahead`.
+    The core of waiting threads is free for what is computed `ahead`.
     """
 
     def __init__(self) -> None:
@@ -94,9 +94,9 @@ class InTurn:
 
 
 class WhileAnyInside:
-    """A setting of the whole process as a context manager: it holds while any thread is inside.
+    """A process-wide setting as a context manager: valid while any thread is inside.
 
-    set_up: makes the setting and returns what undoes it. The thread that leaves last undoes it, whichever came first.
+    set_up: makes the setting and returns the function that reverts it. The last thread to leave reverts it.
     """
 
     def __init__(self, set_up: Callable[[], Callable[[], None]]) -> None:
@@ -105,7 +105,7 @@ class WhileAnyInside:
 
     @contextmanager
     def __call__(self) -> Iterator[None]:
-        """The setting within."""
+        """The setting while inside."""
         with self._lock:
             if not self._inside:
                 self._undo = self._set_up()

@@ -1,7 +1,7 @@
 """Solvers for problems that are linear in their parameters: least squares, ridge, robust, penalised, with priors.
 
 A problem is `design @ coefficients = response`. Columns are scaled to unit length before anything is
-decomposed, and everything goes through an orthogonal decomposition of the design itself, never through
+decomposed, and all solvers use an orthogonal decomposition of the design itself, never
 its normal equations: squaring the condition number loses half of the digits.
 """
 
@@ -22,7 +22,7 @@ TUKEY = 4.685  # the same for the biweight (Beaton and Tukey 1974)
 MAD = 1.4826  # median absolute deviation -> standard deviation of normal noise
 LOWEST_RANK = 1e-11  # of the largest scaled pivot; below it a direction is rounding
 MAX_ROUNDS = 60  # of reweighting (by judgement)
-REML_STEPS = 80  # at most, of the strengths of penalties; a few dozen settle them
+REML_STEPS = 80  # upper limit for the strengths of penalties; a few dozen suffice
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known before: `column` lies near `value`, give or take `spread` (one standard deviation)."""
+    """Prior of a parameter: `column` has the mean `value` and the standard deviation `spread`."""
 
     column: int
     value: float
@@ -69,8 +69,8 @@ def least_squares(
     """Weighted least squares by QR, with a quadratic penalty and priors as further rows.
 
     design: (n, p); response: (n,); weights: (n,), 1 where not given; penalty: (p, p), positive semi-definite;
-    noise: standard deviation of the response's noise, which priors are weighed against. A direction that the
-    design does not see at all gets the smallest coefficients (then rank < p).
+    noise: standard deviation of the response's noise, which weights the priors. A direction that the
+    design does not determine gets the smallest coefficients (then rank < p).
     """
     stacked, right = design, response
     if weights is not None:
@@ -78,7 +78,7 @@ def least_squares(
     extra, target = _further_rows(design.shape[1], penalty, priors, noise)
     if target.size:
         stacked, right = np.vstack([stacked, extra]), np.r_[right, target]
-    stacked = np.ascontiguousarray(stacked)  # sums of squares are then the same bits whatever the caller's layout
+    stacked = np.ascontiguousarray(stacked)  # bit-identical sums of squares for any memory layout
     coefficients, inverse, rank, leverage = _solve(stacked, right, response.size)
     used = np.ones(response.size) if weights is None else weights
     return Solution(coefficients, response - design @ coefficients, inverse, used, leverage, rank)
@@ -138,10 +138,10 @@ def robust(
     priors: Sequence[Prior] = (),
     loss: str = "tukey",
 ) -> Solution:
-    """Iteratively reweighted least squares: Huber's to a start, then Tukey's biweight, which drops gross outliers.
+    """Iteratively reweighted least squares: Huber's for a start, then Tukey's biweight, which rejects gross outliers.
 
-    loss: "huber" or "tukey". The biweight keeps the scale that Huber's rounds found (as MM-estimates do): a scale that
-    followed it would shrink onto the rows that agree best. `weights` of the solution are those of the last round.
+    loss: "huber" or "tukey". The biweight keeps the scale of Huber's iterations (like MM-estimates): a scale that
+    followed it would shrink onto the most consistent rows. `weights` of the solution are those of the last iteration.
     """
     solution = least_squares(design, response, penalty=penalty, priors=priors)
     least = 1e-12 * (1e-300 + np.abs(response).max())
@@ -184,8 +184,8 @@ def ridge(
 ) -> Solution:
     """Ridge on the columns marked in `shrunk`, its strength by held-out groups (folds) or else by GCV.
 
-    Columns are weighed by their own spread, so that units do not decide who is shrunk. Of the strengths that do as
-    well as the best, give or take one standard error (at most 10 %), the strongest is taken: folds seen once flatter.
+    Columns are weighted by their own spread, so that units do not matter. Among the strengths within one standard error
+    of the best (at most 10 %), the strongest is used: a minimum over folds is optimistic.
     """
     spread = spread_of(design, shrunk)
     unit = np.diag(np.where(shrunk, spread**2, 0.0)) * response.size
@@ -240,8 +240,8 @@ def penalised(
     """Least squares with one strength per penalty, each chosen by restricted likelihood (REML).
 
     penalties: (p, p) matrices that touch disjoint columns. Update of Wood and Fasiolo 2017 (Fellner-Schall):
-    each step multiplies a strength by (rank/strength - tr(V S)) sigma^2 / (b' S b). rows_effective: where the
-    noise has a memory, rows count for less, else the curve would follow it.
+    each step multiplies a strength by (rank/strength - tr(V S)) sigma^2 / (b' S b). rows_effective: if the
+    noise is autocorrelated, fewer effective rows, else the curve would follow the noise.
     """
     used = np.ones(response.size) if weights is None else weights
     root = np.sqrt(used)

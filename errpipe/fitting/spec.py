@@ -18,14 +18,14 @@ else:
 
 
 class PriorSpec(Frozen):
-    """What is known of a parameter before the fit: Gaussian with mean `value` and standard deviation `spread`."""
+    """Gaussian prior of a parameter with mean `value` and standard deviation `spread`."""
 
     term: str = Field(description="Id of the term.")
     where: dict[str, Any] = Field(
         {}, description="Fields of the term, as {sensor: T_nut}, where the response has several of this id."
     )
     parameter: str = Field(description="Name of one of its linear parameters.")
-    value: float = quantity("of the parameter", "What it is thought to be.")
+    value: float = quantity("of the parameter", "Expected value.")
     spread: float = quantity("of the parameter", "One standard deviation.", gt=0)
 
     def concerns(self, term: Term) -> bool:
@@ -38,8 +38,8 @@ class ComponentSpec(Frozen):
     """The terms that one response is fitted with."""
 
     component: str = Field(description="Response of the recording, such as EXX or E_Z.")
-    terms: tuple[AnyTerm, ...] = Field((), description="Terms whose sum is the deviation; none: do nothing.")
-    priors: tuple[PriorSpec, ...] = Field((), description="What is known before.")
+    terms: tuple[AnyTerm, ...] = Field((), description="Terms whose sum is the deviation; none: no compensation.")
+    priors: tuple[PriorSpec, ...] = Field((), description="Priors of parameters.")
 
     @model_validator(mode="after")
     def _each_prior_has_one_term(self) -> ComponentSpec:
@@ -65,11 +65,11 @@ class ModelSpec(Frozen):
     components: tuple[ComponentSpec, ...] = Field(min_length=1, description="Responses and their terms.")
     nuisance: tuple[AnyTerm, ...] = Field((), description="Terms of the measuring set-up: fitted, never compensated.")
     method: Literal["linear", "ridge", "robust"] = Field(
-        "linear", description="Least squares; ridge where sensors resemble each other; robust against outliers."
+        "linear", description="Least squares; ridge for collinear sensors; robust against outliers."
     )
     loss: Literal["huber", "tukey"] = Field("tukey", description="How the robust method weighs large residuals.")
     datum: Literal["absolute", "run_start"] = Field(
-        "absolute", description="What zero means: the machine's own zero, or each run's first row."
+        "absolute", description="Datum of the deviation: the machine's own zero, or each run's first row."
     )
     holdout: HoldOut = Field(HoldOut(), description="Rows held out to size intervals, ridge and selection.")
     selection: Literal["none", "held-out"] = Field(
@@ -81,7 +81,7 @@ class ModelSpec(Frozen):
 
     also_valid: dict[str, tuple[float, float]] = quantity(
         "of the column",
-        "Column -> range that an earlier model of this machine held for: a table does not fade there either.",
+        "Column -> validity range of an earlier model of this machine: a table does not fade there either.",
         {},
     )
 

@@ -1,14 +1,14 @@
-"""How well parameters are known when neighbouring rows share their noise.
+"""Uncertainty of parameters if neighbouring rows share their noise.
 
-Rows of a machine's log are not independent: the noise is autocorrelated, and the residual of a model
-out repeats within a run. Counting rows gives intervals that are several times too narrow. Two estimates:
+Rows of a machine's log are not independent: the noise is autocorrelated, and the lack of fit of a model
+repeats within a run. Intervals from the number of rows are several times too narrow. Two estimates:
 
 * noise model: white plus first-order autoregressive noise within each run, its two shape parameters by restricted
   likelihood (which, unlike the autocorrelation of residuals, does not forget that p parameters were fitted);
-* runs: the sandwich over runs, which assumes nothing about what happens inside one, where runs are enough to ask.
+* runs: the sandwich over runs, which assumes nothing about the noise within one, if there are enough runs.
 
-The noise model's covariance is stated; where the runs disagree by clearly more than their own uncertainty (the
-model leaves something out), the larger of the two is.
+The noise model's covariance is used; if the runs disagree by clearly more than their own uncertainty (lack of
+fit), the larger of the two.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from errpipe.kernels import whitening
 RHO = (0.3, 0.6, 0.8, 0.9, 0.95, 0.98, 0.995)  # starting points of the search: correlation of neighbouring rows,
 SHARE = (0.1, 0.3, 0.6, 0.9, 0.999)  # and the share of the noise that is correlated
 MOST_ROWS = 20_000  # rows the noise model is fitted to; further ones change its third digit
-FEWEST_RUNS = 6  # too few runs to estimate their spread
+FEWEST_RUNS = 6  # runs needed to estimate their spread
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def noise_model(sequence: np.ndarray, jacobian: np.ndarray, residual: np.ndarray
             options={"xatol": 0.02, "fatol": 1e-3, "maxiter": 80},
         )
         rho, share = min(float(expit(best.x[0])), _longest_memory(sequence)), float(expit(best.x[1]))
-        # Two more parameters must earn their keep, or noise of no memory would get one by chance.
+        # Two more parameters must improve the fit, or white noise would get a memory by chance.
         if white[0] - best.fun < 1.0:
             rho, share = 0.0, 0.0
         return Noise(cost(rho, share)[1], rho, share)
@@ -97,7 +97,7 @@ def _restricted(whitened: np.ndarray, logdet: float, penalty: np.ndarray | None)
 
 
 def _some_rows(sequence, jacobian, residual):
-    """Whole sequences, spread over the recording, up to MOST_ROWS; a part of the first where one is longer."""
+    """Whole sequences, spread over the recording, up to MOST_ROWS; a part of the first if one is longer."""
     starts = np.flatnonzero(np.r_[True, sequence[1:] != sequence[:-1]])
     ends = np.r_[starts[1:], sequence.size]
     chosen, count = np.zeros(sequence.size, dtype=bool), 0
@@ -125,9 +125,9 @@ def covariance(
 ) -> np.ndarray:
     """Covariance of the parameters, shape (p, p).
 
-    inverse: (J'J + penalty)^-1 of the solve; scores: residuals as they entered the last step, (n,), zero where a
-    robust solve dropped the row. What a penalty pulls away counts as spread too (Nychka 1988): without it intervals
-    of a smooth curve would miss by its bias.
+    inverse: (J'J + penalty)^-1 of the solve; scores: residuals in the last step, (n,), zero if a
+    robust solve rejected the row. The bias due to a penalty is included (Nychka 1988): without it intervals
+    of a smooth curve would be too narrow.
     """
     with one_thread():
         spread = noise.sigma**2 * (jacobian.T @ whitening.correlated(sequence, jacobian, noise.rho, noise.share))
@@ -139,7 +139,7 @@ def covariance(
 
 
 def larger(modelled: np.ndarray, seen: np.ndarray, runs: int) -> np.ndarray:
-    """The noise model's covariance, widened where `runs` runs disagree by more than chance allows; (p, p)."""
+    """The noise model's covariance, widened if `runs` runs disagree significantly; (p, p)."""
     if runs < FEWEST_RUNS:
         return modelled
     ratio = np.sqrt(np.maximum(np.diag(seen), 0.0) / np.maximum(np.diag(modelled), 1e-300) * runs / (runs - 1))
@@ -157,7 +157,7 @@ def between_runs(sequence: np.ndarray, jacobian: np.ndarray, scores: np.ndarray)
 
 
 def rows_effective(sequence: np.ndarray, noise: Noise) -> float:
-    """How many independent rows weigh as much as these, for a mean: n over the sum of the autocorrelation."""
+    """Effective number of independent rows, for a mean: n over the sum of the autocorrelation."""
     return effective_rows(np.unique(sequence, return_counts=True)[1], noise)
 
 
@@ -172,7 +172,7 @@ def effective_rows(rows_of_runs: np.ndarray, noise: Noise) -> float:
 
 
 def degrees_of_freedom(rows: int, parameters: float, noise: Noise) -> float:
-    """Degrees of freedom of `noise.sigma`: rows over the sum of the squared autocorrelation, less parameters."""
+    """Degrees of freedom of `noise.sigma`: rows over the sum of the squared autocorrelation, minus parameters."""
     memory = 1.0 + 2.0 * (noise.share * noise.rho) ** 2 / (1.0 - noise.rho**2)
     return max((rows - parameters) / memory, 2.0)
 

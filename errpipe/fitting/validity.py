@@ -1,7 +1,7 @@
-"""The validity box: the ranges of what drove the fit, and how far outside of it a row lies.
+"""The validity box: the ranges of the inputs of the fit, and the distance of a row outside them.
 
-The box is where the recording has rows enough, not where its extremes lie: a few rows beyond a gap (three readings of
-60 degC among 1,770 below 25) do not widen it. They stay in the fit, and a note states it.
+The box covers sufficient rows, not the extremes: a few rows beyond a gap (three readings of
+60 degC among 1,770 below 25) do not widen it. They remain in the fit, and a note states it.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from errpipe.domain.error_model import Validity
 from errpipe.domain.recording import Recording
 from errpipe.errors import MissingColumn, did_you_mean
 
-MARGIN = 0.5  # of a range: distance over which a table fades out (chosen, not measured)
+MARGIN = 0.5  # of a range: distance over which a table fades out (by judgement)
 LEAST_MARGIN = {"temperature": 2.0}  # K
-FEW = 0.01  # of the rows: at most so many beyond a gap are ignored; chosen on: a thermal state of a day fills more
-GAP = 0.25  # of the range of the other rows; chosen on: the targets of a test after ISO 230-2 (five or more) lie closer
-LONGEST_HELD = 3  # readings of a sensor, at its usual rate: an empty cell or two; silent for longer it is not known
+FEW = 0.01  # of the rows: at most so many beyond a gap are ignored; chosen on: a thermal state of a day has more
+GAP = 0.25  # of the range of the other rows; chosen on: the targets of an ISO 230-2 test (five or more) are closer
+LONGEST_HELD = 3  # readings of a sensor at its usual rate: one or two empty cells; unknown after a longer gap
 HELD_AT_THE_END = ("position", "command", "velocity", "force")  # beyond these inputs' ranges a table does not fade
 UNBOXED = ("run", "group", "time", "direction", "coolant", "ignore", "error", "simulated")
 
@@ -43,9 +43,9 @@ def _margin(role: str, ends: tuple[float, float]) -> float:
 
 
 def extended(validity: Validity, earlier: Mapping[str, tuple[float, float]], recording: Recording) -> Validity:
-    """The box out to the ranges of an earlier model of the machine; `seen` keeps what the rows themselves covered.
+    """The box extended to the ranges of an earlier model of the machine; `seen` keeps the range of the rows themselves.
 
-    Raises MissingColumn if `earlier` names what is no column of the recording.
+    Raises MissingColumn if `earlier` names a column that is not in the recording.
     """
     columns = recording.manifest.columns
     for name in earlier:
@@ -67,9 +67,9 @@ def extended(validity: Validity, earlier: Mapping[str, tuple[float, float]], rec
 
 
 def as_in_a_table(recording: Recording, validity: Validity) -> tuple[Recording, np.ndarray]:
-    """The recording with the inputs over which a table fades held in their ranges, and what is left there, (rows,).
+    """The recording with the faded inputs clipped to their ranges, and the remaining share of the correction, (rows,).
 
-    As a table does in a settled state; a missing reading leaves all.
+    As in the steady state of a table; a missing reading leaves all.
     """
     held, left = {}, np.ones(len(recording))
     for name, (low, high) in fading(validity, recording).items():
@@ -88,7 +88,7 @@ def fading(validity: Validity, recording: Recording) -> dict[str, tuple[float, f
 
 
 def covered(values: np.ndarray) -> tuple[float, float]:
-    """Ends of the range that finite values cover, without few rows beyond a gap; shape (n,), any order."""
+    """Ends of the range of finite values, without few rows beyond a gap; shape (n,), any order."""
     ordered = np.sort(values)
     few = int(FEW * ordered.size)
     lowest, highest = ordered[: few + 1], -ordered[::-1][: few + 1]
@@ -97,7 +97,7 @@ def covered(values: np.ndarray) -> tuple[float, float]:
 
 
 def _beyond_gap(lowest: np.ndarray, top: float) -> int:
-    """How many of the lowest values lie beyond a gap; all but the last may. top: highest of the other rows."""
+    """Number of the lowest values that are beyond a gap; at most all but the last. top: highest of the other rows."""
     above = lowest[1:]
     gaps = above - lowest[:-1] > GAP * np.maximum(top - above, 1e-300)
     return int(np.flatnonzero(gaps)[-1]) + 1 if gaps.any() else 0
@@ -114,20 +114,20 @@ def few_rows_outside(recording: Recording, validity: Validity, rows: np.ndarray)
             share = _leverage(values, outside)
             notes.append(
                 f"{name}: {outside.size} of {int(np.isfinite(values).sum())} rows ({outside.min():.4g} to "
-                f"{outside.max():.4g} {unit}) lie beyond a gap; the model is not valid there ({low:.4g} to {high:.4g} "
-                f"{unit}), and these rows hold {100 * share:.0f} % of the leverage on a slope over {name}"
+                f"{outside.max():.4g} {unit}) are beyond a gap; the model is not valid there ({low:.4g} to {high:.4g} "
+                f"{unit}), and these rows have {100 * share:.0f} % of the leverage on a slope over {name}"
             )
     return notes
 
 
 def _leverage(values: np.ndarray, few: np.ndarray) -> float:
-    """Share of the sum of squared distances from the mean that a few of the values hold, 0..1."""
+    """Share of a few of the values in the sum of squared distances from the mean, 0..1."""
     mean = float(np.nanmean(values))
     return float(np.sum((few - mean) ** 2) / max(float(np.nansum((values - mean) ** 2)), 1e-300))
 
 
 def distance(validity: Validity, recording: Recording) -> np.ndarray:
-    """How far each row lies outside the box, shape (rows,): 0 inside, else summed over columns in ranges' widths.
+    """Distance of each row outside the box, shape (rows,): 0 inside, else summed over columns in range widths.
 
     A missing value counts as a whole range outside.
     """

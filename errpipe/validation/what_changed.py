@@ -13,9 +13,7 @@ from errpipe.fitting.components import from_run_start, term_of
 
 MOST = 3  # terms that are named; a change of more terms is not specific
 LEAST_SHARE = 0.02  # of the variance beyond the noise that a further term must explain: a seventh of the rms
-NEARLY = (
-    0.9  # of the variance explained by the best term: a term with fewer parameters that explains as much is preferred
-)
+NEARLY = 0.9  # share of the best term's variance: a term with fewer parameters that explains as much is preferred
 SIGNIFICANT = 4.0  # standard errors of the mean square of noise: threshold of a change
 AGAIN = 6.0  # standard errors of a second change of the level: chosen on simulated axes, seed 1
 FEWEST = 5  # runs since a second change: a challenger needs at least this many
