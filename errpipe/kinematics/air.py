@@ -16,7 +16,7 @@ UNMEASURED_HUMIDITY = 14.0  # %: standard uncertainty of an unmeasured humidity,
 def index_change(temperature=None, pressure=None, humidity=None, since=None) -> np.ndarray | float:
     """n / n_0 - 1 of the air along a record (degC, hPa, %); n_0 of its first reading, or of the air `since`.
 
-    What was not recorded is taken to be as it was at n_0; of humidity the vapour's pressure, which warming leaves.
+    Unrecorded quantities are taken as at n_0; for humidity the vapour pressure, which warming does not change.
     """
     series = [None if v is None else np.asarray(v, dtype=float) for v in (temperature, pressure, humidity)]
     if all(v is None for v in series):

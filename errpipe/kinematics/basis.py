@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.optimize import brentq
 
-FULL_TURN = 359.0  # deg of travel from which a rotary axis is taken to close on itself
+FULL_TURN = 359.0  # deg of travel from which a rotary axis is taken as closed
 
 
 @lru_cache(maxsize=64)

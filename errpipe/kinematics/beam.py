@@ -62,7 +62,7 @@ def compliance(
 ) -> np.ndarray:
     """Displacement per force where the force acts, at distances `at` (n,) from the clamped end; um/N, shape (n,).
 
-    Raises ValueError for a place that is not on the shaft.
+    Raises ValueError for a position that is not on the shaft.
     """
     support = support or Support()
     ends = np.cumsum([0.0, *(part.length for part in parts)])

@@ -1,14 +1,14 @@
-"""A machine's chain as a list of factors, and every error component it has, named after ISO 230-1.
+"""A machine's chain as a list of factors, with all its error components, named after ISO 230-1.
 
 From workpiece to tool each axis contributes, in this order when it carries the tool (mirrored otherwise),
 
     drift of its frame's origin . location . motion . location^-1 . its six error motions
 
-so that a location error (squareness, offset and tilt of a rotary axis' line) acts on the motion alone: a
-constant turn of a carriage is set-up, taken up by the workpiece's or tool's datum. In words:
+so that a location error (squareness, offset and tilt of a rotary axis' line) acts only on the motion: a
+constant rotation of a carriage is set-up, absorbed by the workpiece's or tool's datum. In words:
 
-* Squareness. The first of `datum_axes` is the datum. The second may only turn in the plane of both; every
-  further one turns about both directions across its own. C0Y = +1 urad: the +Y motion leans towards -X.
+* Squareness. The first of `datum_axes` is the datum. The second can only rotate in the plane of both; every
+  further one rotates about both directions perpendicular to its own. C0Y = +1 urad: the +Y motion leans towards -X.
 * Straightness has neither offset nor slope over the travel (least squares): the slope is squareness.
 * Positioning is zero at the axis' datum position; its slope stays (scale). Angular motions have no offset.
 * Deviations are those of the tool's side relative to the workpiece's side, in the workpiece's frame.
@@ -79,14 +79,14 @@ class Chain:
         return "urad" if self.angular[self.index(component)] else "um"
 
     def tip(self, length: np.ndarray | float | None = None, offset: Vector | None = None) -> np.ndarray:
-        """Tool tip with all axes at zero, mm, shape (n, 3); the machine file's tool where nothing is given."""
+        """Tool tip with all axes at zero, mm, shape (n, 3); default: the machine file's tool."""
         tool = self.machine.tool
         size = np.atleast_1d(np.asarray(tool.length if length is None else length, dtype=float))
         base = np.asarray(self.machine.mount()) + np.asarray(tool.offset if offset is None else offset)
         return base + size[:, None] * np.asarray(tool.direction)
 
     def counts(self) -> dict[str, int]:
-        """How many components of each kind, and in all: error motions, location, drift, spindle."""
+        """Number of components of each kind, and in total: error motions, location, drift, spindle."""
         motions = sum(n[0] == "E" for n in self.components)
         spindle = sum(n[0] != "E" and n[2:] == "S" for n in self.components)
         drift = sum(
@@ -120,7 +120,7 @@ class _Builder:
         self.entries.append([])
 
     def error(self, point: Vector, parts: list[tuple[str, Vector]], drive: int = -1, inverse: bool = False) -> None:
-        """One error factor; a component named before is the same component."""
+        """One error factor; a component with a known name is the same component."""
         if not parts:
             return
         entry = []
@@ -199,7 +199,7 @@ def _axis(b: _Builder, machine: Machine, name: str, column: int) -> None:
 
 
 def _spindle(b: _Builder, machine: Machine) -> None:
-    """Growth and tilt of the spindle itself about its nose (its own motion, also where it holds the work)."""
+    """Growth and tilt of the spindle itself about its nose (separate motion, also if it holds the workpiece)."""
     s = machine.spindle
     along = max("XYZ", key=lambda d: abs(np.dot(s.direction, LETTERS[d])))
     parts = [(f"{d}0S", LETTERS[d]) for d in "XYZ"] if s.growth else []

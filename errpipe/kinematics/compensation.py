@@ -1,7 +1,7 @@
 """A machine's errors in the form a controller runs: component profiles and a synthesis, or a lattice of points.
 
-The synthesis costs the same every cycle whatever the curves look like, and tool length and offset stay inputs.
-The lattice is for controllers that read nothing else; its error bound holds everywhere inside.
+The synthesis has a constant cost per cycle for any curves, and tool length and offset remain inputs.
+The lattice is for controllers without other formats; its error bound is valid everywhere inside.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from errpipe.kinematics import polynomials, synthesis
 from errpipe.kinematics.chain import Chain, combinations
 from errpipe.kinematics.errors import MachineErrors
 
-SINE_STEP = 0.5  # deg; straight lines between are then within 1e-5 of the sine: 0.01 um of a 1 mm deviation
+SINE_STEP = 0.5  # deg; linear interpolation is then within 1e-5 of the sine: 0.01 um of a 1 mm deviation
 
 
 def outputs(chain: Chain, used: tuple[str, ...] | None = None) -> tuple[SynthesisOutput, ...]:
-    """One output per linear axis: the deviation that moving this axis back undoes (correction = minus it).
+    """One output per linear axis: the deviation that this axis can correct (correction = minus it).
 
     used: components to keep. Its drivers read axes by their letters and the tool's dimensions. Coordinates are those
     the machine file counts in, tool length and offset from the spindle nose, mm.
@@ -100,7 +100,7 @@ def _interpolated(grid: np.ndarray, values: np.ndarray, x: np.ndarray) -> np.nda
 
 
 def _half_reversal(value: float, slope: float, middle: float, x: np.ndarray) -> np.ndarray:
-    """Half of up minus down at positions x: the driver is +1 one way and -1 the other."""
+    """Half of up minus down at positions x: the driver is +1 in one direction and -1 in the other."""
     return 0.5 * (value + slope * (np.asarray(x) - middle) * 1e-3)
 
 
@@ -122,8 +122,8 @@ class Lattice:
 def profile_bound(chain: Chain, gridding: Mapping[str, float], tip: np.ndarray | None = None) -> float:
     """Upper bound of the gridding error of the tool-point deviation from profiles, um.
 
-    gridding: component -> how far its profile may be off (um, urad). Each counts with its largest arm in the volume;
-    arms are linear in each linear coordinate, so the corners hold the largest. Rotary axes are gone through in steps.
+    gridding: component -> error bound of its profile (um, urad). Each is weighted by its largest arm in the volume;
+    arms are linear in each linear coordinate, so the largest is at a corner. Rotary axes are sampled in steps.
     """
     ends = [t if n in chain.linear else np.linspace(t[0], t[1], 9) for n, t in enumerate(chain.travel)]
     corners = combinations(ends)
@@ -167,7 +167,7 @@ def interpolate(grids: tuple[np.ndarray, ...], values: np.ndarray, q: np.ndarray
 def _lattice_bound(errors: MachineErrors, grids: tuple[np.ndarray, ...], tip: np.ndarray | None) -> float:
     """Sum over components of the largest gap between curve and chord times its largest arm.
 
-    Arms are linear in each coordinate, and an axis' own coordinate is in its own arm only where the error is
+    Arms are linear in each coordinate, and an axis' own coordinate is in its own arm only if the error is
     defined on the guideway; the product is then bent by at most gap x arm + h^2/4 x slope.
     """
     chain = errors.chain

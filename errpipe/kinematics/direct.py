@@ -3,11 +3,11 @@
 Errors of the beam are removed first; each one's sign in words:
 
 * air       displayed - true = displacement x (n / n_used - 1): warmer air, shorter reading.
-* dead path displayed - true = dead path x (n / n_reset - 1): an offset that drifts with the weather, also where
+* dead path displayed - true = dead path x (n / n_reset - 1): an offset that drifts with the weather, also if
             the laser corrects the wavelength over the displacement.
-* cosine    a beam off by t reads displacement x cos t: always short.
+* cosine    a beam misaligned by t reads displacement x cos t: always short.
 * Abbe      the beam is offset from the functional line; the angle of the carriage times that offset is added.
-* material  the scale's own expansion is left in: it is the machine's, not the laser's.
+* material  the scale's own expansion is not corrected: it is the machine's, not the laser's.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from errpipe.errors import DataError
 from errpipe.kinematics.air import SENSORS, UNMEASURED_HUMIDITY, index_change, index_uncertainty
 from errpipe.kinematics.chain import Chain
 
-SAME_PLACE = 1e-3  # mm or deg: readings closer than this are of one target
+SAME_PLACE = 1e-3  # mm or deg: readings closer than this belong to one target
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Laser:
 
     dead_path: mm from the interferometer to where it was reset; misalignment: urad of the beam against the axis;
     offset: mm from the beam to the functional point (X, Y, Z); wavelength_corrected: whether the laser's own
-    weather station corrected the displacement (then the dead path alone remains); display_air: degC, hPa, % of the
+    weather station corrected the displacement (then only the dead path remains); display_air: degC, hPa, % of the
     air whose index an uncorrected display used; without it, that of the record's first reading;
     air_uncertainty: standard uncertainty of the air's temperature, pressure and humidity, K, hPa, %.
     """
@@ -84,7 +84,7 @@ class Curve:
 
     @property
     def mean(self) -> np.ndarray:
-        """Mean of the directions that were measured, shape (n,)."""
+        """Mean of the measured directions, shape (n,)."""
         both = np.vstack([self.up, self.down])
         seen = np.isfinite(both)
         return np.where(seen, both, 0.0).sum(axis=0) / seen.sum(axis=0)
@@ -110,7 +110,7 @@ def axis_of(component: str) -> str:
 
 
 def position_of(recording: Recording, component: str) -> str:
-    """Column with the position of a component's axis, commanded where there is one. Raises DataError without one."""
+    """Column with the position of a component's axis, commanded if available. Raises DataError without one."""
     axis = axis_of(component)
     name = recording.name("command", axis=axis) or recording.name("position", axis=axis)
     if name is None:
@@ -143,7 +143,7 @@ def _curve(recording: Recording, component: str, laser: Laser | None, known, cha
 def without_beam_errors(
     component: str, recording: Recording, position: np.ndarray, value: np.ndarray, laser: Laser, rows: np.ndarray
 ) -> np.ndarray:
-    """Readings of a component (um) less what dead path, air and cosine did to them; Abbe's offset is left in.
+    """Readings of a component (um) corrected for dead path, air and cosine error; not for Abbe's offset.
 
     rows: mask of the recording's rows that position and value are of. Raises DataError if the set-up does not
     fit the component, or the air was not recorded that the correction needs.
@@ -178,7 +178,7 @@ def without_beam_errors(
 
 
 def air_uncertainty(recording: Recording, laser: Laser) -> float:
-    """Standard uncertainty of the index that a laser's displacement was corrected by, um/m."""
+    """Standard uncertainty of the index used for a laser's displacement, um/m."""
     kelvin, hectopascal, percent = laser.air_uncertainty
     if not laser.wavelength_corrected and _air_columns(recording)[2] is None:
         percent = max(percent, UNMEASURED_HUMIDITY)
@@ -186,7 +186,7 @@ def air_uncertainty(recording: Recording, laser: Laser) -> float:
 
 
 def direction_of(chain: Chain, component: str) -> np.ndarray:
-    """Direction that a positioning or straightness component counts along, shape (3,)."""
+    """Direction in which a positioning or straightness component counts, shape (3,)."""
     c = parse(component)
     if c.kind == "positioning":
         return np.asarray(chain.machine.direction(str(c.axis)))
@@ -224,9 +224,9 @@ def _turn(axis: str, p: np.ndarray, known: Mapping[str, Curve]) -> np.ndarray | 
 
 
 def side_of(recording: Recording, axis: str, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Side each target was approached from, of the rows that count: the direction column, else the step before.
+    """Approach direction of each target, for the selected rows: the direction column, else the previous step.
 
-    The first reading of a run takes the side of the second: how the axis came there is not known.
+    The first reading of a run takes the side of the second: the previous motion of the axis is unknown.
     """
     name = recording.name("direction", axis=axis)
     if name is not None:
@@ -246,7 +246,7 @@ def side_of(recording: Recording, axis: str, p: np.ndarray, rows: np.ndarray) ->
 
 
 def targets_of(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Target positions in rising order, and which of them each reading is of."""
+    """Target positions in ascending order, and the target of each reading."""
     order = np.argsort(p, kind="stable")
     new = np.r_[True, np.diff(p[order]) > SAME_PLACE]
     number = np.empty(len(p), dtype=int)

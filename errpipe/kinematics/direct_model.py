@@ -30,7 +30,7 @@ def error_model(
 ) -> ErrorModel:
     """The components of a recording, from the document of an identification. noise: of a reading, by component.
 
-    They count as the records do, along the axes, whatever the machine file takes their errors to be of.
+    They count as in the records, along the axes, whatever convention the machine file uses.
     Raises VerifyError if a curve is too rough for the spline.
     """
     columns: list[str] = []
@@ -89,7 +89,7 @@ def _curve(name: str, axis: str, curve: Mapping[str, Any], sign: float) -> list[
 
 
 def _reversal(axis: str, reversal: Mapping[str, Any], sign: float) -> list[FittedTerm]:
-    """Up minus down as a gap, and as a change of it along the axis; only what its interval does not exclude."""
+    """Up minus down as a gap, and its change along the axis; only if significant."""
     value, slope = (sign * v for v in records.reversal_line(reversal))
     unit, out = str(reversal["unit"]), []
     if value:

@@ -1,7 +1,7 @@
 """The values of a machine's components: curves over the axes, and constants.
 
-A curve is a uniform grid read with straight lines between its points and held beyond its ends, the same on
-this side and in a controller. `MachineErrors.of` takes any functions and grids them.
+A curve is a uniform grid with linear interpolation between its points, held beyond its ends, identical
+here and in a controller. `MachineErrors.of` samples any functions.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def positions_of(curve: Mapping[str, Any]) -> np.ndarray:
 
 
 def interpolated(curve: Mapping[str, Any]) -> Callable[[np.ndarray], np.ndarray]:
-    """A curve of a document as a function of position: straight between its points, held beyond its ends."""
+    """A curve of a document as a function of position: linear between its points, held beyond its ends."""
     grid = positions_of(curve)
     return lambda p: np.interp(p, grid, curve["value"])
 
@@ -45,7 +45,7 @@ class MachineErrors:
     def of(
         cls, chain: Chain, values: Mapping[str, Callable[[np.ndarray], np.ndarray] | float], nodes: int = 201
     ) -> MachineErrors:
-        """Grid functions of position (mm, deg) and take constants (um, urad). Components left out are zero.
+        """Sample functions of position (mm, deg) and take constants (um, urad). Missing components are zero.
 
         Raises KeyError for a component the machine does not have.
         """

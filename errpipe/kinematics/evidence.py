@@ -2,7 +2,7 @@
 
 Readings y = A theta + noise. Parameter i is a priori N(0, s_i^2) with s_i = size[family_i] * rough_i^-power, or of a
 fixed spread (family -1: set-up). Sizes, power and noise maximise the marginal likelihood times weak log-normal
-priors about typical values, so that a family that the readings hardly constrain stays near its typical value.
+priors about typical values, so that a poorly constrained family stays near its typical value.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ ROUGHER, ROUGH_POWER = 2.0, 1.5  # second start of the search: log of sizes over
 
 @dataclass(frozen=True)
 class Spreads:
-    """family (p,): number of the family, -1 where `fixed` (p,) holds; rough (p,): relative wave number, 1 where none.
+    """family (p,): number of the family, -1 for those with `fixed` (p,); rough (p,): relative wave number, 1 if none.
 
     typical, certainty: value and spread of the logarithm of (size by family..., power, noise).
     """
@@ -36,7 +36,7 @@ class Spreads:
         return np.where(self.family < 0, self.fixed, sizes[np.maximum(self.family, 0)] * self.rough**-power)
 
     def take(self, columns: np.ndarray) -> Spreads:
-        """Of some of the parameters."""
+        """A selection of the parameters."""
         return replace(self, **{n: getattr(self, n)[columns] for n in ("family", "rough", "fixed")})
 
 
@@ -73,7 +73,7 @@ def solve(spreads: Spreads, moments: Moments, hyper: np.ndarray) -> tuple[np.nda
 
 
 def learn(spreads: Spreads, moments: Moments, known: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
-    """Sizes by family, power and noise. known: NaN where they are estimated. start: initial values of the search.
+    """Sizes by family, power and noise. known: NaN if estimated. start: initial values of the search.
 
     With u the whitened solution and M its normal matrix, the gradient of the cost by log(spread_i) is
     1 - u_i^2 - (M^-1)_ii, and by log(noise) the count minus the expected residual sum over noise^2.

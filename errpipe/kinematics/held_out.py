@@ -1,8 +1,8 @@
 """Leave-one-group-out cross-validation of an identification.
 
-A group is a line, diagonal, circle, plate or socket with all its repeats: runs that pass through the same places are
-left out together. A held-out group keeps its own set-up (where the socket stood, how the plate lay), solved for on its
-rows alone, both where nothing is compensated and where the machine is, so that neither gains from it.
+A group is a line, diagonal, circle, plate or socket with all its repeats: runs through the same places are
+held out together. A held-out group keeps its own set-up (position of the socket, pose of the plate), fitted to its
+rows alone, both without and with compensation, so that neither has an advantage.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.identify import Parametrisation, bending_of_lengths, identify
 from errpipe.kinematics.observations import Observations
 
-CELLS = 50  # of the travel: places in one cell of this lattice are one place
-SAME = 0.5  # share of its places that a run has in common with another one of the same line, circle or plate
-MOST_GROUPS = 6  # identifications repeated; more groups are held out several at a time
-FEATURE_GROUPS, FEWEST_FEATURES = 5, 30  # of a part: six features at least judge each time, for its six of set-up
+CELLS = 50  # of the travel: positions in one cell of this lattice are the same place
+SAME = 0.5  # share of its places that a run has in common with another run of the same line, circle or plate
+MOST_GROUPS = 6  # repeated identifications; more groups are held out several at a time
+FEATURE_GROUPS, FEWEST_FEATURES = 5, 30  # of a part: at least six test features each time, for six set-up parameters
 MIN_READINGS = 8  # readings of an identification
 
 
@@ -38,9 +38,9 @@ class HeldOutGroup:
 
 
 def groups(chain: Chain, obs: Observations) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Group of each row (n,), and the groups' labels; one group means that nothing can be held out.
+    """Group of each row (n,), and the groups' labels; with one group nothing can be held out.
 
-    Runs that share most of their places are one group. Where that leaves a single one (a cloud seen with three tools),
+    Runs that share most of their places are one group. If that gives a single one (a cloud measured with three tools),
     each run is its own group. Of a single run (a part) every fifth place, a feature with all its readings, is held out
     in turn.
     """
@@ -74,7 +74,7 @@ def judge(
     progress: Callable[[float, str], None] = lambda share, text: None,
     kept: Sequence[str] | None = None,
 ) -> list[HeldOutGroup]:
-    """Identify without each group and judge on it; an empty list where there is only one.
+    """Identify without each group and validate on it; an empty list if there is only one.
 
     group (n,): number of each row's group, -1 for rows that are never held out. kept: components that are compensated
     (default: all).
@@ -98,7 +98,7 @@ def judge(
 
 
 def _without_setup(model: Parametrisation, obs: Observations, mean: np.ndarray, noise: float) -> np.ndarray:
-    """Readings less what a machine of these parameters reads, and less their own best set-up, um (n,)."""
+    """Readings minus those predicted from the parameters and minus their own best set-up, um (n,)."""
     machine = model.design(obs)
     own = np.flatnonzero(obs.nuisance.any(axis=0))
     scaled = obs.nuisance[:, own] * (obs.nuisance_spread[own] / (noise * obs.noise[:, None]))
@@ -113,9 +113,9 @@ def _without_setup(model: Parametrisation, obs: Observations, mean: np.ndarray, 
 
 
 def shares(chain: Chain, obs: Observations) -> np.ndarray:
-    """How much of the square of each reading is due to each linear axis' deviation, shape (n, linear axes).
+    """Share of each linear axis' deviation in the square of each reading, shape (n, linear axes).
 
-    An angle counts with the arms it has in the volume.
+    An angle is weighted by its arms in the volume.
     """
     ways = synthesis.linear_motion(chain, obs.q, obs.tip)
     places = synthesis.ideal_pose(chain, remaining.places(chain))[:, 0] * 1e-3

@@ -2,8 +2,8 @@
 
 Every error motion is a sum of smooth functions (`basis`); the prior standard deviation of their coefficients falls with
 wave number. Size, smoothness and noise are estimated from the readings by marginal likelihood (`evidence`). A shape
-that the basis cannot follow therefore widens the interval instead of biasing the estimate, and a component that a test
-does not observe keeps its prior width and is named (`observability`).
+that the basis cannot represent therefore widens the interval instead of biasing the estimate, and a component that a
+test does not observe keeps its prior width and is named (`observability`).
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from errpipe.kinematics.errors import MachineErrors
 from errpipe.kinematics.observations import Observations, reading
 
 FAMILIES = ("positioning", STRAIGHTNESS, "angular", "scale", "slope of angle", "offset", SQUARENESS, "radial slope")
-# Prior standard deviation, rms over the travel: the bending part of three families, the straight part of two (um,
-# urad), constants in um and in urad, the straight part of a rotary axis' radial and axial motion over part of a
+# Prior standard deviation, rms over the travel: the bending part of three families, the linear part of two (um,
+# urad), constants in um and in urad, the linear part of a rotary axis' radial and axial motion over part of a
 # turn. Sizes of ordinary machines; they are re-estimated from the readings.
 TYPICAL = (4.0, 3.0, 12.0, 12.0, 24.0, 30.0, 55.0, 4.0)
 SMOOTHNESS = 3.0  # prior: coefficients fall with this power of the wave number; re-estimated from the readings
@@ -198,7 +198,7 @@ def identify(
 ) -> Identified:
     """Solve for all components and set-up parameters.
 
-    noise (um) and power are estimated where not given, as the prior sizes of the families are.
+    noise (um) and power are estimated if not given, like the prior sizes of the families.
     Raises DataError if readings are missing or fewer than 8.
     """
     if len(obs) < 8 or not np.isfinite(obs.value).all():
@@ -207,7 +207,7 @@ def identify(
     plain = np.hstack([model.design(obs), obs.nuisance])
     design = plain / obs.noise[:, None]
     spreads = model.prior.spreads(obs.nuisance_spread)
-    seen = np.flatnonzero(design.any(axis=0))  # a column that no reading depends on keeps its prior
+    seen = np.flatnonzero(design.any(axis=0))  # a column without readings keeps its prior
     known = np.array([np.nan] * len(FAMILIES) + [np.nan if v is None else v for v in (power, noise)], dtype=float)
     offset, hyper = np.zeros(len(obs)), np.empty(0)  # no prior sizes estimated yet
     for _ in range(max(1, iterations)):

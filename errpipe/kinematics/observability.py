@@ -1,7 +1,7 @@
-"""Observability of a machine's components by a test, and the smallest extra measurement that would complete it.
+"""Observability of a machine's components by a test, and the smallest additional measurement that completes it.
 
 Parameters are scaled by their prior standard deviation and readings by their noise. An eigenvector of the posterior
-covariance that keeps more than half of its prior variance is unobserved ("unseen"): its components are named.
+covariance with more than half of its prior variance is unobserved ("unseen"): its components are named.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from errpipe.kinematics import synthesis
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.observations import Observations
 
-UNOBSERVED = 0.5  # eigenvalue of the scaled posterior covariance (share of the prior variance) from which this holds
+UNOBSERVED = 0.5  # threshold: eigenvalue of the scaled posterior covariance (share of the prior variance)
 NAMED = 0.3  # weight in an unobserved eigenvector from which a component is named
-NEARLY, HELPS = 1e-3, 0.05  # weight of variance removed short of UNOBSERVED; least gain of a proposed measurement
+NEARLY, HELPS = 1e-3, 0.05  # weight of variance removed short of UNOBSERVED; smallest gain of a proposed measurement
 MIN_BAR_LENGTH = 1.0  # mm: below it a bar has no direction; real ones are 50 mm and longer
 MAX_EXTRA = 12  # measurements proposed: more than a day's work
 BENDS = 2  # modes per curve: line and first bends; finer detail only needs more points
@@ -34,7 +34,7 @@ class Unobserved:
     left: float
 
     def sentence(self) -> str:
-        """One sentence for a person."""
+        """One sentence for the user."""
         if len(self.components) == 1:
             return f"{self.components[0]} ({describe(self.components[0])}) is not observed"
         return "only combinations are observed of " + ", ".join(self.components)
@@ -42,7 +42,7 @@ class Unobserved:
 
 @dataclass(frozen=True)
 class Observability:
-    """rank of the scaled design, parameters in all, how much of each component is seen (0..1), what is not."""
+    """rank of the scaled design, number of parameters, observed share of each component (0..1), unobserved ones."""
 
     rank: int
     parameters: int
@@ -52,7 +52,7 @@ class Observability:
 
 @dataclass(frozen=True)
 class Extra:
-    """A measurement to add: what it is, what it makes visible, readings and minutes it takes."""
+    """A proposed measurement: description, components it makes observable, readings and minutes."""
 
     name: str
     resolves: tuple[str, ...]
@@ -61,12 +61,12 @@ class Extra:
 
 
 def coarse(chain: Chain, without: tuple[str, ...] = ()) -> ident.Parametrisation:
-    """Parametrisation with few functions per curve: enough to ask which components are identifiable."""
+    """Parametrisation with few functions per curve: sufficient to test which components are identifiable."""
     return ident.Parametrisation.of(chain, modes=BENDS, without=without)
 
 
 def examine(chain: Chain, obs: Observations, *, noise: float = 1.0, without: tuple[str, ...] = ()) -> Observability:
-    """Rank and unobserved combinations of a test (readings may be missing; poses and set-up decide). noise: um."""
+    """Rank and unobserved combinations of a test (readings may be missing; only poses and set-up matter). noise: um."""
     model = coarse(chain, without)
     known, spread = information(model, obs, noise)
     posterior = np.linalg.inv(known + np.eye(len(spread)))
@@ -153,10 +153,10 @@ def candidates(chain: Chain, obs: Observations) -> dict[str, Observations]:
 
 
 def _with_tool_moved(chain: Chain, obs: Observations) -> Observations:
-    """The same readings from another tool: bar directions are recomputed, bars below MIN_BAR_LENGTH are left out."""
+    """The same readings with another tool: bar directions are recomputed, bars below MIN_BAR_LENGTH are dropped."""
     ray = synthesis.ideal_pose(chain, obs.q, obs.tip)[:, 0] - obs.socket
     length = np.linalg.norm(ray, axis=1)
-    possible = ~(length < MIN_BAR_LENGTH)  # NaN where a reading is no bar's
+    possible = ~(length < MIN_BAR_LENGTH)  # NaN if a reading is not a bar's
     obs, ray, length = obs.take(np.flatnonzero(possible)), ray[possible], length[possible]
     rows = ~np.isnan(length)
     weights = obs.weights.copy()
@@ -167,9 +167,9 @@ def _with_tool_moved(chain: Chain, obs: Observations) -> Observations:
 def smallest_extra(
     chain: Chain, obs: Observations, *, noise: float = 1.0, without: tuple[str, ...] = ()
 ) -> tuple[Extra, ...]:
-    """Measurements to add, one after the other, each the one that resolves most per minute, until all is seen.
+    """Measurements to add, each the one that resolves most per minute, until all is observable.
 
-    Stops early where nothing offered helps any more.
+    Stops early if no candidate helps any more.
     """
     model = coarse(chain, without)
     known, spread = information(model, obs, noise)
@@ -185,7 +185,7 @@ def smallest_extra(
         best, score = "", 0.0
         for name, gain in gains.items():
             remaining = np.linalg.eigvalsh(np.linalg.inv(open_.T @ (known + gain) @ open_ + np.eye(open_.shape[1])))
-            # combinations that become observed; where none does, the variance removed
+            # combinations that become observable; if there are none, the variance removed
             resolved = float((remaining <= UNOBSERVED).sum()) + NEARLY * float(open_.shape[1] - remaining.sum())
             rate = resolved / max(offered[name].seconds, 60.0)
             if resolved > HELPS and rate > score:

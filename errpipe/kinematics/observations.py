@@ -3,8 +3,8 @@
     reading = weights . deviation(q, tip) + nuisance @ setup + noise            [um; urad for angular readings]
 
 A distance row reads the change of length between a socket and the tool, |tool - socket|, whose weight is the
-unit vector from one to the other; it is solved with the true length, not with its slope. Set-up errors (where
-the socket or artefact is, bar length, pose of a plate) are nuisance columns with wide priors.
+unit vector from one to the other; it is solved with the true length, not with its slope. Set-up errors (position of
+the socket or artefact, bar length, pose of a plate) are nuisance columns with wide priors.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import numpy as np
 from errpipe.kinematics import synthesis
 from errpipe.kinematics.chain import Chain
 
-SHIFT = 1000.0  # um, prior sd as of all below: a socket or artefact is placed within a few millimetres at worst
+SHIFT = 1000.0  # um, prior sd like all below: a socket or artefact is placed within a few millimetres
 TURN = 3000.0  # urad
 SCALE = 200.0  # um/m: an artefact some degrees away from 20 degC
 LENGTH = 200.0  # um
-BALL = 4.0  # um: run-out of the ball in the spindle, once averaged over two spindle orientations (ISO 230-7)
+BALL = 4.0  # um: run-out of the ball in the spindle, averaged over two spindle orientations (ISO 230-7)
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class Observations:
     """Rows of one or several tests.
 
     q (n, axes) mm, deg; tip (n, 3) mm; weights (n, 6) on the deviation; value (n,); nuisance (n, m) in um per
-    unit of each set-up parameter; socket (n, 3) mm in the workpiece frame, NaN where the row is no distance;
-    noise: relative size of each row's noise (n,); label: the run each row is of; seconds: measuring time. own
+    unit of each set-up parameter; socket (n, 3) mm in the workpiece frame, NaN if the row is not a distance;
+    noise: relative size of each row's noise (n,); label: the run of each row; seconds: measuring time. own
     (n, components): weights on the components themselves, for records of single components; NaN where a row reads
     the tool. None: every row does. path (n, k, axes), path_weights (n, k, 6): places that a row is a sum over and
-    their weights on the deviation there, for features that the tool went along; None: every row reads at q alone.
+    their weights on the deviation there, for features that the tool traversed; None: every row reads at q alone.
     """
 
     q: np.ndarray
@@ -55,7 +55,7 @@ class Observations:
         return len(self.value)
 
     def take(self, rows: np.ndarray) -> Observations:
-        """Some of the rows; set-up columns stay."""
+        """Some of the rows; set-up columns are kept."""
         names: tuple[str, ...] = ("q", "tip", "weights", "value", "nuisance", "socket", "noise", "label")
         names += tuple(n for n in ("own", "path", "path_weights") if getattr(self, n) is not None)
         return replace(self, **{n: getattr(self, n)[rows] for n in names})
@@ -156,7 +156,7 @@ def angle(
     label: str = "1",
     seconds: float = 0.0,
 ) -> Observations:
-    """Turn of the tool's side against the workpiece about a direction (level), urad; its zero is set-up."""
+    """Rotation of the tool's side against the workpiece about a direction (level), urad; its zero is set-up."""
     unit = np.asarray(about, dtype=float) / np.linalg.norm(about)
     weights = np.tile(np.r_[np.zeros(3), unit], (len(q), 1))
     return _build(q, tip, weights, value, [(f"{label}: zero", TURN, np.ones(len(q)))], label, seconds=seconds)
@@ -200,9 +200,9 @@ def points(
 
 
 def _ball_columns(chain: Chain, pose: np.ndarray, unit: np.ndarray, label: str) -> list:
-    """Run-out of the ball in the spindle: a shift fixed to the tool, where rotary axes turn it in the work's frame.
+    """Run-out of the ball in the spindle: a shift fixed to the tool, if rotary axes rotate it in the workpiece frame.
 
-    It looks like an offset of a rotary axis' line; so a rotary test is only as good as its ball is centred.
+    It is equivalent to an offset of a rotary axis' line; the accuracy of a rotary test is that of its ball's centring.
     """
     if not chain.machine.rotary_axes():
         return []
@@ -249,7 +249,7 @@ def concatenate(parts: Sequence[Observations], shared: bool = False) -> Observat
 
 
 def _paths(parts: Sequence[Observations]) -> dict[str, np.ndarray]:
-    """Places and weights of all parts, filled up with places of no weight; nothing where no part has any."""
+    """Places and weights of all parts, padded with places of zero weight; nothing if no part has any."""
     most = max((p.path.shape[1] for p in parts if p.path is not None), default=0)
     if not most:
         return {}
@@ -273,7 +273,7 @@ def _component_weights(parts: Sequence[Observations]) -> np.ndarray | None:
 
 
 def reading(chain: Chain, obs: Observations, deviation: np.ndarray, setup: np.ndarray) -> np.ndarray:
-    """What the rows read for a deviation (n, 6) of the tool and set-up parameters (m,), um or urad.
+    """Readings of the rows for a deviation (n, 6) of the tool and set-up parameters (m,), um or urad.
 
     Distances are true lengths; everything else is linear.
     """

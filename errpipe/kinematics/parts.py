@@ -1,12 +1,12 @@
-"""A machined part that a CMM measured, feature by feature, as observations of the machine that cut it.
+"""A machined part measured on a CMM, feature by feature, as observations of the machine that cut it.
 
-A bore was drilled at one place where it has a centre alone, and milled along its circle where it has a diameter E_D
+A bore was drilled at one place if it has only a centre, and milled along its circle if it also has a diameter E_D
 (um) too: centre and diameter are then those of the least-squares circle of the path. A face has its offset (E_X, E_Y or
-E_Z alone) and, where given, the turn of its normal about the two other directions (urad): both of the least-squares
-plane over a square of its size. A turn enters as um over the size of its face, so that all readings are in um.
+E_Z alone) and, if given, the rotation of its normal about the two other directions (urad): both of the least-squares
+plane over a square of its size. A rotation enters as um over the size of its face, so that all readings are in um.
 
-Set-up: how the part lay on the CMM, how warm it was, and the cutter's diameter. Noise of a row: its standard
-uncertainty in um where one is stated, relative sizes of such fits where not.
+Set-up: pose of the part on the CMM, its temperature, and the cutter's diameter. Noise of a row: its standard
+uncertainty in um if stated, else relative sizes for such fits.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ def features(
     cutter: float = 0.0,
     seconds: float = 0.0,
 ) -> o.Observations:
-    """Every reading of every feature; rows come component by component, q of a row is its feature's middle.
+    """Every reading of every feature; rows are ordered by component, q of a row is its feature's centre.
 
     value, uncertainty: component -> (n,) um, of turns urad, NaN where a feature has none; size (n,): diameter of a
     bore, side of a face, mm; cutter: diameter of the tool that milled the bores, mm. Raises DataError for a turn or a
-    diameter without a size, and for a turn of what is no face.
+    diameter without a size, and for a rotation of a feature that is not a face.
     """
     read = [d for d in "XYZ" if f"E_{d}" in value]
     if not read:

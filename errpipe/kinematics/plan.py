@@ -1,8 +1,8 @@
 """Test design: bar sockets, tools and positions that show every component in the least time, as an NC program.
 
 Blocks of measurement (one socket and one tool, a short path of ball positions) are added one after the other,
-each the one with the largest information gain per minute, set-up times counted, until every combination of
-components is observed. What no block observes is left in the plan's `open`.
+each the one with the largest information gain per minute, including set-up times, until every combination of
+components is observed. Unobservable combinations are listed in the plan's `open`.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from errpipe.kinematics import observability, synthesis
 from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import Chain, combinations
 
-SHOWN = 20.0  # nats that a newly observed combination counts for: observing all comes before observing precisely
+SHOWN = 20.0  # nats for a newly observed combination: observing all has priority over precision
 MOST_BLOCKS = 24  # of a plan (by judgement)
 MIN_GAIN = 1e-3  # nats per second below which a block is not worth its time
 
 
 @dataclass(frozen=True)
 class Means:
-    """What the workshop has: a telescoping bar's reach (mm), tools, and how long things take (s; mm/min)."""
+    """Equipment: a telescoping bar's reach (mm), tools, and durations (s; mm/min)."""
 
     reach: tuple[float, float] = (150.0, 1200.0)
     tools: tuple[tuple[float, tuple[float, float, float]], ...] = ((100.0, (0.0, 0.0, 0.0)), (200.0, (0.0, 0.0, 0.0)))
@@ -48,7 +48,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Plan:
-    """Blocks in order, minutes in all, and what stays unobserved."""
+    """Blocks in order, total minutes, and unobserved combinations."""
 
     chain: Chain
     blocks: tuple[Block, ...]
@@ -86,7 +86,7 @@ def propose(chain: Chain, *, means: Means | None = None, without: tuple[str, ...
 
 
 def default_tools(chain: Chain) -> tuple[tuple[float, tuple[float, float, float]], ...]:
-    """Two lengths along the spindle and one ball next to it: three points that do not lie on one line."""
+    """Two lengths along the spindle and one ball next to it: three points that are not collinear."""
     direction = np.asarray(chain.machine.tool.direction)
     side = np.linalg.svd(direction[None])[2][1] * 80.0
     first = max(60.0, chain.machine.tool.length)
@@ -178,7 +178,7 @@ def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Means) -> list[
 
 
 def _pruned(chosen: list[int], gains: list[np.ndarray], blocks: list[Block], means: Means) -> list[int]:
-    """The selection without redundant blocks (all stays observed that was), the slowest dropped first."""
+    """The selection without redundant blocks (all observed combinations are kept), the slowest dropped first."""
 
     def unobserved(rows: list[int]) -> int:
         known = np.eye(len(gains[0])) + sum(gains[i] for i in rows)

@@ -6,8 +6,8 @@
 A shift and a rotation per run are nuisance parameters (set-up). kx, ky are scale (um/m), s is the squareness C0Y (urad,
 X the datum axis: +1 urad leans +Y motion towards -X). The curves are bending modes of a free beam (no slope),
 the map their products (angular motions at a lever arm, and any other smooth part). Size and smoothness of each
-are estimated from the readings (`evidence`). With several runs each may differ from the common map by a smooth
-map of its own, so that an error of one plate is not attributed to the machine.
+are estimated from the readings (`evidence`). With several runs, each may differ from the common map by its own smooth
+map, so that an error of one plate is not attributed to the machine.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from errpipe.kinematics.basis import beam_modes, wave_numbers
 TYPICAL = np.array([10.0, 3.0, 2.0, 1.0, 2.0, 2.0])  # prior: um rms by family; power; noise um
 CERTAINTY = np.array([1.0, 1.0, 1.0, 1.0, 0.4, 3.0])  # prior sd of the logarithm of each
 SHIFT, TURN = 2000.0, 2000.0  # um, urad: CMM datum against the machine's
-OWN_ROUGH = 3.0  # a run's own map holds bends up to this wave number: set-up and temperature are smooth
-REWEIGHTINGS = 4  # weights then change by less than readings are noisy (by judgement)
-MISTAKE = 6.0  # robust standard deviations (1.48 MAD) about an affine map beyond which a hole is left out as an outlier
+OWN_ROUGH = 3.0  # a run's own map includes bends up to this wave number: set-up and temperature are smooth
+REWEIGHTINGS = 4  # weights then change by less than the noise of readings (by judgement)
+MISTAKE = 6.0  # robust standard deviations (1.48 MAD) about an affine map beyond which a hole is excluded as an outlier
 HUBER = 2.5  # Huber threshold, standard deviations, beyond which a hole is down-weighted (a chip, a mispicked hole)
 
 
@@ -40,7 +40,7 @@ class Box:
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Point that the linear terms count from, mm."""
+        """Reference point of the linear terms, mm."""
         return (sum(self.x) / 2, sum(self.y) / 2)
 
 
@@ -109,7 +109,7 @@ class PlanarModel:
     def figures(self) -> dict[str, dict[str, object]]:
         """Squareness C0Y (urad), scale of X and Y and their difference (um/m), each with its 95 % interval.
 
-        As for the whole pattern: the straight line through everything the map holds, not the linear term alone.
+        For the whole pattern: the least-squares line through the complete map, not the linear term alone.
         """
         rows = self._lines()
         out: dict[str, dict[str, object]] = {}
@@ -132,7 +132,7 @@ class PlanarModel:
         return np.linalg.lstsq(linear, np.vstack([both[0], both[1]]), rcond=None)[0][:3]
 
     def components(self, count: int = 65) -> dict[str, Any]:
-        """The part that one-axis components carry: EXX, EYX over x; EXY, EYY over y (mm, um), and C0Y (urad)."""
+        """The part that single-axis components represent: EXX, EYX over x; EXY, EYY over y (mm, um), and C0Y (urad)."""
         f, box = self.functions, self.functions.box
         out: dict[str, Any] = {"C0Y": float(self.mean[2])}
         for axis, travel, own, other in (("X", box.x, f.in_x, f.in_y), ("Y", box.y, f.in_y, f.in_x)):
@@ -167,14 +167,14 @@ class PlanarModel:
 def fit_plate(recording: Recording, *, rows: np.ndarray | None = None, modes: int = 8) -> PlanarModel:
     """Fit the map to components E_X and E_Y over positions X and Y; every run has its own shift and rotation.
 
-    rows: mask or indices of the holes to use (all where left out). Outlying holes weigh less.
-    Raises DataError if columns are missing, there are fewer than 12 holes, or they lie on one line.
+    rows: mask or indices of the holes to use (default: all). Outlying holes have less weight.
+    Raises DataError if columns are missing, there are fewer than 12 holes, or they are collinear.
     """
     x, y, run, ex, ey = _columns(recording, rows)
     used = np.unique(run)
     box = Box((float(x.min()), float(x.max())), (float(y.min()), float(y.max())))
     if min(np.ptp(x), np.ptp(y)) <= 0 or np.linalg.svd(np.column_stack([x - x.mean(), y - y.mean()]))[1][1] < 1e-6:
-        raise DataError("a planar map needs holes that do not lie on one line")
+        raise DataError("a planar map needs holes that are not collinear")
     functions = Functions.of(box, min(modes, max(1, int(np.sqrt(len(x) / 4)))))
     design, spreads = _design(functions, x, y, run, used)
     inliers = np.tile(_inliers(x, y, run, used, np.column_stack([ex, ey])), 2)
@@ -203,7 +203,7 @@ def _reweighted(
 
 
 def without_setup(x: np.ndarray, y: np.ndarray, deviation: np.ndarray, fit: np.ndarray | None = None) -> np.ndarray:
-    """Deviation (n, 2) less its own best shift and rotation, um; `fit` masks the rows that decide them."""
+    """Deviation (n, 2) minus its own best shift and rotation, um; `fit` masks the rows that determine them."""
     fit = np.ones(len(x), dtype=bool) if fit is None else fit
     one, nil = np.ones_like(x), np.zeros_like(x)
     a = np.stack([np.column_stack([one, nil, -y]), np.column_stack([nil, one, x])])
@@ -215,7 +215,7 @@ def repeated(recording: Recording, first: str, second: str) -> dict[str, float]:
     """Two measurements of one plate, hole by hole: the noise floor of any model of that plate.
 
     first, second: run labels. `difference` (um): rms of second minus first after a shift and rotation;
-    `floor`: that over sqrt 2, one measurement's share. `smooth`: the floor once a smooth drift is taken out too.
+    `floor`: that over sqrt 2, one measurement's share. `smooth`: the floor after removing a smooth drift, too.
     Raises DataError if fewer than 12 holes are common.
     """
     place, difference = _repeats(recording, first, second)

@@ -1,10 +1,10 @@
-"""Readers: the recording of a test, by its manifest, as observations of a machine.
+"""Readers: the recording of a test, identified by its manifest, as observations of a machine.
 
 The manifest's constants name the protocol and the set-up (mm; `name@run` for one run, `name` for all):
 
     protocol                     one of `domain.protocols.PROTOCOLS`
     tool_length, tool_offset_X   from the spindle nose to the ball or probe (the machine file's tool where left out)
-    centre_X                     centre of a circle, which its positions count from
+    centre_X                     centre of a circle, the origin of its positions
     socket_X                     fixed end of a bar, or a tracker station, in the workpiece frame
     beam_X                       direction of a laser beam (any length)
     seconds                      measuring time

@@ -13,9 +13,9 @@ from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.direct import Laser
 
-# Waves of a curve: of tests at the tool; of records, at least and at most. `curve_misfit` says what more would show.
+# Waves of a curve: of tests at the tool; of records, smallest and largest number. `curve_misfit` is the lack of fit.
 AT_THE_TOOL, FEWEST, MOST = 12, 20, 48
-MIN_MISSED = 0.05  # um, urad: less is no shape
+MIN_MISSED = 0.05  # um, urad: smaller values are no shape
 
 
 def of_tests(
@@ -24,7 +24,7 @@ def of_tests(
     lasers: Mapping[str, Laser] | None = None,
     squares: Mapping[str, float] | None = None,
 ) -> tuple[o.Observations, dict[str, int]]:
-    """Readings of tests by name, and how many each test at the tool has, in their order.
+    """Readings of tests by name, and the number of each test at the tool, in order.
 
     Raises DataError for a test that cannot be read.
     """
@@ -38,7 +38,7 @@ def of_tests(
 
 
 def modes(tests: Mapping[str, Recording]) -> int:
-    """Waves per error motion that the readings can show: two less than the targets of the densest record."""
+    """Waves per error motion that the readings can resolve: two fewer than the targets of the densest record."""
     dense = 0
     for recording in tests.values():
         for component in (c for c in recording.components() if is_error_motion(c)):
@@ -49,10 +49,10 @@ def modes(tests: Mapping[str, Recording]) -> int:
 
 
 def curve_misfit(chain: Chain, obs: o.Observations, residual: np.ndarray) -> tuple[dict[str, float], dict[str, float]]:
-    """What repeated readings of a component's targets agree on and its curve does not follow: rms, largest; um or urad.
+    """Lack of fit of a component's curve to the mean of repeated readings at its targets: rms, largest; um or urad.
 
-    rms: of the mean residual of each target, less what the scatter of single readings leaves of it. largest: mean
-    residual of a target, its scatter included. Of the components that have such a rest.
+    rms: of the mean residual of each target, minus the contribution of the scatter of single readings. largest: mean
+    residual of a target, including its scatter. For the components with such a lack of fit.
     """
     rms: dict[str, float] = {}
     largest: dict[str, float] = {}

@@ -1,19 +1,19 @@
 """Laser and level records of single components as observations of a machine, combined with other tests.
 
-A row reads one component at one position, in um or urad. The beam's own errors are taken out first (`direct`);
-unknown set-up is solved for together with the components, so that every interval includes it:
+A row reads one component at one position, in um or urad. The beam's own errors are removed first (`direct`);
+unknown set-up is fitted together with the components, so that every interval includes it:
 
 * zero      of each record; of each run, if the laser was zeroed again.
 * slope     of a straightness: tilt of the straightedge. Two records against one square share one tilt, and their
             difference is the squareness of the machine.
-* air       of a positioning by a laser: the index of the air is as uncertain as its sensors, the same for all records.
-* reversal  up minus down, as a line over the travel, where a record was made from both sides.
-* Abbe      a beam beside the point that a component is defined at reads the axis' angles too, at its arm. Where
-            the angles were measured they are subtracted, with their own uncertainty; where not, the interval says so.
+* air       of a positioning by a laser: the index of the air has the uncertainty of its sensors, common to all records.
+* reversal  up minus down, as a line over the travel, if a record was made in both directions.
+* Abbe      a beam offset from the point at which a component is defined also reads the axis' angles at its arm. If
+            they were measured they are subtracted, with their own uncertainty; if not, the interval includes them.
 
-A record counts as the machine's coordinates do: positive where the tool is too far on the positive side of the
-workpiece, whichever of the two moves; a positioning counts along its axis, positive where it goes too far. The machine
-file may define an axis' errors as the carriage's own, and let an axis run against its letter.
+A record has the sign of the machine's coordinates: positive if the tool is too far on the positive side of the
+workpiece, whichever of the two moves; a positioning counts along its axis, positive if it goes too far. The machine
+file may define an axis' errors as the carriage's own, and an axis may run against its letter.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from errpipe.kinematics.chain import LETTERS, Chain
 
 ROTATIONS = {"A": LETTERS["X"], "B": LETTERS["Y"], "C": LETTERS["Z"]}
 BACKLASH, PER_METRE = 30.0, 60.0  # um (urad), um/m (urad/m): prior sd of a reversal and of its change
-MIN_TARGETS_FROM_BOTH_SIDES = 3  # targets approached from both sides, from which a reversal is fitted
+MIN_TARGETS_FROM_BOTH_SIDES = 3  # targets approached from both sides, needed to fit a reversal
 INCLINED = 1e-6  # of a cosine: 1.4 mrad
 MIN_NOISE = 0.02  # um, urad: no laser or level repeats better
 
@@ -59,12 +59,12 @@ class Record:
 
 
 def component_of(label: object) -> str:
-    """The component that the label of a record's rows, or of its set-up, is of: the last word before a colon."""
+    """The component of a record's rows, or of its set-up, from their label: the last word before a colon."""
     return str(label).partition(":")[0].split(" ")[-1]
 
 
 def is_direct(recording: Recording) -> bool:
-    """Whether a recording holds error motions (EXX, EYX ...) rather than readings at the tool."""
+    """Whether a recording contains error motions (EXX, EYX ...) rather than readings at the tool."""
     return any(is_error_motion(c) for c in recording.components())
 
 
@@ -76,7 +76,7 @@ def observations(
     squares: Mapping[str, float] | None = None,
     take: np.ndarray | None = None,
 ) -> o.Observations:
-    """Every reading of every error-motion column; rows come component by component. recordings: label -> recording.
+    """Every reading of every error-motion column; rows are ordered by component. recordings: label -> recording.
 
     lasers: set-up by component. squares: squareness component -> what the square that both straightness records
     were made against would read on a perfect machine, urad. take: mask of the rows to use (of one recording).
@@ -147,7 +147,7 @@ def _record(recording: Recording, component: str, laser, label: str, take) -> Re
 
 
 def _zeros(p: np.ndarray, value: np.ndarray, side: np.ndarray, zero: np.ndarray) -> np.ndarray:
-    """Offset of each reading's zero against the first zero, by least squares over targets and sides."""
+    """Offset of each reading's zero from the first zero, by least squares over targets and sides."""
     if not zero.any():
         return np.zeros(len(p))
     _, cell = np.unique(np.column_stack([direct.targets_of(p)[1], side]), axis=0, return_inverse=True)
@@ -241,10 +241,10 @@ def _both_directions(r: Record) -> bool:
 
 
 def sense(chain: Chain, component: str) -> float:
-    """Record of a component per component of the machine file, 1 or -1.
+    """Sign of a record of a component relative to the component of the machine file, 1 or -1.
 
-    -1 where that counts the errors of a carriage that holds the workpiece, and for the positioning of an axis that runs
-    against its letter; 1 where both hold.
+    -1 if the machine file counts the errors of a carriage that holds the workpiece, and for the positioning of an axis
+    that runs against its letter; 1 if both apply.
     Raises DataError for the positioning of an axis that is inclined to its letter.
     """
     machine, c = chain.machine, parse(component)
@@ -277,13 +277,13 @@ def _add_arms(chain: Chain, own: np.ndarray, r: Record, laser: direct.Laser) -> 
 
 
 def _slope_per_squareness(chain: Chain, square: str, component: str) -> float:
-    """Slope of a straightness, um/m, for 1 urad of a squareness of its axis; 0 where it is of another axis."""
+    """Slope of a straightness, um/m, for 1 urad of a squareness of its axis; 0 for another axis."""
     turned = np.cross(ROTATIONS[square[0]], chain.machine.direction(direct.axis_of(component)))
     return float(turned @ direct.direction_of(chain, component))
 
 
 def _squares_of(chain: Chain, component: str) -> list[str]:
-    """Squareness of the component's own axis that shows as its slope."""
+    """Squareness of the component's own axis that appears as its slope."""
     c = parse(component)
     if not c.is_straightness:
         return []

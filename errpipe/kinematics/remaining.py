@@ -2,7 +2,7 @@
 
 The true error of a simulated machine is known: the residual is true minus predicted error, by full transforms, at
 positions that no test measured. The workpiece's datum absorbs a rigid shift and rotation of the whole part, so both
-are removed before and after. Of a real machine only the standard error of the prediction is known.
+are removed before and after. For a real machine only the standard error of the prediction is known.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from errpipe.kinematics.identify import Identified
 
 PLACES, SEED = 400, 77  # random positions at which a residual is evaluated; no test draws from this seed
 # Positions at which the posterior covariance of a compensation is evaluated, mirrored. At 60 random ones the components
-# that carry over suited those places: CMM, circles and diagonals, seeds 301 to 320, three of 24 exports made an axis
-# worse (by up to 0.04 um); at these none of 31.
+# used for the export decision overfitted those places: CMM, circles and diagonals, seeds 301 to 320, 3 of 24 exports
+# made an axis worse (by up to 0.04 um); at these none of 31.
 JUDGED, JUDGED_SEED = 400, 78
 PIECE = 500  # positions per block of the covariance, which bounds memory
 # Largest allowed probability that the machine, or an axis of it, gets worse. A campaign passes hundreds of axes, and at
@@ -38,7 +38,7 @@ Field = Callable[[np.ndarray], np.ndarray]  # axis positions (n, axes) -> deviat
 
 @dataclass(frozen=True)
 class Remaining:
-    """before, after: deviation fields of the simulated machine, less the workpiece's pose; rms and largest, um."""
+    """before, after: deviation fields of the simulated machine, without the workpiece's pose; rms and largest, um."""
 
     before: Field
     after: Field
@@ -54,8 +54,8 @@ def places(chain: Chain, count: int = PLACES, seed: int = SEED) -> np.ndarray:
 def mirrored_places(chain: Chain, count: int, seed: int) -> np.ndarray:
     """Random axis positions with their mirror images at the middle of every travel, shape (count or a few more, axes).
 
-    Whatever is odd along an axis then has a mean of exactly zero: the workpiece's pose, fitted at random places alone,
-    turns a deviation in X and Y a little into Z.
+    A field that is odd along an axis then has a mean of exactly zero: the workpiece's pose, fitted at random places
+    only, would rotate a deviation in X and Y slightly into Z.
     """
     sides = np.array(list(product((1.0, -1.0), repeat=len(chain.axes))))
     base = places(chain, -(-count // len(sides)), seed) - chain.travel.mean(axis=1)
@@ -63,7 +63,7 @@ def mirrored_places(chain: Chain, count: int, seed: int) -> np.ndarray:
 
 
 def of_truth(chain: Chain, truth: MachineErrors, model: MachineErrors) -> Remaining:
-    """Error of the true machine before and after compensation by `model`, each less its best-fitting rigid pose."""
+    """Error of the true machine before and after compensation by `model`, each minus its best-fitting rigid pose."""
 
     def true(q: np.ndarray) -> np.ndarray:
         return synthesis.exact(chain, q, truth.at(q))[:, :3]
@@ -82,7 +82,7 @@ def of_truth(chain: Chain, truth: MachineErrors, model: MachineErrors) -> Remain
 
 
 def without_pose(chain: Chain, field: Field, q: np.ndarray) -> Field:
-    """A field less the rigid shift and rotation of the workpiece that fit it best at q (least squares)."""
+    """A field minus the rigid shift and rotation of the workpiece that fit it best at q (least squares)."""
     middle = synthesis.ideal_pose(chain, q)[:, 0].mean(axis=0)
     pose, *_ = np.linalg.lstsq(_pose_columns(chain, q, middle).reshape(-1, 6), field(q).ravel(), rcond=None)
     return lambda at: field(at) - _pose_columns(chain, at, middle) @ pose
@@ -108,9 +108,9 @@ def spread(identified: Identified) -> Callable[[np.ndarray], np.ndarray]:
 
 @dataclass(frozen=True)
 class Expected:
-    """What compensation by an identification is expected to do, from its posterior, less the workpiece's pose.
+    """Expected effect of a compensation by an identification, from its posterior, without the workpiece's pose.
 
-    effect_rms_um: of what is compensated; left_rms_um: expected after it; harm: the probability that the machine is
+    effect_rms_um: of the compensated part; left_rms_um: expected residual; harm: the probability that the machine is
     worse with it (rms over the travel). axes: the same of each linear axis. left_alone: components not compensated.
     """
 
@@ -130,13 +130,13 @@ class Expected:
 
 
 def expected(identified: Identified) -> Expected:
-    """Expected benefit of a compensation from the posterior, where no reading can be held out.
+    """Expected benefit of a compensation from the posterior, if no reading can be held out.
 
-    With m the identified field, c what of it is compensated and the true one m + e, e ~ N(0, S), compensating leaves
-    |m + e - c| instead of |m + e|. It is worse where 2 c.e < |c|^2 - 2 c.m, so with probability
+    With m the identified field, c its compensated part and the true one m + e, e ~ N(0, S), compensation gives
+    |m + e - c| instead of |m + e|. It is worse if 2 c.e < |c|^2 - 2 c.m, i.e. with probability
     Phi((|c|^2 / 2 - c.m) / sqrt(c'S c)). A component that no reading observes enters S with its prior variance, so the
-    residual may outweigh the correction; `_not_harmful` then leaves components out. Where positioning alone was read
-    (a screw compensation), it is judged along its own line, so the others count neither before nor after.
+    residual may exceed the correction; `_not_harmful` then excludes components. If only positioning was measured
+    (a screw compensation), it is evaluated along its own line, so the others count neither before nor after.
     """
     chain, prior = identified.model.chain, identified.model.prior
     q = mirrored_places(chain, JUDGED, JUDGED_SEED)
@@ -162,9 +162,9 @@ def expected(identified: Identified) -> Expected:
 def _not_harmful(identified: Identified, fields: Sequence[np.ndarray]) -> np.ndarray:
     """Mask over the chain's components: those whose compensation makes none of the fields worse (MAX_HARM_PROBABILITY).
 
-    Backward elimination: the component without which the field that is doubted most is doubted least goes first, until
-    no field is in doubt. fields: rows (readings, parameters), um. All components where no part passes, or where only
-    fields within the noise of a reading are in doubt: those axes are left alone.
+    Backward elimination: the component whose removal reduces the largest probability of harm most is removed first,
+    until no field exceeds the limit. fields: rows (readings, parameters), um. All components if no subset passes, or if
+    only fields within the noise of a reading exceed it: those axes are not compensated.
     """
     prior, wanted = identified.model.prior, NormalDist().inv_cdf(1.0 - MAX_HARM_PROBABILITY)
     names = np.unique(prior.component)

@@ -1,7 +1,7 @@
 """From error components to the deviation of tool against workpiece: exact, first order, Jacobian, remainder.
 
 All take q (n, axes) in mm and deg and give um and urad in the workpiece's frame. `tip` is the tool tip with
-all axes at zero (`Chain.tip`), shape (3,), (1, 3) or (n, 3); the machine file's tool where left out.
+all axes at zero (`Chain.tip`), shape (3,), (1, 3) or (n, 3); default: the machine file's tool.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def second_order_bound(chain: Chain, q: np.ndarray, comps: np.ndarray) -> np.nda
 
 
 def remainder(chain: Chain, q: np.ndarray, comps: np.ndarray) -> dict[str, float]:
-    """What first order leaves out at these poses: largest and rms distance of the tool point, and its bound, um."""
+    """Second-order remainder at these poses: largest and rms distance of the tool point, and its bound, um."""
     difference = exact(chain, q, comps)[:, :3] - first_order(chain, q, comps)[:, :3]
     size = np.linalg.norm(difference, axis=1)
     return {

@@ -1,6 +1,6 @@
 """A ball-screw axis measured in both directions over nine thermal states: position, thermal and mixed errors together.
 
-The truth is known and not of the form that is fitted: heat is conducted (see `heat`), the lead error is a set of
+The truth is known and does not have the fitted form: heat is conducted (see `heat`), the lead error is a set of
 short waves, the bearing's seat moves with its own temperature. Equal seeds give equal bytes.
 """
 
@@ -18,12 +18,12 @@ TRAVEL = (0.0, 800.0)  # mm
 LEAD = 10.0  # mm a revolution
 # Minutes and mean speed (mm/s) of the axis before each of the nine measuring runs: cold, warming, resting, warm.
 STATES = ((0, 0), (15, 100), (20, 200), (25, 300), (30, 300), (25, 0), (20, 150), (30, 250), (45, 0))
-STROKE = (80.0, 720.0)  # mm: between these ends the axis runs to warm up
+STROKE = (80.0, 720.0)  # mm: the axis runs between these ends to warm up
 TARGETS = 25  # positions in one direction
 CYCLES = 3  # visits to each target and direction
 APPROACH_SPEED = 60.0  # mm/s
 DWELL = 4.0  # s at each target
-LOG_EVERY = 30.0  # s between rows that log temperatures alone
+LOG_EVERY = 30.0  # s between rows that log only temperatures
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Simulated:
-    """A recording, and its error column without noise (same rows; NaN where nothing was measured)."""
+    """A recording, and its error column without noise (same rows; NaN where not measured)."""
 
     recording: Recording
     truth: np.ndarray
@@ -98,9 +98,9 @@ class _Program:
 
 
 def _targets() -> np.ndarray:
-    """Targets scattered by up to half a lead about equal spacing (ISO 230-2, 5.3), else the pitch would hide.
+    """Targets scattered by up to half a lead about equal spacing (ISO 230-2, 5.3), otherwise the pitch would be hidden.
 
-    The squares of a golden step scatter without a rhythm of their own; multiples of it would beat with the lead.
+    The squares of a golden step have no rhythm; its multiples would beat with the lead.
     """
     even = np.linspace(TRAVEL[0], TRAVEL[1], TARGETS)
     inner = (even > TRAVEL[0]) & (even < TRAVEL[1])

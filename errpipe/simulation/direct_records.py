@@ -1,5 +1,5 @@
-"""A simulated machine measured component by component: laser and level along each axis, both ways, with the
-errors that such a set-up has. Rotations are whole, air and beam errors are simulated and not corrected.
+"""A simulated machine measured component by component: laser and level along each axis, in both directions, with the
+errors of such a set-up. Rotations are exact, air and beam errors are simulated and not corrected.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from errpipe.simulation.metrology import Values
 
 AIR = (-0.93e-6, 0.27e-6)  # change of the refractive index per K and per hPa
 STEP = 20.0  # s from target to target
-ZERO, LAY = 30.0, 300.0  # um or urad of a zero; urad by which a straightedge or square lies askew: typical sizes
+ZERO, LAY = 30.0, 300.0  # um or urad of a zero; urad of misalignment of a straightedge or square: typical sizes
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Beam:
 class SetUp:
     """Errors of a measuring set-up. reversal: up minus down of each positioning, um (its spread); squares: urad.
 
-    warming: rise of the air at the beam that an axis' test would reach after a long time, K.
+    warming: final rise of the air at the beam during an axis' test, K.
     """
 
     targets: int = 17
@@ -86,7 +86,7 @@ class _Air:
 
 @dataclass(frozen=True)
 class _Test:
-    """A machine and the set-up that measures it. turns: squareness -> urad by which its square lies askew."""
+    """A machine and the set-up that measures it. turns: squareness -> misalignment of its square, urad."""
 
     chain: Chain
     values: Values
@@ -124,7 +124,7 @@ class _Test:
         return pd.DataFrame(columns)
 
     def shown(self, name: str, axis: str, p: np.ndarray, true: Mapping[str, np.ndarray], air: _Air) -> np.ndarray:
-        """What the instrument displays for one component, um or urad, before zero and noise."""
+        """The display of the instrument for one component, um or urad, before zero and noise."""
         component, beam = parse(name), self.setup.beams.get(name, Beam())
         if component.unit == "urad":
             return true[name]
@@ -145,7 +145,7 @@ class _Test:
         return (seen + beam.dead_path * index - (p - p[0])) * 1e3
 
     def slope(self, name: str, axis: str, reads: np.ndarray, along: np.ndarray) -> float:
-        """Slope of a straightness record, um/m: the axis leans by its squareness, and the square lies askew."""
+        """Slope of a straightness record, um/m: the axis leans by its squareness, and the square is misaligned."""
         total = 0.0
         for square in self.turns:
             about = LETTERS["XYZ"["ABC".index(square[0])]]
@@ -172,7 +172,7 @@ def _sense(chain: Chain, axis: str) -> float:
 
 
 def _turned(turn: np.ndarray, arm: np.ndarray) -> np.ndarray:
-    """Arms (n, 3) after whole rotations by vectors (n, 3) in urad."""
+    """Arms (n, 3) after exact rotations by vectors (n, 3) in urad."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_rotvec(turn * 1e-6).apply(arm)

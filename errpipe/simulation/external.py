@@ -1,13 +1,13 @@
-"""Another simulation's values for a recording, row by row: the `simulated` twins that a diagnosis compares with.
+"""Values of another simulation for a recording, row by row: the `simulated` columns that a diagnosis compares with.
 
     recorded      the columns of role simulated that the recording already has
     csv           a file of simulated values over time, interpolated linearly inside a run, never beyond its ends
     error_model   errpipe's own fitted model, evaluated causally on the recording's columns
     fmu           a Functional Mock-up Unit, run over the recorded inputs (see `fmu`)
 
-Simulated values become deviations (actual minus commanded) in the response's own unit. What has no simulated value
-(outside the file's time, inside a gap, an input missing) stays empty and is reported; where that is more than
-`most_missing` of the recorded rows, the twin is refused.
+Simulated values become deviations (actual minus commanded) in the response's own unit. Rows without a simulated value
+(outside the file's time, inside a gap, an input missing) are empty and reported; if they are more than
+`most_missing` of the recorded rows, the simulation is rejected.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from errpipe.simulation.responses import Values, error_column
 from errpipe.simulation.twin_csv import csv_by_name, csv_values
 from errpipe.simulation.twin_options import AnySource, FromCsv, FromFmu, FromModel, FromRecorded, TwinOptions
 
-FIRST_READINGS = 3  # whose mean is a run's zero where the datum is its start; a mean has less noise than one reading
+FIRST_READINGS = 3  # whose mean is a run's zero if the datum is its start; a mean has less noise than one reading
 
 __all__ = ["AnySource", "FromCsv", "FromFmu", "FromModel", "FromRecorded", "by_name", "error_column", "with_twins"]
 
@@ -35,7 +35,7 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Twin:
-    """How one response got its twin. rows: recorded ones; missing: of these, why they have no simulated value."""
+    """Origin of the simulated values of a response. rows: recorded ones; missing: reasons for rows without a value."""
 
     component: str
     column: str
@@ -56,8 +56,8 @@ def with_twins(
 ) -> tuple[Recording, list[Twin], dict[str, Any]]:
     """The recording with a simulated column for each response, the origin of each, and figures of the source.
 
-    file: the CSV or the FMU; model: the error model. Raises UsageError if the source lacks what it needs,
-    DataError where simulated values and recording do not fit together.
+    file: the CSV or the FMU; model: the error model. Raises UsageError if an input of the source is missing,
+    DataError if simulated values and recording do not match.
     """
     extra: dict[str, Any] = {}
     match how:
@@ -86,10 +86,10 @@ def with_twins(
 
 
 def by_name(recording: Recording, file: Path) -> FromCsv | FromModel | FromFmu:
-    """How to read a simulation's file when only its name is given: columns are matched by name.
+    """How to read a simulation's file if only its name is given: columns are matched by name.
 
-    .csv: the time column is called as in the recording (or t, time), a response's column EXX, EXX_sim or as its error
-    column (with _sim); .json: an error model; .fmu: see `fmu.by_name`. Units are the recording's own where the file
+    .csv: the time column is named as in the recording (or t, time), a response's column EXX, EXX_sim or as its error
+    column (with _sim); .json: an error model; .fmu: see `fmu.by_name`. Units are the recording's own if the file
     states none. Raises DataError if no name matches.
     """
     match Path(file).suffix.lower():
@@ -148,7 +148,7 @@ def _refuse_missing(twin: Twin, most: float) -> None:
 
 
 def from_first_readings(recording: Recording, recorded: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values shifted run by run so that they start where the run's first readings are, shape (rows,)."""
+    """Values shifted run by run to start at the run's first readings, shape (rows,)."""
     run, out = recording.run_codes(), values.copy()
     both = np.isfinite(recorded) & np.isfinite(values)
     for code in np.unique(run):

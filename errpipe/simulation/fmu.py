@@ -1,13 +1,13 @@
-"""A Functional Mock-up Unit (FMI 2 or 3, scalar variables) run over a recording's inputs, where it can do no harm.
+"""A Functional Mock-up Unit (FMI 2 or 3, scalar variables), run over a recording's inputs in isolation.
 
-FMPy runs the FMU in a separate process with a time and a memory limit (`fmu_worker`): it may crash or hang, and what
-comes of it is a message. On Linux it can write in its own folder only; it can still read what the user can read and use
+FMPy runs the FMU in a separate process with a time and a memory limit (`fmu_worker`): if it crashes or hangs, the
+result is a message. On Linux it can write only in its own folder; it can still read what the user can read and use
 the network: run no FMU that you would not run as a program.
 
-Rows that follow in time share a state; a new session (see `drivers.sessions`) restarts the FMU at its time 0.
-Inputs are handed over in the FMU's own units, outputs come back as deviations in the response's unit. A few tunable
+Consecutive rows share a state; a new session (see `drivers.sessions`) restarts the FMU at its time 0.
+Inputs are converted to the FMU's own units, outputs to deviations in the response's unit. A few tunable
 parameters may be recalibrated by bounded least squares before the diagnosis; the datum of the recording
-is a nuisance parameter there: a constant between recording and simulation moves no parameter.
+is a nuisance parameter there: a constant between recording and simulation does not change a parameter.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from errpipe.simulation.fmu_process import FmuProcess
 from errpipe.simulation.fmu_recalibration import recalibrated
 from errpipe.simulation.responses import names_of
 
-RECALIBRATION_RANGE = 2.0  # without declared bounds a tunable parameter may halve or double (chosen, not measured)
+RECALIBRATION_RANGE = 2.0  # without declared bounds a tunable parameter may halve or double (by judgement)
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ def run(
 
 
 def by_name(recording: Recording, file: Path) -> dict[str, Any]:
-    """`inputs` and `outputs` of an FMU whose variables are called as the recording's columns and responses are.
+    """`inputs` and `outputs` of an FMU whose variables are named as the recording's columns and responses.
 
-    Units are the recording's own where the FMU declares none. Parameters that the FMU calls tunable are to be
+    Units are the recording's own if the FMU declares none. Parameters that the FMU declares tunable are to be
     recalibrated: see `tunable`. Raises DataError if no output is a response.
     """
     _refuse_missing(file)

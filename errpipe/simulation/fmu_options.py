@@ -15,7 +15,7 @@ class FmuInput(Options):
     """Which column drives an input of the FMU."""
 
     column: str = Field(description="Column of the recording.")
-    unit: str | None = Field(None, description="Unit that the FMU means, where it states none.")
+    unit: str | None = Field(None, description="Unit in the FMU, if it declares none.")
     rise_from: float | Literal["first"] | None = quantity(
         "degC", "A temperature becomes a rise: over this one, or over the first reading of the session.", None
     )
@@ -25,16 +25,16 @@ class FmuOutput(Options):
     """Which variable of the FMU is the simulated value of a response."""
 
     variable: str = Field(description="Name in the FMU.")
-    unit: str | None = Field(None, description="Unit that the FMU means, where it states none.")
+    unit: str | None = Field(None, description="Unit in the FMU, if it declares none.")
     means: Literal["deviation", "correction"] = Field("deviation", description="Actual minus commanded, or minus that.")
 
 
 class Tunable(Options):
-    """A parameter of the FMU that is set right before anything is called missing."""
+    """A parameter of the FMU that is recalibrated before the diagnosis."""
 
     parameter: str = Field(description="Name in the FMU.")
-    low: float = quantity("of the parameter", "Lowest value that can be.")
-    high: float = quantity("of the parameter", "Highest value that can be.")
+    low: float = quantity("of the parameter", "Lowest possible value.")
+    high: float = quantity("of the parameter", "Highest possible value.")
 
     @model_validator(mode="after")
     def _ordered(self) -> Tunable:

@@ -1,4 +1,4 @@
-"""A recording cut into sessions for an FMU: its inputs in the FMU's units, its outputs turned into deviations."""
+"""A recording split into sessions for an FMU: its inputs in the FMU's units, its outputs converted to deviations."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from errpipe.simulation.fmu_units import SPELLINGS, convert
 from errpipe.simulation.responses import error_column
 
 MAX_STEPS = 5_000_000  # communication steps of one session: about ten minutes of a light FMU
-STEPS_PER_ROW = 4  # communication steps between two rows where the FMU states none: an input is held during a step
+STEPS_PER_ROW = 4  # communication steps between two rows if the FMU states none: an input is held during a step
 
 
 class Plan:
-    """A recording cut into sessions, inputs in the FMU's units, and how to turn outputs into deviations."""
+    """A recording split into sessions, inputs in the FMU's units, and the conversion of outputs to deviations."""
 
     def __init__(self, recording: Recording, how: FmuOptions, worker: FmuProcess):
         self.recording, self.how, self.worker, self.name = recording, how, worker, worker.file.name
@@ -84,7 +84,7 @@ class Plan:
         declared = self.variables[name]["unit"]
         written = said if said is not None else declared
         if written is None:
-            raise DataError(f"{self.name}: {name} states no unit: set it with `unit`")
+            raise DataError(f"{self.name}: {name} has no declared unit: set it with `unit`")
         unit = SPELLINGS.get(written, written)
         if declared is not None and SPELLINGS.get(declared, declared) != unit:
             raise DataError(f"{self.name}: {name} is declared in {declared}, not in {written}")
@@ -130,7 +130,7 @@ class Plan:
             out[rows] = np.interp(t[rows], t[good], values[good])
         if bad.any():
             filled = np.count_nonzero(bad)
-            self.notes.append(f"{filled} missing readings of {self.how.inputs[name].column} were filled in between")
+            self.notes.append(f"{filled} missing readings of {self.how.inputs[name].column} were interpolated")
         return out
 
     def _unmapped(self) -> None:
@@ -138,8 +138,8 @@ class Plan:
             if variable["causality"] != "input" or name in self.how.inputs:
                 continue
             if variable["start"] is None:
-                raise DataError(f"{self.name}: its input {name} is driven by nothing and has no start value")
-            self.notes.append(f"input {name} stays at its start value {variable['start']}")
+                raise DataError(f"{self.name}: its input {name} has neither a column nor a start value")
+            self.notes.append(f"input {name} keeps its start value {variable['start']}")
 
     def _output(self, component: str, wanted: FmuOutput) -> tuple[str, str, float]:
         """FMU unit, response unit and sign of one output."""
@@ -167,7 +167,7 @@ class Plan:
             self.stretches.append((rows, at, stop, signals))
 
     def simulate(self, parameters: Mapping[str, float]) -> dict[str, np.ndarray]:
-        """Deviations of every response on all rows with these parameters; NaN where the FMU gave no number."""
+        """Deviations of every response on all rows with these parameters; NaN where the FMU returned no number."""
         out = {c: np.full(len(self.recording), np.nan) for c in self.outputs}
         names = list(dict.fromkeys(v for v, *_ in self.outputs.values()))
         kind = self.facts["kinds"][0]

@@ -1,6 +1,6 @@
 """The process of an FMU: started for each run with limits of time, memory and disk, then ended with its children.
 
-Orders go in and answers come out as lines of JSON (see `fmu_worker`); each answer is waited for until the time limit.
+Requests and responses are lines of JSON (see `fmu_worker`); the time limit applies to each response.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ UID_NOBODY = 65534  # the user without rights on Linux
 END_PATIENCE = 10.0  # s for the supervisor to end everything before it is ended itself
 MAX_ANSWER_BYTES = 16 << 20  # the description of an FMU of 50,000 variables
 MAX_SAID = 2000  # characters of an error
-TAIL_CHARACTERS = 400  # of what the FMU printed last: about three lines in a message
-# Variables that the process is given; nothing else of the environment.
+TAIL_CHARACTERS = 400  # of the FMU's last output: about three lines in a message
+# Environment variables of the process; no others are passed.
 ENVIRONMENT = (
     *("PATH", "LANG", "LC_ALL", "TZ", "LD_LIBRARY_PATH", "SYSTEMROOT", "TEMP", "TMP"),
     *("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"),
@@ -40,10 +40,10 @@ ENVIRONMENT = (
 
 
 class FmuProcess:
-    """The FMU's process: one order at a time, each answered in time or the end of it.
+    """The FMU's process: one request at a time, each answered in time or terminated.
 
-    Below `folder` (of the caller's own) stand `given`, which only errpipe writes, and `work`, where the FMU may write:
-    nothing that the FMU puts there, a link say, is ever written through, and its results are read as hostile files.
+    Below `folder` (of the caller) are `given`, which only errpipe writes, and `work`, where the FMU may write:
+    errpipe never writes through what the FMU creates there, such as a link, and treats its results as hostile files.
     """
 
     def __init__(self, file: Path, folder: Path, how: FmuOptions):
@@ -114,7 +114,7 @@ class FmuProcess:
         order = {"do": "load", "fmu": str(self.given / "model.fmu")}
         description = self._ask(order | {"memory_mb": self.how.memory_mb, "disk_mb": self.how.disk_mb}, "loading")
         if not isinstance(description, dict) or not isinstance(description.get("variables"), dict):
-            raise DataError(f"{self.file.name}: loading it, its process gave no description of it")
+            raise DataError(f"{self.file.name}: loading it, its process returned no description")
         return description
 
     def simulate(self, order: dict[str, Any], inputs: np.ndarray | None) -> np.ndarray:
@@ -153,7 +153,7 @@ class FmuProcess:
                 return answer["ok"]
             text = " ".join(str(answer["error"]).replace(str(self.folder), "...").split())[:MAX_SAID]
         except (ValueError, TypeError, KeyError, RecursionError):
-            raise DataError(f"{self.file.name}: {doing} it, its process answered with nonsense") from None
+            raise DataError(f"{self.file.name}: {doing} it, its process returned an invalid response") from None
         raise DataError(f"{self.file.name}: {doing} it failed: {text}{self._tail()}")
 
     def _late(self, doing: str) -> DataError:
@@ -172,7 +172,7 @@ class FmuProcess:
                 break
             line += piece
             if len(line) > MAX_ANSWER_BYTES:
-                raise DataError(f"{self.file.name}: {doing} it, its process answered without end")
+                raise DataError(f"{self.file.name}: {doing} it, its process returned an endless response")
         return line
 
     def _ended(self, doing: str) -> DataError:
@@ -186,7 +186,7 @@ class FmuProcess:
         return DataError(f"{self.file.name}: {doing} it, its process ended by itself ({how}){self._tail()}")
 
     def _tail(self) -> str:
-        """What the FMU printed last, from the stream that was opened before it ran."""
+        """The FMU's last output, from the stream that was opened before it ran."""
         size = os.fstat(self.printed.fileno()).st_size
         start = max(size - 4 * TAIL_CHARACTERS, 0)
         text = os.pread(self.printed.fileno(), 4 * TAIL_CHARACTERS, start).decode("utf-8", errors="replace").strip()
@@ -196,9 +196,9 @@ class FmuProcess:
 
 
 def unprivileged_user() -> int:
-    """Number of the user that an FMU runs as where errpipe runs as root; 0: as whoever runs errpipe.
+    """Number of the user that runs the FMU if errpipe runs as root; 0: the user that runs errpipe.
 
-    Where `nobody` cannot read the Python in use the FMU stays root, but is still confined.
+    If `nobody` cannot read the Python in use the FMU runs as root, but is still confined.
     """
     if os.name != "posix" or os.getuid() != 0:
         return 0

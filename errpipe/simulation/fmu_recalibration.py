@@ -1,7 +1,7 @@
 """Recalibration of a few parameters of a simulation on a recording, before the diagnosis.
 
-Bounded least squares on recorded less simulated, robust against outliers. The datum is a nuisance parameter:
-a constant between recording and simulation moves no parameter.
+Bounded least squares on recorded minus simulated, robust against outliers. The datum is a nuisance parameter:
+a constant between recording and simulation does not change a parameter.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from errpipe.errors import DataError
 from errpipe.simulation.fmu_options import FmuOptions
 from errpipe.simulation.fmu_plan import Plan
 
-MAX_EVALUATIONS = 15  # of the residual, beside gradients; chosen for at most two minutes with one parameter
+MAX_EVALUATIONS = 15  # of the residual, without gradients; chosen for at most two minutes with one parameter
 MIN_GAIN = 0.01  # share of the mismatch that a recalibration must remove to be used (chosen, not measured)
 
 
@@ -46,7 +46,7 @@ def recalibrated(
     values = plan.simulate(tuned)
     improved = mismatch.rms(values) < (1 - MIN_GAIN) * mismatch.rms(begin)
     if not improved:
-        plan.notes.append("recalibration took nothing away: the parameters stay as they were")
+        plan.notes.append("recalibration did not reduce the mismatch: the parameters are unchanged")
     sensitive = [
         mismatch.is_sensitive(values, plan.simulate(tuned | {n: _other_value(tuned[n], a, b)}))
         for n, a, b in zip(names, low, high, strict=True)
@@ -66,18 +66,18 @@ def recalibrated(
     plan.notes += [
         f"{t['parameter']} changes only the datum: it is not determined" for t in parameters if not t["shows"]
     ]
-    plan.notes += [f"{t['parameter']} ends at a bound of what can be" for t in parameters if t["at_a_bound"]]
+    plan.notes += [f"{t['parameter']} ends at one of its bounds" for t in parameters if t["at_a_bound"]]
     return (values if improved else begin), parameters
 
 
 def _other_value(value: float, low: float, high: float) -> float:
-    """A tenth of the range away, inside it."""
+    """A value a tenth of the range away, inside it."""
     step = 0.1 * (high - low)
     return float(value + step if value + step <= high else value - step)
 
 
 class _Mismatch:
-    """Recorded less simulated, without the datum, over each response's spread."""
+    """Recorded minus simulated, without the datum, over each response's spread."""
 
     def __init__(self, recording: Recording, begin: Mapping[str, np.ndarray]):
         self.recorded = {c: recording.array(str(recording.name("error", component=c))) for c in begin}
@@ -96,7 +96,7 @@ class _Mismatch:
         parts = []
         for component, rows in self.rows.items():
             residual = (self.recorded[component] - values[component])[rows]
-            rejected = 1e6 * self.scale[component]  # so large that the search takes no such step
+            rejected = 1e6 * self.scale[component]  # so large that the search rejects the step
             residual = np.where(np.isfinite(residual), residual, rejected)
             parts.append((residual - np.median(residual)) / self.scale[component])
         return np.concatenate(parts)

@@ -66,7 +66,7 @@ SPELLINGS = {
 
 
 def convert(values: Any, own: str, unit: str, why: str, rise: bool = False) -> Any:
-    """Values from one unit into another. Raises DataError beginning with `why` where they measure different things."""
+    """Convert values from one unit to another. Raises DataError starting with `why` for different quantities."""
     kinds = [k for k, units in UNITS.items() if own in units and unit in units]
     kinds = [k for k in kinds if (k == "temperature rise") == rise] if own in ("K", "degC", "degF") else kinds
     if not kinds:

@@ -1,12 +1,12 @@
 """Runs one FMU in a separate process: started as a script, never imported. A crash ends this process only.
 
-Two processes: a supervisor that knows no FMU, and the one that runs it. When the supervisor's control pipe closes, when
-the FMU ends or when it has filled the disk that it is given, all its processes are killed, also those in a session
-of their own (the supervisor is the parent of every orphan). Started as root, the FMU runs as nobody where that user
-can read the Python in use. On Linux (Landlock) it can write below its working folder only, and signal only itself.
+Two processes: a supervisor that does not load the FMU, and the one that runs it. When the supervisor's control pipe
+closes, when the FMU ends or when it has filled its disk limit, all its processes are killed, including those in a
+session of their own (the supervisor is the parent of every orphan). Started as root, the FMU runs as nobody if that
+user can read the Python in use. On Linux (Landlock) it can write only below its working folder, and signal only itself.
 
-Orders come as lines of JSON on standard input, answers go out as lines of JSON on what was standard output; the FMU's
-own prints go to standard error. Arrays travel as .npy files in the folder that the process was started in.
+Requests are lines of JSON on standard input, responses are lines of JSON on the original standard output; the FMU's
+own output goes to standard error. Arrays are passed as .npy files in the start folder of the process.
 
     {"do": "load", "fmu": "model.fmu", "memory_mb": 2048}
     {"do": "simulate", "inputs": "in.npy", "output": "out.npy", "outputs": [...], "start_values": {...},
@@ -27,18 +27,18 @@ from pathlib import PurePosixPath
 from typing import Any
 
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER, PR_SET_NO_NEW_PRIVS = 1, 36, 38  # of linux/prctl.h
-MAX_ENTRIES = 20_000  # of the archive; FMUs with their sources and documentation have some hundred
-# Processes that an FMU may have at a time; those with a solver or an interpreter with them have two or three
+MAX_ENTRIES = 20_000  # of the archive; FMUs with sources and documentation have a few hundred
+# Simultaneous processes of an FMU; those with a solver or an interpreter have two or three
 MAX_PROCESSES = 64
 MAX_THREADS = 512  # of all of them together
-POLL = 0.2  # s between two looks at the FMU and its disk
+POLL = 0.2  # s between checks of the FMU and its disk
 
 
 def limit(memory_mb: int, disk_mb: int) -> None:
     """No more address space than this, no larger files, no core dumps."""
     try:
         import resource
-    except ImportError:  # Windows: the time limit has to do
+    except ImportError:  # Windows: only the time limit applies
         return
     size = memory_mb * 1024 * 1024
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -69,7 +69,7 @@ def unit_of(variable: Any) -> str | None:
 
 
 def describe(model: Any) -> dict[str, Any]:
-    """What the parent needs to know of the model description."""
+    """The parts of the model description that the parent needs."""
     experiment = model.defaultExperiment
     kinds = [k for k, have in (("CoSimulation", model.coSimulation), ("ModelExchange", model.modelExchange)) if have]
     return {
@@ -139,9 +139,9 @@ def _dtype(kind: str) -> type:
 
 
 def serve() -> None:
-    """Answer orders until there are no more."""
+    """Answer requests until there are no more."""
     answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # whatever the FMU prints must not be taken for an answer
+    os.dup2(2, 1)  # the FMU's output must not be mistaken for a response
     work = Work()
     for line in sys.stdin:
         order = json.loads(line)
@@ -159,7 +159,7 @@ def serve() -> None:
 
 
 def switch_on(option: int) -> None:
-    """Switch on an option of prctl(2); where there is no such call (not Linux) nothing happens."""
+    """Switch on an option of prctl(2); without effect if there is no such call (not Linux)."""
     import contextlib
     import ctypes
 
@@ -168,7 +168,7 @@ def switch_on(option: int) -> None:
 
 
 def threads_of(user: int) -> int:
-    """How many threads a user has now, from /proc; 0 where there is no /proc."""
+    """Number of threads of a user at present, from /proc; 0 if there is no /proc."""
     total = 0
     for name in os.listdir("/proc") if os.path.isdir("/proc") else []:
         try:
@@ -180,7 +180,7 @@ def threads_of(user: int) -> int:
 
 
 def become(user: int) -> None:
-    """Give up root's rights for good, and the right to gain any; at most MAX_THREADS more threads."""
+    """Drop root's rights for good, and the ability to regain any; at most MAX_THREADS more threads."""
     import resource
 
     switch_on(PR_SET_NO_NEW_PRIVS)
@@ -195,7 +195,7 @@ def become(user: int) -> None:
 
 
 def confine(folder: str) -> None:
-    """Let this process and all below it write under one folder only (Linux' Landlock; elsewhere nothing happens)."""
+    """Let this process and its children write only below one folder (Linux' Landlock; elsewhere without effect)."""
     import ctypes
 
     kernel = ctypes.CDLL(None, use_errno=True)
@@ -222,7 +222,7 @@ def confine(folder: str) -> None:
 
 
 def descendants(of: int) -> list[int]:
-    """All processes below one, from /proc; [] where there is no /proc."""
+    """All processes below one, from /proc; [] if there is no /proc."""
     parents: dict[int, int] = {}
     for name in os.listdir("/proc") if os.path.isdir("/proc") else []:
         if name.isdigit():
@@ -241,7 +241,7 @@ def descendants(of: int) -> list[int]:
 
 
 def end_all() -> None:
-    """Kill every process below this one, again and again until none is left (a dying one may have started another)."""
+    """Kill every process below this one repeatedly until none is left (a dying one may have started another)."""
     end = time.monotonic() + 5.0  # s: killed processes are gone long before
     while time.monotonic() < end:
         for process in descendants(os.getpid()):
@@ -280,7 +280,7 @@ def supervise(control: int, user: int, disk_mb: int) -> None:
         serve()
         os._exit(0)
     for handle in (0, 1):
-        os.close(handle)  # the child's, so that its closing them is seen
+        os.close(handle)  # of the child, so that it is notified when it closes them
     status = None
     while status is None:
         if select.select([control], [], [], POLL)[0]:

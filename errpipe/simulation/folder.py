@@ -10,7 +10,7 @@ from errpipe.domain.recording import Recording
 
 
 def write(folder: Path, recording: Recording) -> bool:
-    """Write `recording.yaml` and its first table, whole files only. True if any byte changed.
+    """Write `recording.yaml` and its first table atomically. True if any byte changed.
 
     Values are already in canonical units, as stated in the manifest.
     """

@@ -1,6 +1,6 @@
-"""Heat in a ball-screw axis by finite differences: a screw cut into pieces, its nut, its bearing, bed and room.
+"""Heat in a ball-screw axis by finite differences: a screw divided into cells, its nut, its bearing, bed and room.
 
-It shares nothing with the terms that are fitted to it: no lag, no profile, only conduction, convection and friction.
+Independent of the terms fitted to it: no lag, no profile, only conduction, convection and friction.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ class Temperatures:
 def conduct(
     screw: Screw, speed: np.ndarray, low: np.ndarray, high: np.ndarray, air: np.ndarray, start: float
 ) -> Temperatures:
-    """Temperatures of an axis under way.
+    """Temperatures of a moving axis.
 
-    speed: mean speed in mm/s at each step of STEP seconds; low, high: stretch the nut works on in that step, mm;
-    air: room in degC; start: temperature of everything at first, degC.
+    speed: mean speed in mm/s at each step of STEP seconds; low, high: stretch of the nut's motion in that step, mm;
+    air: room in degC; start: initial temperature, degC.
     """
     piece = screw.length / PIECES * 1e-3
     area = np.pi * (screw.diameter * 1e-3) ** 2 / 4
@@ -82,7 +82,7 @@ def conduct(
 
 
 def growth(screw: Screw, theta: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """How far the nut is pushed beyond its place by the screw's expansion between 0 and x, um.
+    """Displacement of the nut by the screw's expansion between 0 and x, um.
 
     theta: (n, PIECES) degC; x: (n,) mm. The integral of expansion over length, exact for pieces of one temperature.
     """

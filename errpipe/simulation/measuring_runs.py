@@ -1,4 +1,4 @@
-"""Every indirect protocol laid out on a machine: which poses, tools, sockets and circles a measuring team would take.
+"""Every indirect protocol on a machine: the poses, tools, sockets and circles that a measuring team would use.
 
 Each builder takes a chain and returns the runs that `metrology.record` simulates. Shares are of the travel.
 """
@@ -17,7 +17,7 @@ from errpipe.simulation.metrology import Run
 # Length and offset in mm: rotations show only at different tools.
 TOOLS = ((80.0, (0.0, 0.0, 0.0)), (200.0, (0.0, 0.0, 0.0)), (120.0, (60.0, 40.0, 0.0)))
 POINTS = 150  # of a point cloud, each seen with three tools
-MIN_POSES = 8  # within reach; a rotary test with fewer is left out
+MIN_POSES = 8  # within reach; a rotary test with fewer is omitted
 
 
 def _linear(chain: Chain) -> list[int]:
@@ -37,7 +37,7 @@ def fractions(chain: Chain, *shares: float | np.ndarray) -> np.ndarray:
 
 
 def scattered(chain: Chain, count: int, seed: int = 1) -> np.ndarray:
-    """Poses over the whole volume, no two at one coordinate: a lattice leaves open what lies between."""
+    """Poses over the whole volume, no two with equal coordinates: a lattice does not test between its points."""
     rng = np.random.default_rng(seed)
     low, high = chain.travel.T
     columns = [(rng.permutation(count) + 0.5) / count for _ in chain.axes]
@@ -131,7 +131,7 @@ def part(chain: Chain) -> list[Run]:
 
 
 def table_poses(chain: Chain, ball: np.ndarray, length: float, count: int, seed: int) -> np.ndarray:
-    """Rotary axes through their travel, the linear ones following a ball on the table; poses in reach only.
+    """Rotary axes through their travel, the linear ones following a ball on the table; only poses within reach.
 
     Raises DataError for a machine without rotary axes, or one that cannot follow the ball.
     """

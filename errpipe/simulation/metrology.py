@@ -1,4 +1,4 @@
-"""Measuring protocols played on a machine that never existed: true by full transforms, with set-up errors and noise.
+"""Measuring protocols on a simulated machine: true by full transforms, with set-up errors and noise.
 
 A machine's errors are smooth random functions (sums of cosines of random frequency and phase), in the
 conventions of `kinematics.chain` but outside every basis that identification fits. Each protocol is a list of
@@ -19,21 +19,21 @@ from errpipe.kinematics import synthesis
 from errpipe.kinematics.chain import Chain, combinations
 from errpipe.simulation import part_features
 
-# Rise of the straight part over the travel, in units of the wavy part's rms: a scale error of some 35 um over a
+# Range of the linear part over the travel, in units of the wavy part's rms: a scale error of some 35 um over a
 # travel, angles of some 70 urad (5.8), beside waves of 4 um and 12 urad.
 SLOPE = {"positioning": 8.7, "radial": 2.6, "axial": 2.6}
 DISPLACEMENT_RMS, ANGLE_RMS = 4.0, 12.0  # um, urad: the wavy part of an error motion of an ordinary machine
 CORRELATION = 0.35  # of the travel: length over which an error motion changes
 WARM = 20e-6  # mm/mm: a part cut some 2 K away from 20 degC
-CUTTER = 60.0  # um: how much larger the cutter of a part is than it was taken to be
-RUN_OUT = 4.0  # um: ball in the spindle, after turning the spindle by half a turn and averaging
+CUTTER = 60.0  # um: excess of a part's cutter diameter over its nominal value
+RUN_OUT = 4.0  # um: ball in the spindle, averaged over two spindle orientations half a turn apart
 
 Values = Mapping[str, Callable[[np.ndarray], np.ndarray] | float]
 
 
 @dataclass(frozen=True)
 class Run:
-    """One uninterrupted run: poses q (n, axes), tool, and the points fixed on the workpiece."""
+    """One uninterrupted run: poses q (n, axes), tool, and points fixed to the workpiece."""
 
     label: str
     q: np.ndarray
@@ -173,7 +173,7 @@ def _play(chain, values, run: Run, rng, noise, setup, protocol) -> pd.DataFrame:
 
 
 def _part(chain: Chain, values: Values, run: Run, rng: np.random.Generator, noise: float, setup: float):
-    """Readings of a part's features: it lay turned by `setup` urad on the CMM, and was cut warm, some 20 um/m."""
+    """Readings of a part's features: rotated by `setup` urad on the CMM, and cut warm, some 20 um/m."""
     tip = chain.tip(run.length, run.offset)
     linear = chain.linear
     middle = synthesis.ideal_pose(chain, run.q, tip)[:, 0].mean(axis=0)

@@ -1,7 +1,7 @@
-"""What a CMM reads on a machined part whose tool went where a true machine took it: circles and planes fitted to paths.
+"""CMM readings of a machined part cut along the paths of a true machine: circles and planes fitted to paths.
 
-Features take turns: a drilled bore (centre), a face (offset and normal), a milled bore (centre and diameter), a face.
-Paths are gone through densely by full transforms and fitted by least squares.
+Features alternate: a drilled bore (centre), a face (offset and normal), a milled bore (centre and diameter), a face.
+Paths are sampled densely by full transforms and fitted by least squares.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ def read(count: int, cut: Cut, rng: np.random.Generator, noise: float, cutter: f
     """Columns of `count` features: size (mm), readings (um, urad), and u_ columns of their standard uncertainties.
 
     cut: rows (m,) and steps (m, 3) mm from their middles -> deviation of the surface there (m, 3), um. noise: standard
-    uncertainty of an ordinary centre, um; features differ by a factor of 1 to 4. cutter: how much
-    larger the cutter is than it was taken to be, um.
+    uncertainty of an ordinary centre, um; features differ by a factor of 1 to 4. cutter: excess of the
+    cutter's diameter over its nominal value, um.
     """
     turn = np.arange(count) % 4
     out = {n: np.full(count, np.nan) for n in ("E_X", "E_Y", "E_Z", "E_A", "E_B", "E_D")}

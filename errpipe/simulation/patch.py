@@ -1,7 +1,7 @@
 """Missing effects as equations: a numpy module whose result is added to the simulation's deviations.
 
-Each finding is a sum of profile(position) times driver(state) (`drivers.lowered`), and of what rings or comes late
-(`drivers.simulated`). It is flattened into statements, one operation each, printed as Python here and as C in
+Each finding is a sum of profile(position) times driver(state) (`drivers.lowered`), and of ringing or delayed parts
+(`drivers.simulated`). It is converted to statements, one operation each, printed as Python here and as C in
 `patch_fmu`.
 """
 
@@ -20,13 +20,13 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position, position_name
 from errpipe.drivers.simulated import Late, Ringing
 
-CURVE_ERROR = 1e-4  # of a profile's largest value, that linear interpolation between its points may leave
+CURVE_ERROR = 1e-4  # of a profile's largest value: error bound of linear interpolation between its points
 MAX_POINTS = 65536  # of a profile: 2048 waves of 32 points
 
 
 @dataclass(frozen=True)
 class Piece:
-    """One finding on one response, in the response's unit. ranges: column -> where it acts (elsewhere it is 0)."""
+    """One finding on one response, in the response's unit. ranges: column -> range in which it acts (else 0)."""
 
     name: str
     component: str
@@ -38,7 +38,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Statement:
-    """One operation: numbers of its operands and its constants."""
+    """One operation: indices of its operands, and its constants."""
 
     op: str
     of: tuple[int, ...] = ()
@@ -49,7 +49,7 @@ class Statement:
 
 
 class Program:
-    """Pieces flattened into statements; equal operations are computed once. results: piece -> its statement."""
+    """Pieces converted to statements; equal operations are computed once. results: piece -> its statement."""
 
     def __init__(self, pieces: tuple[Piece, ...], recording: Recording):
         self.recording, self.pieces = recording, pieces
@@ -58,11 +58,11 @@ class Program:
         self.results = [self._piece(p) for p in pieces]
 
     def inputs(self) -> tuple[str, ...]:
-        """Columns that are read, in order of first use."""
+        """Input columns, in order of first use."""
         return tuple(str(s["name"]) for s in self.statements if s.op == "input")
 
     def below(self, number: int) -> list[int]:
-        """Numbers of all statements that a statement needs, itself included, in order."""
+        """Indices of all statements that a statement needs, including itself, in order."""
         needed = {number}
         for n in range(number, -1, -1):
             if n in needed:
@@ -70,7 +70,7 @@ class Program:
         return sorted(needed)
 
     def add(self, op: str, of: tuple[int, ...] = (), **constants: object) -> int:
-        """Number of a statement, new or known."""
+        """Index of a statement, new or existing."""
         statement = Statement(op, of, tuple(constants.items()))
         if statement not in self._numbers:
             self._numbers[statement] = len(self.statements)
@@ -123,7 +123,7 @@ class Program:
         return self.add("lookup", (place,), start=start, step=step, values=table, period=float(period or 0.0))
 
     def walk(self, driver: d.Driver) -> int:
-        """Number of the statement that computes a driver."""
+        """Index of the statement that computes a driver."""
         match driver:
             case d.Input():
                 return self.add("input", name=driver.name)
@@ -171,7 +171,7 @@ def value(piece: Piece, recording: Recording) -> np.ndarray:
 
 
 def _midpoint_error(shape: Callable, low: float, high: float, count: int) -> float:
-    """Largest error of linear interpolation in the middle between points."""
+    """Largest error of linear interpolation midway between points."""
     grid = np.linspace(low, high, count + 1)
     values = np.asarray(shape(grid), dtype=float)
     middle = np.asarray(shape(0.5 * (grid[1:] + grid[:-1])), dtype=float)

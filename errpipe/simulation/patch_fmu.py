@@ -1,7 +1,7 @@
-"""A patch as a Functional Mock-up Unit (FMI 2.0, co-simulation): generated C, compiled where there is a compiler.
+"""A patch as a Functional Mock-up Unit (FMI 2.0, co-simulation): generated C, compiled if there is a compiler.
 
-Inputs are called as the recording's columns, outputs as its responses, in the same units: `errpipe diagnose
---simulation` and any FMI master connect them by name. Without a compiler the FMU holds its sources alone.
+Inputs have the names of the recording's columns, outputs those of its responses, in the same units: `errpipe diagnose
+--simulation` and any FMI master connect them by name. Without a compiler the FMU contains only its sources.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from errpipe.simulation.patch import Piece, Program, Statement
 
 NAME = "patch"
 STEPWISE = ("direction", "coolant", "spindle_speed", "feed", "load", "overhang", "depth_of_cut")  # held between rows
-HISTORY = 1100  # stored values of a delay, one in a thousandth of it or more (as `HISTORY` in the template)
-# Numbers that each operation remembers between steps.
+HISTORY = 1100  # stored values of a delay, one per thousandth of it (as `HISTORY` in the template)
+# Number of states of each operation.
 STATE_WIDTH = {"lag": 1, "first": 1, "switch": 1, "side": 1, "direction": 2, "approach": 2, "ringing": 3}
 STATE_WIDTH["late"] = 3 + 2 * HISTORY
 STEPS_PER_ROW = 20.0  # the FMU's own step; outputs are delayed by one step
@@ -34,7 +34,7 @@ COMPILE_TIMEOUT = 120.0  # s
 
 
 def build(pieces: tuple[Piece, ...], recording: Recording) -> tuple[bytes, str]:
-    """The FMU's bytes, and why it holds no binary ('' where it does). Equal pieces give equal sources."""
+    """The FMU's bytes, and the reason if it has no binary ('' if it has). Equal pieces give equal sources."""
     program = Program(pieces, recording)
     components = list(dict.fromkeys(p.component for p in pieces))
     header = _equations(program, components)
@@ -62,10 +62,10 @@ def c_compiler() -> str | None:
 
 
 def compiled(sources: dict[str, str]) -> tuple[bytes | None, str]:
-    """The shared library, or None and why there is none."""
+    """The shared library, or None and the reason."""
     compiler = c_compiler()
     if compiler is None:
-        return None, "no C compiler was found: the FMU holds its sources alone"
+        return None, "no C compiler was found: the FMU contains only its sources"
     with tempfile.TemporaryDirectory(prefix="errpipe-patch-") as folder:
         for name, text in sources.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
@@ -76,10 +76,10 @@ def compiled(sources: dict[str, str]) -> tuple[bytes | None, str]:
                 command, cwd=folder, capture_output=True, text=True, timeout=COMPILE_TIMEOUT, check=False
             )
         except (OSError, subprocess.TimeoutExpired) as err:
-            return None, f"the C compiler did not run ({type(err).__name__}): the FMU holds its sources alone"
+            return None, f"the C compiler did not run ({type(err).__name__}): the FMU contains only its sources"
         library = Path(folder) / f"{NAME}{_suffix()}"
         if done.returncode or not library.is_file():
-            return None, "the C compiler refused the sources: the FMU holds them alone"
+            return None, "the C compiler rejected the sources: the FMU contains only them"
         return library.read_bytes(), ""
 
 
@@ -123,7 +123,7 @@ def _starts(program: Program) -> list[float]:
 
 
 def _c(n: int, s: Statement, inputs: tuple[str, ...], state: int) -> str:
-    """A statement as a C expression; `state` is where its own states begin."""
+    """A statement as a C expression; `state` is the index of its first state."""
     of = [f"n{k}" for k in s.of]
     number = {name: f"{float(v):.17g}" for name, v in s.constants if isinstance(v, int | float)}
     match s.op:

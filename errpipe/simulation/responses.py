@@ -1,4 +1,4 @@
-"""A recording's responses as a simulation may call them, and the columns that hold them."""
+"""Possible names of a recording's responses in a simulation, and the columns that hold them."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Values:
 
 
 def names_of(recording: Recording, component: str) -> tuple[str, ...]:
-    """What a response's simulated values may be called elsewhere."""
+    """Possible names of a response's simulated values."""
     error = error_column(recording, component)
     return (f"{error}_sim", f"{component}_sim", component, error)
 
 
 def error_column(recording: Recording, component: str) -> str:
-    """Name of a response's column. Raises DataError naming those that are there."""
+    """Name of a response's column. Raises DataError with the existing ones."""
     return response_name(recording, component, "twin")

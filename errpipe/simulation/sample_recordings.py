@@ -49,7 +49,7 @@ def laser(seed: int = 1) -> Recording:
 
 
 def dial_gauge(seed: int = 2) -> Recording:
-    """A hobby machine read with a dial gauge of 0.01 mm: commanded and read positions, the error derived from them."""
+    """A hobby machine measured with a dial gauge of 0.01 mm: commanded and actual positions, error derived from them."""
     rng = np.random.default_rng(seed)
     f = _bidirectional(250.0, 11, 4)
     deviation = 0.22e-3 * f.x + 0.012 * np.sin(f.x / 40) - 0.018 * f["dir"] + 0.002 * rng.normal(size=len(f))
@@ -97,7 +97,7 @@ def axis_log(seed: int = 3) -> Recording:
     return _recording("X axis, log of the control", columns, frame, X=_axis((0.0, 300.0)))
 
 
-# Bed and room at the start of each run, degC. A gain is judged over runs: three of them prove none.
+# Bed and room at the start of each run, degC. A gain is validated over runs: three of them are too few.
 WARM_UPS = ((60.0, 21.0), (90.0, 24.0), (105.0, 22.0), (75.0, 19.0), (100.0, 26.0))
 
 

@@ -2,8 +2,8 @@
 
     theta_Fo = theta_xx - mL2 theta on 0..1, flux at x = 0, end insulated, losing (Be) or held cold
 
-It is linear with constant coefficients, so the answer to a flux that is constant between two times is exact
-in time (matrix exponential through the eigenvectors of a symmetric matrix); only space is divided (finite volumes).
+Linear with constant coefficients, so the response to a piecewise constant flux is exact
+in time (matrix exponential through the eigenvectors of a symmetric matrix); only space is discretised (finite volumes).
 Dimensionless: x in bar lengths, time Fo = a t / L2, mL2 = h P L2 / (k A), Be = h_e L / k, growth = mean of theta
 (times alpha L for um).
 """
@@ -28,7 +28,7 @@ class Bar:
 
     @property
     def places(self) -> np.ndarray:
-        """Centres of the cells, shape (cells,), in bar lengths from the heat."""
+        """Centres of the cells, shape (cells,), in bar lengths from the heated end."""
         return (np.arange(self.cells) + 0.5) / self.cells
 
     @cached_property

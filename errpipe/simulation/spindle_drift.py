@@ -1,7 +1,7 @@
 """A spindle that heats, grows and cools by conduction along a bar, over days in different rooms.
 
 The bar is heated at its front bearing by a power of the speed, loses heat to the room along its side, and its growth
-is the integral of temperature: it has no single time constant. Sensors sit on it and in the room.
+is the integral of temperature: it has no single time constant. Sensors are on the spindle and in the room.
 """
 
 from __future__ import annotations

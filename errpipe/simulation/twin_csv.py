@@ -19,8 +19,8 @@ from errpipe.simulation.responses import Values, error_column, names_of
 from errpipe.simulation.twin_options import CsvColumn, FromCsv
 
 GAP_STEPS = 10.0  # a step this many times the median one is a gap, unless `longest_gap` is given (by judgement)
-MAX_HEADER_BYTES = 1 << 20  # a first line beyond 1 MB is not a header row
-MAX_GAPS_LISTED = 5  # gaps named by place in a message; the others are only counted
+MAX_HEADER_BYTES = 1 << 20  # a first line beyond 1 MB is not a header
+MAX_GAPS_LISTED = 5  # gaps listed in a message; the others are only counted
 
 
 def csv_by_name(recording: Recording, file: Path) -> FromCsv:
@@ -59,7 +59,7 @@ class Series:
     values: np.ndarray
 
     def at(self, t: np.ndarray, longest_gap: float | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Values at times, and if there are none: outside the series, inside a gap; each (n,)."""
+        """Values at times, and reasons for missing ones: outside the series, inside a gap; each (n,)."""
         known = np.isfinite(self.values)
         known_t, known_v = self.t[known], self.values[known]
         if not known_t.size:
@@ -125,7 +125,7 @@ def _places(label: str, t: np.ndarray, gaps: np.ndarray) -> list[str]:
 
 
 def _series(table, simulated: np.ndarray, how: FromCsv, label: str, name: str) -> Series | None:
-    """The file's rows of one run (all rows without a run column), or None where it has none."""
+    """The file's rows of one run (all rows without a run column), or None if it has none."""
     convert = units.conversion("time", how.time_unit)
     assert convert is not None
     rows = np.arange(len(table))
@@ -138,7 +138,7 @@ def _series(table, simulated: np.ndarray, how: FromCsv, label: str, name: str) -
     if back.size or not np.isfinite(t[0]):
         row = int(rows[back[0] + 1]) if back.size else int(rows[0])
         raise DataError(f"{name}:{row + 2}  {how.time}: time must increase (inside a run)")
-    last = np.r_[np.diff(t) > 0, True]  # at an event the file may state a time twice: the value after it is used
+    last = np.r_[np.diff(t) > 0, True]  # at an event the file may contain a time twice: the value after it is used
     return Series(t[last], values[last])
 
 
@@ -150,7 +150,7 @@ def _refuse_overlap(recording: Recording) -> None:
 
 
 def _read_csv(file: Path, how: FromCsv):
-    """The file's columns that are needed, numbers as float64, labels as text."""
+    """The required columns of the file, numbers as float64, labels as text."""
     try:
         with files.open_regular(file) as stream:
             table = pd.read_csv(stream, sep=how.separator, dtype=str, keep_default_na=False, skipinitialspace=True)

@@ -1,4 +1,4 @@
-"""Where a recording's simulated twins come from, as stated in a pipeline (`source:` of the stage that adds them)."""
+"""Origin of a recording's simulated values, as stated in a pipeline (`source:` of the stage that adds them)."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from errpipe.yamlfile import Options, quantity
 
 
 class TwinOptions(Options):
-    """What every source of twins accepts."""
+    """Options common to all sources."""
 
     datum: Literal["absolute", "run_start"] | None = Field(
         None,
-        description="What zero means: as simulated, or each run's first readings; default: absolute, and for an error "
+        description="Datum: as simulated, or each run's first readings; default: absolute, and for an error "
         "model the one of the model.",
     )
     most_missing: float = quantity(
-        "1", "Refuse a twin that leaves more than this share of the recorded rows empty.", 0.1, ge=0, lt=1
+        "1", "Reject a simulation that has no values for more than this share of the recorded rows.", 0.1, ge=0, lt=1
     )
 
 
 class FromRecorded(TwinOptions):
-    """The recording holds its simulated columns already."""
+    """The recording already contains its simulated columns."""
 
     kind: Literal["recorded"]
 
@@ -56,7 +56,7 @@ class FromCsv(TwinOptions):
 
 
 class FromModel(TwinOptions):
-    """errpipe's own error model: the one in `file`, or the one of the fit stage before."""
+    """errpipe's own error model: the one in `file`, or that of the preceding fit stage."""
 
     kind: Literal["error_model"]
 

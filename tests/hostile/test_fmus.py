@@ -201,7 +201,7 @@ def test_a_disk_that_it_fills_ends_it(built: tuple[Path, Path]) -> None:
 
 
 def test_an_answer_without_end_is_cut(built: tuple[Path, Path]) -> None:
-    with pytest.raises(DataError, match=r"answered without end|took longer|nonsense"):
+    with pytest.raises(DataError, match=r"endless response|took longer|invalid response"):
         simulate(built[0], 7, time_limit=5.0)
 
 

@@ -253,8 +253,8 @@ def test_refusals_name_the_pair_the_reason_and_a_remedy(axis):
     assert refusal(
         y, OFFSET, {"term": "scale_error", "axis": "X"}, {"term": "chebyshev", "axis": "X", "degree": 1}
     ) == (
-        "fit: slope (scale_error) and c1 (chebyshev) of EXX cannot be distinguished: they say the same twice"
-        " (correlation 1.000).\n     Leave one of them out, or fix its value."
+        "fit: slope (scale_error) and c1 (chebyshev) of EXX cannot be distinguished: they are equivalent"
+        " (correlation 1.000).\n     Omit one of them, or fix its value."
     )
     assert refusal(cold, OFFSET, {"term": "scale_error", "axis": "X"}, SCALE) == (
         "fit: slope (scale_error) and coefficient (scale_expansion) of EXX cannot be distinguished: T_nut hardly"
@@ -262,8 +262,8 @@ def test_refusals_name_the_pair_the_reason_and_a_remedy(axis):
     )
     assert refusal(together, OFFSET, *drift) == (
         "fit: gain (thermal_drift) and gain (thermal_drift) of EXX cannot be distinguished: T_nut rose with T_bed"
-        " (correlation 1.000).\n     Leave one sensor out, use method: ridge, or record a run in which the two"
-        " temperatures part."
+        " (correlation 1.000).\n     Omit one sensor, use method: ridge, or record a run in which the two"
+        " temperatures differ."
     )
 
 

@@ -218,7 +218,7 @@ def test_no_process_outlives_its_recording(model: Path, monkeypatch: pytest.Monk
         ({"inputs": {"rize": {"column": "T"}}}, r"no input 'rize' \(it has: rise\).*Did you mean rise\?"),
         ({"inputs": {"z": {"column": "T"}}}, "z is its output, not an input"),
         ({"inputs": {"rise": {"column": "T_nut", "unit": "K"}}}, "driven by T_nut, which the recording lacks"),
-        ({"inputs": {"rise": {"column": "T"}}}, "rise states no unit: set it with `unit`"),
+        ({"inputs": {"rise": {"column": "T"}}}, "rise has no declared unit: set it with `unit`"),
         ({"inputs": {"rise": {"column": "feed", "unit": "K"}}}, r"rise \(K\) cannot be given feed \(mm/min\)"),
         ({"inputs": {"rise": {"column": "T", "unit": "quux"}}}, "not a known unit"),
         ({"inputs": {"rise": {"column": "feed", "unit": "K", "rise_from": 1.0}}}, "rise_from is for temperatures"),
@@ -255,7 +255,7 @@ def test_missing_readings_are_filled_between_and_told(model: Path) -> None:
     holed = recording.with_columns({"T": np.where(np.arange(200) % 10 == 5, np.nan, recording.array("T"))}, {})
     values, twin, _ = simulated(holed, model)
     assert_allclose(values, simulated(recording, model)[0], atol=0.05)
-    assert "20 missing readings of T were filled in between" in twin.notes
+    assert "20 missing readings of T were interpolated" in twin.notes
     empty = recording.with_columns({"T": np.full(200, np.nan)}, {})
     with pytest.raises(DataError, match="T, which drives rise, misses 200 of 200 readings"):
         simulated(empty, model)
