@@ -49,7 +49,7 @@ def laser(seed: int = 1) -> Recording:
 
 
 def dial_gauge(seed: int = 2) -> Recording:
-    """A hobby machine measured with a dial gauge of 0.01 mm: commanded and actual positions, error derived from them."""
+    """A hobby machine with a dial gauge of 0.01 mm: commanded and actual positions, error derived from them."""
     rng = np.random.default_rng(seed)
     f = _bidirectional(250.0, 11, 4)
     deviation = 0.22e-3 * f.x + 0.012 * np.sin(f.x / 40) - 0.018 * f["dir"] + 0.002 * rng.normal(size=len(f))

@@ -86,17 +86,17 @@ def checklist(
 
 
 def _watch(read: Any, table: CompensationTable) -> list[str]:
-    """What happens where a temperature fails: nothing, unless table and format watch it."""
+    """Effect of a failed temperature sensor: undetected unless table and format monitor it."""
     if not _sample.sensors_of(table):
         return []
     if isinstance(read, WholeTable) and watched(table):
         if stands_in(table):
-            return ["Sensors: temperatures are watched against each other; others stand in for one that fails."]
-        return ["Sensors: each temperature is watched by itself; the correction fades where one fails."]
+            return ["Sensors: temperatures are monitored against each other; others replace one that fails."]
+        return ["Sensors: each temperature is monitored individually; the correction fades if one fails."]
     why = "the table has no guard" if isinstance(read, WholeTable) else "this format has no memory for a guard"
     return [
         "",
-        f"**Temperatures are not watched ({why}).** A sensor that fails moves the axes by its wrong reading.",
+        f"**Temperatures are not monitored ({why}).** The correction follows the wrong reading of a failed sensor.",
         "",
     ]
 

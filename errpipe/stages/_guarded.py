@@ -1,4 +1,4 @@
-"""A table's guard: which sensors it watches, which others stand in for, and what it costs where all are sound."""
+"""A table's guard: the sensors that it monitors, those that it replaces, and its cost when all are healthy."""
 
 from __future__ import annotations
 
@@ -26,33 +26,33 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
     from errpipe.validation.gate import Passed
 
-MOST_SENSORS, MOST_ALONE = 6, 15  # compared with each other; watched one by one
-# Nodes of a table: of each compared sensor and of the guard beside, at most 400 (tests/unit/stages/test_guarded.py); of
-# one that is watched by itself.
+MOST_SENSORS, MOST_ALONE = 6, 15  # compared with each other; monitored individually
+# Nodes of a table: per compared sensor and for the rest of the guard, at most 400 (tests/unit/stages/test_guarded.py);
+# per sensor monitored individually.
 NODES_COMPARED, NODES_BESIDE, NODES_ALONE = 55, 17, 25
-MOST_COST = 0.03  # of what is left with sound sensors, on groups left out
-# Of no compensation, on groups left out: what a stand-in may leave. Chosen on trials.thermal, seed 41401: with 0.7, 4
-# instead of 2 of 115 sensors that stand still leave more than no compensation.
+MOST_COST = 0.03  # relative increase of the held-out residual with healthy sensors
+# Ratio of the held-out residual with a replaced sensor to no compensation. Chosen on trials.thermal, seed 41401: with
+# 0.7, 4 instead of 2 of 115 frozen sensors exceed no compensation.
 MOST_LEFT = 1.0
-WIDER = (1.0, 1.5, 2.5, 4.0)  # times the thresholds that were learnt: groups left out may be livelier (by judgement)
-MOST_ROWS = 20_000  # of a recording that a guard is learnt from and judged on: 6 s on one core
-COARSEST_S = 30.0  # s between rows that are left: a tenth of the time in which a healthy reading moves
-MOST_BATCHES = 6  # of runs left out: each takes a guard of its own
+WIDER = (1.0, 1.5, 2.5, 4.0)  # factors on the learnt thresholds: held-out groups may be more active (by judgement)
+MOST_ROWS = 20_000  # of a recording for learning and validating a guard: 6 s on one core
+COARSEST_S = 30.0  # largest s between remaining rows: a tenth of the time in which a healthy reading changes
+MOST_BATCHES = 6  # of held-out runs: each needs a separate guard
 MOST_TITLE = 127  # characters, of a table
-WATCHED_ALONE = "temperatures watched one by one"
-NOT_WATCHED = "temperatures not watched"
+WATCHED_ALONE = "temperatures monitored individually"
+NOT_WATCHED = "temperatures not monitored"
 
 
 @dataclass(frozen=True)
 class Watched:
-    """The guard of a table (none: no sensor is watched), what is said of it, and the document of `export.json`."""
+    """The guard of a table (none: no sensor is monitored), its sentence, and the document of `export.json`."""
 
     guard: SensorGuard | None
     said: str
     document: dict[str, Any]
 
     def title(self, title: str) -> str:
-        """The title of the table, and behind it that temperatures are not watched, or not by each other."""
+        """The title of the table, with a note if temperatures are not monitored, or only individually."""
         mark = NOT_WATCHED if self.guard is None else "" if self.guard.compares else WATCHED_ALONE
         return "; ".join(filter(None, (title[: MOST_TITLE - len(mark) - 2], mark))) if mark else title
 
@@ -128,17 +128,17 @@ def sensors_read(plain: CompensationTable, recording: Recording) -> list[str]:
 
 
 def watch(judge: Judge, scheme: str | None) -> Watched:
-    """The guard that the recording lets be learnt, and that costs sound sensors at most `MOST_COST`.
+    """The guard learnt from the recording, if it costs at most `MOST_COST` with healthy sensors.
 
-    scheme: how the model was validated; groups of it, else runs, are left out. Where sensors cannot be judged by each
-    other (one sensor, one run), each is watched by itself and the correction fades where one fails.
+    scheme: the hold-out of the validation; its groups, else runs, are held out. If sensors cannot be compared
+    (one sensor, one run), each is monitored individually and the correction fades if one fails.
     """
     held = short_gaps_held(judge.recording)
     most = min(MOST_SENSORS, (judge.room() - NODES_BESIDE) // NODES_COMPARED)
     if most < 2:
-        return _one_by_one(judge, held, "the table has no room for a comparison", scheme)
+        return _one_by_one(judge, held, "the table has too few free nodes for a comparison", scheme)
     names = _chosen(judge, held, most)
-    if len(names) < 2:  # the others of the recording are witnesses
+    if len(names) < 2:  # add the other sensors of the recording for comparison
         names = (*names, *(n for n in held.names("temperature") if n not in names))[:most]
     try:
         guard, folds = _learnt(held, names, scheme, learn.learn)
@@ -147,13 +147,15 @@ def watch(judge: Judge, scheme: str | None) -> Watched:
     guard = _with_stand_ins(judge, held, guard, folds)
     guard, cost = _affordable(judge, held, guard, folds)
     if cost > MOST_COST:
-        return _one_by_one(judge, held, f"it would cost sound sensors {100 * cost:.0f} % on groups left out", scheme)
+        return _one_by_one(
+            judge, held, f"with healthy sensors it would cost {100 * cost:.0f} % on held-out groups", scheme
+        )
     document = {"watched": list(names), "stand_in": [s.name for s in guard.sensors if s.stands_in], "cost": cost}
     fading = [s.name for s in guard.sensors if not s.stands_in]
-    said = f"{len(names)} temperatures are watched against each other, and stand in for one that fails"
+    said = f"{len(names)} temperatures are monitored against each other, and replace one that fails"
     others = [n for n in sensors_read(judge.plain, held) if n not in names]
-    said += f"; {len(others)} that move the table less are not, and fade it where they are lost" if others else ""
-    said += f"; the correction fades where {' or '.join(fading)} fails, which no other tells" if fading else ""
+    said += f"; {len(others)} of less influence are not; the correction fades if one is lost" if others else ""
+    said += f"; the correction fades if {' or '.join(fading)} fails, which no other replaces" if fading else ""
     return Watched(guard, said, document)
 
 
@@ -208,18 +210,18 @@ def _with_stand_ins(judge: Judge, held: Recording, guard: SensorGuard, folds: Se
     both = guard.most_failed > 1 and all(
         of_use(i, j) for i, j in combinations([i for i, alone in enumerate(use) if alone], 2)
     )
-    alone = learn.limits(held, names)  # of one that no other replaces: a false alarm costs the whole correction
+    alone = learn.limits(held, names)  # for a sensor without replacement: a false alarm costs the whole correction
     sensors = tuple(s if u else _alone(s, a) for s, a, u in zip(guard.sensors, alone.sensors, use, strict=True))
     return guard.model_copy(update={"sensors": sensors, "most_failed": 2 if both else 1})
 
 
 def _alone(sensor: GuardedSensor, limits: GuardedSensor) -> GuardedSensor:
-    """A compared sensor whose estimate is of no use, with the limits of one that is watched by itself."""
+    """A compared sensor whose estimate is too inaccurate, with the limits of one monitored individually."""
     return sensor.model_copy(update={"stands_in": False, "still": limits.still, "jump": max(sensor.jump, limits.jump)})
 
 
 def _shifts(guard: SensorGuard, held: Recording) -> Iterator[tuple[tuple[int, int], np.ndarray]]:
-    """(i, j) -> what stands in for sensor i where j (itself: no other) fails, less its sound reading, K, (rows,)."""
+    """(i, j) -> replacement of sensor i if j (itself: no other) fails, minus its healthy reading, K, (rows,)."""
     healthy = rows_of(held, guard.names())
     rise = healthy.rises()
     weight = np.array([s.estimate for s in guard.sensors])
@@ -233,7 +235,7 @@ def _shifts(guard: SensorGuard, held: Recording) -> Iterator[tuple[tuple[int, in
 
 
 def _cost(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tuple]) -> float:
-    """Share by which a guard raises what is left with sound sensors: of groups that it did not see, and of its own."""
+    """Relative increase of the residual by a guard with healthy sensors: larger one of held-out and fitted groups."""
     predicted, by_fold = dict(judge.predicted(judge.plain, held)), dict(judge.predicted(judge.compiled(guard), held))
     own = judge.cost(judge.rms_difference(by_fold, predicted))
     for rows, fold in folds:
@@ -247,7 +249,7 @@ def _cost(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tup
 
 
 def _affordable(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tuple]) -> tuple[SensorGuard, float]:
-    """The guard at the least of `WIDER` at which sound sensors cost at most `MOST_COST`, else the widest; the cost."""
+    """The guard at the smallest of `WIDER` with a cost of at most `MOST_COST`, else the widest; the cost."""
     tried, cost = guard, np.inf
     for times in WIDER:
         tried = guard.widened(times)
@@ -258,10 +260,10 @@ def _affordable(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequen
 
 
 def _one_by_one(judge: Judge, held: Recording, why: str, scheme: str | None) -> Watched:
-    """Each sensor watched by itself; no guard where that costs sound sensors too much."""
+    """Each sensor monitored individually; no guard if that costs too much with healthy sensors."""
     most = min(MOST_ALONE, judge.room() // NODES_ALONE)
     if most < 1:
-        return not_watched(f"{why}; the table has no room")
+        return not_watched(f"{why}; the table has no free nodes")
     names = _chosen(judge, held, most)
     try:
         guard, folds = _learnt(held, names, scheme, learn.limits)
@@ -269,15 +271,15 @@ def _one_by_one(judge: Judge, held: Recording, why: str, scheme: str | None) -> 
         return not_watched(f"{why}; {lacking}")
     guard, cost = _affordable(judge, held, guard, folds)
     if cost > MOST_COST:
-        return not_watched(f"{why}; watched one by one they would cost {100 * cost:.0f} %")
-    said = f"no temperature stands in for another ({why}): one that jumps by several kelvin, or loses its own noise,"
+        return not_watched(f"{why}; individual monitoring would increase the residual by {100 * cost:.0f} %")
+    said = f"no temperature replaces another ({why}): one that jumps by several kelvin, or loses its own noise,"
     return Watched(
         guard, f"{said} fades the correction", {"watched": list(names), "stand_in": [], "cost": cost, "why": why}
     )
 
 
 def not_watched(why: str) -> Watched:
-    """No guard, and why."""
+    """No guard, with the reason."""
     return Watched(
-        None, f"temperatures are not watched ({why}): one that fails is followed", {"watched": [], "why": why}
+        None, f"temperatures are not monitored ({why}): a failed one is followed", {"watched": [], "why": why}
     )

@@ -80,7 +80,7 @@ def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingR
 
 
 def _fading(channel: TableInput) -> TableInput:
-    """A sensor that a guard does not watch: where it is lost for good, the table fades."""
+    """A sensor without a guard: if it is lost for good, the table fades."""
     return channel.model_copy(update={"hold_s": (channel.stale_after_s or 0.0) + FADE_S})
 
 

@@ -254,7 +254,7 @@ def test_empty_cells_hold_the_reading_before_and_a_start_takes_the_first() -> No
     silent = whole.with_columns({"T_bed": np.full(len(whole), np.nan)}, {})
     assert "without T_bed" in Rises(component="E_Z").fit(silent).summary["E_Z"]
     none = silent.with_columns({n: np.full(len(whole), np.nan) for n in ("T_room", "T_spindle")}, {})
-    with pytest.raises(DataError, match="emptiest: T_room, no reading in 648 of 648 rows"):
+    with pytest.raises(DataError, match="most gaps: T_room, no reading in 648 of 648 rows"):
         Rises(component="E_Z").train(none)
 
 
@@ -262,7 +262,7 @@ def test_one_run_without_temperatures_is_a_clear_message() -> None:
     recording = machine(1, runs=1, seasons=("winter",))
     kinds = {n: c for n, c in recording.manifest.columns.items() if c.role != "temperature"}
     bare = Recording(recording.manifest.model_copy(update={"columns": kinds}), recording.frame[list(kinds)])
-    with pytest.raises(DataError, match="has no temperature"):
+    with pytest.raises(DataError, match="no temperature and no spindle speed"):
         Auto(component="E_Z").fit(bare)
     with pytest.raises(DataError, match="only one group"):
         competition.compete([], [], np.zeros(3), np.ones(3, dtype=bool), np.zeros(3, dtype=int))
@@ -404,7 +404,7 @@ def test_rows_that_lack_a_sensor_take_no_part_and_the_fit_says_so() -> None:
     whole = machine(7, runs=3)
     later = np.where(whole.run_codes() < 6, np.nan, whole.array("T_bed"))
     said = Rises(component="E_Z").fit(whole.with_columns({"T_bed": later}, {})).summary["E_Z"]
-    assert "fitted to 216 of 648 rows" in said and "emptiest: T_bed, no reading in 432 of 648 rows" in said
+    assert "fitted to 216 of 648 rows" in said and "most gaps: T_bed, no reading in 432 of 648 rows" in said
     assert "fitted to" not in Rises(component="E_Z").fit(whole).summary["E_Z"]
 
 

@@ -21,7 +21,7 @@ def test_a_season_without_one_sensor_leaves_the_runs_of_the_other_to_be_judged()
     assert sorted(fold.label for fold in folds) == [f"spring{k}" for k in range(5)]
     (figures,) = held_out(recording, FAMILY)["components"]
     assert figures["rms_after"] < 0.3 * figures["rms_before"]
-    assert "emptiest: T_spindle" in FAMILY.fit(recording).summary["E_Z"]
+    assert "most gaps: T_spindle" in FAMILY.fit(recording).summary["E_Z"]
 
 
 def test_one_run_without_a_sensor_is_named_by_the_fit() -> None:
@@ -29,5 +29,5 @@ def test_one_run_without_a_sensor_is_named_by_the_fit() -> None:
     recording = machine(3, seasons=("winter", "spring"))
     gone = np.where(recording.frame["run"] == "winter2", np.nan, recording.array("T_spindle"))
     said = FAMILY.fit(recording.with_columns({"T_spindle": gone}, {})).summary["E_Z"]
-    assert "; without winter2 (emptiest: T_spindle, no reading in" in said
+    assert "; without winter2 (most gaps: T_spindle, no reading in" in said
     assert "without" not in FAMILY.fit(recording).summary["E_Z"]

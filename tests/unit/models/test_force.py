@@ -147,7 +147,7 @@ def test_columns_of_one_component_need_a_place_each(place):
     recording = gauged()
     column = Column(role="error", component="E_X", unit="um", location=place)
     wrong = recording.with_columns({}, {"tool_post": column})
-    with pytest.raises(DataError, match=r"is no gauge|the same location"):
+    with pytest.raises(DataError, match=r"is not a gauge|the same location"):
         turning().fit(wrong)
     with pytest.raises(DataError, match="omit pushed_tool"):
         turning(pushed_tool=PUSHED).fit(recording)

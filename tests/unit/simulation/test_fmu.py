@@ -164,7 +164,7 @@ def test_a_bound_holds_and_is_told(model: Path) -> None:
     tunable = [{"parameter": "gain", "low": 0.5, "high": 2.5}]
     _, twin, figures = simulated(recorded(3.0, noise=0.1), model, recalibrate=tunable, step=20.0)
     assert figures["parameters"][0]["value"] <= 2.5 and figures["parameters"][0]["at_a_bound"]
-    assert "gain ends at a bound of what can be" in twin.notes
+    assert "gain ends at one of its bounds" in twin.notes
 
 
 def test_a_parameter_that_only_moves_the_datum_stays(model: Path) -> None:

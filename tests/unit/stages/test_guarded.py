@@ -129,7 +129,7 @@ def test_a_jump_is_a_fault_and_the_quickest_sound_change_none(watched):
 
 
 def test_a_guard_that_costs_sound_sensors_too_much_is_left_out_and_said(watched):
-    """One that alarms in every other group: each temperature is then watched by itself."""
+    """One that alarms in every other group: each temperature is then monitored individually."""
     rows, _, judge, _ = watched
     real = learn.learn
 
@@ -140,7 +140,7 @@ def test_a_guard_that_costs_sound_sensors_too_much_is_left_out_and_said(watched)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(learn, "learn", jumpy)
         found = _guarded.watch(judge, None)
-    assert not found.guard.compares and "would cost sound sensors" in found.said
+    assert not found.guard.compares and "with healthy sensors it would cost" in found.said
 
 
 def test_a_sensor_that_no_other_tells_fades_the_correction(watched):
@@ -158,7 +158,7 @@ def test_checklists_say_whether_sensors_are_watched(watched, guarded):
     _, _, judge, found = watched
     table = judge.compiled(found.guard) if guarded else judge.plain
     whole, lines = WholeTable(table=table), ReadBack()
-    assert any("watched against each other" in x for x in _watch(whole, table)) == guarded
+    assert any("monitored against each other" in x for x in _watch(whole, table)) == guarded
     assert any("the table has no guard" in x for x in _watch(whole, table)) != guarded
     assert any("no memory for a guard" in x for x in _watch(lines, table))
 

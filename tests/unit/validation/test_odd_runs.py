@@ -71,7 +71,7 @@ def test_a_sensor_that_drifts_is_not_odd() -> None:
 @pytest.mark.parametrize(
     "factor, means",
     [
-        (-1.0, "sign is the other"),
+        (-1.0, "sign is reversed"),
         (0.0, "switched on"),
         (1e-3, "unit, 1/1000"),
         (1e3, "unit, 1000"),

@@ -236,30 +236,30 @@ WRONG: tuple[Wrong, ...] = (
         "readings that count the other way",
         _reading(lambda f, r: -1000 * r),
         "absolute-readings",
-        "with the sign turned",
+        "with reversed sign",
     ),
     Wrong(
         "an empty reading less the command",
         _reading(lambda f, r: -1000 * f.x),
         "absolute-readings",
-        "with the sign turned",
+        "with reversed sign",
     ),
-    Wrong("-reading - command", _reading(lambda f, r: 1000 * (-r - f.x)), "absolute-readings", "counts the other way"),
+    Wrong("-reading - command", _reading(lambda f, r: 1000 * (-r - f.x)), "absolute-readings", "of opposite sign"),
     Wrong(
-        "reading in inch - command in mm", _reading(lambda f, r: 1e3 * (r / INCH - f.x)), "absolute-readings", "inch be"
+        "reading in inch - command in mm", _reading(lambda f, r: 1e3 * (r / INCH - f.x)), "absolute-readings", "inch with"
     ),
     Wrong("reading in mm - command in inch", _reading(lambda f, r: 1e3 * (r - f.x / INCH)), "absolute-readings", ""),
     Wrong(
-        "reading in um - command in mm", _reading(lambda f, r: 1e3 * (1e3 * r - f.x)), "absolute-readings", "in um besi"
+        "reading in um - command in mm", _reading(lambda f, r: 1e3 * (1e3 * r - f.x)), "absolute-readings", "in um with"
     ),
     Wrong(
         "reading in m - command in mm",
         _reading(lambda f, r: 1e3 * (1e-3 * r - f.x)),
         "absolute-readings",
-        "in m beside",
+        "in m with",
     ),
     Wrong(
-        "radius - diameter", _reading(lambda f, r: 1e3 * (r / 2 - f.x)), "absolute-readings", "radius beside a diameter"
+        "radius - diameter", _reading(lambda f, r: 1e3 * (r / 2 - f.x)), "absolute-readings", "radius for a diameter"
     ),
     Wrong(
         "angle readings (deg) as the error", _rotary(lambda f: 17453.29 * f.x), "absolute-readings", "reading - command"
@@ -291,7 +291,7 @@ WRONG: tuple[Wrong, ...] = (
     Wrong("a tenth of an inch lost", _error(lambda f: _after(f, 64, 2540.0)), "jump", "0.1 inch"),
     # sign
     Wrong("readings zeroed half a metre away", _error(lambda f: f.EXX - 5e5), "other-zero", "another zero"),
-    Wrong("commanded minus actual", lambda: with_actual(axis_test(), -1.0), "reversed-sign", "turn the sign"),
+    Wrong("commanded minus actual", lambda: with_actual(axis_test(), -1.0), "reversed-sign", "change the sign"),
     Wrong(
         "the error of actual and command, halved", lambda: with_actual(axis_test(), 1.0, 0.5), "reversed-sign", "unit"
     ),
@@ -308,7 +308,7 @@ WRONG: tuple[Wrong, ...] = (
         "from below",
     ),
     # columns and axes
-    Wrong("position and error swapped", _swapped, "as-large-as-travel", "the other way round"),
+    Wrong("position and error swapped", _swapped, "as-large-as-travel", "exchanged columns"),
     Wrong("temperature and error swapped", _swapped_temperature, "not-a-temperature", "swapped"),
     Wrong("the position as error, in another unit", _error(lambda f: 0.05 * f.x), "copy-of-column", "another column"),
     Wrong("the temperature as error", _error(lambda f: 7 * f.T_nut), "copy-of-column", "another column"),
@@ -353,7 +353,7 @@ WRONG: tuple[Wrong, ...] = (
         "degF",
     ),
     # among runs and directions
-    Wrong("one run of the other sign", _error(lambda f: _some(f.EXX, f.run == "run-3", -1.0)), "mixed-sign", "turn"),
+    Wrong("one run of the other sign", _error(lambda f: _some(f.EXX, f.run == "run-3", -1.0)), "mixed-sign", "change their sign"),
     Wrong("the way back in the order of the way there", _error(mirrored), "mirrored-rows", "order of the targets"),
     Wrong(
         "a direction that changes with every row",
@@ -366,7 +366,7 @@ WRONG: tuple[Wrong, ...] = (
         "three runs of five of the other sign",
         _error(lambda f: _some(f.EXX, f.run < "run-4", -1.0)),
         "mixed-sign",
-        "turn",
+        "change their sign",
     ),
     Wrong("a file imported twice, as another run", _twice, "copy-of-column", "imported twice"),
     Wrong(
@@ -379,7 +379,7 @@ WRONG: tuple[Wrong, ...] = (
         "a reading filled in over half the travel",
         _error(lambda f: f.EXX.mask(f.x > 400, 7.25)),
         "constant-deviation",
-        "filled",
+        "a fill value",
     ),
     Wrong(
         "the row number as the position",
