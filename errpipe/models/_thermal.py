@@ -57,8 +57,8 @@ class ThermalFamily(Family):
         if recording.names("temperature") or recording.name("spindle_speed") is not None:
             return ""
         return (
-            f"thermal model of {self.component}: no temperature and no spindle speed is recorded (`clean` excludes "
-            "constant sensors: its cleaning.json names them)"
+            f"thermal model of {self.component}: the recording has no temperature and no spindle speed "
+            "(`clean` excludes constant sensors: its cleaning.json names them)"
         )
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:

@@ -127,7 +127,7 @@ def test_a_machine_that_did_not_change_keeps_its_champion(site: Path) -> None:
     "as_read, means",
     [
         (lambda e: 0.05 * e, "compensation switched on"),
-        (lambda e: -e, "their sign is the other one"),
+        (lambda e: -e, "their sign is reversed"),
         (lambda e: e / 1000.0, "another unit, 1/1000"),
     ],
     ids=["compensated", "sign", "unit"],
@@ -152,7 +152,7 @@ def test_one_night_of_another_sign_stops_promotions_until_it_is_left_out_by_name
     frame.to_csv(file, index=False)
     code, document = retrain(site)
     assert code == 4 and "readings of EXX" in failed(document)
-    assert "in run day 14 their sign is the other one" in capsys.readouterr().out
+    assert "in run day 14 their sign is reversed" in capsys.readouterr().out
     assert "day 14" not in [s["run"] for s in document["runs"]]
     code, document = retrain(site, "--set", 'ingest.without_runs=["day 14"]')
     assert failed(document) == ["evidence"] and document["drift"]["runs"] == []

@@ -262,7 +262,7 @@ def test_one_run_without_temperatures_is_a_clear_message() -> None:
     recording = machine(1, runs=1, seasons=("winter",))
     kinds = {n: c for n, c in recording.manifest.columns.items() if c.role != "temperature"}
     bare = Recording(recording.manifest.model_copy(update={"columns": kinds}), recording.frame[list(kinds)])
-    with pytest.raises(DataError, match="no temperature and no spindle speed"):
+    with pytest.raises(DataError, match="has no temperature"):
         Auto(component="E_Z").fit(bare)
     with pytest.raises(DataError, match="only one group"):
         competition.compete([], [], np.zeros(3), np.ones(3, dtype=bool), np.zeros(3, dtype=int))
