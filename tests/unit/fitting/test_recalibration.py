@@ -86,7 +86,7 @@ def test_the_export_takes_the_judged_share_and_refuses_where_readings_do_not_hel
     assert_allclose((taken.share, taken.hold_s, taken.bound), (1.0, 7200.0, good["bound"]))
     with pytest.raises(GateError, match="E_X: held-out rows were not better with 8 readings per shift"):
         exported(bad)
-    with pytest.raises(GateError, match="E_X: no validation judged 8 readings per shift"):
+    with pytest.raises(GateError, match="E_X: no validation includes 8 readings per shift"):
         exported(None)
 
 

@@ -157,7 +157,7 @@ def test_too_few_holes_are_refused():
 def test_holes_on_one_line_are_refused():
     recording, _ = plate(6)
     line = recording.frame.assign(y=recording.frame["x"])
-    with pytest.raises(DataError, match="one line"):
+    with pytest.raises(DataError, match="collinear"):
         planar.fit_plate(Recording(recording.manifest, line))
 
 

@@ -247,7 +247,7 @@ def test_declared_units_need_not_be_repeated_and_must_not_be_contradicted(model:
 def test_an_input_that_nobody_drives_stays_where_it_starts_and_is_told(model: Path) -> None:
     values, twin, _ = simulated(recorded(), model, inputs={})
     assert_allclose(values, 0.0, atol=1e-12)
-    assert "input rise stays at its start value 0" in twin.notes[0]
+    assert "input rise keeps its start value 0" in twin.notes[0]
 
 
 def test_missing_readings_are_filled_between_and_told(model: Path) -> None:

@@ -233,10 +233,7 @@ WRONG: tuple[Wrong, ...] = (
         "unit is wrong",
     ),
     Wrong(
-        "readings that count the other way",
-        _reading(lambda f, r: -1000 * r),
-        "absolute-readings",
-        "with reversed sign",
+        "readings that count the other way", _reading(lambda f, r: -1000 * r), "absolute-readings", "with reversed sign"
     ),
     Wrong(
         "an empty reading less the command",
@@ -246,17 +243,17 @@ WRONG: tuple[Wrong, ...] = (
     ),
     Wrong("-reading - command", _reading(lambda f, r: 1000 * (-r - f.x)), "absolute-readings", "of opposite sign"),
     Wrong(
-        "reading in inch - command in mm", _reading(lambda f, r: 1e3 * (r / INCH - f.x)), "absolute-readings", "inch with"
+        "reading in inch - command in mm",
+        _reading(lambda f, r: 1e3 * (r / INCH - f.x)),
+        "absolute-readings",
+        "inch with",
     ),
     Wrong("reading in mm - command in inch", _reading(lambda f, r: 1e3 * (r - f.x / INCH)), "absolute-readings", ""),
     Wrong(
         "reading in um - command in mm", _reading(lambda f, r: 1e3 * (1e3 * r - f.x)), "absolute-readings", "in um with"
     ),
     Wrong(
-        "reading in m - command in mm",
-        _reading(lambda f, r: 1e3 * (1e-3 * r - f.x)),
-        "absolute-readings",
-        "in m with",
+        "reading in m - command in mm", _reading(lambda f, r: 1e3 * (1e-3 * r - f.x)), "absolute-readings", "in m with"
     ),
     Wrong(
         "radius - diameter", _reading(lambda f, r: 1e3 * (r / 2 - f.x)), "absolute-readings", "radius for a diameter"
@@ -353,7 +350,12 @@ WRONG: tuple[Wrong, ...] = (
         "degF",
     ),
     # among runs and directions
-    Wrong("one run of the other sign", _error(lambda f: _some(f.EXX, f.run == "run-3", -1.0)), "mixed-sign", "change their sign"),
+    Wrong(
+        "one run of the other sign",
+        _error(lambda f: _some(f.EXX, f.run == "run-3", -1.0)),
+        "mixed-sign",
+        "change their sign",
+    ),
     Wrong("the way back in the order of the way there", _error(mirrored), "mirrored-rows", "order of the targets"),
     Wrong(
         "a direction that changes with every row",
