@@ -2,7 +2,7 @@
 
 A format module has
     name                        as written in YAML (`format: ecmc_dat`)
-    Options                     what a person may say about the file (discriminated by `format`)
+    Options                     options of the file (discriminated by `format`)
     sniff(path) -> bool         whether a path looks like it, from its first bytes; never raises
     read(path, options=None)    -> Recording in canonical units; raises ConfigError or DataError
 """
@@ -25,7 +25,7 @@ FORMATS: tuple[ModuleType, ...] = (manifest_folder, ecmc_dat, renishaw_rtl)
 
 
 def detect(path: Path) -> ModuleType:
-    """The format of a path. Raises DataError naming what is known where none or several fit."""
+    """The format of a path. Raises DataError with the known formats if none or several match."""
     path = Path(path)
     if not path.exists():
         raise DataError(f"{path}: no such file or folder")
@@ -41,7 +41,7 @@ def detect(path: Path) -> ModuleType:
 def read(path: Path, format: str | None = None, options: Mapping[str, Any] | None = None) -> Recording:
     """Read measurements: in the named format, else in the one that recognises the path.
 
-    options: what the format itself asks for. Raises UsageError (format, options), ConfigError or DataError.
+    options: those of the format. Raises UsageError (format, options), ConfigError or DataError.
     """
     reader = detect(path) if format is None else by_name(format)
     try:

@@ -1,4 +1,4 @@
-"""Which rows of a table are of which run, as the table itself says, so that its labels need not be read."""
+"""Run of each row of a table, as stored in the table, so that its labels need not be read."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 from errpipe.domain.batch import Stretches
 from errpipe.domain.recording import Recording
 
-RUNS = "errpipe.runs"  # where a table says of which runs it consists: [[label, rows], ...], in their order
-MOST_RUNS = 100_000  # that it says so of: some MB
+RUNS = "errpipe.runs"  # key of the list of a table's runs: [[label, rows], ...], in order
+MOST_RUNS = 100_000  # largest number stored: some MB
 
 
 def known_runs(runs: Mapping[str, int], at: int, rows: int) -> Stretches:
@@ -24,7 +24,7 @@ def known_runs(runs: Mapping[str, int], at: int, rows: int) -> Stretches:
 
 
 def runs_stated(facts: pq.FileMetaData) -> dict[str, int] | None:
-    """Rows of each run of a table, in their order, where it says so; None where it has to be read."""
+    """Rows of each run of a table, in order, if it states them; None if it has to be read."""
     try:
         stretches = json.loads((facts.metadata or {})[RUNS.encode()])
         runs = {str(label): int(rows) for label, rows in stretches}
@@ -55,6 +55,6 @@ class Runs:
         return chunk
 
     def facts(self) -> dict[str, str]:
-        """What the file says of them; nothing where they are too many."""
+        """The stored list of runs; nothing if there are too many."""
         known = 0 < len(self.labels) <= MOST_RUNS
         return {RUNS: json.dumps(list(zip(self.labels, self.rows, strict=True)))} if known else {}

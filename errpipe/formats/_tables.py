@@ -1,7 +1,7 @@
 """Tables in blocks: CSV and Parquet read a few MB at a time, every refusal with its file and line.
 
-pyarrow parses blocks of whole lines on a few threads. Only where it refuses, or a value is not allowed,
-is a block read again in plain Python to say which line, what was found and what is allowed.
+pyarrow parses blocks of whole lines on a few threads. Only if it refuses, or if a value is not allowed,
+a block is read again in plain Python to report the line, the invalid text and the allowed values.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ Kinds = Mapping[str, str]  # column of the table -> "number", "label" or "ignore
 
 @dataclass(frozen=True)
 class Block:
-    """Some rows of one table: float64 (missing = null) or labels (also as a dictionary), and where each row stands."""
+    """Some rows of one table: float64 (missing = null) or labels (also as a dictionary), and each row's location."""
 
     table: pa.Table
     place: Callable[[int], str]
@@ -230,7 +230,7 @@ def _comma_hint(cells: list[str], names: list[str]) -> str:
 
 
 def _wrong_number(cell: str) -> str:
-    """Why a cell is no number, or ''."""
+    """Why a cell is not a number, or ''."""
     text = cell.strip(" \t")
     if not text and not cell:
         return ""
@@ -316,7 +316,7 @@ def _refuse_infinite(table: pa.Table, place: Callable[[int], str]) -> None:
 
 
 def parquet_schema(columns: Mapping[str, Mapping[str, str]]) -> pa.Schema:
-    """Schema of a recording's table. columns: name -> what its manifest says; units stand in the field metadata."""
+    """Schema of a recording's table. columns: name -> manifest entry; units are stored in the field metadata."""
     fields = []
     for name, facts in columns.items():
         kind = pa.string() if facts["role"] in ("run", "group") else pa.float64()

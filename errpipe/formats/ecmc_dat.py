@@ -3,8 +3,8 @@
 A text of `KEY=value` lines: TGT_DATA[i] are the targets, REF_DATA_FWD[i,j] and REF_DATA_BWD[i,j] what a
 reference sensor read at target i in cycle j, coming from below and from above. Samples seen: 2021 and 2023.
 
-The direction trap. The report that the same tools print beside the file calls the file's FWD numbers
-"backward" and the other way round. The file is right, on three grounds:
+Direction. The report that the same tools print with the file calls the file's FWD numbers
+"backward" and vice versa. The file is right, for three reasons:
   1. The tool that moves the axis gives test numbers 1cii to approaches from below and 2cii to approaches
      from above; the tool that writes the file puts 1cii under FWD and 2cii under BWD. Only the report's
      reader stores FWD lines in its backward array: a slip, and it flips the sign of every B_i.
@@ -54,7 +54,7 @@ class Options(YamlOptions):
 
 
 def sniff(path: Path) -> bool:
-    """True for a text file whose beginning holds TGT_DATA and REF_DATA lines."""
+    """True for a text file whose beginning contains TGT_DATA and REF_DATA lines."""
     path = Path(path)
     if not path.is_file():
         return False

@@ -1,6 +1,6 @@
 """A folder with a recording manifest, `recording.yaml`, and its tables (CSV with a header row, or Parquet).
 
-The manifest says what every column is; nothing is guessed from a name, and no file is opened that the
+The manifest defines every column; nothing is guessed from a name, and no file is opened that the
 manifest does not list. Units are checked and converted here, once. Refused, each with file and line:
 a column the manifest lacks or the table lacks, a cell that is not a number, a ragged row, time that
 decreases in a run, a direction that is not +1 or -1, a path outside the folder.
@@ -40,18 +40,18 @@ ALLOWED = {"direction": (-1.0, 1.0), "coolant": (0.0, 1.0)}  # range of the valu
 CHUNK_ROWS = 131_072  # also the row group of what is written, so chunked and whole writing give equal bytes
 
 BYTES_PER_CELL = 100  # at the most that cleaning takes: 5.1 GB for 50 million cells
-MIN_MAX_CELLS = 10_000_000  # whatever the machine says of its memory
+MIN_MAX_CELLS = 10_000_000  # lower limit, whatever memory the machine reports
 _AXIS_LENGTHS = ("travel", "screw_lead", "encoder_period", "drive_end")
 
 
 class Options(yamlfile.Options):
-    """A folder with a recording manifest needs no options: the manifest says everything."""
+    """A folder with a recording manifest needs no options: the manifest is complete."""
 
     format: Literal["manifest"] = "manifest"
 
 
 def sniff(path: Path) -> bool:
-    """True for a folder that holds `recording.yaml`, and for that file."""
+    """True for a folder that contains `recording.yaml`, and for that file."""
     path = Path(path)
     return (path / MANIFEST).is_file() or (path.name == MANIFEST and path.is_file())
 
@@ -71,7 +71,7 @@ def load_manifest(path: Path) -> Manifest:
 
 @lru_cache(maxsize=16)
 def _written_manifest(text: str) -> WrittenManifest:
-    """A manifest's text, checked: stages ask for the same one ten times in a run, and a fleet's machines share it."""
+    """A manifest's text, validated: stages request the same one ten times in a run, and a fleet's machines share it."""
     return yamlfile.parse(text).validate(WrittenManifest)
 
 
@@ -159,7 +159,7 @@ def iter_batches(
 
 
 def runs_written(folder: Path) -> dict[str, int] | None:
-    """Rows of each run of such a folder, in their order; None where they have to be read."""
+    """Rows of each run of such a folder, in order; None if they have to be read."""
     rows = pq.read_metadata(Path(folder) / TABLE)
     return runs_stated(rows) if load_manifest(folder).names("run") else {"1": int(rows.num_rows)}
 
@@ -263,7 +263,7 @@ def _write(manifest: Manifest, chunks: Iterator[Recording], folder: Path) -> int
 
 
 def _cells(rows: Recording, name: str, kind: pa.DataType) -> pa.Array:
-    """A column as it is written."""
+    """A column as written to a file."""
     values = rows.columns[name] if isinstance(rows, Batch) else rows.frame[name]
     return values.cast(kind) if hasattr(values, "dictionary") else pa.array(values, type=kind, from_pandas=True)
 

@@ -28,11 +28,11 @@ from errpipe.yamlfile import Options as YamlOptions
 
 name = "renishaw_rtl"
 MAX_BYTES = 64 << 20  # a test of 10,000 targets and 100 runs
-# What the first lines call data of another kind, whose numbers are no positioning deviations in um.
+# Terms in the first lines for data of another kind, which are not positioning deviations in um.
 _OTHER_KINDS = re.compile(
     r"angul|winkel|straight|gerad|rectitud|square|rechtw|perpend|flat|ebenh|rotar|dreh|dynam", re.IGNORECASE
 )
-_AXIS = re.compile(r"^(AXIS|ACHSE|AXE|EJE|ASSE)[ -]|[ -]?(AXIS|ACHSE)$")  # as programs put it beside the letter
+_AXIS = re.compile(r"^(AXIS|ACHSE|AXE|EJE|ASSE)[ -]|[ -]?(AXIS|ACHSE)$")  # as programs write it next to the letter
 _SECTION = re.compile(r"^([A-Z][A-Z _-]*)::\s*$", re.IGNORECASE)
 _Line = tuple[int, str]
 
@@ -117,7 +117,7 @@ def _text(data: bytes) -> str:
 
 
 def _with_points(sections: dict[str, list[_Line]]) -> dict[str, list[_Line]]:
-    """Targets and deviations with decimal points: a comma is one where no number of the file has a point."""
+    """Targets and deviations with decimal points: a comma is one if no number of the file has a point."""
     numbers = [text for name in ("TARGET DATA", "DEVIATIONS") for _, text in sections[name] if ":" not in text]
     if any("." in text for text in numbers) or not any("," in text for text in numbers):
         return sections

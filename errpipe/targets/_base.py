@@ -77,7 +77,7 @@ class Curve:
 
 
 TURN = 360.0  # deg
-TURNS_READ = 5  # of a curve that a controller repeats: two to either side of its own
+TURNS_READ = 5  # of a curve that a controller repeats: two on either side of its own
 
 
 def is_turn(positions: np.ndarray) -> bool:
@@ -98,7 +98,7 @@ def every_turn(curve: Curve) -> Curve:
 
 
 def points_in_file(curve: Curve) -> int:
-    """Points that a file holds of a curve that was read back: of one that repeats with every turn, those of one."""
+    """Points of a file's curve that was read back: for a curve that repeats with every turn, those of one turn."""
     count, turns = curve.positions.size, (curve.positions[-1] - curve.positions[0]) / TURN
     repeated = is_rotary(curve.over) and TURNS_READ - 1 < turns < TURNS_READ
     return count // TURNS_READ + 1 if repeated else count
@@ -286,7 +286,7 @@ def _is_remark(line: str, form: str) -> bool:
 
 @dataclass(frozen=True)
 class Points:
-    """A uniform grid of at most so many points, as formats ask for it."""
+    """A uniform grid of at most so many points, as formats require it."""
 
     start: float
     step: float

@@ -50,7 +50,7 @@ def moved_axes(table: CompensationTable, target: str) -> dict[str, tuple[Output,
 
 
 def positions_of(table: CompensationTable) -> dict[str, str]:
-    """Axis letter -> name of the input that holds its position."""
+    """Axis letter -> name of the input with its position."""
     return {i.axis: i.name for i in table.inputs if i.kind == "position"}
 
 
@@ -191,7 +191,7 @@ def uniform(table: CompensationTable, axis: str, over: str, most: int, error_um:
 
 
 def from_zero(table: CompensationTable, axis: str, grid: np.ndarray) -> np.ndarray:
-    """The grid; of an axis that turns on, the same steps from 0 to 360 deg, as tables that count from 0 ask for."""
+    """The grid; for a modulo axis, the same steps from 0 to 360 deg, as required by tables that count from 0."""
     return np.linspace(0.0, TURN, grid.size) if turns(table, axis) else grid
 
 
@@ -312,14 +312,14 @@ def reversal(axis: str, lost: float, low: float, high: float) -> Curve:
 
 
 def lost_motions(pairs: Iterable[tuple[str, float]]) -> tuple[Curve, ...]:
-    """What a controller that knows the lost motion of axes adds to them, wherever they stand."""
+    """The lost motion that a controller with a backlash value adds to axes, at any position."""
     return tuple(reversal(axis, lost, 0.0, 1.0) for axis, lost in pairs)
 
 
 def around_zero(low: float, high: float, step: float) -> np.ndarray:
     """Whole multiples of a step from at most 0 and `low` to at least 0 and `high`, one below 0 in any case.
 
-    Raises GateError if the travel lies so many steps from 0 that no control holds as many points.
+    Raises GateError if the travel is so many steps from 0 that no control has enough points.
     """
     first, last = min(-1, math.floor(low / step + 1e-9)), max(0, math.ceil(high / step - 1e-9))
     if last - first > MOST_POINTS:
@@ -361,7 +361,7 @@ def counts_from_start(table: CompensationTable, axis: str, sensor: str) -> bool:
 
 
 def warm_lines(table: CompensationTable, target: str) -> list[Line]:
-    """The line of every axis and sensor that move together. Raises GateError of the target where none do."""
+    """The line of every axis and sensor that move together. Raises GateError of the target if there are none."""
     lines = []
     for axis in outputs_by_axis(table):
         low, high = reach(table, axis)

@@ -36,7 +36,7 @@ class WholeTable(ReadBack):
 
     @classmethod
     def from_array(cls, target: type[Target], files: Mapping[str, str], name: str, array: str) -> WholeTable:
-        """From a file that holds the table's bytes as an array in C; the files must be those written of it."""
+        """From a file that contains the table's bytes as an array in C; the files must be those written from it."""
         match = found(rf"{array}\[(\d+)\] = \{{([\d,\s]*)\}};", files.get(name, ""), name, "holds no table")
         data = bytes(int(v) for v in match[2].split(","))
         expect(len(data) == int(match[1]), name, f"{len(data)} bytes of {match[1]}")

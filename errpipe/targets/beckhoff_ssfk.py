@@ -77,7 +77,7 @@ class BeckhoffSsfk(ScrewMap):
 
 
 def tenths(correction: np.ndarray) -> list[int]:
-    """Corrections in mm as errors in whole tenths of a micrometre; a tie goes to the even number."""
+    """Corrections in mm as errors in whole tenths of a micrometre; ties are rounded to the even number."""
     return [round(-v / TENTH_UM) for v in correction.tolist()]
 
 

@@ -67,7 +67,7 @@ class BeckhoffVolumetric(Target):
 
 
 def _refuse_other_signs(table: CompensationTable) -> None:
-    """Raise GateError for components that count against their axis: the controller would move it the wrong way."""
+    """Raise GateError for components that count against their axis: the controller would move it the opposite way."""
     for output in table.outputs:
         for term in (t for t in output.terms if output.axis and not t.factors and t.weight < 0):
             if _axis_of(term.component) == output.axis == term.component[1:2]:

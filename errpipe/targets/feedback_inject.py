@@ -1,4 +1,4 @@
-"""Feedback interception: counts added to the encoder's signal on its way to the controller, so that its loop corrects.
+"""Feedback interception: counts added to the encoder's signal to the controller, so that its position loop corrects.
 
 Value     counts = -correction x counts per mm, rounded: where the axis must go 10 um less far, the controller is
           shown 10 um more than the encoder reads. Its own loop moves the axis; nothing in the controller is changed.

@@ -137,7 +137,7 @@ def _bytes_at(match: re.Match[str]) -> str:
 
 
 def _shown(table: CompensationTable) -> str:
-    """What stands above the bytes: the table's name, and the places of readings and corrections with their names."""
+    """Header above the bytes: the table's name, and the indices of readings and corrections with their names."""
     arrays: Any = (("afReading", table.inputs), ("afCorrection", table.outputs))
     lines = [
         f"   {kind}[{n}]: {plain(part.name)}, {plain(unit) or '-'}, name DWORD#16#{name_number(part.name):08X}"
@@ -267,7 +267,7 @@ def _library() -> str:
 _SECTION = {"VAR_INPUT": "inputVars", "VAR_OUTPUT": "outputVars", "VAR_IN_OUT": "inOutVars", "VAR": "localVars"}
 _VARIABLE = re.compile(r"^ +(\w+) : (?:ARRAY \[(\d+)\.\.(\d+)\] OF )?(\w+)(?: := \[([^\]]*)\])?;$")
 _ELEMENTARY = ("LREAL", "DINT", "BOOL", "BYTE", "DWORD")
-_DATE = "2000-01-01T00:00:00"  # the schema wants one; files that depend on the clock cannot be compared
+_DATE = "2000-01-01T00:00:00"  # the schema requires one; files that depend on the clock cannot be compared
 
 
 def _type(name: str, low: str | None, high: str | None) -> str:

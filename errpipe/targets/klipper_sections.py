@@ -120,7 +120,7 @@ def _skew(table: CompensationTable, axes: Mapping[str, str], corrected: Mapping)
             skew[key] = -float(np.polyfit(x, curve.mean, 1)[0])
     if not skew:
         return ""
-    # Klipper itself knows no end of a skew; the travel is where the table vouches for it, and where it is checked.
+    # Klipper has no end of a skew; the travel is the validity range of the table, where it is checked.
     ends = {over: _sample.span(table, over) for key, (_, over) in SKEWS.items() if key in skew}
     lines = [f"# travel {over} {low:.6f} {high:.6f}" for over, (low, high) in ends.items()]
     lines += ["[skew_correction errpipe]", *(f"{k} = {skew.get(k, 0.0) + 0.0:.12f}" for k in SKEWS)]

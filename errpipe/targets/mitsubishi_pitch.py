@@ -28,7 +28,7 @@ FILE = "machine_error.txt"
 # Parameter numbers of the first axis.
 KEYS = {"cmpax": 4001, "drcax": 4002, "rdvno": 4003, "mdvno": 4004, "pdvno": 4005, "sc": 4006, "spcdv": 4007}
 FIRST = 4100  # parameter number before division point 1
-LARGEST = 127  # half units that one parameter holds
+LARGEST = 127  # half units in one parameter
 PER_AXIS = 10  # parameters from one axis' set to the next
 
 
@@ -80,7 +80,7 @@ class MitsubishiPitch(ScrewMap):
 def _divided(table: CompensationTable, axis: str, step: float, most: int) -> tuple[np.ndarray, float, list[int]]:
     """Division points (numbers from the reference point), the step between them, mm, and what each adds.
 
-    The step is halved until no point adds more than a parameter holds. Raises GateError if none is small enough.
+    The step is halved until no point exceeds a parameter's range. Raises GateError if none is small enough.
     """
     while True:
         step = float(np.ceil(step * 1e3 - 1e-6)) / 1e3

@@ -61,7 +61,7 @@ class PmacComp(ScrewMap):
             low, high = _sample.span(table, axis)
             step = int(np.ceil(points.step * COUNTS - 1e-6))
             turns = _sample.turns(table, axis)
-            way = step / COUNTS  # one entry more at either end holds its value; behind that the table begins again
+            way = step / COUNTS  # one more entry at either end has its value; beyond it the table repeats
             at = np.arange(points.count - 1) if turns else _sample.around_zero(low - way, high + way, way)
             if at.size > 2 * cls.most:
                 raise too_many(cls.name, at.size, 2 * cls.most, error)

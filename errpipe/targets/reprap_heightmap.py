@@ -20,7 +20,7 @@ from errpipe.targets import _sample
 from errpipe.targets._base import CAUTION, Plane, ReadBack, Target, expect
 
 MAP, MACRO = "heightmap.csv", "errpipe.g"
-POINTS = 21  # of the grid, each way
+POINTS = 21  # of the grid, in each direction
 LABELS = "axis0,axis1,min0,max0,min1,max1,radius,spacing0,spacing1,num0,num1"
 TITLE = "RepRapFirmware height map file v2 generated at 2000-01-01 00:00"  # no clock: equal tables give equal bytes
 

@@ -186,7 +186,7 @@ class _Factors:
 
 
 def _products(table: CompensationTable) -> list[_Factors]:
-    """What no sum of curves over one axis each can say, as products; the largest first."""
+    """The remainder that no sum of curves over one axis each can represent, as products; the largest first."""
     factors = []
     for axis in _sample.outputs_by_axis(table):
         for over in combinations(_sample.positions_of(table), 2):
@@ -221,7 +221,7 @@ def _four(number: int, axes: list[str], factors: _Factors) -> list[str]:
     names = [f"AX{axes.index(letter) + 1}" for letter in (*factors.over, factors.axis)]
     out = []
     for pair, sign in ((number, 1.0), (number + 2, -1.0)):
-        # The file holds errors, minus the correction: the minus stands in the first factor.
+        # The file contains errors, minus the correction: the minus is in the first factor.
         out.append(_block(pair, names[0], names[2], 0, factors.points[0], -sign * first, multiply=pair + 2))
         out.append(_block(pair + 1, names[1], names[2], 0, factors.points[1], sign * second))
     return out
