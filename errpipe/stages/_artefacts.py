@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from errpipe import jsonfile
-from errpipe.errors import DataError, MissingColumn, VerifyError
+from errpipe.errors import DataError, MissingColumn, VerifyError, first_problem
 from errpipe.pipeline.stage import Context
 
 if TYPE_CHECKING:
@@ -82,9 +82,7 @@ def read_model(path: Path) -> ErrorModel:
             Column.model_validate(facts)
         return model
     except ValidationError as err:
-        first = err.errors()[0]
-        where = ".".join(map(str, (*place, *first["loc"])))
-        raise VerifyError(f"{path}: not an error model: {where}: {first['msg']}") from None
+        raise VerifyError(f"{path}: not an error model: {first_problem(err, *place)}") from None
 
 
 def models_in(context: Context) -> list[ErrorModel]:
