@@ -17,6 +17,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 CHANGES_PENDING = 5  # exit code
 
@@ -100,3 +101,9 @@ def did_you_mean(word: str, allowed: Iterable[str]) -> str:
     begun = [w for w in words if len(word) > 2 and w.startswith(word)]  # `laser` of laser-iso230
     near = near or (begun if len(begun) == 1 else [])
     return f" Did you mean {near[0]}?" if near else ""
+
+
+def first_problem(err: Any, *place: str) -> str:
+    """The first problem of pydantic's ValidationError: the keys that lead to it, and what is wrong."""
+    first = err.errors()[0]
+    return f"{'.'.join(map(str, (*place, *first['loc'])))}: {first['msg']}"

@@ -1,28 +1,30 @@
-"""The synthesis of a machine as plain data: outputs = sum of weight x component x product of drivers.
+"""An output of a table before it is compiled: the sum of weight x component x product of drivers.
 
-Derived by `kinematics` and passed by a stage to `tables`, which do not import each other.
+`kinematics` derives it from a machine, `tables` compiles it; they do not import each other.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from dataclasses import dataclass
 
 from errpipe.domain.driver import Driver
-from errpipe.domain.recording import Frozen
 
 
-class SynthesisTerm(Frozen):
-    """weight x component x product of drivers (coordinates in mm, tool length, sine, cosine)."""
+@dataclass(frozen=True)
+class MonomialSource:
+    """weight x component x product of at most four drivers (coordinates in mm, tool length, sine, cosine)."""
 
     weight: float
     component: str
     factors: tuple[Driver, ...] = ()
 
 
-class SynthesisOutput(Frozen):
-    """One deviation: of the tool point along an axis (um), or of its orientation (urad)."""
+@dataclass(frozen=True)
+class OutputSource:
+    """One output: the sum of its monomials, in `unit` of deviation, corrected along `axis`."""
 
     name: str
+    terms: tuple[MonomialSource, ...]
     axis: str = ""
-    unit: Literal["um", "urad"] = "um"
-    terms: tuple[SynthesisTerm, ...]
+    unit: str = "um"
+    correction_unit: str = "mm"

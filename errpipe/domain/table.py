@@ -55,20 +55,8 @@ LARGEST_RESULT = 1e30  # a node or deviation beyond it, or not a number, counts 
 
 # Bits of the status word, lowest first.
 STATUS = (
-    "running",
-    "active",
-    "ramping",
-    "substituted",
-    "held",
-    "defaulted",
-    "fading",
-    "faded",
-    "at_magnitude",
-    "at_rate",
-    "beyond_profile",
-    "waiting",
-    "not_finite",
-    "holding",
+    *("running", "active", "ramping", "substituted", "held", "defaulted", "fading", "faded"),
+    *("at_magnitude", "at_rate", "beyond_profile", "waiting", "not_finite", "holding"),
 )
 STATUS_BIT = {name: 1 << n for n, name in enumerate(STATUS)}
 # Why a reading is rejected, and what replaces it: the codes a controller shows per input.

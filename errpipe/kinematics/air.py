@@ -7,9 +7,6 @@ import numpy as np
 # Default if not measured, as in displays without weather station: degC, hPa, %.
 STANDARD_AIR = (20.0, 1013.25, 50.0)
 WAVELENGTH = 0.6329908  # um in vacuum, helium-neon
-# Standard uncertainties of a laser's weather station where none are stated: K, hPa, %. Half of the 0.2 K, 1 hPa and 6 %
-# (k = 2) of Renishaw's XC-80 data sheet.
-SENSORS = (0.1, 0.5, 3.0)
 UNMEASURED_HUMIDITY = 14.0  # %: standard uncertainty of an unmeasured humidity, 25 to 75 %
 
 

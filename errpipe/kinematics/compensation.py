@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from errpipe.domain import driver as d
-from errpipe.domain.synthesis import SynthesisOutput, SynthesisTerm
+from errpipe.domain.synthesis import MonomialSource, OutputSource
 from errpipe.drivers.lowered import Lowered
 from errpipe.kinematics import polynomials, synthesis
 from errpipe.kinematics.chain import Chain, combinations
@@ -22,29 +22,29 @@ from errpipe.kinematics.errors import MachineErrors
 SINE_STEP = 0.5  # deg; linear interpolation is then within 1e-5 of the sine: 0.01 um of a 1 mm deviation
 
 
-def outputs(chain: Chain, used: tuple[str, ...] | None = None) -> tuple[SynthesisOutput, ...]:
+def outputs(chain: Chain, used: tuple[str, ...] | None = None) -> tuple[OutputSource, ...]:
     """One output per linear axis: the deviation that this axis can correct (correction = minus it).
 
     used: components to keep. Its drivers read axes by their letters and the tool's dimensions. Coordinates are those
     the machine file counts in, tool length and offset from the spindle nose, mm.
     """
-    terms_by_axis: dict[str, list[SynthesisTerm]] = {}
+    terms_by_axis: dict[str, list[MonomialSource]] = {}
     for (axis, component), letters in polynomials.jacobian(chain, "axes").items():
         if used is None or component in used:
             terms_by_axis.setdefault(axis, []).append(_term(chain, component, letters))
-    return tuple(SynthesisOutput(name=f"E_{axis}", axis=axis, terms=tuple(t)) for axis, t in terms_by_axis.items())
+    return tuple(OutputSource(f"E_{axis}", tuple(t), axis) for axis, t in terms_by_axis.items())
 
 
-def _term(chain: Chain, component: str, letters: polynomials.Polynomial) -> SynthesisTerm:
+def _term(chain: Chain, component: str, letters: polynomials.Polynomial) -> MonomialSource:
     if list(letters) == [()]:
-        return SynthesisTerm(weight=letters[()], component=component)
+        return MonomialSource(letters[()], component)
     moving = {key: v for key, v in letters.items() if key}
     if len(letters) == 1:
         ((key, weight),) = moving.items()
-        return SynthesisTerm(weight=weight, component=component, factors=(_product(chain, key),))
+        return MonomialSource(weight, component, (_product(chain, key),))
     of = tuple(_product(chain, key) for key in moving)
     arm = d.Affine(offset=letters.get((), 0.0), weights=tuple(moving.values()), of=of)
-    return SynthesisTerm(weight=1.0, component=component, factors=(arm,))
+    return MonomialSource(1.0, component, (arm,))
 
 
 def _product(chain: Chain, key: tuple[str, ...]) -> d.Driver:

@@ -18,32 +18,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from errpipe.domain.components import is_error_motion, parse
+from errpipe.domain.laser import Laser
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
-from errpipe.kinematics.air import SENSORS, UNMEASURED_HUMIDITY, index_change, index_uncertainty
+from errpipe.kinematics.air import UNMEASURED_HUMIDITY, index_change, index_uncertainty
 from errpipe.kinematics.chain import Chain
 
 SAME_PLACE = 1e-3  # mm or deg: readings closer than this belong to one target
-
-
-@dataclass(frozen=True)
-class Laser:
-    """Set-up of a laser along an axis.
-
-    dead_path: mm from the interferometer to where it was reset; misalignment: urad of the beam against the axis;
-    offset: mm from the beam to the functional point (X, Y, Z); wavelength_corrected: whether the laser's own
-    weather station corrected the displacement (then only the dead path remains); display_air: degC, hPa, % of the
-    air whose index an uncorrected display used; without it, that of the record's first reading;
-    air_uncertainty: standard uncertainty of the air's temperature, pressure and humidity, K, hPa, %.
-    """
-
-    dead_path: float = 0.0
-    misalignment: float = 0.0
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    wavelength_corrected: bool = True
-    display_air: tuple[float, float, float] | None = None
-    zero_each_run: bool = False  # the display was zeroed at the start of each run
-    air_uncertainty: tuple[float, float, float] = SENSORS
 
 
 def corrected(

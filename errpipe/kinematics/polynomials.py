@@ -1,7 +1,4 @@
-"""The Jacobian in symbols: every entry as a polynomial in coordinates, sines, cosines and tool dimensions.
-
-A polynomial is a mapping from sorted tuples of variable names to coefficients; () is the constant.
-"""
+"""The Jacobian in symbols: every entry as a polynomial in coordinates, sines, cosines and tool dimensions."""
 
 from __future__ import annotations
 
@@ -12,8 +9,38 @@ import numpy as np
 from errpipe.kernels import volumetric as k
 from errpipe.kinematics.chain import Chain
 
-Polynomial = dict[tuple[str, ...], float]
 _TINY = 1e-12  # smaller coefficients are rounding of the geometry (mm, direction cosines)
+Key = tuple[str, ...]
+
+
+class Polynomial(dict[Key, float]):
+    """Sorted tuples of variable names -> coefficients; () is the constant. Terms that cancel are left out.
+
+    Sums and products of them are what NumPy needs to multiply vectors and matrices of polynomials.
+    """
+
+    def __add__(self, other: Polynomial) -> Polynomial:
+        out = dict(self)
+        for key, value in other.items():
+            out[key] = out.get(key, 0.0) + value
+        return of(out)
+
+    def __sub__(self, other: Polynomial) -> Polynomial:
+        return self + other * -1.0
+
+    def __mul__(self, other: Polynomial | float) -> Polynomial:
+        if not isinstance(other, Polynomial):
+            return of({key: value * other for key, value in self.items()})
+        out: dict[Key, float] = {}
+        for (ka, va), (kb, vb) in product(self.items(), other.items()):
+            key = tuple(sorted(ka + kb))
+            out[key] = out.get(key, 0.0) + va * vb
+        return of(out)
+
+
+def of(letters: dict[Key, float]) -> Polynomial:
+    """A polynomial without terms that are rounding."""
+    return Polynomial({key: value for key, value in letters.items() if abs(value) > _TINY})
 
 
 def function_of(variable: str) -> tuple[str, str]:
@@ -22,25 +49,12 @@ def function_of(variable: str) -> tuple[str, str]:
     return function, axis
 
 
-def add(a: Polynomial, b: Polynomial, factor: float = 1.0) -> Polynomial:
-    """a + factor * b, without terms that cancel."""
-    out = dict(a)
-    for key, value in b.items():
-        out[key] = out.get(key, 0.0) + factor * value
-    return {key: value for key, value in out.items() if abs(value) > _TINY}
-
-
-def _constant(x: float) -> Polynomial:
-    return {(): x} if x else {}
-
-
-def times(a: Polynomial, b: Polynomial) -> Polynomial:
-    """a * b."""
-    out: Polynomial = {}
-    for (ka, va), (kb, vb) in product(a.items(), b.items()):
-        key = tuple(sorted(ka + kb))
-        out[key] = out.get(key, 0.0) + va * vb
-    return {key: value for key, value in out.items() if abs(value) > _TINY}
+def _constants(values: np.ndarray) -> np.ndarray:
+    """An array of constant polynomials, shape of the values."""
+    out = np.empty(np.shape(values), dtype=object)
+    for place, value in np.ndenumerate(values):
+        out[place] = of({(): float(value)})
+    return out
 
 
 def jacobian(chain: Chain, frame: str = "axes") -> dict[tuple[str, str], Polynomial]:
@@ -52,73 +66,58 @@ def jacobian(chain: Chain, frame: str = "axes") -> dict[tuple[str, str], Polynom
     Raises ValueError for "axes" where a rotary axis turns a linear one.
     """
     kind, _, _, point, inverse, entries, comp, angle, evec = chain.factors
-    arms, turns = _arms(chain), _turns(chain, frame)
+    tips, turns = _tips(chain), _turns(chain, frame)
     rows: dict[tuple[int, int], Polynomial] = {}
     for f in np.flatnonzero(kind == k.ERROR):
-        sign = -1.0 if inverse[f] else 1.0
-        arm = [add(arms[f][m], {(): -float(point[f, m])}) for m in range(3)]
+        arm = tips[f] - _constants(point[f])
         for t in range(entries[f], entries[f + 1]):
-            v = [float(x) * sign for x in evec[t]]
-            if angle[t]:
-                place = [
-                    add(_scale(arm[(m + 2) % 3], v[(m + 1) % 3]), arm[(m + 1) % 3], -v[(m + 2) % 3]) for m in range(3)
-                ]
-                parts = [_scale(p, k.UM) for p in place] + [_constant(x) for x in v]
-            else:
-                parts = [_constant(x) for x in v] + [{}, {}, {}]
-            for block in (0, 3):
-                for m in range(3):
-                    for j in range(3):
-                        if parts[block + j] and turns[f][m][j]:
-                            key = (block + m, int(comp[t]))
-                            rows[key] = add(rows.get(key, {}), times(turns[f][m][j], parts[block + j]))
+            v = _constants(-evec[t] if inverse[f] else evec[t])
+            parts = {0: _cross(v, arm) * k.UM, 3: v} if angle[t] else {0: v}
+            for block, part in parts.items():
+                for m, j in np.ndindex(3, 3):
+                    key = (block + m, int(comp[t]))
+                    rows[key] = rows.get(key, Polynomial()) + turns[f][m, j] * part[j]
     return _named(chain, rows, frame)
 
 
-def _scale(a: Polynomial, factor: float) -> Polynomial:
-    return {key: v * factor for key, v in a.items() if abs(v * factor) > _TINY}
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross product of vectors of three polynomials."""
+    return np.roll(a, -1) * np.roll(b, -2) - np.roll(a, -2) * np.roll(b, -1)
 
 
-def _arms(chain: Chain) -> list[list[Polynomial]]:
-    """Ideal tip position after each factor, in symbols, mm."""
+def _tips(chain: Chain) -> list[np.ndarray]:
+    """Ideal tip position (3,) after each factor, in symbols, mm."""
     kind, axis, vec, point, *_ = chain.factors
-    tool = chain.machine.tool
-    tip = []
+    direction, mount = chain.machine.tool.direction, chain.machine.mount()
+    tip = _constants(np.asarray(mount))
     for m, d in enumerate("XYZ"):
-        letters = {
-            (): float(chain.machine.mount()[m]),
-            (f"tool_offset_{d}",): 1.0,
-            ("tool_length",): float(tool.direction[m]),
-        }
-        tip.append({key: v for key, v in letters.items() if abs(v) > _TINY})
-    out: list[list[Polynomial]] = [[] for _ in kind]
+        tip[m] = of({(): float(mount[m]), (f"tool_offset_{d}",): 1.0, ("tool_length",): float(direction[m])})
+    out = [tip] * len(kind)
     for f in range(len(kind) - 1, -1, -1):
         out[f] = tip
         if kind[f] == k.MOVE:
-            tip = [add(tip[m], {(chain.axes[axis[f]],): float(vec[f, m])}) for m in range(3)]
+            tip = tip + _constants(vec[f]) * Polynomial({(chain.axes[axis[f]],): 1.0})
         elif kind[f] == k.TURN:
-            turn = _rotation(chain.axes[axis[f]], vec[f])
-            local = [add(tip[m], {(): -float(point[f, m])}) for m in range(3)]
-            tip = [add(_row(turn[m], local), {(): float(point[f, m])}) for m in range(3)]
+            place = _constants(point[f])
+            tip = _rotation(chain.axes[axis[f]], vec[f]) @ (tip - place) + place
     return out
 
 
-def _turns(chain: Chain, frame: str) -> list[list[list[Polynomial]]]:
-    """Ideal turn from each factor's frame to the frame of the outputs."""
+def _turns(chain: Chain, frame: str) -> list[np.ndarray]:
+    """Ideal turn (3, 3) from each factor's frame to the frame of the outputs."""
     kind, axis, vec, *_ = chain.factors
-    unit: list[list[Polynomial]] = [[{(): 1.0} if i == j else {} for j in range(3)] for i in range(3)]
-    out = [unit for _ in kind]
+    unit = _constants(np.eye(3))
+    out = [unit] * len(kind)
     bed = _bed(chain) if frame == "axes" else 0
     turn = unit
     for f in range(bed, len(kind)):
         out[f] = turn
         if kind[f] == k.TURN:
-            turn = _product(turn, _rotation(chain.axes[axis[f]], vec[f]))
+            turn = turn @ _rotation(chain.axes[axis[f]], vec[f])
     turn = unit
     for f in range(bed - 1, -1, -1):
         if kind[f] == k.TURN:
-            back = _rotation(chain.axes[axis[f]], vec[f])
-            turn = _product(turn, [[back[j][i] for j in range(3)] for i in range(3)])
+            turn = turn @ _rotation(chain.axes[axis[f]], vec[f]).T
         out[f] = turn
     return out
 
@@ -137,30 +136,14 @@ def _bed(chain: Chain) -> int:
     return last
 
 
-def _rotation(name: str, v: np.ndarray) -> list[list[Polynomial]]:
-    """Rodrigues' formula in symbols: c I + s [v]x + (1 - c) v v'."""
-    c, s = (f"cos {name}",), (f"sin {name}",)
+def _rotation(name: str, v: np.ndarray) -> np.ndarray:
+    """Rodrigues' formula in symbols, shape (3, 3): c I + s [v]x + (1 - c) v v'."""
+    out, unit, along = np.empty((3, 3), dtype=object), np.eye(3), np.outer(v, v)
     cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    out = []
-    for i in range(3):
-        row = []
-        for j in range(3):
-            vv = float(v[i] * v[j])
-            letters = {(): vv, c: float(i == j) - vv, s: float(cross[i, j])}
-            row.append({key: x for key, x in letters.items() if abs(x) > _TINY})
-        out.append(row)
+    for at in np.ndindex(3, 3):
+        cosine = float(unit[at] - along[at])
+        out[at] = of({(): float(along[at]), (f"cos {name}",): cosine, (f"sin {name}",): float(cross[at])})
     return out
-
-
-def _row(row: list[Polynomial], column: list[Polynomial]) -> Polynomial:
-    total: Polynomial = {}
-    for a, b in zip(row, column, strict=True):
-        total = add(total, times(a, b))
-    return total
-
-
-def _product(a: list[list[Polynomial]], b: list[list[Polynomial]]) -> list[list[Polynomial]]:
-    return [[_row(a[i], [b[m][j] for m in range(3)]) for j in range(3)] for i in range(3)]
 
 
 def _named(chain: Chain, rows: dict[tuple[int, int], Polynomial], frame: str) -> dict[tuple[str, str], Polynomial]:
@@ -169,15 +152,12 @@ def _named(chain: Chain, rows: dict[tuple[int, int], Polynomial], frame: str) ->
         return {(names[i], chain.components[c]): p for (i, c), p in sorted(rows.items()) if p}
     linear = chain.machine.linear_axes()
     _linear_axes_stand(chain, linear)
-    directions = np.array([chain.machine.direction(a) for a in linear]).T
-    undo = np.linalg.pinv(directions)
+    undo = np.linalg.pinv(np.array([chain.machine.direction(a) for a in linear]).T)
     out: dict[tuple[str, str], Polynomial] = {}
     for c, component in enumerate(chain.components):
         for a, name in enumerate(linear):
-            total: Polynomial = {}
-            for m in range(3):
-                total = add(total, rows.get((m, c), {}), float(undo[a, m]))
-            if total:
+            parts = (rows.get((m, c), Polynomial()) * float(undo[a, m]) for m in range(3))
+            if total := sum(parts, Polynomial()):
                 out[name, component] = total
     return out
 

@@ -26,7 +26,7 @@ __all__ = ["BY_FIT", "DEFAULT", "FAMILIES", "SEVERAL", "Family", "family_of", "p
 
 def family_of(document: Mapping[str, Any]) -> Family:
     """The family of `fit.json`, with its options. Raises VerifyError if it is unknown."""
-    asked = {key: value for key, value in document.items() if key != "fit"}
+    asked = {key: value for key, value in document.items() if key not in ("fit", "model")}
     name = asked.get("family")
     if name not in FAMILIES.tags:
         raise VerifyError(f"fit.json: the model family {name!r} is unknown")
@@ -34,6 +34,6 @@ def family_of(document: Mapping[str, Any]) -> Family:
     return family
 
 
-def procedure(family: Family) -> dict[str, Any]:
-    """The fit as recorded in `fit.json`, so that it can be repeated without a held-out group."""
-    return {"fit": 1, **family.model_dump(mode="json")}
+def procedure(family: Family, model: str) -> dict[str, Any]:
+    """The fit as recorded in `fit.json`, so that it can be repeated without a held-out group; model: its fingerprint."""
+    return {"fit": 1, "model": model, **family.model_dump(mode="json")}

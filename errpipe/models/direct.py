@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from errpipe.domain.components import is_error_motion
+from errpipe.domain.laser import Laser
 from errpipe.domain.machine import Machine
 from errpipe.errors import UsageError
 from errpipe.models._base import Family, Fitted, Progress, no_progress
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from errpipe.fitting.holdout import Fold, HoldOut
     from errpipe.fitting.judging import HeldOut
     from errpipe.kinematics.chain import Chain
-    from errpipe.kinematics.direct import Laser
 
 MOST_FOLDS = 5  # folds of targets if whole runs cannot be held out
 
@@ -31,7 +31,7 @@ class Direct(Family):
     machine: Machine = Field(description="Machine whose components are read.")
     modes: int = Field(20, ge=2, description="Waves per error motion.")
     components: tuple[str, ...] = Field(description="Components in the recording.")
-    lasers: dict[str, dict[str, Any]] = Field({}, description="Laser set-up of each component.")
+    lasers: dict[str, Laser] = Field({}, description="Laser set-up of each component.")
     default_scheme: ClassVar[str] = "leave-one-run-out"
     solved_by: ClassVar[str] = "direct records"
 
@@ -52,11 +52,9 @@ class Direct(Family):
         """Fit on one side of a fold, validate on the other."""
         from errpipe.fitting.judging import HeldOut
         from errpipe.kinematics.chain import compile_chain
-        from errpipe.kinematics.direct import Laser
 
-        lasers = {n: Laser(**beam) for n, beam in self.lasers.items()}
         chain = compile_chain(self.machine)
-        held = judge(chain, recording, fold.train, fold.test, modes=self.modes, lasers=lasers)
+        held = judge(chain, recording, fold.train, fold.test, modes=self.modes, lasers=self.lasers)
         return {x.component: HeldOut(fold.label, x.rows, x.before, x.after, np.zeros(len(x.rows)), 0.0) for x in held}
 
 

@@ -51,6 +51,10 @@ class Block:
         """Whether a word of any of these letters stands in the block."""
         return any(w.letter in letters for w in self.words)
 
+    def refused(self, why: str) -> DataError:
+        """The refusal of the block's line."""
+        return refuse(self.line, self.source, why)
+
 
 def refuse(line: int, source: str, why: str) -> DataError:
     """The one form in which a line is refused."""

@@ -168,7 +168,7 @@ class _Reader:
                 f"the position of {' and '.join(missing)} is not known at the start or after a tool change or "
                 "reference point (move it with G0 first, or give --start x,y,z)"
             )
-            raise refuse(block.line, block.source, where)
+            raise block.refused(where)
 
     @staticmethod
     def _refuse_stop_between(block: Block, points: np.ndarray) -> None:
@@ -178,7 +178,7 @@ class _Reader:
                 f"{sorted(stops)[0]} with a motion of {len(points)} segments: controls differ in whether it acts "
                 "before or after the motion (put it on a separate line)"
             )
-            raise refuse(block.line, block.source, why)
+            raise block.refused(why)
 
 
 def _source(raw: bytes) -> str:

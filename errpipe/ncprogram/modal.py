@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from errpipe.kernels import nc_paths
-from errpipe.ncprogram.blocks import Block, refuse
+from errpipe.ncprogram.blocks import Block
 
 MM_PER_INCH = 25.4
 LINEAR = "XYZ"
@@ -29,16 +29,8 @@ LEAVING_G = {"G28", "G30", "G53"}
 KNOWN_LETTERS = set("GMFSTPDQHXYZABCIJKR")
 # Of each of these groups one block may hold one code (LinuxCNC's modal groups).
 GROUPS = (
-    {*MOTIONS, "G80"},
-    set(PLANES),
-    {"G20", "G21"},
-    {"G90", "G91"},
-    {"G90.1", "G91.1"},
-    set(OFFSETS),
-    {"G43", "G43.1", "G49"},
-    {"G94", "G95"},
-    {"G61", "G61.1", "G64"},
-    LEAVING_G | {"G4"},
+    *({*MOTIONS, "G80"}, set(PLANES), {"G20", "G21"}, {"G90", "G91"}, {"G90.1", "G91.1"}, set(OFFSETS)),
+    *({"G43", "G43.1", "G49"}, {"G94", "G95"}, {"G61", "G61.1", "G64"}, LEAVING_G | {"G4"}),
 )
 LARGEST_COORDINATE = 1e5  # mm or deg: 100 m is longer than any machine, and 277 turns of a table
 LARGEST_RADIUS = 1e7  # mm; also of a centre's distance
@@ -93,15 +85,15 @@ def advance(block: Block, state: State, setup: Setup) -> tuple[State, Motion | N
     _program_number(block, state)
     for word in block.words:
         if word.letter not in KNOWN_LETTERS | {"O"}:
-            raise refuse(block.line, block.source, f"the word {word.text} is not understood")
+            raise block.refused(f"the word {word.text} is not understood")
         largest = LARGEST_COORDINATE if word.letter in LINEAR + ROTARY else LARGEST_RADIUS
         if word.letter in "XYZABCIJKR" and abs(word.value) > largest:
-            raise refuse(block.line, block.source, f"{word.text[:20]} is beyond any machine (at most {largest:g})")
+            raise block.refused(f"{word.text[:20]} is beyond any machine (at most {largest:g})")
     for code in block.codes("M"):
         if code not in HARMLESS_M:
-            raise refuse(block.line, block.source, f"{code} is not understood")
+            raise block.refused(f"{code} is not understood")
     if state.ended and block.words:
-        raise refuse(block.line, block.source, "words after the program's end (M2 or M30)")
+        raise block.refused("words after the program's end (M2 or M30)")
     _one_of_each_group(block)
     state = _modes(block, state, setup)
     if {"M2", "M30"} & set(block.codes("M")):
@@ -113,16 +105,16 @@ def advance(block: Block, state: State, setup: Setup) -> tuple[State, Motion | N
         return state, None
     for code, what in (("G4", "a dwell (G4)"), ("G50", "G50 (a lathe's: the zero of the part)")):
         if code in block.codes("G"):
-            raise refuse(block.line, block.source, f"axis words beside {what} are not understood")
+            raise block.refused(f"axis words beside {what} are not understood")
     if state.motion not in MOTIONS:
-        raise refuse(block.line, block.source, "axes are given but no motion (G0, G1, G2 or G3) is in force")
+        raise block.refused("axes are given but no motion (G0, G1, G2 or G3) is in force")
     _no_idle_tool(block)
     _no_turning_cycle(block, state)
     _no_drawing_angle(block, state)
     if state.motion in ("G0", "G1"):
         for letter in "IJKRPQ":
             if block.value(letter) is not None:
-                raise refuse(block.line, block.source, f"the word {letter} beside a straight move is not understood")
+                raise block.refused(f"the word {letter} beside a straight move is not understood")
     end = _end(block, state)
     centre = _arc(block, state, end) if state.motion in ("G2", "G3") else None
     motion = Motion(state.motion, state.position, end, state.plane, centre, _turns(block))
@@ -132,7 +124,7 @@ def advance(block: Block, state: State, setup: Setup) -> tuple[State, Motion | N
 def _program_number(block: Block, state: State) -> None:
     """Raises DataError for an O word that is more than the number of the program, above its first motion."""
     if block.has("O") and (len(block.words) > 1 or state.motion):
-        raise refuse(block.line, block.source, "a subroutine or loop (O word) is not understood")
+        raise block.refused("a subroutine or loop (O word) is not understood")
 
 
 def _leaving(block: Block, state: State) -> State:
@@ -142,7 +134,7 @@ def _leaving(block: Block, state: State) -> State:
     """
     codes = LEAVING_G & set(block.codes("G"))
     if "G53" in codes and (state.motion != "G0" or not block.has(LINEAR + ROTARY)):
-        raise refuse(block.line, block.source, "G53 is understood with G0 and axis words")
+        raise block.refused("G53 is understood with G0 and axis words")
     away = LINEAR if LEAVING_M & set(block.codes("M")) else ""
     if codes:
         away += "".join(n for n in LINEAR + ROTARY if block.has(n)) or LINEAR + ROTARY
@@ -155,27 +147,27 @@ def _one_of_each_group(block: Block) -> None:
     for group in GROUPS:
         both = [code for code in codes if code in group]
         if len(both) > 1:
-            raise refuse(block.line, block.source, f"{' and '.join(both)} in one block contradict each other")
+            raise block.refused(f"{' and '.join(both)} in one block contradict each other")
 
 
 def _no_idle_words(block: Block) -> None:
     """Raises DataError for words that belong to a motion, in a block that makes none: an arc without its end, say."""
     codes = block.codes("G")
     if "G4" in codes and block.value("P") is None:
-        raise refuse(block.line, block.source, "a dwell (G4) without its time (P)")
+        raise block.refused("a dwell (G4) without its time (P)")
     meant = {"P": ("G4", "G64", "G30"), "Q": ("G64",), "H": ("G43",), "D": ()}
     for word in block.words:
         if word.letter in "IJKR":
-            raise refuse(block.line, block.source, f"{word.text} without the axis words of its end is not understood")
+            raise block.refused(f"{word.text} without the axis words of its end is not understood")
         if word.letter in meant and not set(meant[word.letter]) & set(codes):
-            raise refuse(block.line, block.source, f"{word.text} belongs to nothing in the block")
+            raise block.refused(f"{word.text} belongs to nothing in the block")
 
 
 def _no_idle_tool(block: Block) -> None:
     """Raises DataError for H without G43 and for D: other controls than LinuxCNC change the tool's length by them."""
     for letter, code in (("H", "G43"), ("D", "G41 or G42")):
         if block.value(letter) is not None and code not in block.codes("G"):
-            raise refuse(block.line, block.source, f"the word {letter} without {code} is not understood")
+            raise block.refused(f"the word {letter} without {code} is not understood")
 
 
 def _no_turning_cycle(block: Block, state: State) -> None:
@@ -184,10 +176,9 @@ def _no_turning_cycle(block: Block, state: State) -> None:
     ends = block.has("X") and block.has("Z") and not block.has("Y")
     if codes & {"G90", "G94"} and ends and not codes & set(MOTIONS) and not (state.plane_said and state.plane == "G17"):
         code = "G90" if "G90" in codes else "G94"
-        why = (
+        raise block.refused(
             f"{code} with X and Z is a turning cycle on a lathe: name the motion (G0, G1) in the block, or G17 above it"
         )
-        raise refuse(block.line, block.source, why)
 
 
 def _no_drawing_angle(block: Block, state: State) -> None:
@@ -201,11 +192,10 @@ def _no_drawing_angle(block: Block, state: State) -> None:
     places = dict(zip(LINEAR + ROTARY, state.position, strict=True))
     for word in block.words:
         if word.letter in "AC" and places[word.letter] is None:
-            why = (
+            raise block.refused(
                 f"{word.text} may be an angle or a chamfer of the drawing, as on a lathe: is {word.letter} a rotary "
                 "axis, move it with G0 first, or name G17 above it"
             )
-            raise refuse(block.line, block.source, why)
 
 
 def _turns(block: Block) -> int:
@@ -214,7 +204,7 @@ def _turns(block: Block) -> int:
     if given is None:
         return 1
     if given != int(given) or not 1 <= given <= MAX_TURNS:
-        raise refuse(block.line, block.source, f"P{given:g} is no number of turns (allowed: 1 to {MAX_TURNS})")
+        raise block.refused(f"P{given:g} is no number of turns (allowed: 1 to {MAX_TURNS})")
     return int(given)
 
 
@@ -237,14 +227,14 @@ def _modes(block: Block, state: State, setup: Setup) -> State:
         elif code == "G80":
             state = replace(state, motion="")
         elif code not in HARMLESS_G | LEAVING_G:
-            raise refuse(block.line, block.source, f"{code} is not understood")
+            raise block.refused(f"{code} is not understood")
     return state
 
 
 def offset_of(block: Block, setup: Setup, code: str) -> tuple[float, float, float]:
     """A work offset in mm. Raises DataError if the set-up does not name it."""
     if code not in setup.offsets:
-        raise refuse(block.line, block.source, f"the work offset {code} is missing (give --offset {code}=x,y,z)")
+        raise block.refused(f"the work offset {code} is missing (give --offset {code}=x,y,z)")
     return setup.offsets[code]
 
 
@@ -264,13 +254,13 @@ def _change_tool(block: Block, state: State, setup: Setup, code: str) -> State:
     elif code == "G43.1":
         given = block.value("Z")
         if given is None or block.has("XYABC") or set(block.codes("G")) & set(MOTIONS):
-            raise refuse(block.line, block.source, "G43.1 is understood with Z alone")
+            raise block.refused("G43.1 is understood with Z alone")
         length = given * (MM_PER_INCH if state.inch else 1.0)
     else:
         number = block.value("H")
         if number is None or number != int(number) or int(number) not in setup.tools:
             which = "H" if number is None else f"H{int(number)}"
-            raise refuse(block.line, block.source, f"the tool length of {which} is missing (give --tool H1=120)")
+            raise block.refused(f"the tool length of {which} is missing (give --tool H1=120)")
         length = setup.tools[int(number)]
     z = state.position[2]
     moved = None if z is None else z + state.tool_length - length
@@ -287,9 +277,7 @@ def _end(block: Block, state: State) -> tuple[float | None, ...]:
         elif state.absolute:
             end.append(given * scale)
         elif here is None:
-            raise refuse(
-                block.line, block.source, f"an increment in {letter}, but the position of {letter} is not known"
-            )
+            raise block.refused(f"an increment in {letter}, but the position of {letter} is not known")
         else:
             end.append(here + given * scale)
     return tuple(end)
@@ -299,39 +287,34 @@ def _arc(block: Block, state: State, end: tuple[float | None, ...]) -> tuple[flo
     """Centre of an arc in its plane, from I J K or R. Raises DataError if the radii disagree."""
     first, second, through = PLANES[state.plane]
     if not state.plane_said and not block.has(second + CENTRES[second]):
-        raise refuse(
-            block.line,
-            block.source,
+        raise block.refused(
             f"an arc without {second} or {CENTRES[second]} before any plane was named: a lathe begins with G18, a mill "
-            "with G17 (name it above the arc)",
+            "with G17 (name it above the arc)"
         )
     a, b = LINEAR.index(first), LINEAR.index(second)
     ends = (state.position[a], state.position[b], end[a], end[b])
     if any(v is None for v in ends):
-        raise refuse(block.line, block.source, "an arc from a place that is not known")
+        raise block.refused("an arc from a place that is not known")
     a0, b0, a1, b1 = (float(v) for v in ends if v is not None)
     scale = MM_PER_INCH if state.inch else 1.0
     radius, across = block.value("R"), CENTRES[through]
     if block.value(across) is not None:
-        raise refuse(block.line, block.source, f"{across} is not a centre in the plane in force ({state.plane})")
+        raise block.refused(f"{across} is not a centre in the plane in force ({state.plane})")
     if radius is not None and block.has("IJK"):
-        raise refuse(block.line, block.source, "an arc with both a radius and a centre")
+        raise block.refused("an arc with both a radius and a centre")
     if radius is not None:
         return _centre_from_radius(block, (a0, b0), (a1, b1), radius * scale, state.motion == "G2")
     i, j = (block.value(CENTRES[letter]) for letter in (first, second))
     if i is None and j is None:
-        raise refuse(block.line, block.source, "an arc without centre (I, J, K) or radius (R)")
+        raise block.refused("an arc without centre (I, J, K) or radius (R)")
     if state.arc_absolute and (i is None or j is None):
-        raise refuse(block.line, block.source, "an absolute centre (G90.1) needs both its words")
-    if state.arc_absolute:
-        centre = ((i or 0.0) * scale, (j or 0.0) * scale)
-    else:
-        centre = (a0 + (i or 0.0) * scale, b0 + (j or 0.0) * scale)
+        raise block.refused("an absolute centre (G90.1) needs both its words")
+    from_a, from_b = (0.0, 0.0) if state.arc_absolute else (a0, b0)
+    centre = (from_a + (i or 0.0) * scale, from_b + (j or 0.0) * scale)
     start_radius = nc_paths.distance(a0 - centre[0], b0 - centre[1])
     end_radius = nc_paths.distance(a1 - centre[0], b1 - centre[1])
     if not nc_paths.radii_agree(start_radius, end_radius):
-        radii = f"the arc's radius is {start_radius:.4f} mm at its start, {end_radius:.4f} at its end"
-        raise refuse(block.line, block.source, radii)
+        raise block.refused(f"the arc's radius is {start_radius:.4f} mm at its start, {end_radius:.4f} at its end")
     return centre
 
 
@@ -341,5 +324,5 @@ def _centre_from_radius(
     x, y, exists = nc_paths.centre_from_radius(*start, *end, radius, clockwise)
     if not exists:
         chord = nc_paths.distance(end[0] - start[0], end[1] - start[1])
-        raise refuse(block.line, block.source, f"no arc of radius {radius:g} mm joins its ends, {chord:.4f} mm apart")
+        raise block.refused(f"no arc of radius {radius:g} mm joins its ends, {chord:.4f} mm apart")
     return x, y

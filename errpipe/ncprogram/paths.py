@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from errpipe.kernels import nc_paths
-from errpipe.ncprogram.blocks import Block, refuse
+from errpipe.ncprogram.blocks import Block
 from errpipe.ncprogram.modal import LINEAR, PLANES, ROTARY, Motion
 
 MAX_SEGMENTS = 200_000  # of one block; an arc of 1 m radius within 0.001 mm has 1,000 a turn
@@ -30,13 +30,13 @@ def segments(block: Block, motion: Motion, chord_error: float, longest: float) -
         error = 0.0
     for n, letter in enumerate(ROTARY, len(LINEAR)):
         if len(points) > 1 and np.isnan(start[n]) and block.value(letter) is not None:
-            raise refuse(block.line, block.source, f"the position of {letter} is not known yet (move it with G0 first)")
+            raise block.refused(f"the position of {letter} is not known yet (move it with G0 first)")
         if len(points) > 1 and nc_paths.is_long_way_round(start[n], end[n]):
             why = (
                 f"{letter} from {start[n]:g} to {end[n]:g} is the long way round: an axis that counts on takes it, one "
                 "that takes the shorter way would only do so in parts (use two blocks of at most 180 deg)"
             )
-            raise refuse(block.line, block.source, why)
+            raise block.refused(why)
     return points, error
 
 
@@ -54,7 +54,7 @@ def _arc(
 
 def _allowed(block: Block, pieces: int) -> int:
     if pieces > MAX_SEGMENTS:
-        raise refuse(block.line, block.source, f"the path would need {pieces} segments (at most {MAX_SEGMENTS})")
+        raise block.refused(f"the path would need {pieces} segments (at most {MAX_SEGMENTS})")
     return pieces
 
 

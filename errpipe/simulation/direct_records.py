@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from errpipe.domain.components import parse
+from errpipe.domain.laser import Laser
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.kinematics.chain import LETTERS, Chain
 from errpipe.simulation.metrology import Values
@@ -18,16 +19,6 @@ from errpipe.simulation.metrology import Values
 AIR = (-0.93e-6, 0.27e-6)  # change of the refractive index per K and per hPa
 STEP = 20.0  # s from target to target
 ZERO, LAY = 30.0, 300.0  # um or urad of a zero; urad of misalignment of a straightedge or square: typical sizes
-
-
-@dataclass(frozen=True)
-class Beam:
-    """Laser set-up: dead path (mm), misalignment (urad), beam to the point of the component (mm), wavelength."""
-
-    dead_path: float = 0.0
-    misalignment: float = 0.0
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    wavelength_corrected: bool = True
 
 
 @dataclass(frozen=True)
@@ -43,7 +34,7 @@ class SetUp:
     angle_noise: float = 0.5
     reversal: float = 4.0
     warming: float = 1.5
-    beams: Mapping[str, Beam] = field(default_factory=dict)
+    beams: Mapping[str, Laser] = field(default_factory=dict)
     squares: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -125,7 +116,7 @@ class _Test:
 
     def shown(self, name: str, axis: str, p: np.ndarray, true: Mapping[str, np.ndarray], air: _Air) -> np.ndarray:
         """The display of the instrument for one component, um or urad, before zero and noise."""
-        component, beam = parse(name), self.setup.beams.get(name, Beam())
+        component, beam = parse(name), self.setup.beams.get(name, Laser())
         if component.unit == "urad":
             return true[name]
         along = np.asarray(self.chain.machine.direction(axis))

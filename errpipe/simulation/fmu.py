@@ -23,11 +23,11 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, UsageError, did_you_mean
-from errpipe.simulation.fmu_options import MAX_TUNABLE, FmuInput, FmuOptions, FmuOutput, Tunable
 from errpipe.simulation.fmu_plan import Plan
 from errpipe.simulation.fmu_process import FmuProcess
 from errpipe.simulation.fmu_recalibration import recalibrated
 from errpipe.simulation.responses import names_of
+from errpipe.simulation.twin_options import MAX_TUNABLE, FmuInput, FmuOptions, FmuOutput, Tunable
 
 RECALIBRATION_RANGE = 2.0  # without declared bounds a tunable parameter may halve or double (by judgement)
 

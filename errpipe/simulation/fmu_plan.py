@@ -10,10 +10,10 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
 from errpipe.errors import DataError, did_you_mean
-from errpipe.simulation.fmu_options import FmuInput, FmuOptions, FmuOutput
 from errpipe.simulation.fmu_process import FmuProcess
 from errpipe.simulation.fmu_units import SPELLINGS, convert
 from errpipe.simulation.responses import error_column
+from errpipe.simulation.twin_options import FmuInput, FmuOptions, FmuOutput
 
 MAX_STEPS = 5_000_000  # communication steps of one session: about ten minutes of a light FMU
 STEPS_PER_ROW = 4  # communication steps between two rows if the FMU states none: an input is held during a step

@@ -24,7 +24,7 @@ import numpy as np
 
 from errpipe import files
 from errpipe.errors import DataError, UsageError
-from errpipe.simulation.fmu_options import FmuOptions
+from errpipe.simulation.twin_options import FmuOptions
 
 TOKEN = "ERRPIPE_FMU"
 UID_NOBODY = 65534  # the user without rights on Linux

@@ -14,8 +14,8 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
-from errpipe.simulation.fmu_options import FmuOptions
 from errpipe.simulation.fmu_plan import Plan
+from errpipe.simulation.twin_options import FmuOptions
 
 MAX_EVALUATIONS = 15  # of the residual, without gradients; chosen for at most two minutes with one parameter
 MIN_GAIN = 0.01  # share of the mismatch that a recalibration must remove to be used (chosen, not measured)

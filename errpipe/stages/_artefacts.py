@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from errpipe import jsonfile
-from errpipe.errors import DataError, MissingColumn, VerifyError
+from errpipe.errors import DataError, MissingColumn, VerifyError, first_problem
 from errpipe.pipeline.stage import Context
 
 if TYPE_CHECKING:
@@ -82,9 +82,7 @@ def read_model(path: Path) -> ErrorModel:
             Column.model_validate(facts)
         return model
     except ValidationError as err:
-        first = err.errors()[0]
-        where = ".".join(map(str, (*place, *first["loc"])))
-        raise VerifyError(f"{path}: not an error model: {where}: {first['msg']}") from None
+        raise VerifyError(f"{path}: not an error model: {first_problem(err, *place)}") from None
 
 
 def models_in(context: Context) -> list[ErrorModel]:
@@ -109,25 +107,32 @@ def validations_of(model: ErrorModel, folders: Iterable[Path]) -> list[dict[str,
 
 
 def write_model(context: Context, recording: Recording, model: ErrorModel, family: Family) -> ErrorModel:
-    """Write an error model and its fitting procedure to a stage's folder; returns the model as written."""
+    """Write the error model that a family's fit gave, and that fit; returns the model as written."""
     from errpipe.models import procedure
 
     inputs = {"recording": context.fingerprint}
     model = model.model_copy(update={"title": context.title or recording.manifest.title, "inputs": inputs})
     context.write_json(MODEL, model_json(model))
-    context.write_json(PROCEDURE, procedure(family))
+    context.write_json(PROCEDURE, procedure(family, fingerprint_of(model)))
     return model
 
 
 def family_in(folder: Path) -> Family:
-    """The model family of an error model in a stage's folder. Raises VerifyError if the stage wrote none."""
+    """The model family of an error model in a stage's folder. Raises VerifyError if the stage wrote none, or another's.
+
+    A stage that changes a model and hands on the fit of the unchanged one would be validated by the wrong figures.
+    """
     from errpipe.models import family_of
 
-    if not (folder / PROCEDURE).is_file():
+    path, write_both = folder / PROCEDURE, f"a stage that gives an error model writes {MODEL} and {PROCEDURE} with it"
+    if not path.is_file():
+        raise VerifyError(f"{path}: does not exist; {write_both}")
+    document = jsonfile.read(path)
+    if document.get("model") != fingerprint_of(read_model(folder / MODEL)):
         raise VerifyError(
-            f"{folder / PROCEDURE}: does not exist; a stage that gives an error model writes {MODEL} and {PROCEDURE}"
+            f"{path}: this fit did not give the {MODEL} beside it; {write_both} (`_artefacts.write_model`)"
         )
-    return family_of(jsonfile.read(folder / PROCEDURE))
+    return family_of(document)
 
 
 def documents_in(folder: Path, family: Family) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from errpipe.domain.recording import ActsOn, Recording
-from errpipe.errors import GateError, UsageError, did_you_mean
+from errpipe.errors import GateError, UsageError, did_you_mean, first_problem
 from errpipe.stages import _artefacts
 from errpipe.yamlfile import Options, quantity
 
@@ -61,9 +61,7 @@ def compile_model(
     try:
         return _table_of(model, options, guard, recording)
     except ValidationError as err:
-        first = err.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise GateError(f"export: no table holds this model: {err.title} {where}: {first['msg']}") from None
+        raise GateError(f"export: no table holds this model: {err.title} {first_problem(err)}") from None
 
 
 def _table_of(

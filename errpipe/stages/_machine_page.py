@@ -41,7 +41,7 @@ def solve(stage: Any, context: Context) -> Solved:
     single = {name: r for name, r in tests.items() if records.is_direct(r)}
     if not single and (stage.lasers or stage.squares):
         raise UsageError(f"{stage.label}: lasers and squares are of records such as EXX; no recording holds one")
-    seen, _ = readings.of_tests(chain, tests, stage.setups(), stage.squares)
+    seen, _ = readings.of_tests(chain, tests, stage.lasers, stage.squares)
     context.progress(0.3, f"{len(chain.components)} components from {len(seen)} readings")
     modes = readings.modes(tests) if stage.modes is None else stage.modes
     identified = identify.identify(identify.Parametrisation.of(chain, modes, stage.without), seen)
@@ -78,7 +78,7 @@ def _records(chain: Chain, single: Mapping[str, Any], stage: Any) -> dict[str, d
     """Mean reading at each target by direction, the beam's errors removed: for tables and plots."""
     out: dict[str, dict[str, Any]] = {}
     for recording in single.values():
-        lasers_of_test = {n: s for n, s in stage.setups().items() if n in recording.components()}
+        lasers_of_test = {n: s for n, s in stage.lasers.items() if n in recording.components()}
         for name, curve in direct.curves(recording, chain, lasers_of_test).items():
             out[name] = {
                 "target": _plain(curve.position),

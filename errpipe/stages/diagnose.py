@@ -14,7 +14,7 @@ from errpipe.diagnosis import diagnose as judge
 from errpipe.diagnosis.derived import with_responses
 from errpipe.domain.diagnosis import Diagnosis
 from errpipe.domain.recording import Recording
-from errpipe.errors import DataError, UsageError, VerifyError
+from errpipe.errors import DataError, UsageError, VerifyError, first_problem
 from errpipe.formats import manifest_folder
 from errpipe.formats.manifest_folder import MANIFEST
 from errpipe.reporting.diagnosis_report import Trace, render
@@ -81,9 +81,7 @@ def against(recording: Path, findings: Path, out: Path, simulation: Path | None 
     try:
         earlier = Diagnosis.model_validate(jsonfile.read(Path(findings)))
     except ValidationError as err:
-        first = err.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise VerifyError(f"{findings}: not a diagnosis: {where}: {first['msg']}") from None
+        raise VerifyError(f"{findings}: not a diagnosis: {first_problem(err)}") from None
     try:
         read, _, _ = with_simulation(manifest_folder.read(Path(recording)), simulation)
         held = earlier_findings.against(read, earlier)
@@ -112,18 +110,7 @@ def judged(
     )
     clock = recording.name("time") or ""
     units = {name: c.unit for name, c in recording.manifest.columns.items() if c.unit}
-    traces = [
-        Trace(
-            before=r.before,
-            after=r.after,
-            run=r.run,
-            contributions=r.contribution,
-            inputs=r.inputs,
-            clock=clock,
-            units=units,
-        )
-        for r in rows
-    ]
+    traces = [Trace(r.before, r.after, r.run, r.contribution, r.inputs, clock, units) for r in rows]
     terms = {str(t["term"]) for r in diagnosis.responses for f in r.findings for t in f.all_terms()}
     equations = {name: equation(TERMS[name]) for name in sorted(terms)}
     page = render(diagnosis, traces, machine=recording.manifest.machine, version=__version__, equations=equations)

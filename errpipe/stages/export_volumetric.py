@@ -196,13 +196,7 @@ def compile_machine(
     from errpipe.kinematics import compensation
 
     pairs = compensation.lowered(errors, turning)
-    outputs = [
-        tables.OutputSource(
-            o.name, tuple(tables.MonomialSource(t.weight, t.component, t.factors) for t in o.terms), o.axis, o.unit
-        )
-        for o in compensation.outputs(chain, used=tuple(pairs))
-        if o.axis in axes
-    ]
+    outputs = [o for o in compensation.outputs(chain, used=tuple(pairs)) if o.axis in axes]
     table = tables.compile_table(
         [tables.ComponentSource(name, chain.unit(name), pair) for name, pair in pairs.items()],
         inputs=_inputs(chain),

@@ -8,11 +8,21 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
+from errpipe.domain.laser import Laser
 from errpipe.pipeline.stage import Context, InputPath, Need, Stage
-from errpipe.stages._laser import LASERS, SQUARES, Beam, lasers
+from errpipe.yamlfile import quantity
 
 IDENTIFICATION = "identification.json"
 MACHINE = "machine.yaml"
+LASERS: Any = Field(
+    {}, description="Set-up of the laser, by component: dead path, cosine error and Abbe offset are corrected."
+)
+SQUARES: Any = quantity(
+    "urad",
+    "Squareness whose two straightness records were made against one square, and what that square itself "
+    "would read on a perfect machine.",
+    {},
+)
 
 
 class Identify(Stage):
@@ -31,7 +41,7 @@ class Identify(Stage):
         description="Waves per error motion, regularised by the data; default: as many as the targets resolve.",
     )
     without: tuple[str, ...] = Field((), description="Components assumed to be zero, such as spindle growth.")
-    lasers: dict[str, Beam] = LASERS
+    lasers: dict[str, Laser] = LASERS
     squares: dict[str, float] = SQUARES
     takes: ClassVar[Mapping[str, Need]] = {
         "recordings": Need("recording", every=True),
@@ -64,7 +74,3 @@ class Identify(Stage):
         """Options that repeat the identification on other rows, JSON values."""
         lasers = {name: beam.model_dump(mode="json") for name, beam in self.lasers.items()}
         return {"without": list(self.without), "lasers": lasers, "squares": dict(self.squares)}
-
-    def setups(self) -> dict[str, Any]:
-        """Laser set-ups as the corrections take them."""
-        return lasers(self.lasers)

@@ -47,7 +47,7 @@ class IdentifyDirect(Identify):
             machine=machine,
             modes=document["procedure"]["modes"],
             components=tuple(motions),
-            lasers={n: beam.model_dump(mode="json") for n, beam in self.lasers.items() if n in motions},
+            lasers={n: laser for n, laser in self.lasers.items() if n in motions},
         )
         _artefacts.write_model(context, last, model, family)
         return out

@@ -12,10 +12,13 @@ from pydantic import Field
 from errpipe import formats
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.pipeline.stage import Context, InputPath, Need, Stage
+from errpipe.stages import _artefacts
 from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
+
+SHOWN = 5  # runs that a message names
 
 
 class Ingest(Stage):
@@ -64,11 +67,10 @@ class Ingest(Stage):
     def _whole(self, context: Context, path: Path) -> tuple[int, Mapping[str, Any] | None]:
         """Write the runs that are kept, as without the table that was on. Returns the rows, and what was added."""
         from errpipe.formats import manifest_folder
-        from errpipe.stages import _compensated
 
         recording, said = formats.read(path, self.format, self.options), None
         if self.compensated_by is not None:
-            recording, said = _compensated.uncompensated(recording, self.compensated_by, self.compensated_since)
+            recording, said = _uncompensated(recording, self.compensated_by, self.compensated_since)
         return manifest_folder.write(self._kept(recording), context.folder), said
 
     def _kept(self, recording: Recording) -> Recording:
@@ -102,3 +104,40 @@ class Ingest(Stage):
         )
         added = {f"added_{c}_um": size for c, size in compensated["rms_um"].items()} if compensated else {}
         return {"rows": rows, "columns": len(columns), **added}
+
+
+def _uncompensated(recording: Recording, path: Path, since: str | None) -> tuple[Recording, dict[str, Any]]:
+    """The recording with the deviations of the machine itself, and what was added, in words of `ingest.json`.
+
+    A table subtracts what it predicts, so a measured deviation is the machine's less the table's, which is replayed
+    here row by row as a controller does. since: the first run measured with it; None: all were.
+    Raises DataError if the table is of no response, needs an input that is not recorded, or no such run exists.
+    """
+    from errpipe.drivers.sessions import sessions
+    from errpipe.tables import batch, by_component, ect
+
+    table = _artefacts.read_table(path)
+    labels = recording.run_labels()
+    if since is not None and since not in labels:
+        names = ", ".join(labels[:SHOWN]) + (" ..." if len(labels) > SHOWN else "")
+        raise DataError(f"compensated_since: no run {since!r} (there are {names})")
+    rows = recording.run_codes() >= (labels.index(since) if since is not None else 0)
+    measured = {c: str(recording.name("error", component=c)) for c in recording.components()}
+    shared = [c.name for c in table.components if c.name in measured]
+    if not shared:
+        raise DataError(
+            f"{path}: it corrects {', '.join(c.name for c in table.components)}, none of which was recorded"
+        )
+    columns = {i.name: recording.array(i.name) for i in table.inputs if i.name in recording.frame.columns}
+    try:
+        taken = batch.evaluate(by_component(table), columns, recording.time(), sessions(recording)).deviation
+    except DataError as err:
+        raise DataError(f"{path}: {err}") from None
+    machine = {measured[c]: recording.array(measured[c]) + np.where(rows, taken[c], 0.0) for c in shared}
+    said = {
+        "table": ect.fingerprint(table),
+        "rows": int(rows.sum()),
+        "since": since,
+        "rms_um": {c: float(np.sqrt(np.nanmean(taken[c][rows] ** 2))) for c in shared},
+    }
+    return recording.with_columns(machine, {}), said

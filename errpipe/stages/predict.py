@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
-from errpipe import jsonfile
+from errpipe import files, jsonfile
 from errpipe.domain.error_model import ErrorModel, Validity
 from errpipe.domain.recording import Manifest, Recording
 from errpipe.domain.table import CompensationTable
@@ -18,7 +21,7 @@ from errpipe.drivers.sessions import sessions
 from errpipe.errors import DataError, GateError, UsageError
 from errpipe.fitting.components import evaluate, from_run_start
 from errpipe.formats import manifest_folder
-from errpipe.stages import _artefacts, _readings, _rows_out
+from errpipe.stages import _artefacts, _readings
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages._same_inputs import refuse_others
 from errpipe.tables import batch, by_component
@@ -60,7 +63,7 @@ def predict(source: Path, recording: Path, out: Path, readings: Path | None = No
         frames = rows.predict_parts(source_of, manifest_folder.iter_chunks(Path(recording)), silent)
     else:
         frames = iter([rows.predict(source_of, _artefacts.recording_in(Path(recording)), silent)])
-    answer = {"written": str(out)} | _rows_out.write(Path(out), frames) | said
+    answer = {"written": str(out)} | _write_rows(Path(out), frames) | said
     if silent:
         answer["silent"] = {name: SILENT.format(count, answer["rows"]) for name, count in silent.items()}
     without = [c for c in source_of.components if c not in source_of.half_width90]
@@ -74,6 +77,36 @@ def _refuse_out(out: Path, recording: Path, manifest: Manifest) -> None:
     folder = recording if recording.is_dir() else recording.parent
     if out.resolve() in {(folder / name).resolve() for name in manifest.tables}:
         raise UsageError(f"--out {out}: would replace a file of the recording: name another one")
+
+
+def _write_rows(path: Path, frames: Iterator[pd.DataFrame]) -> dict[str, Any]:
+    """Write parts of equal columns one after the other; the file appears when all are in. Its `rows` and `columns`."""
+    first = next(frames)
+    put = _parquet if path.suffix == ".parquet" else _csv
+    with files.whole(path) as stream:
+        rows = put(stream, first, chain([first], frames))
+    return {"rows": rows, "columns": list(first.columns)}
+
+
+def _csv(stream: IO[bytes], first: pd.DataFrame, frames: Iterable[pd.DataFrame]) -> int:
+    rows = 0
+    for frame in frames:
+        stream.write(frame.to_csv(index=False, header=rows == 0, lineterminator="\n").encode())
+        rows += len(frame)
+    return rows
+
+
+def _parquet(stream: IO[bytes], first: pd.DataFrame, frames: Iterable[pd.DataFrame]) -> int:
+    rows, schema = 0, pa.schema([pa.field(n, _kind(first[n])) for n in first.columns])
+    with pq.ParquetWriter(stream, schema, version="2.6", compression="snappy", use_dictionary=["run"]) as writer:
+        for frame in frames:
+            writer.write_table(pa.Table.from_pandas(frame, schema, preserve_index=False))
+            rows += len(frame)
+    return rows
+
+
+def _kind(column: pd.Series) -> Any:
+    return {"f": pa.float64(), "i": pa.int64()}.get(column.dtype.kind, pa.string())
 
 
 def _with_readings(

@@ -8,9 +8,10 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field
 
 from errpipe import yamlfile
+from errpipe.domain.laser import Laser
 from errpipe.pipeline.stage import Context, InputPath, Stage
 from errpipe.stages._artefacts import TRUTH
-from errpipe.stages._laser import LASERS, SQUARES, Beam
+from errpipe.stages.identify import LASERS, SQUARES
 from errpipe.yamlfile import quantity
 
 
@@ -45,7 +46,7 @@ class SimulateTest(Stage):
     reversal: float = quantity("um", "Typical reversal of an axis in a direct measurement.", 4.0, ge=0)
     noise: float = quantity("um", "Standard deviation of a reading.", 0.5, gt=0)
     seed: int = Field(1, ge=0, description="Seed of the machine's errors and of the noise.")
-    lasers: dict[str, Beam] = LASERS
+    lasers: dict[str, Laser] = LASERS
     squares: dict[str, float] = SQUARES
     gives: ClassVar[tuple[str, ...]] = ("raw_recording", "simulated_truth")
     writes: ClassVar[tuple[str, ...]] = ("recording.yaml", "recording.csv", TRUTH)
@@ -76,16 +77,13 @@ class SimulateTest(Stage):
     def _direct(self, chain: Any, values: Any) -> Any:
         from errpipe.simulation import direct_records as d
 
-        beams = {
-            n: d.Beam(b.dead_path, b.misalignment, b.offset, b.wavelength_corrected) for n, b in self.lasers.items()
-        }
         setup = d.SetUp(
             targets=self.targets,
             cycles=self.cycles,
             noise=self.noise,
             angle_noise=self.noise,
             reversal=self.reversal,
-            beams=beams,
+            beams=self.lasers,
             squares=self.squares,
         )
         return d.record(chain, values, setup, self.seed)

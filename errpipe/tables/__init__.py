@@ -9,16 +9,8 @@ bounds            what a table can reach and what a cycle costs, before it runs;
 
 from __future__ import annotations
 
-from errpipe.tables.compile import (
-    ComponentSource,
-    Limits,
-    MonomialSource,
-    OutputSource,
-    by_component,
-    compile_table,
-    outputs_of,
-    with_limits,
-)
+from errpipe.domain.synthesis import MonomialSource, OutputSource
+from errpipe.tables.compile import ComponentSource, Limits, by_component, compile_table, outputs_of, with_limits
 from errpipe.tables.limits import limited
 
 __all__ = [

@@ -17,6 +17,7 @@ import numpy as np
 from errpipe.domain import components as iso
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
+from errpipe.domain.synthesis import MonomialSource, OutputSource
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.lowering import Nodes
 from errpipe.errors import GateError
@@ -37,26 +38,6 @@ class ComponentSource:
     unit: str
     pairs: tuple[Lowered, ...]
     keep: bool | None = None
-
-
-@dataclass(frozen=True)
-class MonomialSource:
-    """weight x component x product of at most four drivers (coordinates in mm, tool length, sine, cosine)."""
-
-    weight: float
-    component: str
-    factors: tuple[d.Driver, ...] = ()
-
-
-@dataclass(frozen=True)
-class OutputSource:
-    """One output: the sum of its monomials, in `unit` of deviation, corrected along `axis`."""
-
-    name: str
-    terms: tuple[MonomialSource, ...]
-    axis: str = ""
-    unit: str = "um"
-    correction_unit: str = "mm"
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,9 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position
 from errpipe.terms import _profiles as shapes
 from errpipe.terms._base import NEVER, Parameter, Term
+from errpipe.terms._drivers import scaled
 from errpipe.terms._fields import Axis
-from errpipe.terms._warm import scaled
+from errpipe.terms._place import velocities
 from errpipe.yamlfile import quantity
 
 
@@ -100,6 +101,22 @@ class PerRun(Term):
         """Whether each row is of each run, shape (rows, runs)."""
         names = np.asarray(recording.run_labels(), dtype=object)[recording.run_codes()]
         return np.column_stack([names == run for run in self.runs])
+
+
+class OfVelocity(Term):
+    """A friction force of one axis, by the column of its velocity."""
+
+    axis: Axis
+    column: str = Field(description="Column of the velocity.")
+    family = "friction"
+    compensable = False
+    form = "any shape"
+
+    @classmethod
+    def bind(cls, recording: Recording, component: str) -> Iterator[Self]:
+        own: Any = cls  # a subclass has its `term`
+        for axis, column in velocities(recording, component):
+            yield own(axis=axis, column=column)
 
 
 class OfSimulatedForce(Term):

@@ -7,6 +7,7 @@ step between places, speed); typical sizes are a prior whose width is TYPICAL_WI
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -15,9 +16,10 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import position
 from errpipe.drivers.sessions import sessions
-from errpipe.terms._base import Parameter, Search
+from errpipe.terms._base import Parameter, Search, Term
 from errpipe.terms._lines import periods
 
+Located = Iterator[tuple[Term, tuple[float, ...]]]  # bindings with their non-linear values, read off the signals
 STEPS = 9  # points of a refinement, the best one in their middle
 RATIO = 1.6  # from value to value of a scale within its typical range; neighbours overlap within half of that
 COARSE_RATIO = 2.5  # and outside of it
@@ -156,7 +158,6 @@ class Speeds(Listed):
     """A speed, as shares of the highest speed of the term's column."""
 
     bounded: ClassVar[bool] = False
-
     shares: tuple[float, ...] = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2, 0.4)
     fades: bool = False  # does the effect fade within this speed? Beyond the largest share nothing shows that it does
 
@@ -187,7 +188,6 @@ class Waves(Listed):
         return 1.0 / np.maximum(1.0 / value + 0.25 / span * np.linspace(-1.0, 1.0, 4 * STEPS), 1e-12 / span)
 
     def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:
-        """Ends of an interval, half-way to the next neighbours."""
         _, span = resolved_lengths(recording, term.axis)
         half = 0.25 / span / (4 * STEPS - 1)
         return 1.0 / (1.0 / low + half), 1.0 / max(1.0 / high - half, 1e-12 / span)
@@ -198,7 +198,6 @@ class Places(Listed):
     """A place along the term's axis, one in 25 of the positions covered; refined between its neighbours."""
 
     bounded: ClassVar[bool] = False
-
     count: int = 25
 
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
@@ -209,7 +208,6 @@ class Places(Listed):
         return value + resolved_lengths(recording, term.axis)[1] / (self.count - 1) * np.linspace(-1.0, 1.0, STEPS)
 
     def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:
-        """Ends of an interval, half-way to the next neighbours."""
         half = resolved_lengths(recording, term.axis)[1] / (self.count - 1) / (STEPS - 1)
         return low - half, high + half
 
@@ -219,7 +217,6 @@ class Widths(Listed):
     """Length of a stretch, as shares of the positions that the recording covers."""
 
     bounded: ClassVar[bool] = False
-
     shares: tuple[float, ...] = (0.02, 0.035, 0.055, 0.08)
 
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
@@ -266,7 +263,6 @@ class Delays(Listed):
         return value + 0.1 * resolved_times(recording)[0] * np.linspace(-1.0, 1.0, STEPS)
 
     def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:
-        """Ends of an interval, half-way to the next neighbours."""
         half = 0.1 * resolved_times(recording)[0] / (STEPS - 1)
         return low - half, high + half
 

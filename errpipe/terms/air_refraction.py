@@ -11,10 +11,10 @@ from pydantic import Field
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import position, position_name
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._drivers import AIR_WORDS, mentions, sensors
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import is_radial, linear_axes_acting
 from errpipe.terms._slack import Slack
-from errpipe.terms._warm import AIR_WORDS, mentions, sensors
 
 
 class AirRefraction(Term):

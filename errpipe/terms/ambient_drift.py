@@ -12,9 +12,9 @@ from errpipe.domain.driver import Lag
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter
 from errpipe.terms._driven import Driven
+from errpipe.terms._drivers import AIR_WORDS, REFERENCE, ROOM_WORDS, mentions, rise_driver, sensors
 from errpipe.terms._fields import Reference, Sensor
 from errpipe.terms._slack import Slack, difference_of_shape, start_states
-from errpipe.terms._warm import AIR_WORDS, REFERENCE, ROOM_WORDS, mentions, rise_driver, sensors
 
 
 class AmbientDrift(Driven):

@@ -40,16 +40,8 @@ class ClockOffset(Term):
     prior_log_odds = -1.0
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter(
-                "offset",
-                "s",
-                (self.shortest, self.longest),
-                (-self.longest, self.longest),
-                "recording late",
-                search=Shifts(),
-            ),
-        )
+        typical, bounds = (self.shortest, self.longest), (-self.longest, self.longest)
+        return (Parameter("offset", "s", typical, bounds, "recording late", Shifts()),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (recording.name("time") or "row",)

@@ -16,9 +16,9 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._drivers import COOLANT_WORDS, mentions, scaled, sensors
 from errpipe.terms._fields import TEMPERATURE
 from errpipe.terms._slack import Slack, start_states
-from errpipe.terms._warm import COOLANT_WORDS, mentions, scaled, sensors
 
 
 class CoolantEffect(Term):

@@ -9,20 +9,22 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.components import is_force
+from errpipe.domain.driver import Driver
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import direction, moving, position
-from errpipe.terms._base import Parameter, Term
-from errpipe.terms._equations import curve, sign, times
-from errpipe.terms._fields import Axis
+from errpipe.terms._base import Parameter
+from errpipe.terms._driven import OfVelocity
+from errpipe.terms._drivers import curve, scaled, sign
 from errpipe.terms._place import driven_axes
 from errpipe.terms._search import Speeds
 from errpipe.terms._slack import AT_STANDSTILL, Slack, chebyshev, gradual_reversal
 
+SHARES = Speeds(shares=(0.0, 0.003, 0.01, 0.03))
 GROWS = 0.3  # freedom of friction that grows along the travel (guides and covers; chosen, not measured)
 
 
-class CoulombFriction(Term):
+class CoulombFriction(OfVelocity):
     """Coulomb (dry) friction: a constant drive force in the direction of motion, independent of speed.
 
     Equation   force = friction * tanh(v / sharpness)               [N]
@@ -33,22 +35,11 @@ class CoulombFriction(Term):
     """
 
     term: Literal["coulomb_friction"] = "coulomb_friction"
-    axis: Axis
     column: str = Field(description="Column of the velocity, or of the direction.")
-    family = "friction"
-    compensable = False
-    form = "any shape"
     friction_part = "dry"
     gains = (Parameter("force", "N", (5.0, 300.0), (-5000.0, 5000.0), "friction force"),)
     searched = (
-        Parameter(
-            "sharpness",
-            "mm/s",
-            (0.0, 1.0),
-            (0.0, 10.0),
-            "speed within which the force turns round",
-            search=Speeds(shares=(0.0, 0.003, 0.01, 0.03)),
-        ),
+        Parameter("sharpness", "mm/s", (0.0, 1.0), (0.0, 10.0), "speed within which the force turns round", SHARES),
     )
 
     @classmethod
@@ -77,7 +68,7 @@ class CoulombFriction(Term):
 
     def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (sharpness,) = self.nonlinear_values(parameters)
-        way = (
-            sign(self.column) if sharpness <= 0 else curve(self.column, lambda v: np.tanh(v / sharpness), 8 * sharpness)
-        )
-        return (Lowered(times(way, parameters["force"])),)
+        way: Driver = sign(self.column)
+        if sharpness > 0:
+            way = curve(self.column, lambda v: np.tanh(v / sharpness), 8 * sharpness)
+        return (Lowered(scaled(way, parameters["force"])),)

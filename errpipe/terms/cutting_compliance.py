@@ -36,9 +36,7 @@ class CuttingCompliance(Driven):
     def nonlinear(self) -> tuple[Parameter, ...]:
         if self.overhang is None:
             return ()
-        return (
-            Parameter("exponent", "1", (1.0, 3.0), (0.5, 4.0), "power of the overhang", search=Listed((1.0, 2.0, 3.0))),
-        )
+        return (Parameter("exponent", "1", (1.0, 3.0), (0.5, 4.0), "power of the overhang", Listed((1.0, 2.0, 3.0))),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return tuple(n for n in (self.force, self.overhang) if n)

@@ -14,7 +14,7 @@ from errpipe.drivers.simulated import Late
 from errpipe.terms._base import NEVER, Example, Parameter, Term
 from errpipe.terms._example import rows, worked
 from errpipe.terms._place import axes_acting, is_radial
-from errpipe.terms._search import Delays, Signals, resolved_times
+from errpipe.terms._search import Delays, Located, Signals, resolved_times
 
 MAX_SAMPLE_INTERVAL = 0.1  # s; clocks of slower logs differ by seconds and minutes: see `clock_offset`
 LEAST, MOST = 0.02, 60.0  # sampling steps
@@ -61,9 +61,7 @@ class DeadTime(Term):
         return iter(())
 
     @classmethod
-    def located(
-        cls, recording: Recording, component: str, signals: Signals
-    ) -> Iterator[tuple[DeadTime, tuple[float, ...]]]:
+    def located(cls, recording: Recording, component: str, signals: Signals) -> Located:
         """The delay that brings the mismatch down most: among half steps, then between them."""
         from scipy.optimize import minimize_scalar
 

@@ -12,10 +12,10 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter
 from errpipe.terms._driven import OfSimulatedForce
-from errpipe.terms._equations import times
+from errpipe.terms._drivers import scaled
 from errpipe.terms._search import Speeds
 
-SHARES = (0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3)  # of the largest force
+SHARES = Speeds(shares=(0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15, 0.2, 0.3))  # of the largest force
 
 
 class DeadZone(OfSimulatedForce):
@@ -29,11 +29,7 @@ class DeadZone(OfSimulatedForce):
     """
 
     term: Literal["dead_zone"] = "dead_zone"
-    searched = (
-        Parameter(
-            "threshold", "N", (0.5, 500.0), (0.0, 1e6), "force that does not come through", search=Speeds(shares=SHARES)
-        ),
-    )
+    searched = (Parameter("threshold", "N", (0.5, 500.0), (0.0, 1e6), "force that does not come through", SHARES),)
     prior_log_odds = -2.0  # rare, because forces are usually measured from zero
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
@@ -43,4 +39,4 @@ class DeadZone(OfSimulatedForce):
     def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (threshold,) = self.nonlinear_values(parameters)
         force = Input(name=self.column)
-        return (Lowered(times(Clip(low=-threshold, high=threshold, of=force), -parameters["share"])),)
+        return (Lowered(scaled(Clip(low=-threshold, high=threshold, of=force), -parameters["share"])),)

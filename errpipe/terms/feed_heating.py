@@ -17,7 +17,7 @@ from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.kernels.events import travelled
 from errpipe.terms._base import Parameter, Term
-from errpipe.terms._equations import magnitude, times
+from errpipe.terms._drivers import magnitude, scaled
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import linear_axes_acting
 from errpipe.terms._search import Times
@@ -130,5 +130,5 @@ class FeedHeating(Term):
             return None  # the distance moved between two rows is no operation of a driver
         (tau,) = self.nonlinear_values(parameters)
         slope, end, scale = 1e-3 * parameters["slope"], self.fixed_end, PER_MINUTE if self.cycled else 1.0
-        warming = Lag(tau_up=tau, tau_down=tau, start="zero", of=times(magnitude(self.column), 0.01 * scale))
+        warming = Lag(tau_up=tau, tau_down=tau, start="zero", of=scaled(magnitude(self.column), 0.01 * scale))
         return (Lowered(warming, self.axis, lambda x: slope * (x - end)),)

@@ -15,11 +15,11 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.simulated import Ringing
 from errpipe.terms._base import NEVER, Example, Parameter, Term
-from errpipe.terms._equations import times
+from errpipe.terms._drivers import scaled
 from errpipe.terms._example import rows, worked
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import axes_acting, is_radial
-from errpipe.terms._search import Listed, Resonances, Signals, resolved_times
+from errpipe.terms._search import Listed, Located, Resonances, Signals, resolved_times
 from errpipe.terms._slack import Slack
 
 MAX_SAMPLE_INTERVAL = 0.1  # s; structures vibrate at some Hz and more
@@ -79,9 +79,7 @@ class FlexibleMode(Term):
         return iter(())
 
     @classmethod
-    def located(
-        cls, recording: Recording, component: str, signals: Signals
-    ) -> Iterator[tuple[FlexibleMode, tuple[float, ...]]]:
+    def located(cls, recording: Recording, component: str, signals: Signals) -> Located:
         """The resonances that explain most of the mismatch, at several dampings."""
         for term in cls.bind(recording, component):
             if np.isfinite(recording.array(term.column)).all() and signals.values:
@@ -158,7 +156,7 @@ class FlexibleMode(Term):
         frequency, damping = self.nonlinear_values(parameters)
         gain = self._sign * parameters["mass" if self.on_force else "compliance"]
         rings = Ringing(self.column, frequency, damping, gain)
-        return (rings, Lowered(times(Input(name=self.column), -gain))) if self.ringing else (rings,)
+        return (rings, Lowered(scaled(Input(name=self.column), -gain))) if self.ringing else (rings,)
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         yield self._state(recording, *nonlinear)[:, 1], 0.3  # where it is measured it may be early or late

@@ -15,10 +15,10 @@ from errpipe.drivers.motion import share
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._drivers import scaled
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
-from errpipe.terms._search import Signals, resolved_times
-from errpipe.terms._warm import scaled
+from errpipe.terms._search import Located, Signals, resolved_times
 
 MAX_SAMPLE_INTERVAL = 0.1  # s; of slower logs rows show a loop that has settled
 
@@ -57,9 +57,7 @@ class FollowingError(Term):
                 yield cls(axis=axis, column=column)
 
     @classmethod
-    def located(
-        cls, recording: Recording, component: str, signals: Signals
-    ) -> Iterator[tuple[FollowingError, tuple[float, ...]]]:
+    def located(cls, recording: Recording, component: str, signals: Signals) -> Located:
         """In fast logs the loop's time constant that best explains the mismatch, together with a datum."""
         from scipy.optimize import minimize_scalar
 

@@ -6,14 +6,13 @@ from collections.abc import Iterator, Mapping
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import direction, moving, position, position_name
-from errpipe.terms._base import Parameter, Term
-from errpipe.terms._equations import sign, times
-from errpipe.terms._fields import Axis
+from errpipe.terms._base import Parameter
+from errpipe.terms._driven import OfVelocity
+from errpipe.terms._drivers import scaled, sign
 from errpipe.terms._place import velocities
 from errpipe.terms._slack import AT_STANDSTILL, Slack, gradual_reversal
 from errpipe.yamlfile import quantity
@@ -21,7 +20,7 @@ from errpipe.yamlfile import quantity
 ANYWHERE = 0.3  # freedom of the place where it is as simulated: friction that is larger all along is `coulomb_friction`
 
 
-class FrictionGradient(Term):
+class FrictionGradient(OfVelocity):
     """Coulomb friction that increases along the axis: a guide tighter at one end, a folding cover.
 
     Equation   force = growth * sign(v) * (x - middle) / length      [N]
@@ -33,13 +32,8 @@ class FrictionGradient(Term):
     """
 
     term: Literal["friction_gradient"] = "friction_gradient"
-    axis: Axis
-    column: str = Field(description="Column of the velocity.")
     middle: float = quantity("mm", "Position where the friction is as simulated.")
     length: float = quantity("mm", "Way over which the growth is stated: that of the recording.")
-    family = "friction"
-    compensable = False
-    form = "any shape"
     gains = (Parameter("growth", "N", (5.0, 200.0), (-5000.0, 5000.0), "friction at one end less that at the other"),)
     prior_log_odds = -2.0  # friction that is stronger here than there is mostly there in full
     simulated_log_odds = -4.0
@@ -70,4 +64,4 @@ class FrictionGradient(Term):
         yield from gradual_reversal(base[:, 0], recording, self.axis)  # bristles bend before they slide
 
     def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
-        return (Lowered(times(sign(self.column), parameters["growth"]), self.axis, self._reach),)
+        return (Lowered(scaled(sign(self.column), parameters["growth"]), self.axis, self._reach),)

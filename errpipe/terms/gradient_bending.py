@@ -12,7 +12,7 @@ from errpipe.domain.driver import Affine, Input
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter
 from errpipe.terms._driven import Driven
-from errpipe.terms._warm import COOLANT_WORDS, sensors
+from errpipe.terms._drivers import COOLANT_WORDS, sensors
 
 
 class GradientBending(Driven):

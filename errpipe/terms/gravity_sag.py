@@ -13,12 +13,13 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import axes, position_name
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._drivers import scaled
 from errpipe.terms._place import direction_of, own_axis
 from errpipe.terms._search import Listed
 from errpipe.terms._slack import Slack, difference_of_shape
-from errpipe.terms._warm import scaled
 from errpipe.yamlfile import quantity
 
+EXPONENTS = Listed((2.0, 2.5, 3.0))
 LOADS = (2.0, 3.0, 4.0)  # exponents of a cantilever's deflection: moment, load at the end, own weight (beam tables)
 TOGETHER = 0.3  # prior standard deviation of the share of each: any may be as large as a third of the others
 
@@ -41,16 +42,7 @@ class GravitySag(Term):
     family = "load"
     rowwise = True
     gains = (Parameter("sag", "um", (5.0, 40.0), (-500.0, 500.0), "deflection at full overhang"),)
-    searched = (
-        Parameter(
-            "exponent",
-            "1",
-            (2.0, 3.0),
-            (1.8, 4.0),
-            "2: line load or moment, 3: end load",
-            search=Listed((2.0, 2.5, 3.0)),
-        ),
-    )
+    searched = (Parameter("exponent", "1", (2.0, 3.0), (1.8, 4.0), "2: line load or moment, 3: end load", EXPONENTS),)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[GravitySag]:

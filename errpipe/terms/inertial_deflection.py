@@ -13,10 +13,10 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import share
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._drivers import scaled
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._slack import Slack, lagged
-from errpipe.terms._warm import scaled
 
 
 class InertialDeflection(Term):

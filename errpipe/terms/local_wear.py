@@ -39,17 +39,10 @@ class LocalWear(Term):
     gains = (Parameter("depth", "um", (2.0, 20.0), (-200.0, 200.0), "height of the bump", at_largest=True),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        narrow, wide = 0.01 * self.length, 0.15 * self.length
+        narrow, wide, far = 0.01 * self.length, 0.15 * self.length, 10 * self.length
         usual = (min(max(12.0, narrow), wide / 2), max(min(75.0, wide), 2 * narrow))
         return (
-            Parameter(
-                "centre",
-                "mm",
-                (0.0, self.length),
-                (-10 * self.length, 10 * self.length),
-                "middle of it",
-                search=Places(),
-            ),
+            Parameter("centre", "mm", (0.0, self.length), (-far, far), "middle of it", Places()),
             Parameter("width", "mm", usual, (narrow, wide), "standard deviation of the bell", search=Widths()),
         )
 

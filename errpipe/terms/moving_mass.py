@@ -13,7 +13,7 @@ from errpipe.domain.driver import Input
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
-from errpipe.terms._equations import times
+from errpipe.terms._drivers import scaled
 
 
 class MovingMass(Term):
@@ -43,4 +43,4 @@ class MovingMass(Term):
         return (1e-3 * recording.array(self.column))[:, None]
 
     def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
-        return (Lowered(times(Input(name=self.column), 1e-3 * parameters["mass"])),)
+        return (Lowered(scaled(Input(name=self.column), 1e-3 * parameters["mass"])),)

@@ -14,7 +14,7 @@ from errpipe.terms import _orders as waves
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import as_positioning, axes_acting, drive_periods, is_radial
-from errpipe.terms._search import Signals, Waves, of_encoder
+from errpipe.terms._search import Located, Signals, Waves, of_encoder
 from errpipe.terms._slack import Slack
 
 
@@ -57,9 +57,7 @@ class PitchCyclic(Term):
         return cls.bind(recording, as_positioning(component))
 
     @classmethod
-    def located(
-        cls, recording: Recording, component: str, signals: Signals
-    ) -> Iterator[tuple[PitchCyclic, tuple[float, ...]]]:
+    def located(cls, recording: Recording, component: str, signals: Signals) -> Located:
         """Several orders of one wave, as the mismatch shows them."""
         for axis in () if is_radial(component) else axes_acting(recording, as_positioning(component)):
             stated = drive_periods(recording.manifest.axis(axis))

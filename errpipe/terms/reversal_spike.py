@@ -16,7 +16,7 @@ from errpipe.drivers.motion import direction, direction_column, position, share
 from errpipe.drivers.sessions import sessions
 from errpipe.kernels.events import since_turn
 from errpipe.terms._base import Example, Parameter, Term
-from errpipe.terms._equations import times
+from errpipe.terms._drivers import scaled
 from errpipe.terms._example import first_binding, rows
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, driven_axes, is_radial
@@ -25,11 +25,9 @@ from errpipe.terms._slack import Slack
 
 MAX_SHARE_OF_TURN = 1 / 3  # of the time between turns: a longer one is a step between directions
 AT_REST = 0.1  # of the highest speed of a run: slower, it begins where the axis turns
-RISES = (
-    0.05,
-    0.3,
-)  # travels over which bristles bend and the spike rises, in those within its time constant (chosen on
-# a two-mass drive with LuGre friction and trials/first 71101)
+# Travels over which bristles bend and the spike rises, in those within its time constant (chosen on a two-mass drive
+# with LuGre friction and trials/first 71101)
+RISES = (0.05, 0.3)
 NEAR = 0.3  # of the time constant: rows from which that travel is taken
 
 
@@ -69,15 +67,11 @@ class ReversalSpike(Term):
     gains = (Parameter("height", "um", (2.0, 15.0), (-200.0, 200.0), "height of the spike (at 1000 mm/min)"),)
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        power = (
-            (Parameter("power", "1", (0.0, 1.0), (0.0, 2.0), "growth with feed", search=Listed((0.0, 0.5, 1.0))),)
-            if self.feed
-            else ()
+        tau = Parameter(
+            "tau", "s", (0.005, 0.05), (0.001, 1.0), "time in which it dies away", DecayBeforeNextReversal()
         )
-        return (
-            Parameter("tau", "s", (0.005, 0.05), (0.001, 1.0), "time in which it dies away", DecayBeforeNextReversal()),
-            *power,
-        )
+        power = Parameter("power", "1", (0.0, 1.0), (0.0, 2.0), "growth with feed", Listed((0.0, 0.5, 1.0)))
+        return (tau, power) if self.feed else (tau,)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         names = (direction_column(recording, self.axis), recording.name("velocity", axis=self.axis), self.feed)
@@ -142,5 +136,5 @@ class ReversalSpike(Term):
         # a lag of the side differs by twice the spike, once the previous spike has decayed
         spike: Driver = Affine(weights=(1.0, -1.0), of=(side, Lag(tau_up=tau, tau_down=tau, of=side)))
         if self.feed and power[0] > 0:
-            spike = Product(of=(spike, Power(exponent=power[0], of=times(Input(name=self.feed), 1e-3))))
-        return (Lowered(times(spike, -0.5 * parameters["height"])),)
+            spike = Product(of=(spike, Power(exponent=power[0], of=scaled(Input(name=self.feed), 1e-3))))
+        return (Lowered(scaled(spike, -0.5 * parameters["height"])),)

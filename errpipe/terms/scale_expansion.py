@@ -12,10 +12,10 @@ from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position, position_name, share
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._drivers import REFERENCE, rise_driver, sensors
 from errpipe.terms._fields import Axis, Radial, Reference, Sensor
 from errpipe.terms._place import is_radial, linear_axes_acting
 from errpipe.terms._slack import Slack, bent, lagged
-from errpipe.terms._warm import REFERENCE, rise_driver, sensors
 
 
 class ScaleExpansion(Term):

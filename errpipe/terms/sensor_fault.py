@@ -16,9 +16,9 @@ from errpipe.drivers.sessions import sessions
 from errpipe.kernels.events import stretches
 from errpipe.kernels.responses import lag
 from errpipe.terms._base import NEVER, Parameter, Term
+from errpipe.terms._drivers import sensors
 from errpipe.terms._place import linear_axes_acting
 from errpipe.terms._slack import Slack
-from errpipe.terms._warm import sensors
 
 # Log odds of a fault that readings show: it is there, open is only whether the simulation reads that sensor. Half of
 # the odds against each one of some twenty other effects

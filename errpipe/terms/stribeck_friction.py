@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from errpipe.domain.driver import Product
 from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import direction, moving
-from errpipe.terms._base import Parameter, Term
-from errpipe.terms._equations import curve, sign, times
-from errpipe.terms._fields import Axis
-from errpipe.terms._place import velocities
+from errpipe.terms._base import Parameter
+from errpipe.terms._driven import OfVelocity
+from errpipe.terms._drivers import curve, scaled, sign
 from errpipe.terms._search import Speeds
 from errpipe.terms._slack import AT_STANDSTILL, Slack, difference_of_shape, gradual_reversal
 
+FADES = Speeds(fades=True)
 
-class StribeckFriction(Term):
+
+class StribeckFriction(OfVelocity):
     """Stribeck friction: boundary friction at creep speed, which falls as an oil film builds up with speed.
 
     Equation   force = extra * sign(v) * exp(-(|v| / v_s)^2)         [N]
@@ -31,23 +31,9 @@ class StribeckFriction(Term):
     """
 
     term: Literal["stribeck_friction"] = "stribeck_friction"
-    axis: Axis
-    column: str = Field(description="Column of the velocity.")
-    family = "friction"
-    compensable = False
-    form = "any shape"
     friction_part = "falling"
     gains = (Parameter("extra", "N", (5.0, 150.0), (-5000.0, 5000.0), "force at creep above that at speed"),)
-    searched = (
-        Parameter(
-            "v_s", "mm/s", (0.5, 20.0), (0.1, 100.0), "speed at which the dry part has gone", search=Speeds(fades=True)
-        ),
-    )
-
-    @classmethod
-    def bind(cls, recording: Recording, component: str) -> Iterator[StribeckFriction]:
-        for axis, column in velocities(recording, component):
-            yield cls(axis=axis, column=column)
+    searched = (Parameter("v_s", "mm/s", (0.5, 20.0), (0.1, 100.0), "speed at which the dry part has gone", FADES),)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         v = recording.array(self.column)
@@ -67,4 +53,4 @@ class StribeckFriction(Term):
     def equation(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...]:
         (v_s,) = self.nonlinear_values(parameters)
         falling = curve(self.column, lambda v: np.exp(-((v / v_s) ** 2)), 6 * v_s)
-        return (Lowered(times(Product(of=(sign(self.column), falling)), parameters["extra"])),)
+        return (Lowered(scaled(Product(of=(sign(self.column), falling)), parameters["extra"])),)

@@ -12,9 +12,9 @@ from errpipe.domain.driver import Affine
 from errpipe.domain.recording import Recording
 from errpipe.terms._base import Parameter
 from errpipe.terms._driven import Driven
+from errpipe.terms._drivers import REFERENCE, rise_driver, sensors
 from errpipe.terms._fields import Reference, Sensor
 from errpipe.terms._slack import Slack, lagged
-from errpipe.terms._warm import REFERENCE, rise_driver, sensors
 
 
 class ThermalDrift(Driven):

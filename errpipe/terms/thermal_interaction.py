@@ -14,9 +14,9 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
 from errpipe.terms._base import Parameter
 from errpipe.terms._driven import Driven
+from errpipe.terms._drivers import REFERENCE, rise_driver, sensors
 from errpipe.terms._fields import Reference
 from errpipe.terms._slack import MANY_STARTS, Slack
-from errpipe.terms._warm import REFERENCE, rise_driver, sensors
 
 
 class ThermalInteraction(Driven):

@@ -15,11 +15,11 @@ from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position, position_name
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._drivers import REFERENCE, rise_driver, scaled, sensors
 from errpipe.terms._fields import Reference, Sensor
 from errpipe.terms._place import is_radial, linear_axes_acting
-from errpipe.terms._search import Signals, Times, geometric
+from errpipe.terms._search import Located, Signals, Times, geometric
 from errpipe.terms._slack import Slack, start_states
-from errpipe.terms._warm import REFERENCE, rise_driver, scaled, sensors
 
 RATIO, APART = 1.5, 3.0  # between trial time constants; factor between the two of one sensor
 MAX_RESIDUAL_SHARE = 0.9  # share of the sum of squares of one time constant, below which two of them are offered
@@ -89,9 +89,7 @@ class ThermalLag(Term):
         return -3.0 if self.two_stages else 0.0
 
     @classmethod
-    def located(
-        cls, recording: Recording, component: str, signals: Signals
-    ) -> Iterator[tuple[ThermalLag, tuple[float, ...]]]:
+    def located(cls, recording: Recording, component: str, signals: Signals) -> Located:
         """For each sensor the time constant, and the two a factor of three or more apart, that explain most."""
         low, high = Times().limits(cls, recording)
         if not (is_deviation(component) and signals.values and recording.name("time") and high > 9 * low):

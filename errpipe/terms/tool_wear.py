@@ -13,12 +13,13 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.lowered import Lowered
 from errpipe.terms._base import Parameter, Term
+from errpipe.terms._drivers import scaled
 from errpipe.terms._search import Listed
 from errpipe.terms._slack import Slack
-from errpipe.terms._warm import scaled
 from errpipe.yamlfile import quantity
 
 MAX_TOOLS = 40  # runs; more are not tools
+EXPONENTS = Listed((0.35, 0.55, 0.75, 1.0, 1.3))
 OWN_RATE = 0.5  # standard deviation of a tool's rate over the mean of all tools (chosen, not measured)
 
 
@@ -39,16 +40,7 @@ class ToolWear(Term):
     tool: str | None = Field(None, description="Column of the tool's label, where the length cut runs on over tools.")
     form = "any rate"
     family = "process"
-    searched = (
-        Parameter(
-            "exponent",
-            "1",
-            (0.5, 1.0),
-            (0.2, 3.0),
-            "shape of the wear curve",
-            search=Listed((0.35, 0.55, 0.75, 1.0, 1.3)),
-        ),
-    )
+    searched = (Parameter("exponent", "1", (0.5, 1.0), (0.2, 3.0), "shape of the wear curve", EXPONENTS),)
 
     def linear(self) -> tuple[Parameter, ...]:
         return (Parameter("wear", "um", (1.0, 30.0), (-500.0, 500.0), f"after {self.reference:g} m"),)

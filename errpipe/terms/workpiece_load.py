@@ -14,7 +14,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import axes, position, position_name, travel
 from errpipe.terms._base import Parameter, Term
-from errpipe.terms._warm import scaled
+from errpipe.terms._drivers import scaled
 from errpipe.yamlfile import quantity
 
 

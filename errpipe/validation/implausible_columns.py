@@ -333,15 +333,6 @@ def sensors_of_some_runs(recording: Recording) -> Iterator[Finding]:
 
 
 CHECKS: tuple[Callable[[Recording], Iterator[Finding]], ...] = (
-    axis_of_component,
-    direction_against_motion,
-    travel,
-    run_per_row,
-    speed,
-    temperatures,
-    warm_everywhere,
-    fahrenheit,
-    temperature_of_position,
-    sensors_of_some_runs,
-    copies,
+    *(axis_of_component, direction_against_motion, travel, run_per_row, speed),
+    *(temperatures, warm_everywhere, fahrenheit, temperature_of_position, sensors_of_some_runs, copies),
 )

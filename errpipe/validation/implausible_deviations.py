@@ -341,15 +341,6 @@ def _curve(r: Response, side: float) -> dict[float, float]:
 
 
 CHECKS: tuple[Check, ...] = (
-    constant,
-    absolute_readings,
-    as_large_as_travel,
-    other_zero,
-    too_small,
-    jump,
-    mixed_units,
-    reversed_sign,
-    expansion_of_no_material,
-    worse_with_compensation,
-    shifted_rows,
+    *(constant, absolute_readings, as_large_as_travel, other_zero, too_small, jump, mixed_units),
+    *(reversed_sign, expansion_of_no_material, worse_with_compensation, shifted_rows),
 )

@@ -264,11 +264,5 @@ def _curves(r: Response, groups: Sequence[np.ndarray]) -> np.ndarray | None:
 
 
 CHECKS: tuple[Check, ...] = (
-    mixed_sign,
-    repeated_run,
-    mixed_positions,
-    mirrored_rows,
-    shuffled_rows,
-    new_zero,
-    zero_within_run,
+    *(mixed_sign, repeated_run, mixed_positions, mirrored_rows, shuffled_rows, new_zero, zero_within_run),
 )

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from errpipe.domain.components import is_error_motion
+from errpipe.domain.laser import Laser
 from errpipe.domain.machine import Machine
 from errpipe.domain.recording import Recording
 from errpipe.errors import GateError
@@ -15,7 +16,6 @@ from errpipe.fitting.judging import HeldOut
 from errpipe.fitting.statistics import rms
 from errpipe.kinematics import held_out, identify, readings, remaining, synthesis
 from errpipe.kinematics.chain import Chain, compile_chain
-from errpipe.kinematics.direct import Laser
 from errpipe.kinematics.remaining import MAX_HARM_PROBABILITY
 from errpipe.models.direct import Direct
 

@@ -26,22 +26,8 @@ _DRIVER: TypeAdapter[Driver] = TypeAdapter(Driver)
 Evaluate = Callable[[Recording], Mapping[str, np.ndarray]]
 Begin = Callable[[int], Evaluate]
 INPUTS = (
-    "position",
-    "command",
-    "velocity",
-    "acceleration",
-    "feed",
-    "spindle_speed",
-    "temperature",
-    "pressure",
-    "humidity",
-    "force",
-    "load",
-    "depth_of_cut",
-    "overhang",
-    "cut_length",
-    "coolant",
-    "direction",
+    *("position", "command", "velocity", "acceleration", "feed", "spindle_speed", "temperature", "pressure"),
+    *("humidity", "force", "load", "depth_of_cut", "overhang", "cut_length", "coolant", "direction"),
 )
 
 

@@ -50,7 +50,7 @@ def synthesis(machine: Path) -> tuple[dict[str, Any], list[str]]:
 
 def _sin2_replaced(letters: Polynomial) -> Polynomial:
     """The same with sin^2 written as 1 - cos^2, so that equal arms read alike."""
-    out: Polynomial = {}
+    out = Polynomial()
     waiting = list(letters.items())
     while waiting:
         key, value = waiting.pop()
@@ -65,7 +65,7 @@ def _sin2_replaced(letters: Polynomial) -> Polynomial:
         rest.remove(twice)
         cosine = twice.replace("sin", "cos")
         waiting += [(tuple(sorted(rest)), value), (tuple(sorted((*rest, cosine, cosine))), -value)]
-    return dict(sorted(out.items(), key=lambda item: (not item[0], len(item[0]), item[0])))
+    return Polynomial(sorted(out.items(), key=lambda item: (not item[0], len(item[0]), item[0])))
 
 
 def _expression(parts: list[dict[str, Any]]) -> str:

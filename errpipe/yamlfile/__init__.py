@@ -18,9 +18,10 @@ from errpipe.yamlfile.choice import Choice
 from errpipe.yamlfile.document import Document, load, parse, read, text_of
 from errpipe.yamlfile.events import plain
 from errpipe.yamlfile.places import Place, describe, dotted
-from errpipe.yamlfile.quantities import Misplaced, Options, convert, is_unit, quantity
+from errpipe.yamlfile.quantities import UNITS, Misplaced, Options, convert, is_unit, quantity
 
 __all__ = [
+    "UNITS",
     "Choice",
     "Document",
     "Misplaced",

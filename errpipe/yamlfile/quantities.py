@@ -49,7 +49,7 @@ _AS_WRITTEN: dict[str, dict[str, tuple[int | str, int | str | Fraction]]] = {
     "force": {"N": (0, 1), "kN": (0, 1000)},
     "mass": {"kg": (0, 1), "g": (0, "1e-3"), "t": (0, 1000)},
 }
-_UNITS = {
+UNITS = {
     dimension: {unit: (Fraction(zero), Fraction(factor)) for unit, (zero, factor) in units.items()}
     for dimension, units in _AS_WRITTEN.items()
 }
@@ -62,7 +62,7 @@ def convert(text: str, unit: str) -> float:
     Raises ValueError naming the allowed units where the text has another dimension or is no quantity.
     """
     # K measures a difference where the field is in K; a point where the field is in degC.
-    tables = [table for name, table in _UNITS.items() if unit in table and not (unit == "K" and name == "temperature")]
+    tables = [table for name, table in UNITS.items() if unit in table and not (unit == "K" and name == "temperature")]
     allowed = list(tables[0]) if tables else [unit]
     match = _QUANTITY.match(text)
     if match is None:

@@ -155,14 +155,17 @@ def test_a_csv_stands_in_for_the_simulation_and_a_new_one_is_noticed(tmp_path: P
 
 
 def test_after_a_model_of_another_family_nothing_is_added_and_it_stays_as_it_was(tmp_path: Path) -> None:
+    from errpipe.domain.error_model import ErrorModel
+    from errpipe.models import FAMILIES
     from errpipe.pipeline.stage import Context
     from errpipe.simulation import folder
+    from errpipe.stages import _artefacts
     from errpipe.stages.diagnosis import Diagnosis
 
     folder.write(tmp_path / "in", axis())
     (tmp_path / "season").mkdir()
-    (tmp_path / "season/fit.json").write_text('{"family": "season", "component": "EXX"}')
-    (tmp_path / "season/error_model.json").write_text("{}")
+    season = Context(tmp_path / "season")
+    _artefacts.write_model(season, axis(), ErrorModel(components=()), FAMILIES["season"](component="EXX"))
     (tmp_path / "out").mkdir()
     folders = {"recording": {"in": tmp_path / "in"}, "error_model": {"season": tmp_path / "season"}}
     Diagnosis(kind="diagnose").run(Context(tmp_path / "out", stages=folders))

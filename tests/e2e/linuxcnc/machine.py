@@ -98,12 +98,7 @@ def table() -> t.CompensationTable:
     inputs += [
         t.TableInput(name=f"tool_offset_{a}", kind="tool", unit="mm", low=-300, high=300, default=0) for a in AXES
     ]
-    outputs = [
-        tables.OutputSource(
-            o.name, tuple(tables.MonomialSource(m.weight, m.component, m.factors) for m in o.terms), o.axis, o.unit
-        )
-        for o in compensation.outputs(chain(), used=tuple(pairs))
-    ]
+    outputs = compensation.outputs(chain(), used=tuple(pairs))
     return tables.compile_table(
         [tables.ComponentSource(n, chain().unit(n), p) for n, p in pairs.items()],
         inputs=inputs,

@@ -36,7 +36,7 @@ def solve(chain, recording, axis="X", modes=12, **options):
 def played_x(beam: dict, seed=3, **setup):
     chain = ready("vertical-centre")
     values = metrology.smooth_machine(chain, seed)
-    beams = {"EXX": played.Beam(**beam)}
+    beams = {"EXX": played.Laser(**beam)}
     options = {"noise": 0.05, "angle_noise": 0.1, "beams": beams} | setup
     return chain, values, of_axis(played.record(chain, values, played.SetUp(**options), seed), "X")
 

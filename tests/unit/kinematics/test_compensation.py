@@ -11,7 +11,7 @@ from errpipe.domain.table import TableInput
 from errpipe.kinematics import compensation, synthesis
 from errpipe.kinematics.errors import MachineErrors
 from errpipe.simulation import metrology
-from errpipe.tables.compile import ComponentSource, MonomialSource, OutputSource, compile_table
+from errpipe.tables.compile import ComponentSource, compile_table
 from errpipe.tables.reference import Evaluator
 
 
@@ -38,12 +38,7 @@ def table_of(chain, errors):
     return compile_table(
         [ComponentSource(n, chain.unit(n), p) for n, p in pairs.items()],
         inputs=inputs,
-        outputs=[
-            OutputSource(
-                o.name, tuple(MonomialSource(t.weight, t.component, t.factors) for t in o.terms), o.axis, o.unit
-            )
-            for o in outputs
-        ],
+        outputs=outputs,
         travel={a: tuple(t) for a, t in zip(chain.axes, chain.travel, strict=True)},
         error_bound=0.002,
     )

@@ -187,7 +187,7 @@ def coverage(seeds) -> tuple[float, float, float]:
     beams = {"EXX": AIR | COSINE | ABBE, "EYY": WAVELENGTH | ABBE, "EZZ": AIR | COSINE, "EYX": ABBE}
     lasers = {n: direct.Laser(**b) for n, b in beams.items()}
     squares = {"C0Y": 5.0, "A0Z": -4.0, "B0Z": 6.0}
-    setup = played.SetUp(beams={n: played.Beam(**b) for n, b in beams.items()}, squares=squares)
+    setup = played.SetUp(beams={n: played.Laser(**b) for n, b in beams.items()}, squares=squares)
     inside, constants, volume = [], [], []
     q = volume_points(chain, [4, 4, 4], 0.1)
     for seed in seeds:

@@ -150,7 +150,7 @@ def test_straightness_beside_its_point_reads_the_angles_too():
     beam = {"offset": (0.0, 0.0, 300.0)}
     chain = ready("vertical-centre")
     values = metrology.smooth_machine(chain, 5)
-    setup = played.SetUp(noise=0.05, angle_noise=0.1, beams={"EYX": played.Beam(**beam)})
+    setup = played.SetUp(noise=0.05, angle_noise=0.1, beams={"EYX": played.Laser(**beam)})
     recording = of_axis(played.record(chain, values, setup, 5), "X")
     right, wrong = solve(chain, recording, lasers={"EYX": direct.Laser(**beam)}), solve(chain, recording)
     assert largest_gap(chain, values, right, "EYX") < 0.12

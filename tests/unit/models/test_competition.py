@@ -329,7 +329,7 @@ def test_an_entrant_that_helps_by_chance_does_not_join() -> None:
 def test_every_family_is_read_back_from_its_procedure() -> None:
     for kind in competitors():
         family = kind.competitor({"component": "E_Z"})
-        assert family_of(procedure(family)) == family and kind in FAMILIES and family.responses == ("E_Z",)
+        assert family_of(procedure(family, "")) == family and kind in FAMILIES and family.responses == ("E_Z",)
     with pytest.raises(ValueError, match="Did you mean lagged"):
         Auto(component="E_Z", among=("laged",))
     assert Network in competitors() and Auto not in competitors()

@@ -1,19 +1,13 @@
-"""Set-up of laser and level, as stated in a pipeline."""
+"""Set-up of a laser, as stated in a pipeline, corrected by an identification and simulated."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
 
 from pydantic import Field, NonNegativeFloat
 
 from errpipe.yamlfile import Options, quantity
 
-if TYPE_CHECKING:
-    from errpipe.kinematics.direct import Laser
 
-
-class Beam(Options):
+class Laser(Options):
     """Set-up of the laser for one component: a positioning, or the offset alone of a straightness."""
 
     dead_path: float = quantity("mm", "From the interferometer to the reflector where the laser was reset.", 0.0, ge=0)
@@ -33,27 +27,10 @@ class Beam(Options):
         None,
     )
     zero_each_run: bool = Field(False, description="Whether the display was zeroed at the start of each run.")
+    # half of the 0.2 K, 1 hPa and 6 % (k = 2) of Renishaw's XC-80 data sheet
     air_uncertainty: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = quantity(
         "K, hPa, %",
         "Standard uncertainty of the sensors of the air: temperature (K), pressure (hPa), humidity (%). A "
         "humidity that was not recorded counts as 50 % with 14 %.",
         (0.1, 0.5, 3.0),
     )
-
-
-def lasers(beams: Mapping[str, Beam]) -> dict[str, Laser]:
-    """The set-ups as the corrections take them."""
-    from errpipe.kinematics.direct import Laser
-
-    return {name: Laser(**{key: getattr(b, key) for key in Beam.model_fields}) for name, b in beams.items()}
-
-
-LASERS: Any = Field(
-    {}, description="Set-up of the laser, by component: dead path, cosine error and Abbe offset are corrected."
-)
-SQUARES: Any = quantity(
-    "urad",
-    "Squareness whose two straightness records were made against one square, and what that square itself "
-    "would read on a perfect machine.",
-    {},
-)

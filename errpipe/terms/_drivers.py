@@ -1,6 +1,8 @@
-"""Temperature rises as drivers: over the value at the start, or over a fixed reference."""
+"""Drivers that several terms are made of: temperature rises, sign and magnitude, a curve of one input."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -8,6 +10,9 @@ from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
 
 REFERENCE = 20.0  # degC, ISO 1: the temperature at which lengths are stated
+STEEP = 1e9  # slope at which a clipped line is a sign: inputs are never as small as 1e-9 of their unit, unless 0
+CURVE_POINTS = 1200  # linear interpolation then leaves less than 1e-4 of a tanh or a bell over its range
+MAX_INPUT = 1e12  # no input is larger
 
 
 def rise_driver(sensor: str, reference: float | None) -> d.Affine:
@@ -18,6 +23,24 @@ def rise_driver(sensor: str, reference: float | None) -> d.Affine:
 def scaled(driver: d.Driver, gain: float) -> d.Affine:
     """gain * driver."""
     return d.Affine(weights=(gain,), of=(driver,))
+
+
+def sign(name: str) -> d.Clip:
+    """Sign of an input: -1, 0 or 1."""
+    return d.Clip(low=-1.0, high=1.0, of=scaled(d.Input(name=name), STEEP))
+
+
+def magnitude(name: str) -> d.Lookup:
+    """Absolute value of an input."""
+    return d.Lookup(start=-MAX_INPUT, step=MAX_INPUT, values=(MAX_INPUT, 0.0, MAX_INPUT), of=d.Input(name=name))
+
+
+def curve(name: str, shape: Callable[[np.ndarray], np.ndarray], reach: float) -> d.Lookup:
+    """`shape` of an input between -reach and reach, beyond held at its ends."""
+    at = np.linspace(-reach, reach, CURVE_POINTS + 1)
+    return d.Lookup(
+        start=-reach, step=2 * reach / CURVE_POINTS, values=tuple(shape(at).tolist()), of=d.Input(name=name)
+    )
 
 
 def location(recording: Recording, sensor: str) -> str:
