@@ -26,8 +26,10 @@ def blocks(
     deep: rows of the header, with its units.
     """
     if deep == 1:
+        width = len(rows[start - 1])
         rows, numbers = _by_name(rows, numbers, start, notes)
-        names = [*names, *map(label, rows[start - 1][len(names) :])]
+        more = [label(c) for c in rows[start - 1][width:]]
+        names = [*names[:width], *more, *names[width + len(more) :]]
     below = range(start + 1, len(rows) - 1)
     again = [r for r in below if filled_cells(rows[r]) == filled_cells(rows[start - 1])]
     if deep > 1 and all(rows[r - k] == rows[start - 1 - k] for r in again for k in range(deep)):

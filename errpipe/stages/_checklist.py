@@ -29,10 +29,10 @@ ALONE = (
     "errpipe export {0}/table.ect OTHER/table.ect --target {1} --out DIR"
 )
 CHECK_THE_SIGN = (
-    "**The sign of the readings was assumed (their file does not state it), and a wrong one doubles the error.** Before "
+    "**The sign of the readings was assumed (their file does not state it); a wrong one doubles the error.** Before "
     "anything is loaded: with the instrument of the recording set up at a target, jog the axis 0.1 mm (deg) beyond it, "
-    "in the positive direction. The reading must rise by 0.1. If it falls: import with --sign commanded-minus-actual. If "
-    "it rises: --sign actual-minus-commanded removes this note."
+    "in the positive direction. The reading must rise by 0.1. If it falls: import with --sign commanded-minus-actual; "
+    "if it rises, --sign actual-minus-commanded removes this note."
 )
 MIN_ZERO_SHIFT = 5e-5  # mm (deg): a smaller shift of a zero is not listed
 

@@ -1,4 +1,4 @@
-"""Parquet and Feather tables (by pyarrow), and JSON: a record a line, a list of records or rows, or a list for each column."""
+"""Parquet and Feather (by pyarrow), and JSON: a record a line, a list of records or rows, or a list for each column."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _parquet(path: Path) -> dict[str, list[Cell]]:
         raise
     except Exception as err:  # pyarrow raises ArrowInvalid, OSError, KeyError, ... for damaged files
         raise DataError(
-            f"{path}: not a Parquet file (or Feather) that can be read ({type(err).__name__}): export it again, or as CSV"
+            f"{path}: not a Parquet file (or Feather) that is read ({type(err).__name__}): export it again, or as CSV"
         ) from None
 
 
@@ -151,7 +151,7 @@ def _of_series(series: list[Any]) -> dict[str, list[Any]]:
     """A row per value of series that each hold one list of values with their times, as historians write a signal.
 
     `[{"NodeId": "X.ActPos", "DataValues": [{"SourceTimestamp": ..., "Value": 1.0}]}, ...]`, or of pairs of a Unix time
-    and a value: `[{"metric": {"__name__": "x_act"}, "values": [[1764061920, "1.0"], ...]}, ...]`; {} for any other list.
+    and a value: `[{"metric": {"__name__": "x_act"}, "values": [[1764061920, "1.0"], ...]}]`; {} for any other list.
     """
     rows: list[dict[str, Any]] = []
     for one in series if len(series) > 1 else []:
@@ -179,7 +179,7 @@ def _timed(pairs: list[Any]) -> list[tuple[str, Any]]:
         except (TypeError, ValueError):
             continue
         per_second = 1e3 if t.min() > MOST_SECONDS else 1.0
-        if FEWEST_SECONDS < t.min() / per_second and t.max() / per_second < MOST_SECONDS and (np.diff(t) > 0).all():
+        if t.min() / per_second > FEWEST_SECONDS and t.max() / per_second < MOST_SECONDS and (np.diff(t) > 0).all():
             dates = np.datetime_as_string(np.round(1e3 * t / per_second).astype("datetime64[ms]"), timezone="UTC")
             return [(str(when), p[1 - i]) for when, p in zip(dates, pairs, strict=True)]
     return []
