@@ -25,6 +25,11 @@ def blocks(
 
     deep: number of header rows, including units.
     """
+    if deep == 1:
+        width = len(rows[start - 1])
+        rows, numbers = _by_name(rows, numbers, start, notes)
+        more = [label(c) for c in rows[start - 1][width:]]
+        names = [*names[:width], *more, *names[width + len(more) :]]
     below = range(start + 1, len(rows) - 1)
     again = [r for r in below if filled_cells(rows[r]) == filled_cells(rows[start - 1])]
     if deep > 1 and all(rows[r - k] == rows[start - 1 - k] for r in again for k in range(deep)):
@@ -53,6 +58,33 @@ def blocks(
     if not again:
         return names, rows[start:]
     return _repeated(names, rows, numbers, start, again, titled, notes)
+
+
+def _by_name(
+    rows: list[list[Cell]], numbers: list[list[float | None]], start: int, notes: list[str]
+) -> tuple[list[list[Cell]], list[list[float | None]]]:
+    """Rows with their columns where the first header has them, below headers of its names in another order, or more.
+
+    A logger that was started again with another list of channels writes such a header.
+    """
+    header = [label(c) for c in rows[start - 1]]
+    if len({*header}) < max(2, len(header)) or not all(header):
+        return rows, numbers
+    at = {r: [label(c) for c in rows[r]] for r in range(start, len(rows)) if not any(v is not None for v in numbers[r])}
+    at = {r: cells for r, cells in at.items() if {*header} <= {*cells} and len({*cells}) == len(cells)}
+    known = [*dict.fromkeys([*header, *(c for cells in at.values() for c in cells if c)])]
+    if all(cells == header for cells in at.values()):
+        return rows, numbers
+    notes.append("a header below has the names of the first one in another order, or more: columns are put by name")
+    rows, numbers, order = [*rows], [*numbers], [*range(len(header))]
+    rows[start - 1] = [*known]
+    for r in range(start, len(rows)):
+        if r in at:
+            order, rows[r] = [at[r].index(c) if c in at[r] else len(at[r]) for c in known], [*known]
+        else:
+            rows[r] = [rows[r][i] if i < len(rows[r]) else None for i in order]
+            numbers[r] = [numbers[r][i] if i < len(numbers[r]) else None for i in order]
+    return rows, numbers
 
 
 def sections(

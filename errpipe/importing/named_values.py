@@ -12,6 +12,13 @@ _VALUE = r"[+-]?\s?(?:\d+(?:[.,]\d+)*|[.,]\d+)(?:[eE][+-]?\d+)?"
 _PAIR = re.compile(  # `X_SOLL=1.5`, `RUN*1`, `SOLLWERT X : 1,5 MM`, `#5061=1.5`, `DIR=PLUS`
     rf"\s*([^\W\d][^=:*]*?|#\d+)\s*[=:*]\s*({_VALUE}|[^\W\d][\w.]*|[+-](?![\w.]))(?:\s*(?!\w+\s*[=:*])([^\W\d]{{1,4}}|\")(?=[\s;,]|$))?[\s;,]*"
 )
+_WORDS = re.compile(rf"\s*([A-Za-z]{{1,12}})\s*({_VALUE})()(?=[\s,;]|$)[\s,;]*")  # `X 1.5, DIAL 0.002`, `B30. C0. X1.5`
+_PROGRAM = {"G", "M", "N", "F", "S", "T", "O"}  # addresses of an NC program, which contains no readings
+_STAMP = re.compile(  # a time stamp or a counter before the values
+    r"\s*[\[(]?((?:\d{2,4}[-./]\d\d?[-./]\d{2,4}[ T])?\d\d?:\d\d:\d\d(?:[.,]\d+)?Z?|\d+(?:\.\d+)?)[\])]?"
+    r"(?:\s*(?:->|[,;|-])\s*|\s+)(?=[^\W\d])"
+)
+_INDEX = re.compile(r"\[\d+\]$|(?<=#)\d+$")  # `VC[12]`, `#101`: values with an index instead of a name
 _TICKS = re.compile(r"\d{10,19}")  # of a line protocol: the time stamp after all values
 FEWEST_ROWS = 3  # of a table
 MOSTLY = 0.8  # share of the lines that are names and values; share of the rows that contain a name
@@ -27,6 +34,9 @@ def tabled(sheet: Sheet) -> Sheet:
         lines = [line for row in cells if re.search(r"\w", line := mark.join(row))]
         found = [_pairs(line) for line in lines]
         count = Counter(name for of_line in found for name, _, _ in of_line)
+        if max(count.values(), default=0) < FEWEST_ROWS and all(map(_INDEX.search, count)):
+            found = [[(f"{_INDEX.sub('', n)} {k}", v, u) for k, (n, v, u) in enumerate(of, 1)] for of in found]
+            count = Counter(name for of_line in found for name, _, _ in of_line)
         most = max(count.values(), default=0)
         names = [name for name, n in count.items() if n >= MOSTLY * most]
         named = [any(name in names for name, _, _ in of_line) for of_line in found]
@@ -52,7 +62,13 @@ def _table(sheet: Sheet, names: list[str], pairs: list[tuple[str, str, str]], ab
 
 
 def _pairs(line: str) -> list[tuple[str, str, str]]:
-    """Names, values and units of a line; empty if it contains anything else."""
-    out = [(m[1].strip(), m[2], m[3] or "") for m in _PAIR.finditer(line)]
-    rest = _PAIR.sub("", line).strip()
-    return [*out, ("time stamp", rest, "")] if out and _TICKS.fullmatch(rest) else [] if rest else out
+    """Names, values and units of a line, with the time stamp before or after them; empty if it contains anything else."""
+    stamp = _STAMP.match(line)
+    own = [("time" if ":" in stamp[1] else "unnamed", stamp[1], "")] if stamp else []
+    line = line[stamp.end() :] if stamp else line
+    pattern = _PAIR if re.search(r"[=:*]", line) else _WORDS
+    out = [(m[1].strip(), m[2], m[3] or "") for m in pattern.finditer(line)]
+    rest = pattern.sub("", line).strip()
+    if not out or (pattern is _WORDS and (len(out) < 2 or _PROGRAM & {name for name, _, _ in out})):
+        return []
+    return [*own, *out, ("time stamp", rest, "")] if _TICKS.fullmatch(rest) else [] if rest else own + out

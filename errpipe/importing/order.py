@@ -32,6 +32,12 @@ def refuse_swapped(p: Proposal, command: str, actual: str) -> None:
     guessed = p.guesses.get(command) and p.guesses.get(actual)
     if x is None or y is None or not guessed or x.size < FEWEST_VISITS:
         return
+    if words.is_reference_of_a_scale(command, actual):
+        raise DataError(
+            f"{command!r} beside {actual!r}: the commanded position (say --set {command}.role=command --set "
+            f"{actual}.role=actual), or an instrument that shows where the axis is, beside the machine's own reading "
+            f"(say --set {command}.role=actual --set {actual}.role=command)?"
+        )
     places, moves = np.unique(y[np.isfinite(y)]).size, float(np.mean(np.diff(y) != 0))
     if np.unique(x).size > 0.8 * x.size and places <= 0.5 * y.size and moves > 0.8:
         raise DataError(

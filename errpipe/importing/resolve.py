@@ -62,10 +62,10 @@ def unit_of_readings(values: np.ndarray, unit: str | None, component: str, why: 
             f"readings of {component} in {unit}, per length: errpipe needs them in um (or mm) at each position, and of "
             "a level declare what it measured with --component, such as EBX"
         )
-    if standard == "um" and unit in guessing.SMALL_ANGLES:
+    if standard == "um" and unit in (*guessing.SMALL_ANGLES, "s", "min"):
         raise DataError(
-            f"readings in {unit} are angles, not {component}: declare what rotated with --component, such as "
-            f"{_turns(component)}"
+            f"readings in {unit} are angles, not {component}: for a rotary axis, --axis C (or A, B); else declare what "
+            f"rotated with --component, such as {_turns(component)}"
         )
     values, unit, why = plain_unit(values, unit, why)
     if standard == "urad" and unit in ("um", "mm", "nm"):

@@ -27,10 +27,14 @@ _TITLE_OF_CORRECTIONS = re.compile(
 _OF_CORRECTIONS = re.compile(
     r"(?:values?|werte?|table|data|to (?:apply|enter|be \w+)|valore|valeur|valor|d[aei]|del?|of|in|[値值量表数]|\W|\d)+"
 )
-# Quantities that may have either sign: a value entered in a control, or the gap between a sensor and its target.
+# Quantities that may have either sign: a value entered in a control, the gap between a sensor and its target, or
+# the error of indication of the machine (indicated minus true).
 _EITHER_WAY = re.compile(
     r"\b(offset|trim|gap|spalt|luftspalt|abstand|distance|stellwert|einstellwert|nachstellwert|eingabewert|to enter"
-    r"|undershoot|short|zu kurz|trop court)\b|[x×*·] ?\(?-1|-1\)? ?[x×*·]|(?<![\w-])[a-z]-[a-z](?![\w-])"
+    r"|undershoot|short|zu kurz|trop court|anzeige(fehler|abweichung)|(indication|readout|display|dro|encoder|scale)s?"
+    r"[ -]?(err(or)?s?|dev\w*|fehler|abw\w*)"
+    r"|(err(or)?|dev|fehler) (of (the )?)?(indication|readout|display|dro|encoder|scale))\b"
+    r"|[x×*·] ?\(?-1|-1\)? ?[x×*·]|(?<![\w-])[a-z]-[a-z](?![\w-])"
 )
 _DIFFERENCE = re.compile(
     r"\b([^\W\d_]\w*)\.?(?: - | (?:minus|less|moins|meno|menos) )(?:the )?([^\W\d_]\w*)|\b([a-z])[a-z]-\3[a-z]\b"
@@ -168,6 +172,12 @@ def _said(p: Proposal, name: str, layout: Layout) -> tuple[bool, str]:
         return True, "a following error is commanded minus actual: the sign is changed"
     around = " | ".join([name, *(c.header for c in layout.columns), *layout.above, *layout.below])
     said = words.difference(" | ".join(headers)) or words.difference(around)
+    if said is not None and said[0] == 0:
+        raise DataError(
+            f"{said[1]!r}: is the reference the set point, or an instrument that shows where the axis is? Say it: "
+            "--sign actual-minus-commanded (the readings rise where the axis goes too far), or --sign "
+            "commanded-minus-actual"
+        )
     if said is not None:
         return said[0] < 0, f"the file states {said[1]!r}" + (": the sign is changed" if said[0] < 0 else "")
     if components.parse(p.entries[name]["component"]).kind == "force":

@@ -179,6 +179,7 @@ _OF_A_DIFFERENCE = (
         r"|laser|interferometer|gauge|dial|indicator|zmierzon\w*|rzeczywist\w*|измерен\w*|фактич\w*|実測\w*|实测\w*|实际\w*",
     ),
 )
+_REFERENCE = re.compile(r"(?<![^\W_])ref(erence|erenz|erenz\w+)?(?![^\W_])")
 _LESS = (
     r"\.?(?: (?:pos(?:ition)?|value|wert|reading)s?)?\s*(?:-|minus|less|moins|meno|menos)\s*"
     r"(?:(?:the|(?:axis )?position|[xyzabcuvw]) )?"
@@ -296,12 +297,22 @@ def is_following_error(header: str) -> bool:
 
 
 def difference(text: str) -> tuple[float, str] | None:
-    """+1 and the words if a text reads `measured - nominal`, -1 if it reads `cmd - act`; else None."""
+    """+1 and the words if a text reads `measured - nominal`, -1 if it reads `cmd - act`; else None.
+
+    0 if it reads `display - reference`: a reference is a set point or a second instrument.
+    """
     for match in _ACTUAL_AND_COMMANDED.finditer(plain(text)):
         one, other = sorted(name for name, word in match.groupdict().items() if word)
+        if {one[1], other[1]} == {"0", "1"} and _REFERENCE.search(match.group(0)):
+            return 0.0, match.group(0)
         if one[1] != other[1]:
             return (1.0 if one[1] > other[1] else -1.0), match.group(0)
     return None
+
+
+def is_reference_of_a_scale(command: str, actual: str) -> bool:
+    """Whether a command may be the reading of an instrument: `Reference X` beside `Encoder X`."""
+    return bool(_REFERENCE.search(plain(command)) and re.search(rf"\b(?:{_OF_A_DIFFERENCE[1][1]})\b", plain(actual)))
 
 
 def names_both(text: str) -> bool:

@@ -25,6 +25,7 @@ MODEL = "error_model.json"
 PROCEDURE = "fit.json"  # the model family and its options: enough to repeat the fit without a held-out group
 VALIDATION = "validation.json"
 UNGATED = "Ungated, not shown to be better than no compensation"  # in the title of such a table
+SIGN_ASSUMED = "Sign assumed"  # in the title of a table of readings whose file does not state their sign
 TABLE = "table.ect"
 TWIN = "table.json"
 
@@ -32,6 +33,12 @@ TWIN = "table.json"
 def ungated_title(title: str) -> str:
     """Title of a table that was exported although nothing showed that it helps; at most 127 characters."""
     return f"{UNGATED}: {title}"[:127]
+
+
+def title_of(title: str, recording: Recording) -> str:
+    """Title of a table of a recording: marked where `import` assumed the sign of the readings."""
+    constant = recording.manifest.constants.get("sign")
+    return f"{SIGN_ASSUMED}: {title}"[:127] if constant is not None and constant.value == "assumed" else title
 
 
 def recording_in(folder: Path) -> Recording:

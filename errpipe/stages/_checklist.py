@@ -28,6 +28,12 @@ ALONE = (
     "take their place. Axes of one machine are exported together: "
     "errpipe export {0}/table.ect OTHER/table.ect --target {1} --out DIR"
 )
+CHECK_THE_SIGN = (
+    "**The sign of the readings was assumed (their file does not state it); a wrong one doubles the error.** Before "
+    "anything is loaded: with the instrument of the recording set up at a target, jog the axis 0.1 mm (deg) beyond it, "
+    "in the positive direction. The reading must rise by 0.1. If it falls: import with --sign commanded-minus-actual; "
+    "if it rises, --sign actual-minus-commanded removes this note."
+)
 MIN_ZERO_SHIFT = 5e-5  # mm (deg): a smaller shift of a zero is not listed
 
 
@@ -35,7 +41,9 @@ def checklist(
     target: Any, read: Any, lost: list[dict[str, Any]], table: CompensationTable, others: Sequence[str] = ()
 ) -> str:
     """The text for one target. read: its files as the controller reads them; others: targets loaded with it."""
-    lines = [f"# {target.name}: {target.controller}", "", f"Sign: {target.sign}.", f"Limits: {target.limits}."]
+    lines = [f"# {target.name}: {target.controller}", ""]
+    lines += [CHECK_THE_SIGN, ""] if _artefacts.SIGN_ASSUMED in table.title else []
+    lines += [f"Sign: {target.sign}.", f"Limits: {target.limits}."]
     lines += [f"Unit: {target.unit}."]
     if _artefacts.UNGATED in table.title:
         lines += [

@@ -73,6 +73,7 @@ class Export(CompileOptions, SignOptions, Stage):
         models = _artefacts.models_in(context)
         model = joined(models)
         recording = _artefacts.recording_in(context.needed("recording"))
+        model = model.model_copy(update={"title": _artefacts.title_of(model.title, recording)})
         checks = _plausible.refuse(recording, model, self.allow, self.limit)
         passed = _gate(model, models, self, context)
         model = passed.model

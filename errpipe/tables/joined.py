@@ -13,6 +13,7 @@ from errpipe.errors import UsageError
 
 LONGEST_NAME = 31  # bytes of an input's name (schemas/ect-2.md)
 # What tables that run together have in common
+LONGEST_TITLE = 127  # characters, as the table holds them
 SHARED = ("table", "position_cycle_s", "slow_every", "ramp_s", "fade_s")
 
 
@@ -42,11 +43,17 @@ def joined(tables: Sequence[CompensationTable]) -> CompensationTable:
         {
             **{fact: getattr(first, fact) for fact in (*SHARED, "version")},
             "machine": first.machine if len(machines) == 1 else "",
-            "title": ", ".join(dict.fromkeys(table.title for table in tables))[:127],
+            "title": _title([*dict.fromkeys(table.title for table in tables)]),
             "fingerprint": hashlib.sha256("".join(t.fingerprint for t in tables).encode()).hexdigest(),
             **parts,
         }
     )
+
+
+def _title(titles: list[str]) -> str:
+    """All titles, each cut to its share where they are too long together: they begin with what to beware of."""
+    text = ", ".join(titles)
+    return text if len(text) <= LONGEST_TITLE else ", ".join(t[: LONGEST_TITLE // len(titles) - 2] for t in titles)
 
 
 def _moved(table: CompensationTable) -> set[str]:

@@ -10,7 +10,6 @@ FEWEST_TARGETS = 5  # approached from both sides: of an axis up to 2 m (ISO 230-
 FEWEST_READINGS = 8  # of a direction, if targets are not shared; fewer do not show the usual size
 
 SHOWN = 1.0  # um: reporting threshold; an axis with a scale may have a smaller value of either sign
-LARGE = 5.0  # um: from here on a sign that was not stated is queried
 
 
 def reversal_of_the_other_sign(r: Response) -> Finding | None:
@@ -30,7 +29,7 @@ def reversal_of_the_other_sign(r: Response) -> Finding | None:
         return None
     evidence = f"approached from below the axis stands {step:.3g} um further than from above"
     meant = "the same with the sign or the direction reversed, unless the control already corrects backlash too much"
-    return Finding("reversal-sign", r.column, evidence, meant, "ask", of_sign=step >= LARGE)
+    return Finding("reversal-sign", r.column, evidence, meant, "ask", of_sign=True)
 
 
 def _at_shared_targets(r: Response) -> np.ndarray:

@@ -14,6 +14,7 @@ from errpipe import jsonfile
 from errpipe.domain.recording import Manifest
 from errpipe.errors import DataError, ErrpipeError, UsageError
 from errpipe.formats import manifest_folder
+from errpipe.importing import signs
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.verbs import _as_written
 
@@ -94,7 +95,8 @@ def manifest_of(proposal: Proposal, options: ImportOptions, files: Sequence[Path
         if name in columns:  # the unit of a column of the file was stated before its numbers were read
             keep = ("axis", "component", "location", "of", *(("unit",) if name not in proposal.names.values() else ()))
             columns[name] |= {k: v for k, v in keys.items() if k in keep}
-    facts = dict(proposal.facts)
+    assumed = any(signs.ASSUMED in why for why in proposal.guesses.values())
+    facts = proposal.facts | ({"sign": "assumed"} if assumed else {})
     machine = options.machine or facts.pop("machine", "")
     document: dict[str, Any] = {"recording": 1, "title": title, "machine": machine, "tables": [TABLE]}
     document |= {"constants": {name: {"value": text} for name, text in facts.items()}, "columns": columns}

@@ -252,7 +252,7 @@ def _plausible(proposal: Proposal, options: ImportOptions) -> list[str]:
     if against is not None:
         raise DataError(
             f"{against}. The file does not state its sign: declare it with --sign (commanded-minus-actual, or "
-            "actual-minus-commanded)"
+            "actual-minus-commanded: then the reading rises when the axis is jogged beyond a target, in + direction)"
         )
     return [str(f) for f in findings]
 

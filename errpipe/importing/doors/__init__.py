@@ -11,6 +11,7 @@ A door module has
 from __future__ import annotations
 
 import os
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -95,6 +96,10 @@ def _refuse_known(path: Path, head: bytes) -> None:
         raise DataError(f"{path}: an Access database: export the table as CSV or as an Excel workbook")
     if head.startswith((b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"7z\xbc\xaf")):
         raise DataError(f"{path}: a compressed archive: extract it first")
+    if re.match(rb"\x80[\x02-\x05]", head) or path.suffix in (".pkl", ".pickle"):
+        raise DataError(f"{path}: a pickle, which can execute code when opened: write it as CSV or Parquet")
+    if re.match(rb"K0100\b", head):
+        raise DataError(f"{path}: a Q-DAS file: export its values as CSV, each with its commanded position")
 
 
 def _check_in_child_process(door: ModuleType, path: Path, options: DoorOptions) -> None:

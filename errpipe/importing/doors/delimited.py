@@ -100,8 +100,9 @@ def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
         if len(row) != width > 1 < len(row):
             if r > first and all(map(_figure, row)):
                 raise DataError(f"{path}:{r + 1}  {len(row)} numbers, not {width}: a gap between blanks has no column")
-            named = _names_with_blanks(line, width) if r < first else []
-            if r < first and (not any(map(_figure, row)) or (len(named) == width and all(map(is_word, named)))):
+            above = r < first or line in lines[:first]  # also where the header stands again
+            named = _names_with_blanks(line, width) if above else []
+            if above and (not any(map(_figure, row)) or (len(named) == width and all(map(is_word, named)))):
                 row = named
         yield row
 

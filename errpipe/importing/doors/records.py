@@ -1,4 +1,4 @@
-"""Parquet tables (by pyarrow), and JSON: one record per line, a list of records or rows, or a list for each column."""
+"""Parquet and Feather (by pyarrow), and JSON: one record per line, a list of records or rows, or a list per column."""
 
 from __future__ import annotations
 
@@ -7,29 +7,32 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from errpipe.errors import DataError
 from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable
 
 name = "Parquet or JSON"
-suffixes = (".parquet", ".json", ".jsonl", ".ndjson")
+suffixes = (".parquet", ".feather", ".arrow", ".json", ".jsonl", ".ndjson")
 binary = True  # a few bytes can declare many rows
-_PARQUET = b"PAR1"
+_PARQUET, _ARROW = b"PAR1", b"ARROW1"
 DEEPEST = 5  # nesting depth in which tables are searched for: a result of InfluxDB has 4
 FEWEST_ROWS = 3  # of a table next to the largest: fewer are facts of the set-up
 LONGEST_TEXT = 200  # characters of a text that is a comment
 MOST_SERIES = 20  # of a list, in which tables are searched for
+FEWEST_SECONDS, MOST_SECONDS = 5e8, 1e10  # Unix times in s, 1985 to 2286; larger values are ms
 _NAMES = ("columns", "fields", "header")  # keys of column names stored with rows
 
 
 def sniff(path: Path, head: bytes) -> bool:
-    """A Parquet file, or text that starts like JSON records; a line `[1] Circle` does not match."""
+    """A Parquet or Feather file, or text that starts like JSON records; a line `[1] Circle` does not match."""
     begin = "".join(head[:64].decode("utf-8-sig", "replace").split())
-    return head.startswith(_PARQUET) or begin.startswith(('{"', '[{"', "[{}", "[["))
+    return head.startswith((_PARQUET, _ARROW)) or begin.startswith(('{"', '[{"', "[{}", "[["))
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
     """A row per record. Raises DataError for a damaged file, and for JSON without a table."""
-    if path.read_bytes()[:4] == _PARQUET:
+    if path.read_bytes()[:6].startswith((_PARQUET, _ARROW)):
         return [_sheet(path.stem, _parquet(path), [], [])]
     return [s for s in _json(path) if options.sheet in (None, s.name)]
 
@@ -40,18 +43,22 @@ def _sheet(name: str, columns: dict[str, list[Cell]], notes: list[str], above: l
 
 
 def _parquet(path: Path) -> dict[str, list[Cell]]:
-    from pyarrow import parquet
+    from pyarrow import feather, parquet
 
     try:
-        file = parquet.ParquetFile(path)
-        affordable(file.metadata.num_rows * file.metadata.num_columns, path)
-        table = file.read(use_threads=False)
+        if path.read_bytes()[:6] == _ARROW:
+            table = feather.read_table(path, use_threads=False, memory_map=False)
+        else:
+            file = parquet.ParquetFile(path)
+            affordable(file.metadata.num_rows * file.metadata.num_columns, path)
+            table = file.read(use_threads=False)
+        affordable(table.num_rows * table.num_columns, path)
         return {_with_unit(f): _column(table[f.name]) for f in {f.name: f for f in table.schema}.values()}
     except (DataError, MemoryError):
         raise
     except Exception as err:  # pyarrow raises ArrowInvalid, OSError, KeyError, ... for damaged files
         raise DataError(
-            f"{path}: not a Parquet file that can be read ({type(err).__name__}): export it again, or as CSV"
+            f"{path}: not a Parquet file (or Feather) that is read ({type(err).__name__}): export it again, or as CSV"
         ) from None
 
 
@@ -143,17 +150,39 @@ def _tables(document: Any, depth: int = DEEPEST, at: str = "") -> Iterator[tuple
 def _of_series(series: list[Any]) -> dict[str, list[Any]]:
     """A row per value of series that each contain one list of values with times, as historians store a signal.
 
-    `[{"NodeId": "X.ActPos", "DataValues": [{"SourceTimestamp": ..., "Value": 1.0}]}, ...]`; {} for any other list.
+    `[{"NodeId": "X.ActPos", "DataValues": [{"SourceTimestamp": ..., "Value": 1.0}]}, ...]`, or of pairs of a Unix time
+    and a value: `[{"metric": {"__name__": "x_act"}, "values": [[1764061920, "1.0"], ...]}]`; {} for any other list.
     """
     rows: list[dict[str, Any]] = []
     for one in series if len(series) > 1 else []:
         lists = [v for v in one.values() if isinstance(v, list)] if isinstance(one, dict) else []
+        if len(lists) == 1 and (pairs := _timed(lists[0])):
+            said = [(k, v) for k, v in _flat(one).items() if isinstance(v, str)]
+            said.sort(key=lambda item: "name" in item[0])  # `X axis_actual_mm`
+            rows += [{"signal": " ".join(v for _, v in said), "time": t, "value": v} for t, v in pairs]
+            continue
         records = lists[0] if len(lists) == 1 and all(isinstance(r, dict) for r in lists[0]) else []
         if not records or not all(any(k.lower() == "value" for k in r) for r in records):
             return {}
         own = {k: v for k, v in one.items() if not isinstance(v, list | dict)}
         rows += [own | _flat(r) for r in records]
     return {n: [r.get(n) for r in rows] for n in dict.fromkeys(n for r in rows for n in r)}
+
+
+def _timed(pairs: list[Any]) -> list[tuple[str, Any]]:
+    """Times, as dates, and values of pairs in either order, one of which counts s or ms from 1970; else nothing."""
+    if len(pairs) < FEWEST_ROWS or not all(isinstance(p, list) and len(p) == 2 for p in pairs):
+        return []
+    for i in (0, 1):
+        try:
+            t = np.array([float(p[i]) for p in pairs])
+        except (TypeError, ValueError):
+            continue
+        per_second = 1e3 if t.min() > MOST_SECONDS else 1.0
+        if t.min() / per_second > FEWEST_SECONDS and t.max() / per_second < MOST_SECONDS and (np.diff(t) > 0).all():
+            dates = np.datetime_as_string(np.round(1e3 * t / per_second).astype("datetime64[ms]"), timezone="UTC")
+            return [(str(when), p[1 - i]) for when, p in zip(dates, pairs, strict=True)]
+    return []
 
 
 def _numbered(values: dict[str, Any]) -> bool:

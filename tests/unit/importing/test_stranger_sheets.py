@@ -122,7 +122,7 @@ def test_rows_of_two_machines_are_two_recordings(tmp_path: Path) -> None:
     line = "{m};{r};{w};{x:g};{d}"
     rows = [
         line.format(m=m, r=r, w="+" if s > 0 else "-", x=x, d=k * d)
-        for m, k in (("M7", 1), ("M9", -3))
+        for m, k in (("M7", 1), ("M9", 3))
         for r, x, s, d in long_rows()
     ]
     for header in ("Machine", "Serial no."):

@@ -75,13 +75,13 @@ def test_backlash_of_the_other_sign_is_asked_not_refused() -> None:
 
 @pytest.mark.parametrize(("lost", "says"), [(2.0, True), (0.4, False)])
 def test_small_lost_motion_of_the_other_sign_is_said(lost: float, says: bool) -> None:
-    """Below 5 um it was silent. It is a remark: a sign that nobody stated is asked for from 5 um on."""
+    """Below 5 um it was silent. An import asks for a sign that the file does not state."""
     plain = axis_test(4, warm=False)
     f = plain.frame
     turned = put(plain, EXX=0.02 * f.x + lost / 2 * f["dir"] + 0.2 * np.random.default_rng(6).normal(size=len(f)))
     found = plausibility.findings(turned)
     assert [x.code for x in found] == (["reversal-sign"] if says else [])
-    assert not any(x.of_sign for x in found)
+    assert all(x.of_sign for x in found)
 
 
 def test_backlash_of_the_other_sign_shows_beside_a_larger_curve() -> None:
