@@ -62,7 +62,7 @@ def _table(sheet: Sheet, names: list[str], pairs: list[tuple[str, str, str]], ab
 
 
 def _pairs(line: str) -> list[tuple[str, str, str]]:
-    """Names, values and units of a line, with the time stamp before or after them; empty if it contains anything else."""
+    """Names, values and units of a line, with a time stamp before or after; empty if it contains anything else."""
     stamp = _STAMP.match(line)
     own = [("time" if ":" in stamp[1] else "unnamed", stamp[1], "")] if stamp else []
     line = line[stamp.end() :] if stamp else line

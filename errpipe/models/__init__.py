@@ -35,5 +35,5 @@ def family_of(document: Mapping[str, Any]) -> Family:
 
 
 def procedure(family: Family, model: str) -> dict[str, Any]:
-    """The fit as recorded in `fit.json`, so that it can be repeated without a held-out group; model: its fingerprint."""
+    """The fit as recorded in `fit.json`, to be repeated without a held-out group; model: its fingerprint."""
     return {"fit": 1, "model": model, **family.model_dump(mode="json")}
