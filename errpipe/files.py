@@ -133,6 +133,12 @@ def scratch() -> Iterator[None]:
         _to_disk.reset(before)
 
 
+def to_disk(path: Path) -> None:
+    """Wait until the bytes of a file are on disk."""
+    with open(path, "rb") as stream:
+        os.fsync(stream.fileno())
+
+
 @contextlib.contextmanager
 def _temporary(path: Path) -> Iterator[tuple[int, str]]:
     """A new hidden file beside `path`, and its name. What killed processes left of the same file is removed.

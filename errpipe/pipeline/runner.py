@@ -3,7 +3,9 @@
 A stage runs when its code, parameters, inputs or sources are not those of the lock file, or when an
 output is missing or was edited. It works in a scratch folder; what it wrote is then moved into
 OUT/<stage>/ file by file (only where the bytes differ), and last the lock file is rewritten. Killed anywhere
-in between, the next run finds outputs that are not those of the lock file, and runs that stage again.
+in between, the next run finds outputs that are not those of the lock file, and runs that stage again. So only
+outputs, and the lock file at the end, are waited for until they are on disk: where power fails, an older lock file
+or a journal without its bytes does no harm, and each wait takes a disk as long as a small fit.
 """
 
 from __future__ import annotations
@@ -70,6 +72,8 @@ def run(
         if to is None:
             work.drop_removed_stages()
         lock.write_lock(out, work.records)
+        if any(step.action == "run" for step in steps):
+            files.to_disk(out / lock.LOCK)
     return steps
 
 
@@ -215,13 +219,15 @@ class _Work:
         old = self.records.get(stage.label)
         stale = set(old.outputs if old else {}) | set(_names_in(journal))
         if set(record.outputs) - stale:
-            jsonfile.write(journal, sorted(stale | set(record.outputs)))
+            with files.scratch():
+                jsonfile.write(journal, sorted(stale | set(record.outputs)))
         places = {name: inside(self.out, f"{stage.label}/{name}", VerifyError) for name in stale | set(record.outputs)}
         written = [name for name in sorted(record.outputs) if _publish(folder / name, places[name])]
         for name in sorted(stale - set(record.outputs)):
             _remove(own, name)
         self.records[stage.label] = record
-        lock.write_lock(self.out, self.records)
+        with files.scratch():
+            lock.write_lock(self.out, self.records)
         journal.unlink(missing_ok=True)
         return replace(self.step(stage, "run", reasons), written=tuple(written))
 
@@ -257,16 +263,15 @@ def _publish(source: Path, target: Path) -> bool:
     ):
         return False
     target.parent.mkdir(parents=True, exist_ok=True)
-    with open(source, "rb") as stream:
-        os.fsync(stream.fileno())
+    files.to_disk(source)
     os.chmod(source, 0o644)
     os.replace(source, target)
     return True
 
 
 def _names_in(journal: Path) -> list[str]:
-    """Files that an interrupted run may have moved to their place without recording them."""
-    names = jsonfile.read(journal) if journal.is_file() else []
+    """Files that an interrupted run may have moved to their place without recording them; none where power failed."""
+    names = jsonfile.read(journal) if journal.is_file() and journal.stat().st_size else []
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise VerifyError(f"{journal}: is not a list of names; it was not written by errpipe")
     for name in names:

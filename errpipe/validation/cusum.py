@@ -59,4 +59,5 @@ def level_drift(old: Sequence[float], new: Sequence[float]) -> tuple[float, int]
     seen = np.arange(count, values.size)  # runs before each new one, whose mean is its reference
     before = np.cumsum(values)[count - 1 : -1] / seen
     alarm, begin = cusum((values[count:] - before) / (scale * np.sqrt(1.0 + 1.0 / seen)))
-    return (alarm, begin) if alarm >= threshold(count - 1, FALSE_ALARMS) else None
+    found = alarm >= MIN_THRESHOLD and alarm >= threshold(count - 1, FALSE_ALARMS)  # simulated only where it decides
+    return (alarm, begin) if found else None

@@ -9,9 +9,9 @@ from typing import Any
 
 from errpipe import jsonfile
 from errpipe.domain.error_model import ErrorModel
+from errpipe.reporting.markdown import plain_text
 from errpipe.stages import _artefacts
 from errpipe.verbs import _fleet_types
-from errpipe.verbs._retrain_pages import plain_text
 
 VERSION = 1  # of the document's layout
 WRITERS = 8  # files that wait for the disk at a time

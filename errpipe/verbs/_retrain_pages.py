@@ -11,6 +11,7 @@ import numpy as np
 
 from errpipe import jsonfile
 from errpipe.reporting.github import workflow_command
+from errpipe.reporting.markdown import plain_text
 from errpipe.validation.retraining import EVIDENCE
 
 MARKDOWN, JUNIT, GITLAB, FIGURE = "retrain.md", "retrain.junit.xml", "retrain.codequality.json", "retrain.svg"
@@ -38,11 +39,6 @@ def write_failure(title: str, why: str, out: Path) -> None:
     jsonfile.write_text(out / JUNIT, "\n".join(lines) + "\n")
     jsonfile.write(out / GITLAB, [_quality("not judged", why, "blocker")])
     (out / FIGURE).unlink(missing_ok=True)
-
-
-def plain_text(text: object) -> str:
-    """Text with Markdown markup escaped: labels come from the recording."""
-    return "".join(f"\\{c}" if c in "\\`*_{}[]<>#|!" else c for c in " ".join(str(text).split()))
 
 
 def markdown(document: Mapping[str, Any]) -> str:

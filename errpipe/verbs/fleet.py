@@ -68,8 +68,6 @@ def fleet(
     jobs: processes, 0 for one per core; scheduler: address of a running Dask cluster instead. Raises ConfigError,
     UsageError; what goes wrong with one machine stands in the document.
     """
-    if scheduler is None:
-        _fleet_processes.start_imports()  # the longest of what is serial
     from errpipe.pipeline.spec import load_pipeline
     from errpipe.stages import STAGES
 

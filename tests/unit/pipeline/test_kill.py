@@ -79,6 +79,19 @@ def test_a_run_interrupted_between_its_records_leaves_nothing_behind(tmp_path: P
     assert tree(tmp_path / "out") == calm
 
 
+def test_only_outputs_and_the_last_record_wait_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And a journal that lost its bytes when power failed stops nobody."""
+    lay_out(tmp_path, TEXT)
+    (tmp_path / "out/.errpipe").mkdir(parents=True)
+    (tmp_path / "out/.errpipe/scale.json").touch()
+    waits: list[int] = []
+    monkeypatch.setattr(os, "fsync", waits.append)
+    steps = runner.run(load_pipeline(tmp_path / "p.yaml", STAGES), tmp_path / "out")
+    assert len(waits) == sum(len(step.written) for step in steps) + 1
+    runner.run(load_pipeline(tmp_path / "p.yaml", STAGES), tmp_path / "out")
+    assert len(waits) == sum(len(step.written) for step in steps) + 1
+
+
 @pytest.mark.slow
 def test_killed_a_hundred_times(tmp_path: Path) -> None:
     kill_in_a_loop(tmp_path, 100, seed=2)
