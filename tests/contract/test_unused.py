@@ -160,7 +160,7 @@ def test_every_parameter_is_set_by_some_call(trees: dict[str, ast.Module]) -> No
     assert found == set(KNOWN), f"set by nobody: {sorted(found - set(KNOWN))}; not needed: {sorted(set(KNOWN) - found)}"
 
 
-def test_a_parameter_that_nobody_sets_is_seen() -> None:
+def test_an_unused_parameter_is_reported() -> None:
     source = (
         "def f(a, b=1, *, c=2): pass\ndef g(a, way): pass\ndef handed(a=1): pass\n"
         "class K:\n    def m(self, deep=False): pass\n"
@@ -206,7 +206,7 @@ def test_every_field_of_a_dataclass_is_read(trees: dict[str, ast.Module]) -> Non
     assert found == set(KNOWN_FIELDS), sorted(found ^ set(KNOWN_FIELDS))
 
 
-def test_a_field_that_nobody_reads_is_seen() -> None:
+def test_an_unused_field_is_reported() -> None:
     source = "@dataclass(frozen=True)\nclass A:\n    used: int\n    shown: int\n    forgotten: int = 0\n"
     source += "class B:\n    other: int\nprint(a.used)\na.forgotten = 1\n"
     assert unread({"m": ast.parse(source)}, "{{ page.shown }}") == {"m.A.forgotten"}

@@ -291,7 +291,7 @@ def test_a_simulation_that_is_a_plain_sum_is_taken_for_its_terms() -> None:
     assert _acceptance.parts(wild, "EXX") == ()
 
 
-def test_findings_that_cannot_be_told_apart_are_refused_the_less_sure_first() -> None:
+def test_indistinguishable_findings_are_refused_the_least_certain_first() -> None:
     twice = found("backlash", 0.99, **BACKLASH)
     windup = {"term": {"term": "profile_driver", "driver": [{"op": "direction", "axis": "X"}]}, "drivers": ("dir",)}
     gain = FoundParameter(name="gain", value=-4, unit="um", ci95=(-5, -3))

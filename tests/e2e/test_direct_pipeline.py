@@ -60,7 +60,7 @@ def rows(path: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize("stage", ["volumetric", "export"])
-def test_the_controller_is_told_to_go_10_um_less_far(out, stage):
+def test_the_controller_commands_10_um_less(out, stage):
     """LinuxCNC reads nominal, forward and reverse corrections: 10 um less at the far end, 4 um between the ways."""
     table_rows = rows(out / stage / "linuxcnc_screw" / "x.comp")
     assert table_rows[-1, 1] - table_rows[0, 1] == pytest.approx(-0.010, abs=2e-4)

@@ -74,7 +74,7 @@ stages:
 """
 
 
-def test_a_machine_10_um_too_long_is_told_to_go_10_um_less_far(tmp_path, capsys):
+def test_a_machine_10_um_too_long_is_commanded_10_um_less_far(tmp_path, capsys):
     """From the recording to the controller's file, the sign survives every step."""
     machine_too_long(tmp_path / "recording")
     (tmp_path / "p.yaml").write_text(PIPELINE)

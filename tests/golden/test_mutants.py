@@ -91,7 +91,7 @@ SAME = {
 
 
 @pytest.mark.slow
-def test_every_rule_is_told_from_its_neighbours():
+def test_every_rule_is_distinguished_from_its_neighbours():
     made, unseen = mutants.unseen()
     same = {line.strip() for lines in SAME.values() for line in lines.splitlines() if line.strip()}
     assert made > 1000

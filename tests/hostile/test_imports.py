@@ -47,7 +47,7 @@ def workbook(path: Path, rows: str) -> Path:
     return path
 
 
-def test_a_workbook_of_two_cells_a_world_apart(tmp_path, capsys):
+def test_a_workbook_of_two_distant_cells(tmp_path, capsys):
     """Readers make a rectangle of it: 1,048,576 rows of 16,384 columns, 400 GB."""
     sound = '<row r="1"><c r="A1"><v>1</v></c></row><row r="3"><c r="B3"><v>2</v></c></row>'
     assert open_file(workbook(tmp_path / "sound.xlsx", sound), DoorOptions())[1][0].rows[2] == [None, 2.0]

@@ -53,7 +53,7 @@ def site(where: Path, machines: int, days: int = 6) -> Path:
 
 
 @pytest.mark.slow
-def test_a_recording_under_two_names_and_a_machine_of_the_other_sign_are_told(tmp_path: Path) -> None:
+def test_a_duplicate_recording_and_a_machine_of_reversed_sign_are_reported(tmp_path: Path) -> None:
     """Each alone is sound: only the fleet shows that one table would go to two machines, or drive the wrong way."""
     fleet = site(tmp_path, 8)
     places = {name: tmp_path / f"recordings/{name}/recording.csv" for name in ("m002", "m003", "m004")}
@@ -108,7 +108,7 @@ def run(file: Path, out: Path, capsys: Any, *words: str) -> tuple[int, dict[str,
 
 
 @pytest.mark.slow
-def test_one_bad_machine_stops_nobody_and_a_killed_worker_costs_nothing(tmp_path: Path, capsys: Any) -> None:
+def test_a_failing_machine_or_killed_worker_does_not_affect_the_others(tmp_path: Path, capsys: Any) -> None:
     file = site(tmp_path / "site", 5)
     code, result = run(file, tmp_path / "a", capsys, "--jobs", "2")
     states = {r["name"]: r["state"] for r in result["machines"]}

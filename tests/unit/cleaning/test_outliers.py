@@ -71,7 +71,7 @@ def test_a_temperature_logged_every_ten_minutes_has_no_outlier_where_it_starts_t
     assert outlying(y, np.zeros(48, dtype=int), t, 6.0).size == 0
 
 
-def test_runs_are_judged_apart_and_empty_cells_are_none():
+def test_runs_are_separate_and_empty_cells_are_missing():
     y = np.r_[noise(50), 100 + noise(50, 1)]
     y[[10, 11, 12, 49, 50]] = np.nan
     assert outlying(y, np.repeat([0, 1], 50), np.arange(100.0), 6.0).size == 0

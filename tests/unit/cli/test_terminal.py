@@ -73,7 +73,7 @@ def bar(monkeypatch: pytest.MonkeyPatch, *steps: tuple[float, float]) -> str:
     return screen.getvalue()
 
 
-def test_time_left_is_told_for_what_takes_long(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_remaining_time_is_shown_for_long_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
     text = bar(monkeypatch, (10.0, 0.25), (20.0, 0.5))
     assert "30 s left" in text and "20 s left" in text and "begins" in text
     assert all(len(part.removeprefix("\033[K")) < WIDTH for part in text.split("\r"))
@@ -104,7 +104,7 @@ def test_bash_completes_verbs_and_options(words: str, found: list[str], capsys: 
 
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
-def test_other_shells_are_told_the_same(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_other_shells_get_the_same_message(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["completion", shell]) == 0
     text = capsys.readouterr().out
     assert "verify-signature" in text and "torque-constant" in text

@@ -59,7 +59,7 @@ def test_columns_are_whitened_one_by_one_as_side_by_side():
         assert out.tobytes() == noise.whiten(run, np.ascontiguousarray(columns.T), *known).T.tobytes()
 
 
-def test_a_fingerprint_tells_columns_apart_that_differ_in_a_bit_a_sign_or_their_order():
+def test_a_fingerprint_distinguishes_columns_that_differ_in_a_bit_a_sign_or_their_order():
     column = np.random.default_rng(12).standard_normal(1003)
     alike = [column]
     for k in range(column.size):

@@ -51,7 +51,7 @@ def test_an_effect_acts_for_a_while_that_no_run_begins_or_ends():
     assert np.ptp(np.bincount(kept["t"].code)) < 0.1 * t.size / 14  # as many rows in each
 
 
-def test_names_in_part_that_nothing_tells_apart_share_the_confidence_of_their_class(monkeypatch):
+def test_indistinguishable_partial_names_share_the_confidence_of_their_class(monkeypatch):
     columns, kinds, noise = positioning()
     simulated, t = 20e-3 * columns["x"], columns["t"]
     inside = (t > np.quantile(t, 0.36)) & (t < np.quantile(t, 0.79))

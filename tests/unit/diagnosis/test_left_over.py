@@ -132,7 +132,7 @@ def test_the_share_of_the_mismatch_in_each_part_says_where_it_is(quiet):
     assert set(still.values()) == {None}  # nothing stands out of the noise
 
 
-def test_an_offset_of_each_run_is_told_from_what_happens_inside_the_runs(quiet):
+def test_an_offset_of_each_run_is_distinguished_from_changes_within_runs(quiet):
     rng = np.random.default_rng(13)
     fresh = 0.5 * rng.standard_normal(quiet.run.size)
     offsets = np.array([3.0, -2.0, 1.0, -3.0, 2.0, -1.0])[quiet.run]

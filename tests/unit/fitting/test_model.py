@@ -151,7 +151,7 @@ def test_ridge_holds_twins_that_least_squares_refuses(axis):
     assert sum(gains) == pytest.approx(3.0, abs=0.1) and min(gains) > 0.5
 
 
-def test_a_smooth_curve_follows_a_local_bump_without_being_told(axis):
+def test_a_smooth_curve_follows_a_local_bump_without_a_hint(axis):
     x = axis.array("x")
     y = with_response(axis, 6.0 * np.exp(-(((x - 180) / 30) ** 2)) + 0.004 * x, 0.3)
     model = fit(y, spec_of(OFFSET, {"term": "smooth_curve", "axis": "X", "segments": 40}))

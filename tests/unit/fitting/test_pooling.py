@@ -62,7 +62,7 @@ def test_four_machines_do_not_force_a_parameter_to_follow_the_others() -> None:
         assert np.all(np.abs(few.spread) <= np.outer(size, size) * (4 / 7 + 1e-6) + np.diag(size**2))
 
 
-def test_machines_alike_are_those_that_the_data_do_not_tell_apart() -> None:
+def test_similar_machines_are_those_that_the_data_do_not_distinguish() -> None:
     estimates = [np.array([v, 0.0]) for v in (0.0, 0.1, 5.0, 5.1, 20.0)]
     assert homogeneous_groups(estimates, [0.01 * np.eye(2)] * 5) == [[0, 1], [2, 3]]
 

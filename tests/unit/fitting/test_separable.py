@@ -18,7 +18,7 @@ def test_a_time_constant_is_found_wherever_it_lies(tau):
     assert_allclose(match, [tau], rtol=1e-5)
 
 
-def test_two_time_constants_are_told_apart():
+def test_two_time_constants_are_distinguished():
     y = 7.0 * lagged(300.0)[:, 0] - 12.0 * lagged(4000.0)[:, 0] + 0.01 * np.sin(T)
     both = [Unknown("a", 60.0, 30000.0), Unknown("b", 60.0, 30000.0)]
     match = search(lambda v: np.hstack([lagged(v[0]), lagged(v[1])]), np.ones((T.size, 1)), y, both)

@@ -62,7 +62,7 @@ def test_signals_of_one_clock(tmp_path: Path) -> None:
     assert recording.array(recording.names("time")[0]) == pytest.approx(t)
 
 
-def test_sheets_of_two_axes_are_told_apart(tmp_path: Path) -> None:
+def test_sheets_of_two_axes_are_distinguished(tmp_path: Path) -> None:
     other = {**COLUMNS, "error_um": ERROR + 7}
     savemat(tmp_path / "a.mat", {"laser": {"Y": other, "X": COLUMNS}})
     from errpipe.importing.sheet import DoorOptions

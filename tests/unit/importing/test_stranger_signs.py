@@ -61,7 +61,7 @@ def test_a_hyphen_that_is_no_difference(header: str) -> None:
     assert words.difference(header) is None
 
 
-def test_lost_motion_speaks_against_a_sign_that_nobody_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_lost_motion_contradicts_an_unstated_sign(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A column `Delta` of the other sign went to the controller: the axis lags, so its way up ends lower."""
     rows = [
         f"{r};{s:+d};{x};{5 * np.sin(x) + 2.5 * s + 0.1 * r}" for r in (1, 2) for s in (1, -1) for x in TARGETS[::s]
@@ -127,7 +127,7 @@ SIDES = [("1", "0"), ("1", "2"), ("A", "B"), ("L", "R"), ("CW", "CCW"), ("Vorlau
 
 
 @pytest.mark.parametrize(("up", "down"), SIDES)
-def test_labels_of_sides_are_told_by_the_motion_or_asked_for(tmp_path: Path, up: str, down: str) -> None:
+def test_labels_of_sides_follow_from_the_motion_or_are_queried(tmp_path: Path, up: str, down: str) -> None:
     measured = long("Run;Direction;X [mm];Error [um]", lambda r, x, s, d: f"{r};{mark(s, up, down)};{x};{d}")
     (tmp_path / "f.csv").write_text(measured, encoding="utf-8")
     holds_the_truth(imported(tmp_path, tmp_path / "f.csv"))

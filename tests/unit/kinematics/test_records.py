@@ -281,7 +281,7 @@ def too_long(moved, definition, low):
 
 @pytest.mark.parametrize("moved", AXES)
 @pytest.mark.parametrize("definition", DEFINITIONS, ids=str)
-def test_a_machine_too_long_is_told_to_go_less_far_by_every_export(moved, definition):
+def test_a_machine_too_long_is_commanded_less_far_by_every_export(moved, definition):
     """Both tables of an identification say so."""
     from errpipe.kinematics import direct_model
     from errpipe.validation.predict import predict
@@ -302,7 +302,7 @@ def test_a_machine_too_long_is_told_to_go_less_far_by_every_export(moved, defini
 @pytest.mark.parametrize("low", [-500.0, 40.0, -180.0], ids=["home at +X", "home beyond -X", "home in between"])
 @pytest.mark.parametrize("moved", AXES)
 @pytest.mark.parametrize("definition", DEFINITIONS, ids=str)
-def test_a_machine_too_long_is_told_to_go_less_far_by_every_file(moved, definition, low):
+def test_a_machine_too_long_is_commanded_less_far_by_every_file(moved, definition, low):
     """From the machine file to what each control makes of its file, read by its manual alone."""
     from errpipe.stages.export_volumetric import compile_machine, reversals
     from tests.unit.targets import manual_readers

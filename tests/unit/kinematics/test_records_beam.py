@@ -113,7 +113,7 @@ def test_a_display_s_air_takes_the_air_of_the_record():
         solve(chain, bare, lasers=lasers)
 
 
-def test_a_display_fixed_at_another_index_is_corrected_and_wrong_where_nobody_says_so():
+def test_a_display_fixed_at_another_index_is_corrected_only_if_it_is_stated():
     """Fixed at 20 degC and 1013.25 hPa, read at 28 degC and 960 hPa throughout: -21 um/m of 0.8 m, half either way."""
     chain, values, recording = played_x({}, cycles=1)
     count, fixed = len(recording), (20.0, 1013.25, 50.0)

@@ -356,7 +356,7 @@ def test_a_list_of_families_competes(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("family", [Lagged, Neural])
-def test_deviations_that_are_measured_more_seldom_than_temperatures_count_from_the_same_rows(family) -> None:
+def test_deviations_sampled_less_often_than_temperatures_count_from_the_same_rows(family) -> None:
     """A probe every 30 min: the zero of a run is the mean of its first three touches, for the prediction too."""
     whole = machine(4)
     touched = np.arange(len(whole)) % 6 == 0
@@ -369,7 +369,7 @@ def test_deviations_that_are_measured_more_seldom_than_temperatures_count_from_t
     assert left[1] < 1.5 * left[0], left
 
 
-def test_temperatures_that_are_logged_more_seldom_hold_until_the_next_reading() -> None:
+def test_temperatures_sampled_less_often_are_held_until_the_next_reading() -> None:
     whole = machine(4, runs=2)
     slow = np.where(np.arange(len(whole)) % 10 == 0, whole.array("T_bed"), np.nan)
     held = held_readings(whole.with_columns({"T_bed": slow}, {})).array("T_bed")

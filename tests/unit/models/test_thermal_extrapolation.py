@@ -148,7 +148,7 @@ def test_the_interval_has_the_scale_of_the_machine(size: float) -> None:
     assert np.allclose(many.upper - many.lower, size * (one.upper - one.lower), rtol=1e-6)
 
 
-def test_half_of_the_duty_cycles_that_cannot_teach_the_others_excludes_nobody() -> None:
+def test_duty_cycles_that_do_not_predict_the_others_exclude_no_family() -> None:
     """All entrants are worse than nothing with a duty cycle left out, and good in every other way."""
     group = np.repeat(np.arange(8), 50)
     truth = np.tile(np.linspace(0, 20, 50), 8)

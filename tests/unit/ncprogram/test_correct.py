@@ -23,7 +23,7 @@ def numbers(text, letter):
     return [float(v) for v in re.findall(rf"{letter}([-+]?[\d.]+)", text)]
 
 
-def test_machine_10_um_too_long_is_told_to_go_less_far():
+def test_machine_10_um_too_long_is_commanded_less_far():
     text, summary = correct("G90 G21 G54\nG0 Z10\nG0 X400 Y0\n", too_long_at_plus_x, SETUP)
     assert numbers(text, "X")[-1] == pytest.approx(400 - 0.010, abs=1.01e-4)  # X400 in the part is X500 of the machine
     assert summary.largest_correction == pytest.approx(0.010, rel=1e-3)

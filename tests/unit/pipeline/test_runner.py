@@ -259,7 +259,7 @@ def test_progress_and_talk(where: Path) -> None:
     assert heard == ["+take", "-take 1", "+thirds", "thirds 0.5 part 1", "thirds 1.0 part 2", "-thirds 2"]
 
 
-def test_inputs_of_one_name_are_told_apart(tmp_path: Path) -> None:
+def test_inputs_of_one_name_are_distinguished(tmp_path: Path) -> None:
     for folder in ("a", "b"):
         (tmp_path / folder / "data").mkdir(parents=True)
         (tmp_path / folder / "data" / "x.txt").write_text(folder)

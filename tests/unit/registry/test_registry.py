@@ -213,7 +213,7 @@ def test_a_registry_or_machine_that_is_not_there_is_no_empty_history(where: Path
     assert code == 2 and "Did you mean mill-3?" in document["error"]["message"]
 
 
-def test_a_clock_that_went_back_is_told_not_recorded(where: Path, capsys: Any) -> None:
+def test_a_clock_that_went_back_is_reported_not_recorded(where: Path, capsys: Any) -> None:
     first = ("promote", where / "reg", "7", where / "one.ect", "--why", "new", "--time", "2190-01-01")
     assert run(where, *first, capsys=capsys)[0] == 0
     again = ("promote", where / "reg", "7", where / "two.ect", "--why", "measured")
@@ -225,7 +225,7 @@ def test_a_clock_that_went_back_is_told_not_recorded(where: Path, capsys: Any) -
 
 
 @pytest.mark.parametrize("verb", ["promote", "rollback"])
-def test_a_time_that_has_not_come_is_told(where: Path, capsys: Any, verb: str) -> None:
+def test_a_future_time_is_reported(where: Path, capsys: Any, verb: str) -> None:
     """2062 for 2026 stays on record for good: `log --at` would not show the table until then."""
     for table, day in (("one.ect", "2026-01-01"), ("two.ect", "2026-01-02")):
         words = ("promote", where / "reg", "7", where / table, "--why", "measured", "--time", day)
@@ -300,7 +300,7 @@ def test_a_name_that_leaves_the_registry_is_refused(where: Path, key: minisign.S
             Registry(where / "reg", key.public).history(machine)
 
 
-def test_of_two_who_promote_at_once_one_wins_and_the_other_is_told(where: Path, key: minisign.SecretKey) -> None:
+def test_of_two_simultaneous_promotions_one_wins_and_one_is_refused(where: Path, key: minisign.SecretKey) -> None:
     filled(where, key, 1)
 
     def promote(n: int) -> str:

@@ -81,7 +81,7 @@ def test_nothing_is_extrapolated(tmp_path: Path) -> None:
     assert twin.missing == {"outside its time": 10}
 
 
-def test_a_gap_stays_empty_and_is_told(tmp_path: Path) -> None:
+def test_a_gap_stays_empty_and_is_reported(tmp_path: Path) -> None:
     t = np.r_[np.arange(0, 101, 5.0), np.arange(200, 501, 5.0)]
     values, twin = from_csv(tmp_path, recorded(), table(t, t), most_missing=0.3)
     inside = (recorded().time() > 100) & (recorded().time() < 200)
@@ -105,7 +105,7 @@ def test_no_value_crosses_from_one_run_into_the_next(tmp_path: Path) -> None:
     assert_allclose(values, np.repeat([0.0, 9.0], 51))
 
 
-def test_a_run_that_the_file_lacks_is_told(tmp_path: Path) -> None:
+def test_a_run_missing_in_the_file_is_reported(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="51 of runs that the file does not have"):
         from_csv(tmp_path, recorded(runs=2), table([0, 500], [0, 0], ["r0", "r0"]), run="run")
 

@@ -160,7 +160,7 @@ def test_parameters_are_recalibrated_whatever_the_datum(model: Path) -> None:
     assert np.std(left) < 0.4 and np.mean(left) == pytest.approx(17.0, abs=0.3)
 
 
-def test_a_bound_holds_and_is_told(model: Path) -> None:
+def test_a_bound_is_kept_and_reported(model: Path) -> None:
     tunable = [{"parameter": "gain", "low": 0.5, "high": 2.5}]
     _, twin, figures = simulated(recorded(3.0, noise=0.1), model, recalibrate=tunable, step=20.0)
     assert figures["parameters"][0]["value"] <= 2.5 and figures["parameters"][0]["at_a_bound"]
@@ -244,13 +244,13 @@ def test_declared_units_need_not_be_repeated_and_must_not_be_contradicted(model:
         simulated(recorded(), file, inputs=bare["inputs"])
 
 
-def test_an_input_that_nobody_drives_stays_where_it_starts_and_is_told(model: Path) -> None:
+def test_an_unconnected_input_keeps_its_start_value_and_is_reported(model: Path) -> None:
     values, twin, _ = simulated(recorded(), model, inputs={})
     assert_allclose(values, 0.0, atol=1e-12)
     assert "input rise keeps its start value 0" in twin.notes[0]
 
 
-def test_missing_readings_are_filled_between_and_told(model: Path) -> None:
+def test_missing_readings_are_interpolated_and_reported(model: Path) -> None:
     recording = recorded()
     holed = recording.with_columns({"T": np.where(np.arange(200) % 10 == 5, np.nan, recording.array("T"))}, {})
     values, twin, _ = simulated(holed, model)
@@ -298,7 +298,7 @@ def test_without_posix_processes_the_way_out_is_named(tmp_path: Path, monkeypatc
         FmuProcess(tmp_path / "m.fmu", tmp_path, None).__enter__()
 
 
-def test_nobody_imports_fmpy_here() -> None:
+def test_fmpy_is_not_imported_here() -> None:
     code = "import errpipe.simulation.external, errpipe.stages, sys; print('fmpy' in sys.modules)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "False"

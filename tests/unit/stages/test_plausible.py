@@ -44,7 +44,7 @@ def test_a_checklist_names_a_side_only_where_sides_differ(tmp_path: Path, table:
     assert " approached from above the axis" in both and "approached" not in one
 
 
-def test_a_machine_too_short_is_told_to_go_further(tmp_path: Path) -> None:
+def test_a_machine_too_short_is_commanded_further(tmp_path: Path) -> None:
     ect.write(compile_(("EXX", [straight("X", -10.0)])), tmp_path / "table.ect")
     says = targets.export(tmp_path / "table.ect", ["linuxcnc_screw"], tmp_path / "out")["says"][-1]
     assert says.endswith("the axis stands 10.0 um short and will be commanded 10.0 um further")

@@ -86,7 +86,7 @@ BRIDGED, HELD = "C was not measured from 270 to 360 deg", "C is corrected from 0
     ("last", "travel", "said"),
     [(270.0, (0.0, 360.0), BRIDGED), (270.0, None, HELD), (330.0, (0.0, 360.0), ""), (360.0, None, "")],
 )
-def test_the_part_of_a_turn_that_nobody_measured_is_named_everywhere(tmp_path, last, travel, said):
+def test_the_unmeasured_part_of_a_turn_is_reported_everywhere(tmp_path, last, travel, said):
     """Targets every 30 deg: what a last step is short of a turn is no more of a guess than any other step."""
     x = np.tile(np.arange(0.0, last + 1.0, 30.0), 8)
     deviation = 80.0 * np.sin(np.radians(x)) + np.random.default_rng(5).normal(0, 0.3, x.size)

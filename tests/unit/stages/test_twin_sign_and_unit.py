@@ -36,7 +36,7 @@ def recording(factor: float) -> Recording:
     ("factor", "told"),
     [(1.0, ""), (-1.0, "one of them has the other sign"), (1e-3, "one of them is probably not in um"), (0.0, "")],
 )
-def test_the_other_sign_and_another_unit_are_told(factor: float, told: str) -> None:
+def test_a_reversed_sign_and_another_unit_are_reported(factor: float, told: str) -> None:
     said = warnings(recording(factor))
     assert [told in s for s in said] == ([True] if told else [])
 

@@ -68,7 +68,7 @@ def test_directions_take_the_input_that_knows():
     assert table.nodes[-1].of == (0, 1) and [i.name for i in table.inputs] == ["x", "side"]
 
 
-def test_inputs_nobody_reads_are_left_out_and_substitutes_are_kept():
+def test_unused_inputs_are_omitted_and_substitutes_are_kept():
     spare = sensor("B", substitute=(t.Substitute(input="C", weight=1.0),))
     table = compiled(Lowered(d.Input(name="B")), inputs=[position(), sensor("A"), spare, sensor("C")])
     assert [i.name for i in table.inputs] == ["B", "C"]

@@ -105,7 +105,7 @@ def test_references_and_lags_wait_for_the_first_believed_reading():
     assert e.cycle({"T": 36.0}, dt=1.0).deviation["E_Z"] == 1.0
 
 
-def test_direction_turns_after_the_threshold_and_starts_as_told():
+def test_direction_changes_after_the_threshold_and_starts_as_stated():
     source = ComponentSource("EXX", "um", (Lowered(d.Direction(axis="X", threshold=0.5, start=-1)),))
     e = Evaluator(compile_table([source], inputs=[position()], ramp_s=0.0))
     way = (5.0, 5.4, 5.6, 10.0, 9.6, 9.4, 9.8, 9.95)

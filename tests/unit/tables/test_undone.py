@@ -79,7 +79,7 @@ def test_a_reversal_shows_in_the_cycle_in_which_it_is_read(way, right):
         pytest.param([14, 13.75, 13.5, 13.25, 13.25], [0, -1, -1, -1, 0], "+----", id="slow motion"),
     ],
 )
-def test_a_direction_that_is_told_once_and_not_gone_is_undone(way, told, right):
+def test_a_stated_direction_without_motion_is_reverted(way, told, right):
     assert sides(way, told) == right
 
 

@@ -196,7 +196,7 @@ def test_a_checklist_has_no_heading_above_nothing(tmp_path):
     assert not any(a and b for a, b in itertools.pairwise(headings)), lines
 
 
-def test_marlin_and_duet_are_told_that_numbers_are_millimetres():
+def test_marlin_and_duet_are_set_to_millimetres():
     table = machines.too_long_from_above()
     for name, file in (("marlin_gcode", "errpipe.gcode"), ("reprap_heightmap", "errpipe.g")):
         (target,) = [t for t in TARGETS if t.name == name]

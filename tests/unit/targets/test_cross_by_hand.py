@@ -211,7 +211,7 @@ WARM = TableInput(name="T", kind="sensor", unit="degC", low=-40, high=100, defau
 
 @pytest.mark.parametrize("machine", [m for m, (letter, *_) in OVER.items() if letter in "XYZ"])
 @pytest.mark.parametrize("reader", TEMPERATURE, ids=lambda r: r.__name__)
-def test_a_warm_axis_is_told_to_go_less_far(reader, machine):
+def test_a_warm_axis_is_commanded_less_far(reader, machine):
     letter, low, high, _, _ = OVER[machine]
     growth = Lowered(d.above("T", 20.0), letter, lambda x: 2.0 + 0.011 * (x - low))
     table = moving(letter, (growth,), [place(letter, low, high), WARM], {letter: (low, high)})

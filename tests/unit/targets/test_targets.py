@@ -83,7 +83,7 @@ def test_cross_curves_move_the_right_axis_the_right_way(target):
 
 
 @holding("temperature")
-def test_a_warm_scale_is_told_to_go_less_far(target):
+def test_a_warm_scale_is_commanded_less_far(target):
     recording = read(target, machines.warm())
     growth = correction(recording, "X", X=500.0, sensors={"T": 30.0}) - correction(recording, "X", X=500.0)
     assert growth == pytest.approx(-55.0, rel=2e-3)

@@ -30,7 +30,7 @@ OFTEN = np.arange(0.0, 30001.0, 10.0)
 SELDOM = np.r_[np.arange(0.0, 3600.0, 60.0), np.arange(9000.0, 30001.0, 1000.0)]
 
 
-def test_a_temperature_that_runs_straight_between_seldom_rows_is_followed_as_if_there_were_many():
+def test_a_temperature_interpolated_between_sparse_rows_is_followed_as_with_dense_rows():
     term = ThermalLag(sensor="T")
     often = term.basis(rows(OFTEN, "held"), 2000.0)[:, 0]
     wanted = np.interp(SELDOM, OFTEN, often)

@@ -61,7 +61,7 @@ def test_no_parameters_no_deviation(case):
     assert_allclose(basis(case) @ np.zeros(len(case.term.linear())), 0.0, atol=0)
 
 
-def test_its_linear_parameters_can_be_told_apart(case):
+def test_its_linear_parameters_are_identifiable(case):
     columns = basis(case)
     size = np.linalg.norm(columns, axis=0)
     assert (size > 0).all()

@@ -71,7 +71,7 @@ def truth(recording: Recording) -> np.ndarray:
     return thermal_season.since_start(recording.array(recording.names("error")[0]), recording.run_codes(), 3)[0]
 
 
-def test_sensors_are_told_apart_by_where_they_sit():
+def test_sensors_are_distinguished_by_location():
     sensors = causes.sensors(machine(1))
     assert (sensors.room, sensors.spindles, sensors.bed) == ("T_room", ("T_spindle",), "T_bed")
     assert sensors.starts == ("T_bed",)

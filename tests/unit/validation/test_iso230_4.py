@@ -102,7 +102,7 @@ def test_each_effect_is_read_with_its_sign_and_nothing_else(given, key, value, u
     assert all(e.peak_to_peak < 1e-6 for k, e in names.items() if k != key)
 
 
-def test_squareness_and_servo_mismatch_are_told_apart_by_the_sense():
+def test_squareness_and_servo_mismatch_are_distinguished_by_the_direction():
     names = effects(test_recording(squareness=20.0, servo=0.3, noise=0.2))
     assert_allclose(names["squareness", "C0Y"].value, 20.0, atol=0.5)
     assert_allclose(names["servo_mismatch", "XY"].value, 0.3, atol=0.01)

@@ -80,7 +80,7 @@ def test_a_part_passes_only_where_its_features_that_sat_out_agree(seed, passes):
     assert left["after_rms_um"] < (0.5 if passes == "whole" else 0.75) * left["before_rms_um"]
 
 
-def test_what_nobody_judged_is_refused(cloud):
+def test_a_model_without_validation_is_refused(cloud):
     with pytest.raises(GateError, match="this identification was not validated"):
         gate.pass_gate(cloud[0], [])
 

@@ -238,7 +238,7 @@ def test_a_long_axis_that_is_good_is_not_too_small() -> None:
 
 
 @pytest.mark.parametrize(("added", "means_kelvin"), [(273.15, True), (500.0, False)])
-def test_kelvin_in_some_rows_is_told_from_a_broken_sensor(added: float, means_kelvin: bool) -> None:
+def test_kelvin_in_some_rows_is_distinguished_from_a_broken_sensor(added: float, means_kelvin: bool) -> None:
     """Before: "another column, or a sensor that failed", where one season was logged in K."""
     recording = axis_test()
     half = np.where(np.arange(len(recording)) < len(recording) // 2, added, 0.0)

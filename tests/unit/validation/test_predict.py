@@ -63,7 +63,7 @@ def test_without_the_response_columns_are_named_by_component(drift, model):
     assert "E_Z_predicted" in predict(model, bare)
 
 
-def test_outside_is_told_and_widens(drift, model):
+def test_outside_is_reported_and_widens(drift, model):
     prediction = predict(model, drift)
     summer = prediction["run"].isin(["s1", "s2", "s3"])
     assert prediction.loc[summer, "E_Z_outside"].mean() > 0.9

@@ -99,7 +99,7 @@ def halves(deviation: np.ndarray, sensor: np.ndarray) -> list[HeldOut]:
     return out
 
 
-def test_two_series_that_wander_on_their_own_seldom_pass_as_halves_of_one_run() -> None:
+def test_two_independent_drifts_rarely_pass_as_halves_of_one_run() -> None:
     """Pairs of random walks; rows taken for independent, a third of them would pass."""
     rng, passed = np.random.default_rng(4), 0
     for _ in range(300):

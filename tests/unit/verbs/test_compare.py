@@ -159,7 +159,7 @@ def test_deviations_that_the_other_does_not_hold_are_within_no_limit(
     assert code == 4 and answer["within"] is False and answer["largest_um"] is None
 
 
-def test_tables_of_stretches_that_lie_apart_say_so(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_tables_of_separate_stretches_state_it(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     def model_of(name: str, low: float, high: float) -> Path:
         path = model(tmp_path / name, 11.0, (10.5, 11.5))
         path.write_text(path.read_text().replace("[0.0,1000.0]", f"[{low},{high}]"), encoding="utf-8")

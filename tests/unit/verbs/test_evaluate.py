@@ -41,7 +41,7 @@ def test_what_stands_for_an_input_that_was_not_given_is_said(tmp_path: Path, cap
     assert "not given" not in capsys.readouterr().out
 
 
-def test_a_table_of_measurements_in_place_of_a_recording_is_told_to_import(tmp_path: Path, capsys: Any) -> None:
+def test_a_table_of_measurements_instead_of_a_recording_is_referred_to_import(tmp_path: Path, capsys: Any) -> None:
     ect.write(machines.too_long_at_plus_x(), tmp_path / "t.ect")
     file = tmp_path / "x.csv"
     file.write_text("X [mm];Dev [um]\n0;0\n500;10\n")

@@ -180,7 +180,7 @@ def test_after_enough_days_no_duty_cycle_is_worth_it(tmp_path, capsys):
     assert document["result"]["least"] == pytest.approx(0.3, rel=0.2)  # the noise of a reading
 
 
-def test_deviations_over_an_axis_are_told_that_temperatures_alone_plan(tmp_path, capsys):
+def test_deviations_over_an_axis_are_refused_because_planning_needs_temperatures(tmp_path, capsys):
     """What differs between places counted as what no run teaches, and nothing said so."""
     folder = tmp_path / "days"
     assert main(["plan-day", recording_of_days(folder, "hth")]) == 0
