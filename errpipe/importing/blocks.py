@@ -28,8 +28,7 @@ def blocks(
     if deep == 1:
         width = len(rows[start - 1])
         rows, numbers = _by_name(rows, numbers, start, notes)
-        more = [label(c) for c in rows[start - 1][width:]]
-        names = [*names[:width], *more, *names[width + len(more) :]]
+        names[width : len(rows[start - 1])] = map(label, rows[start - 1][width:])
     below = range(start + 1, len(rows) - 1)
     again = [r for r in below if filled_cells(rows[r]) == filled_cells(rows[start - 1])]
     if deep > 1 and all(rows[r - k] == rows[start - 1 - k] for r in again for k in range(deep)):
@@ -63,10 +62,7 @@ def blocks(
 def _by_name(
     rows: list[list[Cell]], numbers: list[list[float | None]], start: int, notes: list[str]
 ) -> tuple[list[list[Cell]], list[list[float | None]]]:
-    """Rows with their columns where the first header has them, below headers of its names in another order, or more.
-
-    A logger that was started again with another list of channels writes such a header.
-    """
+    """Rows with their columns where the first header has them, below headers of its names in another order, or more."""
     header = [label(c) for c in rows[start - 1]]
     if len({*header}) < max(2, len(header)) or not all(header):
         return rows, numbers
@@ -76,15 +72,13 @@ def _by_name(
     if all(cells == header for cells in at.values()):
         return rows, numbers
     notes.append("a header below has the names of the first one in another order, or more: columns are put by name")
-    rows, numbers, order = [*rows], [*numbers], [*range(len(header))]
-    rows[start - 1] = [*known]
+    out: list[list[Cell]] = [*rows[: start - 1], [*known]]
+    of_out, order = numbers[:start], [*range(len(header))]
     for r in range(start, len(rows)):
-        if r in at:
-            order, rows[r] = [at[r].index(c) if c in at[r] else len(at[r]) for c in known], [*known]
-        else:
-            rows[r] = [rows[r][i] if i < len(rows[r]) else None for i in order]
-            numbers[r] = [numbers[r][i] if i < len(numbers[r]) else None for i in order]
-    return rows, numbers
+        order = [at[r].index(c) if c in at[r] else len(at[r]) for c in known] if r in at else order
+        out.append([*known] if r in at else [rows[r][i] if i < len(rows[r]) else None for i in order])
+        of_out.append([numbers[r][i] if i < len(numbers[r]) else None for i in order])
+    return out, of_out
 
 
 def sections(
@@ -95,7 +89,9 @@ def sections(
     first: the line right above the first row. Raises DataError if rows precede the first line that states a
     side.
     """
-    lone = {r: str(cells[0]) for r, row in enumerate(rows) if len(cells := filled_cells(row)) == 1}
+    filled = [filled_cells(row) for row in rows]
+    last = max((r for r, cells in enumerate(filled) if len(cells) > 1), default=0)  # remarks stand below it
+    lone = {r: str(cells[0]) for r, cells in enumerate(filled) if len(cells) == 1 and r < last}
     titles = {r: text for r, text in lone.items() if len(text) <= LONGEST_TITLE and len(way_in(text) or "") > 1}
     if not titles or any(kind_by_name(name) == "direction" or way_of(name) is not None for name in names):
         return names, rows

@@ -33,10 +33,10 @@ def tabled(sheet: Sheet) -> Sheet:
     for mark in (" ", ",") if sheet.header is None else ():  # a decimal comma may have split the cells
         lines = [line for row in cells if re.search(r"\w", line := mark.join(row))]
         found = [_pairs(line) for line in lines]
-        count = Counter(name for of_line in found for name, _, _ in of_line)
-        if max(count.values(), default=0) < FEWEST_ROWS and all(map(_INDEX.search, count)):
+        each = {name for of_line in found for name, _, _ in of_line}
+        if len(each) > len(lines) and all(map(_INDEX.search, each)):
             found = [[(f"{_INDEX.sub('', n)} {k}", v, u) for k, (n, v, u) in enumerate(of, 1)] for of in found]
-            count = Counter(name for of_line in found for name, _, _ in of_line)
+        count = Counter(name for of_line in found for name, _, _ in of_line)
         most = max(count.values(), default=0)
         names = [name for name, n in count.items() if n >= MOSTLY * most]
         named = [any(name in names for name, _, _ in of_line) for of_line in found]

@@ -182,6 +182,12 @@ def _long(
     if may_be_log and not {e["role"] for e in p.entries.values()} & {"error", *resolve.PLACES}:
         resolve.resolve_units(p, layout)
         return
+    for name, e in p.entries.items():
+        if e.get("unit", "") not in ("", *ROLE_UNITS[e["role"]]):
+            raise DataError(
+                f"column {name!r}: {e['unit']!r} is no unit of role {e['role']} (allowed: "
+                f"{', '.join(ROLE_UNITS[e['role']])}): say --set '{name}.unit=...', or --set '{name}.role=ignore'"
+            )
     resolve.resolve_positions(p, axis, options)
     resolve.finish(p, layout, axis, options)
 

@@ -47,7 +47,7 @@ _ON_THE_SIGN = re.compile(
     r"|\bsigns?\b(?![ -]?off)|\bsigne\b"
     r"|^(?:e|err|error|fehler|dev\w*|abw\w*|abweichung|erreur|ecart|errore|scostamento|desvi\w*|fout|hata"
     r"|chyba|偏差|误差|誤差)(?: [xyz])?\W{0,2}"
-    r"(?:=.*\w ?(?:-|minus)|:.* minus) ?[^\W\d]"
+    r"(?:=.*\w ?(?:-|minus)|:.* minus) ?[^\W\d]|^[^\W\d]+ ?= ?[^\W\d]+ - [^\W\d]+$"
     r"|\b(?:corrections?|compensations?) (?:to be|to) \w+|\bare (?:the )?(?:corrections?|compensation)\b"
     r"|\b(?:invers\w*|invert\w*|negated|flipped|umgekehrt\w*) (?:error|dev|value|reading|fehler|abw|wert)"
     r"|\b(?:anzeige|messuhr|dial|gauge|laser|readings?|display)\b[^|]*\b(?:invers\w*|invert\w*|revers\w*|negativ\w*|umgekehrt\w*)"
@@ -174,9 +174,8 @@ def _said(p: Proposal, name: str, layout: Layout) -> tuple[bool, str]:
     said = words.difference(" | ".join(headers)) or words.difference(around)
     if said is not None and said[0] == 0:
         raise DataError(
-            f"{said[1]!r}: is the reference the set point, or an instrument that shows where the axis is? Say it: "
-            "--sign actual-minus-commanded (the readings rise where the axis goes too far), or --sign "
-            "commanded-minus-actual"
+            f"{said[1]!r}: is the reference the set point, or an instrument that shows where the axis is? Say --sign "
+            "actual-minus-commanded (the readings rise where the axis goes too far), or --sign commanded-minus-actual"
         )
     if said is not None:
         return said[0] < 0, f"the file states {said[1]!r}" + (": the sign is changed" if said[0] < 0 else "")

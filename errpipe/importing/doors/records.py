@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable
+from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
 
 name = "Parquet or JSON"
 suffixes = (".parquet", ".feather", ".arrow", ".json", ".jsonl", ".ndjson")
@@ -48,11 +48,11 @@ def _parquet(path: Path) -> dict[str, list[Cell]]:
     try:
         if path.read_bytes()[:6] == _ARROW:
             table = feather.read_table(path, use_threads=False, memory_map=False)
+            affordable(table.num_rows * table.num_columns, path)
         else:
             file = parquet.ParquetFile(path)
             affordable(file.metadata.num_rows * file.metadata.num_columns, path)
             table = file.read(use_threads=False)
-        affordable(table.num_rows * table.num_columns, path)
         return {_with_unit(f): _column(table[f.name]) for f in {f.name: f for f in table.schema}.values()}
     except (DataError, MemoryError):
         raise
@@ -174,10 +174,7 @@ def _timed(pairs: list[Any]) -> list[tuple[str, Any]]:
     if len(pairs) < FEWEST_ROWS or not all(isinstance(p, list) and len(p) == 2 for p in pairs):
         return []
     for i in (0, 1):
-        try:
-            t = np.array([float(p[i]) for p in pairs])
-        except (TypeError, ValueError):
-            continue
+        t = np.array([v if (v := number(_cell(p[i]), False)) is not None else np.nan for p in pairs])
         per_second = 1e3 if t.min() > MOST_SECONDS else 1.0
         if t.min() / per_second > FEWEST_SECONDS and t.max() / per_second < MOST_SECONDS and (np.diff(t) > 0).all():
             dates = np.datetime_as_string(np.round(1e3 * t / per_second).astype("datetime64[ms]"), timezone="UTC")

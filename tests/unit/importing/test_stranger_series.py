@@ -148,3 +148,20 @@ def test_angles_of_an_axis_that_may_be_rotary(tmp_path: Path) -> None:
         proposal, _ = prepared([tmp_path / "f.csv"], axis="C")
         error = next(e for e in proposal.entries.values() if e["role"] == "error")
         assert error["component"] == "ECC" and error["unit"] == "arcsec"
+
+
+def test_a_definition_below_the_table_is_no_title_of_rows(tmp_path: Path) -> None:
+    """`Soll minus Ist` below the last row was taken for the side of the rows below it."""
+    rows = [f"{run},{x},{-d}" for run, x, _, d in long_rows()]
+    (tmp_path / "f.csv").write_text("\n".join(["Run,X [mm],Deviation [um]", *rows, "Fehler: Soll minus Ist"]))
+    proposal, _ = prepared([tmp_path / "f.csv"])
+    assert proposal.entries["Deviation"]["derived"]["factor"] == -1.0
+
+
+@pytest.mark.parametrize("header", ["X [mrad],Deviation [um]", "X [mm],Abw. [hPa]"])
+def test_a_unit_of_another_quantity_is_refused_with_its_column(tmp_path: Path, header: str) -> None:
+    """Each ended in an internal error."""
+    rows = [f"{x},{d}" for _, x, _, d in long_rows()]
+    (tmp_path / "f.csv").write_text("\n".join([header, *rows]))
+    with pytest.raises(DataError, match=r"column '.*': '.*' is no unit of role"):
+        prepared([tmp_path / "f.csv"], axis="X")
