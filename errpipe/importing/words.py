@@ -297,8 +297,8 @@ def is_following_error(header: str) -> bool:
 
 
 def difference(text: str) -> tuple[float, str] | None:
-    """+1 and the words if a text reads `measured - nominal`, -1 for `cmd - act`, 0 for `display - reference` (a set point
-    or a second instrument); else None.
+    """+1 and the words if a text reads `measured - nominal`, -1 for `cmd - act`, 0 for `display - reference` (a
+    set point or a second instrument); else None.
     """
     for match in _ACTUAL_AND_COMMANDED.finditer(plain(text)):
         one, other = sorted(name for name, word in match.groupdict().items() if word)

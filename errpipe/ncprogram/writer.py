@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from operator import attrgetter
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from errpipe.kernels import nc_blocks
 from errpipe.ncprogram.blocks import Block, refuse
 from errpipe.ncprogram.modal import LINEAR, MM_PER_INCH, ROTARY, Setup, State, offset_of
 
+MODES = attrgetter("offset", "tool_length", "inch", "absolute")  # of a state, in which its points are written
 # deviation(points, tool_length): machine coordinates, shape (n, 3) mm -> deviation of the tool point, (n, 3) mm
 Deviation = Callable[[np.ndarray, float], np.ndarray]
 
@@ -52,12 +54,7 @@ class Writer:
             self.emitted = list(state.position)
         old = self.state
         forgotten = [n for n, place in enumerate(state.position) if place is None and self.emitted[n] is not None]
-        if forgotten or (state.offset, state.tool_length, state.inch, state.absolute) != (
-            old.offset,
-            old.tool_length,
-            old.inch,
-            old.absolute,
-        ):
+        if forgotten or MODES(state) != MODES(old):
             self.flush()
             self.emitted = _moved(self.emitted, old, state, self.setup)
             for n in forgotten:

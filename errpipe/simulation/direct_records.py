@@ -12,8 +12,9 @@ import pandas as pd
 
 from errpipe.domain.components import parse
 from errpipe.domain.laser import Laser
-from errpipe.domain.recording import Column, Constant, Manifest, Recording
+from errpipe.domain.recording import Column, Constant, Recording
 from errpipe.kinematics.chain import LETTERS, Chain
+from errpipe.simulation.folder import of_one_table
 from errpipe.simulation.metrology import Values
 
 AIR = (-0.93e-6, 0.27e-6)  # change of the refractive index per K and per hPa
@@ -56,15 +57,8 @@ def record(chain: Chain, values: Values, setup: SetUp, seed: int) -> Recording:
     columns["p_air"] = Column(role="pressure", unit="hPa")
     for a in chain.axes:
         columns |= {n: Column(role="error", component=n, unit=parse(n).unit) for n in chain.of_axis(a)}
-    manifest = Manifest(
-        recording=1,
-        title="laser and level along each axis of a simulated machine",
-        machine=chain.machine.name,
-        tables=("recording.csv",),
-        constants=constants,
-        columns=columns,
-    )
-    return Recording(manifest, frame[list(columns)])
+    title = "laser and level along each axis of a simulated machine"
+    return of_one_table(title, chain.machine.name, columns, frame[list(columns)], constants)
 
 
 @dataclass(frozen=True)

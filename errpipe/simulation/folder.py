@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
+import pandas as pd
+
 from errpipe import jsonfile
-from errpipe.domain.recording import Recording
+from errpipe.domain.recording import Column, Constant, Manifest, Recording
+
+
+def of_one_table(
+    title: str, machine: str, columns: Mapping[str, Column], frame: pd.DataFrame, constants: Mapping[str, Constant]
+) -> Recording:
+    """A recording of one table, which `write` calls recording.csv."""
+    facts = {"title": title, "machine": machine, "columns": columns, "constants": constants}
+    return Recording(Manifest(recording=1, tables=("recording.csv",), **facts), frame)
 
 
 def write(folder: Path, recording: Recording) -> bool:

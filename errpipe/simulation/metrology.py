@@ -14,9 +14,10 @@ import numpy as np
 import pandas as pd
 
 from errpipe.domain.components import is_at_tool, parse
-from errpipe.domain.recording import Column, Constant, Manifest, Recording
+from errpipe.domain.recording import Column, Constant, Recording
 from errpipe.kinematics import synthesis
 from errpipe.kinematics.chain import Chain, combinations
+from errpipe.simulation.folder import of_one_table
 
 # Range of the linear part over the travel, in units of the wavy part's rms: a scale error of some 35 um over a
 # travel, angles of some 70 urad (5.8), beside waves of 4 um and 12 urad.
@@ -130,15 +131,8 @@ def record(
             columns[name] = Column(role="uncertainty", component=component, unit=parse(component).unit)
         elif name == "size":
             columns[name] = Column(role="size", unit="mm")
-    manifest = Manifest(
-        recording=1,
-        title=f"{protocol.replace('_', ' ')} on a simulated machine",
-        machine=chain.machine.name,
-        tables=("recording.csv",),
-        constants=constants,
-        columns=columns,
-    )
-    return Recording(manifest, frame)
+    title = f"{protocol.replace('_', ' ')} on a simulated machine"
+    return of_one_table(title, chain.machine.name, columns, frame, constants)
 
 
 def _play(chain, values, run: Run, rng, noise, setup, protocol) -> pd.DataFrame:

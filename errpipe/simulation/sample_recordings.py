@@ -5,16 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from errpipe.domain.recording import Column, Constant, Derived, Manifest, Recording
+from errpipe.domain.recording import Column, Constant, Derived, Recording
+from errpipe.simulation.folder import of_one_table
 
 SIMULATED = "simulated by errpipe; replace it with your own"
 
 
 def _recording(title: str, columns: dict[str, Column], frame: pd.DataFrame, **constants: Constant) -> Recording:
-    manifest = Manifest(
-        recording=1, title=title, machine=SIMULATED, tables=("recording.csv",), constants=constants, columns=columns
-    )
-    return Recording(manifest, frame)
+    return of_one_table(title, SIMULATED, columns, frame, constants)
 
 
 def _axis(travel: tuple[float, float]) -> Constant:

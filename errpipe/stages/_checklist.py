@@ -46,11 +46,8 @@ def checklist(
     lines += [f"Sign: {target.sign}.", f"Limits: {target.limits}."]
     lines += [f"Unit: {target.unit}."]
     if _artefacts.UNGATED in table.title:
-        lines += [
-            "",
-            f"**{_artefacts.UNGATED}.** Measure before and after, and take it off where it is not better.",
-            "",
-        ]
+        warning = f"**{_artefacts.UNGATED}.** Measure before and after, and take it off where it is not better."
+        lines += ["", warning, ""]
     lines += _watch(read, table)
     lines += [f"Source: {target.source}. Confidence: {target.confidence}.", ""]
     numbers = (*target.by_hand(table, read, others), *_zeros(target, read, table, others), *_one_turn(read, table))
@@ -60,12 +57,8 @@ def checklist(
     if happens:
         lines += ["## What will happen", "", *(f"- {says}." for says in dict.fromkeys(happens)), ""]
     lines += ["## Switch it on", ""]
-    lines += [
-        f"{n}. {step}"
-        for n, step in enumerate(
-            (AS_MEASURED, *_numbered(target, table), *_alone(target, table), *target.activation), 1
-        )
-    ]
+    steps = (AS_MEASURED, *_numbered(target, table), *_alone(target, table), *target.activation)
+    lines += [f"{n}. {step}" for n, step in enumerate(steps, 1)]
     if numbers:
         lines += ["", "## Enter by hand", "", *(f"- {number.says}." for number in numbers)]
     lines += ["", "## Three-point check", ""]
@@ -102,11 +95,8 @@ def _watch(read: Any, table: CompensationTable) -> list[str]:
             return ["Sensors: temperatures are monitored against each other; others replace one that fails."]
         return ["Sensors: each temperature is monitored individually; the correction fades if one fails."]
     why = "the table has no guard" if isinstance(read, WholeTable) else "this format has no memory for a guard"
-    return [
-        "",
-        f"**Temperatures are not monitored ({why}).** The correction follows the wrong reading of a failed sensor.",
-        "",
-    ]
+    warning = f"**Temperatures are not monitored ({why}).** The correction follows the wrong reading of a failed sensor."
+    return ["", warning, ""]
 
 
 def _alone(target: Any, table: CompensationTable) -> list[str]:

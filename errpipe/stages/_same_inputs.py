@@ -39,16 +39,9 @@ Means = Iterator[tuple[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, .
 
 def _of_model(model: ErrorModel) -> Means:
     for name, facts in model.columns.items():
-        axis, unit = facts.get("axis"), facts.get("unit")
-        role = facts["role"]
-        yield (
-            name,
-            (
-                PLACES["position"] if role in PLACES["position"] else (role,),
-                (f"axis {axis}",) if axis else (),
-                (f"in {unit}",) if unit else (),
-            ),
-        )
+        axis, unit, role = facts.get("axis"), facts.get("unit"), facts["role"]
+        roles = PLACES["position"] if role in PLACES["position"] else (role,)
+        yield name, (roles, (f"axis {axis}",) if axis else (), (f"in {unit}",) if unit else ())
 
 
 def _of_table(table: CompensationTable) -> Means:

@@ -50,11 +50,8 @@ class Diagnosis(Stage):
         decisions = _acceptance.decide(diagnosed, recording, self.accept, whole=existing is not None)
         if before is None or family is None or existing is not None:
             model, spec, decisions = _acceptance.fit_accepted(decisions, diagnosed, existing, recording)
-            notes = [
-                f"not compensated: {d.finding.effect} of {d.component} ({d.reason})"
-                for d in decisions
-                if not d.accepted
-            ]
+            refused = [d for d in decisions if not d.accepted]
+            notes = [f"not compensated: {d.finding.effect} of {d.component} ({d.reason})" for d in refused]
             model = model.model_copy(update={"notes": (*model.notes, *notes)})
             _artefacts.write_model(context, recording, model, Terms.of(spec, less_simulated=existing is None))
         else:

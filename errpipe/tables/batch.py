@@ -204,17 +204,8 @@ class Positions:
     def rows(self, columns: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
         """The same for points given by row: columns (moving inputs, n) in C order, result (outputs, n), in `out`."""
         out = np.empty((len(self.table.outputs), columns.shape[1])) if out is None else out
-        missing = table_position.evaluate(
-            self.program,
-            self._plan,
-            columns,
-            self.moving,
-            self._node_fixed,
-            self._node_moves,
-            self._profile_fixed,
-            self._fade,
-            out,
-        )
+        fixed = (self._node_fixed, self._node_moves, self._profile_fixed, self._fade)
+        missing = table_position.evaluate(self.program, self._plan, columns, self.moving, *fixed, out)
         if missing:
             out[:, np.isnan(columns).any(axis=0)] = np.nan
         return out
@@ -262,13 +253,5 @@ def _plan(
         if width[p] == 2 and program.same_grid[p + 1]:
             knots[p] = np.stack([knots[p], knots[p + 1]], axis=1).reshape(4, -1)
             knots[p + 1], width[p], width[p + 1] = np.empty((2, 0)), 4, 0
-    return table_position.Plan(
-        components,
-        opens,
-        alone,
-        np.concatenate([k.T.ravel() for k in knots]),
-        np.cumsum([0, *(k.size for k in knots)]),
-        width,
-        row,
-        factor,
-    )
+    first, knots_in_a_row = np.cumsum([0, *(k.size for k in knots)]), np.concatenate([k.T.ravel() for k in knots])
+    return table_position.Plan(components, opens, alone, knots_in_a_row, first, width, row, factor)

@@ -211,13 +211,8 @@ def component_figures(
         "groups": [_group(f, share) for f, share in zip(folds, coverage, strict=True)],
     }
     if chosen > 0.0 and len(folds) > 1 and recalibration.is_thermal(recording):
-        figures["readings"] = recalibration.by_readings(
-            recording,
-            [f.rows for f in folds],
-            [f.label for f in folds],
-            [f.before for f in folds],
-            [_at_gain(f, chosen) for f in folds],
-        )
+        groups: Any = zip(*((f.rows, f.label, f.before, _at_gain(f, chosen)) for f in folds), strict=True)
+        figures["readings"] = recalibration.by_readings(recording, *groups)
     return figures
 
 

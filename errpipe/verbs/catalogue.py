@@ -16,6 +16,12 @@ EXIT_CODES = {
     "5": "`errpipe plan --exit-code`: stages would run.",
     "6": "A file on disk is not what it claims to be: damaged, edited, or not equal to its model.",
 }
+HEADINGS = {
+    "ingest": "Read directly by a pipeline (ingest: {recording: FILE}):",
+    "import": "Converted to a recording first (errpipe import FILE --out FOLDER):",
+    "identify": "Tests of a machine as a whole (stage identify): imported if the file states its set-up, else written "
+    "by hand:",
+}
 
 
 def terms(name: str) -> dict[str, Any]:
@@ -44,14 +50,9 @@ def formats(name: str) -> dict[str, Any]:
     rows = [{"format": f.name, "how": "ingest", "about": _first_line(f.__doc__)} for f in FORMATS]
     rows += [{"format": name, "how": "identify", "about": what} for name, _, what, _ in TESTS]
     rows += [{"format": d.name, "how": "import", "about": _first_line(d.__doc__)} for d in DOORS]
-    says = ["Read directly by a pipeline (ingest: {recording: FILE}):"]
-    says += [f"  {r['format']:<20} {r['about']}" for r in rows if r["how"] == "ingest"]
-    says += ["Converted to a recording first (errpipe import FILE --out FOLDER):"]
-    says += [f"  {r['format']:<20} {r['about']}" for r in rows if r["how"] == "import"]
-    says += [
-        "Tests of a machine as a whole (stage identify): imported if the file states its set-up, else written by hand:"
-    ]
-    says += [f"  {r['format']:<20} {r['about']}" for r in rows if r["how"] == "identify"]
+    says = []
+    for how, heading in HEADINGS.items():
+        says += [heading, *(f"  {r['format']:<20} {r['about']}" for r in rows if r["how"] == how)]
     return {"formats": rows, "says": says}
 
 

@@ -13,7 +13,7 @@ from errpipe import jsonfile
 from errpipe.domain.diagnosis import Diagnosis
 from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.table import CompensationTable
-from errpipe.errors import DataError, UsageError, VerifyError
+from errpipe.errors import DataError, UsageError, VerifyError, first_problem
 from errpipe.stages import _artefacts
 from errpipe.tables import by_component, ect
 from errpipe.validation import changes
@@ -117,9 +117,9 @@ def _settings(out: Comparison, old: CompensationTable, new: CompensationTable) -
     for what, pair in (("input", (old.inputs, new.inputs)), ("output", (old.outputs, new.outputs))):
         before, after = ({part.name: part.model_dump(mode="json") for part in parts} for parts in pair)
         _keys(out, what, before, after)
-        for name in (n for n in before if n in after and before[n] != after[n]):
-            for key in (k for k in before[name] if _short(before[name][k]) != _short(after[name][k])):
-                out.says.append(f"{what} {name}: {key} {_short(before[name][key])} -> {_short(after[name][key])}")
+        for name, a, b in _shared(before, after):
+            for key, was, now in ((k, _short(v), _short(b[k])) for k, v in a.items()):
+                out.says += [f"{what} {name}: {key} {was} -> {now}"] if was != now else []
     for key in ("machine", "title", "position_cycle_s", "thermal_cycle_s"):
         if getattr(old, key) != getattr(new, key):
             out.says.append(f"{key}: {_short(getattr(old, key))} -> {_short(getattr(new, key))}")
@@ -142,14 +142,12 @@ def _parameters(out: Comparison, old: ErrorModel, new: ErrorModel) -> None:
     before, after = _by_parameter(old), _by_parameter(new)
     _keys(out, "parameter", before, after)
     moved = []
-    for name in (n for n in before if n in after):
-        a, b = before[name], after[name]
+    for name, a, b in _shared(before, after):
         if a.value == b.value:
             continue
-        inside = a.ci95 is not None and a.ci95[0] <= b.value <= a.ci95[1]
-        within = None if a.ci95 is None else inside
+        within = None if a.ci95 is None else a.ci95[0] <= b.value <= a.ci95[1]
         moved.append({"parameter": name, "old": a.value, "new": b.value, "unit": a.unit, "within_ci95": within})
-        word = "" if within is None else ", inside its 95 % interval" if inside else ", outside its 95 % interval"
+        word = "" if within is None else f", {'inside' if within else 'outside'} its 95 % interval"
         if f"{a.value:.4g}" != f"{b.value:.4g}":
             out.says.append(f"{name}: {a.value:.4g} -> {b.value:.4g} {a.unit}{word}")
     out.parts["parameters"] = moved
@@ -208,10 +206,10 @@ def _recordings(old: Path, new: Path) -> Comparison:
     before, after = (_artefacts.recording_in(p.parent if p.is_file() else p) for p in (old, new))
     out = Comparison("recording")
     _keys(out, "column", before.manifest.columns, after.manifest.columns)
-    own, other = before.manifest.columns, after.manifest.columns
-    for name in (n for n in own if n in other and own[n] != other[n]):
-        out.says.append(f"column {name}: is declared differently")
-    alike = {n for n in own if n in other and _meaning_of_column(own[n]) == _meaning_of_column(other[n])}
+    own = before.manifest.columns
+    columns = _shared(own, after.manifest.columns)
+    out.says += [f"column {name}: is declared differently" for name, a, b in columns if a != b]
+    alike = {name for name, a, b in columns if _meaning_of_column(a) == _meaning_of_column(b)}
     _keys(out, "run", dict.fromkeys(before.run_labels()), dict.fromkeys(after.run_labels()))
     if len(before) != len(after):
         out.says.append(f"rows: {len(before)} -> {len(after)}")
@@ -248,8 +246,7 @@ def _diagnoses(old: Path, new: Path) -> Comparison:
     for lone in [*(r for n, r in before.items() if n not in after), *(r for n, r in after.items() if n not in before)]:
         size = max((f.rms_um for f in lone.findings), default=0.0)
         out.widen(size, size)
-    for name in (n for n in before if n in after):
-        a, b = before[name], after[name]
+    for name, a, b in _shared(before, after):
         if a.verdict != b.verdict:
             out.says.append(f"{name}: {a.verdict} -> {b.verdict}")
         effects = [{f.effect: f for f in r.findings} for r in (a, b)]
@@ -285,7 +282,7 @@ def _diagnosis(path: Path) -> dict[str, Any]:
     try:
         return {r.component: r for r in Diagnosis.model_validate(jsonfile.read(path)).responses}
     except ValidationError as err:
-        raise VerifyError(f"{path}: not a diagnosis: {err.errors()[0]['msg']}") from None
+        raise VerifyError(f"{path}: not a diagnosis: {first_problem(err)}") from None
 
 
 def _run_folders(old: Path, new: Path) -> Comparison:
@@ -295,17 +292,13 @@ def _run_folders(old: Path, new: Path) -> Comparison:
     before, after = read_lock(old), read_lock(new)
     out = Comparison("run folder", parts={"stages": {}})
     _keys(out, "stage", before, after)
-    for name in (n for n in before if n in after):
-        reasons = changes(*map(_without_files, (before[name], after[name]))) or changes(before[name], after[name])[:3]
+    for name, a, b in _shared(before, after):
+        reasons = changes(_without_files(a), _without_files(b)) or changes(a, b)[:3]
         out.says += [f"{name}: {reason}" for reason in reasons]
-        files = [f for f in before[name].outputs if f in after[name].outputs]
-        parts = {}
-        for file in files:
-            same = before[name].outputs[file] == after[name].outputs[file]
-            part = _part(out, name, file, old / name / file, new / name / file, same)
-            if part is not None:
-                parts[file] = part
-        out.parts["stages"][name] = {"reasons": reasons, "artefacts": parts}
+        files = _shared(a.outputs, b.outputs)
+        parts = {f: _part(out, name, f, old / name / f, new / name / f, was == now) for f, was, now in files}
+        known = {file: part for file, part in parts.items() if part is not None}
+        out.parts["stages"][name] = {"reasons": reasons, "artefacts": known}
     return out
 
 
@@ -340,11 +333,10 @@ def _validation(out: Comparison, stage: str, old: Path, new: Path) -> dict[str, 
     """Held-out rms of every response, before and after."""
     sides = [{c["component"]: c for c in jsonfile.read(p)["components"]} for p in (old, new)]
     rms_left = {}
-    for name in (n for n in sides[0] if n in sides[1]):
-        a, b = (side[name]["rms_after"] for side in sides)
-        rms_left[name] = [a, b]
-        if f"{a:.4g}" != f"{b:.4g}":
-            out.says.append(f"{stage}: {name} {a:.4g} -> {b:.4g} {sides[0][name]['unit']} rms on held-out rows")
+    for name, was, now in _shared(*sides):
+        rms_left[name] = [was["rms_after"], now["rms_after"]]
+        a, b = (f"{rms:.4g}" for rms in rms_left[name])
+        out.says += [f"{stage}: {name} {a} -> {b} {was['unit']} rms on held-out rows"] if a != b else []
     return rms_left
 
 
@@ -371,9 +363,15 @@ def _keys(out: Comparison, what: str, old: Mapping[str, Any], new: Mapping[str, 
             out.says.append(f"{what} {word}: {', '.join(names[:MAX_LISTED])}{more}")
 
 
+def _shared(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
+    """Name, and what it stands for in the old and in the new one, of names that both have."""
+    return [(name, value, new[name]) for name, value in old.items() if name in new]
+
+
 def _ranges(out: Comparison, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
-    for name in (n for n in old if n in new and tuple(old[n]) != tuple(new[n])):
-        a, b = old[name], new[name]
+    for name, a, b in _shared(old, new):
+        if tuple(a) == tuple(b):
+            continue
         apart = a[0] < a[1] <= b[0] < b[1] or b[0] < b[1] <= a[0] < a[1]
         out.says.append(f"validity of {name}: {a[0]:.5g} .. {a[1]:.5g} -> {b[0]:.5g} .. {b[1]:.5g}" + apart * ", apart")
 
