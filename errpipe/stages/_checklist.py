@@ -95,7 +95,7 @@ def _watch(read: Any, table: CompensationTable) -> list[str]:
             return ["Sensors: temperatures are monitored against each other; others replace one that fails."]
         return ["Sensors: each temperature is monitored individually; the correction fades if one fails."]
     why = "the table has no guard" if isinstance(read, WholeTable) else "this format has no memory for a guard"
-    warning = f"**Temperatures are not monitored ({why}).** The correction follows the wrong reading of a failed sensor."
+    warning = f"**Temperatures are not monitored ({why}).** The correction follows a failed sensor."
     return ["", warning, ""]
 
 
