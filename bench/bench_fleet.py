@@ -22,27 +22,30 @@ from errpipe.verbs.fleet import TIMES
 MACHINES = 200
 LONGER = 180  # runs of a machine, of half a year
 AIM = 1.8  # times faster with two workers, of machines of half a year
-ROUNDS = 3  # turns, the medians of which stand in the table
+SIZES = {LONGER: (AIM, 3), 6: (None, 3), 1000: (None, 1)}  # runs -> aim, and turns, the medians of which stand here
+ROWS = 22  # of a run
 
 
 def figures() -> list[Figure]:
     """Two workers beside one, and what a machine takes; each by a command of its own, for workers share a start.
 
     The start and the report, about 1.5 s of one process, are no shorter with two workers: the less a machine takes, the
-    more of the whole they are. So the aim is that of machines of half a year of runs; those of six stand beside them.
+    more of the whole they are. So the aim is that of machines of half a year of runs; those of six, and of a
+    thousand, stand beside them.
     """
     from tests.e2e.fleet.test_fleet import site
 
     rows = []
     with tempfile.TemporaryDirectory() as name:
         here = Path(name)
-        for runs, aim in ((LONGER, AIM), (6, None)):
+        for runs, (aim, rounds) in SIZES.items():
             file = site(here / f"site{runs}", MACHINES, runs)
-            turns = np.array([turn(file, here / f"{runs}-{k}") for k in range(ROUNDS)])
+            turns = np.array([turn(file, here / f"{runs}-{k}") for k in range(rounds)])
             faster, ceiling = turns[:, 0] / turns[:, 1], 2.0 * turns[:, 0] / turns[:, 2]
             times = list(csv.DictReader((here / f"{runs}-0" / "two" / TIMES).open()))
             seconds, memory = (np.array([float(t[key]) for t in times]) for key in ("seconds", "peak_mb"))
-            what, span = f"{MACHINES} machines of {runs} runs", float(np.ptp(faster) / np.median(faster))
+            what = f"{MACHINES} machines of {runs} runs, {ROWS * runs} rows"
+            span = float(np.ptp(faster) / np.median(faster))
             rows += [
                 Figure(f"{what}, one worker over two", float(np.median(faster)), "x", span, aim, at_least=True),
                 Figure(f"{what}: two such fleets at once, over one after the other", float(np.median(ceiling)), "x"),

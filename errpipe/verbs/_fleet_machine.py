@@ -43,6 +43,11 @@ def run_machine(pipeline: str, name: str, sets: Sequence[str], out: str) -> dict
     except ErrpipeError as err:
         state, message = ("refused" if err.exit_code == 4 else "failed"), str(err).replace(out, "OUT")
         figures["undetermined"] = isinstance(err, NotIdentifiable)
+    except OSError as err:  # a full disk, a share that went away
+        what = f"{err.filename}: {err.strerror.lower()}" if err.filename and err.strerror else str(err)
+        state, message = "failed", what.replace(out, "OUT")
+    except MemoryError:
+        state, message = "failed", "out of memory: fewer --jobs at a time, or a larger machine"
     except Exception as err:
         state, message = "failed", f"internal error, please report it: {type(err).__name__}: {err}"
     message += of_earlier(folder, brought_up_to_date) if state != "done" else ""

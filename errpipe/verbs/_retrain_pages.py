@@ -27,7 +27,12 @@ def write_pages(document: Mapping[str, Any], out: Path) -> None:
 
 
 def write_failure(title: str, why: str, out: Path) -> None:
-    """Write the pages of a look that judged nothing, in the place of those of the look before."""
+    """Write the pages of a look that judged nothing, in the place of those of the look before.
+
+    Where the disk is full there are none: CI would take those of the look before for tonight's.
+    """
+    for page in (MARKDOWN, JUNIT, GITLAB, FIGURE):
+        (out / page).unlink(missing_ok=True)
     heading = f"# {plain_text(title or 'Retraining')}: not judged"
     jsonfile.write_text(out / MARKDOWN, f"{heading}\n\n{plain_text(why)}\n\nThe champion is kept.\n")
     lines = [
@@ -38,7 +43,6 @@ def write_failure(title: str, why: str, out: Path) -> None:
     ]
     jsonfile.write_text(out / JUNIT, "\n".join(lines) + "\n")
     jsonfile.write(out / GITLAB, [_quality("not judged", why, "blocker")])
-    (out / FIGURE).unlink(missing_ok=True)
 
 
 def markdown(document: Mapping[str, Any]) -> str:

@@ -97,7 +97,7 @@ def fleet(
 
     with ThreadPoolExecutor(1) as reader:  # the report is imported, and models are checked, while machines run
         report = reader.submit(importlib.import_module, "errpipe.verbs._fleet_report")
-        run(tasks)
+        run(tasks if spec.recordings is None else _largest_first(tasks, root / spec.recordings))
         undetermined = [name for name, result in results.items() if result.get("undetermined")] if spec.pool else []
         if undetermined:
             own = {name: model.result() for name, model in models.items()}
@@ -115,6 +115,15 @@ def fleet(
     rows = [f"{r['name']},{r['seconds']:.2f},{r['peak_mb']:.0f},{r['attempts']}" for r in ordered]
     jsonfile.write_text(Path(out) / TIMES, "\n".join(["machine,seconds,peak_mb,attempts", *rows, ""]))
     return document | {"times": {r["name"]: {k: r[k] for k in ("seconds", "peak_mb", "attempts")} for r in ordered}}
+
+
+def _largest_first(tasks: Sequence[Task], recordings: Path) -> list[Task]:
+    """Machines by the bytes of their recordings: begun last, the longest would keep one worker when others idle."""
+
+    def size(task: Task) -> int:
+        return sum(p.stat().st_size for p in (recordings / task[1]).iterdir() if p.is_file())
+
+    return sorted(tasks, key=size, reverse=True)
 
 
 def _refuse_stage(file: Path, pipeline: Path, name: str) -> None:

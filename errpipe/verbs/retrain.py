@@ -60,8 +60,8 @@ def retrain(
     with exclusive_lock(out, callbacks.waiting):  # of two at once one waits: they are one look after the other
         try:
             return _decided(pipeline, champion, out, alpha, limits, allowed_sensors, callbacks)
-        except ErrpipeError as err:
-            write_failure(pipeline.title, str(err), out)
+        except (ErrpipeError, OSError, MemoryError) as err:
+            write_failure(pipeline.title, str(err) or "out of memory", out)
             raise
 
 

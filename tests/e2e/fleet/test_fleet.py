@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import signal
@@ -21,6 +22,7 @@ import pytest
 from errpipe import yamlfile
 from errpipe.cli.app import main
 from errpipe.domain.error_model import ErrorModel
+from errpipe.pipeline import runner
 from errpipe.verbs import _fleet_processes
 from errpipe.verbs import fleet as fleet_verb
 from tests.e2e.retrain.test_retrain import PIPELINE, record
@@ -262,6 +264,35 @@ def test_a_machine_that_fails_says_what_an_earlier_run_left_in_its_folder(tmp_pa
     }
     killed = _fleet_processes.failed_result(task, 3)["message"]
     assert "earlier run made: fit, ingest, validate" in killed
+
+
+def test_the_largest_machine_is_begun_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Begun last, it would keep one worker when all others idle; the report stays in the order of names."""
+    file, begun = site(tmp_path, 4), []
+    record(tmp_path / "recordings/m002", 9)
+
+    def processes(tasks: Any, jobs: int) -> Any:
+        begun.extend(task[1] for task in tasks)
+        return (_fleet_processes.failed_result(task, 3) for task in tasks)
+
+    monkeypatch.setattr(_fleet_processes, "in_processes", processes)
+    document = fleet_verb.fleet(file, tmp_path / "out", 2)
+    assert begun[0] == "m002" and [r["name"] for r in document["machines"]] == ["m000", "m001", "m002", "m003"]
+
+
+def test_a_full_disk_is_no_internal_error_of_a_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    site(tmp_path, 2)
+    task = [str(tmp_path / "axis.yaml"), "m", ["ingest.recording=recordings/m000"], str(tmp_path / "out")]
+
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", f"{task[3]}/machines/m/ingest/recording.parquet")
+
+    monkeypatch.setattr(runner, "run", full)
+    said = _fleet_processes.run_machine(*task)
+    assert (said["state"], said["message"]) == (
+        "failed",
+        "OUT/machines/m/ingest/recording.parquet: no space left on device",
+    )
 
 
 @pytest.mark.slow

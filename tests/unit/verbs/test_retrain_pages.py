@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -10,6 +12,7 @@ import pytest
 
 from errpipe.errors import VerifyError
 from errpipe.verbs import _retrain_pages as pages
+from errpipe.verbs import retrain as retrain_verb
 from errpipe.verbs.retrain import _earlier_document
 
 EMPTY: dict[str, list[Any]] = {key: [] for key in ("inputs", "residuals", "rms", "sizes", "changes", "runs")}
@@ -55,6 +58,22 @@ def test_a_look_that_judged_nothing_leaves_no_page_of_the_look_before(tmp_path: 
     assert ElementTree.fromstring((tmp_path / pages.JUNIT).read_text(encoding="utf-8")).attrib["errors"] == "1"
     assert "night.csv:13" in (tmp_path / pages.MARKDOWN).read_text(encoding="utf-8")
     assert not (tmp_path / pages.FIGURE).exists()
+
+
+def test_a_full_disk_leaves_no_page_of_the_look_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its JUnit of yesterday said promote, and CI would show it as tonight's."""
+    champion, out = tmp_path / "champion", tmp_path / "out"
+    out.mkdir()
+    (out / pages.JUNIT).write_text("promote", encoding="utf-8")
+
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(out / "run/ingest/recording.parquet"))
+
+    monkeypatch.setattr(retrain_verb, "_decided", full)
+    monkeypatch.setattr(pages.jsonfile, "write_text", full)
+    with pytest.raises(OSError, match="No space"):
+        retrain_verb.retrain(SimpleNamespace(title="axis"), champion, out)  # type: ignore[arg-type]
+    assert not (out / pages.JUNIT).exists()
 
 
 def test_the_page_says_what_to_do_next() -> None:
