@@ -89,9 +89,8 @@ def sections(
     first: the line right above the first row. Raises DataError if rows precede the first line that states a
     side.
     """
-    filled = [filled_cells(row) for row in rows]
-    last = max((r for r, cells in enumerate(filled) if len(cells) > 1), default=0)  # remarks stand below it
-    lone = {r: str(cells[0]) for r, cells in enumerate(filled) if len(cells) == 1 and r < last}
+    last = max((r for r, row in enumerate(rows) if len(filled_cells(row)) > 1), default=0)  # remarks stand below it
+    lone = {r: str(cells[0]) for r, row in enumerate(rows[:last]) if len(cells := filled_cells(row)) == 1}
     titles = {r: text for r, text in lone.items() if len(text) <= LONGEST_TITLE and len(way_in(text) or "") > 1}
     if not titles or any(kind_by_name(name) == "direction" or way_of(name) is not None for name in names):
         return names, rows

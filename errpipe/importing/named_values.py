@@ -13,7 +13,6 @@ _PAIR = re.compile(  # `X_SOLL=1.5`, `RUN*1`, `SOLLWERT X : 1,5 MM`, `#5061=1.5`
     rf"\s*([^\W\d][^=:*]*?|#\d+)\s*[=:*]\s*({_VALUE}|[^\W\d][\w.]*|[+-](?![\w.]))(?:\s*(?!\w+\s*[=:*])([^\W\d]{{1,4}}|\")(?=[\s;,]|$))?[\s;,]*"
 )
 _WORDS = re.compile(rf"\s*([A-Za-z]{{1,12}})\s*({_VALUE})()(?=[\s,;]|$)[\s,;]*")  # `X 1.5, DIAL 0.002`, `B30. C0. X1.5`
-_PROGRAM = {"G", "M", "N", "F", "S", "T", "O"}  # addresses of an NC program, which contains no readings
 _STAMP = re.compile(  # a time stamp or a counter before the values
     r"\s*[\[(]?((?:\d{2,4}[-./]\d\d?[-./]\d{2,4}[ T])?\d\d?:\d\d:\d\d(?:[.,]\d+)?Z?|\d+(?:\.\d+)?)[\])]?"
     r"(?:\s*(?:->|[,;|-])\s*|\s+)(?=[^\W\d])"
@@ -69,6 +68,6 @@ def _pairs(line: str) -> list[tuple[str, str, str]]:
     pattern = _PAIR if re.search(r"[=:*]", line) else _WORDS
     out = [(m[1].strip(), m[2], m[3] or "") for m in pattern.finditer(line)]
     rest = pattern.sub("", line).strip()
-    if not out or (pattern is _WORDS and (len(out) < 2 or _PROGRAM & {name for name, _, _ in out})):
+    if not out or (pattern is _WORDS and (len(out) < 2 or {*"GMNFSTO"} & {n for n, _, _ in out})):  # of an NC program
         return []
     return [*own, *out, ("time stamp", rest, "")] if _TICKS.fullmatch(rest) else [] if rest else own + out

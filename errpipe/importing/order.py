@@ -34,9 +34,8 @@ def refuse_swapped(p: Proposal, command: str, actual: str) -> None:
         return
     if words.is_reference_of_a_scale(command, actual):
         raise DataError(
-            f"{command!r} beside {actual!r}: the commanded position (--set {command}.role=command --set {actual}.role="
-            f"actual), or an instrument that shows where the axis is (--set {command}.role=actual --set {actual}.role="
-            "command)?"
+            f"{command!r} beside {actual!r}: the commanded position, or an instrument that shows where the axis is? "
+            f"Say --set {command}.role=command --set {actual}.role=actual, or the roles exchanged"
         )
     places, moves = np.unique(y[np.isfinite(y)]).size, float(np.mean(np.diff(y) != 0))
     if np.unique(x).size > 0.8 * x.size and places <= 0.5 * y.size and moves > 0.8:

@@ -183,11 +183,9 @@ def _long(
         resolve.resolve_units(p, layout)
         return
     for name, e in p.entries.items():
-        if e.get("unit", "") not in ("", *ROLE_UNITS[e["role"]]):
-            raise DataError(
-                f"column {name!r}: {e['unit']!r} is no unit of role {e['role']} (allowed: "
-                f"{', '.join(ROLE_UNITS[e['role']])}): say --set '{name}.unit=...', or --set '{name}.role=ignore'"
-            )
+        if e.get("unit", "") not in ("", *(allowed := ROLE_UNITS[e["role"]])):
+            says = f"column {name!r}: {e['unit']!r} is no unit of role {e['role']} (allowed: {', '.join(allowed)})"
+            raise DataError(f"{says}: say --set '{name}.unit=...', or --set '{name}.role=ignore'")
     resolve.resolve_positions(p, axis, options)
     resolve.finish(p, layout, axis, options)
 

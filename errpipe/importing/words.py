@@ -297,13 +297,11 @@ def is_following_error(header: str) -> bool:
 
 
 def difference(text: str) -> tuple[float, str] | None:
-    """+1 and the words if a text reads `measured - nominal`, -1 for `cmd - act`, 0 for `display - reference` (a
-    set point or a second instrument); else None.
-    """
+    """+1 and the words if a text reads `measured - nominal`, -1 for `cmd - act`, 0 if it may be either; else None."""
     for match in _ACTUAL_AND_COMMANDED.finditer(plain(text)):
         one, other = sorted(name for name, word in match.groupdict().items() if word)
         if {one[1], other[1]} == {"0", "1"} and _REFERENCE.search(match.group(0)):
-            return 0.0, match.group(0)
+            return 0.0, match.group(0)  # `display - reference`: a set point, or the instrument beside the machine
         if one[1] != other[1]:
             return (1.0 if one[1] > other[1] else -1.0), match.group(0)
     return None

@@ -60,7 +60,8 @@ def test_every_stage_file_is_a_stage_and_every_verb_is_asked() -> None:
     }
     assert stages <= files
     assert files <= stages | asked, f"no stage of the registry and no work of a verb: {sorted(files - stages - asked)}"
-    assert not asked - files, "a verb asks for work that no file does"
+    missing = {name for name in asked if not (TOP / f"{name.replace('.', '/')}.py").is_file()}
+    assert not missing, "a verb asks for work that no file does"
 
 
 @pytest.mark.parametrize("package", REGISTRIES)
