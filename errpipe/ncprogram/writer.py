@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from operator import attrgetter
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from errpipe.kernels import nc_blocks
 from errpipe.ncprogram.blocks import Block, refuse
 from errpipe.ncprogram.modal import LINEAR, MM_PER_INCH, ROTARY, Setup, State, offset_of
 
-MODES = attrgetter("offset", "tool_length", "inch", "absolute")  # of a state, in which its points are written
 # deviation(points, tool_length): machine coordinates, shape (n, 3) mm -> deviation of the tool point, (n, 3) mm
 Deviation = Callable[[np.ndarray, float], np.ndarray]
 
@@ -54,7 +52,7 @@ class Writer:
             self.emitted = list(state.position)
         old = self.state
         forgotten = [n for n, place in enumerate(state.position) if place is None and self.emitted[n] is not None]
-        if forgotten or MODES(state) != MODES(old):
+        if forgotten or _written_in(state) != _written_in(old):
             self.flush()
             self.emitted = _moved(self.emitted, old, state, self.setup)
             for n in forgotten:
@@ -168,6 +166,11 @@ def rounded(values: np.ndarray, decimals: int) -> np.ndarray:
     ties = np.abs(np.abs(scaled - np.floor(scaled)) - 0.5) < 1e-5 + 1e-14 * np.abs(scaled)
     out[ties] = [round(v, decimals) for v in values[ties].tolist()]
     return out + 0.0
+
+
+def _written_in(state: State) -> tuple[str, float, bool, bool]:
+    """The modes in which the points of a state are written."""
+    return state.offset, state.tool_length, state.inch, state.absolute
 
 
 def _allocated(points: int, text: int) -> nc_blocks.Rows:
