@@ -199,11 +199,20 @@ def limits(recording: Recording, names: Sequence[str]) -> g.SensorGuard:
 
 
 def _own_noise(rows: Healthy, i: int) -> float | None:
-    """Activity below which one sensor has lost its own noise, K2; None if its resolution hides the noise."""
+    """Activity below which one sensor has lost its own noise, K2; None if its resolution hides the noise.
+
+    A lag holds N = 2 / w - 1 readings, w the weight of one: the mean of N squares is below a share s of their variance
+    with a probability of at most (e s)^(N / 2) (Chernoff's bound), which is held at the stated rate of false alarms.
+    """
     x, within = rows.x[:, i], rows.run[1:] == rows.run[:-1]
     noise = rates.noise_of(x, rows.run)
     hidden = not within.any() or float(np.mean((np.diff(x) == 0.0)[within])) > MOST_EQUAL
-    return None if hidden or noise <= 0.0 else NOISE_SHARE * noise**2
+    if hidden or noise <= 0.0:
+        return None
+    step = float(np.median(np.diff(rows.t)[within]))
+    new = -np.expm1(-step / FREEZE_S)  # weight of one reading
+    rare = (FALSE_ALARMS / 1000 * step / 3600) ** (2.0 * new / (2.0 - new)) / np.e
+    return float(min(NOISE_SHARE, rare)) * noise**2
 
 
 def _hours(rows: Healthy) -> float:

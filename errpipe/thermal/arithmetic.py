@@ -172,19 +172,21 @@ def conformal_half_width(
     exchangeable groups (split conformal prediction over groups), but by at most half of the remaining probability:
     with few groups the full level would be the worst row ever recorded. For the small sample
     the width is multiplied by the ratio of Student's quantile to the normal one.
-    raised: whether the level is raised; if not, the stated coverage is met on average instead of guaranteed.
+    raised: whether level and width are raised; if not, the stated coverage is met on average instead of guaranteed.
     run_count: independent groups if fewer than the labels (blocks of one run count once).
     """
     labels = np.unique(group)
-    level = min((1.0 + coverage) / 2, coverage * (labels.size + 1) / labels.size) if raised else coverage
     order = np.argsort(error)
     weight = np.zeros(error.size)
     for label in labels:
         own_rows = group == label
         weight[own_rows] = 1.0 / np.count_nonzero(own_rows)
     reached = np.cumsum(weight[order]) / labels.size
-    freedom = max((labels.size if run_count is None else run_count) - 1, 1)
-    few = student_quantile((1.0 + coverage) / 2, freedom) / normal_quantile((1.0 + coverage) / 2)
+    upper, level, few = (1.0 + coverage) / 2, coverage, 1.0
+    if raised:
+        level = min(upper, coverage * (labels.size + 1) / labels.size)
+        freedom = max((labels.size if run_count is None else run_count) - 1, 1)
+        few = student_quantile(upper, freedom) / normal_quantile(upper)
     return few * float(error[order][min(int(np.searchsorted(reached, level - 1e-12)), error.size - 1)])
 
 

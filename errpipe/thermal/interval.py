@@ -77,7 +77,7 @@ class LeftOut:
         self,
         group: np.ndarray,
         level: float,
-        runs: int,
+        runs: int | None = None,
         raised: bool = True,
         factor: np.ndarray | float = 1.0,
         growth: float = GROWTH,
@@ -99,7 +99,7 @@ def of_next_run(left: LeftOut, group: np.ndarray, level: float, factor: np.ndarr
 
     one_day: whether the run holds fewer days than could be left out.
     """
-    return (NEXT_DAY if one_day else NEXT_RUN) * left.half_width(group, level, np.iinfo(np.int64).max, False, factor)
+    return (NEXT_DAY if one_day else NEXT_RUN) * left.half_width(group, level, None, False, factor)
 
 
 def growth_of_one_day(half: float, level: float) -> float:

@@ -272,6 +272,12 @@ def test_conformal_half_width_counts_every_group_once():
     assert_allclose(width, 0.909 * 1.0095, atol=0.01)
 
 
+def test_a_half_width_that_is_not_raised_is_the_quantile_itself():
+    """Runs and seasons left out are judged by fits on fewer of them: a small-sample factor on top is too wide."""
+    error = np.arange(1.0, 11.0)
+    assert arithmetic.conformal_half_width(error, np.arange(10), 0.9, 2, raised=False) == 9.0
+
+
 @pytest.mark.realdata
 @pytest.mark.slow
 def test_a_season_left_out_of_a_real_turning_centre():
