@@ -31,7 +31,7 @@ def command(
     from errpipe.cli.progress import ProgressReporter
 
     if scheduler is None:
-        module_of("verbs._fleet_processes").start_imports()  # first of all: the longest of what is serial
+        module_of("verbs.fleet_processes").start_imports()  # first of all: the longest of what is serial
     reporter = ProgressReporter(str(out))
     try:
         summary = module_of("verbs.fleet").fleet(fleet, out, jobs, scheduler, reporter.progress_of("fleet"))

@@ -12,7 +12,7 @@ import numpy as np
 from errpipe import jsonfile
 from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedParameter, FittedTerm
 from errpipe.fitting import pooling
-from errpipe.verbs._fleet_processes import Task
+from errpipe.verbs.fleet_processes import Task
 
 MIRRORED = (6.0, 2.0)  # spreads that a machine of the other sign is away from its type, at least, and turned, at most
 FEWEST_ALIKE = 5  # machines of a type below which no spread between them is known

@@ -17,9 +17,9 @@ from pydantic import Field, model_validator
 
 from errpipe import jsonfile, yamlfile
 from errpipe.errors import ErrpipeError, UsageError, did_you_mean
-from errpipe.verbs import _fleet_processes
+from errpipe.verbs import fleet_processes
 from errpipe.verbs._fleet_earlier import MACHINES
-from errpipe.verbs._fleet_processes import ATTEMPTS, Task
+from errpipe.verbs.fleet_processes import ATTEMPTS, Task
 from errpipe.yamlfile import Options
 
 TIMES = "times.csv"
@@ -89,7 +89,7 @@ def fleet(
 
     def run(some: Sequence[Task]) -> None:
         for result in (
-            _on_cluster(some, scheduler) if scheduler is not None else _fleet_processes.in_processes(some, jobs)
+            _on_cluster(some, scheduler) if scheduler is not None else fleet_processes.in_processes(some, jobs)
         ):
             name = result["name"]
             results[name], models[name] = result, reader.submit(model_of, result)
@@ -197,11 +197,11 @@ def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[dict[str, Any]]
         raise UsageError(f"--scheduler {address}: no Dask scheduler answers ({err})") from None
     with Client(address, timeout=20, set_as_default=False) as client:
         futures = {
-            client.submit(_fleet_processes.run_machine, *task, pure=False, retries=ATTEMPTS - 1): task for task in tasks
+            client.submit(fleet_processes.run_machine, *task, pure=False, retries=ATTEMPTS - 1): task for task in tasks
         }
         for future in finished(list(futures), loop=client.loop):
             task = futures[future]
-            yield future.result() if future.status == "finished" else _fleet_processes.failed_result(task, ATTEMPTS)
+            yield future.result() if future.status == "finished" else fleet_processes.failed_result(task, ATTEMPTS)
 
 
 async def _answer(address: str) -> None:

@@ -23,8 +23,8 @@ from errpipe import yamlfile
 from errpipe.cli.app import main
 from errpipe.domain.error_model import ErrorModel
 from errpipe.pipeline import runner
-from errpipe.verbs import _fleet_processes
 from errpipe.verbs import fleet as fleet_verb
+from errpipe.verbs import fleet_processes
 from tests.e2e.retrain.test_retrain import PIPELINE, record
 from tests.unit.fitting.test_history import two_years
 
@@ -167,8 +167,8 @@ def test_a_machine_whose_worker_always_dies_is_failed_and_the_others_are_done(mo
                 return
             yield task, {"name": task[1], "state": "done", "attempts": attempts[task[1]]}
 
-    monkeypatch.setattr(_fleet_processes, "_one_pool", one_pool)
-    states = {r["name"]: r["state"] for r in _fleet_processes.in_processes(tasks, 2)}
+    monkeypatch.setattr(fleet_processes, "_one_pool", one_pool)
+    states = {r["name"]: r["state"] for r in fleet_processes.in_processes(tasks, 2)}
     assert states == {"good": "done", "deadly": "failed", "fine": "done"} and calls.count("deadly") == 3
 
 
@@ -247,22 +247,22 @@ def test_a_machine_that_fails_says_what_an_earlier_run_left_in_its_folder(tmp_pa
     """Its table of before stays, and whoever reads its folder alone would take it for today's."""
     site(tmp_path, 2)
     task = [str(tmp_path / "axis.yaml"), "m", ["ingest.recording=recordings/m000"], str(tmp_path / "out")]
-    done = _fleet_processes.run_machine(*task)
+    done = fleet_processes.run_machine(*task)
     assert (done["state"], done["message"]) == ("done", "")
     damaged = ["ingest.recording=recordings/m001"]
-    assert "earlier" not in _fleet_processes.run_machine(task[0], "new", damaged, task[3])["message"]
+    assert "earlier" not in fleet_processes.run_machine(task[0], "new", damaged, task[3])["message"]
     left = {}
     for name, keys in {"ingest": damaged, "fit": [*task[2], "fit.components=[]"]}.items():
-        left[name] = _fleet_processes.run_machine(task[0], "m", keys, task[3])["message"].partition("; machines/m ")[2]
+        left[name] = fleet_processes.run_machine(task[0], "m", keys, task[3])["message"].partition("; machines/m ")[2]
     read = tmp_path / "recordings/m000/recording.csv"  # a reading apart: ingest goes through, the fit has too few rows
     read.write_text("\n".join(read.read_text(encoding="utf-8").splitlines()[:4]) + "\n", encoding="utf-8")
-    left["rows"] = _fleet_processes.run_machine(*task)["message"].partition("; machines/m ")[2]
+    left["rows"] = fleet_processes.run_machine(*task)["message"].partition("; machines/m ")[2]
     assert left == {
         "ingest": "holds what an earlier run made: fit, ingest, validate",
         "fit": "holds what an earlier run made: fit, ingest, validate",
         "rows": "holds what an earlier run made: fit, validate",
     }
-    killed = _fleet_processes.failed_result(task, 3)["message"]
+    killed = fleet_processes.failed_result(task, 3)["message"]
     assert "earlier run made: fit, ingest, validate" in killed
 
 
@@ -273,9 +273,9 @@ def test_the_largest_machine_is_begun_first(tmp_path: Path, monkeypatch: pytest.
 
     def processes(tasks: Any, jobs: int) -> Any:
         begun.extend(task[1] for task in tasks)
-        return (_fleet_processes.failed_result(task, 3) for task in tasks)
+        return (fleet_processes.failed_result(task, 3) for task in tasks)
 
-    monkeypatch.setattr(_fleet_processes, "in_processes", processes)
+    monkeypatch.setattr(fleet_processes, "in_processes", processes)
     document = fleet_verb.fleet(file, tmp_path / "out", 2)
     assert begun[0] == "m002" and [r["name"] for r in document["machines"]] == ["m000", "m001", "m002", "m003"]
 
@@ -288,7 +288,7 @@ def test_a_full_disk_is_no_internal_error_of_a_machine(tmp_path: Path, monkeypat
         raise OSError(errno.ENOSPC, "No space left on device", f"{task[3]}/machines/m/ingest/recording.parquet")
 
     monkeypatch.setattr(runner, "run", full)
-    said = _fleet_processes.run_machine(*task)
+    said = fleet_processes.run_machine(*task)
     assert (said["state"], said["message"]) == (
         "failed",
         "OUT/machines/m/ingest/recording.parquet: no space left on device",
@@ -368,9 +368,9 @@ def test_six_machines_and_what_they_borrow_from_their_type(
     """Pooled parameters stand in a model of each machine; a bad machine is the first of the report."""
 
     def in_this_process(tasks: Any, jobs: int) -> Any:
-        return (_fleet_processes.run_machine(*task) for task in tasks)
+        return (fleet_processes.run_machine(*task) for task in tasks)
 
-    monkeypatch.setattr(_fleet_processes, "in_processes", in_this_process)
+    monkeypatch.setattr(fleet_processes, "in_processes", in_this_process)
     old = tmp_path / "o/pooled/m001/error_model.json"  # of a run in which it was sound
     old.parent.mkdir(parents=True)
     old.write_text("{}", encoding="utf-8")
