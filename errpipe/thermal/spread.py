@@ -27,8 +27,8 @@ from errpipe.drivers.shared import drive_all
 from errpipe.thermal.competition import Entrant, Groups, Outcome
 
 DIRECTIONS = 3  # principal ones that are used: fits without a run differ mainly in few (by judgement)
-# Shares of the residual variance beyond noise that follow the spread of fits and of families; the rest is constant. Chosen
-# on 36 machines (seeds 43401 and 43411 of `trials.thermal`, g3 4341 to 4343 of a generator of columns, spindles,
+# Shares of the residual variance beyond noise that follow the spread of fits and of families; the rest is constant.
+# Chosen on 36 machines (seeds 43401 and 43411 of `trials.thermal`, g3 4341 to 4343 of a generator of columns, spindles,
 # gantries and screws) with `calibration.SEASONS`: 85 to 95 % of the third season are covered on 31 of them.
 FITS, FAMILIES = 0.25, 0.25
 
