@@ -35,8 +35,10 @@ MEMORIES = np.geomspace(2.0, 3000.0, 16)  # grid of a fit: memories in rows,
 SHARES = (0.06, 0.12, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.87, 0.92, 0.95, 0.97, 0.98, 0.99, 0.995, 0.999)  # and shares
 MOST_LAGS = 24  # largest order of an autoregression
 EVEN_ROWS, EVEN_PARTS = 50, 16  # fewest rows and most parts of a recording for a local noise level
-EVENTS = 6.0  # kurtosis of the innovations (Gaussian: 3) from which noise is classed as events,
-JUMP_ROWS, LEAST_JUMPS = (2, 4, 8, 16), 50  # rows of a mean; fewest increments for a meaningful kurtosis
+EVENTS = 6.0  # kurtosis of the innovations (Gaussian: 3) from which noise is classed as events
+WIDTHS, LEAST_MEANS, MOST_MEANS = (2, 4, 8, 16), 40, 1000  # rows of a mean; fewest and most means compared
+COPIES, SEED, NONLINEAR = 199, 0, 4.5  # surrogates; limit of skewness and kurtosis in their standard deviations, which
+# 3 of 900 series of white, AR(1) and 1/f noise and random walks (250 to 900 rows) exceed
 BUMP = 40.0  # power of half an octave over the smallest of slower ones, from which it is a rhythm: among drifting
 # gaps of real repetitions 7 of 8 are below both, among 72 novel mechanisms (three generators, seeds 771 to 773) 8
 SLOWEST = 4  # slowest frequencies, pooled: the power of a single one is small by chance
@@ -101,8 +103,9 @@ class Autoregression(NamedTuple):
     evidence: float
 
     def comes_in_events(self) -> bool:
-        """Are the tails of the innovations heavier than those of Gaussian noise?"""
-        return _heavy_tails(self.innovations)
+        """Are the tails of the innovations heavier than those of Gaussian noise (kurtosis)?"""
+        centred = self.innovations - np.sum(self.innovations) / max(self.innovations.size, 1)
+        return float(np.sum(centred**4)) * centred.size > EVENTS * float(np.sum(centred**2)) ** 2
 
 
 def autoregression(left: np.ndarray, run: np.ndarray) -> Autoregression:
@@ -132,17 +135,42 @@ def autoregression(left: np.ndarray, run: np.ndarray) -> Autoregression:
     return best
 
 
-def jumps(left: np.ndarray, run: np.ndarray) -> bool:
-    """Are the tails of increments of means over 2 to 16 rows heavier than those of Gaussian noise?
+def copies(values: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Surrogate data (Theiler et al. 1992): series of the same spectrum with random phases, shape (count, rows)."""
+    size = np.abs(np.fft.rfft(np.r_[values, values[::-1]]))  # mirrored, so that the ends do not form a step
+    turned = np.exp(2j * np.pi * rng.random((count, size.size)))
+    return np.fft.irfft(size * turned, 2 * values.size)[:, : values.size]
 
-    Increments of a linear Gaussian process are normal at every scale; from row to row, measurement noise hides jumps.
+
+def is_nonlinear(left: np.ndarray, run: np.ndarray) -> bool:
+    """Are means over 2 to 16 rows, or their increments, more skewed or heavier-tailed than those of linear noise?
+
+    Those of a linear Gaussian process are normal and symmetric at every scale. From row to row, measurement noise
+    hides a cause that switches, or builds up and releases. In a long log, means over rows replace the rows.
     """
-    for width in JUMP_ROWS:
-        stretches = [np.flatnonzero(run == r) for r in np.unique(run)]
-        means = [left[s[: s.size // width * width]].reshape(-1, width).mean(axis=1) for s in stretches]
-        if _heavy_tails(np.concatenate([np.diff(m) for m in means]), LEAST_JUMPS):
-            return True
-    return False
+    parts = [p[0] for p in _means(left[None], run, -(-left.size // MOST_MEANS))]
+    if sum(p.size for p in parts) < LEAST_MEANS:
+        return False
+    run, left = np.repeat(np.arange(len(parts)), [p.size for p in parts]), np.concatenate(parts)
+    every = np.vstack([left, copies(left - left.mean(), COPIES, np.random.default_rng(SEED))])
+    scales = [means for width in WIDTHS if (means := _means(every, run, width))]
+    ways = (np.hstack(way) for means in scales for way in (means, [np.diff(m) for m in means]))
+    return any(way.shape[1] >= LEAST_MEANS and _stands_out(way) for way in ways)
+
+
+def _means(every: np.ndarray, run: np.ndarray, width: int) -> list[np.ndarray]:
+    """Means of series (k, rows) over so many rows within each run, shape (k, means)."""
+    starts = [np.flatnonzero(run == r) for r in np.unique(run)]
+    return [every[:, s[: s.size // width * width].reshape(-1, width)].mean(axis=2) for s in starts if s.size >= width]
+
+
+def _stands_out(values: np.ndarray) -> bool:
+    """Is the skewness or kurtosis of the first of some series (series, k) far beyond that of the others?"""
+    centred = values - values.mean(axis=1, keepdims=True)
+    scaled = centred / (centred.std(axis=1, keepdims=True) + 1e-300)
+    skewness, tails = np.mean(scaled**3, axis=1), np.log(np.mean(scaled**4, axis=1) + 1e-300)  # both nearly normal
+    heavy = tails[0] - tails[1:].mean() > NONLINEAR * tails[1:].std()
+    return bool(heavy or abs(skewness[0]) > NONLINEAR * np.sqrt(np.mean(skewness[1:] ** 2)))
 
 
 def levels_jump(left: np.ndarray, run: np.ndarray, t: np.ndarray) -> bool:
@@ -165,24 +193,14 @@ def levels_jump(left: np.ndarray, run: np.ndarray, t: np.ndarray) -> bool:
     return bool(fdtrc(len(pairs), len(halves), far / max(near, 1e-300)) < BY_CHANCE)
 
 
-def _heavy_tails(values: np.ndarray, least: int = 1) -> bool:
-    """Is the kurtosis of the values, if there are at least `least`, that of events?"""
-    if values.size < least:
-        return False
-    centred = values - values.mean()
-    return float(np.mean(centred**4)) >= EVENTS * (float(np.mean(centred**2)) ** 2 + 1e-300)
-
-
 def is_linear_noise(left: np.ndarray, run: np.ndarray) -> bool:
     """Is a residual (rows,) a linear Gaussian process without a rhythm (coloured noise, a random walk)?
 
-    Events appear as heavy-tailed innovations, a rhythm as a peak in the spectrum, by half octaves from two periods on.
+    A rhythm is a peak in the spectrum, by half octaves from two periods on.
     """
     if left.size < LEAST_ROWS:
         return True
-    if autoregression(left, run).comes_in_events() or jumps(left, run):
-        return False
-    return not _rhythm(left)
+    return not (autoregression(left, run).comes_in_events() or _rhythm(left) or is_nonlinear(left, run))
 
 
 def _rhythm(left: np.ndarray) -> bool:

@@ -254,13 +254,10 @@ class _Work:
                 break
         return out
 
-    def _active(self, chosen: Chosen) -> Active:
+    def _scene(self, chosen: Chosen) -> Scene:
         index = [np.array([self.library.datum]), *(self.library.places[i] for i, _ in chosen)]
         sd = [np.array([np.inf]), *(size * self.sigma * self.freedom[i] for i, size in chosen)]
-        return Active(np.concatenate(index), np.concatenate(sd))
-
-    def _scene(self, chosen: Chosen) -> Scene:
-        return Scene(self.data, self._active(chosen), self.sigma)
+        return Scene(self.data, Active(np.concatenate(index), np.concatenate(sd)), self.sigma)
 
     def _worth(self, chosen: Chosen) -> float:
         scene = self._scene(chosen)
@@ -276,14 +273,11 @@ class _Work:
         expected = FINE * self.y.size * self.sigma**2
         return scene.evidence(self.count) - 0.5 * self.count * np.log1p(expected / scene.Q) - price
 
-    def _certainty(self, chosen: Chosen) -> list[float]:
-        worth = self._worth(chosen)
-        return [worth - self._worth(chosen[:p] + chosen[p + 1 :]) for p in range(len(chosen))]
-
     def _result(self, chosen: Chosen, total_worth: float) -> Decomposition:
         scene = self._scene(chosen)
         b = scene.coefficients()
-        worth = self._certainty(chosen)
+        whole = self._worth(chosen)
+        worth = [whole - self._worth(chosen[:p] + chosen[p + 1 :]) for p in range(len(chosen))]
         spread = scene.covariance() * self.y.size / self.count  # the residual is correlated: fewer effective rows
         parts, start, total = [], 1, np.full_like(self.y, b[0])
         for (i, _), certainty in zip(chosen, worth, strict=True):

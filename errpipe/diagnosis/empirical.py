@@ -4,7 +4,7 @@ Orthogonal matching pursuit (Pati 1993) over a library of candidate columns of u
 selection is repeated without each fold (whole sessions, else blocks of neighbouring rows: `hypotheses.folds`),
 and the number of terms is the smallest within one standard error of the best held-out one (Hastie, Tibshirani and
 Friedman 2009, 7.10). It is reported only if it predicts `LEAST_SHARE` of the held-out variance and if none of 99
-surrogates is predicted as well: the response shifted circularly by random rows, and noise with its autocorrelation.
+surrogates is predicted as well: the response shifted circularly by random rows, and noise of the same spectrum.
 
 Units are tracked: temperatures enter as rises over their mean and positions as distances from the middle, so that
 a power or product means something; a coefficient has the response's unit over that of its column.
@@ -21,11 +21,12 @@ import numpy as np
 from errpipe.diagnosis import unnamed
 from errpipe.diagnosis.against import clustered
 from errpipe.diagnosis.case import Case, residual
+from errpipe.diagnosis.coloured import copies
 from errpipe.diagnosis.hypotheses import folds
 from errpipe.domain.diagnosis import Empirical, EmpiricalTerm, ResponseDiagnosis
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
-from errpipe.kernels import noise, responses
+from errpipe.kernels import responses
 from errpipe.terms import resolved_times
 
 MOST_TERMS = 3  # of an equation: more are not readable and do not predict held-out rows
@@ -148,25 +149,13 @@ def equation(recording: Recording, rows: np.ndarray, y: np.ndarray, unit: str) -
         return None
     far = target.size // 10, target.size - target.size // 10
     for k in range(SURROGATES):
-        shifted = np.roll(target, int(rng.integers(*far))) * rng.choice([-1.0, 1.0]) if k % 2 else None
-        surrogate = _coloured_noise(target, rng) if shifted is None else shifted
+        shifted = np.roll(target, int(rng.integers(*far))) * rng.choice([-1.0, 1.0])
+        surrogate = shifted if k % 2 else copies(target, 1, rng)[0]
         if search.held_out(surrogate)[0].max() >= shares[count]:
             return None
     p = 1 / (SURROGATES + 1)
     chosen = [library[j] for j in search.chosen(target, count)]
     return _fitted(chosen, target, session, unit, float(shares[count]), p, scheme)
-
-
-def _coloured_noise(y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A surrogate: white noise plus a first-order process with the autocorrelation of y at one and five rows."""
-    centred = y - y.mean()
-    lag_1, lag_5 = (float(centred[k:] @ centred[:-k]) / float(centred @ centred) for k in (1, 5))
-    keep = float(np.clip((max(lag_5, 1e-6) / max(lag_1, 1e-6)) ** 0.25, 0.0, 0.9995))
-    slow = float(np.clip(lag_1 / max(keep, 1e-6), 0.0, 1.0))  # share of the variance that is autocorrelated
-    drawn = rng.standard_normal(y.size)
-    drawn[1:] *= np.sqrt(1.0 - keep**2)
-    remembered = noise.coloured(np.zeros(y.size, dtype=np.int64), drawn[:, None], keep, 0.0, 1.0)[:, 0]
-    return np.std(y) * (np.sqrt(slow) * remembered + np.sqrt(1.0 - slow) * rng.standard_normal(y.size))
 
 
 class _Pursuit:

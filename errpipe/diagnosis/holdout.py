@@ -129,7 +129,6 @@ def held_out(case: Case) -> HeldOut:
 
 
 def _acts_in_part(library: Library) -> np.ndarray:
-    """Which hypotheses act only in some runs or on a stretch, shape (hypotheses,)."""
     return np.array([bool(h.mask) for h in library.hypotheses])
 
 

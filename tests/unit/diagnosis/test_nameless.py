@@ -216,11 +216,13 @@ def test_lost_motion_that_grows_with_a_temperature_is_a_shape():
     assert np.std(form - own.columns @ np.linalg.lstsq(own.columns, form, rcond=None)[0]) < 1e-6
 
 
-def left_by(values: np.ndarray, sigma: float, shaped=1.0, bare=1.8, again=1.0, worth=40.0):
+def left_by(values: np.ndarray, sigma: float, shaped=1.0, bare=1.8, again=1.0, worth=40.0, named=4.6):
     """A case whose names leave these values: rms, on held-out rows beside shapes and without names; noise 1."""
-    scene = SimpleNamespace(rms=lambda: 4.6)
+    scene = SimpleNamespace(rms=lambda: 4.6, coefficients=lambda: np.array([0.0, named]))
     case = SimpleNamespace(residual=values, run=np.zeros(values.size, int), sigma=sigma, noise_estimate=1.0)
-    case.explanation, case.chosen = SimpleNamespace(accepted=(SimpleNamespace(gain=99.0),)), lambda: []
+    case.explanation, case.chosen = SimpleNamespace(accepted=(SimpleNamespace(gain=99.0),)), lambda: [(0, 1.0)]
+    case.library = SimpleNamespace(block=lambda i, recording, rows: np.tile([-1.0, 1.0], values.size // 2)[:, None])
+    case.recal = np.ones((values.size, 1))
     case.search = SimpleNamespace(scene=lambda chosen: scene)
     case.remainder = SimpleNamespace(shapes=((SimpleNamespace(of_inputs=True), worth),))
     case.recording = SimpleNamespace(time=lambda: np.arange(values.size), array=lambda name: values)
@@ -249,21 +251,24 @@ def test_what_names_must_not_leave(monkeypatch, kind, sigma, shaped, unexplained
         "white": rng.normal(size=1000),
     }
     monkeypatch.setattr(unnamed, "residual", lambda case: case.residual)
-    monkeypatch.setattr(unnamed, "named_rms", lambda case: 6.0 if kind == "large" else 4.6)
-    case, held = left_by(left[kind], sigma, shaped)
+    case, held = left_by(left[kind], sigma, shaped, named=6.0 if kind == "large" else 4.6)
     assert unnamed.unexplained(case, held) == unexplained  # type: ignore[arg-type]
 
 
 def test_what_shapes_must_predict_to_take_a_name_away(monkeypatch):
-    """Not where names explain 95 % of the held-out variance, nor where a fold misses a name and shapes stand in.
+    """Not where names explain 95 % of the held-out variance, nor where shapes are worth little on all rows.
 
-    Nor where shapes are worth little on all rows.
+    Shapes that stand beside the names on all rows are no stand-in for a name that a fold misses.
     """
     monkeypatch.setattr(unnamed, "residual", lambda case: case.residual)
     white = np.random.default_rng(2).standard_normal(1000)
-    ways = ((1.8, 1.0, 40.0, True), (4.0, 1.0, 40.0, False), (1.8, 0.4, 40.0, False), (1.8, 1.0, 12.0, False))
+    ways = ((1.8, 1.0, 40.0, True), (4.0, 1.0, 40.0, False), (1.8, 0.4, 40.0, True), (1.8, 1.0, 12.0, False))
     for bare, again, worth, expected in ways:
         assert unnamed.unexplained(*left_by(white, 1.0, 0.9, bare, again, worth)) == expected  # type: ignore[arg-type]
+    for again in (0.4, 1.0):  # on held-out rows alone they may stand in
+        case, held = left_by(white, 3.0, 0.8, again=again)
+        case.remainder = SimpleNamespace(shapes=())
+        assert unnamed.unexplained(case, held) == (again == 1.0)  # type: ignore[arg-type]
 
 
 def test_a_rhythm_a_little_above_the_noise_is_said():
@@ -271,6 +276,26 @@ def test_a_rhythm_a_little_above_the_noise_is_said():
     made = spindle(3, hidden=lambda c: 0.9 * ((np.arange(c["t"].size) % 13) / 6.0 - 1.0))
     (response,) = diagnose(made)[0].responses
     assert (response.verdict, response.findings[0].effect) == ("unexplained", "unknown")
+
+
+@pytest.mark.parametrize(("share", "taken_back", "named", "far", "expected"), [
+    (0.06, False, False, 1.0, True),  # saw teeth in noise of the usual colour
+    (0.06, False, False, 3.0, False),  # within the noise between neighbours
+    (0.06, False, True, 1.0, False),  # names are judged by the colour alone
+    (0.9, False, True, 1.0, True),
+    (0.06, True, False, 1.0, True),
+])  # fmt: skip
+def test_what_wanders_is_foretold_or_coloured(monkeypatch, share, taken_back, named, far, expected):
+    teeth = 2.0 * ((np.arange(600) % 11) / 5.0 - 1.0) + 0.5 * np.random.default_rng(1).standard_normal(600)
+    case, _ = left_by(teeth, 1.0)
+    monkeypatch.setattr(unnamed, "residual", lambda case: case.residual)
+    colour = coloured.USUAL if share == coloured.USUAL.share else coloured.Colour(8.0, share)
+    case.library, case.taken_back, case.noise_estimate = (
+        SimpleNamespace(table=SimpleNamespace(colour=colour)), taken_back, 0.5 * far)  # fmt: skip
+    case.explanation = SimpleNamespace(accepted=(1,) if named else ())
+    assert bool(unnamed.wanders(case)) is expected  # type: ignore[arg-type]
+    case.residual = np.random.default_rng(1).standard_t(2, 600)  # heavy tails alone are foretold by nothing
+    assert bool(unnamed.wanders(case)) is (expected and (share > 0.5 or taken_back))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("wandering", "reset", "jump"), [(0.0, 3.0, True), (0.4, 0.0, False), (0.0, 0.0, False)])

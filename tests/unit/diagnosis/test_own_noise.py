@@ -118,6 +118,25 @@ def test_events_and_rhythms_are_no_linear_process():
         assert not coloured.is_linear_noise(structure + rng.standard_normal(900), run)
 
 
+@pytest.mark.parametrize(("size", "late"), [(5.0, 8.0), (8.0, 15.0)])
+def test_what_opens_and_closes_late_is_no_linear_process(size, late):
+    """Doors: from row to row noise hides them, means over rows are skewed (copies of the same spectrum are not)."""
+    run, i = np.zeros(900, dtype=int), np.arange(900)
+    opened = np.zeros(900)
+    for first, last in ((60, 80), (240, 252), (300, 330), (610, 625), (800, 815)):
+        rising, falling = (np.where(i >= a, 1.0 - np.exp(-(i - a) / late), 0.0) for a in (first, last))
+        opened += size * (rising - falling)
+    for seed in range(3):
+        noisy = opened + np.random.default_rng(seed).standard_normal(900)
+        assert not coloured.autoregression(noisy, run).comes_in_events()
+        assert coloured.is_nonlinear(noisy, run)
+    assert not any(coloured.is_nonlinear(c, run) for c in coloured.copies(noisy, 5, np.random.default_rng(1)))
+    turned = np.repeat(np.arange(90), 10)  # runs of 10 rows; runs of one hold no means
+    assert not coloured.is_nonlinear(np.random.default_rng(0).standard_normal(900), turned)
+    assert not coloured.is_nonlinear(noisy, np.arange(900))
+    assert not coloured.is_nonlinear(np.random.default_rng(0).standard_normal(9000), np.repeat(np.arange(4500), 2))
+
+
 def test_a_wave_of_noise_whose_spectrum_is_high_there_is_no_finding():
     rng = np.random.default_rng(11)
     i = np.arange(1500)
