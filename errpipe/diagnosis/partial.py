@@ -28,8 +28,9 @@ BINS = 14  # equal stretches of an axis or of time, neighbours of which are trie
 FINER = 8  # parts of such a stretch, to which the ends of a part are then found
 MOST = 12  # parts whose ends are found, and that the search takes
 LEAST = 0.16  # share of the rows that a part must hold, unless it is a run: a few rows that stand out are events
-BETTER = 7.0  # log Bayes factor by which a part must beat every whole,
-MENDING = 0.05  # plus this share of the best whole's log Bayes factor: a part may only correct the textbook form
+BETTER = 7.0  # log Bayes factor by which a part must beat its own effect on all rows,
+MENDING = 0.05  # plus this share of that one's log Bayes factor: a part may only correct the textbook form,
+DEPARTING = 0.02  # and share by which it must beat any other effect, which may depart from its textbook form
 
 
 @dataclass(frozen=True)
@@ -108,10 +109,8 @@ class Groups:
 
     def price(self, members: tuple[int, ...]) -> float:
         """Log of the number of unions of this kind that could have been chosen."""
-        neighbours = members == tuple(range(members[0], members[-1] + 1))
-        if neighbours or len(members) == 2:
-            count = self.finest or self.count
-            return float(np.log(max(count**2 - 1, 1)))
+        if len(members) == 2 or members == tuple(range(members[0], members[-1] + 1)):
+            return float(np.log(max((self.finest or self.count) ** 2 - 1, 1)))
         return float(self.count * np.log(2.0))
 
 
@@ -127,11 +126,11 @@ class Part:
 
 
 def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
-    """Runs (three or more), stretches of each axis, and of time."""
+    """Runs, stretches of each axis, and of time."""
     out = []
     run = recording.run_codes()[rows]
     codes = np.unique(run)
-    if 3 <= codes.size <= 40:
+    if 2 <= codes.size <= 40:
         labels = tuple(recording.run_labels()[c] for c in codes)
         out.append(Groups(np.searchsorted(codes, run), codes.size, "runs", labels))
     along = {position_name(recording, axis): position(recording, axis)[rows] for axis in axes(recording)}
@@ -147,13 +146,15 @@ def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
 
 
 def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.ndarray) -> bool:
-    """Extend the library with hypotheses in part that beat every whole, if there are any.
+    """Extend the library with hypotheses in part that beat their own effect on all rows clearly, and all others.
 
     Every effect is tried in the best one's place too: within one run or stretch many effects are collinear.
     """
     library, clock = search.library, recording.name("time")
     everywhere = np.array([not h.terms[0].misread for h in library.hypotheses]) & (search.prior > 0.5 * NEVER)
-    whole = float(np.max(np.where(everywhere, alone - search.prior, 0.0)))
+    whole = np.where(everywhere, alone - search.prior, 0.0)
+    own = {library.hypotheses[i].effect: whole[i] for i in search.best_of_each(whole, whole.size, "effect")}
+    least = {e: max(12.0, (1 + DEPARTING) * whole.max(), (1 + MENDING) * gain + BETTER) for e, gain in own.items()}
     scene = search.scene([])
     basis = np.linalg.solve(scene.chol, library.table.W.T[scene.active.index]).T.copy()  # (rows, m): projector's root
     parts: list[Part] = []
@@ -164,7 +165,7 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
     for p in _best_parts(parts, search):
         for _ in range(2 if p.groups.kind != "runs" else 0):
             parts.append(p := _best_part(search, scene, basis, p.index, p.groups.finer(p.members), clock))
-    best = _best_parts([p for p in parts if p.gain > max(whole + BETTER + MENDING * whole, 12.0)], search)
+    best = _best_parts([p for p in parts if p.gain > least[library.hypotheses[p.index].effect]], search)
     best += _best_of_each_effect(search, scene, basis, best, clock)
     each = {(p.index, p.groups.mask(p.members)): p for p in best}
     return sum(_extend(library, search, recording, rows, p) for p in each.values()) > 0
@@ -190,7 +191,7 @@ def _best_of_each_effect(search: Search, scene: Scene, basis, parts: list[Part],
     for textbook, each in ((True, IN_FULL), (False, EACH)):
         gain = np.full(len(library.hypotheses), -np.inf)
         for i in tried:
-            places, freedom = _places(library, i, kind, textbook)
+            places, freedom = _places(library, i, textbook)
             W = library.table.W.T[places].take(inside, axis=1)
             B = W @ N
             S, s = (W @ W.T - B @ B.T) * freedom * freedom[:, None], (W @ y - B @ scene.half) * freedom
@@ -229,16 +230,14 @@ def may_act_in_part(h: Hypothesis, kind: str, clock: str | None) -> bool:
 
 def on_a_stretch(h: Hypothesis, axis: str) -> bool:
     """Has this effect to do with a place along an axis?"""
-    term = h.terms[0]
-    return axis in h.drivers or term.family in ON_A_STRETCH or "axis" in type(term).model_fields
+    return axis in h.drivers or h.terms[0].family in ON_A_STRETCH or "axis" in type(h.terms[0]).model_fields
 
 
-def _places(library: Library, index: int, kind: str, textbook: bool = False) -> tuple[np.ndarray, np.ndarray]:
+def _places(library: Library, index: int, textbook: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Columns of a hypothesis, in part, in the table, and their freedoms; of its textbook form alone."""
-    places, freedom = library.places[index], library.freedoms[index]
-    if textbook:
-        places, freedom = places[: library.cores[index]], freedom[: library.cores[index]]
-    if has_level(library.hypotheses[index], kind):
+    upto = library.cores[index] if textbook else None
+    places, freedom = library.places[index][:upto], library.freedoms[index][:upto]
+    if has_level(library.hypotheses[index]):
         return np.r_[places, library.datum], np.r_[freedom, LEVEL]
     return places, freedom
 
@@ -246,7 +245,7 @@ def _places(library: Library, index: int, kind: str, textbook: bool = False) -> 
 def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, clock: str | None) -> Part:
     """The union of groups in which a hypothesis explains most."""
     library, y, (order, upto) = search.library, search.data.y, groups.rows
-    places, freedom = _places(library, index, groups.kind)
+    places, freedom = _places(library, index)
     whole, cuts = library.table.W.T[places].take(order, axis=1), upto[1:-1]
     pieces = zip(np.split(whole, cuts, axis=1), np.split(basis[order], cuts), np.split(y[order], cuts), strict=True)
     products = [(W @ W.T, (W @ N).T, W @ v) for W, N, v in pieces]
