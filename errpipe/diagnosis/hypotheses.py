@@ -317,15 +317,15 @@ def columns_of(h: Hypothesis, recording: Recording) -> tuple[np.ndarray, np.ndar
         inside = mask_of(h.mask, recording)
         core = core * inside[:, None]
         slack = [s * inside for s in slack]
-        if has_level(h):
+        if has_level(h, h.mask[0]):
             slack.append(inside)
             rel.append(LEVEL)
     return core, np.column_stack(slack) if slack else np.zeros((len(recording), 0)), np.array(rel)
 
 
-def has_level(h: Hypothesis) -> bool:
-    """Has a thermal effect in part a level of its own? The datum holds that of all rows."""
-    return h.terms[0].family == "thermal" and not h.terms[0].counts_from_any_reference()
+def has_level(h: Hypothesis, kind: str) -> bool:
+    """Has a thermal effect in part a level of its own? The datum holds that of all rows; runs are set anew anyway."""
+    return kind != "runs" and h.terms[0].family == "thermal" and not h.terms[0].counts_from_any_reference()
 
 
 def mask_of(mask: tuple, recording: Recording) -> np.ndarray:

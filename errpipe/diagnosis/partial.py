@@ -191,7 +191,7 @@ def _best_of_each_effect(search: Search, scene: Scene, basis, parts: list[Part],
     for textbook, each in ((True, IN_FULL), (False, EACH)):
         gain = np.full(len(library.hypotheses), -np.inf)
         for i in tried:
-            places, freedom = _places(library, i, textbook)
+            places, freedom = _places(library, i, kind, textbook)
             W = library.table.W.T[places].take(inside, axis=1)
             B = W @ N
             S, s = (W @ W.T - B @ B.T) * freedom * freedom[:, None], (W @ y - B @ scene.half) * freedom
@@ -233,11 +233,11 @@ def on_a_stretch(h: Hypothesis, axis: str) -> bool:
     return axis in h.drivers or h.terms[0].family in ON_A_STRETCH or "axis" in type(h.terms[0]).model_fields
 
 
-def _places(library: Library, index: int, textbook: bool = False) -> tuple[np.ndarray, np.ndarray]:
+def _places(library: Library, index: int, kind: str, textbook: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Columns of a hypothesis, in part, in the table, and their freedoms; of its textbook form alone."""
     upto = library.cores[index] if textbook else None
     places, freedom = library.places[index][:upto], library.freedoms[index][:upto]
-    if has_level(library.hypotheses[index]):
+    if has_level(library.hypotheses[index], kind):
         return np.r_[places, library.datum], np.r_[freedom, LEVEL]
     return places, freedom
 
@@ -245,7 +245,7 @@ def _places(library: Library, index: int, textbook: bool = False) -> tuple[np.nd
 def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, clock: str | None) -> Part:
     """The union of groups in which a hypothesis explains most."""
     library, y, (order, upto) = search.library, search.data.y, groups.rows
-    places, freedom = _places(library, index)
+    places, freedom = _places(library, index, groups.kind)
     whole, cuts = library.table.W.T[places].take(order, axis=1), upto[1:-1]
     pieces = zip(np.split(whole, cuts, axis=1), np.split(basis[order], cuts), np.split(y[order], cuts), strict=True)
     products = [(W @ W.T, (W @ N).T, W @ v) for W, N, v in pieces]

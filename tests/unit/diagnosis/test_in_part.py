@@ -63,16 +63,6 @@ def test_of_two_runs_one_may_lack_an_effect(monkeypatch, departing, in_part):
     assert (case.explanation.accepted[0].hypothesis.mask == ("runs", ("1",))) == in_part
 
 
-def test_a_thermal_effect_in_one_run_counts_from_any_reading():
-    columns, kinds, noise = positioning()
-    case = judged(columns, kinds, "EXX", 0.5 * noise, 20e-3 * columns["x"])
-    warm = next(h for h in case.library.hypotheses if h.effect == "thermal_drift")
-    masked = replace(warm, mask=("runs", ("3",)))
-    slack = columns_of(masked, case.recording)[1]
-    assert np.array_equal(slack[:, -1], columns["run"] == "3")
-    assert slack.shape[1] == columns_of(warm, case.recording)[1].shape[1] + 1
-
-
 def test_names_in_part_that_nothing_tells_apart_share_the_confidence_of_their_class(monkeypatch):
     columns, kinds, noise = positioning()
     simulated, t = 20e-3 * columns["x"], columns["t"]
