@@ -43,12 +43,10 @@ SESSION_DATUM_PRICE = 10.0  # threshold: log Bayes factor for a datum of each se
 
 def _with_parts(search: Search, explanation: Explanation, conditioned, rows) -> Explanation:
     """The explanation with partial effects added to the library."""
-    if not partial.add_parts(search, conditioned, rows, explanation.alone):
-        return explanation
-    in_part = search.explain()
-    if in_part.accepted:
+    if partial.add_parts(search, conditioned, rows, explanation.alone) and (in_part := search.explain()).accepted:
         search.sigma = max(search.scene(chosen_of(in_part)).rms(), 1e-9)
-    return in_part if in_part.accepted else explanation
+        return in_part
+    return explanation
 
 
 def _explains_share(search: Search, explanation: Explanation, noise_estimate: float, share: float = 0.88) -> bool:

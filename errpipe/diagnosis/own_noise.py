@@ -19,7 +19,8 @@ DEPENDENT = 1.8  # rows per independent row of the residual, above which rows ar
 CERTAIN = 150.0  # log Bayes factor above which no drifting noise could explain as much
 COLOUR_PRICE = 6.0  # log of the number of colours tried
 ROUNDED = 1.15  # threshold: rms over that of rounding (includes noise of a sixth of a step)
-MOST_STEPS = 6  # steps of a gauge that jumps occasionally
+MOST_STEPS = 6  # steps of a gauge that jumps occasionally,
+JUMPS = 10.0  # and log Bayes factor by which they must improve on names that only follow them
 EXPLAINED = 20.0  # log Bayes factor by which another noise model must be likelier if names leave white noise
 
 
@@ -134,12 +135,19 @@ def _gain_of_names(case: Case, bare: coloured.Autoregression) -> float:
 
 
 def only_steps(case: Case) -> bool:
-    """Are a few steps in time (a gauge that jumps), each of own time and size, in such noise as likely as the names?"""
+    """Are a few steps in time (a gauge that jumps), each of own time and size, in such noise as likely as the names?
+
+    A lag between constant speeds resembles a few steps: names that only follow jumps leave steps, true ones do not.
+    """
     if not case.chosen() or case.taken_back:
         return False
-    bare = coloured.autoregression(residual(case, []), case.run)
-    names, left = _gain_of_names(case, bare), beside_steps(case.y, case.recal, MOST_STEPS)
-    return any(linear_gain(case, bare, rest, 2.0 * count) > names for count, rest in enumerate(left, 1))
+    names = _gain_of_names(case, coloured.autoregression(residual(case, []), case.run))
+    for chosen, least in ([], names), (case.chosen(), JUMPS):
+        noise = coloured.autoregression(residual(case, chosen), case.run)
+        left = enumerate(beside_steps(case.y, case.judged().columns([i for i, _ in chosen]), MOST_STEPS), 1)
+        if max(linear_gain(case, noise, rest, 2.0 * count) for count, rest in left) <= least:
+            return False
+    return True
 
 
 def rounded(case: Case) -> bool:

@@ -28,8 +28,9 @@ BINS = 14  # equal stretches of an axis or of time; unions of neighbours are tri
 FINER = 8  # subdivisions of a stretch, used to refine the ends of a part
 MOST = 12  # parts that are refined and passed to the search
 LEAST = 0.16  # smallest share of the rows in a part, unless it is a run: fewer outstanding rows are events
-BETTER = 7.0  # log Bayes factor by which a part must exceed every hypothesis that acts everywhere,
-MENDING = 0.05  # plus this share of the best one's log Bayes factor: a part may only correct the textbook form
+BETTER = 7.0  # log Bayes factor by which a part must exceed its own effect on all rows,
+MENDING = 0.05  # plus this share of its log Bayes factor: a part may only correct the textbook form,
+DEPARTING = 0.02  # and share by which it must exceed any other effect, which may depart from its textbook form
 
 
 @dataclass(frozen=True)
@@ -108,10 +109,8 @@ class Groups:
 
     def price(self, members: tuple[int, ...]) -> float:
         """Log of the number of unions of this kind that could have been chosen."""
-        neighbours = members == tuple(range(members[0], members[-1] + 1))
-        if neighbours or len(members) == 2:
-            count = self.finest or self.count
-            return float(np.log(max(count**2 - 1, 1)))
+        if len(members) == 2 or members == tuple(range(members[0], members[-1] + 1)):
+            return float(np.log(max((self.finest or self.count) ** 2 - 1, 1)))
         return float(self.count * np.log(2.0))
 
 
@@ -127,11 +126,11 @@ class Part:
 
 
 def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
-    """Runs (three or more), stretches of each axis, and of time."""
+    """Runs, stretches of each axis, and of time."""
     out = []
     run = recording.run_codes()[rows]
     codes = np.unique(run)
-    if 3 <= codes.size <= 40:
+    if 2 <= codes.size <= 40:
         labels = tuple(recording.run_labels()[c] for c in codes)
         out.append(Groups(np.searchsorted(codes, run), codes.size, "runs", labels))
     along = {position_name(recording, axis): position(recording, axis)[rows] for axis in axes(recording)}
@@ -147,13 +146,15 @@ def partitions(recording: Recording, rows: np.ndarray) -> list[Groups]:
 
 
 def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.ndarray) -> bool:
-    """Extend the library with partial hypotheses that exceed every hypothesis acting everywhere, if there are any.
+    """Extend the library with partial hypotheses that exceed their own effect on all rows clearly, and all others.
 
     Every effect is also tried in place of the best one: within one run or stretch many effects are collinear.
     """
     library, clock = search.library, recording.name("time")
     everywhere = np.array([not h.terms[0].misread for h in library.hypotheses]) & (search.prior > 0.5 * NEVER)
-    whole = float(np.max(np.where(everywhere, alone - search.prior, 0.0)))
+    whole = np.where(everywhere, alone - search.prior, 0.0)
+    own = {library.hypotheses[i].effect: whole[i] for i in search.best_of_each(whole, whole.size, "effect")}
+    least = {e: max(12.0, (1 + DEPARTING) * whole.max(), (1 + MENDING) * gain + BETTER) for e, gain in own.items()}
     scene = search.scene([])
     basis = np.linalg.solve(scene.chol, library.table.W.T[scene.active.index]).T.copy()  # (rows, m): projector's root
     parts: list[Part] = []
@@ -164,7 +165,7 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
     for p in _best_parts(parts, search):
         for _ in range(2 if p.groups.kind != "runs" else 0):
             parts.append(p := _best_part(search, scene, basis, p.index, p.groups.finer(p.members), clock))
-    best = _best_parts([p for p in parts if p.gain > max(whole + BETTER + MENDING * whole, 12.0)], search)
+    best = _best_parts([p for p in parts if p.gain > least[library.hypotheses[p.index].effect]], search)
     best += _best_of_each_effect(search, scene, basis, best, clock)
     each = {(p.index, p.groups.mask(p.members)): p for p in best}
     return sum(_extend(library, search, recording, rows, p) for p in each.values()) > 0
@@ -229,15 +230,13 @@ def may_act_in_part(h: Hypothesis, kind: str, clock: str | None) -> bool:
 
 def on_a_stretch(h: Hypothesis, axis: str) -> bool:
     """Does this effect depend on the position along an axis?"""
-    term = h.terms[0]
-    return axis in h.drivers or term.family in ON_A_STRETCH or "axis" in type(term).model_fields
+    return axis in h.drivers or h.terms[0].family in ON_A_STRETCH or "axis" in type(h.terms[0]).model_fields
 
 
 def _places(library: Library, index: int, kind: str, textbook: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Columns of a partial hypothesis in the table, and their freedoms; optionally of its textbook form only."""
-    places, freedom = library.places[index], library.freedoms[index]
-    if textbook:
-        places, freedom = places[: library.cores[index]], freedom[: library.cores[index]]
+    upto = library.cores[index] if textbook else None
+    places, freedom = library.places[index][:upto], library.freedoms[index][:upto]
     if has_level(library.hypotheses[index], kind):
         return np.r_[places, library.datum], np.r_[freedom, LEVEL]
     return places, freedom

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from errpipe.diagnosis import holdout, judge, model, prepare, report, unnamed
+from errpipe.diagnosis import holdout, judge, model, partial, prepare, report, unnamed
 from errpipe.diagnosis.hypotheses import columns_of
 from errpipe.diagnosis.partial import may_act_in_part, partitions
 from errpipe.terms import NEVER
@@ -49,6 +50,17 @@ def test_an_effect_acts_for_a_while_that_no_run_begins_or_ends():
     kept = {g.kind: g for g in partitions(case.recording, case.pair.rows)}
     assert set(kept) == {"runs", "x", "t"}
     assert np.ptp(np.bincount(kept["t"].code)) < 0.1 * t.size / 14  # as many rows in each
+
+
+@pytest.mark.parametrize(("departing", "in_part"), [(partial.DEPARTING, True), (50.0, False)])
+def test_of_two_runs_one_may_lack_an_effect(monkeypatch, departing, in_part):
+    """If the part is likelier than an effect on all rows that may depart from its textbook form."""
+    columns, kinds, noise = positioning(runs=2)
+    simulated, second = 20e-3 * columns["x"], columns["run"] == "1"
+    monkeypatch.setattr(partial, "DEPARTING", departing)
+    case = judged(columns, kinds, "EXX", simulated - 3.0 * columns["dir"] * second + 0.5 * noise, simulated)
+    assert names(case)[:1] == ["backlash"]
+    assert (case.explanation.accepted[0].hypothesis.mask == ("runs", ("1",))) == in_part
 
 
 def test_indistinguishable_partial_names_share_the_confidence_of_their_class(monkeypatch):

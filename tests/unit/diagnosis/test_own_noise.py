@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from errpipe.diagnosis import coloured, diagnose
+from errpipe.diagnosis import coloured, diagnose, own_noise
 from trials import noise
 
 from .machines import recording
@@ -32,6 +34,19 @@ def test_noise_does_not_hide_an_effect(machine, kind):
 def test_a_gauge_that_jumps_now_and_then_is_no_drift():
     case, _ = noise.case(39304, "trace", "jumps", hidden=False)
     assert max((confidence for _, confidence in noise.said(case)), default=0.0) <= 0.45
+
+
+@pytest.mark.parametrize(("instead", "beside", "only"), [(14.0, 5.0, False), (14.0, 20.0, True), (12.0, 20.0, False)])
+def test_steps_take_the_place_of_names_that_leave_steps(monkeypatch, instead, beside, only):
+    """A lag that a spindle drives from speed to speed is nearly a few steps, and leaves none."""
+    left_out = SimpleNamespace(columns=lambda chosen: chosen)
+    case = SimpleNamespace(chosen=lambda: [(0, 1.0)], taken_back=False, y=None, run=None, judged=lambda: left_out)
+    monkeypatch.setattr(own_noise, "residual", lambda case, chosen: None)
+    monkeypatch.setattr(own_noise.coloured, "autoregression", lambda left, run: None)
+    monkeypatch.setattr(own_noise, "_gain_of_names", lambda case, bare: 12.7)
+    monkeypatch.setattr(own_noise, "beside_steps", lambda y, columns, most: [beside if columns else instead])
+    monkeypatch.setattr(own_noise, "linear_gain", lambda case, noise, rest, freedom: rest)
+    assert own_noise.only_steps(case) == only  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("keep", "white"), [(0.9, 0.0), (0.99, 0.3), (0.0, 1.0)])
