@@ -133,8 +133,7 @@ class Library:
     def textbook(self, i: int) -> int:
         """How many of its columns are its own form, with references, rises and states in which bodies started."""
         starts = {"any reference": 1, "any reference and end": 2, "any rise": 3, "any start": self.starts}
-        starts["any start and end"] = self.starts + 1
-        starts["any shape"] = self.places[i].size
+        starts |= {"any start and end": self.starts + 1, "any shape": self.places[i].size}
         return min(self.cores[i] * (1 + starts.get(self.hypotheses[i].terms[0].form, 0)), self.places[i].size)
 
     def family(self, i: int) -> list[int]:
