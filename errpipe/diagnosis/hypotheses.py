@@ -133,7 +133,7 @@ class Library:
     def textbook(self, i: int) -> int:
         """Number of its columns that are its own form, with references, rises and initial states."""
         starts = {"any reference": 1, "any reference and end": 2, "any rise": 3, "any start": self.starts}
-        starts["any shape"] = self.places[i].size
+        starts |= {"any start and end": self.starts + 1, "any shape": self.places[i].size}
         return min(self.cores[i] * (1 + starts.get(self.hypotheses[i].terms[0].form, 0)), self.places[i].size)
 
     def family(self, i: int) -> list[int]:

@@ -68,7 +68,7 @@ def modelled(case: Case, k: int) -> Modelled:
     core = block[:, :cores] @ b[:cores]
     linear = _linear(hypothesis, b, cov, scale)
     joint = float(b[:cores] @ np.linalg.solve(cov[:cores, :cores], b[:cores])) / WIDER**2
-    lags = hypothesis.terms[0].form == "any start" and cores == 1  # departures at other time constants imitate the form
+    lags = cores == 1 and hypothesis.terms[0].form.startswith("any start")  # departures imitate it
     form = block[:, : case.library.textbook(f.index) if lags else cores]
     form, whole = form - form.mean(axis=0), contribution - contribution.mean()
     nearest = np.linalg.lstsq(form, whole, rcond=None)[0]

@@ -98,9 +98,19 @@ class Term(Frozen, ABC):
     rowwise: ClassVar[bool] = False  # of a row's basis: that row's columns and what `drive` makes of them, nothing else
     # what of its slack is no departure: the first column (the value that a rise is counted from), the first two (and
     # the end that a length grows from), the first three (how a spike rises), the first ones (the state of a body at
-    # the start of each session), or all; "any rate": one of each tool, which says nothing of others
+    # the start of each session; one more is the end that a length grows from), or all; "any rate": one of each tool,
+    # which says nothing of others
     form: ClassVar[
-        Literal["textbook", "any reference", "any reference and end", "any start", "any shape", "any rate", "any rise"]
+        Literal[
+            "textbook",
+            "any reference",
+            "any reference and end",
+            "any start",
+            "any start and end",
+            "any shape",
+            "any rate",
+            "any rise",
+        ]
     ] = "textbook"
     friction_part: ClassVar[Literal["", "dry", "viscous", "falling"]] = ""  # its part in a law of friction
     gains: ClassVar[tuple[Parameter, ...]] = ()  # what `linear` gives, where no field changes it

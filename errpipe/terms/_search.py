@@ -225,25 +225,6 @@ class Widths(Listed):
 
 
 @dataclass(frozen=True)
-class Shifts(Listed):
-    """A shift in time within the term's `shortest` and `longest`, either way; it is not refined."""
-
-    def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
-        if term.longest < 20.0:
-            return ()  # clocks of loggers differ by seconds and minutes, not by samples of a fast trace
-        half = np.geomspace(max(term.shortest, 5.0), min(term.longest, 900.0), 14)
-        return tuple(np.r_[-half[::-1], half])
-
-    def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:
-        """None: the grid is as fine as the noise allows."""
-        return np.array([value])
-
-    def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:
-        """A fifth to either side."""
-        return (low * 0.8, high * 1.25) if low > 0 else (low * 1.25, high * 0.8)
-
-
-@dataclass(frozen=True)
 class Resonances(Listed):
     """A natural frequency, located by the term; from three turns in the longest session to a fifth of the rate."""
 
@@ -257,14 +238,23 @@ class Resonances(Listed):
 
 @dataclass(frozen=True)
 class Delays(Listed):
-    """A delay, located by the term; refined within a tenth of a sampling step."""
+    """A delay, located by the term; refined from a hundredth of a sampling step to ten of them."""
+
+    reach: float = 10.0
 
     def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:
-        return value + 0.1 * resolved_times(recording)[0] * np.linspace(-1.0, 1.0, STEPS)
+        late = resolved_times(recording)[0] * np.geomspace(1e-3 * self.reach, self.reach, STEPS)
+        return value + np.r_[-late[::-1], late]
 
     def widened(self, low: float, high: float, term: Any, recording: Recording) -> tuple[float, float]:
-        half = 0.1 * resolved_times(recording)[0] / (STEPS - 1)
-        return low - half, high + half
+        """Ends of an interval, half-way to the next neighbours."""
+        near = 1e-3 * self.reach * resolved_times(recording)[0]
+        half = max(0.5 * (high - low) * 1e3 ** (0.5 / (STEPS - 1)), 0.5 * near)
+        return 0.5 * (low + high) - half, 0.5 * (low + high) + half
+
+    def log_prior(self, value: float, parameter: Parameter) -> float:
+        """The log prior of a scale, for an early or a late recording."""
+        return Scale().log_prior(abs(value), parameter)
 
 
 BY_UNIT: dict[str, Search] = {"s": Times(), "mm": Lengths(), "mm/s": Speeds()}

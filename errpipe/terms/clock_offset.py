@@ -9,10 +9,16 @@ import numpy as np
 from pydantic import Field
 
 from errpipe.domain.recording import Recording
-from errpipe.drivers.sessions import sessions
+from errpipe.drivers.simulated import Late
 from errpipe.terms._base import NEVER, Parameter, Term
-from errpipe.terms._search import Shifts
+from errpipe.terms._late import shift_of
+from errpipe.terms._search import Delays, Signals, resolved_times
 from errpipe.yamlfile import quantity
+
+USUAL = 4.0  # sampling intervals from which clocks differ usually; a dead time is mostly shorter (see `dead_time`)
+STEPS, FINE = 60.0, 0.5  # sampling intervals that are tried, and from one to the next
+FURTHER, FARTHER = 1.03, 900.0  # factor between longer ones, and the longest in s (typical ones reach 600 s)
+LEAST = 0.75  # sampling intervals by which clocks must differ to be seen
 
 
 class ClockOffset(Term):
@@ -27,7 +33,7 @@ class ClockOffset(Term):
 
     term: Literal["clock_offset"] = "clock_offset"
     column: str = Field(description="Column of the simulated values.")
-    shortest: float = quantity("s", "Smallest shift that is tried.", 10.0)
+    shortest: float = quantity("s", "Smallest usual shift.", 10.0)
     longest: float = quantity("s", "Largest shift that is tried.", 600.0)
     family = "measurement"
     compensable = False
@@ -37,31 +43,42 @@ class ClockOffset(Term):
     gain_sd = 0.15  # the difference of the shifted signals enters with gain 1
     in_part = "never"
     gains = (Parameter("share", "1", (0.8, 1.2), (0.0, 2.0), "1 where the shift explains it in full"),)
-    prior_log_odds = -1.0
+    prior_log_odds = -3.8  # its price: it is located without a grid; somewhat likelier than a dead time of the signal
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         typical, bounds = (self.shortest, self.longest), (-self.longest, self.longest)
-        return (Parameter("offset", "s", typical, bounds, "recording late", Shifts()),)
+        return (Parameter("offset", "s", typical, bounds, "recording late", search=Delays()),)
 
     def drivers(self, recording: Recording) -> tuple[str, ...]:
         return (recording.name("time") or "row",)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[ClockOffset]:
-        t = recording.time()
-        step = np.median(np.diff(t)[np.diff(t) > 0]) if len(t) > 3 else np.nan
-        if recording.name("time") is None or not np.isfinite(step):
-            return
-        for column in recording.names("simulated", component=component):
-            yield cls(column=column, shortest=float(0.75 * step), longest=float(min(max(60 * step, 0.0), 7200.0)))
+        step, session = resolved_times(recording)
+        longest = min(max(STEPS * step, FARTHER), 0.25 * session)
+        if recording.name("time") is not None and longest > LEAST * step:
+            for column in recording.names("simulated", component=component):
+                yield cls(column=column, shortest=USUAL * step, longest=longest)
+
+    @classmethod
+    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[ClockOffset]:
+        """None without an offset: see `located`."""
+        return iter(())
+
+    @classmethod
+    def located(
+        cls, recording: Recording, component: str, signals: Signals
+    ) -> Iterator[tuple[ClockOffset, tuple[float, ...]]]:
+        """The offset that brings the mismatch down most, either way."""
+        step, _ = resolved_times(recording)
+        for term in cls.bind(recording, component):
+            late = step * np.arange(LEAST, STEPS, FINE)
+            late = np.r_[late, np.exp(np.arange(np.log(STEPS * step), np.log(term.longest), np.log(FURTHER)))]
+            late = late[late <= term.longest]
+            if signals.values:
+                offset = shift_of(Late(0.0, term.column), recording, signals, np.r_[-late[::-1], late], step)
+                if abs(offset) > LEAST * step:
+                    yield term, (offset,)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        (offset,) = nonlinear
-        t, f, session = recording.time(), recording.array(self.column), sessions(recording)
-        shifted = np.full(f.shape, np.nan)
-        for s in np.unique(session):
-            rows = np.flatnonzero((session == s) & np.isfinite(f))
-            if rows.size > 1:
-                at, first = np.unique(t[rows], return_index=True)
-                shifted[rows] = np.interp(t[rows] - offset, at, f[rows][first])
-        return (shifted - f)[:, None]
+        return Late(nonlinear[0], self.column).value(recording)[:, None]

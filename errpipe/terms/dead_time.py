@@ -13,10 +13,11 @@ from errpipe.drivers.motion import path_name
 from errpipe.drivers.simulated import Late
 from errpipe.terms._base import NEVER, Example, Parameter, Term
 from errpipe.terms._example import rows, worked
+from errpipe.terms._late import shift_of
 from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._search import Delays, Located, Signals, resolved_times
 
-MAX_SAMPLE_INTERVAL = 0.1  # s; clocks of slower logs differ by seconds and minutes: see `clock_offset`
+MAX_SAMPLE_INTERVAL = 0.1  # s; what comes late in slower logs has another clock: see `clock_offset`
 LEAST, MOST = 0.02, 60.0  # sampling steps
 
 
@@ -61,32 +62,18 @@ class DeadTime(Term):
         return iter(())
 
     @classmethod
-    def located(cls, recording: Recording, component: str, signals: Signals) -> Located:
-        """The delay that brings the mismatch down most: among half steps, then between them."""
-        from scipy.optimize import minimize_scalar
-
+    def located(
+        cls, recording: Recording, component: str, signals: Signals
+    ) -> Iterator[tuple[DeadTime, tuple[float, ...]]]:
+        """The delay that reduces the mismatch most; an early signal has another clock."""
         step, _ = resolved_times(recording)
         for term in cls.bind(recording, component):
             if not signals.values or not np.isfinite(term._late(0.0).signal(recording)).all():
                 continue
             trial = np.r_[-10.0:MOST:0.5] * step
-            rough = min(trial[trial != 0], key=lambda d: term._residual_squares(recording, signals, float(d)))
-            near = minimize_scalar(
-                lambda d: term._residual_squares(recording, signals, float(d)),  # noqa: B023
-                bounds=(rough - 0.5 * step, rough + 0.5 * step),
-                method="bounded",
-                options={"xatol": 1e-5 * step},
-            )
-            if abs(near.x) > LEAST * step:
-                yield term, (float(near.x),)
-
-    def _residual_squares(self, recording: Recording, signals: Signals, delay: float) -> float:
-        """Residual sum of squares of this delay with a datum and a gain of the signal."""
-        rest = signals.whole() - self.basis(recording, delay)[signals.rows, 0]
-        known = self._late(delay).signal(recording)[signals.rows]
-        block = np.column_stack([np.ones(rest.size), known / max(float(np.abs(known).max()), 1e-300)])
-        rest = rest - block @ np.linalg.lstsq(block, rest, rcond=None)[0]
-        return float(rest @ rest)
+            delay = shift_of(term._late(0.0), recording, signals, trial, step)
+            if abs(delay) > LEAST * step and (term.axis or delay > 0):
+                yield term, (delay,)
 
     def _late(self, delay: float, gain: float = 1.0) -> Late:
         return Late(delay, self.column, self.axis, gain)

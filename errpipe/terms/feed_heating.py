@@ -27,6 +27,7 @@ from errpipe.yamlfile import quantity
 PER_MINUTE = 1.0 / 60.0  # mm/s in a feed of 1 mm/min
 VISCOUS = 0.5  # prior standard deviation of the heat of viscous friction over that of dry friction: as much as it
 OF_SESSION = 4.5  # of the longest time constant searched for (a third of a session): a single stroke is no limit
+EITHER_END = 1.7  # of a screw, seen from mid-travel or from the other end: half its length over its rms, or all of it
 WHERE_IT_WORKS = 0.2  # and of what a screw that is warm in one half grows more there
 
 
@@ -57,7 +58,7 @@ class FeedHeating(Term):
     cycled: bool = Field(False, description="The column is a feed in mm/min at which the axis cycles between readings.")
     fixed_end: float = quantity("mm", "Position of the screw's fixed bearing, from where it grows.", 0.0)
     family = "thermal"
-    form = "any start"
+    form = "any start and end"
     gains = (Parameter("slope", "um/m", (10.0, 60.0), (-1000.0, 1000.0), "slope at 100 mm/s, warmed through"),)
     searched = (Parameter("tau", "s", (1000.0, 6000.0), (100.0, 40000.0), "time constant", search=SlowerThanStrokes()),)
 
@@ -112,10 +113,10 @@ class FeedHeating(Term):
         x = position(recording, self.axis)
         for column, freedom in start_states(recording, nonlinear[0], 0.1, 0.5):
             yield column * x, freedom
+        # the fixed bearing is unknown: at either end of travel, and positions may be counted from its middle
+        yield self._warming(recording, *nonlinear) * 1e-3 * (np.nanmax(x) - np.nanmin(x)), EITHER_END
         yield x, 0.2
         yield from bent(base[:, 0], x)
-        # the position of the fixed end is unknown
-        yield self._warming(recording, *nonlinear) * 1e-3 * (np.nanmax(x) - np.nanmin(x)), 0.3
         for factor in (0.3, 3.0):
             yield self.basis(recording, nonlinear[0] * factor)[:, 0], 0.25
         # viscous friction warms with the square of the speed, and the nut warms the screw where it works

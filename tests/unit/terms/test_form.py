@@ -201,3 +201,23 @@ def test_a_product_of_rises_may_be_counted_from_one_value_on_two_days():
         design = np.column_stack([np.ones(t.size), warm, term.basis(made)])
         left.append(np.std(hidden - design @ np.linalg.lstsq(design, hidden, rcond=None)[0]))
     assert len(left) == 2 and max(left) > 0.05 and min(left) < 1e-9
+
+
+@pytest.mark.parametrize("runs", [1, 3, 6])
+def test_the_fixed_end_of_a_heated_screw_belongs_to_its_form(runs):
+    """Positions count from mid-travel, and the bearing is at an end: no departure, wherever the machine was started."""
+    t, x = 60.0 * np.arange(240), np.tile(np.linspace(-250, 250, 12), 20)
+    kinds = {"run": {"role": "run"}, "t": {"role": "time", "unit": "s"}}
+    kinds["x"] = {"role": "position", "axis": "X", "unit": "mm"}
+    run = np.arange(240) * runs // 240
+    made = recording({"run": run.astype(str), "t": t + 20_000.0 * run, "x": x}, kinds)
+    hidden = FeedHeating(axis="X", fixed_end=-250.0).basis(made, 3000.0)[:, 0]
+    library = hypotheses.build(made, "EXX", np.arange(240), signals=(hidden,))
+    heated = [i for i, h in enumerate(library.hypotheses) if h.effect == "feed_heating"]
+    left = []
+    for i in heated:
+        own = FeedHeating(axis="X", fixed_end=-250.0).basis(made, *library.hypotheses[i].nonlinear[0])[:, 0]
+        form = library.block(i, made, np.arange(240))[:, : library.textbook(i)]
+        rest = own - form @ np.linalg.lstsq(form, own, rcond=None)[0]
+        left.append(np.std(rest) / np.std(own))
+    assert heated and max(left) < 1e-6

@@ -18,6 +18,7 @@ from errpipe.terms import Signals
 from errpipe.terms._lines import combs, lines, periods
 from errpipe.terms._place import drive_periods, pole_periods
 from errpipe.terms._search import Waves
+from errpipe.terms.clock_offset import ClockOffset
 from errpipe.terms.dead_time import DeadTime
 from errpipe.terms.flexible_mode import FlexibleMode
 from errpipe.terms.following_error import FollowingError
@@ -165,6 +166,21 @@ def test_an_axis_comes_late_behind_its_command_not_behind_its_own_late_position(
     ((_, (delay,)),) = DeadTime.located(case, "EXX", signals(late))
     assert delay == pytest.approx(0.003, abs=1e-6)
     assert_allclose(DeadTime(axis="X").basis(case, 0.003)[5:, 0], late[5:], atol=0.02)
+
+
+# ---------------------------------------------------------------- a clock that differs
+@pytest.mark.parametrize(("step", "offset"), [(0.0025, 0.059), (0.0025, -0.021), (90.0, 410.0), (1.0, -333.0)])
+def test_a_clock_offset_is_located_at_any_sampling_rate(step, offset):
+    rng = np.random.default_rng(11)
+    t = step * np.arange(4000)
+    corners = np.cumsum(rng.normal(size=200))
+
+    def curve(when):
+        return 20 * np.interp(when / step, np.linspace(-1000, 5000, 200), corners)
+
+    seen = curve(t - offset) - curve(t) + rng.normal(size=t.size)
+    ((_, (found,)),) = ClockOffset.located(log(t=t, EXX_sim=curve(t)), "EXX", signals(seen))
+    assert found == pytest.approx(offset, abs=0.2 * step)
 
 
 # ---------------------------------------------------------------- a loop that settles
