@@ -62,9 +62,7 @@ class DeadTime(Term):
         return iter(())
 
     @classmethod
-    def located(
-        cls, recording: Recording, component: str, signals: Signals
-    ) -> Iterator[tuple[DeadTime, tuple[float, ...]]]:
+    def located(cls, recording: Recording, component: str, signals: Signals) -> Located:
         """The delay that reduces the mismatch most; an early signal has another clock."""
         step, _ = resolved_times(recording)
         for term in cls.bind(recording, component):
