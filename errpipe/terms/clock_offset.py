@@ -18,6 +18,7 @@ from errpipe.yamlfile import quantity
 USUAL = 4.0  # sampling intervals from which clocks differ usually; a dead time is mostly shorter (see `dead_time`)
 STEPS, FINE = 60.0, 0.5  # sampling intervals that are tried, and from one to the next
 FURTHER, FARTHER = 1.03, 900.0  # factor between longer ones, and the longest in s (typical ones reach 600 s)
+COARSE = 14  # offsets of the coarse grid, early and late each
 LEAST = 0.75  # sampling intervals by which clocks must differ to be seen
 
 
@@ -43,7 +44,7 @@ class ClockOffset(Term):
     gain_sd = 0.15  # the difference of the shifted signals enters with gain 1
     in_part = "never"
     gains = (Parameter("share", "1", (0.8, 1.2), (0.0, 2.0), "1 where the shift explains it in full"),)
-    prior_log_odds = -3.8  # its price: it is located without a grid; somewhat likelier than a dead time of the signal
+    prior_log_odds = -0.5  # shared among the located one and the grid: somewhat likelier than a dead time of the signal
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         typical, bounds = (self.shortest, self.longest), (-self.longest, self.longest)
@@ -69,7 +70,7 @@ class ClockOffset(Term):
     def located(
         cls, recording: Recording, component: str, signals: Signals
     ) -> Iterator[tuple[ClockOffset, tuple[float, ...]]]:
-        """The offset that brings the mismatch down most, either way."""
+        """The offset that brings the mismatch down most, and a coarse grid: gains of parts are not known yet."""
         step, _ = resolved_times(recording)
         for term in cls.bind(recording, component):
             late = step * np.arange(LEAST, STEPS, FINE)
@@ -77,8 +78,8 @@ class ClockOffset(Term):
             late = late[late <= term.longest]
             if signals.values:
                 offset = shift_of(Late(0.0, term.column), recording, signals, np.r_[-late[::-1], late], step)
-                if abs(offset) > LEAST * step:
-                    yield term, (offset,)
+                coarse = np.geomspace(late[0], late[-1], COARSE)
+                yield from ((term, (float(v),)) for v in (offset, *coarse, *-coarse) if abs(v) >= LEAST * step)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return Late(nonlinear[0], self.column).value(recording)[:, None]
