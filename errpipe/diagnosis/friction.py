@@ -115,7 +115,8 @@ def by_direction(case: Case) -> ByDirection | None:
     assert best is not None
     best = replace(best, law=widened(best.law, laws))
     differs = best.law.differ(1, 2) or best.law.differ(3, 4)
-    return best if differs and best.law.held_out < BETTER * best.alike.held_out else None
+    drives = best.law.value[1:3] < -2.0 * np.sqrt(np.diag(best.law.covariance)[1:3])  # no friction speeds an axis up
+    return best if differs and not drives.any() and best.law.held_out < BETTER * best.alike.held_out else None
 
 
 def widened(law: Fitted, others: list[Fitted]) -> Fitted:

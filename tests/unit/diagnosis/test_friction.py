@@ -54,6 +54,14 @@ def test_one_law_both_ways_is_left_alone():
     assert not [name for name in told if name.endswith(("forward", "backward"))]
 
 
+def test_a_damping_that_would_drive_the_axis_is_no_law_of_friction():
+    for backward, is_law in ((236.0, True), (-90.0, False)):
+        case = trace(2, hidden=both_ways((18.0, 22.0), (160.0, backward)))
+        (pair,), _ = prepare.pairs(case)
+        law = friction.by_direction(SimpleNamespace(recording=prepare.condition(case), pair=pair))
+        assert (law is not None) == is_law
+
+
 def test_only_a_stribeck_part_against_the_dry_friction_gives_way():
     def of(effect, name, value):
         parameter = FoundParameter(name=name, value=value, unit="N", ci95=(value - 1, value + 1))

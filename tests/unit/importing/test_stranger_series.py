@@ -93,7 +93,7 @@ def test_feather_is_read_and_a_pickle_is_not_opened(tmp_path: Path) -> None:
     frame.to_feather(tmp_path / "f.feather")
     holds_the_truth(imported(tmp_path, tmp_path / "f.feather"))
     frame.to_pickle(tmp_path / "f.pkl")
-    with pytest.raises(DataError, match="a pickle, which runs programs"):
+    with pytest.raises(DataError, match="a pickle, which can execute code"):
         prepared([tmp_path / "f.pkl"])
 
 
@@ -126,7 +126,7 @@ def test_lost_motion_against_an_assumed_sign_is_asked_about(tmp_path: Path) -> N
     """From 5 um on it was asked about; a smaller one was exported with the sign as it stood."""
     rows = [f"{run},{x},{-d / 2}" for run, x, _, d in long_rows()]
     (tmp_path / "f.csv").write_text("\n".join(["Run,X [mm],Deviation [um]", *rows]))
-    with pytest.raises(DataError, match="does not state its sign: say it with --sign"):
+    with pytest.raises(DataError, match="does not state its sign: declare it with --sign"):
         prepared([tmp_path / "f.csv"])
 
 

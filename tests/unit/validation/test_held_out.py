@@ -61,7 +61,7 @@ def test_the_interval_covers_groups_it_has_not_seen(drift):
 
 def test_an_overlap_is_refused(drift):
     everything = np.ones(len(drift), dtype=bool)
-    with pytest.raises(DataError, match=r"hold-out mine: \d+ rows both fit and judge"):
+    with pytest.raises(DataError, match=r"hold-out mine: \d+ rows are both fitted and tested"):
         held_out(drift, spec(*GOOD), folds=[("mine", everything, everything)])
 
 
