@@ -256,7 +256,7 @@ def other_component(text: str, moved: str) -> str | None:
         raise DataError(f"column {text!r}: which component is this? Declare it with --component, such as EZX or C0Y")
     if is_straightness(text):
         across = axis_in(text)
-        if across is None or across == moved:
+        if across is None or across == moved or across[0] not in "XYZ":
             raise DataError(
                 f"column {text!r}: a straightness in which direction? Declare it with --component, such as "
                 f"EYX (next to other readings: --set '{text}.component=EYX')"

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from errpipe.errors import DataError
+from errpipe.importing import columns
 from tests.unit.importing.known_test import holds_the_truth, imported, long_rows, prepared
 
 START = datetime(2026, 3, 1, 8, tzinfo=UTC).timestamp()
@@ -165,3 +166,11 @@ def test_a_unit_of_another_quantity_is_refused_with_its_column(tmp_path: Path, h
     (tmp_path / "f.csv").write_text("\n".join([header, *rows]))
     with pytest.raises(DataError, match=r"column '.*': '.*' is no unit of role"):
         prepared([tmp_path / "f.csv"], axis="X")
+
+
+def test_a_straightness_is_along_a_linear_axis():
+    """`Straightness/V` is vertical: no axis has that letter, and one of rotation would make it a roll."""
+    for header in ("Straightness/V", "Straightness A"):
+        with pytest.raises(DataError, match="a straightness in which direction"):
+            columns.other_component(header, "C")
+    assert columns.other_component("Straightness Y", "X") == "EYX"
