@@ -15,7 +15,8 @@ from errpipe.terms._late import shift_of
 from errpipe.terms._search import Delays, Signals, resolved_times
 from errpipe.yamlfile import quantity
 
-USUAL = 4.0  # sampling intervals from which clocks differ usually; a dead time is mostly shorter (see `dead_time`)
+# Usual differences of clocks, from so many sampling intervals and s on: shorter ones are mostly dead times (to 20 ms).
+USUAL, LATE = 4.0, 0.05
 STEPS, FINE = 60.0, 0.5  # sampling intervals that are tried, and from one to the next
 FURTHER, FARTHER = 1.03, 900.0  # factor between longer ones, and the longest in s (typical ones reach 600 s)
 COARSE = 14  # offsets of the coarse grid, early and late each
@@ -59,7 +60,7 @@ class ClockOffset(Term):
         longest = min(max(STEPS * step, FARTHER), 0.25 * session)
         if recording.name("time") is not None and longest > LEAST * step:
             for column in recording.names("simulated", component=component):
-                yield cls(column=column, shortest=USUAL * step, longest=longest)
+                yield cls(column=column, shortest=max(USUAL * step, LATE), longest=longest)
 
     @classmethod
     def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[ClockOffset]:

@@ -54,7 +54,7 @@ CASES = {
     "a late spindle": lambda: spindle(1, hidden=lambda c: 8 * late(c["t"], c["rpm"] / 12000, 900.0)),
     "friction, no term of a controller": lambda: trace(1, hidden=lambda c: 30 * np.sign(c["v"])),
     "friction of an axis whose places alone are known": lambda: bare(trace(1, hidden=lambda c: 30 * np.sign(c["v"]))),
-    "a force that comes late": lambda: shaken(late=0.03),
+    "a force that comes late": lambda: shaken(late=0.015),
     "a machine that rings": lambda: shaken(hertz=9.0),
     "a gain beside lost motion": lambda: axis(6, gains=(1.2, 1.0), hidden=lambda c: -4 * c["dir"]),
     "two gains alone": lambda: mornings(1, hidden=lambda c: 1.5 * (c["T_bearing"] - 20)),
