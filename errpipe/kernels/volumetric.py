@@ -157,20 +157,33 @@ def exact(kind, axis, vec, point, inverse, entries, entry_comp, entry_angle, ent
 @kernel
 def _sweep(kind, axis, vec, point, q, tip, arm, pre):
     """Per factor: its arm (ideal tip minus its point, mm) and the ideal turn before it (rows: images of x, y, z)."""
-    p, r, turn = tip.copy(), np.eye(3), np.empty((3, 3))
+    p, r, turned = tip.copy(), np.eye(3), np.empty(3)
     for f in range(kind.size - 1, -1, -1):
         for k in range(3):
             arm[f, k] = p[k] - point[f, k]
-        _move_ideal(kind[f], q[axis[f]], vec[f], point[f], p)
+        if kind[f] == MOVE:  # as `_move_ideal`, whose call with slices takes as long as all the rest
+            for k in range(3):
+                p[k] += q[axis[f]] * vec[f, k]
+        elif kind[f] == TURN:
+            for k in range(3):
+                p[k] -= point[f, k]
+            _turn(vec[f], q[axis[f]] * DEG, p)
+            for k in range(3):
+                p[k] += point[f, k]
     for f in range(kind.size):
         for k in range(3):
             for m in range(3):
                 pre[f, k, m] = r[k, m]
-                turn[k, m] = 1.0 if k == m else 0.0
-        if kind[f] == TURN:  # r <- r * turn: the image of e_k is r applied to turned e_k
-            for k in range(3):
-                _turn(vec[f], q[axis[f]] * DEG, turn[k])
-            r = _product(turn, r)
+        if kind[f] != TURN:
+            continue
+        for k in range(3):  # r <- r * turn: the image of e_k is r applied to turned e_k
+            for m in range(3):
+                turned[m] = 1.0 if m == k else 0.0
+                r[k, m] = 0.0
+            _turn(vec[f], q[axis[f]] * DEG, turned)
+            for m in range(3):
+                for j in range(3):
+                    r[k, j] += turned[m] * pre[f, m, j]
 
 
 @kernel
