@@ -3,9 +3,10 @@
     REGISTRY/objects/ab/abcd...             bytes by their SHA-256: tables, entries and the entries' signatures
     REGISTRY/machines/7/000001              one line: SHA-256 of the machine's first entry
 
-An entry says machine, number, what was done (promote, rollback), the table's SHA-256, when, why, and the SHA-256 of
-the entry before it; it is signed. Nothing is ever overwritten: an entry's place is made by a link that fails where
-another writer was first. Killed anywhere, a writer leaves at most objects that nothing names.
+An entry says machine, number, what was done (promote, rollback), the table's SHA-256, when, why, the SHA-256 of the
+entry before it and, since version 2, the number of the entry that a rollback returns to; it is signed. Nothing is ever
+overwritten: an entry's place is made by a link that fails where another writer was first. Killed anywhere, a writer
+leaves at most objects that nothing names.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import json
 import os
 import re
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +26,17 @@ from errpipe.registry.minisign import PublicKey, SecretKey, verify
 
 _MACHINE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 _DIGEST = re.compile(r"[0-9a-f]{64}")
+VERSION = 2  # of an entry's layout; version 1 lacks `back_to`
 MAX_OBJECT_BYTES = 1 << 30  # a table, model or report
 MAX_ENTRY_BYTES = 1 << 20  # a line of history with its signature
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of a machine's history. table: SHA-256 of its bytes; digest: SHA-256 of the entry itself."""
+    """One line of a machine's history. table: SHA-256 of its bytes; digest: SHA-256 of the entry itself.
+
+    back_to: number of the entry that a rollback returns to; 0 for a promotion, and where version 1 does not state it.
+    """
 
     machine: str
     number: int
@@ -40,12 +45,13 @@ class Entry:
     time: str
     why: str
     previous: str
+    back_to: int = 0
     digest: str = ""
 
     def plain(self) -> dict[str, Any]:
         """What is written and signed."""
-        names = ("machine", "number", "action", "table", "time", "why", "previous")
-        return {"registry_entry": 1} | {name: getattr(self, name) for name in names}
+        names = ("machine", "number", "action", "table", "back_to", "time", "why", "previous")
+        return {"registry_entry": VERSION} | {name: getattr(self, name) for name in names}
 
 
 class Registry:
@@ -64,7 +70,8 @@ class Registry:
                 raise VerifyError(f"{place}: entry {number:06d} is missing (found {name})")
             entry = self._entry(place / name)
             previous = entries[-1].digest if entries else ""
-            if (entry.machine, entry.number, entry.previous) != (machine, number, previous):
+            same = not entry.back_to or entry.table in [e.table for e in entries if e.number == entry.back_to]
+            if (entry.machine, entry.number, entry.previous) != (machine, number, previous) or not same:
                 raise VerifyError(f"{place / name}: is not entry {number} of machine {machine} in this history")
             entries.append(entry)
         return entries
@@ -83,18 +90,18 @@ class Registry:
             raise VerifyError(f"{where}: {err}; put it back from a copy") from None
 
     def append(
-        self, machine: str, action: str, table: bytes, why: str, time: str, secret: SecretKey, after: int
+        self, machine: str, action: str, table: bytes, why: str, time: str, key: SecretKey, after: int, back_to: int = 0
     ) -> Entry:
         """A new entry after entry number `after`. Raises GateError if another writer was first."""
-        if secret.public != self.key:
-            raise UsageError(f"the secret key is {secret.public.name}, the registry's public key {self.key.name}")
+        if key.public != self.key:
+            raise UsageError(f"the secret key is {key.public.name}, the registry's public key {self.key.name}")
         past = self.history(machine)
         previous = past[after - 1].digest if 0 < after <= len(past) else ""
         digest = self._put(table)
-        entry = Entry(machine, after + 1, action, digest, time, why, previous)
+        entry = Entry(machine, after + 1, action, digest, time, why, previous, back_to)
         data = jsonfile.dumps(entry.plain()).encode()
         name = self._put(data)
-        signature = secret.sign(data, f"machine {machine} entry {after + 1} table {digest} time {time}")
+        signature = key.sign(data, f"machine {machine} entry {after + 1} table {digest} time {time}")
         self._put_signature(name, signature)
         place = self._machine(machine)
         place.mkdir(parents=True, exist_ok=True)
@@ -102,7 +109,7 @@ class Registry:
             raise GateError(
                 f"machine {machine}: another writer was first with entry {after + 1}: see `errpipe log`, then try again"
             )
-        return Entry(machine, after + 1, action, digest, time, why, previous, name)
+        return replace(entry, digest=name)
 
     def _machine(self, machine: str) -> Path:
         if not _MACHINE.fullmatch(machine):
@@ -116,7 +123,7 @@ class Registry:
         verify(data, signature, self.key, str(place))
         try:
             plain = json.loads(data)
-            if plain.pop("registry_entry") != 1:
+            if plain.pop("registry_entry") not in (1, VERSION):
                 raise VerifyError(f"{place}: an entry of a newer registry")
             return Entry(**plain, digest=name)
         except (ValueError, TypeError, KeyError, AttributeError):

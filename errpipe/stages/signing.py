@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from errpipe import files, jsonfile
+from errpipe import files
 from errpipe.errors import GateError, UsageError, VerifyError, did_you_mean
 from errpipe.registry import minisign
 from errpipe.stages import _artefacts
@@ -154,28 +155,31 @@ def rollback(
         store.table(past[-1])  # a modified one is refused as such, for every request
         raise UsageError(f"machine {machine}: no earlier table to go back to (--to: entries 1 to {len(past)})")
     data, when = store.table(earlier[-1]), _time_after(past, time)
-    entry = store.append(machine, "rollback", data, _why(why), when, minisign.read_secret(secret), len(past))
-    if out is not None:
-        jsonfile.write_bytes(out, data)
-    said = f"machine {machine}: entry {entry.number} is again the table of entry {earlier[-1].number}"
+    to, key = earlier[-1].number, minisign.read_secret(secret)
+    if out is not None and out.is_dir():
+        raise UsageError(f"--out {out}: is a folder (a file is needed)")
+    with files.whole(out) if out is not None else BytesIO() as stream:  # it cannot be written: nothing is on record
+        stream.write(data)
+        entry = store.append(machine, "rollback", data, _why(why), when, key, len(past), to)
+    said = f"machine {machine}: entry {entry.number} is again the table of entry {to}"
     return _row(entry, store) | _with_remark(said, when)
 
 
 def _before(past: Sequence[Entry]) -> list[Entry]:
     """The entries of other tables below the one on record, as they would be gone back to.
 
-    A promotion lies on top of what was on record. Going back takes off what lies above the table that is back; where it
-    had been taken off itself, what lay below it then does so again.
+    A promotion lies on top of what was on record. A rollback restores what was on record after the entry that it
+    returns to. One of version 1 does not state it: the nearest below with the same table, else the last with it.
     """
-    lying: list[Entry] = []
-    as_promoted: dict[str, list[Entry]] = {}
+    on_record: list[tuple[Entry, ...]] = [()]  # after each entry
     for entry in past:
-        while entry.action == "rollback" and lying and lying[-1].table != entry.table:
-            lying = lying[:-1]
         if entry.action == "promote":
-            as_promoted[entry.table] = lying = [*lying, entry]
-        lying = lying or as_promoted.get(entry.table, [entry])
-    return [e for e in lying if e.table != past[-1].table]
+            on_record.append((*on_record[-1], entry))
+            continue
+        promoted = [e for e in past[: entry.number] if e.action == "promote"]
+        same = [e.number for e in (*promoted, *on_record[-1]) if e.table == entry.table]
+        on_record.append(on_record[entry.back_to or [0, *same][-1]])
+    return [e for e in on_record[-1] if e.table != past[-1].table]
 
 
 def log(registry: Path, machine: str | None, at: str | None, file: Path | None, public: Path) -> dict[str, Any]:
