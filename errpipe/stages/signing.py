@@ -205,9 +205,10 @@ def log(registry: Path, machine: str | None, at: str | None, file: Path | None, 
         before = [r["number"] - last.get(r["machine"], 0) for r in rows]  # 0: it was on the machine at that time
         rows = [r for r, n in zip(rows, before, strict=True) if n == 0 or (n > 0 and r["time"] <= until)]
     rows = [row for row in rows if file is None or row["identity"] == wanted]
+    words = [f"{r['action']} to {r['back_to']}" if r["back_to"] else r["action"] for r in rows]
     lines = [
-        f"{r['machine']} {r['number']:>4}  {r['time']}  {r['action']:<8}  table {r['identity']}  {r['why']}"
-        for r in rows
+        f"{r['machine']} {r['number']:>4}  {r['time']}  {done:<8}  table {r['identity']}  {r['why']}"
+        for r, done in zip(rows, words, strict=True)
     ]
     return {"entries": rows, "says": lines or ["no entries"]}
 
