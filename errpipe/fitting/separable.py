@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from errpipe.fitting.solve import one_thread
 
@@ -59,6 +58,8 @@ def search(
     out once; response: (n,). Weights and penalty rows are already included by the caller. begin: start values
     instead of sweeping.
     """
+    from scipy.optimize import least_squares  # 0.14 s, which models without such parameters do not need
+
     with one_thread():
         basis = _orthonormal(still)
         unexplained = _orthogonal_to(basis, response[:, None])[:, 0]

@@ -16,9 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.special import expit, logit
 
+from errpipe.fitting.simplex import minimum
 from errpipe.fitting.solve import one_thread
 from errpipe.fitting.statistics import chi2_quantile, student_quantile
 from errpipe.kernels import whitening
@@ -61,15 +61,12 @@ def noise_model(sequence: np.ndarray, jacobian: np.ndarray, residual: np.ndarray
         if not np.isfinite(white[0]):
             return Noise(float(np.sqrt(np.mean(residual**2))), 0.0, 0.0)
         start = min((cost(r, s)[0], r, s) for r in RHO for s in SHARE)
-        best = minimize(
-            lambda v: cost(float(expit(v[0])), float(expit(v[1])))[0],
-            logit([start[1], start[2]]),
-            method="Nelder-Mead",
-            options={"xatol": 0.02, "fatol": 1e-3, "maxiter": 80},
+        found, least = minimum(
+            lambda v: cost(float(expit(v[0])), float(expit(v[1])))[0], logit(start[1:]), near=0.02, alike=1e-3, most=79
         )
-        rho, share = min(float(expit(best.x[0])), _longest_memory(sequence)), float(expit(best.x[1]))
+        rho, share = min(float(expit(found[0])), _longest_memory(sequence)), float(expit(found[1]))
         # Two more parameters must improve the fit, or white noise would get a memory by chance.
-        if white[0] - best.fun < 1.0:
+        if white[0] - least < 1.0:
             rho, share = 0.0, 0.0
         return Noise(cost(rho, share)[1], rho, share)
 

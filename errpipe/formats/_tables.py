@@ -265,7 +265,7 @@ def _parquet_batches(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
             size = f"{path.stat().st_size} bytes that unpack to {cells} cells"
             raise DataError(f"{label}: {size} (measured readings take a byte or more each: is every row the same?)")
         start = 0
-        for batch in file.iter_batches(batch_size=131072, columns=wanted):
+        for batch in file.iter_batches(batch_size=131072, columns=wanted, use_threads=pa.cpu_count() > 1):
             table = pa.table({n: _plain(batch.column(n), kinds[n]) for n in wanted})
             place = _row_place(label, start)
             _refuse_infinite(table, place)
