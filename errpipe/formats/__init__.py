@@ -31,7 +31,9 @@ def detect(path: Path) -> ModuleType:
         raise DataError(f"{path}: no such file or folder")
     matches = [f for f in FORMATS if f.sniff(path)]
     if len(matches) != 1:
-        names = ", ".join(f.name for f in matches or FORMATS)
+        names = ", ".join(f.name for f in matches or FORMATS) + (
+            "" if matches else "; `errpipe import` converts others"
+        )
         hint = f": the folder has no {manifest_folder.MANIFEST}" if path.is_dir() else ""
         what = "fits several formats" if matches else f"is of no known format{hint}"
         raise DataError(f"{path}: {what} (allowed: {names})")

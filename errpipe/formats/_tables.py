@@ -36,6 +36,7 @@ MIN_CELLS_JUDGED = 5_000_000  # 40 MB in memory: smaller tables may hold one val
 MAX_PROBLEMS = 5  # a file with a wrong decimal mark is wrong in every line; five lines show it
 _BYTE_ORDER_MARKS = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16", b"\xef\xbb\xbf": "a UTF-8 byte order mark"}
 
+_DATE_OR_TIME = re.compile(r"\d{1,4}[-/.:]\d{1,2}[-/.:]\d")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 Kinds = Mapping[str, str]  # column of the table -> "number", "label" or "ignore"
@@ -65,6 +66,8 @@ def blocks(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
 
 
 def _near_file(path: Path) -> str:
+    if "*" in path.name:
+        return " Tables are listed by name; a pattern is not expanded."
     there = sorted(p.name for p in path.parent.iterdir() if p.is_file()) if path.parent.is_dir() else []
     return did_you_mean(path.name, [n for n in there if n.endswith((".csv", ".parquet"))])
 
@@ -237,8 +240,10 @@ def _wrong_number(cell: str) -> str:
     if text.lower().lstrip("+-") in ("nan", "inf", "infinity"):
         return f"found {cell!r} (allowed: a finite number, or an empty cell where it is missing)"
     if not _NUMBER.fullmatch(text):
-        comma = " A decimal comma? Write 1.5, not 1,5." if text.count(",") == 1 else ""
-        return f"{cell!r} is not a number (allowed: a number, or an empty cell where it is missing).{comma}"
+        hint = " A decimal comma? Write 1.5, not 1,5." if text.count(",") == 1 else ""
+        if _DATE_OR_TIME.match(text):
+            hint = " A date or time of day? `errpipe import` converts it to seconds."
+        return f"{cell!r} is not a number (allowed: a number, or an empty cell where it is missing).{hint}"
     return "" if math.isfinite(float(text)) else f"{cell!r} is too large for a number"
 
 
@@ -249,7 +254,7 @@ def _parquet_blocks(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
     try:
         yield from _parquet_batches(path, kinds, label)
     except (pa.ArrowException, OSError, ValueError, OverflowError):
-        raise DataError(f"{label}: not a Parquet file, or a damaged one") from None
+        raise DataError(f"{label}: not a Parquet file, or one that is damaged or still being written") from None
 
 
 def _parquet_batches(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
@@ -283,7 +288,8 @@ def _check_type(field: pa.Field, kind: str, label: str) -> None:
     number = pa.types.is_integer(inner) or pa.types.is_floating(inner) or pa.types.is_boolean(inner)
     text = pa.types.is_string(inner) or pa.types.is_large_string(inner)
     if kind == "number" and not (number or pa.types.is_null(inner)):
-        raise DataError(f"{label}  {field.name}: holds {field.type} (allowed: numbers)")
+        hint = "; `errpipe import` converts times to seconds" if pa.types.is_temporal(inner) else ""
+        raise DataError(f"{label}  {field.name}: holds {field.type} (allowed: numbers{hint})")
     if kind == "label" and not (text or pa.types.is_integer(inner) or pa.types.is_boolean(inner)):
         raise DataError(f"{label}  {field.name}: holds {field.type} (allowed for a label: text or whole numbers)")
 

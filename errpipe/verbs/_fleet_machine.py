@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -45,11 +46,12 @@ def run_machine(pipeline: str, name: str, sets: Sequence[str], out: str) -> dict
         figures["undetermined"] = isinstance(err, NotIdentifiable)
     except OSError as err:  # a full disk, a share that went away
         what = f"{err.filename}: {err.strerror.lower()}" if err.filename and err.strerror else str(err)
-        state, message = "failed", what.replace(out, "OUT")
+        state, message = "failed", what
     except MemoryError:
         state, message = "failed", "out of memory: fewer --jobs at a time, or a larger machine"
     except Exception as err:
         state, message = "failed", f"internal error, please report it: {type(err).__name__}: {err}"
+    message = message.replace(out, "OUT").replace(f"{Path(pipeline).parent}{os.sep}", "")
     message += of_earlier(folder, brought_up_to_date) if state != "done" else ""
     seconds = time.perf_counter() - begin
     result = {"name": name, "state": state, "message": message, "attempts": 1, "seconds": seconds}

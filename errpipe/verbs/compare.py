@@ -94,7 +94,9 @@ def kind_of(path: Path) -> str:
         for key, kind in (("table", "table"), ("error_model", "model"), ("diagnosis", "diagnosis")):
             if key in value:
                 return kind
-    raise DataError(f"{path}: not a table, model, recording, diagnosis or run folder")
+    raise DataError(
+        f"{path}: not a table, model, recording, diagnosis or run folder (`errpipe import` converts others)"
+    )
 
 
 # ---------------------------------------------------------------- tables and models

@@ -250,7 +250,8 @@ def test_a_machine_that_fails_says_what_an_earlier_run_left_in_its_folder(tmp_pa
     done = fleet_processes.run_machine(*task)
     assert (done["state"], done["message"]) == ("done", "")
     damaged = ["ingest.recording=recordings/m001"]
-    assert "earlier" not in fleet_processes.run_machine(task[0], "new", damaged, task[3])["message"]
+    message = fleet_processes.run_machine(task[0], "new", damaged, task[3])["message"]
+    assert "earlier" not in message and message.startswith("recordings/m001/")  # of no host
     left = {}
     for name, keys in {"ingest": damaged, "fit": [*task[2], "fit.components=[]"]}.items():
         left[name] = fleet_processes.run_machine(task[0], "m", keys, task[3])["message"].partition("; machines/m ")[2]

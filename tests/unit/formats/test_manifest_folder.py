@@ -107,6 +107,11 @@ REFUSED = {
         "recording.csv:5  x: '1,5' is not a number (allowed: a number, or an empty cell where it is missing)."
         " A decimal comma? Write 1.5, not 1,5.",
     ),
+    "a time of day": (
+        {"rows": [*ROWS, "2,12:30:00,1,1,70,,0"]},
+        "recording.csv:5  t: '12:30:00' is not a number (allowed: a number, or an empty cell where it is missing)."
+        " A date or time of day? `errpipe import` converts it to seconds.",
+    ),
     "a ragged row": (
         {"rows": [*ROWS, "2,1,1,5,1,70,,0"]},
         "recording.csv:5  8 cells where the header has 7 (a decimal comma? write 1.5, not 1,5)",
@@ -225,6 +230,22 @@ def test_a_missing_table_is_named_with_the_nearest(tmp_path):
     folder(tmp_path, manifest=MANIFEST.replace("recording.csv", "recordings.csv"))
     with pytest.raises(DataError, match=r"recordings\.csv: no such table\. Did you mean recording\.csv\?"):
         manifest_folder.read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("part-*.parquet", r"part-\*\.parquet: no such table\. Tables are listed by name; a pattern is not expanded"),
+        ("times.parquet", r"t: holds timestamp\[..\] \(allowed: numbers; `errpipe import` converts times to seconds\)"),
+    ],
+)
+def test_what_a_partition_cannot_be_says_what_to_do(tmp_path, table, message):
+    place = folder(tmp_path, manifest=MANIFEST.replace("recording.csv", f'"{table}"'))
+    frame = pd.read_csv(place / "recording.csv")
+    frame["t"] = pd.Timestamp("2026-03-01") + pd.to_timedelta(frame["t"], unit="min")
+    frame.to_parquet(place / "times.parquet", index=False)
+    with pytest.raises(DataError, match=message):
+        manifest_folder.read(place)
 
 
 WRONG_MANIFESTS = {
