@@ -24,6 +24,8 @@ _VALUE = re.compile(
     r"(?:var ?)?(value|state|payload|wert|reading|messwert|valeur|valore|valor)( ?\(?(float|double|num(ber|eric)?)\)?)?"
 )
 _NODE = re.compile(r"^ns=\d+;[sigb]=")  # of an OPC UA server, before the name
+_TICKS = re.compile(r"1\d{9}(\d{3}){0,3}(\.\d+)?")  # since 1970, from 2001 to 2033
+_LABELLED = re.compile(r"([^\W\d][\w:]*)\{(.*)\}")  # `axis_x_mm{job="mill"}` of Prometheus
 _UNIT = re.compile(r"(?:eng(?:ineering)? ?)?(unit|einheit|units|unite|uom)s?")
 
 
@@ -46,7 +48,8 @@ def unstacked(sheet: Sheet) -> Sheet:
         return sheet
     names, time, value, unit = at
     qualities = [i for i, text in enumerate(header) if quality.named(text) and i not in (*names, time, value)]
-    wrong = np.any([quality.bad([row[i] for row in body]) for i in qualities], axis=0) if qualities else None
+    each = [quality.bad([row[i] for row in body], header[i]) for i in qualities]
+    wrong = np.any(each, axis=0) if each else None
     counts: dict[str, int] = {}
     stamps: dict[str, list[Cell]] = {}
     table: dict[str, dict[str, Cell]] = {}
@@ -77,7 +80,13 @@ def unstacked(sheet: Sheet) -> Sheet:
     left = [f"signals with fewer than {FEWEST_VALUES} values were excluded: {', '.join(few)}"[:160]] if few else []
     note = f"one row per value: {len(counts)} signals became columns"
     out: list[list[Cell]] = [[when, *(values.get(s) for s in counts)] for when, values in table.items()]
-    return Sheet(sheet.name, _by_time(out), ["time", *counts], [*sheet.notes, note, *left])
+    return Sheet(sheet.name, _by_time(out), ["time", *_bare([*counts])], [*sheet.notes, note, *left])
+
+
+def _bare(signals: list[str]) -> list[str]:
+    """The signals without the labels in braces that a monitor adds, where they are distinct without them."""
+    names = [match[1] if (match := _LABELLED.fullmatch(s)) else s for s in signals]
+    return names if len({*names}) == len(names) else [_LABELLED.sub(r"\2 \1", s) for s in signals]
 
 
 def _by_time(rows: list[list[Cell]]) -> list[list[Cell]]:
@@ -97,6 +106,7 @@ def _columns(header: list[str], body: list[list[Cell]]) -> tuple[list[int], int,
     columns = range(len(body[0]))
     sample = body[:200]
     moments = [i for i in columns if all(is_moment(row[i]) for row in sample)]
+    moments = moments or [i for i in columns if not header and all(_TICKS.fullmatch(label(row[i])) for row in sample)]
     numbers = [i for i in columns if i not in moments and all(number(row[i], comma) is not None for row in sample)]
     others = [i for i in columns if i not in moments and i not in numbers]
     words = [i for i in others if len({row[i] for row in sample}) > 1]

@@ -61,6 +61,8 @@ UNITS = {
 
 # A tenth, hundredth, ... of a unit: `0.1 um`, `1/1000 mm`, `x 0.0001"`, `10^-4 mm`.
 _PART = re.compile(r"[x×*]?(?:1/(10+)|(?:10\^?|1e)[-−]([1-6])|(0?[.,]0*1))[x×*·]?([a-zµμ°\"]+)")
+_OVER = re.compile(r"([a-zµμ\"]+)/(10+)")  # `in/10000`
+_TENS = re.compile(r"(10{1,2})(nm|[uµμ]m)")  # `10 µm` is 0.01 mm, `100 nm` is 0.1 um
 _BRACKET = re.compile(r"\s*(?:[\[(]\s*([^\[\]()]{1,14})\s*[\])]|\"([^\W\d]{1,4})\")\s*")
 # A last letter is a unit only for a quantity that has it: `time h`, `T1_K`; not in `current A`, perhaps of axis A.
 LETTERS = {
@@ -167,12 +169,18 @@ def per_length(header: str) -> bool:
 def unit_of(text: str) -> str | None:
     """The unit that a text is, or None. Nm is a torque, nm a length; a fraction of a length is `0.1 um`."""
     plain = text.strip().lstrip(":").rstrip(".:")  # `.0001"` starts with its point
-    if plain in ("Nm", "N m"):
-        return "N m"
+    if plain in ("Nm", "N m", "my"):  # not `My`, a moment
+        return "um" if plain == "my" else "N m"
     word = plain.lower().replace(" ", "")
-    if (part := _PART.fullmatch(word)) is None or (base := UNITS.get(part[4])) not in ("um", "mm", "inch", "m", "degC"):
+    word = _OVER.sub(r"1/\2\1", word) if _OVER.fullmatch(word) else word
+    if tens := _TENS.fullmatch(word):
+        return f"0.{'1':0>{4 - len(tens[1])}} {'um' if tens[2] == 'nm' else 'mm'}"
+    part = _PART.fullmatch(word)
+    of_part, _, base = ((UNITS.get(part[4]) if part else "") or "").rpartition(" ")
+    if part is None or base not in ("um", "mm", "inch", "m", "degC"):
         return UNITS.get(word)
     zeros = part[1].count("0") if part[1] else int(part[2] or 0) or len(re.split("[.,]", part[3])[1])
+    zeros += len(of_part[2:])  # a mil is 0.001 inch
     return f"0.{'1':0>{zeros}} {base}"
 
 

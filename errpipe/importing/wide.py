@@ -123,6 +123,9 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     if not readings:  # a report with only the means: one run
         readings = [(c, "mean", said[c.header][1]) for c in statistics if _is_mean(c.header)]
         statistics = [c for c in statistics if not any(c is r for r, _, _ in readings)]
+    kinds = {guesses[c.header].kind for c, _, _ in readings}
+    if "command" in kinds and kinds & {"actual", "position"}:
+        return None  # `0 X command`, `1 X actual`: channels
     letters = all(_LETTER_AND_RUN.fullmatch(guessing.plain(c.header)) for c, _, _ in readings)
     alone = letters and len({side for _, _, side in readings}) == 1  # `R1`, `R2`: readings, if there is no `F1`
     if alone or any(side is None for _, _, side in readings):  # `1a`, `1b`: b alone is not a direction

@@ -30,6 +30,10 @@ ENCODINGS = {
     "cp1251": "Windows-1251",
     "cp1250": "Windows-1250",
 }
+MOST_LINES_OF_A_CELL = 20  # with more, its quote is a sign of inches
+_QUOTED = r'(?:(?<=^)|(?<=[;,\t|]))\s?"(?:[^"]|"")*"(?=\s*(?:[;,\t|]|$))'
+_OPEN = re.compile(rf'^(?:{_QUOTED}|[^"])*(?:(?<=^)|(?<=[;,\t|]))\s?"(?:[^"]|"")*$')
+_METRICS = ("HELP", "TYPE", "UNIT")  # comments of Prometheus on a metric
 SAMPLE_LINES = 400  # lines from which the dialect is inferred
 
 
@@ -37,10 +41,17 @@ def sniff(path: Path, head: bytes) -> bool:
     """Whether the first bytes are text in one of the encodings."""
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE, codecs.BOM_UTF8)):
         return True
+    head = _without_padding(head)
     if b"\0" in head:
         return _wide(head) is not None
     control = sum(byte < 9 or 13 < byte < 32 for byte in head)
     return control <= len(head) // 200
+
+
+def _without_padding(data: bytes) -> bytes:
+    """Text without the zeros with which controllers fill a file of a fixed length."""
+    text = data.rstrip(b"\0")
+    return data if b"\0" in text[: 1 << 14] else text
 
 
 def _wide(head: bytes) -> str | None:
@@ -55,10 +66,10 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     """The cells of a text file. Raises DataError if it is not a table."""
     if options.sheet is not None:
         raise UsageError(f"{path}: a text is one table: --sheet would be ignored")
-    data = path.read_bytes()
+    data = _without_padding(path.read_bytes())
     affordable(data.count(b"\n") + data.count(b"\r"), path)
     encoding, text = _decode(path, data)
-    lines = text.splitlines()
+    lines = _whole_lines(text.splitlines())
     if any(len(line) > LONGEST_LINE for line in lines[:SAMPLE_LINES]):
         raise DataError(f"{path}: a line of more than {LONGEST_LINE} characters (no table of measurements)")
     separator = _separator(lines[:SAMPLE_LINES])
@@ -95,7 +106,7 @@ def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
     first = next((r for r, n in enumerate(figures) if n >= 2 and len(sample[r]) == width), 0)
     for r, line in enumerate(lines):
         row: list[Cell] = [*line.split()]
-        if r < first and len(row) == width + 1 and re.fullmatch(r"[#%;!]+|//", str(row[0])):
+        if r < first and len(row) == width + 1 and re.fullmatch(r"[#%;!]+|//", str(row[0])) and row[1] not in _METRICS:
             row = row[1:]  # names after a comment mark
         if len(row) != width > 1 < len(row):
             if r > first and all(map(_figure, row)):
@@ -105,6 +116,23 @@ def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
             if above and (not any(map(_figure, row)) or (len(named) == width and all(map(is_word, named)))):
                 row = named
         yield row
+
+
+def _whole_lines(lines: list[str]) -> list[str]:
+    """The lines, with a cell in quotes on one line if it was broken: `"Target` above `(mm)";"Error"`."""
+    if not any(_OPEN.search(line) for line in lines):
+        return lines
+    out: list[str] = []
+    opened = 0
+    for line in lines:
+        if opened > MOST_LINES_OF_A_CELL:
+            return lines
+        if opened:
+            out[-1] += f" {line}"
+        else:
+            out.append(line)
+        opened = opened + 1 if _OPEN.search(out[-1]) else 0
+    return lines if opened else out
 
 
 def _with_prose_quoted(lines: list[str]) -> list[str]:
@@ -239,7 +267,7 @@ def _east_asian(head: bytes) -> list[str]:
 def _separator(lines: list[str]) -> str:
     """The separator that splits most lines into the same number of parts (at least two)."""
     best, most = " ", 0
-    filled = [line for line in lines if line.strip()]
+    filled = [re.sub(_QUOTED, "", line) for line in lines if line.strip()]
     for separator in SEPARATORS:
         counts = Counter(line.count(separator) for line in filled)
         counts.pop(0, None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,13 +22,15 @@ FEWEST_ROWS = 3  # of a table next to the largest: fewer are facts of the set-up
 LONGEST_TEXT = 200  # characters of a text that is a comment
 MOST_SERIES = 20  # of a list, in which tables are searched for
 FEWEST_SECONDS, MOST_SECONDS = 5e8, 1e10  # Unix times in s, 1985 to 2286; larger values are ms
+_LOGGED = re.compile(r"([^\s{}]{1,40}\d[^\s{}]*)\s+([^{}\n]{0,200}?)\s*(\{\".*\})\s*(?:\n|$)")  # `2026-11-27T09:00:00Z mill/x {"x": 1}`
 _NAMES = ("columns", "fields", "header")  # keys of column names stored with rows
 
 
 def sniff(path: Path, head: bytes) -> bool:
     """A Parquet or Feather file, or text that starts like JSON records; a line `[1] Circle` does not match."""
     begin = "".join(head[:64].decode("utf-8-sig", "replace").split())
-    return head.startswith((_PARQUET, _ARROW)) or begin.startswith(('{"', '[{"', "[{}", "[["))
+    records = begin.startswith(('{"', '[{"', "[{}", "[[")) or _LOGGED.match(head.decode("utf-8-sig", "replace"))
+    return head.startswith((_PARQUET, _ARROW)) or bool(records)
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
@@ -97,7 +100,9 @@ def _json(path: Path) -> list[Sheet]:
     alike = [(at, t) for k, (at, t) in enumerate(alike) if all(t != before for _, before in alike[:k])]
     alike = alike or [("", largest)]
     affordable(sum(len(t) * _rows(t) for _, t in alike), path)
+    used = tuple(f"{at} " for at, _ in alike if at)
     others = [at for at, t in tables if at and not {*t} & {*largest} and _rows(t) >= FEWEST_ROWS and _is_flat(t)]
+    others = [at for at in others if not at.startswith(used)]  # the series of which the table is made
     notes = [f"tables with other columns are excluded: {', '.join(dict.fromkeys(others))}"] if others else []
     facts = document.items() if isinstance(document, dict) else ()
     above = [f"{k}: {v}" for k, v in facts if isinstance(v, str) and len(v) <= LONGEST_TEXT]  # `Axis: X`
@@ -200,6 +205,10 @@ def _of_rows(rows: list[Any], header: list[Any] | None) -> Iterator[dict[str, li
 
 
 def _line(path: Path, n: int, line: str) -> Any:
+    if logged := _LOGGED.fullmatch(line):  # as subscribers write messages: time, topic, record
+        time, topic, text = logged.groups()
+        record = _line(path, n, text)
+        return {"time": time} | ({topic: record} if topic else record)
     try:
         return json.loads(line)
     except (ValueError, RecursionError) as err:
