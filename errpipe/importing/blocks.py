@@ -178,5 +178,6 @@ def _starts_table(row: list[Cell], numbers: list[float | None], below: list[list
     """Whether a row consists of at least two words, with numbers in the rows below."""
     words = [c for c in row if isinstance(c, str) and any(map(str.isalpha, c))]
     plain = len(words) >= 2 and not any(v is not None for v in numbers)
-    remark = label((filled_cells(row) or [None])[0]).startswith(COMMENT) and len(words) < max(map(len, below), default=0)
+    marked = label((filled_cells(row) or [None])[0]).startswith(COMMENT)
+    remark = marked and len(words) < max(map(len, below), default=0)
     return plain and not remark and any(sum(v is not None for v in row) >= 2 for row in below)

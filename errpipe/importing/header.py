@@ -17,7 +17,9 @@ from errpipe.importing.words import kind_by_name, plain
 DEEPEST_LEGEND = 200  # rows of a legend, and of a sheet above its data: the longest known preamble has 60
 NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
 _CHANNEL = re.compile(r"[^\W\d_]{0,8}\W?\d[\d-]*")  # `CH1`, `AI-03`
-_KEY = re.compile(r"(?:signal|tag|var|variable|channel|kanal|sensor|point|item|metadata|series|field|node)[ -]?(?:id|nr|no|key)?\.?")
+_KEY = re.compile(
+    r"(?:signal|tag|var|variable|channel|kanal|sensor|point|item|metadata|series|field|node)[ -]?(?:id|nr|no|key)?\.?"
+)
 _LABELS = re.compile(r"(?:comment|kommentar|tag|label|(?:signal|channel|kanal)?[ _-]?name)s?", re.IGNORECASE)
 _WORD = re.compile(
     r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?|open|burn ?out|over ?(range|flow)|no ?sensor)$).*[^\W\d_]",
@@ -217,12 +219,9 @@ def _name_signals(sheet: Sheet, legend: Sheet, called: dict[str, str]) -> None:
     for i in [i for i, text in enumerate(header) if _KEY.fullmatch(text)]:
         keys = {label(row[i]) for row in body if len(row) > i and row[i] is not None}
         if 1 < len(keys) < len(body) / 2 and keys <= called.keys() and len(legend.rows) < len(body):
-            rows = [[*row[:i], called.get(label(row[i]), row[i]), *row[i + 1 :]] if len(row) > i else row for row in body]
-            sheet.rows[-len(body) :] = rows
-            if sheet.header is not None:
-                sheet.header[i] = "tag"
-            else:
-                sheet.rows[0][i] = "tag"
+            for row in [row for row in body if len(row) > i]:
+                row[i] = called.get(label(row[i]), row[i])
+            (sheet.header or sheet.rows[0])[i] = "tag"
             sheet.notes.append(f"the sheet {legend.name!r} names the signals of the column {header[i]!r}")
 
 

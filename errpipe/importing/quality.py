@@ -14,14 +14,17 @@ from errpipe.importing.units import unit_of
 from errpipe.importing.units_above import UNITS
 from errpipe.importing.words import kind_by_name, plain
 
-_NAMED = re.compile(r".*\b(quality|qualitaet|qualite|calidad|qualita|status|status ?code|valid(ity|e)?|gueltig(keit)?)\b'*")
 _FLAG = re.compile(r".*\b(valid(ity|e)?|gueltig(keit)?)\b'*")  # 1 or 0, true or false
-_GOOD_WORDS = re.compile(r"good.*|gut|ok|okay|valid|gueltig|192|0x0+|0|normal|bon|buono|buena?|true|wahr|yes|ja|no (?:error|fault)s?|kein(?:e)? (?:fehler|stoerung)")
+_NAMED = re.compile(rf"{_FLAG.pattern}|.*\b(quality|qualitaet|qualite|calidad|qualita|status|status ?code)\b'*")
+_GOOD_WORDS = re.compile(
+    r"good.*|gut|ok|okay|valid|gueltig|192|0x0+|0|normal|bon|buono|buena?|true|wahr|yes|ja|no (?:error|fault)s?"
+    r"|keine? (?:fehler|stoerung)"
+)
 # Not `fail` and `nok`: next to deviations they mean that a tolerance was exceeded.
 _BAD_WORDS = re.compile(
     r"(?:bad|uncertain|invalid|ungueltig|schlecht|stale|questionable|not connected|no data|comm|mauvais|malo|substitut"
-    r"|last known|sensor|0x[48c]|false|falsch|no$|nein$|beam|signal|lost|over ?(?:range|flow)|saturat|time ?out|no reading"
-    r"|error|fault|stoerung)\w*.*"
+    r"|last known|sensor|0x[48c]|false|falsch|no$|nein$|beam|signal|lost|over ?(?:range|flow)|saturat|time ?out"
+    r"|no reading|error|fault|stoerung)\w*.*"
 )
 GOOD, UNCERTAIN = 192, 0x40000000  # of OPC DA, and of OPC UA (Part 4, StatusCode)
 MOST_OTHERS = 0.2  # share of the rows; above it the words are states of a program
@@ -77,7 +80,7 @@ def _note_others(c: RawColumn, layout: Layout) -> None:
     others = [w for w in words if w and not _GOOD_WORDS.fullmatch(w) and not _BAD_WORDS.fullmatch(w)]
     if 0 < len(others) < MOST_OTHERS * len(words) and not all(re.fullmatch(r"[\d.]+", w) for w in words if w):
         layout.notes.append(
-            f"{len(others)} rows have {others[0]!r} in {c.header!r}: they are kept (empty the readings that are not valid)"
+            f"{len(others)} rows have {others[0]!r} in {c.header!r}: kept (if they are no readings, empty them)"
         )
 
 

@@ -36,7 +36,7 @@ OFF = 0.1  # of the span of a counter: readings beside the command by more are n
 
 
 def continue_counts(p: Proposal, resolution: float | None) -> None:
-    """Count on, in place, where a counter of positions overflowed: beside the command by whole spans of 2^16 or more."""
+    """Count on, in place, where a counter of positions overflowed: by whole spans, from the command beside it."""
     for name, entry in p.entries.items() if resolution is not None else ():
         of = entry.get("derived", {}).get("of", name)
         command = p.first("command", entry.get("axis")) or p.first("position", entry.get("axis"))
@@ -50,7 +50,9 @@ def continue_counts(p: Proposal, resolution: float | None) -> None:
             whole = np.round(spans)
             if np.nanmax(np.abs(whole), initial=0.0) > 0 and np.nanmax(np.abs(spans - whole), initial=0.0) < OFF:
                 p.data[of] = p.data[of] - whole * one * 2.0**bits
-                p.notes.append(f"{of}: overflow of {bits} bit corrected in {int((whole != 0).sum())} rows, by {command}")
+                p.notes.append(
+                    f"{of}: overflow of {bits} bit corrected in {int((whole != 0).sum())} rows, by {command}"
+                )
                 break
 
 

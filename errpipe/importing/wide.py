@@ -119,7 +119,8 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
         if statistic(c.header) and not lettered:
             statistics.append(c)
         else:
-            readings.append((c, run or "1", side))
+            again = len(c.header) - len(c.header.rstrip("'")) if not repeated else 0  # `Fwd;Rev;Fwd;Rev`: runs
+            readings.append((c, run or str(1 + again), side))
     if not readings:  # a report with only the means: one run
         readings = [(c, "mean", said[c.header][1]) for c in statistics if _is_mean(c.header)]
         statistics = [c for c in statistics if not any(c is r for r, _, _ in readings)]

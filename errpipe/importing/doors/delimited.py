@@ -32,7 +32,7 @@ ENCODINGS = {
 }
 MOST_LINES_OF_A_CELL = 20  # with more, its quote is a sign of inches
 _QUOTED = r'(?:(?<=^)|(?<=[;,\t|]))\s?"(?:[^"]|"")*"(?=\s*(?:[;,\t|]|$))'
-_OPEN = re.compile(rf'^(?:{_QUOTED}|[^"])*(?:(?<=^)|(?<=[;,\t|]))\s?"(?:[^"]|"")*$')
+_OPEN = re.compile(rf'^((?:{_QUOTED}|[^"])*(?:(?<=^)|(?<=[;,\t|]))\s?)"((?:[^"]|"")*)$')
 _METRICS = ("HELP", "TYPE", "UNIT")  # comments of Prometheus on a metric
 SAMPLE_LINES = 400  # lines from which the dialect is inferred
 
@@ -119,20 +119,25 @@ def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
 
 
 def _whole_lines(lines: list[str]) -> list[str]:
-    """The lines, with a cell in quotes on one line if it was broken: `"Target` above `(mm)";"Error"`."""
-    if not any(_OPEN.search(line) for line in lines):
-        return lines
-    out: list[str] = []
-    opened = 0
-    for line in lines:
-        if opened > MOST_LINES_OF_A_CELL:
-            return lines
-        if opened:
-            out[-1] += f" {line}"
-        else:
-            out.append(line)
-        opened = opened + 1 if _OPEN.search(out[-1]) else 0
-    return lines if opened else out
+    """The lines, with a cell in quotes on one line if it was broken: `"Target` above `(mm)";"Error"`.
+
+    A quote that nothing closes is a sign of inches: it is quoted itself.
+    """
+    out, r = list[str](), 0
+    while r < len(lines):
+        text, last = lines[r], r
+        while (opened := _opened(text)) and last + 1 < min(r + MOST_LINES_OF_A_CELL, len(lines)):
+            last += 1
+            text += f" {lines[last]}"
+        if opened and (alone := _opened(lines[r])):
+            text, last = f'{alone[1]}"""{alone[2]}"', r
+        out.append(text)
+        r = last + 1
+    return out
+
+
+def _opened(line: str) -> re.Match[str] | None:
+    return _OPEN.search(line) if '"' in line else None
 
 
 def _with_prose_quoted(lines: list[str]) -> list[str]:
