@@ -9,7 +9,7 @@ import numpy as np
 
 from errpipe.importing.blocks import COMMENT
 from errpipe.importing.facts import OF_A_FACT
-from errpipe.importing.sheet import Cell, Sheet, filled_cells, label, number
+from errpipe.importing.sheet import Cell, Numbers, Rows, Sheet, filled_cells, label, number
 from errpipe.importing.units import split_header, unit_of
 from errpipe.importing.units_above import UNITS
 from errpipe.importing.words import kind_by_name, plain
@@ -44,7 +44,7 @@ def is_moment(cell: Cell) -> bool:
     return isinstance(cell, str) and _MOMENT.fullmatch(cell.strip()) is not None
 
 
-def is_header(row: list[Cell], numbers: list[list[float | None]], r: int) -> bool:
+def is_header(row: list[Cell], numbers: Numbers, r: int) -> bool:
     """A row with a word above a column of numbers is a header even if its other cells are numbers (run 1, 2, 3)."""
     below = numbers[r + 1 : r + 6]
     alone = len(filled_cells(row)) == 1 and max((sum(v is not None for v in b) for b in below), default=0) > 1
@@ -55,7 +55,7 @@ def is_header(row: list[Cell], numbers: list[list[float | None]], r: int) -> boo
     return _counts_runs(row, numbers, r, r + 1)
 
 
-def _counts_runs(row: list[Cell], numbers: list[list[float | None]], r: int, start: int) -> bool:
+def _counts_runs(row: list[Cell], numbers: Numbers, r: int, start: int) -> bool:
     """A row of run numbers below names of groups: `;1;2;3;1;2;3`, with an empty cell above the column of targets.
 
     start: row of the first data.
@@ -67,7 +67,7 @@ def _counts_runs(row: list[Cell], numbers: list[list[float | None]], r: int, sta
     return counts[0] == 1 and all(b in (a, a + 1, 1) for a, b in pairwise(counts))
 
 
-def lift_comments(rows: list[list[Cell]], numbers: list[list[float | None]], start: int) -> None:
+def lift_comments(rows: Rows, numbers: Numbers, start: int) -> None:
     """Move comments between a header and its data above the header, in place. start: row of the first data."""
     head = start - 1
     while head > 0 and _is_comment(rows[head], numbers[head], len(filled_cells(rows[start]))):
@@ -93,7 +93,7 @@ def _is_comment(row: list[Cell], numbers: list[float | None], width: int) -> boo
     return bool(texts) and (texts[0].startswith(COMMENT) or alone)
 
 
-def header_rows(rows: list[list[Cell]], numbers: list[list[float | None]], start: int) -> list[int]:
+def header_rows(rows: Rows, numbers: Numbers, start: int) -> list[int]:
     """Up to three rows right above the data that are a header: at least two words, or as `is_header` decides."""
     found: list[int] = []
     for r in range(start - 1, max(start - 4, -1), -1):
@@ -113,7 +113,7 @@ def header_rows(rows: list[list[Cell]], numbers: list[list[float | None]], start
     return found
 
 
-def names_of(rows: list[list[Cell]], head: list[int], width: int) -> tuple[list[str], list[str | None], int]:
+def names_of(rows: Rows, head: list[int], width: int) -> tuple[list[str], list[str | None], int]:
     """Header texts, units, and the number of rows used."""
     if not head:
         return [f"column {i + 1}" for i in range(width)], [None] * width, 0
@@ -156,7 +156,7 @@ def _are_units(texts: list[str]) -> bool:
     return any(map(unit_of, cells)) and all(unit_of(c) or c in ("-", "1") or _DATE_FORM.fullmatch(c) for c in cells)
 
 
-def named_above(names: list[str], above: list[list[Cell]]) -> list[str]:
+def named_above(names: list[str], above: Rows) -> list[str]:
     """Channel names from the lines above: `CH1` below `CH1,Spindle,TEMP`; unchanged if two would be equal.
 
     Or from a row of labels over all columns: `Comment,X target,X deviation` above `Time,U1-1[mm],U1-2[um]`.
@@ -177,7 +177,7 @@ def named_above(names: list[str], above: list[list[Cell]]) -> list[str]:
     ]
 
 
-def _called(rows: list[list[Cell]]) -> dict[str, str]:
+def _called(rows: Rows) -> dict[str, str]:
     """The names, with their units, that rows give to channels: `CH1 | Bearing | degC`."""
     said = [[label(c) for c in filled_cells(row)] for row in rows]
     return {

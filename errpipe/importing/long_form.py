@@ -10,7 +10,7 @@ from errpipe.importing import quality
 from errpipe.importing.dates import refuse_an_hour_back, seconds
 from errpipe.importing.header import is_moment, is_word
 from errpipe.importing.layout import RawColumn
-from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number
+from errpipe.importing.sheet import Cell, Rows, Sheet, decimal_comma, label, number
 from errpipe.importing.words import plain
 
 MOST_SIGNALS = 60  # distinct names in one column; with more it contains comments
@@ -79,7 +79,7 @@ def unstacked(sheet: Sheet) -> Sheet:
         sheet.notes.append(f"{int(wrong.sum())} values of bad quality were excluded")
     left = [f"signals with fewer than {FEWEST_VALUES} values were excluded: {', '.join(few)}"[:160]] if few else []
     note = f"one row per value: {len(counts)} signals became columns"
-    out: list[list[Cell]] = [[when, *(values.get(s) for s in counts)] for when, values in table.items()]
+    out: Rows = [[when, *(values.get(s) for s in counts)] for when, values in table.items()]
     return Sheet(sheet.name, _by_time(out), ["time", *_bare([*counts])], [*sheet.notes, note, *left])
 
 
@@ -89,18 +89,18 @@ def _bare(signals: list[str]) -> list[str]:
     return names if len({*names}) == len(names) else [_LABELLED.sub(r"\2 \1", s) for s in signals]
 
 
-def _by_time(rows: list[list[Cell]]) -> list[list[Cell]]:
+def _by_time(rows: Rows) -> Rows:
     """Rows sorted by date: an export may list one signal after the other."""
     since = seconds(RawColumn("time", None, [row[0] for row in rows], np.full(len(rows), np.nan)))
     return rows if since is None else [rows[i] for i in np.argsort(since[0], kind="stable")]
 
 
-def _is_header(rows: list[list[Cell]]) -> bool:
+def _is_header(rows: Rows) -> bool:
     figures = re.compile(r"[\d.,:]")
     return len(rows) > 1 and not any(figures.search(label(c)) for c in rows[0]) and not all(map(is_word, rows[1]))
 
 
-def _columns(header: list[str], body: list[list[Cell]]) -> tuple[list[int], int, int, int | None] | None:
+def _columns(header: list[str], body: Rows) -> tuple[list[int], int, int, int | None] | None:
     """Indices of signal, time, value and unit (or None) columns; None if the sheet has another form."""
     comma = decimal_comma(body)
     columns = range(len(body[0]))

@@ -59,11 +59,7 @@ TESTS: tuple[tuple[str, str, str, str], ...] = (
     ),
 )
 
-
-OF_XML = (
-    " Of XML, records with target and reading are imported; if they are in separate lists, export the file as CSV, a "
-    "row per reading (run, direction, target, deviation)"
-)
+OF_XML = " Targets and readings in separate lists of XML are not joined: export a CSV with a row per reading"
 
 
 def named(sheets: Iterable[Sheet], kind: str) -> str:

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from errpipe.importing.layout import Layout, RawColumn
+from errpipe.importing.layout import Layout
 from errpipe.importing.sheet import Cell, label
 from errpipe.importing.units import unit_of
 from errpipe.importing.units_above import UNITS
@@ -65,23 +65,17 @@ def blank(layout: Layout) -> None:
         if not named(c.header):
             continue
         out = bad(c.cells, c.header)
-        _note_others(c, layout)
+        words = [plain(label(cell)) for cell in c.cells if cell not in (None, "")]
+        odd = [w for w in words if not (_GOOD_WORDS.fullmatch(w) or _BAD_WORDS.fullmatch(w) or w.isdecimal())]
+        if 0 < len(odd) < MOST_OTHERS * len(words):
+            says = f"{len(odd)} rows have {odd[0]!r} in {c.header!r}: kept (if they are no readings, empty them)"
+            layout.notes.append(says)
         for of in layout.columns[begin:k] if out.any() else []:
             if of.numeric and kind_by_name(of.header) not in _KEPT and np.isfinite(of.values[out]).any():
                 of.cells = [None if o else cell for o, cell in zip(out, of.cells, strict=True)]
                 of.values = np.where(out, np.nan, of.values)
                 layout.notes.append(f"{of.header}: {int(out.sum())} values marked as bad by {c.header!r} were excluded")
         begin = k + 1
-
-
-def _note_others(c: RawColumn, layout: Layout) -> None:
-    """A note on rows whose status is neither good nor bad where most are good: `OK` beside `REPEATED`."""
-    words = [plain(label(cell)) for cell in c.cells]
-    others = [w for w in words if w and not _GOOD_WORDS.fullmatch(w) and not _BAD_WORDS.fullmatch(w)]
-    if 0 < len(others) < MOST_OTHERS * len(words) and not all(re.fullmatch(r"[\d.]+", w) for w in words if w):
-        layout.notes.append(
-            f"{len(others)} rows have {others[0]!r} in {c.header!r}: kept (if they are no readings, empty them)"
-        )
 
 
 def units_beside(layout: Layout) -> None:

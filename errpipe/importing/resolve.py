@@ -157,7 +157,8 @@ def one_position_per_axis(p: Proposal) -> None:
                 continue
             own = [n for n in names if _OWN_SCALE.search(n) and n not in measured]
             other = next((n for n in names if n not in own and _MEASURED.search(n)), None)
-            if role == "actual" and len(own) == 1 and len(names) == 2 and other and not _commanded(p, letter):
+            commanded = p.first("command", letter) is not None or p.first("position", letter) is not None
+            if role == "actual" and len(own) == 1 and len(names) == 2 and other and not commanded:
                 p.entries[own[0]]["role"] = "command"
                 p.guesses[own[0]] = "the machine's own reading next to a measured one: used as the command"
                 continue
@@ -171,10 +172,6 @@ def one_position_per_axis(p: Proposal) -> None:
                     )
                 p.entries[name] = {"role": "ignore"}
                 p.guesses[name] = f"not used: {kept} is the {role} position"
-
-
-def _commanded(p: Proposal, letter: str) -> bool:
-    return p.first("command", letter) is not None or p.first("position", letter) is not None
 
 
 def deviations_as_errors(p: Proposal, options: ImportOptions) -> None:

@@ -96,7 +96,7 @@ WORDS: tuple[tuple[str, str], ...] = (
         "coolant",
     ),
     (r"(torque|drehmoment|moment)", "torque"),
-    (r"\b(current|aktuelle?) ?pos(ition)?\b|^[xyzabcuvw]\d? pv$", "actual"),
+    (r"\b(current|aktuelle?) ?pos(ition)?\b|^[xyzabcuvw]\d? pv$|process ?value", "actual"),
     (r"^[xyzabcuvw]\d? (set|sp)$", "command"),
     (
         r"(current(?! ?(program|feed(?!b)|line|block|seq|tool|vel|speed|temp|time|stat|mode|step|cycle|no\b|num))"

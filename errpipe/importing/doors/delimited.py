@@ -15,7 +15,7 @@ from pathlib import Path
 
 from errpipe.errors import DataError, UsageError
 from errpipe.importing.header import is_word
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
+from errpipe.importing.sheet import Cell, DoorOptions, Rows, Sheet, affordable, number
 from errpipe.importing.units import unit_of
 
 name = "delimited text"
@@ -143,21 +143,18 @@ def _opened(line: str) -> re.Match[str] | None:
 def _with_prose_quoted(lines: list[str]) -> list[str]:
     """Lines above a header as one cell each if blanks follow all their commas, and none of those of the table."""
     first = next((r for r, line in enumerate(lines) if sum(map(_figure, line.split(","))) > 1), 0)
-    head = next((r for r in range(first - 1, 0, -1) if "," in lines[r] and not _only_units(lines[r])), 0)
+    cells = [[cell.strip(' "[]()') for cell in line.split(",") if cell.strip()] for line in lines[:first]]
+    head = next((r for r in range(first - 1, 0, -1) if "," in lines[r] and not all(map(unit_of, cells[r]))), 0)
     if not head or any(", " in line for line in lines[head : first + 1]):
         return lines
     prose = [re.search(r",\s", line) and not re.search(r',\S|"', line.strip().rstrip(",")) for line in lines[:head]]
     return ['"' + line + '"' if of_words else line for line, of_words in zip(lines, prose, strict=False)] + lines[head:]
 
 
-def _only_units(line: str) -> bool:
-    return all(unit_of(cell.strip(' "[]()')) for cell in line.split(",") if cell.strip())
-
-
 MOST_SHORT = 0.1  # share of the rows of numbers; above it, short rows are a layout
 
 
-def _refuse_short_rows(path: Path, rows: list[list[Cell]]) -> None:
+def _refuse_short_rows(path: Path, rows: Rows) -> None:
     """Raise DataError if a row of numbers between full ones lacks a cell: its numbers may be in other columns."""
     width, full = (Counter(n for n in map(len, rows) if n > 2).most_common(1) or [(0, 0)])[0]
     filled = [r for r, row in enumerate(rows) if any(row)]
@@ -173,7 +170,7 @@ def _refuse_short_rows(path: Path, rows: list[list[Cell]]) -> None:
         )
 
 
-def _refuse_torn_numbers(path: Path, rows: list[list[Cell]]) -> None:
+def _refuse_torn_numbers(path: Path, rows: Rows) -> None:
     """Raise DataError if commas are decimal marks and separators: rows of whole numbers, longer than the header."""
     figures = [sum(map(_figure, row)) for row in rows]
     first = next((r for r, n in enumerate(figures) if n >= 2), 0)
@@ -203,7 +200,7 @@ def _names_with_blanks(line: str, width: int) -> list[Cell]:
     return [*next((parts for parts in (joined, apart) if len(parts) == width), [line.strip()])]
 
 
-def _bounded(cells: Iterable[list[Cell]], path: Path) -> list[list[Cell]]:
+def _bounded(cells: Iterable[list[Cell]], path: Path) -> Rows:
     """The rows, limited to a reasonable amount of memory."""
     rows, count = [], 0
     for row in cells:

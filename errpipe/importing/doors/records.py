@@ -107,8 +107,13 @@ def _json(path: Path) -> list[Sheet]:
     alike = alike or [("", largest)]
     affordable(sum(len(t) * _rows(t) for _, t in alike), path)
     used = tuple(f"{at} " for at, _ in alike if at)
-    others = [at for at, t in tables if at and not {*t} & {*largest} and _rows(t) >= FEWEST_ROWS and _is_flat(t)]
-    others = [at for at in others if not at.startswith(used)]  # the series of which the table is made
+    others = [
+        at
+        for at, t in tables
+        if at and not {*t} & {*largest} and _rows(t) >= FEWEST_ROWS
+        if not any(isinstance(v, list | dict) for values in t.values() for v in values)
+        if not at.startswith(used)
+    ]  # the series of which the table is made
     notes = [f"tables with other columns are excluded: {', '.join(dict.fromkeys(others))}"] if others else []
     facts = document.items() if isinstance(document, dict) else ()
     above = [f"{k}: {v}" for k, v in facts if isinstance(v, str) and len(v) <= LONGEST_TEXT]  # `Axis: X`
@@ -118,10 +123,6 @@ def _json(path: Path) -> list[Sheet]:
 
 def _rows(table: dict[str, list[Any]]) -> int:
     return max(map(len, table.values()))
-
-
-def _is_flat(table: dict[str, list[Any]]) -> bool:
-    return not any(isinstance(v, list | dict) for values in table.values() for v in values)
 
 
 def _tables(document: Any, depth: int = DEEPEST, at: str = "") -> Iterator[tuple[str, dict[str, list[Any]]]]:
