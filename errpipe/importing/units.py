@@ -176,7 +176,7 @@ def split_header(text: str) -> tuple[str, str | None]:
     text = in_words(" ".join(str(text).split()))
     for bracket in reversed(list(_BRACKET.finditer(text))):
         if (unit := unit_of(bracket.group(1) or bracket.group(2))) is not None:
-            rest = " ".join((text[: bracket.start()] + " " + text[bracket.end() :]).split()) or text
+            rest = " ".join((text[: bracket.start()] + " " + text[bracket.end() :]).split()).rstrip(" /") or text
             return rest, _of_a_temperature(unit, rest)
     after = None if _INLET.search(text) else _AFTER.match(text)
     if (

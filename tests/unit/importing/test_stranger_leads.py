@@ -137,7 +137,9 @@ def test_lines_of_a_program_log_and_dictionaries_of_python(tmp_path: Path) -> No
         holds_positions(imported(tmp_path / path.stem, path, axis="X"), temperatures=False)
 
 
-@pytest.mark.parametrize(("bits", "start", "resolution"), [(16, 0, 0.001), (24, 2**24 - 900, 0.00005), (16, 9, -0.0005)])
+@pytest.mark.parametrize(
+    ("bits", "start", "resolution"), [(16, 0, 0.001), (24, 2**24 - 900, 0.00005), (16, 9, -0.0005)]
+)
 def test_a_counter_that_overflowed_is_counted_on_by_the_command(
     tmp_path: Path, bits: int, start: int, resolution: float
 ) -> None:
@@ -223,3 +225,25 @@ def test_what_is_no_measurement_has_a_way_forward(tmp_path: Path) -> None:
     for path, says in pairs:
         with pytest.raises(DataError, match=says):
             prepared([path])
+
+
+@pytest.mark.parametrize("name", ["Cycle {} {}", "{1} {0}", "Ciclo {} {} / um", "Pass {} {} / 1/1000 mm"])
+def test_the_letter_of_a_pass_is_no_statistic(tmp_path: Path, name: str) -> None:
+    """`B 1` beside `F 1` is the way back of run 1, not a reversal value; half of the readings were left out."""
+    read = {(r, x, s): d for r, x, s, d in long_rows()}
+    passes = [(r, s) for r in ("1", "2", "3") for s in (1.0, -1.0)]
+    lines = [";".join(["Target [mm]", *(name.format(r, "F" if s > 0 else "B") for r, s in passes)])]
+    lines += [
+        ";".join(map(str, [x, *(read[r, x, s] for r, s in passes)])) for x in dict.fromkeys(x for _, x, _ in read)
+    ]
+    holds_the_truth(imported(tmp_path, written(tmp_path / "x.csv", lines), axis="X"))
+
+
+def test_repeated_names_are_runs(tmp_path: Path) -> None:
+    read = {(r, x, s): d for r, x, s, d in long_rows()}
+    passes = [(r, s) for r in ("1", "2", "3") for s in (1.0, -1.0)]
+    lines = ["Target [mm]" + ";Fwd [um];Rev [um]" * 3]
+    lines += [
+        ";".join(map(str, [x, *(read[r, x, s] for r, s in passes)])) for x in dict.fromkeys(x for _, x, _ in read)
+    ]
+    holds_the_truth(imported(tmp_path, written(tmp_path / "x.csv", lines), axis="X"))
