@@ -31,7 +31,7 @@ def change_sign_of_readings(p: Proposal) -> None:
             p.guesses[name] = f"{raw} falls one for one as {command} rises: opposite direction, sign changed"
 
 
-COUNTER_BITS = (32, 24, 16)
+COUNTER_BITS = (32, 24, 16)  # widths of the counters of encoder cards and PLCs
 OFF = 0.1  # of the span of a counter: readings beside the command by more are no overflow
 
 

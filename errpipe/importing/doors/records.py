@@ -215,7 +215,7 @@ def _of_one_time(records: Iterable[Any]) -> list[Any]:
     """The records, those of one time and of different topics as one."""
     out: list[Any] = []
     for record in records:
-        before = out[-1] if out else None
+        before: Any = out[-1] if out else None
         beside = isinstance(before, dict) and isinstance(record, dict) and {*before} & {*record} == {"time"}
         if beside and before["time"] == record["time"]:
             before |= record
