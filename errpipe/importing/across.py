@@ -12,7 +12,7 @@ from itertools import pairwise
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
 from errpipe.importing.layout import DEEPEST_HEADER
-from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number, of_one_mark
+from errpipe.importing.sheet import Cell, Rows, Sheet, decimal_comma, label, number, of_one_mark
 from errpipe.importing.units import split_header
 from errpipe.importing.wide import run_and_side, statistic
 
@@ -86,15 +86,15 @@ def _of_readings(
                     values[place] = figures[i]
             columns.append(values)
             header.append(f"run {run} {mark[way]}" + (f" [{reading_unit}]" if reading_unit else ""))
-    rows: list[list[Cell]] = [[t, *(c.get(t) for c in columns)] for t in dict.fromkeys(targets) if t is not None]
-    above: list[list[Cell]] = [[c for c in row if c is not None] for row in sheet.rows[:at]]
+    rows: Rows = [[t, *(c.get(t) for c in columns)] for t in dict.fromkeys(targets) if t is not None]
+    above: Rows = [[c for c in row if c is not None] for row in sheet.rows[:at]]
     if title:
         above.append([title])
     note = f"targets across, runs down: {len(rows)} targets, {len(readings)} rows of readings"
     return Sheet(sheet.name, [*above, [*header], *rows], notes=[*sheet.notes, note])
 
 
-def _are_targets(row: list[Cell], below: list[list[Cell]], comma: bool) -> bool:
+def _are_targets(row: list[Cell], below: Rows, comma: bool) -> bool:
     """A row of increasing or decreasing numbers after a word for targets, or above rows labelled with run and side."""
     if not row or not isinstance(row[0], str) or None not in run_and_side(row[0]):  # a row of readings
         return False

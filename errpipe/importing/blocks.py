@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, filled_cells, label
+from errpipe.importing.sheet import Cell, Numbers, Rows, filled_cells, label
 from errpipe.importing.units import split_header
 from errpipe.importing.words import axis_above, kind_by_name, way_in, way_of
 
@@ -14,13 +14,8 @@ LONGEST_TITLE = 40  # characters of a line that states a direction and nothing e
 
 
 def blocks(
-    names: list[str],
-    rows: list[list[Cell]],
-    numbers: list[list[float | None]],
-    start: int,
-    notes: list[str],
-    deep: int = 1,
-) -> tuple[list[str], list[list[Cell]]]:
+    names: list[str], rows: Rows, numbers: Numbers, start: int, notes: list[str], deep: int = 1
+) -> tuple[list[str], Rows]:
     """Names and rows up to the header of a second table; blocks below the same header are consecutive runs.
 
     deep: number of header rows, including units.
@@ -59,9 +54,7 @@ def blocks(
     return _repeated(names, rows, numbers, start, again, titled, notes)
 
 
-def _by_name(
-    rows: list[list[Cell]], numbers: list[list[float | None]], start: int, notes: list[str]
-) -> tuple[list[list[Cell]], list[list[float | None]]]:
+def _by_name(rows: Rows, numbers: Numbers, start: int, notes: list[str]) -> tuple[Rows, Numbers]:
     """Rows with their columns where the first header has them, below headers of its names in another order, or more."""
     header = [label(c) for c in rows[start - 1]]
     if len({*header}) < max(2, len(header)) or not all(header):
@@ -72,7 +65,7 @@ def _by_name(
     if all(cells == header for cells in at.values()):
         return rows, numbers
     notes.append("a header below has the names of the first one in another order, or more: columns are put by name")
-    out: list[list[Cell]] = [*rows[: start - 1], [*known]]
+    out: Rows = [*rows[: start - 1], [*known]]
     of_out, order = numbers[:start], [*range(len(header))]
     for r in range(start, len(rows)):
         order = [at[r].index(c) if c in at[r] else len(at[r]) for c in known] if r in at else order
@@ -81,9 +74,7 @@ def _by_name(
     return out, of_out
 
 
-def sections(
-    names: list[str], rows: list[list[Cell]], first: str, notes: list[str]
-) -> tuple[list[str], list[list[Cell]]]:
+def sections(names: list[str], rows: Rows, first: str, notes: list[str]) -> tuple[list[str], Rows]:
     """Names and rows with the side, and the run, that lines among the rows state for the rows below: `Run 2 reverse`.
 
     first: the line right above the first row. Raises DataError if rows precede the first line that states a
@@ -114,14 +105,8 @@ def sections(
 
 
 def _repeated(
-    names: list[str],
-    rows: list[list[Cell]],
-    numbers: list[list[float | None]],
-    start: int,
-    again: list[int],
-    titles: list[str],
-    notes: list[str],
-) -> tuple[list[str], list[list[Cell]]]:
+    names: list[str], rows: Rows, numbers: Numbers, start: int, again: list[int], titles: list[str], notes: list[str]
+) -> tuple[list[str], Rows]:
     """Names and rows of blocks below one header, with the axis, run and side that their titles state."""
     axes = [axis_above([title]) or "" for title in titles]
     ways = [way_of(title) for title in titles]
@@ -152,7 +137,7 @@ def _repeated(
     return [*names, *labels], out
 
 
-def _above_headers(rows: list[list[Cell]], numbers: list[list[float | None]], start: int, again: list[int]) -> set[int]:
+def _above_headers(rows: Rows, numbers: Numbers, start: int, again: list[int]) -> set[int]:
     """Rows that belong to the next header, with its preamble in the first column (`Delta_X;60;60`)."""
     out: set[int] = set()
     for r in again if numbers[start] and numbers[start][0] is not None else []:
@@ -162,7 +147,7 @@ def _above_headers(rows: list[list[Cell]], numbers: list[list[float | None]], st
     return out
 
 
-def _title(rows: list[list[Cell]], numbers: list[list[float | None]], header: int) -> str:
+def _title(rows: Rows, numbers: Numbers, header: int) -> str:
     """The words right above a header, or nothing if a row of data precedes it."""
     data = header == 0 or sum(v is not None for v in numbers[header - 1]) > 1
     return "" if data else " ".join(map(label, filled_cells(rows[header - 1])))
@@ -174,9 +159,10 @@ def _is_way_back(header: list[Cell], other: list[Cell]) -> bool:
     return header[:1] == other[:1] and sorted(map(str, ways)) == ["{-1.0}", "{1.0}"]
 
 
-def _starts_table(row: list[Cell], numbers: list[float | None], below: list[list[float | None]]) -> bool:
+def _starts_table(row: list[Cell], numbers: list[float | None], below: Numbers) -> bool:
     """Whether a row consists of at least two words, with numbers in the rows below."""
     words = [c for c in row if isinstance(c, str) and any(map(str.isalpha, c))]
     plain = len(words) >= 2 and not any(v is not None for v in numbers)
-    remark = label(words[0] if words else "").startswith(COMMENT) and len(words) < max(map(len, below), default=0)
+    marked = label((filled_cells(row) or [None])[0]).startswith(COMMENT)
+    remark = marked and len(words) < max(map(len, below), default=0)
     return plain and not remark and any(sum(v is not None for v in row) >= 2 for row in below)

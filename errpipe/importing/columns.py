@@ -156,7 +156,7 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return "ignore", "named like a temperature, but its values are not plausible in degC"
     if kind == "group" and unit in ("mm", "m", "inch", "deg"):
         return ("position" if group_of(column.header) == "machine" else "ignore"), f"its unit ({unit})"
-    if kind == "group" and not 1 < len({*_texts(column)}) <= 0.5 * len(column.cells):
+    if kind == "group" and not 1 < len({*column.texts}) <= 0.5 * len(column.cells):
         return "ignore", "named like a group label, but its values do not group rows"
     if kind == "error" and values.is_scatter(column):
         return "ignore", values.SCATTER
@@ -307,7 +307,6 @@ _SIDE_ABOVE = re.compile(
     r"(?:approach|anfahr|measur|mess)?\w* ?(?:direction|richtung|approach\w*|senso?|sentido|direzione|方向)\W+(\w.*)"
 )
 
-
 _OF_AN_APPROACH = re.compile(
     r"\bapproach(?:ed|es|ing)?\b|\banfahr(?:t|richtung)?\b|\bangefahren\b|\bunidirectional\b|\beinseitig\b"
     r"|^only (?=\w+ (?:runs?|passes|direction)$)|^nur "
@@ -365,7 +364,3 @@ def sides(column: RawColumn) -> np.ndarray:
     """The column as +1 and -1; empty cells are NaN."""
     signs = [_came_or_went(column.header, c) if c not in (None, "") else None for c in column.cells]
     return np.array([np.nan if s is None else s for s in signs])
-
-
-def _texts(c: RawColumn) -> list[str]:
-    return [str(cell).strip() for cell in c.cells if cell not in (None, "")]

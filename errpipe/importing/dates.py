@@ -53,7 +53,6 @@ SPREADSHEET_ZERO = datetime(1899, 12, 30)  # of the day count of Excel and simil
 DAY = 86400.0  # s
 SERIAL_DAYS = ((36526.0, 73050.0), (730486.0, 767010.0), (2451544.5, 2488069.5))
 
-
 SHORT = {"us": 1e-6, "ns": 1e-9}  # units of time that the manifest does not have, in s
 FILE_TIME = 1e-7  # such ticks do not count from 1970
 
@@ -154,8 +153,8 @@ def is_date(text: str) -> bool:
 
 def date_and_clock(columns: list[RawColumn]) -> list[RawColumn]:
     """A column of dates without a time of day and one of clock times, merged."""
-    dates = [c for c in columns if not c.numeric and all(map(_DATE.fullmatch, _texts(c))) and _texts(c)]
-    clocks = [c for c in columns if not c.numeric and all(map(_CLOCK.fullmatch, _texts(c))) and _texts(c)]
+    dates = [c for c in columns if not c.numeric and c.texts and all(map(_DATE.fullmatch, c.texts))]
+    clocks = [c for c in columns if not c.numeric and c.texts and all(map(_CLOCK.fullmatch, c.texts))]
     if len(dates) != 1 or len(clocks) != 1:
         return columns
     (date,), (clock,) = dates, clocks
@@ -216,19 +215,13 @@ def _seconds_of(part: re.Match[str]) -> float:
     return ((days * 24.0 + hours) * 60.0 + minutes) * 60.0 + rest
 
 
-_MONTHS = {  # beginnings of month names in other languages -> as `%b` parses them
-    **dict.fromkeys(("mär", "mrz", "mars", "marz"), "Mar"),
-    **dict.fromkeys(("mai", "mag", "may"), "May"),
-    **dict.fromkeys(("gen", "ene", "janv"), "Jan"),
-    **dict.fromkeys(("fév", "febb"), "Feb"),
-    **dict.fromkeys(("avr", "abr"), "Apr"),
-    **dict.fromkeys(("juin", "giu"), "Jun"),
-    **dict.fromkeys(("juil", "lug"), "Jul"),
-    **dict.fromkeys(("août", "ago"), "Aug"),
-    **dict.fromkeys(("set", "sept"), "Sep"),
-    **dict.fromkeys(("okt", "ott"), "Oct"),
-    **dict.fromkeys(("dez", "déc", "dic"), "Dec"),
-}
+# Beginnings of month names in other languages -> as `%b` parses them.
+_BEGINNINGS = (
+    "Mar mär mrz mars marz; May mai mag may; Jan gen ene janv; Feb fév febb; Apr avr abr; Jun juin giu; Jul juil lug; "
+    "Aug août ago; Sep set sept; Oct okt ott; Dec dez déc dic"
+)
+_MONTHS = {start: name for name, *starts in map(str.split, _BEGINNINGS.split(";")) for start in starts}
+_ZONES = {"UTC": "+00:00", "GMT": "+00:00", "CET": "+01:00", "MEZ": "+01:00"}  # CEST, MESZ: summer time
 _EAST_ASIAN = str.maketrans({"年": "/", "月": "/", "日": " ", "時": ":", "时": ":", "分": ":", "秒": ""})
 
 
@@ -240,6 +233,7 @@ def _usual_signs(text: str) -> str:
     text = re.sub(r"^(\d{1,4}[/.-]\d\d?[/.-]\d{1,4})[-_](?=\d\d?:\d\d)", r"\1 ", text.strip("\"' "))
     text = re.sub(r",(?=\d)", ".", text.translate(_EAST_ASIAN)).replace(",", " ")
     text = re.sub(r"(?<=\d) ?([AaPp])\.?[Mm]\.?$", r" \1M", text)
+    text = re.sub(r"(?<=\d) (UTC|GMT|CES?T|MES?Z)$", lambda zone: _ZONES.get(zone[1], "+02:00"), text)
     text = re.sub(r"(:\d\d:\d\d):(\d{1,3})$", r"\1.\2", text)  # `08:00:00:250`, as data loggers write
     text = re.sub(r"(?<= )(\d{1,2})\.(\d\d)\.(\d\d)$", r"\1:\2:\3", text)
     text = re.sub(r"(?<=\d)\.(?= [^\W\d]{3})|(?<=[^\W\d])\.(?= )", "", text)
@@ -248,7 +242,3 @@ def _usual_signs(text: str) -> str:
 
 def _month(word: re.Match[str]) -> str:
     return next((name for start, name in _MONTHS.items() if word[0].lower().startswith(start)), word[0])
-
-
-def _texts(c: RawColumn) -> list[str]:
-    return [str(cell).strip() for cell in c.cells if cell not in (None, "")]

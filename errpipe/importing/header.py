@@ -9,14 +9,17 @@ import numpy as np
 
 from errpipe.importing.blocks import COMMENT
 from errpipe.importing.facts import OF_A_FACT
-from errpipe.importing.sheet import Cell, Sheet, filled_cells, label, number
+from errpipe.importing.sheet import Cell, Numbers, Rows, Sheet, filled_cells, label, number
 from errpipe.importing.units import split_header, unit_of
 from errpipe.importing.units_above import UNITS
-from errpipe.importing.words import kind_by_name
+from errpipe.importing.words import kind_by_name, plain
 
 DEEPEST_LEGEND = 200  # rows of a legend, and of a sheet above its data: the longest known preamble has 60
 NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
 _CHANNEL = re.compile(r"[^\W\d_]{0,8}\W?\d[\d-]*")  # `CH1`, `AI-03`
+_KEY = re.compile(
+    r"(?:signal|tag|var|variable|channel|kanal|sensor|point|item|metadata|series|field|node)[ -]?(?:id|nr|no|key)?\.?"
+)
 _LABELS = re.compile(r"(?:comment|kommentar|tag|label|(?:signal|channel|kanal)?[ _-]?name)s?", re.IGNORECASE)
 _WORD = re.compile(
     r"(?!(n/?a|nan|null|none|#n/a|#?wert!?|ol|---?|open|burn ?out|over ?(range|flow)|no ?sensor)$).*[^\W\d_]",
@@ -41,7 +44,7 @@ def is_moment(cell: Cell) -> bool:
     return isinstance(cell, str) and _MOMENT.fullmatch(cell.strip()) is not None
 
 
-def is_header(row: list[Cell], numbers: list[list[float | None]], r: int) -> bool:
+def is_header(row: list[Cell], numbers: Numbers, r: int) -> bool:
     """A row with a word above a column of numbers is a header even if its other cells are numbers (run 1, 2, 3)."""
     below = numbers[r + 1 : r + 6]
     alone = len(filled_cells(row)) == 1 and max((sum(v is not None for v in b) for b in below), default=0) > 1
@@ -52,7 +55,7 @@ def is_header(row: list[Cell], numbers: list[list[float | None]], r: int) -> boo
     return _counts_runs(row, numbers, r, r + 1)
 
 
-def _counts_runs(row: list[Cell], numbers: list[list[float | None]], r: int, start: int) -> bool:
+def _counts_runs(row: list[Cell], numbers: Numbers, r: int, start: int) -> bool:
     """A row of run numbers below names of groups: `;1;2;3;1;2;3`, with an empty cell above the column of targets.
 
     start: row of the first data.
@@ -64,7 +67,7 @@ def _counts_runs(row: list[Cell], numbers: list[list[float | None]], r: int, sta
     return counts[0] == 1 and all(b in (a, a + 1, 1) for a, b in pairwise(counts))
 
 
-def lift_comments(rows: list[list[Cell]], numbers: list[list[float | None]], start: int) -> None:
+def lift_comments(rows: Rows, numbers: Numbers, start: int) -> None:
     """Move comments between a header and its data above the header, in place. start: row of the first data."""
     head = start - 1
     while head > 0 and _is_comment(rows[head], numbers[head], len(filled_cells(rows[start]))):
@@ -90,12 +93,14 @@ def _is_comment(row: list[Cell], numbers: list[float | None], width: int) -> boo
     return bool(texts) and (texts[0].startswith(COMMENT) or alone)
 
 
-def header_rows(rows: list[list[Cell]], numbers: list[list[float | None]], start: int) -> list[int]:
+def header_rows(rows: Rows, numbers: Numbers, start: int) -> list[int]:
     """Up to three rows right above the data that are a header: at least two words, or as `is_header` decides."""
     found: list[int] = []
     for r in range(start - 1, max(start - 4, -1), -1):
         if found and label(rows[r][0] if rows[r] else None).startswith(("#", "%", "//")):
             break  # a comment above the header
+        if found and r and len(_called(rows[r - 1 : r + 1])) > 1:
+            break  # a list of channels above the header
         words = [c for c in rows[r] if isinstance(c, str) and c]
         figures = sum(v is not None for v in numbers[r])
         above_units = all(_are_units([label(c) for c in rows[k]]) for k in found)  # or there are none
@@ -108,7 +113,7 @@ def header_rows(rows: list[list[Cell]], numbers: list[list[float | None]], start
     return found
 
 
-def names_of(rows: list[list[Cell]], head: list[int], width: int) -> tuple[list[str], list[str | None], int]:
+def names_of(rows: Rows, head: list[int], width: int) -> tuple[list[str], list[str | None], int]:
     """Header texts, units, and the number of rows used."""
     if not head:
         return [f"column {i + 1}" for i in range(width)], [None] * width, 0
@@ -151,7 +156,7 @@ def _are_units(texts: list[str]) -> bool:
     return any(map(unit_of, cells)) and all(unit_of(c) or c in ("-", "1") or _DATE_FORM.fullmatch(c) for c in cells)
 
 
-def named_above(names: list[str], above: list[list[Cell]]) -> list[str]:
+def named_above(names: list[str], above: Rows) -> list[str]:
     """Channel names from the lines above: `CH1` below `CH1,Spindle,TEMP`; unchanged if two would be equal.
 
     Or from a row of labels over all columns: `Comment,X target,X deviation` above `Time,U1-1[mm],U1-2[um]`.
@@ -160,13 +165,31 @@ def named_above(names: list[str], above: list[list[Cell]]) -> list[str]:
     if labels and all(map(is_word, labels)) and len({*labels}) == len(labels):
         units = [split_header(n)[1] for n in names]
         return [names[0], *(f"{c} [{u}]" if u else str(c) for c, u in zip(labels[1:], units[1:], strict=True))]
-    called = {label(row[0]): label(row[1]) for row in above if len(row) > 1 and is_word(row[1])}
+    called = _called(above)
     bare = [split_header(n)[0] for n in names]
-    numbered = [n for n in bare if _CHANNEL.fullmatch(n) and n in called]
+    numbered = [n for n in bare if n in called]
     unique = len({called[n] for n in numbered}) == len(numbered) > 1
     return [
-        n.replace(b, f"{b} {called[b]}", 1) if unique and b in numbered else n for n, b in zip(names, bare, strict=True)
+        n.replace(b, _with_channel(b, split_header(called[b])[0] if n != b else called[b]), 1)
+        if unique and b in numbered
+        else n
+        for n, b in zip(names, bare, strict=True)
     ]
+
+
+def _called(rows: Rows) -> dict[str, str]:
+    """The names, with their units, that rows give to channels: `CH1 | Bearing | degC`."""
+    said = [[label(c) for c in filled_cells(row)] for row in rows]
+    return {
+        row[0]: row[1] + (f" [{row[2]}]" if len(row) > 2 and unit_of(row[2]) else "")
+        for row in said
+        if len(row) > 1 and _CHANNEL.fullmatch(row[0]) and is_word(row[1])
+    }
+
+
+def _with_channel(channel: str, name: str) -> str:
+    """`CH1 Bearing`; the name alone if the channel is but a number, which would be read as that of a run."""
+    return name if channel.isdigit() else f"{channel} {name}"
 
 
 def with_legend(sheets: list[Sheet]) -> list[Sheet]:
@@ -175,19 +198,31 @@ def with_legend(sheets: list[Sheet]) -> list[Sheet]:
     A legend has a row for each of at least two cells of a header, the channel first. It is kept among the sheets.
     """
     for legend in sheets if len(sheets) > 1 else []:
-        said = [[label(c) for c in filled_cells(row)] for row in legend.rows]
-        called = {
-            row[0]: row[1] + (f" [{row[2]}]" if len(row) > 2 and unit_of(row[2]) else "")
-            for row in said
-            if len(row) > 1 and _CHANNEL.fullmatch(row[0]) and is_word(row[1])
-        }
+        called = _called(legend.rows)
         for sheet in (s for s in sheets if s is not legend):
+            _name_signals(sheet, legend, called)
             heads = [row for row in sheet.rows[:DEEPEST_LEGEND] if sum(label(c) in called for c in row) > 1]
             if sheet.header is None and len(heads) == 1 and len(called) < DEEPEST_LEGEND:
                 at = next(r for r, row in enumerate(sheet.rows) if row is heads[0])
-                sheet.rows[at] = [f"{label(c)} {called[label(c)]}" if label(c) in called else c for c in heads[0]]
+                sheet.rows[at] = [_with_channel(n, called[n]) if (n := label(c)) in called else c for c in heads[0]]
                 sheet.notes.append(f"the sheet {legend.name!r} names the channels")
     return sheets
+
+
+def _name_signals(sheet: Sheet, legend: Sheet, called: dict[str, str]) -> None:
+    """Replace the numbers of signals by the names that a legend gives them, in a sheet with a row per value, in place.
+
+    `tag_id` of a history, for which a table of tags has a row each.
+    """
+    body = sheet.rows if sheet.header is not None else sheet.rows[1:]
+    header = [plain(label(c)) for c in (sheet.header or (sheet.rows[0] if sheet.rows else []))]
+    for i in [i for i, text in enumerate(header) if _KEY.fullmatch(text)]:
+        keys = {label(row[i]) for row in body if len(row) > i and row[i] is not None}
+        if 1 < len(keys) < len(body) / 2 and keys <= called.keys() and len(legend.rows) < len(body):
+            for row in [row for row in body if len(row) > i]:
+                row[i] = called.get(label(row[i]), row[i])
+            (sheet.header or sheet.rows[0])[i] = "tag"
+            sheet.notes.append(f"the sheet {legend.name!r} names the signals of the column {header[i]!r}")
 
 
 def metres(names: list[str]) -> list[str]:

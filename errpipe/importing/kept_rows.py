@@ -13,6 +13,7 @@ from errpipe.importing.header import is_word
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.proposed import Proposal
 from errpipe.importing.sheet import label
+from errpipe.importing.together import STALE_STEPS
 
 
 def readings(layout: Layout, guesses: dict[str, ColumnGuess], p: Proposal) -> np.ndarray:
@@ -20,12 +21,13 @@ def readings(layout: Layout, guesses: dict[str, ColumnGuess], p: Proposal) -> np
     out = ~_figures_below(layout, guesses, p) & ~_written_twice(layout, guesses, p) & ~_repeated(layout, guesses, p)
     measured = _measured_rows(layout, guesses)
     if count := int((out & ~measured).sum()):
-        p.notes.append(f"{count} rows without a position, time or reading were excluded (comments, blank lines)")
+        p.notes.append(f"{count} rows without a position, time or reading were excluded (comments, other sensors)")
     return measured & out
 
 
 MOVING = ("command", "position", "actual", "error")
 LESS_FAR = 0.9  # of the row-to-row path of the columns in file order
+OWN_ROWS = 0.5  # share of the rows of positions: with more, a sensor was read there
 MOST_REPEATED = 0.1  # share of the rows: above it, the clock of the log is coarse
 
 
@@ -47,6 +49,31 @@ def in_order_of_time(layout: Layout, guesses: dict[str, ColumnGuess]) -> Layout:
     parts = [RawColumn(c.header, c.unit, [c.cells[i] for i in order], c.values[order]) for c in layout.columns]
     notes = [*layout.notes, f"{falls} rows were earlier than the row above: rows sorted by date"]
     return Layout(parts, layout.above, notes, layout.below)
+
+
+SLOW = ("temperature", "pressure", "humidity")  # sensors whose last reading stands for the next seconds
+
+
+def with_last_sensors(layout: Layout, guesses: dict[str, ColumnGuess]) -> Layout:
+    """The layout with the last reading of slow sensors in the rows of positions, if they have rows of their own."""
+    clock = next((c for c in layout.columns if guesses[c.header].kind == "time"), None)
+    measured = _measured_rows(layout, guesses)
+    if clock is None or measured.all() or not measured.any():
+        return layout
+    t = clock.values if clock.numeric else (dates.seconds(clock) or (clock.values,))[0]
+    columns, notes = list[RawColumn](), [*layout.notes]
+    for c in layout.columns:
+        there = np.isfinite(c.values) & np.isfinite(t)
+        columns.append(c)
+        if guesses[c.header].kind in SLOW and there.sum() > 1 and not there[measured].mean() > OWN_ROWS:
+            rows = np.flatnonzero(there)[np.argsort(t[there], kind="stable")]
+            last = np.searchsorted(t[rows], t, side="right") - 1
+            at = rows[np.maximum(last, 0)]
+            fresh = ~there & (last >= 0) & (t - t[at] <= STALE_STEPS * np.median(np.diff(t[rows])))
+            at = np.where(fresh, at, np.arange(at.size))
+            columns[-1] = RawColumn(c.header, c.unit, [c.cells[i] for i in at], c.values[at])
+            notes.append(f"{c.header}: its last reading before each row ({int((fresh & measured).sum())} rows)")
+    return Layout(columns, layout.above, notes, layout.below)
 
 
 def _repeated(layout: Layout, guesses: dict[str, ColumnGuess], p: Proposal) -> np.ndarray:

@@ -21,7 +21,17 @@ from errpipe.importing.header import (
     named_above,
     names_of,
 )
-from errpipe.importing.sheet import Cell, Sheet, decimal_comma, filled_cells, is_sexagesimal, number, of_one_mark
+from errpipe.importing.sheet import (
+    Cell,
+    Numbers,
+    Rows,
+    Sheet,
+    decimal_comma,
+    filled_cells,
+    is_sexagesimal,
+    number,
+    of_one_mark,
+)
 from errpipe.importing.units import split_header, unit_of
 from errpipe.importing.units_above import units_of_columns
 from errpipe.importing.words import is_correction, is_following_error, kind_by_name
@@ -50,6 +60,11 @@ class RawColumn:
     unit: str | None
     cells: list[Cell]
     values: np.ndarray  # NaN for a cell that is not a number
+
+    @property
+    def texts(self) -> list[str]:
+        """The filled cells as texts."""
+        return [str(cell).strip() for cell in filled_cells(self.cells)]
 
     @property
     def numeric(self) -> bool:
@@ -119,7 +134,7 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     return laid
 
 
-def _merged(names: list[str], numbers: list[list[float | None]]) -> list[str]:
+def _merged(names: list[str], numbers: Numbers) -> list[str]:
     """Names completed for cells merged over several columns of numbers: `Up`, `Up 2`, `Up 3`, `Down`, ...
 
     At least two such cells of equal width are needed: a single unnamed column is not a merged cell.
@@ -163,7 +178,7 @@ def _stated_names(stated: tuple[str, ...], width: int, header: bool) -> tuple[st
     return stated
 
 
-def _without_units(rows: list[list[Cell]]) -> tuple[list[list[Cell]], dict[int, str]]:
+def _without_units(rows: Rows) -> tuple[Rows, dict[int, str]]:
     """The rows without units after their numbers (`12,5 µm`), and the unit of each column that had one."""
     counts: dict[int, Counter[str]] = {}
     for row in rows[:SAMPLE_ROWS]:
@@ -182,7 +197,7 @@ def _without_units(rows: list[list[Cell]]) -> tuple[list[list[Cell]], dict[int, 
     return [[bare(i, cell) for i, cell in enumerate(row)] for row in rows], units
 
 
-def _first_data_row(name: str, rows: list[list[Cell]], numbers: list[list[float | None]]) -> int:
+def _first_data_row(name: str, rows: Rows, numbers: Numbers) -> int:
     """The first row of a run of rows of the usual width that contain numbers."""
     filled, counts = _widths(rows, numbers)
     widths = Counter(n for n, c in zip(filled, counts, strict=True) if c >= 2 or (c and n <= 2))
@@ -198,7 +213,7 @@ def _first_data_row(name: str, rows: list[list[Cell]], numbers: list[list[float 
     raise DataError(f"{name}: no block of numbers below a header in the first {DEEPEST_HEADER} lines ({NEEDED})")
 
 
-def _widths(rows: list[list[Cell]], numbers: list[list[float | None]]) -> tuple[list[int], list[int]]:
+def _widths(rows: Rows, numbers: Numbers) -> tuple[list[int], list[int]]:
     """Filled cells and numbers of each row; for rows of numbers those of the widest one nearby.
 
     A log of several devices fills some columns in one row and others in the next.
@@ -216,13 +231,7 @@ def _widths(rows: list[list[Cell]], numbers: list[list[float | None]]) -> tuple[
 
 
 def _layout(
-    sheet: Sheet,
-    names: list[str],
-    units: list[str | None],
-    rows: list[list[Cell]],
-    comma: bool,
-    above: list[str],
-    notes: list[str],
+    sheet: Sheet, names: list[str], units: list[str | None], rows: Rows, comma: bool, above: list[str], notes: list[str]
 ) -> Layout:
     width = max([len(names), *map(len, rows)])
     names = names + [f"column {i + 1}" for i in range(len(names), width)]

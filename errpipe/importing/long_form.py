@@ -10,7 +10,7 @@ from errpipe.importing import quality
 from errpipe.importing.dates import refuse_an_hour_back, seconds
 from errpipe.importing.header import is_moment, is_word
 from errpipe.importing.layout import RawColumn
-from errpipe.importing.sheet import Cell, Sheet, decimal_comma, label, number
+from errpipe.importing.sheet import Cell, Rows, Sheet, decimal_comma, label, number
 from errpipe.importing.words import plain
 
 MOST_SIGNALS = 60  # distinct names in one column; with more it contains comments
@@ -24,6 +24,8 @@ _VALUE = re.compile(
     r"(?:var ?)?(value|state|payload|wert|reading|messwert|valeur|valore|valor)( ?\(?(float|double|num(ber|eric)?)\)?)?"
 )
 _NODE = re.compile(r"^ns=\d+;[sigb]=")  # of an OPC UA server, before the name
+_TICKS = re.compile(r"1\d{9}(\d{3}){0,3}(\.\d+)?")  # since 1970, from 2001 to 2033
+_LABELLED = re.compile(r"([^\W\d][\w:]*)\{(.*)\}")  # `axis_x_mm{job="mill"}` of Prometheus
 _UNIT = re.compile(r"(?:eng(?:ineering)? ?)?(unit|einheit|units|unite|uom)s?")
 
 
@@ -46,7 +48,8 @@ def unstacked(sheet: Sheet) -> Sheet:
         return sheet
     names, time, value, unit = at
     qualities = [i for i, text in enumerate(header) if quality.named(text) and i not in (*names, time, value)]
-    wrong = np.any([quality.bad([row[i] for row in body]) for i in qualities], axis=0) if qualities else None
+    each = [quality.bad([row[i] for row in body], header[i]) for i in qualities]
+    wrong = np.any(each, axis=0) if each else None
     counts: dict[str, int] = {}
     stamps: dict[str, list[Cell]] = {}
     table: dict[str, dict[str, Cell]] = {}
@@ -76,27 +79,34 @@ def unstacked(sheet: Sheet) -> Sheet:
         sheet.notes.append(f"{int(wrong.sum())} values of bad quality were excluded")
     left = [f"signals with fewer than {FEWEST_VALUES} values were excluded: {', '.join(few)}"[:160]] if few else []
     note = f"one row per value: {len(counts)} signals became columns"
-    out: list[list[Cell]] = [[when, *(values.get(s) for s in counts)] for when, values in table.items()]
-    return Sheet(sheet.name, _by_time(out), ["time", *counts], [*sheet.notes, note, *left])
+    out: Rows = [[when, *(values.get(s) for s in counts)] for when, values in table.items()]
+    return Sheet(sheet.name, _by_time(out), ["time", *_bare([*counts])], [*sheet.notes, note, *left])
 
 
-def _by_time(rows: list[list[Cell]]) -> list[list[Cell]]:
+def _bare(signals: list[str]) -> list[str]:
+    """The signals without the labels in braces that a monitor adds, where they are distinct without them."""
+    names = [match[1] if (match := _LABELLED.fullmatch(s)) else s for s in signals]
+    return names if len({*names}) == len(names) else [_LABELLED.sub(r"\2 \1", s) for s in signals]
+
+
+def _by_time(rows: Rows) -> Rows:
     """Rows sorted by date: an export may list one signal after the other."""
     since = seconds(RawColumn("time", None, [row[0] for row in rows], np.full(len(rows), np.nan)))
     return rows if since is None else [rows[i] for i in np.argsort(since[0], kind="stable")]
 
 
-def _is_header(rows: list[list[Cell]]) -> bool:
+def _is_header(rows: Rows) -> bool:
     figures = re.compile(r"[\d.,:]")
     return len(rows) > 1 and not any(figures.search(label(c)) for c in rows[0]) and not all(map(is_word, rows[1]))
 
 
-def _columns(header: list[str], body: list[list[Cell]]) -> tuple[list[int], int, int, int | None] | None:
+def _columns(header: list[str], body: Rows) -> tuple[list[int], int, int, int | None] | None:
     """Indices of signal, time, value and unit (or None) columns; None if the sheet has another form."""
     comma = decimal_comma(body)
     columns = range(len(body[0]))
     sample = body[:200]
     moments = [i for i in columns if all(is_moment(row[i]) for row in sample)]
+    moments = moments or [i for i in columns if not header and all(_TICKS.fullmatch(label(row[i])) for row in sample)]
     numbers = [i for i in columns if i not in moments and all(number(row[i], comma) is not None for row in sample)]
     others = [i for i in columns if i not in moments and i not in numbers]
     words = [i for i in others if len({row[i] for row in sample}) > 1]

@@ -15,7 +15,7 @@ _PAIR = re.compile(  # `X_SOLL=1.5`, `RUN*1`, `SOLLWERT X : 1,5 MM`, `#5061=1.5`
 _WORDS = re.compile(rf"\s*([A-Za-z]{{1,12}})\s*({_VALUE})()(?=[\s,;]|$)[\s,;]*")  # `X 1.5, DIAL 0.002`, `B30. C0. X1.5`
 _STAMP = re.compile(  # a time stamp or a counter before the values
     r"\s*[\[(]?((?:\d{2,4}[-./]\d\d?[-./]\d{2,4}[ T])?\d\d?:\d\d:\d\d(?:[.,]\d+)?Z?|\d+(?:\.\d+)?)[\])]?"
-    r"(?:\s*(?:->|[,;|-])\s*|\s+)(?=[^\W\d])"
+    r"(?:\s*(?:->|[,;|-])\s*|\s+)(?:\[?(?:DEBUG|INFO|NOTICE)\]?:?\s+(?:[\w.-]+:\s+(?=[^=]*=))?)?(?=[^\W\d])"
 )
 _INDEX = re.compile(r"\[\d+\]$|(?<=#)\d+$")  # `VC[12]`, `#101`: values with an index instead of a name
 _TICKS = re.compile(r"\d{10,19}")  # of a line protocol: the time stamp after all values

@@ -19,7 +19,6 @@ FILLED_IN = (  # markers of missing values: nines, and the largest integer
 _IN_BRACKETS = re.compile(r"\(\s*\d[\d.,]*\s*\)")
 _MARKED = re.compile(r"[+-]?\d[\d.,' ]*[.,'][\d.,']*")
 
-
 _DEGREES = {None: (1.0, 0.0), "degC": (1.0, 0.0), "degF": (1.0 / 1.8, -32.0 / 1.8), "K": (1.0, -273.15)}
 COLDEST, WARM, HOTTEST = -60.0, 120.0, 300.0  # degC: beyond them a broken or shorted sensor (-200, -127, 850, 1372)
 

@@ -19,7 +19,6 @@ DENSE_ROWS = 500  # rows: a log, not a positioning test
 FEWEST_VISITS = 6  # readings; fewer do not show which positions are targets
 DENSE_PLACES = 100  # distinct commands: a log, not a positioning test
 
-
 SHARED = 3  # visits with the same digits that make a position a target
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
+from errpipe.importing.doors import markup
 from errpipe.importing.sheet import Cell, Sheet, filled_cells
 from errpipe.importing.words import plain
 
@@ -22,7 +23,7 @@ TESTS: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "R-test",
-        r"\br-?test\b|^(\W*[abc]( ?(pos\w*|axis|achse))?\b[^a-z]*((deg|grad)\b\W*)?){1,2}\bd? ?x\b.*"
+        r"\br-?test\b|^(\W*[abc]( ?(pos\w*|axis|achse|angle|winkel))?\b[^a-z]*((deg|grad)\b\W*)?){1,2}\bd? ?x\b.*"
         r"\bd? ?y\b.*\bd? ?z\b",
         "an R-test: the position of a ball at each position of a rotary axis",
         f"{_WRITE} protocol r_test, the positions of all axes, and ball minus nominal position as E_X, E_Y, E_Z; "
@@ -34,6 +35,13 @@ TESTS: tuple[tuple[str, str, str, str], ...] = (
         "the log of a grid encoder, where two axes move together",
         f"{_WRITE} protocol point_cloud, the commanded positions of both axes, and measured minus commanded as E_X, "
         "E_Y; if the file contains commanded and measured positions, --axis X imports only X",
+    ),
+    (
+        "status reports",
+        r"\bmpos:|\bwpos:|^bed x:|\bmarlin\b|-- polling (slave|device)|^\[\d+\]:",
+        "what a control reports about itself (GRBL, Marlin, Modbus)",
+        "it states where the control believes the axis is; needed is what an instrument read there: write a table "
+        "`target X [mm];reading [mm]` with a row per reading",
     ),
     (
         "frequency response",
@@ -51,13 +59,15 @@ TESTS: tuple[tuple[str, str, str, str], ...] = (
     ),
 )
 
+OF_XML = " Targets and readings in separate lists of XML are not joined: export a CSV with a row per reading"
 
-def named(sheets: Iterable[Sheet]) -> str:
+
+def named(sheets: Iterable[Sheet], kind: str) -> str:
     """The test that the first lines of a file identify and what reads it, as a sentence; '' if it is none of TESTS."""
     for sheet in sheets:
-        rows: list[list[Cell]] = [[*(sheet.header or [])], *sheet.rows[:LINES]]
+        rows: list[list[Cell]] = [[*sheet.above[:LINES]], [*(sheet.header or [])], *sheet.rows[:LINES]]
         lines = [plain(" ".join(map(str, filled_cells(row)))[:WIDTH]) for row in rows]
         for _, said, what, reads in TESTS:
             if any(re.search(said, line) for line in lines):
                 return f" It may be {what}: {reads}."
-    return ""
+    return OF_XML if kind == markup.name else ""

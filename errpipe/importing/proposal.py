@@ -70,6 +70,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     guesses = guessing.with_place(layout.columns, guessing.with_one_clock(guesses), options.axis)
     layout = kept_rows.in_order_of_time(layout, guesses)
     guesses, unsure = with_temperatures(layout.columns, guesses)
+    layout = kept_rows.with_last_sensors(layout, guesses)
     unsure += readings.unit_by_positions(layout.columns, guesses) if options.unit is None else []
     ambiguities.refuse_diameters(layout, guesses, options)
     layout = wide.side_by_side(wide.merged_targets(layout, guesses), guesses)

@@ -14,14 +14,20 @@ from errpipe.importing.units import unit_of
 from errpipe.importing.units_above import UNITS
 from errpipe.importing.words import kind_by_name, plain
 
-_NAMED = re.compile(r".*\b(quality|qualitaet|qualite|calidad|qualita|status|status ?code|valid(ity)?)\b'*")
-_GOOD_WORDS = re.compile(r"good.*|gut|ok|okay|valid|gueltig|192|0x0+|0|normal|bon|buono|buena?")
+_FLAG = re.compile(r".*\b(valid(ity|e)?|gueltig(keit)?)\b'*")  # 1 or 0, true or false
+_NAMED = re.compile(rf"{_FLAG.pattern}|.*\b(quality|qualitaet|qualite|calidad|qualita|status|status ?code)\b'*")
+_GOOD_WORDS = re.compile(
+    r"good.*|gut|ok|okay|valid|gueltig|192|0x0+|0|normal|bon|buono|buena?|true|wahr|yes|ja|no (?:error|fault)s?"
+    r"|keine? (?:fehler|stoerung)"
+)
 # Not `fail` and `nok`: next to deviations they mean that a tolerance was exceeded.
 _BAD_WORDS = re.compile(
     r"(?:bad|uncertain|invalid|ungueltig|schlecht|stale|questionable|not connected|no data|comm|mauvais|malo|substitut"
-    r"|last known|sensor|0x[48c])\w*.*"
+    r"|last known|sensor|0x[48c]|false|falsch|no$|nein$|beam|signal|lost|over ?(?:range|flow)|saturat|time ?out"
+    r"|no reading|error|fault|stoerung)\w*.*"
 )
 GOOD, UNCERTAIN = 192, 0x40000000  # of OPC DA, and of OPC UA (Part 4, StatusCode)
+MOST_OTHERS = 0.2  # share of the rows; above it the words are states of a program
 _KEPT = ("time", "run", "group", "direction", "command", "position")
 
 
@@ -30,12 +36,15 @@ def named(header: str) -> bool:
     return _NAMED.fullmatch(plain(header)) is not None
 
 
-def bad(cells: Sequence[Cell]) -> np.ndarray:
+def bad(cells: Sequence[Cell], header: str) -> np.ndarray:
     """Which values are not good, shape (cells,); none if the labels are not those of a quality.
 
-    As numbers: 192 is good, less is not (OPC DA); 0 is good, 0x40000000 and above are not (OPC UA).
+    As numbers: 192 is good, less is not (OPC DA); 0 is good, 0x40000000 and above are not (OPC UA); of a column that
+    says `valid`, 0 is not.
     """
     words = [plain(label(c)) for c in cells]
+    if _FLAG.fullmatch(plain(header)) and {*words} == {"0", "1"}:
+        return np.array([w == "0" for w in words])
     codes = [float(w) for w in words if re.fullmatch(r"\d{1,10}(\.0)?", w)]
     if codes and len(codes) == sum(map(bool, words)):
         least = GOOD if GOOD in codes and max(codes) < 256 else 0.0
@@ -55,7 +64,12 @@ def blank(layout: Layout) -> None:
     for k, c in enumerate(layout.columns):
         if not named(c.header):
             continue
-        out = bad(c.cells)
+        out = bad(c.cells, c.header)
+        words = [plain(label(cell)) for cell in c.cells if cell not in (None, "")]
+        odd = [w for w in words if not (_GOOD_WORDS.fullmatch(w) or _BAD_WORDS.fullmatch(w) or w.isdecimal())]
+        if 0 < len(odd) < MOST_OTHERS * len(words):
+            says = f"{len(odd)} rows have {odd[0]!r} in {c.header!r}: kept (if they are no readings, empty them)"
+            layout.notes.append(says)
         for of in layout.columns[begin:k] if out.any() else []:
             if of.numeric and kind_by_name(of.header) not in _KEPT and np.isfinite(of.values[out]).any():
                 of.cells = [None if o else cell for o, cell in zip(out, of.cells, strict=True)]

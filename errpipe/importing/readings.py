@@ -31,6 +31,31 @@ def change_sign_of_readings(p: Proposal) -> None:
             p.guesses[name] = f"{raw} falls one for one as {command} rises: opposite direction, sign changed"
 
 
+COUNTER_BITS = (32, 24, 16)  # widths of the counters of encoder cards and PLCs
+OFF = 0.1  # of the span of a counter: readings beside the command by more are no overflow
+
+
+def continue_counts(p: Proposal, resolution: float | None) -> None:
+    """Count on, in place, where a counter of positions overflowed: by whole spans, from the command beside it."""
+    for name, entry in p.entries.items() if resolution is not None else ():
+        of = entry.get("derived", {}).get("of", name)
+        command = p.first("command", entry.get("axis")) or p.first("position", entry.get("axis"))
+        counted = of != name or "whole numbers: counts" in p.guesses.get(name, "")
+        if entry["role"] not in ("actual", "position") or not counted or command in (None, name) or of not in p.data:
+            continue
+        scale, one = (resolution, 1.0) if of != name else (1.0, resolution)
+        turns = (scale * p.data[of] - p.canonical(str(command))) / resolution
+        for bits in COUNTER_BITS:
+            spans = (turns - turns[np.isfinite(turns)][:1]) / 2.0**bits
+            whole = np.round(spans)
+            if np.nanmax(np.abs(whole), initial=0.0) > 0 and np.nanmax(np.abs(spans - whole), initial=0.0) < OFF:
+                p.data[of] = p.data[of] - whole * one * 2.0**bits
+                p.notes.append(
+                    f"{of}: overflow of {bits} bit corrected in {int((whole != 0).sum())} rows, by {command}"
+                )
+                break
+
+
 def unit_by_positions(columns: Sequence[RawColumn], guesses: Mapping[str, ColumnGuess]) -> list[str]:
     """Infer the unit of deviations without one that equal actual minus commanded position, or 1000 times it.
 

@@ -8,9 +8,11 @@ from datetime import datetime, timedelta
 import numpy as np
 
 from errpipe.domain import units
+from errpipe.errors import DataError
 from errpipe.importing.proposed import Proposal
 
 SAME_TARGET = 1e-3  # of the range of a position: closer ones are one target, as in `measured_points`
+FEWEST_COPIED = 8  # rows: fewer may be equal by chance on a coarse gauge
 AGAIN = 0.5  # of the targets of a stretch measured before from the same side: one or two targets are a repeated reading
 
 
@@ -28,6 +30,7 @@ def told_apart(p: Proposal) -> None:
     turn = _turns(label, target)
     if not turn.any():
         return
+    _refuse_copy(p, run, turn)
     days = _days(p)
     labels = [str(v) for v in p.data[run]]
     dated = days is not None and len({*zip(labels, days, strict=True)}) == len({*zip(labels, turn, strict=True)})
@@ -39,6 +42,18 @@ def told_apart(p: Proposal) -> None:
         f"the runs of {run!r} restart with the same targets: taken as separate runs, "
         f"{', '.join(dict.fromkeys(p.data[run]))}"
     )
+
+
+def _refuse_copy(p: Proposal, run: str, turn: np.ndarray) -> None:
+    """Raise DataError if the rows of the repeated runs are those of the first ones, to the last digit."""
+    rows = [*zip(*(map(str, v) for n, v in p.data.items() if n != run), strict=True)]
+    first, again = ([row for row, k in zip(rows, turn.tolist(), strict=True) if k == of] for of in (0, 1))
+    read = [v for n, v in p.data.items() if p.entries[n]["role"] in ("error", "actual", "position")]
+    if first == again and len(first) >= FEWEST_COPIED and min(len(np.unique(v)) for v in read) > 1:
+        at = int(np.argmax(turn > 0)) + 1
+        raise DataError(
+            f"the rows from {at} on repeat those before to the last digit: the same measurement twice? Remove them"
+        )
 
 
 def _turns(label: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ from errpipe.importing.units import PER_LENGTH, plain_unit
 from errpipe.importing.unstated import PLACES, resolve_units
 from errpipe.importing.words import axis_above
 
+MOST_NAMED = 12  # columns in a message
 NO_DEVIATION = "no column holds a deviation"
 
 
@@ -156,7 +157,8 @@ def one_position_per_axis(p: Proposal) -> None:
                 continue
             own = [n for n in names if _OWN_SCALE.search(n) and n not in measured]
             other = next((n for n in names if n not in own and _MEASURED.search(n)), None)
-            if role == "actual" and len(own) == 1 and len(names) == 2 and other and not _commanded(p, letter):
+            commanded = p.first("command", letter) is not None or p.first("position", letter) is not None
+            if role == "actual" and len(own) == 1 and len(names) == 2 and other and not commanded:
                 p.entries[own[0]]["role"] = "command"
                 p.guesses[own[0]] = "the machine's own reading next to a measured one: used as the command"
                 continue
@@ -170,10 +172,6 @@ def one_position_per_axis(p: Proposal) -> None:
                     )
                 p.entries[name] = {"role": "ignore"}
                 p.guesses[name] = f"not used: {kept} is the {role} position"
-
-
-def _commanded(p: Proposal, letter: str) -> bool:
-    return p.first("command", letter) is not None or p.first("position", letter) is not None
 
 
 def deviations_as_errors(p: Proposal, options: ImportOptions) -> None:
@@ -198,7 +196,7 @@ def deviations_as_errors(p: Proposal, options: ImportOptions) -> None:
         if guessed and slope is not None and steep and abs(abs(slope) - 1.0) > readings.ABSOLUTE:
             raise DataError(
                 f"{name!r} changes by {slope:.3g} for each mm of {command!r} and has "
-                "no unit: declare it with --unit (um, '0.1 um', '0.01 mm', thou, ...)"
+                "no unit: declare it with --unit (um, '0.1 um', '0.01 mm', thou, ...), or counts with --resolution"
             )
         if slope is None or steep or not np.ptp(p.data[name]):
             continue
@@ -226,6 +224,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     of_errors = [e.get("_headers", ()) for e in p.entries.values() if e["role"] == "error"]
     if p.side is None and len(of_errors) == 1 and len(of_errors[0]) == 1:
         p.side = guessing.side_in(of_errors[0][0])
+    readings.continue_counts(p, options.resolution)
     readings.change_sign_of_readings(p)
     signs.ignore_corrections(p)
     signs.change(p, layout, options)
@@ -236,7 +235,8 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     simulated.of_the_only_response(p)
     simulated.change_signs(p, simulated.positions_as_deviations(p))
     if not any(e["role"] == "error" for e in p.entries.values()):
-        have = ", ".join(_found(p, n) for n in p.entries)
+        have = ", ".join(_found(p, n) for n in [*p.entries][:MOST_NAMED])
+        have += f", and {len(p.entries) - MOST_NAMED} more" if len(p.entries) > MOST_NAMED else ""
         raise DataError(
             f"{NO_DEVIATION}, and no two contain an actual and a commanded position (found: {have}). "
             "Declare it with --set COLUMN.role=error, or --set COLUMN.role=actual"

@@ -9,6 +9,8 @@ from typing import Any
 from errpipe.errors import DataError
 
 Cell = str | float | None
+Rows = list[list[Cell]]
+Numbers = list[list[float | None]]  # of the cells of rows
 MOST_CELLS = 12_000_000  # cells: about 1 GB of Python objects of 80 bytes each
 MINUS = str.maketrans(
     {"−": "-", "–": "-", "－": "-", "＋": "+", "．": ".", "，": ",", "\u00a0": "", "\u202f": "", "\u2009": ""}

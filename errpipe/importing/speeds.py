@@ -21,7 +21,6 @@ _SCALES = {
 }
 _OF_A_MOTOR = re.compile(r"motor|servo|drive|antrieb", re.IGNORECASE)
 
-
 _ON = ("on", "ein", "an", "marche", "acceso", "encendido", "running", "run")
 _OFF = ("off", "aus", "arret", "spento", "apagado", "stopped", "stop", "standstill")
 _SWITCHED = re.compile(r"^(spindle|spindel|broche|mandrino|husillo)( ?(on|state|status|on ?off))?$")

@@ -226,7 +226,8 @@ def add_log(p: Proposal, log: Proposal, stem: str) -> None:
         p.notes.append(f"{stem}: its rows are merged with those of the deviations by date and time")
     for n, name in names.items():
         p.put(name, None, log.guesses.get(n, ""), **log.entries[n])
-    p.data = {n: both[n].fillna("").tolist() if _text(both[n]) else both[n].to_numpy(float) for n in both}
+    numeric = {n: pd.api.types.is_numeric_dtype(both[n]) for n in both}
+    p.data = {n: both[n].to_numpy(float) if numeric[n] else both[n].fillna("").tolist() for n in both}
 
 
 def _interleaved(p: Proposal, logged: pd.DataFrame, time: str, step: float) -> pd.DataFrame:
@@ -240,10 +241,6 @@ def _interleaved(p: Proposal, logged: pd.DataFrame, time: str, step: float) -> p
     own = [spans.index[b] if i else f"log {b + 2}" for b, i in zip(before, inside, strict=True)]
     both = pd.concat([rows, logged.assign(**{run: own})], ignore_index=True)
     return both.sort_values(time, kind="stable", ignore_index=True)
-
-
-def _text(column: pd.Series) -> bool:
-    return not pd.api.types.is_numeric_dtype(column)
 
 
 def _epoch(p: Proposal) -> datetime | None:

@@ -10,72 +10,62 @@ from errpipe.domain.recording import ROLE_UNITS
 from errpipe.importing.words import kind_by_name
 
 # Spellings of units -> spelling in the manifest. Lower case, blanks removed.
-UNITS = {
-    **dict.fromkeys(
-        ("µm", "μm", "um", "micron", "microns", "mikron", "mikrometer", "micrometer", "micrometers", "мкм", "微米"),
-        "um",
-    ),
-    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "мм", "毫米"), "mm"),
-    **dict.fromkeys(("m", "meter", "metre", "meters", "metres"), "m"),
-    **dict.fromkeys(("µ", "âµm", "æm"), "um"),  # UTF-8, or the code page of DOS, read as Windows-1252
-    **dict.fromkeys(("nm", "nanometer"), "nm"),
-    **dict.fromkeys(("in", "inch", "inches", "zoll", '"'), "inch"),
-    **dict.fromkeys(("mil", "mils", "thou", "thous"), "0.001 inch"),
-    **dict.fromkeys(("tenth", "tenths"), "0.0001 inch"),
-    **dict.fromkeys(("hundredths", "hundertstel", "hundertstelmm"), "0.01 mm"),
-    **dict.fromkeys(("tausendstel",), "0.001 mm"),
-    **dict.fromkeys(("°c", "degc", "c", "celsius", "grad c", "℃", "gradc", "â°c"), "degC"),
-    **dict.fromkeys(("°f", "degf", "fahrenheit", "℉"), "degF"),
-    **dict.fromkeys(("k", "kelvin"), "K"),
-    **dict.fromkeys(("s", "sec", "sek", "seconds", "sekunden", "secondes", "secondi", "segundos"), "s"),
-    **dict.fromkeys(("ms", "msec"), "ms"),
-    **dict.fromkeys(("us", "µs", "μs"), "us"),
-    **dict.fromkeys(("min", "minutes", "minuten", "minuti", "minutos"), "min"),
-    **dict.fromkeys(("h", "hours", "std", "stunden", "heures", "horas"), "h"),
-    **dict.fromkeys(("µin", "μin", "uin", "microinch", "microinches", "millionths"), "microinch"),
-    **dict.fromkeys(("°", "deg", "degree", "degrees", "grad", "度"), "deg"),
-    **dict.fromkeys(("mdeg", "m°"), "mdeg"),
-    **dict.fromkeys(("arcmin", "arc-min", "arcminutes"), "arcmin"),
-    **dict.fromkeys(("µrad", "μrad", "urad"), "urad"),
-    **dict.fromkeys(("µm/m", "μm/m", "um/m"), "um/m"),  # of a level: an angle; for a length it is not a reading
-    **dict.fromkeys(("arcsec", "″", "''", "asec", "winkelsekunden", "bogensekunden", "winkelsek"), "arcsec"),
-    **dict.fromkeys(
-        ("arc-sec", "arc-seconds", "arcseconds", "arcsecs", "secofarc", "secondsofarc", "угл.сек"), "arcsec"
-    ),
-    **dict.fromkeys(("a", "amp", "amps", "ampere"), "A"),
-    **dict.fromkeys(("ma",), "mA"),
-    **dict.fromkeys(("nm.", "n·m", "n.m", "n*m", "newtonmeter"), "N m"),
-    **dict.fromkeys(("n", "newton"), "N"),
-    **dict.fromkeys(("kn",), "kN"),
-    **dict.fromkeys(("rpm", "1/min", "u/min", "rev/min", "min-1"), "rpm"),
-    **dict.fromkeys(("mm/s2", "mm/s²", "mm/s^2"), "mm/s2"),
-    **dict.fromkeys(("m/s2", "m/s²"), "m/s2"),
-    **dict.fromkeys(("%", "%rh", "percent"), "%"),
-    **dict.fromkeys(("hpa", "mbar"), "hPa"),
-    **dict.fromkeys(
-        ("counts", "count", "cnt", "cts", "inc", "ink", "inkremente", "pulses", "steps", "impulse"), "counts"
-    ),
-    **{u: u for u in ("cm", "mrad", "rad", "mm/min", "m/min", "mm/s", "m/s", "kg", "ns", "mm/m")},
+_SPELLINGS = {
+    "um": "µm μm um micron microns mikron mikrometer micrometer micrometers мкм 微米 µ âµm æm",
+    "mm": "mm millimeter millimeters millimetre мм 毫米",
+    "m": "m meter metre meters metres",
+    "nm": "nm nanometer",
+    "inch": 'in inch inches zoll "',
+    "0.001 inch": "mil mils thou thous",
+    "0.0001 inch": "tenth tenths",
+    "0.01 mm": "hundredths hundertstel hundertstelmm",
+    "0.001 mm": "tausendstel",
+    "degC": "°c degc c celsius ℃ gradc â°c",
+    "degF": "°f degf fahrenheit ℉",
+    "K": "k kelvin",
+    "s": "s sec sek seconds sekunden secondes secondi segundos",
+    "ms": "ms msec",
+    "us": "us µs μs",
+    "min": "min minutes minuten minuti minutos",
+    "h": "h hours std stunden heures horas",
+    "microinch": "µin μin uin microinch microinches millionths",
+    "deg": "° deg degree degrees grad 度",
+    "mdeg": "mdeg m°",
+    "arcmin": "arcmin arc-min arcminutes",
+    "urad": "µrad μrad urad",
+    "um/m": "µm/m μm/m um/m",
+    "arcsec": "arcsec ″ '' asec arc-sec arc-seconds arcseconds arcsecs secofarc secondsofarc winkelsekunden winkelsek"
+    " bogensekunden угл.сек",
+    "A": "a amp amps ampere",
+    "mA": "ma",
+    "N m": "nm. n·m n.m n*m newtonmeter",
+    "N": "n newton",
+    "kN": "kn",
+    "rpm": "rpm 1/min u/min rev/min min-1",
+    "mm/s2": "mm/s2 mm/s² mm/s^2",
+    "m/s2": "m/s2 m/s²",
+    "%": "% %rh percent",
+    "hPa": "hpa mbar",
+    "counts": "counts count cnt cts inc ink inkremente pulses steps impulse",
 }
-
+_AS_THEY_ARE = "cm mrad rad mm/min m/min mm/s m/s kg ns mm/m"
+UNITS = {word: unit for unit, words in _SPELLINGS.items() for word in words.split()}
+UNITS |= {unit: unit for unit in _AS_THEY_ARE.split()}
 
 # A tenth, hundredth, ... of a unit: `0.1 um`, `1/1000 mm`, `x 0.0001"`, `10^-4 mm`.
 _PART = re.compile(r"[x×*]?(?:1/(10+)|(?:10\^?|1e)[-−]([1-6])|(0?[.,]0*1))[x×*·]?([a-zµμ°\"]+)")
+_OVER = re.compile(r"([a-zµμ\"]+)/(10+)")  # `in/10000`
+_TENS = re.compile(r"(10{1,2})(nm|[uµμ]m)")  # `10 µm` is 0.01 mm, `100 nm` is 0.1 um
 _BRACKET = re.compile(r"\s*(?:[\[(]\s*([^\[\]()]{1,14})\s*[\])]|\"([^\W\d]{1,4})\")\s*")
 # A last letter is a unit only for a quantity that has it: `time h`, `T1_K`; not in `current A`, perhaps of axis A.
 LETTERS = {
-    "s": (("time", "s"),),
-    "h": (("time", "h"),),
-    "K": (("temperature", "K"),),
-    "C": (("temperature", "degC"),),
-    "F": (("temperature", "degF"),),
-    "N": (("force", "N"),),
+    **{"s": ("time", "s"), "h": ("time", "h"), "N": ("force", "N")},
+    **{"K": ("temperature", "K"), "C": ("temperature", "degC"), "F": ("temperature", "degF")},
 }
 _LAST_LETTER = re.compile(r"^(.*[^\s_/,.(\[])[\s_/,(\[]+([shKCFN])[)\]]?$")
 _INLET = re.compile(r"((coolant|oil|water|air|chiller)[\s_]+|\b[^\W\dxyz]_)in$", re.IGNORECASE)  # not inches; `u_in`
 _SIGNS = '"°″'
 _AFTER = re.compile(r"^(.*\S)[\s_/,]+(?:in\s+)?([^\s_/,]{1,11})$")
-
 
 # Units in words, with their plurals: `micrometres`, `Mikrometern`, `micromètres`, `micras`; and their fractions.
 _METRES = re.compile(
@@ -155,7 +145,6 @@ _PER_LENGTH = re.compile(
     r"\bpp[mb]\b|[uµμ]m ?(/|per) ?m(m|etre|eter)?\b|\bof (range|travel|full scale)\b", re.IGNORECASE
 )
 
-
 PER_LENGTH = ("um/m", "mm/m")  # urad and mrad for an angle
 
 
@@ -167,12 +156,18 @@ def per_length(header: str) -> bool:
 def unit_of(text: str) -> str | None:
     """The unit that a text is, or None. Nm is a torque, nm a length; a fraction of a length is `0.1 um`."""
     plain = text.strip().lstrip(":").rstrip(".:")  # `.0001"` starts with its point
-    if plain in ("Nm", "N m"):
-        return "N m"
+    if plain in ("Nm", "N m", "my"):  # not `My`, a moment
+        return "um" if plain == "my" else "N m"
     word = plain.lower().replace(" ", "")
-    if (part := _PART.fullmatch(word)) is None or (base := UNITS.get(part[4])) not in ("um", "mm", "inch", "m", "degC"):
+    word = _OVER.sub(r"1/\2\1", word) if _OVER.fullmatch(word) else word
+    if tens := _TENS.fullmatch(word):
+        return f"0.{'1':0>{4 - len(tens[1])}} {'um' if tens[2] == 'nm' else 'mm'}"
+    part = _PART.fullmatch(word)
+    of_part, _, base = ((UNITS.get(part[4]) if part else "") or "").rpartition(" ")
+    if part is None or base not in ("um", "mm", "inch", "m", "degC"):
         return UNITS.get(word)
     zeros = part[1].count("0") if part[1] else int(part[2] or 0) or len(re.split("[.,]", part[3])[1])
+    zeros += len(of_part[2:])  # a mil is 0.001 inch
     return f"0.{'1':0>{zeros}} {base}"
 
 
@@ -181,7 +176,7 @@ def split_header(text: str) -> tuple[str, str | None]:
     text = in_words(" ".join(str(text).split()))
     for bracket in reversed(list(_BRACKET.finditer(text))):
         if (unit := unit_of(bracket.group(1) or bracket.group(2))) is not None:
-            rest = " ".join((text[: bracket.start()] + " " + text[bracket.end() :]).split()) or text
+            rest = " ".join((text[: bracket.start()] + " " + text[bracket.end() :]).split()).rstrip(" /") or text
             return rest, _of_a_temperature(unit, rest)
     after = None if _INLET.search(text) else _AFTER.match(text)
     if (
@@ -199,8 +194,8 @@ def split_header(text: str) -> tuple[str, str | None]:
         return f"{before[0]} {remark[2]}", before[1]
     letter = _LAST_LETTER.match(text)
     kinds = {kind_by_name(text), kind_by_name(letter.group(1))} if letter else set()
-    if letter and (unit := next((u for k, u in LETTERS.get(letter.group(2), ()) if k in kinds), None)):
-        return letter.group(1), unit
+    if letter and LETTERS[letter.group(2)][0] in kinds:
+        return letter.group(1), LETTERS[letter.group(2)][1]
     return text, None
 
 
@@ -211,63 +206,35 @@ def _of_a_temperature(unit: str, header: str) -> str:
 
 # Units of readings unknown to the manifest -> its unit, and the factor.
 PLAIN_UNITS = {
-    "inch": ("mm", 25.4),
-    "m": ("mm", 1000.0),
-    "cm": ("mm", 10.0),
-    "microinch": ("um", 0.0254),
-    "deg": ("arcsec", 3600.0),
-    "mdeg": ("arcsec", 3.6),
-    "arcmin": ("arcsec", 60.0),
-    "rad": ("mrad", 1000.0),
+    **{"inch": ("mm", 25.4), "m": ("mm", 1000.0), "cm": ("mm", 10.0), "microinch": ("um", 0.0254)},
+    **{"deg": ("arcsec", 3600.0), "mdeg": ("arcsec", 3.6), "arcmin": ("arcsec", 60.0), "rad": ("mrad", 1000.0)},
 }
-
 
 # Units unknown to the manifest -> its unit, and the factor (exact by definition,
 # NIST SP 811; pressures to 7 digits).
-OTHER_UNITS = {
-    "dan": ("N", 10.0),
-    "kgf": ("N", 9.80665),
-    "kp": ("N", 9.80665),
-    "lbf": ("N", 4.4482216152605),
-    "lbs": ("kg", 0.45359237),
-    "lb": ("kg", 0.45359237),
-    "ozf": ("N", 0.27801385095378125),
-    "lbfft": ("N m", 1.3558179483314004),
-    "ftlbf": ("N m", 1.3558179483314004),
-    "lbfin": ("N m", 0.1129848290276167),
-    "inlbf": ("N m", 0.1129848290276167),
-    "mnm": ("N m", 1e-3),
-    "mmhg": ("hPa", 1.333224),
-    "torr": ("hPa", 1.333224),
-    "inhg": ("hPa", 33.86389),
-    "psi": ("hPa", 68.94757),
-    "atm": ("hPa", 1013.25),
-    "hz": ("1/s", 1.0),
-    "rps": ("1/s", 1.0),
-    "u/s": ("1/s", 1.0),
-    "rev/s": ("1/s", 1.0),
-    "krpm": ("rpm", 1000.0),
-    "rad/s": ("deg/s", 180.0 / np.pi),
-    "cm/s": ("mm/s", 10.0),
-    "in/s": ("mm/s", 25.4),
-    "inch/s": ("mm/s", 25.4),
-    "um/s": ("mm/s", 1e-3),
-    "in/min": ("mm/min", 25.4),
-    "inch/min": ("mm/min", 25.4),
-    "ipm": ("mm/min", 25.4),
-    "cm/min": ("mm/min", 10.0),
-    "g": ("m/s2", 9.80665),
-    "cm/s2": ("m/s2", 1e-2),
-    "in/s2": ("m/s2", 0.0254),
-    "rad/s2": ("deg/s2", 180.0 / np.pi),
-    "cm": ("mm", 10.0),
-    "inch": ("mm", 25.4),
-    "in": ("mm", 25.4),
-    "ft": ("m", 0.3048),
-    "rad/s spindle": ("rpm", 30.0 / np.pi),
+_OTHER_BY_UNIT = {
+    "N": {"dan": 10.0, "kgf": 9.80665, "kp": 9.80665, "lbf": 4.4482216152605, "ozf": 0.27801385095378125},
+    "kg": {"lbs": 0.45359237, "lb": 0.45359237},
+    "N m": {
+        "lbfft": 1.3558179483314004,
+        "ftlbf": 1.3558179483314004,
+        "lbfin": 0.1129848290276167,
+        "inlbf": 0.1129848290276167,
+        "mnm": 1e-3,
+    },
+    "hPa": {"mmhg": 1.333224, "torr": 1.333224, "inhg": 33.86389, "psi": 68.94757, "atm": 1013.25},
+    "1/s": {"hz": 1.0, "rps": 1.0, "u/s": 1.0, "rev/s": 1.0},
+    "rpm": {"krpm": 1000.0, "rad/s spindle": 30.0 / np.pi},
+    "deg/s": {"rad/s": 180.0 / np.pi},
+    "mm/s": {"cm/s": 10.0, "in/s": 25.4, "inch/s": 25.4, "um/s": 1e-3},
+    "mm/min": {"in/min": 25.4, "inch/min": 25.4, "ipm": 25.4, "cm/min": 10.0},
+    "m/s2": {"g": 9.80665, "cm/s2": 1e-2, "in/s2": 0.0254},
+    "deg/s2": {"rad/s2": 180.0 / np.pi},
+    "mm": {"cm": 10.0, "inch": 25.4, "in": 25.4},
+    "m": {"ft": 0.3048},
 }
+OTHER_UNITS = {name: (of, factor) for of, names in _OTHER_BY_UNIT.items() for name, factor in names.items()}
 _UNIT_IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]{1,14}?)\s*[\])]")
-
 
 _OF_A_SENSOR = ("v", "mv", "volt", "volts")  # before scaling
 

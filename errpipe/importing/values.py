@@ -12,7 +12,6 @@ from errpipe.importing.words import plain
 COLDEST, HOTTEST = -40.0, 250.0  # degC: usual range of sensors in shops and machines
 FARTHEST_UM = 1e4  # um: threshold: no deviation of an axis reaches a centimetre
 
-
 SCATTER = "a measure of scatter by its name and its non-negative values: not a reading"
 
 

@@ -15,7 +15,7 @@ from errpipe.importing.units_above import UNITS_OF_READINGS, unit_above
 from errpipe.importing.words import THERE_AND_BACK, kind_by_name
 
 _TOKEN = re.compile(r"\d+|[^\W\d_]+|[+\-−↑↓→←<>]+")
-_RUN_AND_LETTER = re.compile(r"(?:run|lauf|[rl#])? ?(\d+) ?([a-z])")  # `R1f`, `run 2 r`
+_RUN_AND_LETTER = re.compile(r"([^\W\d_]*|#) ?(\d+) ?([a-z])")  # `R1f`, `run 2 r`
 _LETTER_AND_RUN = re.compile(r"[a-z] ?\d+|\d+ ?[a-z]")
 _DATE_WITHIN = re.compile(r"\b\d{1,4}([./-])\d{1,2}\1\d{2,4}(T[\d:.]+)?")  # of a run named by its date
 _NO_NAME = re.compile(r"column \d+'*")  # of a column without a header
@@ -63,8 +63,9 @@ def run_and_side(header: str) -> tuple[str | None, float | None]:
     if _NO_NAME.fullmatch(header) or _INSTRUMENT.search(guessing.plain(header)):
         return None, None
     numbered = _RUN_AND_LETTER.fullmatch(guessing.plain(header))
-    if numbered and (way := guessing.side(numbered.group(2))) is not None:
-        return numbered.group(1), way
+    of_run = numbered and (numbered[1] in ("", "r", "l", "#") or kind_by_name(numbered[1]) == "run")
+    if numbered and of_run and (way := guessing.side(numbered[3])) is not None:
+        return numbered[2], way
     tokens = _TOKEN.findall(re.sub(r"([+-])ve\b", r"\1", guessing.plain(header)))
     letters = [t for t in tokens if not t.isdigit()]
     numbers = [t for t in tokens if t.isdigit()]
@@ -106,6 +107,7 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
         return None
     readings: list[tuple[RawColumn, str, float | None]] = []
     statistics = []
+    runs = {said[c.header][0] for c in numeric if not statistic(c.header)} - {None}
     for c in numeric:
         run, side = said[c.header]
         if (
@@ -115,14 +117,20 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
             or (run is None and side is None)
         ):
             continue
-        lettered = side is not None and _RUN_AND_LETTER.fullmatch(guessing.plain(c.header))  # `Run 1 B`: backwards
+        lettered = run in runs and not statistic(
+            re.sub(r"\b[^\W\d_]\b", " ", c.header)
+        )  # `B 1` beside `F 1`: backwards
         if statistic(c.header) and not lettered:
             statistics.append(c)
         else:
-            readings.append((c, run or "1", side))
+            again = len(c.header) - len(c.header.rstrip("'")) if not repeated else 0  # `Fwd;Rev;Fwd;Rev`: runs
+            readings.append((c, run or str(1 + again), side))
     if not readings:  # a report with only the means: one run
         readings = [(c, "mean", said[c.header][1]) for c in statistics if _is_mean(c.header)]
         statistics = [c for c in statistics if not any(c is r for r, _, _ in readings)]
+    kinds = {guesses[c.header].kind for c, _, _ in readings}
+    if "command" in kinds and kinds & {"actual", "position"}:
+        return None  # `0 X command`, `1 X actual`: channels
     letters = all(_LETTER_AND_RUN.fullmatch(guessing.plain(c.header)) for c, _, _ in readings)
     alone = letters and len({side for _, _, side in readings}) == 1  # `R1`, `R2`: readings, if there is no `F1`
     if alone or any(side is None for _, _, side in readings):  # `1a`, `1b`: b alone is not a direction

@@ -83,7 +83,7 @@ WORDS: tuple[tuple[str, str], ...] = (
         "direction",
     ),
     (
-        r"\b(run|lauf|durchlauf|cycle|zyklus|messreihe|pass(?:age)?|serie|trial|essai|passe|prova|ensayo|pasada)\b|回数|次数|회차|^цикл|^проход",
+        r"\b(run|lauf|durchlauf|cycle|[zc]yklus|cyclus|ciclo|korning|durchgang|messreihe|pass(?:age)?|serie|trial|essai|passe|prova|ensayo|pasada)\b|回数|次数|회차|^цикл|^проход",
         "run",
     ),
     (r"(count|inkrement|\binc\b|pulse|impuls|raw ?enc|\bdigits?\b|\bdiv(isions?)?\b|teilstrich|\blsb\b)", "counts"),
@@ -96,7 +96,8 @@ WORDS: tuple[tuple[str, str], ...] = (
         "coolant",
     ),
     (r"(torque|drehmoment|moment)", "torque"),
-    (r"\b(current|aktuelle?) ?pos(ition)?\b", "actual"),
+    (r"\b(current|aktuelle?) ?pos(ition)?\b|^[xyzabcuvw]\d? pv$|process ?value", "actual"),
+    (r"^[xyzabcuvw]\d? (set|sp)$", "command"),
     (
         r"(current(?! ?(program|feed(?!b)|line|block|seq|tool|vel|speed|temp|time|stat|mode|step|cycle|no\b|num))"
         r"|strom|\biq\b|\bi q\b|ampere)",

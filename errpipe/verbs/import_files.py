@@ -147,8 +147,10 @@ def _of_any_sheet(
             if question and not out and not asked:
                 asked = f"{sheet.name}: {reason}" if len(sheets) > 1 else reason
     if not out:
-        hint = "" if features.WHO in asked else other_tests.named(sheets[:MAX_SHEETS])
-        said = [f"{', '.join(names)}: {reason}" if len(sheets) > 1 else reason for reason, names in problems.items()]
+        hint = "" if features.WHO in asked else other_tests.named(sheets[:MAX_SHEETS], "" if asked else kind)
+        said = [f"{', '.join(dict.fromkeys(of))}: {why}" if len(sheets) > 1 else why for why, of in problems.items()]
+        if len(said) > together.MAX_SHEETS_NAMED:
+            said = [*said[: together.MAX_SHEETS_NAMED], "and others"]
         raise DataError(f"{file}: {'; '.join(said)}{'.' if hint else ''}{hint}")
     if asked:  # the sheet before may be the one that is meant
         raise DataError(f"{file}: {asked}. Or, of the other sheets, --sheet {out[0][1]!r}")

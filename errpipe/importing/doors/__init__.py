@@ -82,6 +82,8 @@ def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
             if not any(sheet.rows for sheet in sheets):
                 raise DataError(f"{path}: no rows ({door.name})")
             return door.name, sheets
+    if head.startswith(b"PK\x03\x04"):
+        raise DataError(f"{path}: an archive: extract it first, and name its files")
     kinds = ", ".join(door.name for door in DOORS)
     raise DataError(f"{path}: neither text nor any other kind of file that is imported (allowed: {kinds})")
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from errpipe.errors import DataError, UsageError
 from errpipe.importing.header import is_word
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
+from errpipe.importing.sheet import Cell, DoorOptions, Rows, Sheet, affordable, number
 from errpipe.importing.units import unit_of
 
 name = "delimited text"
@@ -30,6 +30,10 @@ ENCODINGS = {
     "cp1251": "Windows-1251",
     "cp1250": "Windows-1250",
 }
+MOST_LINES_OF_A_CELL = 20  # with more, its quote is a sign of inches
+_QUOTED = r'(?:(?<=^)|(?<=[;,\t|]))\s?"(?:[^"]|"")*"(?=\s*(?:[;,\t|]|$))'
+_OPEN = re.compile(rf'^((?:{_QUOTED}|[^"])*(?:(?<=^)|(?<=[;,\t|]))\s?)"((?:[^"]|"")*)$')
+_METRICS = ("HELP", "TYPE", "UNIT")  # comments of Prometheus on a metric
 SAMPLE_LINES = 400  # lines from which the dialect is inferred
 
 
@@ -37,10 +41,17 @@ def sniff(path: Path, head: bytes) -> bool:
     """Whether the first bytes are text in one of the encodings."""
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE, codecs.BOM_UTF8)):
         return True
+    head = _without_padding(head)
     if b"\0" in head:
         return _wide(head) is not None
     control = sum(byte < 9 or 13 < byte < 32 for byte in head)
     return control <= len(head) // 200
+
+
+def _without_padding(data: bytes) -> bytes:
+    """Text without the zeros with which controllers fill a file of a fixed length."""
+    text = data.rstrip(b"\0")
+    return data if b"\0" in text[: 1 << 14] else text
 
 
 def _wide(head: bytes) -> str | None:
@@ -55,10 +66,10 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     """The cells of a text file. Raises DataError if it is not a table."""
     if options.sheet is not None:
         raise UsageError(f"{path}: a text is one table: --sheet would be ignored")
-    data = path.read_bytes()
+    data = _without_padding(path.read_bytes())
     affordable(data.count(b"\n") + data.count(b"\r"), path)
     encoding, text = _decode(path, data)
-    lines = text.splitlines()
+    lines = _whole_lines(text.splitlines())
     if any(len(line) > LONGEST_LINE for line in lines[:SAMPLE_LINES]):
         raise DataError(f"{path}: a line of more than {LONGEST_LINE} characters (no table of measurements)")
     separator = _separator(lines[:SAMPLE_LINES])
@@ -95,7 +106,7 @@ def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
     first = next((r for r, n in enumerate(figures) if n >= 2 and len(sample[r]) == width), 0)
     for r, line in enumerate(lines):
         row: list[Cell] = [*line.split()]
-        if r < first and len(row) == width + 1 and re.fullmatch(r"[#%;!]+|//", str(row[0])):
+        if r < first and len(row) == width + 1 and re.fullmatch(r"[#%;!]+|//", str(row[0])) and row[1] not in _METRICS:
             row = row[1:]  # names after a comment mark
         if len(row) != width > 1 < len(row):
             if r > first and all(map(_figure, row)):
@@ -107,24 +118,43 @@ def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
         yield row
 
 
+def _whole_lines(lines: list[str]) -> list[str]:
+    """The lines, with a cell in quotes on one line if it was broken: `"Target` above `(mm)";"Error"`.
+
+    A quote that nothing closes is a sign of inches: it is quoted itself.
+    """
+    out, r = list[str](), 0
+    while r < len(lines):
+        text, last = lines[r], r
+        while (opened := _opened(text)) and last + 1 < min(r + MOST_LINES_OF_A_CELL, len(lines)):
+            last += 1
+            text += f" {lines[last]}"
+        if opened and (alone := _opened(lines[r])):
+            text, last = f'{alone[1]}"""{alone[2]}"', r
+        out.append(text)
+        r = last + 1
+    return out
+
+
+def _opened(line: str) -> re.Match[str] | None:
+    return _OPEN.search(line) if '"' in line else None
+
+
 def _with_prose_quoted(lines: list[str]) -> list[str]:
     """Lines above a header as one cell each if blanks follow all their commas, and none of those of the table."""
     first = next((r for r, line in enumerate(lines) if sum(map(_figure, line.split(","))) > 1), 0)
-    head = next((r for r in range(first - 1, 0, -1) if "," in lines[r] and not _only_units(lines[r])), 0)
+    cells = [[cell.strip(' "[]()') for cell in line.split(",") if cell.strip()] for line in lines[:first]]
+    head = next((r for r in range(first - 1, 0, -1) if "," in lines[r] and not all(map(unit_of, cells[r]))), 0)
     if not head or any(", " in line for line in lines[head : first + 1]):
         return lines
     prose = [re.search(r",\s", line) and not re.search(r',\S|"', line.strip().rstrip(",")) for line in lines[:head]]
     return ['"' + line + '"' if of_words else line for line, of_words in zip(lines, prose, strict=False)] + lines[head:]
 
 
-def _only_units(line: str) -> bool:
-    return all(unit_of(cell.strip(' "[]()')) for cell in line.split(",") if cell.strip())
-
-
 MOST_SHORT = 0.1  # share of the rows of numbers; above it, short rows are a layout
 
 
-def _refuse_short_rows(path: Path, rows: list[list[Cell]]) -> None:
+def _refuse_short_rows(path: Path, rows: Rows) -> None:
     """Raise DataError if a row of numbers between full ones lacks a cell: its numbers may be in other columns."""
     width, full = (Counter(n for n in map(len, rows) if n > 2).most_common(1) or [(0, 0)])[0]
     filled = [r for r, row in enumerate(rows) if any(row)]
@@ -140,7 +170,7 @@ def _refuse_short_rows(path: Path, rows: list[list[Cell]]) -> None:
         )
 
 
-def _refuse_torn_numbers(path: Path, rows: list[list[Cell]]) -> None:
+def _refuse_torn_numbers(path: Path, rows: Rows) -> None:
     """Raise DataError if commas are decimal marks and separators: rows of whole numbers, longer than the header."""
     figures = [sum(map(_figure, row)) for row in rows]
     first = next((r for r, n in enumerate(figures) if n >= 2), 0)
@@ -170,7 +200,7 @@ def _names_with_blanks(line: str, width: int) -> list[Cell]:
     return [*next((parts for parts in (joined, apart) if len(parts) == width), [line.strip()])]
 
 
-def _bounded(cells: Iterable[list[Cell]], path: Path) -> list[list[Cell]]:
+def _bounded(cells: Iterable[list[Cell]], path: Path) -> Rows:
     """The rows, limited to a reasonable amount of memory."""
     rows, count = [], 0
     for row in cells:
@@ -239,7 +269,7 @@ def _east_asian(head: bytes) -> list[str]:
 def _separator(lines: list[str]) -> str:
     """The separator that splits most lines into the same number of parts (at least two)."""
     best, most = " ", 0
-    filled = [line for line in lines if line.strip()]
+    filled = [re.sub(_QUOTED, "", line) for line in lines if line.strip()]
     for separator in SEPARATORS:
         counts = Counter(line.count(separator) for line in filled)
         counts.pop(0, None)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,19 @@ FEWEST_ROWS = 3  # of a table next to the largest: fewer are facts of the set-up
 LONGEST_TEXT = 200  # characters of a text that is a comment
 MOST_SERIES = 20  # of a list, in which tables are searched for
 FEWEST_SECONDS, MOST_SECONDS = 5e8, 1e10  # Unix times in s, 1985 to 2286; larger values are ms
+_LOGGED = re.compile(
+    r"([^\s{}]{1,40}\d[^\s{}]*)\s+([^{}\n]{0,200}?)\s*(\{\".*\})\s*(?:\n|$)"
+)  # `2026-11-27T09:00:00Z mill/x {"x": 1}`
+_OF_PYTHON = re.compile(r"'|\b(?:None|True|False|nan)\b")
+_JSON = {"None": "null", "True": "true", "False": "false", "nan": "NaN"}
 _NAMES = ("columns", "fields", "header")  # keys of column names stored with rows
 
 
 def sniff(path: Path, head: bytes) -> bool:
     """A Parquet or Feather file, or text that starts like JSON records; a line `[1] Circle` does not match."""
-    begin = "".join(head[:64].decode("utf-8-sig", "replace").split())
-    return head.startswith((_PARQUET, _ARROW)) or begin.startswith(('{"', '[{"', "[{}", "[["))
+    begin = "".join(head[:64].decode("utf-8-sig", "replace").split()).replace("'", '"')
+    records = begin.startswith(('{"', '[{"', "[{}", "[[")) or _LOGGED.match(head.decode("utf-8-sig", "replace"))
+    return head.startswith((_PARQUET, _ARROW)) or bool(records)
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
@@ -80,10 +87,12 @@ def _column(values: Any) -> list[Cell]:
 def _json(path: Path) -> list[Sheet]:
     """The largest table and those with the same columns, which may be runs or axes; a note on others."""
     text = path.read_text("utf-8-sig", errors="replace")
+    if re.match(r"[\[\s]*\{\s*'", text):  # dictionaries as Python prints them
+        text = _OF_PYTHON.sub(lambda m: _JSON.get(m[0], '"'), text)
     try:
         document = json.loads(text)
     except ValueError:
-        document = [_line(path, n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip()]
+        document = _of_one_time(_line(path, n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip())
     except RecursionError:
         raise DataError(f"{path}: JSON nested too deeply for a table") from None
     tables = list(_tables(document))
@@ -97,7 +106,14 @@ def _json(path: Path) -> list[Sheet]:
     alike = [(at, t) for k, (at, t) in enumerate(alike) if all(t != before for _, before in alike[:k])]
     alike = alike or [("", largest)]
     affordable(sum(len(t) * _rows(t) for _, t in alike), path)
-    others = [at for at, t in tables if at and not {*t} & {*largest} and _rows(t) >= FEWEST_ROWS and _is_flat(t)]
+    used = tuple(f"{at} " for at, _ in alike if at)
+    others = [
+        at
+        for at, t in tables
+        if at and not {*t} & {*largest} and _rows(t) >= FEWEST_ROWS
+        if not any(isinstance(v, list | dict) for values in t.values() for v in values)
+        if not at.startswith(used)
+    ]  # the series of which the table is made
     notes = [f"tables with other columns are excluded: {', '.join(dict.fromkeys(others))}"] if others else []
     facts = document.items() if isinstance(document, dict) else ()
     above = [f"{k}: {v}" for k, v in facts if isinstance(v, str) and len(v) <= LONGEST_TEXT]  # `Axis: X`
@@ -107,10 +123,6 @@ def _json(path: Path) -> list[Sheet]:
 
 def _rows(table: dict[str, list[Any]]) -> int:
     return max(map(len, table.values()))
-
-
-def _is_flat(table: dict[str, list[Any]]) -> bool:
-    return not any(isinstance(v, list | dict) for values in table.values() for v in values)
 
 
 def _tables(document: Any, depth: int = DEEPEST, at: str = "") -> Iterator[tuple[str, dict[str, list[Any]]]]:
@@ -199,7 +211,24 @@ def _of_rows(rows: list[Any], header: list[Any] | None) -> Iterator[dict[str, li
     yield dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
 
 
+def _of_one_time(records: Iterable[Any]) -> list[Any]:
+    """The records, those of one time and of different topics as one."""
+    out: list[Any] = []
+    for record in records:
+        before: Any = out[-1] if out else None
+        beside = isinstance(before, dict) and isinstance(record, dict) and {*before} & {*record} == {"time"}
+        if beside and before["time"] == record["time"]:
+            before |= record
+        else:
+            out.append(record)
+    return out
+
+
 def _line(path: Path, n: int, line: str) -> Any:
+    if logged := _LOGGED.fullmatch(line):  # as subscribers write messages: time, topic, record
+        time, topic, text = logged.groups()
+        record = _line(path, n, text)
+        return {"time": time} | ({topic: record} if topic else record)
     try:
         return json.loads(line)
     except (ValueError, RecursionError) as err:
