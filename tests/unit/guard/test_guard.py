@@ -373,7 +373,7 @@ def test_a_coarse_sensor_that_rests_is_not_frozen_and_one_that_is_stuck_is():
     bed, since = healthy.array("T_bed").copy(), healthy.time() - healthy.time().min()
     run = healthy.run_codes()
     start = np.array([bed[run == r][0] for r in run])
-    rests = healthy.with_columns({"T_bed": np.where(since < 1800.0, start, bed)}, {})
+    rests = healthy.with_columns({"T_bed": np.where(since < 1200.0, start, bed)}, {})
     stuck = healthy.with_columns({"T_bed": start}, {})
     flags = detect.frozen(coarse)[NAMES.index("T_bed")]
     assert not np.any(drive(flags, rests))
