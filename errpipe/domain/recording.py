@@ -54,7 +54,7 @@ ROLE_UNITS: dict[str, tuple[str, ...]] = {
     "group": (),
     "ignore": (),
     "direction": (),
-    "coolant": (),
+    "coolant": ("l/min",),  # or none: 1 while it flows, else 0
     "time": ("s", "ms", "min", "h", "d"),
     "position": ("mm", "deg", "m", "um", "inch", "rad"),
     "command": ("mm", "deg", "m", "um", "inch", "rad"),
@@ -110,6 +110,9 @@ _SPELLINGS = {
     "m/s²": "m/s2",
     "mm/s²": "mm/s2",
     "percent": "%",
+    "lpm": "l/min",
+    "liters/min": "l/min",
+    "litres/min": "l/min",
     "newton": "N",
     "n·m": "N m",
     "n*m": "N m",

@@ -10,6 +10,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from errpipe.domain.recording import ROLE_UNITS, UNITLESS_BY_DEFAULT
 
 # canonical unit -> {unit: (zero, factor)}; factors are exact by definition of the units.
@@ -63,21 +65,29 @@ _CANONICAL: dict[str, tuple[str, ...]] = {
 }
 
 
+# l/min from which coolant counts as flowing: pumps of machine tools move several, a flow meter at rest shows less (by
+# judgement). How much more flows is not modelled: heat passes through a film that hardly changes with it.
+FLOWING = 0.5
+
+
 @dataclass(frozen=True)
 class Conversion:
-    """canonical = (value - zero) * factor, in `unit`."""
+    """canonical = (value - zero) * factor, in `unit`; with a threshold 1 from there on, else 0, without a unit."""
 
     unit: str
     zero: float = 0.0
     factor: float = 1.0
+    threshold: float | None = None
 
     @property
     def identity(self) -> bool:
         """True where the written unit is already canonical."""
-        return self.zero == 0.0 and self.factor == 1.0
+        return self.zero == 0.0 and self.factor == 1.0 and self.threshold is None
 
     def __call__(self, value: Any) -> Any:
         """One number or an array, converted."""
+        if self.threshold is not None:
+            return np.where(np.isnan(value), value, np.greater_equal(value, self.threshold))
         return value if self.identity else (value - self.zero) * self.factor
 
 
@@ -86,6 +96,8 @@ def conversion(role: str, unit: str | None) -> Conversion | None:
 
     Raises ValueError if the unit is not one of the role's, or is missing and not implied.
     """
+    if role == "coolant" and unit is not None:
+        return Conversion("", threshold=FLOWING)
     if role not in _CANONICAL:
         return None
     if unit is None:

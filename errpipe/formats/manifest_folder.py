@@ -194,7 +194,7 @@ def canonical(manifest: Manifest) -> Manifest:
     columns = {}
     for column_name, column in manifest.columns.items():
         convert = units.conversion(column.role, column.unit)
-        columns[column_name] = column if convert is None else column.model_copy(update={"unit": convert.unit})
+        columns[column_name] = column if convert is None else column.model_copy(update={"unit": convert.unit or None})
     constants = {constant_name: _constant(c) for constant_name, c in manifest.constants.items()}
     return _derived.stated(manifest.model_copy(update={"columns": columns, "constants": constants}))
 
@@ -307,9 +307,11 @@ def _values(block: _tables.Block, manifest: Manifest, converts: dict[str, Any], 
             out[column_name] = cells.dictionary_encode().combine_chunks()
             continue
         raw[column_name] = values = cells.to_numpy()  # a missing cell becomes NaN
-        if role in ALLOWED:
-            _check_codes(values, ALLOWED[role], role, column_name, block)
         convert = converts[column_name]
+        if convert is not None and convert.threshold is not None:
+            _check_flow(values, convert.threshold, column_name, block)
+        elif role in ALLOWED:
+            _check_codes(values, ALLOWED[role], role, column_name, block)
         values = values if convert is None or convert.identity else convert(values)
         unit = None if convert is None else convert.unit
         refuse_impossible(values, role, unit, column_name, block.place)
@@ -333,6 +335,15 @@ def _check_codes(
         words = " or ".join(f"{a:+g}" if role == "direction" else f"{a:g}" for a in allowed)
         what = f"{column_name}: {values[row]:g} is not a {role} (allowed: {words}, or empty)"
         raise DataError(f"{block.place(row)}  {what}")
+
+
+def _check_flow(values: np.ndarray, noise: float, column_name: str, block: _tables.Block) -> None:
+    wrong = values < -noise
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise DataError(
+            f"{block.place(row)}  {column_name}: {values[row]:g} is not a flow in l/min (allowed: 0 and more, or empty)"
+        )
 
 
 @dataclass

@@ -11,7 +11,8 @@ Jones 1976; Gertler 1998). With x the readings and C the covariance of u for hea
                                                  every other s_j by |P_ij| / sqrt(P_ii P_jj) < 1, so it is the largest
     a2_j = the same with the sensor of the largest s excluded: a second failed sensor (two exchanged plugs).
                                                  A frozen sensor is excluded first: its held reading affects every s
-    frozen_i = lag((x_i - lag(x_i, freeze))^2, freeze) <= still_i: less activity than any healthy reading
+    frozen_i = lag((x_i - lag(x_i, freeze))^2, freeze) <= still_i: less activity than any healthy reading; at the start,
+                                                 where coarse readings may be constant, the root of usual_i still_i
     jumped_i = 1 from the first |x_i - lag(x_i, freeze)| >= jump_i on: a faster change than any healthy one
     fault_i = 1 from the first a_i, a2_i or jumped_i on, until the next start; or while frozen
 
@@ -59,6 +60,7 @@ class GuardedSensor(Frozen):
     stands_in: bool = Field(True, description="Whether its estimate is accurate enough; else the correction fades.")
     reach: float = Field(gt=0, description="Largest residual r that is latched; twice that of healthy readings.")
     lively: float | None = Field(None, description="Threshold of the lagged square; healthy readings are mostly above.")
+    usual: float = Field(0.0, ge=0, description="Mean of the lagged square of healthy readings.")
     still: float | None = Field(None, description="Threshold of the lagged square; None: constant when healthy.")
 
 

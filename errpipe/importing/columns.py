@@ -12,6 +12,7 @@ from errpipe.errors import DataError
 from errpipe.importing import values
 from errpipe.importing.dates import seconds
 from errpipe.importing.layout import Layout, RawColumn
+from errpipe.importing.units import in_brackets
 from errpipe.importing.words import AXIS_LETTER, CORRECTION, DISPLACEMENT, DOWN, GROUPS, UP, kind_by_name, plain
 
 KIND_OF_UNIT = {
@@ -164,7 +165,8 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return "actual", "its size: a displacement with the range of a travel is a position"
     if kind == "coolant" and KIND_OF_UNIT.get(unit or "") is not None:
         return KIND_OF_UNIT[unit or ""], f"its unit ({unit})"
-    if kind == "coolant" and not set(np.unique(values.known(column))) <= {0.0, 1.0}:
+    stated = unit or in_brackets(column.header)
+    if kind == "coolant" and stated is None and not set(np.unique(values.known(column))) <= {0.0, 1.0}:
         return "ignore", "named as coolant, but its values are not 0 and 1 (off and on)"
     if kind == "direction" and None in [side(c) for c in column.cells if c not in (None, "")]:
         return "ignore", NO_SIDES

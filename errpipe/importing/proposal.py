@@ -294,7 +294,8 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
                 return
             values, unit, why = taken
             turns = own[0] in "ABC" and g.kind in ("velocity", "acceleration")
-            unit, why = _unit_or(unit, ROLE_UNITS[g.kind][1 if turns else 0], why)
+            if g.kind != "coolant":  # without a unit it is on or off
+                unit, why = _unit_or(unit, ROLE_UNITS[g.kind][1 if turns else 0], why)
         moving = g.kind in ("velocity", "acceleration", "force", "torque")
         place = stated.get("location") or (c.header if g.kind == "temperature" else None)
         p.put(c.header, values, why, role=g.kind, unit=unit, axis=own if moving else None, location=place)

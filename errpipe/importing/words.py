@@ -92,7 +92,8 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"(overhang|stick ?out|auskrag|auslade?laenge|ausspannlaenge)", "overhang"),
     (r"(workpiece|werkstueck|part|pallet|palette) ?(mass|weight|load|masse|gewicht)|^payload$", "load"),
     (
-        r"^(coolant|kuehlmittel|kuehlung|kss|emulsion|refrigerant)( ?(on|an|ein|state|status|flow|active|aktiv))?$",
+        r"^(coolant|kuehlmittel|kuehlung|kss|emulsion|refrigerant)( ?(on|an|ein|state|status|flow|active|aktiv))?"
+        r"( ?[\[(]l/min[\])])?$",
         "coolant",
     ),
     (r"(torque|drehmoment|moment)", "torque"),

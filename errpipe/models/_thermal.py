@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
+from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.models._base import Family, Fitted, Grid, Progress, held_out, no_progress
 from errpipe.yamlfile import quantity
@@ -109,7 +110,8 @@ class ThermalFamily(Family):
             "chance": dict(outcome.chance),
             "noise_floor_um": _noise_floor(recording, self, outcome),
         }
-        said = _said(outcome) + changes_with_place(recording, _left(recording, self, outcome))
+        said = _said(outcome, components.unit(self.component))
+        said += changes_with_place(recording, _left(recording, self, outcome))
         said += few_rows_fitted(held_readings(recording), self.component, fitted.report["rows"])
         return Fitted(model, {COMPETITION: document}, {self.component: said})
 
@@ -195,18 +197,18 @@ class ThermalFamily(Family):
             return False
 
 
-def _said(outcome: Outcome) -> str:
+def _said(outcome: Outcome, unit: str) -> str:
     """A short text on the outcome: residuals of the mixture on held-out groups, and its components."""
     from errpipe.thermal.competition import HALF, MIXTURE, NOTHING
 
     way = HALF if HALF in outcome.left else next(iter(outcome.left))
     left = outcome.left[way]
     made_of = " + ".join(f"{w:.2g} {e.name}" for e, w in outcome.weights) or "nothing"
-    said = f"{left[NOTHING]:.3g} -> {left[MIXTURE]:.3g} um on each held-out {way}; {made_of}"
+    said = f"{left[NOTHING]:.3g} -> {left[MIXTURE]:.3g} {unit} on each held-out {way}; {made_of}"
     other = outcome.left.get(MACHINE, left)[MIXTURE]
     if other <= UNLIKE_MACHINES * left[MIXTURE]:
         return said
-    return f"{said}; {other:.3g} um on each held-out {MACHINE}: machines that differ need one recording each"
+    return f"{said}; {other:.3g} {unit} on each held-out {MACHINE}: machines that differ need one recording each"
 
 
 def _left(recording: Recording, family: ThermalFamily, outcome: Outcome) -> np.ndarray:

@@ -37,6 +37,7 @@ class Template:
 
 POSITIONING = ("positioning", "angular positioning")  # kinds of components of which ISO 230-2 has figures
 HEAT = ("temperature", "spindle_speed")
+EACH, END, SEVERAL = "@EACH@", "@END@", "  # @SEVERAL@"  # lines of a template that are repeated for every component
 
 TEMPLATES = {
     "laser-iso230": Template("laser"),
@@ -124,6 +125,7 @@ def _filled(
     backlash, sensors = True, ["frame_t", "bed_t"]
     if name == "gantry":
         words["COMPONENT"] = "E_Z"
+    drifts = []
     if recording is not None:
         facts = _facts(Path(recording))
         words |= facts["words"]
@@ -135,10 +137,13 @@ def _filled(
         if absent:
             have = ", ".join(facts["components"])
             raise UsageError(f"{recording}: no error of {absent[0]}, which template {name} needs (it has: {have})")
-        if facts["others"]:
+        if facts["others"] and EACH not in text:
             also = f"  # recorded too: {', '.join(facts['others'])}"
-            text = re.sub(r"(?m)^( +component: @COMPONENT@)$", rf"\g<1>{also}", text)
+            text = re.sub(r"(?m)^( +(?:- )?component: @COMPONENT@)$", rf"\g<1>{also}", text)
         words["RECORDING"] = json.dumps(Path(os.path.relpath(recording, folder)).as_posix(), ensure_ascii=False)
+        drifts = facts["drifts"]
+    drifts = drifts or [words["COMPONENT"]]
+    text, words["COMPONENTS"] = _for_each(text, drifts), ", ".join(drifts)
     words["METHOD"] = "ridge" if recording is not None and len(sensors) > 1 else "linear"
     text = re.sub(
         r"(?m)^.*@SENSOR@.*\n",
@@ -152,6 +157,17 @@ def _filled(
     if targets:
         text = re.sub(r"(?m)^(\s*targets: ).*", rf"\g<1>[{', '.join(targets)}]", text)
     return text, why
+
+
+def _for_each(text: str, components: Sequence[str]) -> str:
+    """The lines from EACH to END once for every component; those marked SEVERAL only if there are several."""
+    if EACH not in text:
+        return text
+    before, rest = text.split(f"{EACH}\n")
+    block, after = rest.split(f"{END}\n")
+    named = [line for line in block.splitlines(keepends=True) if len(components) > 1 or SEVERAL not in line]
+    once = "".join(named).replace(SEVERAL, "")
+    return before + "".join(once.replace("@COMPONENT@", name) for name in components) + after
 
 
 def _facts(folder: Path) -> dict[str, Any]:
@@ -188,8 +204,20 @@ def _facts(folder: Path) -> dict[str, Any]:
         "roles": roles,
         "components": recorded,
         "others": [c for c in recorded if c != component],
+        "drifts": [c for c in (component, *(c for c in recorded if c != component)) if _drifts(recording, c)],
         "recording": recording if place is not None and recording.manifest.columns[place].unit == "mm" else None,
     }
+
+
+def _drifts(recording: Recording, component: str) -> bool:
+    """Whether a component is a deviation (a force does not follow heat) that changes within the recording."""
+    import numpy as np
+
+    from errpipe.domain.components import is_force
+
+    values = recording.array(str(recording.name("error", component=component)))
+    known = values[np.isfinite(values)]
+    return not is_force(component) and known.size > 1 and bool(np.ptp(known) > 0)
 
 
 def _widest(recording: Recording) -> str:

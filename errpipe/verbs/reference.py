@@ -17,6 +17,7 @@ from typing import Any
 from errpipe import jsonfile
 from errpipe.domain.protocols import PROTOCOLS
 from errpipe.domain.recording import ROLE_UNITS, Column, Constant, Manifest
+from errpipe.domain.units import FLOWING
 from errpipe.errors import UsageError, did_you_mean
 from errpipe.stages._docstrings import sections
 from errpipe.terms import example_of
@@ -136,11 +137,16 @@ def _recordings() -> Iterator[str]:
     yield from ("", "## Columns")
     yield from _options(Column)
     yield from ("", "## Roles and their units, the canonical one first", "")
-    yield from _table(("role", "units"), ((f"`{role}`", ", ".join(u) or "none") for role, u in ROLE_UNITS.items()))
+    yield from _table(("role", "units"), ((f"`{role}`", _units(role)) for role in ROLE_UNITS))
     yield from ("", "## Constants of the set-up")
     yield from _options(Constant)
     yield ""
     yield from _protocols()
+
+
+def _units(role: str) -> str:
+    named = ", ".join(ROLE_UNITS[role]) or "none"
+    return f"none (1 while it flows, else 0), {named} ({FLOWING:g} and more: 1)" if role == "coolant" else named
 
 
 def _protocols() -> Iterator[str]:

@@ -277,6 +277,23 @@ def test_a_wrong_manifest_is_refused(tmp_path, case):
     assert message in str(refusal.value)
 
 
+def test_a_flow_of_coolant_counts_as_on_or_off(tmp_path):
+    """Before: "a column of role coolant has no unit (found 'l/min')"."""
+    manifest = MANIFEST.replace("note: {role: ignore}", "note: {role: coolant, unit: l/min}")
+    rows = ["1,0,0,1,68,0.02,1", "1,1,0,1,68,11.5,1", "1,2,0,1,68,,1", "1,3,0,1,68,-0.1,1", "1,4,0,1,68,0.5,1"]
+    recording = manifest_folder.read(folder(tmp_path, rows, manifest=manifest))
+    np.testing.assert_array_equal(recording.array("note"), [0.0, 1.0, np.nan, 0.0, 1.0])
+    assert recording.array("note").dtype == float and recording.manifest.columns["note"].unit is None
+    manifest_folder.write(recording, tmp_path / "again")
+    np.testing.assert_array_equal(manifest_folder.read(tmp_path / "again").array("note"), recording.array("note"))
+
+    said = r"recording.csv:3  note: -1 is not a flow in l/min \(allowed: 0 and more, or empty\)"
+    with pytest.raises(DataError, match=said):
+        manifest_folder.read(folder(tmp_path, [rows[0], "1,1,0,1,68,-1,1"], manifest=manifest))
+    with pytest.raises(ConfigError, match="'lpm' is not a unit of role coolant .* Did you mean l/min"):
+        manifest_folder.read(folder(tmp_path, rows, manifest=manifest.replace("l/min", "lpm")))
+
+
 def test_the_page_of_the_contract_is_accepted(tmp_path):
     text = """\
 recording: 1                     # format version

@@ -361,3 +361,20 @@ def test_a_sensor_that_is_read_seldom_does_not_look_frozen():
     assert not drive_all(list(detect.frozen(guard)), Recording(manifest, frame)).any()
     stuck = Recording(manifest, frame.assign(T=np.where(np.arange(rows) < 100, x, x[100])))
     assert drive_all(list(detect.frozen(guard)), stuck)[-1].all()
+
+
+def test_a_coarse_sensor_that_rests_is_not_frozen_and_one_that_is_stuck_is():
+    """Readings of 0.1 K repeat while a temperature rests; before, the column was frozen in 1 of 20 healthy runs."""
+    coarse = learn.learn(simulated_sensors.machine(12, seed=1, noise=0.04, display=0.1))
+    assert all(s.still for s in coarse.sensors)
+    healthy = simulated_sensors.machine(20, seed=5, noise=0.04, display=0.1)
+    assert not np.any(drive_all(detect.frozen(coarse), healthy))
+
+    bed, since = healthy.array("T_bed").copy(), healthy.time() - healthy.time().min()
+    run = healthy.run_codes()
+    start = np.array([bed[run == r][0] for r in run])
+    rests = healthy.with_columns({"T_bed": np.where(since < 1200.0, start, bed)}, {})
+    stuck = healthy.with_columns({"T_bed": start}, {})
+    flags = detect.frozen(coarse)[NAMES.index("T_bed")]
+    assert not np.any(drive(flags, rests))
+    assert np.all(drive(flags, stuck)[since > 3 * 3600.0])

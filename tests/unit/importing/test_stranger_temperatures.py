@@ -91,6 +91,14 @@ def test_what_is_only_called_alike_is_none(header: str, values: np.ndarray) -> N
 
 
 @pytest.mark.parametrize(
+    ("header", "kind"), [("coolant flow [l/min]", "coolant"), ("Kuehlmittel (l/min)", "coolant"), ("coolant", "ignore")]
+)
+def test_a_flow_of_coolant_is_known_by_its_unit(header: str, kind: str) -> None:
+    """Without one, values other than 0 and 1 are neither on nor off."""
+    assert seen(header, 12.0 * (STEPS > 30.0))[0].kind == kind
+
+
+@pytest.mark.parametrize(
     ("header", "values"),
     [("Kanal 7", WARM), ("Spindle brg front", 1.8 * WARM + 32.0), ("TC1 spindle", WARM + 273.15), ("spindle", STEPS)],
 )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from errpipe.cli.app import main
@@ -72,15 +74,42 @@ def test_a_sensor_that_cleaning_set_aside_is_named_with_the_reason(tmp_path: Pat
     assert "frame_t: cleaning set it aside: reads" in said and "kelvin" in said and "Did you mean" not in said
 
 
-def test_of_several_drifts_the_widest_is_modelled_and_the_others_are_named(tmp_path: Path) -> None:
-    """Before: the first column, X of 5 um, and nothing said that Z of 50 um was left."""
-    made = sample_recordings.gantry()
-    (name,) = made.names("error")
-    columns = {"small": made.manifest.columns[name].model_copy(update={"component": "E_X"}), **made.manifest.columns}
+def _two_drifts(folder: Path, small: float) -> None:
+    """The gantry's recording with E_X = small * E_Z before its E_Z."""
+    sample = sample_recordings.gantry()
+    made = sample.take(np.arange(len(sample)) % 4 == 0)
+    columns = {"small": made.manifest.columns["E_Z"].model_copy(update={"component": "E_X"}), **made.manifest.columns}
     manifest = made.manifest.model_copy(update={"columns": columns})
-    frame = made.frame.assign(small=0.1 * made.frame[name])
-    recording_folder.write(tmp_path / "recording", Recording(manifest, frame))
+    recording_folder.write(folder, Recording(manifest, made.frame.assign(small=small * made.frame["E_Z"])))
+
+
+@pytest.mark.parametrize("template", ["spindle-drift", "gantry"])
+def test_every_drift_of_a_recording_is_fitted_and_exported(tmp_path: Path, template: str) -> None:
+    """Before: the widest alone; X of 5 um was left as it was."""
+    _two_drifts(tmp_path / "recording", 0.1)
+    init(tmp_path / "work", template, tmp_path / "recording")
+    pipeline = str(tmp_path / "work" / "pipeline.yaml")
+    assert main(["run", pipeline, "--out", str(tmp_path / "out")]) == 0
+    table = json.loads((tmp_path / "out/export/table.json").read_text())
+    assert {o["name"] for o in table["outputs"]} == {"E_Z", "E_X"}
+    gains = {c["component"]: c["gain"] for c in json.loads((tmp_path / "out/export/export.json").read_text())["judged"]}
+    assert gains == {"E_Z": 1.0, "E_X": 1.0}
+
+
+def test_a_drift_that_never_changes_gets_no_fit(tmp_path: Path) -> None:
+    """Its fit would be refused, and with it the whole pipeline."""
+    _two_drifts(tmp_path / "recording", 0.0)
     init(tmp_path / "work", "spindle-drift", tmp_path / "recording")
-    component = made.manifest.columns[name].component
     text = (tmp_path / "work" / "pipeline.yaml").read_text()
-    assert f"component: {component}  # recorded too: E_X\n" in text and f"drift, {component}\n" in text
+    assert text.count("kind: fit") == 1 and "E_X" not in text and "drift, E_Z\n" in text
+
+
+def test_other_errors_of_a_static_recording_are_named(tmp_path: Path) -> None:
+    """They need a model of their own: a positioning is not a straightness."""
+    made = sample_recordings.laser()
+    columns = made.manifest.columns | {"EYX": made.manifest.columns["EXX"].model_copy(update={"component": "EYX"})}
+    manifest = made.manifest.model_copy(update={"columns": columns})
+    recording_folder.write(tmp_path / "recording", Recording(manifest, made.frame.assign(EYX=made.frame["EXX"])))
+    init(tmp_path / "work", "laser-iso230", tmp_path / "recording")
+    text = (tmp_path / "work" / "pipeline.yaml").read_text()
+    assert "component: EXX  # recorded too: EYX\n" in text and text.count("component: E") == 1
