@@ -29,7 +29,7 @@ ALONE = (
     "errpipe export {0}/table.ect OTHER/table.ect --target {1} --out DIR"
 )
 CHECK_THE_SIGN = (
-    "**The sign of the readings was assumed (their file does not state it); a wrong one doubles the error.** Before "
+    f"**{_artefacts.SIGN_NOTE}.** Before "
     "anything is loaded: with the instrument of the recording set up at a target, jog the axis 0.1 mm (deg) beyond it, "
     "in the positive direction. The reading must rise by 0.1. If it falls: import with --sign commanded-minus-actual; "
     "if it rises, --sign actual-minus-commanded removes this note."

@@ -158,11 +158,13 @@ def write_targets(
 ) -> list[dict[str, Any]]:
     """Write the files of each named target to a separate folder. Raises UsageError for an unknown name.
 
-    remarks: comment lines, such as the table's signature; written where a format has room for comments.
+    remarks: comment lines, such as the table's signature, behind the warnings in the table's title; written where a
+    format has room for comments.
     note: a sentence for every checklist.
     """
     out = []
     targets = with_own_content(table, chosen(list(dict.fromkeys(names))))
+    remarks = (*_artefacts.warnings_in(table.title), *remarks)
     for target in targets:
         others = _sibling_names(target, targets)
         files = target.remarked(target.write_with(table, others), remarks)
