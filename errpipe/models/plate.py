@@ -38,6 +38,7 @@ class Plate(Family):
     documents: ClassVar[tuple[str, ...]] = (FIGURES,)
     default_scheme: ClassVar[str] = "leave-one-run-out"
     solved_by: ClassVar[str] = "planar map"
+    one_map: ClassVar[bool] = True  # the set-up of a plate is fitted to both directions
 
     @property
     def responses(self) -> tuple[str, ...]:

@@ -204,8 +204,8 @@ def _of_force(table: CompensationTable) -> list[str]:
             if abs(moved) > 1e-3:
                 says.append(
                     f"at {force.name} = {PUSH:g} N and mid travel {axis} is commanded {abs(moved):.3g} um "
-                    f"{'less' if moved < 0 else 'more'}; without a reading of {force.name}, or with an old one, no "
-                    "force correction is made"
+                    f"{'less' if moved < 0 else 'more'}; without a reading of {force.name}, with an old one, or one "
+                    f"beyond {force.high:g} N, no force correction is made"
                 )
     return says
 
