@@ -83,14 +83,16 @@ class Family(Frozen, ABC):
 
     documents: names of the JSON files that its fit adds. seasonal: whether `train` returns a predictor of the deviation
     since the start of each run. competes: whether it has entrants for a competition of thermal families.
-    nonlinear: whether its relations are non-linear, so that one run cannot validate them for another. default_scheme:
-    of the hold-out. solved_by: the solution method, if not evident from its name.
+    nonlinear: whether its relations are non-linear, so that one run cannot validate them for another. one_map: whether
+    its responses are one map, whose significance is tested over all of them together. default_scheme: of the hold-out.
+    solved_by: the solution method, if not evident from its name.
     """
 
     documents: ClassVar[tuple[str, ...]] = ()
     seasonal: ClassVar[bool] = False
     competes: ClassVar[bool] = False
     nonlinear: ClassVar[bool] = False
+    one_map: ClassVar[bool] = False
     default_scheme: ClassVar[str] = "auto"
     solved_by: ClassVar[str] = ""
 

@@ -38,6 +38,7 @@ class Plate(Family):
     documents: ClassVar[tuple[str, ...]] = (FIGURES,)
     default_scheme: ClassVar[str] = "leave-one-run-out"
     solved_by: ClassVar[str] = "planar map"
+    one_map: ClassVar[bool] = True  # the set-up of a plate is fitted to both directions
 
     @property
     def responses(self) -> tuple[str, ...]:
@@ -60,14 +61,26 @@ class Plate(Family):
         return Fitted(_error_model(fitted, recording), {FIGURES: document}, summary)
 
     def folds(self, recording: Recording, scheme: HoldOut | str | None) -> tuple[str, list[Fold]]:
-        """Without a scheme whole plates are held out; of a single plate, every n-th hole in turn."""
+        """Without a scheme whole plates are held out; of a single plate, every n-th hole in turn.
+
+        The first of two measurements of one plate shares the holes' own noise with the second: it neither predicts
+        the second nor counts as a further observation.
+        """
 
         from errpipe.fitting.holdout import Fold
 
-        if scheme is not None or len(recording.run_labels()) > 1:
-            return super().folds(recording, scheme)
-        number = np.arange(len(recording)) % self.every
-        out = [Fold(f"hole {k + 1}, {k + 1 + self.every} ...", number != k, number == k) for k in range(self.every)]
+        labels, run = recording.run_labels(), recording.run_codes()
+        codes = [labels.index(label) for label in self.measured_twice or () if label in labels]
+        twice, first = np.isin(run, codes), np.isin(run, codes[:1] if len(codes) == 2 else [])
+        if scheme is not None or np.unique(run[~first]).size > 1:
+            name, folds = super().folds(recording, scheme)
+            kept = [f._replace(train=f.train & ~twice) if (f.test & twice).any() else f for f in folds]
+            return name, [f for f in kept if f.train.any() and not first[f.test].all()]
+        number = np.where(first, -1, np.arange(len(recording)) % self.every)
+        out = [
+            Fold(f"hole {k + 1}, {k + 1 + self.every} ...", (number != k) & ~first, number == k)
+            for k in range(self.every)
+        ]
         return f"one plate, every {self.every}th hole in turn", out
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
@@ -76,9 +89,7 @@ class Plate(Family):
         from errpipe.fitting.design import response_name
         from errpipe.kinematics import planar
 
-        model = planar.fit_plate(
-            recording, rows=fold.train & self._chosen_rows(recording, fold.train), modes=self.modes
-        )
+        model = planar.fit_plate(recording, rows=fold.train & self._chosen_rows(recording, fold), modes=self.modes)
         x, y = (recording.array(str(recording.name("position", axis=a))) for a in "XY")
         deviation = np.column_stack([recording.array(response_name(recording, c)) for c in DIRECTIONS])
         residual = deviation - model.predict(x, y)
@@ -95,14 +106,19 @@ class Plate(Family):
         outside = np.maximum.reduce([box.x[0] - x, x - box.x[1], box.y[0] - y, y - box.y[1], np.zeros_like(x)])
         return {c: held_out(fold, before[:, k], after[:, k], outside, used=used) for k, c in enumerate(DIRECTIONS)}
 
-    def _chosen_rows(self, recording: Recording, rows: np.ndarray) -> np.ndarray:
-        """Rows of the plate selected by option `plate`; the last one in the mask `rows` if that one is held out."""
+    def _chosen_rows(self, recording: Recording, fold: Fold) -> np.ndarray:
+        """Rows of the plate selected by option `plate`; if it is held out, or `last`, of the one before the held-out.
+
+        Nothing is before the first one: the last one predicts it. Two plates that predicted each other would count
+        twice: the inner product of both maps is the same either way.
+        """
         run = recording.run_codes()
         if self.plate == "all":
             return np.ones(run.size, dtype=bool)
-        labels, present = recording.run_labels(), set(np.unique(run[rows]).tolist())
+        labels, present = recording.run_labels(), np.unique(run[fold.train])
         named = labels.index(self.plate) if self.plate in labels else -1
-        return run == (named if named in present else max(present))
+        before = present[present < run[fold.test].min()]
+        return run == (named if named in present else (before if before.size else present)[-1])
 
     def tables(self, documents: Mapping[str, Any], validation: Mapping[str, Any]) -> list[Table]:
         """Scale and squareness with intervals; the residual with the repeatability of measuring a plate twice."""

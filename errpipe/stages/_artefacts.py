@@ -26,6 +26,8 @@ PROCEDURE = "fit.json"  # the model family and its options: enough to repeat the
 VALIDATION = "validation.json"
 UNGATED = "Ungated, not shown to be better than no compensation"  # in the title of such a table
 SIGN_ASSUMED = "Sign assumed"  # in the title of a table of readings whose file does not state their sign
+# Among the notes of a model of such readings, in comments of its files, in reports
+SIGN_NOTE = "The sign of the readings was assumed (their file does not state it); a wrong one doubles the error"
 TABLE = "table.ect"
 TWIN = "table.json"
 
@@ -35,10 +37,31 @@ def ungated_title(title: str) -> str:
     return f"{UNGATED}: {title}"[:127]
 
 
-def title_of(title: str, recording: Recording) -> str:
-    """Title of a table of a recording: marked where `import` assumed the sign of the readings."""
-    constant = recording.manifest.constants.get("sign")
-    return f"{SIGN_ASSUMED}: {title}"[:127] if constant is not None and constant.value == "assumed" else title
+def sign_assumed(recordings: Iterable[Recording]) -> bool:
+    """Whether `import` assumed the sign of the readings of any of the recordings."""
+    signs = (recording.manifest.constants.get("sign") for recording in recordings)
+    return any(sign is not None and sign.value == "assumed" for sign in signs)
+
+
+def sign_noted(model: ErrorModel) -> bool:
+    """Whether a model notes that the sign of its readings was assumed."""
+    return any(SIGN_NOTE in note for note in model.notes)
+
+
+def with_sign_note(model: ErrorModel) -> ErrorModel:
+    """A model with the note that the sign of its readings was assumed."""
+    return model if sign_noted(model) else model.model_copy(update={"notes": (*model.notes, SIGN_NOTE)})
+
+
+def sign_title(title: str) -> str:
+    """Title of a table of readings whose sign was assumed; at most 127 characters."""
+    return title if SIGN_ASSUMED in title else f"{SIGN_ASSUMED}: {title}"[:127]
+
+
+def warnings_in(title: str) -> list[str]:
+    """The warnings that a table's title holds, a sentence each."""
+    marks = {SIGN_ASSUMED: SIGN_NOTE, UNGATED: UNGATED}
+    return [says for mark, says in marks.items() if mark in title]
 
 
 def recording_in(folder: Path) -> Recording:
@@ -119,6 +142,7 @@ def write_model(context: Context, recording: Recording, model: ErrorModel, famil
 
     inputs = {"recording": context.fingerprint}
     model = model.model_copy(update={"title": context.title or recording.manifest.title, "inputs": inputs})
+    model = with_sign_note(model) if sign_assumed([recording]) else model
     context.write_json(MODEL, model_json(model))
     context.write_json(PROCEDURE, procedure(family, fingerprint_of(model)))
     return model

@@ -29,7 +29,7 @@ ALONE = (
     "errpipe export {0}/table.ect OTHER/table.ect --target {1} --out DIR"
 )
 CHECK_THE_SIGN = (
-    "**The sign of the readings was assumed (their file does not state it); a wrong one doubles the error.** Before "
+    f"**{_artefacts.SIGN_NOTE}.** Before "
     "anything is loaded: with the instrument of the recording set up at a target, jog the axis 0.1 mm (deg) beyond it, "
     "in the positive direction. The reading must rise by 0.1. If it falls: import with --sign commanded-minus-actual; "
     "if it rises, --sign actual-minus-commanded removes this note."
@@ -204,8 +204,8 @@ def _of_force(table: CompensationTable) -> list[str]:
             if abs(moved) > 1e-3:
                 says.append(
                     f"at {force.name} = {PUSH:g} N and mid travel {axis} is commanded {abs(moved):.3g} um "
-                    f"{'less' if moved < 0 else 'more'}; without a reading of {force.name}, or with an old one, no "
-                    "force correction is made"
+                    f"{'less' if moved < 0 else 'more'}; without a reading of {force.name}, with an old one, or one "
+                    f"beyond {force.high:g} N, no force correction is made"
                 )
     return says
 

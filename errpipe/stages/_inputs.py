@@ -21,6 +21,9 @@ from errpipe.guard.detect import FADE_S
 from errpipe.guard.rates import ReadingRate
 
 FORCE_STALE = 0.1  # s: an older force is of another cut
+# Of the largest force that was fitted: a machine gives way in proportion somewhat beyond it; a larger reading is taken
+# for that of a failed sensor (by judgement), which would move the axis by millimetres.
+FORCE_BEYOND = 2.0
 # Role of a column -> kind of the controller's channel, lowest and highest plausible reading, stale after (s).
 CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {
     "position": ("position", -1e5, 1e5, None),
@@ -138,6 +141,8 @@ def _channel(name: str, facts: dict, model: ErrorModel) -> TableInput:
     extra: dict[str, Any] = {"default": min(max(sum(seen) / 2 if seen else 0.0, low), high)}
     if kind == "force":  # missing: no force, so no force correction, and the rest continues
         extra = {"default": 0.0, "hold_s": 0.0, "fade_on_default": False}
+        if largest := max(map(abs, seen or (0.0,))):
+            low, high = -FORCE_BEYOND * largest, FORCE_BEYOND * largest
     elif seen is not None and model.validity.fades and kind not in ("position", "velocity", "coolant"):
         margin = model.validity.margins.get(name) or FADE_SHARE * max(seen[1] - seen[0], 1e-3)
         extra |= {"valid": seen, "margin": margin}

@@ -49,6 +49,8 @@ def solve(stage: Any, context: Context) -> Solved:
     document = summary.document(identified, seen, missed=missed)
     document |= {"procedure": {"modes": modes, **stage.procedure()}, "unfollowed": missed}
     document["unfollowed_largest"] = largest
+    if _artefacts.sign_assumed(tests.values()):
+        document["sign"] = "assumed"
     if single:
         each = zip(seen.label, seen.noise, strict=True)
         noise = {records.component_of(tag): float(size * identified.noise) for tag, size in each}
@@ -104,6 +106,7 @@ def page(solved: Solved, title: str) -> str:
         if test.names("error", component="E_R") and _protocol(test) == "ballbar_circle":
             figures += ballbar_pages(test)
     data = {"title": title or chain.machine.name, "document": document, "figures": figures, "version": __version__}
+    data["sign_note"] = _artefacts.SIGN_NOTE if document.get("sign") == "assumed" else ""
     return render("identification.html.j2", data)
 
 

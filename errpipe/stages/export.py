@@ -73,7 +73,8 @@ class Export(CompileOptions, SignOptions, Stage):
         models = _artefacts.models_in(context)
         model = joined(models)
         recording = _artefacts.recording_in(context.needed("recording"))
-        model = model.model_copy(update={"title": _artefacts.title_of(model.title, recording)})
+        if _artefacts.sign_noted(model) or _artefacts.sign_assumed([recording]):
+            model = model.model_copy(update={"title": _artefacts.sign_title(model.title)})
         checks = _plausible.refuse(recording, model, self.allow, self.limit)
         passed = _gate(model, models, self, context)
         model = passed.model

@@ -70,6 +70,7 @@ class ExportVolumetric(SignOptions, Stage):
         errors = summary.errors(chain, document, kept=kept)
         reversal_lines = {n: line for n, line in reversals(document).items() if n in kept}
         title = _artefacts.ungated_title(context.title) if self.ungated else context.title
+        title = _artefacts.sign_title(title) if document.get("sign") == "assumed" else title
         table = compile_machine(
             chain, errors, jsonfile.fingerprint(document), title, self.error_bound, reversal_lines, axes
         )

@@ -43,6 +43,7 @@ class IdentifyDirect(Identify):
         document = jsonfile.read(context.folder / IDENTIFICATION)
         machine: Machine = yamlfile.load(self.machine, Machine)
         model = direct_model.error_model(compile_chain(machine), last, document, document["noise_of"])
+        model = _artefacts.with_sign_note(model) if document.get("sign") == "assumed" else model
         family = Direct(
             machine=machine,
             modes=document["procedure"]["modes"],

@@ -73,7 +73,11 @@ class Report(Stage):
                 for fit, (figures, _) in zip(fits, positioning, strict=True)
                 for table in (*figures, *_family_tables(fit.folder, fit.validation), *_seasons(fit.validation))
             ],
-            notes=[*_left_out(exported), *(c for d in exported.values() for c in d.get("checks", ()))],
+            notes=[
+                *([f"{_artefacts.SIGN_NOTE}."] if any(_artefacts.sign_noted(fit.model) for fit in fits) else []),
+                *_left_out(exported),
+                *(c for d in exported.values() for c in d.get("checks", ())),
+            ],
             next_step=_next_step(exported, self.refusal),
         )
         context.write_text("report.html", render(page))

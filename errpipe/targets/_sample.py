@@ -274,7 +274,8 @@ def backlash_if_any(table: CompensationTable, target: str, letters: str = "") ->
     out = {axis: value for axis, value in lost_motion(table).items() if not letters or axis in letters}
     for axis, value in out.items():
         if value < 0:
-            raise GateError(f"{target}: {axis} would have to be pushed back by {-1e3 * value:.3g} um at reversals")
+            size = f"{-1e3 * value:.3g} um" if unit_of(axis) == "mm" else f"{-value:.3g} deg"
+            raise GateError(f"{target}: {axis} would have to be pushed back by {size} at reversals")
     return out
 
 

@@ -11,6 +11,7 @@ Limits    +-127 encoder steps; the same in both directions; the control spreads 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -18,11 +19,14 @@ from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, Curve, expect, found
+from errpipe.targets._base import CAUTION, ByHand, Curve, ReadBack, expect, found
 from errpipe.targets._screw_map import ScrewMap
 
 INCH = 25.4  # mm
 STEP = INCH / 2  # of HAAS' table: half an inch
+# inch: 127 encoder steps, the largest value, of the coarsest encoder, whose step is the list's own resolution of 0.0001
+# inch. A finer one allows less: 127 / (steps per inch: parameter 5, 19 or 33).
+MOST = 127e-4
 
 
 class HaasPitch(ScrewMap):
@@ -57,18 +61,37 @@ class HaasPitch(ScrewMap):
     @classmethod
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
         low, high = _sample.span(table, axis)
+        if (needed := int(np.ceil((high - low) / STEP - 1e-9)) + 1) > cls.most:
+            raise GateError(f"{cls.name}: {axis}: {needed} values of half an inch are needed, {cls.most} fit")
         return high - STEP * np.arange(int(np.ceil((high - low) / STEP - 1e-9)), -1, -1)
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
         mean = curve.mean
         values = ((mean - mean[-1]) / INCH)[::-1]
+        if (largest := float(np.abs(values).max())) > MOST:
+            raise GateError(
+                f"{cls.name}: {curve.axis}: a value of {largest:.4f} inch is needed, {MOST:.4f} inch (127 steps) is "
+                "the largest that any of these controls takes"
+            )
         lines = [
             f"# {CAUTION}",
             f"# {curve.axis}: {values.size} values in inches, machine zero at {curve.positions[-1]:.6f} mm",
         ]
         lines += [f"{n} {v + 0.0:.4f}" for n, v in enumerate(values.tolist())]
         return f"leadscrew_{curve.axis}.txt", "\n".join([*lines, ""])
+
+    @classmethod
+    def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
+        says = []
+        for c in read.curves:
+            largest = float(np.abs(c.up).max()) / INCH
+            if largest > 0:
+                says.append(
+                    f"{c.axis}: the largest value is {largest:.4f} inch; it takes at most 127 encoder steps, so "
+                    f"its steps per inch (parameter 5, 19 or 33) must not be more than {127 / largest:.0f}"
+                )
+        return (*super().by_hand(table, read, others), *map(ByHand, says))
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:

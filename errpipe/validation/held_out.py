@@ -65,7 +65,13 @@ def judged(
         "scheme": label,
         "method": family.method_name,
         "components": [
-            component_figures(recording, name, left, halves=blocks if label == holdout.HALVES else None)
+            component_figures(
+                recording,
+                name,
+                left,
+                halves=blocks if label == holdout.HALVES else None,
+                beside=[other for other in by_component.values() if other is not left] if family.one_map else (),
+            )
             for name, left in by_component.items()
         ],
     }
@@ -171,11 +177,13 @@ def component_figures(
     folds: Sequence[HeldOut],
     gains: dict[str, float] | None = None,
     halves: Blocks | None = None,
+    beside: Sequence[Sequence[HeldOut]] = (),
 ) -> dict[str, Any]:
     """Figures of one component over its held-out groups. gains: rms by gain if known from further rows.
 
     halves: if the groups are blocks of halves that predicted each other, per component the blocks predicted by all
-    others of the run; called if halves are inconclusive.
+    others of the run; called if halves are inconclusive. beside: the same groups of other components of one map, whose
+    significance is tested together: each alone would be a further chance to look good.
     """
     if not folds:
         raise DataError(f"validate: no held-out rows of {component}")
@@ -188,7 +196,7 @@ def component_figures(
     readings = recording.array(name)[rows[order]] if name else None
     floor = noise_floor(recording, rows[order], after[order], readings)
     best = _smallest_tied_gain(gains)
-    chance, runs, chosen = _tested(recording, component, folds, best, halves)
+    chance, runs, chosen = _tested(recording, component, folds, best, halves, beside)
     figures = {
         "component": component,
         "unit": (recording.manifest.columns[name].unit if name else None) or "um",
@@ -217,11 +225,18 @@ def component_figures(
 
 
 def _tested(
-    recording: Recording, component: str, folds: Sequence[HeldOut], best: float, halves: Blocks | None
+    recording: Recording,
+    component: str,
+    folds: Sequence[HeldOut],
+    best: float,
+    halves: Blocks | None,
+    beside: Sequence[Sequence[HeldOut]],
 ) -> tuple[float, int, float]:
     """p-value of a gain, its number of observations, and the exported gain: this one or 0."""
     if halves is None:
-        chance, runs = significance.p_value(recording, folds, best), significance.independent_runs(recording, folds)
+        whole = [_joined(parts) for parts in zip(*map(_at_best_gain, (folds, *beside)), strict=True)]
+        chance = significance.p_value(recording, whole if beside else folds, 1.0 if beside else best)
+        runs = significance.independent_runs(recording, folds)
     else:
         chance, runs = significance.p_between_halves(folds, best)
     chance = chance if best > 0.0 else 1.0
@@ -230,6 +245,20 @@ def _tested(
     if not significance.helps_between_halves(chance, lambda: _share_left(halves()[component])):
         return chance, runs, 0.0
     return chance, runs, best if best == 1.0 else _between(folds, halves()[component])
+
+
+def _at_best_gain(folds: Sequence[HeldOut]) -> list[HeldOut]:
+    """The groups of a component with the residual at its best gain."""
+    best = _smallest_tied_gain({f"{g:g}": _pooled(folds, g) for g in GAINS})
+    return [replace(f, after=_at_gain(f, best)) for f in folds]
+
+
+def _joined(parts: Sequence[HeldOut]) -> HeldOut:
+    """A group of several components as one."""
+    arrays = {
+        name: np.concatenate([getattr(p, name) for p in parts]) for name in ("rows", "before", "after", "outside")
+    }
+    return HeldOut(parts[0].label, **arrays, used=sum(p.used for p in parts))
 
 
 def _between(halves: Sequence[HeldOut], blocks: Sequence[HeldOut]) -> float:

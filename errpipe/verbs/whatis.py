@@ -163,7 +163,7 @@ def _model(file: Path) -> dict[str, Any]:
             for c in model.components
         },
         "valid": dict(model.validity.ranges),
-    }
+    } | ({"notes": list(model.notes)} if model.notes else {})
 
 
 def _parameter_text(p: Any) -> str:

@@ -91,7 +91,7 @@ def test_a_force_that_pushes_ten_um_away_moves_the_tool_ten_um_back_and_a_missin
     gone = [runner.cycle({"Z": place, "F": float("nan")}) for _ in range(3000)][-1]
     assert gone.correction["E_X"] == pytest.approx(0.0, abs=1e-6)
     steps = next((out / "export").rglob("CHECKLIST.md")).read_text()
-    assert "without a reading of F, or with an old one, no force correction is made" in steps
+    assert "without a reading of F, with an old one, or one beyond" in steps
 
 
 def test_a_reversed_sign_of_the_deviation_is_refused(paper, tmp_path, capsys):

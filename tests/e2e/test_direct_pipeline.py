@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,29 @@ def test_the_volumetric_table_moves_the_tool_back(out):
     assert cycle.deviation["E_X"] == pytest.approx(10.0 - 2.0, abs=0.15)  # came from below
     cycle = evaluator.cycle({"X": 400.0})
     assert cycle.deviation["E_X"] == pytest.approx(8.0 + 2.0, abs=0.15)  # came from above
+
+
+def test_an_assumed_sign_is_marked_on_every_path(out, tmp_path, capsys):
+    """Both tables, the files that hold comments, checklists, models, pages and `compare`."""
+    stated = shutil.copytree(out / "ingest", tmp_path / "x")
+    manifest = (stated / "recording.yaml").read_text()
+    (stated / "recording.yaml").write_text(manifest + "constants:\n  sign: {value: assumed}\n")
+    (tmp_path / "machine.yaml").write_text(MACHINE)
+    (tmp_path / "p.yaml").write_text(PIPELINE.replace("x.rtl", "x"))
+    assert main(["run", str(tmp_path / "p.yaml"), "--out", str(tmp_path / "out")]) == 0
+    for stage, target in (("volumetric", "sinumerik_lec"), ("export", "linuxcnc_screw")):
+        assert ect.read(tmp_path / "out" / stage / "table.ect").title.startswith("Sign assumed: ")
+        assert not ect.read(out / stage / "table.ect").title.startswith("Sign assumed: ")
+        assert "**The sign of the readings" in (tmp_path / "out" / stage / target / "CHECKLIST.md").read_text()
+        assert main(["verify", str(tmp_path / "out" / stage)]) == 0
+        capsys.readouterr()
+        assert main(["compare", *(str(side / stage / "table.ect") for side in (out, tmp_path / "out"))]) == 0
+        assert "the new one: The sign of the readings was assumed" in capsys.readouterr().out
+    files = [*(tmp_path / "out" / "volumetric" / "sinumerik_lec").glob("*.[A-Z]*")]
+    assert any("errpipe remark: The sign of the readings" in f.read_text() for f in files)
+    for page in ("identify_direct/identification.html", "report/report.html"):
+        assert "The sign of the readings was assumed" in (tmp_path / "out" / page).read_text()
+        assert "The sign of the readings was assumed" not in (out / page).read_text()
 
 
 def test_rows_that_sat_out_are_left_with_the_noise(out):
