@@ -227,10 +227,12 @@ def _name_signals(sheet: Sheet, legend: Sheet, called: dict[str, str]) -> None:
 
 def metres(names: list[str]) -> list[str]:
     """`x_m` as `x [m]` if another header ends likewise, or if it is a target: alone it may be a measured x."""
-    ending = [n for n in names if re.fullmatch(r".*\w[_ ]m", n)]
+    found = {n: m for n in names if (m := re.fullmatch(r"(.*\w)(?:[_ ]|( ?/ ?|, ))m", n))}  # `x / m`: not per metre
+    targets = any(kind_by_name(m[1]) in ("command", "position") for m in found.values())
+    ending = [n for n in found if targets or not found[n][2]]
     bare = any("[" not in n and "(" not in n and split_header(n)[1] for n in names)  # `Deviation um` next to it
-    metres = ending if len(ending) > 1 else [n for n in ending if bare and kind_by_name(n[:-2]) == "command"]
-    return [f"{n[:-2]} [m]" if n in metres else n for n in names]
+    metres = ending if len(ending) > 1 else [n for n in ending if bare and kind_by_name(found[n][1]) == "command"]
+    return [f"{found[n][1]} [m]" if n in metres else n for n in names]
 
 
 def _is_preamble(group: list[str], names: list[str]) -> bool:

@@ -106,14 +106,10 @@ def _json(path: Path) -> list[Sheet]:
     alike = [(at, t) for k, (at, t) in enumerate(alike) if all(t != before for _, before in alike[:k])]
     alike = alike or [("", largest)]
     affordable(sum(len(t) * _rows(t) for _, t in alike), path)
-    used = tuple(f"{at} " for at, _ in alike if at)
-    others = [
-        at
-        for at, t in tables
-        if at and not {*t} & {*largest} and _rows(t) >= FEWEST_ROWS
-        if not any(isinstance(v, list | dict) for values in t.values() for v in values)
-        if not at.startswith(used)
-    ]  # the series of which the table is made
+    used = tuple(f"{at} " for at, _ in alike if at)  # the series of which the table is made
+    beside = [(at, t) for at, t in tables if at and not {*t} & {*largest} and not at.startswith(used)]
+    beside = [(at, t) for at, t in beside if not any(isinstance(v, list | dict) for of in t.values() for v in of)]
+    others = [at for at, t in beside if _rows(t) >= FEWEST_ROWS]
     notes = [f"tables with other columns are excluded: {', '.join(dict.fromkeys(others))}"] if others else []
     facts = document.items() if isinstance(document, dict) else ()
     above = [f"{k}: {v}" for k, v in facts if isinstance(v, str) and len(v) <= LONGEST_TEXT]  # `Axis: X`
