@@ -72,7 +72,10 @@ def _table_of(
     from errpipe.fitting.lowering import lower, uncompensated_terms
     from errpipe.stages import _inputs
 
-    lowered = lower(model)
+    lowered = {
+        name: [replace(p, driver=_inputs.bounded(p.driver, model)) for p in pairs]
+        for name, pairs in lower(model).items()
+    }
     empty = [name for name, pairs in lowered.items() if not pairs]
     if len(empty) == len(lowered):
         behind = ", ".join(sorted({t for terms in uncompensated_terms(model).values() for t in terms})) or "no term"

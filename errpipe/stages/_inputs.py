@@ -21,9 +21,10 @@ from errpipe.guard.detect import FADE_S
 from errpipe.guard.rates import ReadingRate
 
 FORCE_STALE = 0.1  # s: an older force is of another cut
-# Of the largest force that was fitted: a machine gives way in proportion somewhat beyond it; a larger reading is taken
-# for that of a failed sensor (by judgement), which would move the axis by millimetres.
-FORCE_BEYOND = 2.0
+# Of the largest force or velocity that was fitted: what is proportional to it continues somewhat beyond it (by
+# judgement). A larger force is that of a failed sensor, a larger velocity counts as this: either would move the axis
+# by millimetres.
+BEYOND = 2.0
 # Role of a column -> kind of the controller's channel, lowest and highest plausible reading, stale after (s).
 CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {
     "position": ("position", -1e5, 1e5, None),
@@ -142,11 +143,25 @@ def _channel(name: str, facts: dict, model: ErrorModel) -> TableInput:
     if kind == "force":  # missing: no force, so no force correction, and the rest continues
         extra = {"default": 0.0, "hold_s": 0.0, "fade_on_default": False}
         if largest := max(map(abs, seen or (0.0,))):
-            low, high = -FORCE_BEYOND * largest, FORCE_BEYOND * largest
+            low, high = -BEYOND * largest, BEYOND * largest
     elif seen is not None and model.validity.fades and kind not in ("position", "velocity", "coolant"):
         margin = model.validity.margins.get(name) or FADE_SHARE * max(seen[1] - seen[0], 1e-3)
         extra |= {"valid": seen, "margin": margin}
     return TableInput(name=name, kind=kind, axis=axis, unit=unit, low=low, high=high, stale_after_s=stale, **extra)
+
+
+def bounded(driver: d.Driver, model: ErrorModel) -> d.Driver:
+    """A driver in which a velocity counts no further than `BEYOND`; its sign, the direction, is read at any speed."""
+    if isinstance(driver, d.Input):
+        largest = max(map(abs, model.validity.ranges.get(driver.name, (0.0,))))
+        if model.columns.get(driver.name, {}).get("role") != "velocity" or not largest:
+            return driver
+        return d.Clip(of=driver, low=-BEYOND * largest, high=BEYOND * largest)
+    of = getattr(driver, "of", None)
+    if of is None:
+        return driver
+    inside = tuple(bounded(x, model) for x in of) if isinstance(of, tuple) else bounded(of, model)
+    return driver.model_copy(update={"of": inside})
 
 
 def travel(model: ErrorModel) -> dict[str, tuple[float, float]]:

@@ -169,8 +169,6 @@ def write_targets(
         others = _sibling_names(target, targets)
         files = target.remarked(target.write_with(table, others), remarks)
         lost = losses(table, target, files)
-        if not others:
-            _refuse_worse(target, lost)
         for name, text in files.items():
             jsonfile.write_text(inside(folder, f"{target.name}/{name}", GateError), text)
         steps = checklist(target, target.read_back(files), lost, table, others)
@@ -189,17 +187,6 @@ def write_targets(
             for name in files
         ]
     return out
-
-
-def _refuse_worse(target: Any, lost: Sequence[dict[str, Any]]) -> None:
-    """Raise GateError if a file leaves more of an axis than no compensation does, beyond its own rounding."""
-    for x in lost:
-        if x["rms_um"] > x["table_rms_um"] + target.rounding_um:
-            unit = loss_unit(x["axis"])
-            raise GateError(
-                f"{target.name}: {x['axis']}: its points are too few or too far apart: the file would leave "
-                f"{x['rms_um']:.3g} {unit} rms, no compensation leaves {x['table_rms_um']:.3g}. Choose another target."
-            )
 
 
 def sibling(table: CompensationTable, target: Any, lost: list[dict[str, Any]]) -> str:
