@@ -31,3 +31,11 @@ def refuse_impossible(values: np.ndarray, role: str, unit: str | None, name: str
             f"{place(row)}  {name}: {values[row]:.10g} {unit or ''}".rstrip()
             + f" is impossible (allowed: up to {largest:g}, or an empty cell where there is no reading)"
         )
+
+
+def refuse_reverse_flow(values: np.ndarray, noise: float, name: str, place: Callable[[int], str]) -> None:
+    """Raises DataError for a flow below zero by more than its noise: a logger's mark for no reading."""
+    wrong = values < -noise
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise DataError(f"{place(row)}  {name}: {values[row]:g} is not a flow in l/min (allowed: 0 and more, or empty)")

@@ -27,7 +27,7 @@ from errpipe.domain.recording import Manifest, Past, Recording
 from errpipe.domain.written_manifest import WrittenManifest
 from errpipe.errors import ConfigError, DataError
 from errpipe.formats import _derived, _tables
-from errpipe.formats._magnitude import refuse_impossible
+from errpipe.formats._magnitude import refuse_impossible, refuse_reverse_flow
 from errpipe.formats._manifest_text import flow as flow
 from errpipe.formats._manifest_text import manifest_text as manifest_text
 from errpipe.formats._runs import Runs, known_runs, runs_stated
@@ -309,12 +309,11 @@ def _values(block: _tables.Block, manifest: Manifest, converts: dict[str, Any], 
         raw[column_name] = values = cells.to_numpy()  # a missing cell becomes NaN
         convert = converts[column_name]
         if convert is not None and convert.threshold is not None:
-            _check_flow(values, convert.threshold, column_name, block)
+            refuse_reverse_flow(values, convert.threshold, column_name, block.place)
         elif role in ALLOWED:
             _check_codes(values, ALLOWED[role], role, column_name, block)
         values = values if convert is None or convert.identity else convert(values)
-        unit = None if convert is None else convert.unit
-        refuse_impossible(values, role, unit, column_name, block.place)
+        refuse_impossible(values, role, None if convert is None else convert.unit, column_name, block.place)
         out[column_name] = values
     order.check(out, block)
     if any(c.derived is not None for c in manifest.columns.values()):
@@ -335,15 +334,6 @@ def _check_codes(
         words = " or ".join(f"{a:+g}" if role == "direction" else f"{a:g}" for a in allowed)
         what = f"{column_name}: {values[row]:g} is not a {role} (allowed: {words}, or empty)"
         raise DataError(f"{block.place(row)}  {what}")
-
-
-def _check_flow(values: np.ndarray, noise: float, column_name: str, block: _tables.Block) -> None:
-    wrong = values < -noise
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise DataError(
-            f"{block.place(row)}  {column_name}: {values[row]:g} is not a flow in l/min (allowed: 0 and more, or empty)"
-        )
 
 
 @dataclass
