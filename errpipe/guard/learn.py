@@ -35,16 +35,16 @@ MAX_RATE = 3.0  # times the fastest change of a healthy reading
 # lost 65 % (`trials.thermal`, seed 102, machine 2).
 RANGE_SHARE, RANGE_K = 0.5, 25.0
 JUMP_MARGIN = 1.5  # factor: an opening door in another season is faster
-LEAST_JUMP = 1.0  # K: a smaller jump does little harm, and noise of a slowly sampled sensor may look like one
+MIN_JUMP = 1.0  # K: a smaller jump does little harm, and noise of a slowly sampled sensor may look like one
 QUICKER = 2.0  # times the largest change in one run: a single run does not bound later ones
 # For a sensor without replacement, where a false alarm costs the whole correction: a healthy one always shows its own
 # noise, unless its resolution hides it; and the air of a hall changes by a kelvin a minute when a door opens.
 NOISE_SHARE, MOST_EQUAL = 0.1, 0.05  # least share of its variance in an active one; share of equal successive readings
 REACH = 2.0  # times the largest residual of healthy readings
 ACTIVE = 0.2  # quantile: share of the time in which a healthy reading is less active
-LEAST_ACTIVITY = 1e-12  # of the median activity: reached 2.3 h after a reading froze; the limit of single precision
+MIN_ACTIVITY = 1e-12  # of the median activity: reached 2.3 h after a reading froze; the limit of single precision
 STILL_MORE = 20.0  # factor on the rate at which a healthy sensor may look frozen: it is accepted again when it changes
-LEAST_HOURS = 10.0  # h of recording to learn from
+MIN_HOURS = 10.0  # h of recording to learn from
 
 
 def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.SensorGuard:
@@ -57,7 +57,7 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
     rows = rows_of(recording, names)
     hours = _hours(rows)
     groups = int(np.unique(rows.group).size)
-    if len(names) < 2 or groups < 2 or hours < LEAST_HOURS:
+    if len(names) < 2 or groups < 2 or hours < MIN_HOURS:
         raise DataError(
             f"a sensor guard needs two sensors, two groups and 10 hours of readings"
             f" (found: {len(names)}, {groups}, {hours:.1f})"
@@ -232,7 +232,7 @@ def _jump(rows: Healthy, i: int, per_hour: float) -> float:
     x, before = rows.x[:, [i]], rows.lagged(rows.x[:, [i]], FREEZE_S)
     first = np.r_[True, rows.run[1:] != rows.run[:-1]]
     quick = np.abs(x - np.where(first[:, None], x, np.roll(before, 1, axis=0)))[:, 0]
-    return float(max(JUMP_MARGIN * (rows.rare(quick, per_hour) if per_hour else quick.max()), LEAST_JUMP))
+    return float(max(JUMP_MARGIN * (rows.rare(quick, per_hour) if per_hour else quick.max()), MIN_JUMP))
 
 
 def _believable(rows: Healthy, i: int) -> dict[str, float]:
@@ -255,4 +255,4 @@ def _still(alive: np.ndarray, rows: Healthy, per_hour: float) -> float | None:
         return None
     kept = Healthy(rows.x[late], rows.run[late], rows.t[late], rows.group[late])
     level = np.exp(-kept.rare(-np.log(alive[late]), per_hour, max_shape=1e-6))
-    return float(level) if level > LEAST_ACTIVITY * np.median(alive[late]) else None
+    return float(level) if level > MIN_ACTIVITY * np.median(alive[late]) else None
