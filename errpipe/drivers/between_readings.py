@@ -10,10 +10,10 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
 
 SLOW_ROLES = ("temperature", "pressure", "humidity")
-FEWEST_READINGS = 5  # by judgement: fewer show no course
-MOST_ROWS = 0.5  # share of rows with a reading, from which the other rows are failures
+MIN_READINGS = 5  # by judgement: fewer show no course
+MAX_READ_SHARE = 0.5  # share of rows with a reading, from which the other rows are failures
 LONGEST_GAP = 10.0  # over the mean one; a sensor that is silent for longer failed (chosen: rows lost at random reach 6)
-FEWEST_HELD = 3.0  # rows from one reading to the next, from which the rows between hold it
+MIN_HELD_ROWS = 3.0  # rows from one reading to the next, from which the rows between hold it
 
 
 def rows_between(values: np.ndarray) -> int:
@@ -36,17 +36,17 @@ def between_readings(recording: Recording) -> Recording:
         good = fresh if _held(values[fresh], np.diff(fresh)) else np.flatnonzero(read)
         gaps = np.diff(np.r_[-1, good, values.size])
         regular = gaps.max() * good.size < LONGEST_GAP * values.size
-        if regular and FEWEST_READINGS <= good.size < MOST_ROWS * values.size:
+        if regular and MIN_READINGS <= good.size < MAX_READ_SHARE * values.size:
             filled[name] = _lines(recording, values, good)
     return replace(recording, frame=recording.frame.assign(**filled)) if filled else recording
 
 
 def _held(fresh: np.ndarray, ways: np.ndarray) -> bool:
     """Does a reading change every few rows? A coarse one changes when it must. ways: rows from change to change."""
-    if fresh.size < FEWEST_READINGS:
+    if fresh.size < MIN_READINGS:
         return False
     steps = np.abs(np.diff(fresh))
-    often = np.quantile(ways, 0.1) < max(FEWEST_HELD, 0.5 * float(np.median(ways)))
+    often = np.quantile(ways, 0.1) < max(MIN_HELD_ROWS, 0.5 * float(np.median(ways)))
     return not often and bool(np.ptp(steps) > 0.5 * np.median(steps))
 
 

@@ -13,7 +13,7 @@ from errpipe.errors import GateError
 # position cycle, where it moves by less than a rounding.
 SLOW_LAG_CYCLES = 20.0
 
-MOST_OPERANDS = t.AffineNode.operands[1]  # of one node; a longer sum is one of sums
+MAX_OPERANDS = t.AffineNode.operands[1]  # of one node; a longer sum is one of sums
 
 _NODES = {node.model_fields["op"].default: node for node in get_args(get_args(t.AnyNode)[0])}
 
@@ -72,7 +72,7 @@ class Nodes:
                 return self.add(t.ApproachNode(of=(place, side), length=driver.length, threshold=driver.threshold))
             case d.Lag():
                 slow = slow or min(driver.tau_up, driver.tau_down) >= SLOW_LAG_CYCLES * self.thermal_cycle_s
-        if isinstance(driver, d.Affine) and len(driver.of) > MOST_OPERANDS:
+        if isinstance(driver, d.Affine) and len(driver.of) > MAX_OPERANDS:
             driver = _nested(driver)
         children = driver.of if isinstance(driver.of, tuple) else (driver.of,)
         of = tuple(self.compile(child, slow) for child in children)
@@ -104,6 +104,6 @@ class Nodes:
 def _nested(driver: d.Affine) -> d.Affine:
     """A sum of more operands than a node takes, as a sum of sums."""
     pairs = list(zip(driver.weights, driver.of, strict=True))
-    parts = [pairs[k : k + MOST_OPERANDS] for k in range(0, len(pairs), MOST_OPERANDS)]
+    parts = [pairs[k : k + MAX_OPERANDS] for k in range(0, len(pairs), MAX_OPERANDS)]
     sums = tuple(d.Affine(weights=tuple(w for w, _ in part), of=tuple(o for _, o in part)) for part in parts)
     return d.Affine(offset=driver.offset, weights=(1.0,) * len(sums), of=sums)

@@ -22,7 +22,7 @@ from errpipe.yamlfile import quantity
 
 CALENDAR = {"day": 10, "month": 7, "year": 4}  # characters of an ISO 8601 date that name it
 HALF_BLOCKS = 3  # of each half, so that a paired test over blocks has six observations
-MOST_RUNS = 30  # more folds cost time and do not improve the error estimate
+MAX_RUNS = 30  # more folds cost time and do not improve the error estimate
 
 
 HALVES = "halves"
@@ -162,7 +162,7 @@ def calendar(recording: Recording, of: str) -> np.ndarray:
 
 def _automatic(recording: Recording, scheme: HoldOut) -> HoldOut:
     runs = np.unique(recording.run_codes()[measured(recording)]).size
-    if runs > MOST_RUNS:
+    if runs > MAX_RUNS:
         return scheme.model_copy(update={"scheme": "batches", "blocks": 10})
     if runs >= 3:
         return scheme.model_copy(update={"scheme": "leave-one-run-out"})

@@ -21,7 +21,7 @@ from errpipe.fitting.side_by_side import side_by_side
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
 from errpipe.fitting.validity import distance
 
-TIE = 0.01  # share of the held-out error that a term must remove to be kept (by judgement)
+MIN_IMPROVEMENT = 0.01  # share of the held-out error that a term must remove to be kept (by judgement)
 
 FIRST_READINGS = 3  # whose mean is a run's zero if the datum is its start: one alone would add its noise to all
 
@@ -202,7 +202,7 @@ def select(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> ModelSpec
                 (_score(recording, spec, component, terms[:k] + terms[k + 1 :], mask), k) for k in range(len(terms))
             ]
             best, k = min(tried)
-            if best > score * (1.0 + TIE):
+            if best > score * (1.0 + MIN_IMPROVEMENT):
                 break
             score = best
             terms.pop(k)

@@ -92,13 +92,13 @@ def _unit(driver: d.Driver) -> tuple[d.Driver, float]:
     return driver, 1.0
 
 
-def _times(profile: Callable | None, gain: float) -> Callable[[np.ndarray], np.ndarray]:
+def _times(profile: Callable[[np.ndarray], np.ndarray] | None, gain: float) -> Callable[[np.ndarray], np.ndarray]:
     if profile is None:
         return lambda x: np.full(np.shape(x), gain)
     return profile if gain == 1.0 else lambda x: gain * np.asarray(profile(x))
 
 
-def _total(profiles: Sequence[Callable]) -> Callable[[np.ndarray], np.ndarray]:
+def _total(profiles: Sequence[Callable[[np.ndarray], np.ndarray]]) -> Callable[[np.ndarray], np.ndarray]:
     if len(profiles) == 1:
         return profiles[0]
     return lambda x: np.sum([np.asarray(p(x)) for p in profiles], axis=0)

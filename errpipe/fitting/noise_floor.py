@@ -9,7 +9,7 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.fitting.solve import MAD
 
-FEWEST = 20  # pairs; fewer give no estimate
+MIN_PAIRS = 20  # pairs; fewer give no estimate
 SAME = 1e-6  # share of the range of readings below which two are the same
 OFF_STEP = 1e-3  # of a display's step: readings further off are not rounded to it
 RELATIVE_STEP = 1e-4  # positions closer than this share of their range are the same target
@@ -47,7 +47,7 @@ def rounding(readings: np.ndarray) -> float:
     """
     values = np.sort(readings[np.isfinite(readings)])
     steps = np.diff(values)
-    steps = steps[steps > SAME * (values[-1] - values[0])] if steps.size >= FEWEST else steps[:0]
+    steps = steps[steps > SAME * (values[-1] - values[0])] if steps.size >= MIN_PAIRS else steps[:0]
     if not steps.size:
         return 0.0
     counts = steps / steps.min()
@@ -76,7 +76,7 @@ def noise_of_twin(simulated: np.ndarray, mismatch: np.ndarray, run: np.ndarray) 
     same = (run[2:] == run[1:-1]) & (run[1:-1] == run[:-2])
     own, other = (np.diff(v, 2)[same] for v in (noise, mismatch))
     spread = float(own @ own)
-    if same.sum() < FEWEST or spread <= 0 or own @ other > DILUTED * spread:
+    if same.sum() < MIN_PAIRS or spread <= 0 or own @ other > DILUTED * spread:
         return None
     certain = max(SHOWN / np.sqrt(same.sum() / 3.0), MATTERS)  # second differences overlap
     return noise if -(own @ other) > certain * np.sqrt(spread * float(other @ other)) else None
@@ -114,14 +114,14 @@ def _kernel_smooth(values: np.ndarray, width: float) -> tuple[np.ndarray, np.nda
 
 def _of_pairs(recording: Recording, rows: np.ndarray, values: np.ndarray) -> float | None:
     repeated = _repeats(recording, rows, values, within_runs=True)
-    if repeated.size >= FEWEST:
+    if repeated.size >= MIN_PAIRS:
         return _at_most_rms(values, [_spread(repeated, 2.0**0.5)])
     run = recording.run_codes()[rows]
     bends = values[:-2] - 2.0 * values[1:-1] + values[2:]
     bends = bends[(run[2:] == run[:-2]) & np.isfinite(bends)]
     across = _repeats(recording, rows, values, within_runs=False)
     figures = ((across, 2.0**0.5), (bends, 6.0**0.5))
-    return _at_most_rms(values, [_spread(d, root) for d, root in figures if d.size >= FEWEST])
+    return _at_most_rms(values, [_spread(d, root) for d, root in figures if d.size >= MIN_PAIRS])
 
 
 def _at_most_rms(values: np.ndarray, figures: list[float]) -> float | None:

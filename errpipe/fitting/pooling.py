@@ -22,8 +22,8 @@ STEPS = 200  # of EM, which converges slowly if machines hardly differ
 CONVERGED = 1e-5  # convergence threshold: relative change of the spread per step
 REGULAR = 1e-5  # smallest over largest diagonal element of a Cholesky factor: the inverse keeps six digits
 SIGNIFICANT = 0.05  # p of two machines of one type that differ
-LEAST_MACHINES = 4  # with fewer, the estimated spread between machines does not improve on separate fits
-LEAST_TO_BORROW = 3  # as few may provide values for a machine without a fit
+MIN_MACHINES = 4  # with fewer, the estimated spread between machines does not improve on separate fits
+MIN_LENDERS = 3  # as few may provide values for a machine without a fit
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Pool:
 
 
 def pooled(
-    estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray], least: int = LEAST_MACHINES
+    estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray], least: int = MIN_MACHINES
 ) -> Pool | None:
     """The distribution of a type from machines' estimates, or None if there are fewer than `least`.
 

@@ -25,7 +25,7 @@ from errpipe.fitting.statistics import rms
 SHIFT = 28800.0  # s: eight hours
 PER_SHIFT = (1, 2, 4, 8, 16)  # readings per shift compared in the report
 MISSED = 2.0  # intervals: a reading is held if the next one is missed, then expires (by judgement)
-TIE = 0.01  # share of the held-out error that readings must remove (by judgement)
+MIN_IMPROVEMENT = 0.01  # share of the held-out error that readings must remove (by judgement)
 PLAUSIBLE = 2.0  # of the largest error on held-out rows: readings further from the model are rejected (by judgement)
 
 
@@ -134,7 +134,7 @@ def with_readings(model: ErrorModel, validations: Sequence[Mapping[str, Any]], p
         levels = [(j, level) for j in judged for level in j["levels"] if level["per_shift"] == per_shift]
         if not levels:
             why.append(f"{component.component}: no validation includes {per_shift} readings per shift")
-        elif any(level["rms"] > j["levels"][0]["rms"] * (1.0 - TIE) for j, level in levels):
+        elif any(level["rms"] > j["levels"][0]["rms"] * (1.0 - MIN_IMPROVEMENT) for j, level in levels):
             why.append(f"{component.component}: held-out rows were not better with {per_shift} readings per shift")
         else:
             share, bound = min(level["share"] for _, level in levels), min(j["bound"] for j, _ in levels)

@@ -15,7 +15,7 @@ from errpipe.fitting.solve import one_thread
 
 STARTS = 12  # values per parameter in the first sweep, over its typical range
 SWEEPS = 2  # rounds of one-at-a-time sweeps before the joint search
-KEPT = 3  # best combinations from which the joint search starts
+KEPT_STARTS = 3  # best combinations from which the joint search starts
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def search(
     return np.array([u.from_search_scale(v) for u, v in zip(unknowns, best, strict=True)])
 
 
-def _sweep(residual, unknowns: Sequence[Unknown]) -> list[np.ndarray]:
+def _sweep(residual: Callable[[np.ndarray], np.ndarray], unknowns: Sequence[Unknown]) -> list[np.ndarray]:
     """Starting points: one parameter at a time over its trial values, the others fixed, from several midpoints."""
 
     def cost(outer: np.ndarray) -> float:
@@ -96,7 +96,7 @@ def _sweep(residual, unknowns: Sequence[Unknown]) -> list[np.ndarray]:
     trials = [u.trial() for u in unknowns]
     if len(unknowns) == 1:
         costs = [cost(np.array([v])) for v in trials[0]]
-        return [np.array([trials[0][k]]) for k in np.argsort(costs, kind="stable")[:KEPT]]
+        return [np.array([trials[0][k]]) for k in np.argsort(costs, kind="stable")[:KEPT_STARTS]]
     ends: dict[tuple[float, ...], float] = {}
     for quantile in (0.25, 0.5, 0.75):
         current = np.array([v[int(quantile * (v.size - 1))] for v in trials])
@@ -105,7 +105,7 @@ def _sweep(residual, unknowns: Sequence[Unknown]) -> list[np.ndarray]:
                 costs = [cost(np.r_[current[:j], v, current[j + 1 :]]) for v in values]
                 current[j] = values[int(np.argmin(costs))]
         ends[tuple(current)] = cost(current)
-    return [np.array(k) for k in sorted(ends, key=lambda k: ends[k])[:KEPT]]
+    return [np.array(k) for k in sorted(ends, key=lambda k: ends[k])[:KEPT_STARTS]]
 
 
 def _orthonormal(columns: np.ndarray) -> np.ndarray:

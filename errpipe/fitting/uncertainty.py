@@ -25,8 +25,8 @@ from errpipe.kernels import whitening
 
 RHO = (0.3, 0.6, 0.8, 0.9, 0.95, 0.98, 0.995)  # starting points of the search: correlation of neighbouring rows,
 SHARE = (0.1, 0.3, 0.6, 0.9, 0.999)  # and the share of the noise that is correlated
-MOST_ROWS = 20_000  # rows the noise model is fitted to; further ones change its third digit
-FEWEST_RUNS = 6  # runs needed to estimate their spread
+MAX_ROWS = 20_000  # rows the noise model is fitted to; further ones change its third digit
+MIN_RUNS = 6  # runs needed to estimate their spread
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def noise_model(sequence: np.ndarray, jacobian: np.ndarray, residual: np.ndarray
 
     sequence: integer per row, (n,); jacobian: (n, p); residual: (n,), of fitting p parameters; penalty: (p, p).
     """
-    if residual.size > MOST_ROWS:
+    if residual.size > MAX_ROWS:
         sequence, jacobian, residual = _some_rows(sequence, jacobian, residual)
     both = np.column_stack([jacobian / _length(jacobian), residual])
     scaled = None if penalty is None else penalty / np.outer(_length(jacobian), _length(jacobian))
@@ -93,16 +93,18 @@ def _restricted(whitened: np.ndarray, logdet: float, penalty: np.ndarray | None)
     )
 
 
-def _some_rows(sequence, jacobian, residual):
-    """Whole sequences, spread over the recording, up to MOST_ROWS; a part of the first if one is longer."""
+def _some_rows(
+    sequence: np.ndarray, jacobian: np.ndarray, residual: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Whole sequences, spread over the recording, up to MAX_ROWS; a part of the first if one is longer."""
     starts = np.flatnonzero(np.r_[True, sequence[1:] != sequence[:-1]])
     ends = np.r_[starts[1:], sequence.size]
     chosen, count = np.zeros(sequence.size, dtype=bool), 0
     for k in np.argsort([(7 * i) % 97 for i in range(starts.size)], kind="stable"):
-        take = min(ends[k] - starts[k], MOST_ROWS - count)
+        take = min(ends[k] - starts[k], MAX_ROWS - count)
         chosen[starts[k] : starts[k] + take] = True
         count += take
-        if count >= MOST_ROWS:
+        if count >= MAX_ROWS:
             break
     return sequence[chosen], jacobian[chosen], residual[chosen]
 
@@ -137,7 +139,7 @@ def covariance(
 
 def larger(modelled: np.ndarray, seen: np.ndarray, runs: int) -> np.ndarray:
     """The noise model's covariance, widened if `runs` runs disagree significantly; (p, p)."""
-    if runs < FEWEST_RUNS:
+    if runs < MIN_RUNS:
         return modelled
     ratio = np.sqrt(np.maximum(np.diag(seen), 0.0) / np.maximum(np.diag(modelled), 1e-300) * runs / (runs - 1))
     doubt = np.sqrt(chi2_quantile(0.95, runs - 1) / (runs - 1))

@@ -15,7 +15,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import MissingColumn, did_you_mean
 
 MARGIN = 0.5  # of a range: distance over which a table fades out (by judgement)
-LEAST_MARGIN = {"temperature": 2.0}  # K
+MIN_MARGIN = {"temperature": 2.0}  # K
 FEW = 0.01  # of the rows: at most so many beyond a gap are ignored; chosen on: a thermal state of a day has more
 GAP = 0.25  # of the range of the other rows; chosen on: the targets of an ISO 230-2 test (five or more) are closer
 LONGEST_HELD = 3  # readings of a sensor at its usual rate: one or two empty cells; unknown after a longer gap
@@ -39,7 +39,7 @@ def box(recording: Recording, names: Sequence[str], rows: np.ndarray) -> Validit
 
 
 def _margin(role: str, ends: tuple[float, float]) -> float:
-    return max(MARGIN * (ends[1] - ends[0]), LEAST_MARGIN.get(role, 1e-6))
+    return max(MARGIN * (ends[1] - ends[0]), MIN_MARGIN.get(role, 1e-6))
 
 
 def extended(validity: Validity, earlier: Mapping[str, tuple[float, float]], recording: Recording) -> Validity:

@@ -129,7 +129,12 @@ def _lines(path: Path) -> list[tuple[int, str]]:
     return [(n, line) for n, line in stripped if line and not line.startswith("#")]
 
 
-def _complete(path: Path, targets: dict, readings: dict, settings: dict[str, tuple[int, str]]) -> None:
+def _complete(
+    path: Path,
+    targets: dict[int, float],
+    readings: dict[tuple[int, int, int], float],
+    settings: dict[str, tuple[int, str]],
+) -> None:
     """Raises DataError unless every announced target and cycle is there, in both directions."""
     if not targets or not readings:
         raise DataError(f"{path}: no {'targets (TGT_DATA)' if not targets else 'readings (REF_DATA_FWD)'} in the file")

@@ -9,7 +9,7 @@ from errpipe.domain import driver as d
 
 AT_ONCE = 1e-3  # s: far below any cycle
 NEVER = 1e15  # s: far above any session
-FAR = 1e12  # above any squared residual in thresholds
+UNREACHABLE_SQUARE = 1e12  # above any squared residual in thresholds
 
 
 def lag(of: d.Driver, tau: float) -> d.Driver:
@@ -24,7 +24,7 @@ def since_start(of: d.Driver) -> d.Driver:
 
 def larger(one: d.Driver, other: d.Driver) -> d.Driver:
     """The larger of two."""
-    above = d.Clip(of=d.Affine(weights=(1.0, -1.0), of=(one, other)), low=0.0, high=FAR)
+    above = d.Clip(of=d.Affine(weights=(1.0, -1.0), of=(one, other)), low=0.0, high=UNREACHABLE_SQUARE)
     return d.Affine(weights=(1.0, 1.0), of=(other, above))
 
 

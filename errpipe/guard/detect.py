@@ -18,7 +18,7 @@ QUIET_SHARE = 0.36  # of the squared threshold: above it residuals are not latch
 FROZEN_FIRST = 1e6  # squared thresholds: more than a failed sensor's residual
 UNTIL_RESTART = -1.0  # lower level of a switch that no flag or square reaches
 FADE_S = 600.0  # fade time of the correction when readings are not trusted: slower than a cut, faster than a body
-TIE = 1e-6  # relative: below the rounding of a sum in single precision, above that in double
+TIE_TOLERANCE = 1e-6  # relative: below the rounding of a sum in single precision, above that in double
 
 shared = lru_cache(maxsize=256)
 
@@ -67,7 +67,7 @@ def _largest(values: tuple[d.Driver, ...]) -> tuple[tuple[d.Driver, ...], d.Driv
     most = values[0]
     for value in values[1:]:
         most = c.larger(most, value)
-    below = [d.Affine(weights=(1.0, TIE - 1.0), of=(value, most)) for value in values]
+    below = [d.Affine(weights=(1.0, TIE_TOLERANCE - 1.0), of=(value, most)) for value in values]
     return tuple(d.Switch(of=b, on=0.0, off=-1e-30) for b in below), most
 
 
@@ -79,9 +79,9 @@ def isolated(guard: SensorGuard) -> tuple[d.Driver, ...]:
     """
     (top, most), (second, left) = _first(guard), _second(guard)
     judged = d.Product(of=(most, c.none_of(*_by_itself(guard))))
-    over = d.Switch(of=judged, on=1.0, off=1.0 - TIE)
+    over = d.Switch(of=judged, on=1.0, off=1.0 - TIE_TOLERANCE)
     first_known = c.any_of(d.Switch(of=judged, on=1.0, off=UNTIL_RESTART), *_by_itself(guard))
-    over_too = d.Product(of=(first_known, d.Switch(of=left, on=1.0, off=1.0 - TIE)))
+    over_too = d.Product(of=(first_known, d.Switch(of=left, on=1.0, off=1.0 - TIE_TOLERANCE)))
     out = []
     for one, other in zip(top, second, strict=True):
         now = (d.Product(of=(over, one)), d.Product(of=(over_too, other)))
@@ -148,7 +148,7 @@ def trust(guard: SensorGuard) -> d.Driver:
     failed = faults(guard)
     lost = [f for s, f in zip(guard.sensors, failed, strict=True) if not s.stands_in]
     most = guard.most_failed + 0.5
-    several = d.Switch(of=d.Affine(weights=(1.0,) * len(failed), of=failed), on=most, off=most - TIE)
+    several = d.Switch(of=d.Affine(weights=(1.0,) * len(failed), of=failed), on=most, off=most - TIE_TOLERANCE)
     return c.lag(c.none_of(*lost, several), FADE_S)
 
 
@@ -157,5 +157,5 @@ def all_quiet(guard: SensorGuard) -> d.Driver:
     """One driver: 1 while no sensor has failed and no residual is near the threshold; else 0."""
     if not guard.compares:
         return c.none_of(*faults(guard))
-    suspect = d.Switch(of=_first(guard)[1], on=QUIET_SHARE, off=QUIET_SHARE - TIE)
+    suspect = d.Switch(of=_first(guard)[1], on=QUIET_SHARE, off=QUIET_SHARE - TIE_TOLERANCE)
     return c.none_of(*faults(guard), suspect)

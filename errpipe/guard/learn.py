@@ -34,7 +34,7 @@ MAX_RATE = 3.0  # times the fastest change of a healthy reading
 # lost 65 % (`trials.thermal`, seed 102, machine 2).
 RANGE_SHARE, RANGE_K = 0.5, 25.0
 JUMP_MARGIN = 1.5  # factor: an opening door in another season is faster
-LEAST_JUMP = 1.0  # K: a smaller jump does little harm, and noise of a slowly sampled sensor may look like one
+MIN_JUMP = 1.0  # K: a smaller jump does little harm, and noise of a slowly sampled sensor may look like one
 QUICKER = 2.0  # times the largest change in one run: a single run does not bound later ones
 # For a sensor without replacement, where a false alarm costs the whole correction: a healthy one always shows its own
 # noise, unless its resolution hides it; and the air of a hall changes by a kelvin a minute when a door opens.
@@ -45,9 +45,9 @@ ACTIVE = 0.2  # quantile: share of the time in which a healthy reading is less a
 # until such a sensor counts as frozen is multiplied. Chosen on `trials.thermal` 45011 to 45014, 256 sensors of 0.1 K:
 # in the third season 11 healthy ones are called frozen with 1, 2 with 1.25, 1 with 1.5; 2 leaves a fifth untested.
 LONGER = 1.5
-LEAST_ACTIVITY = 1e-12  # of the median activity: reached 2.3 h after a reading froze; the limit of single precision
+MIN_ACTIVITY = 1e-12  # of the median activity: reached 2.3 h after a reading froze; the limit of single precision
 STILL_MORE = 20.0  # factor on the rate at which a healthy sensor may look frozen: it is accepted again when it changes
-LEAST_HOURS = 10.0  # h of recording to learn from
+MIN_HOURS = 10.0  # h of recording to learn from
 
 
 def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.SensorGuard:
@@ -60,7 +60,7 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
     rows = rows_of(recording, names)
     hours = _hours(rows)
     groups = int(np.unique(rows.group).size)
-    if len(names) < 2 or groups < 2 or hours < LEAST_HOURS:
+    if len(names) < 2 or groups < 2 or hours < MIN_HOURS:
         raise DataError(
             f"a sensor guard needs two sensors, two groups and 10 hours of readings"
             f" (found: {len(names)}, {groups}, {hours:.1f})"
@@ -238,7 +238,7 @@ def _jump(rows: Healthy, i: int, per_hour: float) -> float:
     x, before = rows.x[:, [i]], rows.lagged(rows.x[:, [i]], FREEZE_S)
     first = np.r_[True, rows.run[1:] != rows.run[:-1]]
     quick = np.abs(x - np.where(first[:, None], x, np.roll(before, 1, axis=0)))[:, 0]
-    return float(max(JUMP_MARGIN * (rows.rare(quick, per_hour) if per_hour else quick.max()), LEAST_JUMP))
+    return float(max(JUMP_MARGIN * (rows.rare(quick, per_hour) if per_hour else quick.max()), MIN_JUMP))
 
 
 def _believable(rows: Healthy, i: int) -> dict[str, float]:
@@ -270,4 +270,4 @@ def _still(rows: Healthy, i: int, alive: np.ndarray, usual: float, per_hour: flo
     level = float(np.exp(-rows.rare(-np.log(np.maximum(alive, np.finfo(float).tiny)), per_hour, max_shape=1e-6)))
     if _coarse(rows, i):
         level = usual * (level / usual) ** LONGER
-    return level if level > LEAST_ACTIVITY * np.median(alive) else None
+    return level if level > MIN_ACTIVITY * np.median(alive) else None

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 # Default if not measured, as in displays without weather station: degC, hPa, %.
@@ -10,7 +13,12 @@ WAVELENGTH = 0.6329908  # um in vacuum, helium-neon
 UNMEASURED_HUMIDITY = 14.0  # %: standard uncertainty of an unmeasured humidity, 25 to 75 %
 
 
-def index_change(temperature=None, pressure=None, humidity=None, since=None) -> np.ndarray | float:
+def index_change(
+    temperature: np.ndarray | None = None,
+    pressure: np.ndarray | None = None,
+    humidity: np.ndarray | None = None,
+    since: Sequence[float] | None = None,
+) -> np.ndarray | float:
     """n / n_0 - 1 of the air along a record (degC, hPa, %); n_0 of its first reading, or of the air `since`.
 
     Unrecorded quantities are taken as at n_0; for humidity the vapour pressure, which warming does not change.
@@ -35,7 +43,7 @@ def index_uncertainty(sensors: tuple[float, float, float]) -> float:
     return 1e6 * float(np.linalg.norm(steps))
 
 
-def refractivity(temperature, pressure, vapour):
+def refractivity(temperature: Any, pressure: Any, vapour: Any) -> Any:
     """n - 1 of air (degC, hPa, Pa of water vapour) for a helium-neon laser.
 
     Source: Birch and Downs, Metrologia 30 (1993) 155 and 31 (1994) 315, the revised Edlen equation; within 3e-8.
@@ -46,6 +54,6 @@ def refractivity(temperature, pressure, vapour):
     return dry * dense - vapour * (3.7345 - 0.0401 * wave) * 1e-10
 
 
-def vapour_pressure(temperature, humidity):
+def vapour_pressure(temperature: Any, humidity: Any) -> Any:
     """Pa of water vapour in air (degC, %), by Magnus' formula (WMO-No. 8: 6.112 hPa, 17.62, 243.12 degC)."""
     return 0.01 * humidity * 611.2 * np.exp(17.62 * temperature / (243.12 + temperature))

@@ -240,7 +240,7 @@ def _location(machine: Machine, name: str, vec: Vector, own: str) -> list[tuple[
 def _sorted(chain: Chain) -> Chain:
     """Components in reading order: error motions axis by axis, location, drift, spindle."""
 
-    def key(item: tuple[int, str]) -> tuple:
+    def key(item: tuple[int, str]) -> tuple[int, int, int]:
         _, name = item
         if name[0] == "E":
             return (0, chain.axes.index(name[2:]), _ALL.index(name[1]))

@@ -55,7 +55,7 @@ class Moments:
         return cls(design.T @ design, design.T @ y, float(y @ y), len(y))
 
 
-def _whitened(spreads: Spreads, moments: Moments, hyper: np.ndarray):
+def _whitened(spreads: Spreads, moments: Moments, hyper: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Prior standard deviation, Cholesky factor of the whitened normal matrix (unit prior), whitened solution."""
     spread = spreads.of(hyper)
     noise2 = hyper[-1] ** 2

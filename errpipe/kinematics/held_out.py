@@ -19,7 +19,7 @@ from errpipe.kinematics.observations import Observations
 
 CELLS = 50  # of the travel: positions in one cell of this lattice are the same place
 SAME = 0.5  # share of its places that a run has in common with another run of the same line, circle or plate
-MOST_GROUPS = 6  # repeated identifications; more groups are held out several at a time
+MAX_GROUPS = 6  # repeated identifications; more groups are held out several at a time
 FEATURE_GROUPS, FEWEST_FEATURES = 5, 30  # of a part: at least six test features each time, for six set-up parameters
 MIN_READINGS = 8  # readings of an identification
 
@@ -61,7 +61,7 @@ def groups(chain: Chain, obs: Observations) -> tuple[np.ndarray, tuple[str, ...]
     if len(set(number)) == 1:
         number = np.arange(len(labels))
     _, number = np.unique(number, return_inverse=True)
-    number %= MOST_GROUPS
+    number %= MAX_GROUPS
     names = tuple(", ".join(labels[number == g]) for g in range(number.max() + 1))
     return number[run], names
 

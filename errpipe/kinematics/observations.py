@@ -79,8 +79,17 @@ class Observations:
         return out
 
 
-def _build(q, tip, weights, value, columns, label, socket=None, seconds=0.0) -> Observations:
-    """columns: list of (name, spread, column)."""
+def _build(
+    q: np.ndarray,
+    tip: np.ndarray,
+    weights: np.ndarray,
+    value: np.ndarray | None,
+    columns: Sequence[tuple[str, float, np.ndarray]],
+    label: str,
+    socket: Sequence[float] | np.ndarray | None = None,
+    seconds: float = 0.0,
+) -> Observations:
+    """columns: name, prior standard deviation and column of each parameter of the set-up."""
     n = len(q)
     value = np.full(n, np.nan) if value is None else np.asarray(value, dtype=float)
     return Observations(
@@ -199,7 +208,7 @@ def points(
     return concatenate(parts, shared=True)
 
 
-def _ball_columns(chain: Chain, pose: np.ndarray, unit: np.ndarray, label: str) -> list:
+def _ball_columns(chain: Chain, pose: np.ndarray, unit: np.ndarray, label: str) -> list[tuple[str, float, np.ndarray]]:
     """Run-out of the ball in the spindle: a shift fixed to the tool, if rotary axes rotate it in the workpiece frame.
 
     It is equivalent to an offset of a rotary axis' line; the accuracy of a rotary test is that of its ball's centring.

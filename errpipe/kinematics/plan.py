@@ -18,7 +18,7 @@ from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import Chain, combinations
 
 SHOWN = 20.0  # nats for a newly observed combination: observing all has priority over precision
-MOST_BLOCKS = 24  # of a plan (by judgement)
+MAX_BLOCKS = 24  # of a plan (by judgement)
 MIN_GAIN = 1e-3  # nats per second below which a block is not worth its time
 
 
@@ -155,7 +155,7 @@ def _greedy(gains: list[np.ndarray], blocks: list[Block], means: Means) -> list[
     p = len(gains[0])
     known = np.eye(p)
     chosen: list[int] = []
-    while len(chosen) < MOST_BLOCKS:
+    while len(chosen) < MAX_BLOCKS:
         variances = np.linalg.eigvalsh(np.linalg.inv(known))
         if variances.max() <= observability.UNOBSERVED:
             break

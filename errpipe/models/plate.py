@@ -176,7 +176,7 @@ def _error_model(fitted: Any, recording: Recording) -> ErrorModel:
 
     names = [str(recording.name("position", axis=a)) for a in "XY"]
     box, c = fitted.functions.box, fitted.components(POINTS)
-    terms: dict[str, list] = {"E_X": [], "E_Y": []}
+    terms: dict[str, list[tuple[d.Driver, ...]]] = {"E_X": [], "E_Y": []}
     lean = d.Affine(offset=c["C0Y"] * 1e-3 * box.middle[1], weights=(-c["C0Y"] * 1e-3,), of=(d.Input(name=names[1]),))
     for component, over, name in (("E_X", "EXX", 0), ("E_X", "EXY", 1), ("E_Y", "EYX", 0), ("E_Y", "EYY", 1)):
         terms[component].append((_lookup(names[name], *c[over]),))

@@ -24,6 +24,8 @@ COLOURS = {"X": "#b3261e", "Y": "#2e7d4f", "Z": "#1f5fa8", "A": "#d98277", "B": 
 STEEL, WORK, TOOL = "#9aa4ad", "#d9c79a", "#20262c"
 _VIEW = np.array([[0.866, 0.5, 0.0], [-0.38, 0.30, 0.87]])  # right and up on paper, of X, Y, Z
 _TOWARDS = np.array([0.45, -0.80, 0.40])  # what has more of this is nearer
+Block = tuple[np.ndarray, np.ndarray, str]  # centre, half widths, colour
+Label = tuple[np.ndarray, str, str]  # place, text, colour
 Band = tuple[np.ndarray, np.ndarray, np.ndarray]  # positions, and two values at each
 SLICE = 41  # points along each side of a slice
 
@@ -55,7 +57,7 @@ def sketch(chain: Chain) -> str:
         axes.set_aspect("equal")
         bed = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2] - 0.18 * size])
         blocks = [_block(bed, np.array([0.62 * size, 0.5 * size, 0.05 * size]), STEEL)]
-        labels: list[tuple[np.ndarray, str, str]] = [(_shift(bed, size, 0, -0.27, -0.06), "bed", svg.INK)]
+        labels: list[Label] = [(_shift(bed, size, 0, -0.27, -0.06), "bed", svg.INK)]
         for side in ("workpiece", "tool"):
             place = bed
             for name in _from_bed(chain, side):
@@ -119,7 +121,7 @@ def _block(centre: np.ndarray, half: np.ndarray, colour: str) -> tuple[np.ndarra
     return np.asarray(centre, dtype=float), np.asarray(half, dtype=float) / 2.0 * 1.2, colour
 
 
-def _paint(axes: Axes, blocks: Sequence[tuple[np.ndarray, np.ndarray, str]]) -> None:
+def _paint(axes: Axes, blocks: Sequence[Block]) -> None:
     """Boxes from far to near, three visible faces each, shaded."""
     from matplotlib.colors import to_rgb
     from matplotlib.patches import Polygon
@@ -161,7 +163,9 @@ def _motion(axes: Axes, chain: Chain, name: str, point: np.ndarray, size: float,
     return stop + 0.03 * size * way - np.array([0.012, 0.012]) * size
 
 
-def _end(axes: Axes, chain: Chain, side: str, place: np.ndarray, size: float, blocks: list, labels: list) -> None:
+def _end(
+    axes: Axes, chain: Chain, side: str, place: np.ndarray, size: float, blocks: list[Block], labels: list[Label]
+) -> None:
     if side == "workpiece":
         work = upright(chain) @ np.asarray(chain.machine.workpiece, dtype=float)
         _strut(axes, place, work)

@@ -19,7 +19,7 @@ AFTER = "#1f5fa8"
 FLOOR = "#5d6a75"
 ALARM = "#b3261e"
 INK = "#20262c"
-MOST_POINTS = 900  # more points add megabytes and no information
+MAX_POINTS = 900  # more points add megabytes and no information
 
 STYLE: dict[Any, Any] = {  # rcParams of matplotlib
     "svg.hashsalt": "errpipe",
@@ -72,7 +72,7 @@ def to_svg(canvas: Figure, title: str) -> str:
     return f'{head} role="img" aria-label="{_escape(title)}"><title>{_escape(title)}</title>{rest}'
 
 
-def thin(n: int, most: int = MOST_POINTS) -> np.ndarray:
+def thin(n: int, most: int = MAX_POINTS) -> np.ndarray:
     """Row numbers, at most `most` of `n`, evenly spread and always the same."""
     return np.arange(n) if n <= most else np.unique(np.linspace(0, n - 1, most).astype(int))
 

@@ -163,6 +163,6 @@ def _turned(turn: np.ndarray, arm: np.ndarray) -> np.ndarray:
     return Rotation.from_rotvec(turn * 1e-6).apply(arm)
 
 
-def _is_datum_of(chain, square: str, name: str) -> bool:
+def _is_datum_of(chain: Chain, square: str, name: str) -> bool:
     """Whether a straightness is of the axis that a squareness refers to, in its plane."""
     return name[2:] != square[2:] and name[2:] in chain.machine.linear_axes() and name[1] == square[2:]

@@ -106,7 +106,9 @@ class Program:
         profile = self._profile(pair.profile, position(self.recording, pair.axis), place, pair.period)
         return profile if pair.driver == d.ONE else self.add("product", (profile, driver))
 
-    def _profile(self, shape: Callable, x: np.ndarray, place: int, period: float | None) -> int:
+    def _profile(
+        self, shape: Callable[[np.ndarray], np.ndarray], x: np.ndarray, place: int, period: float | None
+    ) -> int:
         low, high = (0.0, period) if period else (float(np.nanmin(x)), float(np.nanmax(x)))
         at = np.linspace(low, high if high > low else low + 1.0, 257)
         values = np.asarray(shape(at), dtype=float)
@@ -170,7 +172,7 @@ def value(piece: Piece, recording: Recording) -> np.ndarray:
     return total
 
 
-def _midpoint_error(shape: Callable, low: float, high: float, count: int) -> float:
+def _midpoint_error(shape: Callable[[np.ndarray], np.ndarray], low: float, high: float, count: int) -> float:
     """Largest error of linear interpolation midway between points."""
     grid = np.linspace(low, high, count + 1)
     values = np.asarray(shape(grid), dtype=float)

@@ -154,7 +154,7 @@ def _complete(term: Term, values: dict[str, float]) -> dict[str, float]:
 
 
 PLAIN = 1e-4  # share of a simulated signal's variance that its plain parts may leave (a simulation has no noise)
-MOST_PARTS = 3  # terms that a simulated signal may be the sum of
+MAX_PARTS = 3  # terms that a simulated signal may be the sum of
 
 
 def parts(recording: Recording, component: str) -> tuple[Term, ...]:
@@ -172,7 +172,7 @@ def parts(recording: Recording, component: str) -> tuple[Term, ...]:
     columns = [(t, c) for t, c in columns if np.isfinite(c[known]).mean() > 0.9]
     chosen: list[Term] = []
     design = np.ones((simulated.size, 1))
-    while len(chosen) < MOST_PARTS and columns:
+    while len(chosen) < MAX_PARTS and columns:
         unexplained = [(_unexplained_share(np.hstack([design, c]), simulated), k) for k, (_, c) in enumerate(columns)]
         least, k = min(unexplained)
         term, column = columns.pop(k)

@@ -30,17 +30,18 @@ MOST_SENSORS, MOST_ALONE = 6, 15  # compared with each other; monitored individu
 # Nodes of a table: per compared sensor and for the rest of the guard, at most 400 (tests/unit/stages/test_guarded.py);
 # per sensor monitored individually.
 NODES_COMPARED, NODES_BESIDE, NODES_ALONE = 55, 17, 25
-MOST_COST = 0.03  # relative increase of the held-out residual with healthy sensors
+MAX_COST = 0.03  # relative increase of the held-out residual with healthy sensors
 # Ratio of the held-out residual with a replaced sensor to no compensation. Chosen on trials.thermal, seed 41401: with
 # 0.7, 4 instead of 2 of 115 frozen sensors exceed no compensation.
-MOST_LEFT = 1.0
+MAX_LEFT = 1.0
 WIDER = (1.0, 1.5, 2.5, 4.0)  # factors on the learnt thresholds: held-out groups may be more active (by judgement)
-MOST_ROWS = 20_000  # of a recording for learning and validating a guard: 6 s on one core
+MAX_ROWS = 20_000  # of a recording for learning and validating a guard: 6 s on one core
 COARSEST_S = 30.0  # largest s between remaining rows: a tenth of the time in which a healthy reading changes
-MOST_BATCHES = 6  # of held-out runs: each needs a separate guard
-MOST_TITLE = 127  # characters, of a table
+MAX_BATCHES = 6  # of held-out runs: each needs a separate guard
+MAX_TITLE = 127  # characters, of a table
 WATCHED_ALONE = "temperatures monitored individually"
 NOT_WATCHED = "temperatures not monitored"
+Fold = tuple[np.ndarray, SensorGuard]  # rows of a group, and the guard that was learnt without them
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Watched:
     def title(self, title: str) -> str:
         """The title of the table, with a note if temperatures are not monitored, or only individually."""
         mark = NOT_WATCHED if self.guard is None else "" if self.guard.compares else WATCHED_ALONE
-        return "; ".join(filter(None, (title[: MOST_TITLE - len(mark) - 2], mark))) if mark else title
+        return "; ".join(filter(None, (title[: MAX_TITLE - len(mark) - 2], mark))) if mark else title
 
 
 @dataclass(frozen=True)
@@ -94,8 +95,8 @@ class Judge:
         return float(max(shares, default=0.0))
 
     def of_use(self, moved: Mapping[str, float]) -> bool:
-        """Whether what a stand-in leaves is less than `MOST_LEFT` of no compensation, for every component."""
-        return all(np.hypot(self.left[n], moved[n]) < MOST_LEFT * self.before[n] for n in self.left if n in moved)
+        """Whether what a stand-in leaves is less than `MAX_LEFT` of no compensation, for every component."""
+        return all(np.hypot(self.left[n], moved[n]) < MAX_LEFT * self.before[n] for n in self.left if n in moved)
 
 
 def judge(passed: Passed, options: CompileOptions, recording: Recording, plain: CompensationTable) -> Judge:
@@ -108,17 +109,17 @@ def judge(passed: Passed, options: CompileOptions, recording: Recording, plain: 
 
 
 def _fewer_rows(recording: Recording) -> Recording:
-    """At most about `MOST_ROWS` rows: first every n-th one of each run, up to `COARSEST_S`, then every n-th run."""
-    if len(recording) <= MOST_ROWS or recording.name("time") is None:
+    """At most about `MAX_ROWS` rows: first every n-th one of each run, up to `COARSEST_S`, then every n-th run."""
+    if len(recording) <= MAX_ROWS or recording.name("time") is None:
         return recording
     run, time = recording.run_codes(), recording.time()
     starts = np.flatnonzero(np.diff(run, prepend=-1))
     within = np.arange(run.size) - np.repeat(starts, np.diff(np.append(starts, run.size)))
     step = float(np.median(np.diff(time)[np.diff(run) == 0])) if starts.size < run.size else COARSEST_S
-    stride = int(np.clip(COARSEST_S // max(step, 1e-9), 1, np.ceil(run.size / MOST_ROWS)))
+    stride = int(np.clip(COARSEST_S // max(step, 1e-9), 1, np.ceil(run.size / MAX_ROWS)))
     kept = within % stride == 0
     runs = np.cumsum(within == 0) - 1
-    return recording.take(kept & (runs % int(np.ceil(kept.sum() / MOST_ROWS)) == 0))
+    return recording.take(kept & (runs % int(np.ceil(kept.sum() / MAX_ROWS)) == 0))
 
 
 def sensors_read(plain: CompensationTable, recording: Recording) -> list[str]:
@@ -128,7 +129,7 @@ def sensors_read(plain: CompensationTable, recording: Recording) -> list[str]:
 
 
 def watch(judge: Judge, scheme: str | None) -> Watched:
-    """The guard learnt from the recording, if it costs at most `MOST_COST` with healthy sensors.
+    """The guard learnt from the recording, if it costs at most `MAX_COST` with healthy sensors.
 
     scheme: the hold-out of the validation; its groups, else runs, are held out. If sensors cannot be compared
     (one sensor, one run), each is monitored individually and the correction fades if one fails.
@@ -146,7 +147,7 @@ def watch(judge: Judge, scheme: str | None) -> Watched:
         return _one_by_one(judge, held, str(why), scheme)
     guard = _with_stand_ins(judge, held, guard, folds)
     guard, cost = _affordable(judge, held, guard, folds)
-    if cost > MOST_COST:
+    if cost > MAX_COST:
         return _one_by_one(
             judge, held, f"with healthy sensors it would cost {100 * cost:.0f} % on held-out groups", scheme
         )
@@ -175,13 +176,13 @@ def _chosen(judge: Judge, held: Recording, most: int) -> tuple[str, ...]:
 
 def _learnt(
     held: Recording, names: Sequence[str], scheme: str | None, by: Callable[..., SensorGuard]
-) -> tuple[SensorGuard, list[tuple[Any, Any]]]:
+) -> tuple[SensorGuard, list[Fold]]:
     """The guard of all rows, and (rows, guard without them) of each group left out. Raises DataError."""
     guard = by(held, names)
-    for way in (scheme, f"batches:{MOST_BATCHES}", "leave-one-run-out"):
+    for way in (scheme, f"batches:{MAX_BATCHES}", "leave-one-run-out"):
         try:
             splits = holdout.groups(held, way) if way else []
-            if 1 < len(splits) <= MOST_BATCHES:
+            if 1 < len(splits) <= MAX_BATCHES:
                 return guard, [(s.test, by(held.take(s.train), names)) for s in splits]
         except DataError:
             continue
@@ -190,7 +191,7 @@ def _learnt(
     return guard, []
 
 
-def _with_stand_ins(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tuple]) -> SensorGuard:
+def _with_stand_ins(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[Fold]) -> SensorGuard:
     """The guard, with a mark on each sensor whose estimate is of use, one at a time and in pairs."""
     names, predicted = guard.names(), judge.predicted(judge.plain, held)
     gone = np.zeros((len(names), len(names), len(held)))  # of sensor i where j fails too
@@ -234,7 +235,7 @@ def _shifts(guard: SensorGuard, held: Recording) -> Iterator[tuple[tuple[int, in
             yield (i, j), (left[:, i] + weight[i, j] * left[:, j]) / (1.0 - weight[i, j] * weight[j, i])
 
 
-def _cost(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tuple]) -> float:
+def _cost(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[Fold]) -> float:
     """Relative increase of the residual by a guard with healthy sensors: larger one of held-out and fitted groups."""
     predicted, by_fold = dict(judge.predicted(judge.plain, held)), dict(judge.predicted(judge.compiled(guard), held))
     own = judge.cost(judge.rms_difference(by_fold, predicted))
@@ -248,13 +249,13 @@ def _cost(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tup
     return max(own, judge.cost(judge.rms_difference(by_fold, predicted)))
 
 
-def _affordable(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[tuple]) -> tuple[SensorGuard, float]:
-    """The guard at the smallest of `WIDER` with a cost of at most `MOST_COST`, else the widest; the cost."""
+def _affordable(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[Fold]) -> tuple[SensorGuard, float]:
+    """The guard at the smallest of `WIDER` with a cost of at most `MAX_COST`, else the widest; the cost."""
     tried, cost = guard, np.inf
     for times in WIDER:
         tried = guard.widened(times)
         cost = _cost(judge, held, tried, [(rows, fold.widened(times)) for rows, fold in folds])
-        if cost <= MOST_COST:
+        if cost <= MAX_COST:
             break
     return tried, float(cost)
 
@@ -270,7 +271,7 @@ def _one_by_one(judge: Judge, held: Recording, why: str, scheme: str | None) -> 
     except DataError as lacking:
         return not_watched(f"{why}; {lacking}")
     guard, cost = _affordable(judge, held, guard, folds)
-    if cost > MOST_COST:
+    if cost > MAX_COST:
         return not_watched(f"{why}; individual monitoring would increase the residual by {100 * cost:.0f} %")
     said = f"no temperature replaces another ({why}): one that jumps by several kelvin, or loses its own noise,"
     return Watched(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -108,7 +108,7 @@ def _datum(name: str, unit: str, readings: DatumReadings) -> TableInput:
     return TableInput(name=name, kind="other", unit=unit, default=0.0, optional=True, **span)
 
 
-def _check_names(columns: dict[str, dict]) -> None:
+def _check_names(columns: Mapping[str, Mapping[str, Any]]) -> None:
     """Raises GateError for a column whose name, axis or unit a table cannot hold."""
     for name, facts in columns.items():
         if facts["role"] not in CHANNELS:
@@ -133,7 +133,7 @@ def _rate_of_step_input(channel: TableInput, model: ErrorModel) -> ReadingRate |
     return ReadingRate((high - low) / STEP_S, STEP_NOISE * (high - low)) if high > low else None
 
 
-def _channel(name: str, facts: dict, model: ErrorModel) -> TableInput:
+def _channel(name: str, facts: Mapping[str, Any], model: ErrorModel) -> TableInput:
     kind, low, high, stale = CHANNELS[facts["role"]]
     seen = model.validity.ranges.get(name)
     axis, unit = facts.get("axis") or "", facts.get("unit") or ""

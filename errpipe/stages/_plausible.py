@@ -16,7 +16,7 @@ from errpipe.domain.table import CompensationTable
 from errpipe.fitting.components import evaluate
 from errpipe.stages import _inputs
 from errpipe.tables import bounds
-from errpipe.tables.limits import MOST_MAGNITUDE
+from errpipe.tables.limits import MAX_MAGNITUDE
 from errpipe.targets import _sample
 from errpipe.validation import plausibility
 
@@ -55,7 +55,7 @@ def refuse_table(table: CompensationTable, allow: Sequence[str], limit: float | 
         travel = None if (low, high) == UNBOUNDED else high - low
         value = np.deg2rad(size) * 1e6 if rotary else 1e3 * size
         bound = sum(min(reach[o.name], o.magnitude or math.inf) for o in outputs)
-        value = max(value, bound) if bound > MOST_MAGNITUDE else value
+        value = max(value, bound) if bound > MAX_MAGNITUDE else value
         over = plausibility.too_large(axis, value, "urad" if rotary else "um", travel, limit)
         results += [over] if over is not None else []
     plausibility.refuse(results, allow)

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
 
 ROWS = 20  # with fewer rows no warning is given
-ALIKE = 0.8  # correlation from which on the two are one curve
+MIN_CORRELATION = 0.8  # correlation from which on the two are one curve
 MIRRORED = (0.8, 1.25)  # minus the slope of measured on simulated of a sign alone; missing physics gives any slope
 UNIT = 300.0  # factor between the two from which on a unit is likelier than a simulation so far off (um and mm: 1000)
 
@@ -29,9 +29,9 @@ def warnings(recording: Recording) -> tuple[str, ...]:
             continue
         correlation = float(np.corrcoef(y, s)[0, 1])
         slope = correlation * float(np.std(y) / np.std(s))
-        if correlation < -ALIKE and MIRRORED[0] < -slope < MIRRORED[1]:
+        if correlation < -MIN_CORRELATION and MIRRORED[0] < -slope < MIRRORED[1]:
             why = "one of them has the other sign (deviation = actual - commanded)"
-        elif abs(correlation) > ALIKE and not 1.0 / UNIT < abs(slope) < UNIT:
+        elif abs(correlation) > MIN_CORRELATION and not 1.0 / UNIT < abs(slope) < UNIT:
             unit = recording.manifest.columns[str(names[1])].unit
             why = f"one of them is probably not in {unit}"
         else:

@@ -158,7 +158,7 @@ def _watched(
     return watched
 
 
-def _write(context: Context, table: CompensationTable, model: ErrorModel, options: Export) -> list[dict]:
+def _write(context: Context, table: CompensationTable, model: ErrorModel, options: Export) -> list[dict[str, str]]:
     _artefacts.write_table(context.folder, table)
     context.write_json(_artefacts.MODEL, _artefacts.model_json(model))
     remarks = options.seal(table, context.folder / _artefacts.TABLE)

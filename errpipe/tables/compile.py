@@ -28,6 +28,7 @@ from errpipe.tables.gridding import grid, interpolation_error, quantise
 # the grid for all of them (half the cycle of a machine of 21 components).
 COMMON_GRID_INTERVALS = 512
 ROTARY = ("A", "B", "C")  # letters of axes that turn
+GridKey = tuple[str | None, bool, float, float]  # input, periodic, start, span
 
 
 @dataclass(frozen=True)
@@ -225,7 +226,7 @@ class _Group:
 
 
 def _groups(build: Nodes, component: ComponentSource) -> list[_Group]:
-    by_key: dict[tuple, _Group] = {}
+    by_key: dict[tuple[int, str | None, float | None], _Group] = {}
     for pair in component.pairs or (Lowered(d.Constant(value=0.0)),):
         driver = build.compile(pair.driver)
         axis = pair.axis if pair.profile is not None else None
@@ -236,7 +237,7 @@ def _groups(build: Nodes, component: ComponentSource) -> list[_Group]:
 
 def _on_common_grids(groups: list[_Group], made: list[t.Profile]) -> list[t.Profile]:
     """Profiles of one axis and range on the finest of their grids: neighbours then share their place on it."""
-    finest: dict[tuple, int] = {}
+    finest: dict[GridKey, int] = {}
     for p in made:
         finest[_range(p)] = max(finest.get(_range(p), 0), len(p.values) - 1)
     out = []
@@ -250,13 +251,13 @@ def _on_common_grids(groups: list[_Group], made: list[t.Profile]) -> list[t.Prof
     return out
 
 
-def _range(p: t.Profile) -> tuple:
+def _range(p: t.Profile) -> GridKey:
     return p.input, p.periodic, p.start, round(p.step * (len(p.values) - 1), 9)
 
 
 def _grid_order(made: list[t.Profile]) -> Callable[[t.Profile], int]:
     """Profiles of one grid side by side, grids in order of first use."""
-    grids: dict[tuple, int] = {}
+    grids: dict[tuple[str | None, bool, float, float, int], int] = {}
     for p in made:
         grids.setdefault((p.input, p.periodic, p.start, p.step, len(p.values)), len(grids))
     return lambda p: grids[p.input, p.periodic, p.start, p.step, len(p.values)]

@@ -21,6 +21,7 @@ from errpipe.errors import VerifyError, did_you_mean
 from errpipe.tables import layout as lay
 from errpipe.tables.ect_writer import dumps
 
+Row = tuple[Any, ...]  # the fields of one record
 MAX_FILE_BYTES = 64 << 20  # the largest table allowed (4 million profile values of 4 bytes) has about 20 MB
 
 
@@ -152,7 +153,7 @@ def _section_index(data: bytes) -> dict[int, tuple[int, int]]:
     return index
 
 
-def _rows(data: bytes, index: dict[int, tuple[int, int]]) -> dict[int, list[tuple]]:
+def _rows(data: bytes, index: dict[int, tuple[int, int]]) -> dict[int, list[Row]]:
     rows = {}
     for number, (count, offset) in index.items():
         record = _records(data)[number][1]
@@ -160,7 +161,7 @@ def _rows(data: bytes, index: dict[int, tuple[int, int]]) -> dict[int, list[tupl
     return rows
 
 
-def _build(data: bytes, fixed: tuple, rows: dict[int, list[tuple]]) -> t.CompensationTable:
+def _build(data: bytes, fixed: Row, rows: dict[int, list[Row]]) -> t.CompensationTable:
     machine, title, version, fingerprint = lay.IDENTITY.unpack_from(data, lay.IDENTITY_AT)
     inputs = [_text(r[0], "input name") for r in rows[1]]
     components = [_text(r[0], "component name") for r in rows[8]]
@@ -187,7 +188,7 @@ def _build(data: bytes, fixed: tuple, rows: dict[int, list[tuple]]) -> t.Compens
     )
 
 
-def _input(row: tuple, substitutes: list[tuple], names: list[str]) -> dict[str, Any]:
+def _input(row: Row, substitutes: list[Row], names: list[str]) -> dict[str, Any]:
     name, axis, unit, kind, flags, first, count = row[:7]
     low, high, max_rate, stale, hold, default, offset, valid_low, valid_high, margin, *noise = row[7:]
     return {
@@ -214,7 +215,7 @@ def _input(row: tuple, substitutes: list[tuple], names: list[str]) -> dict[str, 
     }
 
 
-def _node(number: int, row: tuple, operands: list[tuple], reals: list[tuple], inputs: list[str]) -> dict[str, Any]:
+def _node(number: int, row: Row, operands: list[Row], reals: list[Row], inputs: list[str]) -> dict[str, Any]:
     code, flags, first, count, other, others = row[:6]
     if code not in lay.BY_CODE:
         raise VerifyError(f"node {number}: operation {code} is unknown (allowed: 1..{len(lay.BY_CODE)})")
@@ -235,7 +236,7 @@ def _node(number: int, row: tuple, operands: list[tuple], reals: list[tuple], in
     return out
 
 
-def _profile(number: int, row: tuple, values: list[tuple], inputs: list[str]) -> dict[str, Any]:
+def _profile(number: int, row: Row, values: list[Row], inputs: list[str]) -> dict[str, Any]:
     source, flags, first, count, start, step, _, _, scale, interpolation, rounding = row
     return {
         "input": None if source == -1 else _pick(inputs, source, f"input of profile {number}"),
@@ -249,13 +250,13 @@ def _profile(number: int, row: tuple, values: list[tuple], inputs: list[str]) ->
     }
 
 
-def _pair(row: tuple, components: list[str]) -> dict[str, Any]:
+def _pair(row: Row, components: list[str]) -> dict[str, Any]:
     component, profile, driver, flags = row
     name = _pick(components, component, "component")
     return {"component": name, "profile": profile, "driver": driver, "keep": bool(flags & lay.KEEP)}
 
 
-def _output(row: tuple, terms: list[tuple], components: list[str]) -> dict[str, Any]:
+def _output(row: Row, terms: list[Row], components: list[str]) -> dict[str, Any]:
     name, axis, units, flags, first, count, _, magnitude, slew, acceleration = row
     return {
         "name": _text(name, "output name"),
@@ -269,7 +270,7 @@ def _output(row: tuple, terms: list[tuple], components: list[str]) -> dict[str, 
     }
 
 
-def _term(row: tuple, components: list[str]) -> dict[str, Any]:
+def _term(row: Row, components: list[str]) -> dict[str, Any]:
     component, count = row[:2]
     if count > t.MAX_FACTORS:
         raise VerifyError(f"a term has {count} factors (allowed: {t.MAX_FACTORS})")
@@ -293,7 +294,7 @@ def _pick(allowed: Any, number: int, what: str) -> Any:
     return allowed[number]
 
 
-def _slice(rows: list[tuple], first: int, count: int, what: str) -> list[tuple]:
+def _slice(rows: list[Row], first: int, count: int, what: str) -> list[Row]:
     if first + count > len(rows):
         raise VerifyError(f"{what} {first}..{first + count - 1} of only {len(rows)}")
     return rows[first : first + count]
@@ -325,7 +326,7 @@ def first_problem(err: ValidationError) -> str:
     return f"{place}: {message}" if place else message
 
 
-def _near(place: tuple) -> str:
+def _near(place: tuple[str | int, ...]) -> str:
     parts: dict[str, type[t.Part]] = {"inputs": t.TableInput, "profiles": t.Profile, "outputs": t.Output}
     part = parts.get(str(place[0]), t.CompensationTable) if len(place) > 1 else t.CompensationTable
     return did_you_mean(str(place[-1]), part.model_fields)

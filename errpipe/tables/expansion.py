@@ -22,7 +22,7 @@ from errpipe.tables.reference import Evaluator
 SIDE = "side "  # what the name of an axis' side begins with
 MISSED = "~"
 INPUT = "input "  # what the name of an input begins with that has knots as an axis has
-MOST_BENT = 2  # inputs that get knots; others are bounded by a straight line and what it misses
+MAX_CURVED_INPUTS = 2  # inputs that get knots; others are bounded by a straight line and what it misses
 BENT_KNOTS = 129  # over a validity: a parabola is within 2e-5 of its height
 
 
@@ -80,7 +80,7 @@ class Expansion:
                 candidates += _knots(table, axis, low, high)
             self.knots[axis] = _within(candidates, low, high)
         for table in tables:
-            for channel in _bent_inputs(table, self.knots)[:MOST_BENT]:
+            for channel in _bent_inputs(table, self.knots)[:MAX_CURVED_INPUTS]:
                 low, high = channel.valid or (channel.default, channel.default)
                 candidates = [np.linspace(low, high, BENT_KNOTS), *_knots_of(table, {channel.name}, low, high)]
                 self.knots[INPUT + channel.name] = _within(candidates, low, high)

@@ -15,7 +15,7 @@ from errpipe.errors import GateError
 
 SAMPLES = 4096  # for the first look at the curve, and at least as many for the check
 PER_STEP = 16  # samples between two grid points when the error is measured
-MOST_INTERVALS = 16384  # of a profile
+MAX_INTERVALS = 16384  # of a profile
 
 
 def grid(
@@ -26,7 +26,7 @@ def grid(
     bound: float,
     unit: float = 0.001,
     periodic: bool = False,
-    most: int = MOST_INTERVALS,
+    most: int = MAX_INTERVALS,
     what: str = "profile",
 ) -> Profile:
     """The profile of `curve` over [low, high] (periodic: one period), without its input.
@@ -81,7 +81,7 @@ def quantise(
     )
 
 
-def interpolation_error(curve: Callable, start: float, end: float, intervals: int) -> float:
+def interpolation_error(curve: Callable[[np.ndarray], np.ndarray], start: float, end: float, intervals: int) -> float:
     """Largest distance between the curve and its straight pieces, by dense sampling."""
     per_step = max(PER_STEP, -(-SAMPLES // intervals))
     x = np.linspace(start, end, intervals * per_step + 1)
@@ -95,7 +95,7 @@ def _first_guess(samples: np.ndarray, bound: float) -> int:
     return max(1, int(np.ceil((bend / 8.0 / bound) ** 0.5)))
 
 
-def _evaluate(curve: Callable, x: np.ndarray, what: str) -> np.ndarray:
+def _evaluate(curve: Callable[[np.ndarray], np.ndarray], x: np.ndarray, what: str) -> np.ndarray:
     y = np.asarray(curve(x), dtype=float)
     y = np.array(np.broadcast_to(y, x.shape))
     if not np.all(np.isfinite(y)):

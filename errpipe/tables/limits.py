@@ -13,10 +13,12 @@ from errpipe.domain import table as t
 from errpipe.tables import bounds
 from errpipe.tables.compile import Limits, with_limits
 
-MOST_SLEW = 1000.0  # um/s (urad/s): 1 um/ms, below what a following-error alarm or a surface shows of a single step
-MOST_MAGNITUDE = 10_000.0  # um (urad): more than any machine tool is wrong by; the same as ECT_MOST in ect.h
-MOST_RATE = 10_000.0  # um/s (urad/s): ten times the fastest default; beyond it a failure is a jump; ECT_MOST, too
-LEAST_SLEW = 100.0  # um/s (urad/s): a ramp of 100 um takes a second
+MAX_DEFAULT_SLEW = (
+    1000.0  # um/s (urad/s): 1 um/ms, below what a following-error alarm or a surface shows of a single step
+)
+MAX_MAGNITUDE = 10_000.0  # um (urad): more than any machine tool is wrong by; the same as ECT_MOST in ect.h
+MAX_RATE = 10_000.0  # um/s (urad/s): ten times the fastest default; beyond it a failure is a jump; ECT_MOST, too
+MIN_DEFAULT_SLEW = 100.0  # um/s (urad/s): a ramp of 100 um takes a second
 FASTER = 10.0  # times the fastest motion recorded: machines cut and position faster than they are measured
 TURNING_S = 0.01  # s in which a reversal has to be through: at 1 m/min the axis has moved 0.17 mm
 RISE_S = 0.01  # s in which a correction reaches its slew: no step of its rate either
@@ -25,7 +27,7 @@ RISE_S = 0.01  # s in which a correction reaches its slew: no step of its rate e
 def without(table: t.CompensationTable) -> str:
     """The first output without magnitude or slew, or with more than the most of either; empty if there is none."""
     for o in table.outputs:
-        if o.magnitude is None or o.slew is None or o.magnitude > MOST_MAGNITUDE or o.slew > MOST_RATE:
+        if o.magnitude is None or o.slew is None or o.magnitude > MAX_MAGNITUDE or o.slew > MAX_RATE:
             return o.name
     return ""
 
@@ -77,7 +79,7 @@ def _parts(table: t.CompensationTable, sizes: Mapping[str, float]) -> dict[str, 
 
 
 def slews(table: t.CompensationTable, speeds: Mapping[str, float]) -> dict[str, float]:
-    """Output -> default slew, um/s or urad/s: of the outputs of one axis together at most `MOST_SLEW`."""
+    """Output -> default slew, um/s or urad/s: of the outputs of one axis together at most `MAX_DEFAULT_SLEW`."""
     spans = bounds.node_spans(table.nodes, table.inputs, table.table)
     reach = {c.name: c.deviation for c in bounds.components(table)}
     rates = dict.fromkeys(reach, 0.0)
@@ -97,10 +99,10 @@ def slews(table: t.CompensationTable, speeds: Mapping[str, float]) -> dict[str, 
                 rate *= size
             total += abs(term.weight) * rate
             if sizes and reach[term.component] > 0:  # an arm moves too, at a speed the table does not know
-                total = MOST_SLEW
-        out[output.name] = min(max(total, LEAST_SLEW), MOST_SLEW)
+                total = MAX_DEFAULT_SLEW
+        out[output.name] = min(max(total, MIN_DEFAULT_SLEW), MAX_DEFAULT_SLEW)
     parts = _parts(table, out)
-    return {name: min(slew, MOST_SLEW * parts[name]) for name, slew in out.items()}
+    return {name: min(slew, MAX_DEFAULT_SLEW * parts[name]) for name, slew in out.items()}
 
 
 def _slope(profile: t.Profile) -> float:
@@ -116,7 +118,7 @@ def _speed(table: t.CompensationTable, profile: t.Profile, speeds: Mapping[str, 
     channel = table.inputs[table.input_index(profile.input)]
     if not channel.fast:
         return channel.max_rate or 0.0
-    return FASTER * speeds[channel.axis] if channel.axis in speeds else MOST_SLEW / max(_slope(profile), 1e-12)
+    return FASTER * speeds[channel.axis] if channel.axis in speeds else MAX_DEFAULT_SLEW / max(_slope(profile), 1e-12)
 
 
 def _turns(table: t.CompensationTable, number: int) -> bool:

@@ -16,9 +16,9 @@ import numpy as np
 
 from errpipe.tables.expansion import MISSED, Terms
 
-MOST_SIGNS = 8  # unknowns of which every choice of signs is tried; with more the sizes are added up
-MOST_CELLS = 4_000_000  # values of a surface over two axes that are held at once
-MOST_BOXES = 40_000  # of one halving: about 0.2 s
+MAX_SIGNED_UNKNOWNS = 8  # unknowns of which every choice of signs is tried; with more the sizes are added up
+MAX_CELLS = 4_000_000  # values of a surface over two axes that are held at once
+MAX_BOXES = 40_000  # of one halving: about 0.2 s
 CLOSE = 1.02  # bound over size that is good enough to stop
 ROUNDING = 1e-9  # of the sum of all sizes: what floating point adds
 
@@ -39,7 +39,7 @@ class _Part:
         self.levels: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self.surface: np.ndarray | None = None
         shape = [knots[a].size for a in axes]
-        if len(axes) <= 2 and math.prod(shape) <= MOST_CELLS:
+        if len(axes) <= 2 and math.prod(shape) <= MAX_CELLS:
             self.surface = np.zeros(shape)
             for x in terms:
                 own = np.full((), x.factor)
@@ -105,7 +105,7 @@ class _Search:
         self.places = [[self.axes.index(a) for a in part.axes] for part in self.parts]
         known = sorted({u for key in keys for u in key if not u.startswith(MISSED)})
         signed = [not any(u.startswith(MISSED) for u in key) for key in keys]
-        if len(known) > MOST_SIGNS:
+        if len(known) > MAX_SIGNED_UNKNOWNS:
             known, signed = [], [key == () for key in keys]
         self.signed = np.array(signed)
         rows = [dict(zip(known, s, strict=True)) for s in product((1.0, -1.0), repeat=len(known))]
@@ -140,7 +140,7 @@ def largest(terms: Terms, knots: Mapping[str, np.ndarray]) -> Largest:
     if every == 0.0:
         return Largest(0.0, 0.0)
     search = _Search([x for x in terms if x.factor], knots)
-    if math.prod(search.knots) * len(search.signed) <= MOST_CELLS:
+    if math.prod(search.knots) * len(search.signed) <= MAX_CELLS:
         grid = np.meshgrid(*(np.arange(n) for n in search.knots), indexing="ij")
         index = np.stack([g.ravel() for g in grid], axis=1) if grid else np.zeros((1, 0), dtype=int)
         reached = float(search.size(index).max())
@@ -166,7 +166,7 @@ def _branch(search: _Search) -> Largest:
         order = order[bound[order] > CLOSE * reached]
         if order.size == 0:
             return Largest(max(kept, CLOSE * reached), reached)
-        most = max(1, MOST_BOXES // 2**axes)
+        most = max(1, MAX_BOXES // 2**axes)
         kept = max(kept, float(bound[order[most:]].max(initial=0.0)))
         last = float(bound[order[0]])
         if kept >= last:

@@ -14,7 +14,9 @@ from errpipe.tables.gridding import SAMPLES
 TURN = 360.0  # deg
 SAME_STEP = 1e-6  # of the span: steps that differ by less are one step, written with few digits
 SMOOTH = 30.0  # deg beyond what was measured of a turn within which its slope ends: a step between usual targets
-ALIKE = 0.1  # of a curve's peak to valley: turns that differ by less repeat; the difference is stated (by judgement)
+MAX_TURN_DIFFERENCE = (
+    0.1  # of a curve's peak to valley: turns that differ by less repeat; the difference is stated (by judgement)
+)
 
 Curve = Callable[[np.ndarray], np.ndarray]
 
@@ -67,7 +69,7 @@ def _between_turns(bare: Curve, axis: str, low: float, high: float) -> float:
         return 0.0
     at = np.linspace(low + TURN, high, SAMPLES)
     differs = float(np.abs(bare(at) - bare(low + np.mod(at - low, TURN))).max())
-    if differs > ALIKE * float(np.ptp(bare(np.linspace(low, high, SAMPLES)))):
+    if differs > MAX_TURN_DIFFERENCE * float(np.ptp(bare(np.linspace(low, high, SAMPLES)))):
         raise GateError(
             f"{axis} was measured from {low:g} to {high:g} deg and turns on: a table repeats with every turn, this "
             f"curve over {axis} differs by up to {differs:.3g} from its first one. Give its positions within one turn, "

@@ -18,12 +18,12 @@ from errpipe.targets._base import KEPT_BACKLASH, TURN, ByHand, Curve, Line, Plan
 SETTLED = 1e9  # s between rows: every lag has reached its operand
 RUN_UP = 2.0  # mm (deg) before the first position, so that the direction is known there
 PER_KELVIN = 2.0  # K on either side for a slope
-LEAST_WARM_UM = 0.01  # per kelvin over the travel; less is left out
-MOST_CURVE = 4000  # intervals at which a curve is compared with the points written
-MOST_POINTS = 20_000  # of any control's table
+MIN_THERMAL_UM = 0.01  # per kelvin over the travel; less is left out
+MAX_CURVE_INTERVALS = 4000  # intervals at which a curve is compared with the points written
+MAX_POINTS = 20_000  # of any control's table
 # Into which a turn is divided: steps are whole micrometres (thousandths of a degree), and short binary fractions.
 TURN_INTERVALS = sorted(part << n for part in (1, 3, 5, 9, 15, 45) for n in range(7))
-LEAST_REVERSAL = 1e-4  # mm (deg) of lost motion: a tenth of a micrometre
+MIN_LOST_MOTION = 1e-4  # mm (deg) of lost motion: a tenth of a micrometre
 # What controllers take, mm and deg, per correction unit of a table.
 MACHINE_UNITS = {"mm": 1.0, "um": 1e-3, "deg": 1.0, "urad": math.degrees(1e-6), "rad": math.degrees(1.0)}
 
@@ -172,7 +172,7 @@ def uniform(table: CompensationTable, axis: str, over: str, most: int, error_um:
     `most` points do not suffice, they are given with the error they leave.
     """
     low, high = span(table, over)
-    fine = np.linspace(low, high, MOST_CURVE + 1)
+    fine = np.linspace(low, high, MAX_CURVE_INTERVALS + 1)
     dense = curve(table, axis, over, fine)
 
     def interpolation_error_um(points: Points) -> float:
@@ -254,11 +254,11 @@ def moves_with(table: CompensationTable, axis: str, over: str, least_um: float =
 def lost_motion(table: CompensationTable) -> dict[str, float]:
     """Axis -> how much further it is pushed upwards than downwards, mm (deg), the mean over its travel.
 
-    Axes where this is below `LEAST_REVERSAL` are left out.
+    Axes where this is below `MIN_LOST_MOTION` are left out.
     """
     own = [axis for axis in outputs_by_axis(table) if axis in positions_of(table)]
     means = {axis: float(_reversal_values(table, axis).mean()) for axis in own}
-    return {axis: value for axis, value in means.items() if abs(value) >= LEAST_REVERSAL}
+    return {axis: value for axis, value in means.items() if abs(value) >= MIN_LOST_MOTION}
 
 
 def backlash(table: CompensationTable, target: str, letters: str = "") -> dict[str, float]:
@@ -323,7 +323,7 @@ def around_zero(low: float, high: float, step: float) -> np.ndarray:
     Raises GateError if the travel is so many steps from 0 that no control has enough points.
     """
     first, last = min(-1, math.floor(low / step + 1e-9)), max(0, math.ceil(high / step - 1e-9))
-    if last - first > MOST_POINTS:
+    if last - first > MAX_POINTS:
         raise GateError(f"{last - first} points of {step:g} lie between the reference position and the ends of travel")
     return np.arange(first, last + 1)
 
@@ -358,7 +358,7 @@ def counts_from_start(table: CompensationTable, axis: str, sensor: str) -> bool:
     cold_start, warm_start = (
         corrections(one, axis, states, np.ones(2)) for one in (table, table.model_copy(update={"inputs": inputs}))
     )
-    return float(np.abs(warm_start - cold_start).max()) * 1e3 >= LEAST_WARM_UM * PER_KELVIN
+    return float(np.abs(warm_start - cold_start).max()) * 1e3 >= MIN_THERMAL_UM * PER_KELVIN
 
 
 def warm_lines(table: CompensationTable, target: str) -> list[Line]:
@@ -367,7 +367,7 @@ def warm_lines(table: CompensationTable, target: str) -> list[Line]:
     for axis in outputs_by_axis(table):
         low, high = reach(table, axis)
         for fitted in (line(table, axis, sensor) for sensor in sensors_of(table)):
-            if 1e3 * (abs(fitted.level) + abs(fitted.slope) * (high - low) / 2) >= LEAST_WARM_UM:
+            if 1e3 * (abs(fitted.level) + abs(fitted.slope) * (high - low) / 2) >= MIN_THERMAL_UM:
                 lines.append(fitted)
     if not lines:
         raise GateError(f"{target}: no axis of the table moves with a temperature")

@@ -12,7 +12,7 @@ from errpipe.tables import ect
 from errpipe.targets import _sample
 from errpipe.targets._base import ReadBack, Target, expect, found
 
-LEAST_UM = 0.01  # per kelvin; less is not worth a line of a checklist
+MIN_THERMAL_UM = 0.01  # per kelvin; less is not worth a line of a checklist
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +30,7 @@ class WholeTable(ReadBack):
         lines = [_sample.line(table, axis, sensor) for axis in axes for sensor in _sample.sensors_of(table)]
         return cls(
             curves=tuple(_sample.curve(table, axis, over, ends[over]) for axis, over in pairs),
-            lines=tuple(line for line in lines if abs(line.level) * 1e3 >= LEAST_UM),
+            lines=tuple(line for line in lines if abs(line.level) * 1e3 >= MIN_THERMAL_UM),
             table=table,
         )
 

@@ -19,7 +19,7 @@ from errpipe.errors import GateError
 from errpipe.targets import _sample
 from errpipe.targets._base import CAUTION, Curve, NothingToAddError, ReadBack, Target, expect, found, settings_in
 
-MOST = 1001  # nodes of a table
+MAX_NODES = 1001  # nodes of a table
 ERROR_UM = 0.1  # between points, at most
 TENTH_UM = 1e-4  # mm
 
@@ -72,7 +72,7 @@ class BeckhoffCrosscomp(Target):
 
 
 def _curve(table: CompensationTable, axis: str, over: str, *, relative: bool) -> Curve:
-    points, _ = _sample.uniform(table, axis, over, MOST, ERROR_UM)
+    points, _ = _sample.uniform(table, axis, over, MAX_NODES, ERROR_UM)
     return _sample.at_nodes(table, axis, over, points.positions(), relative=relative)
 
 
@@ -91,7 +91,7 @@ def _text(axes: list[str], curve: Curve) -> str:
 def _read(name: str, text: str) -> Curve:
     settings = settings_in(text)
     count = int(settings["kw.crosscomp.last_index"]) + 1
-    expect(2 <= count <= MOST, name, f"{count} nodes (2 to {MOST} are taken)")
+    expect(2 <= count <= MAX_NODES, name, f"{count} nodes (2 to {MAX_NODES} are taken)")
     column = {
         key: np.array([int(settings[f"kw.crosscomp.table[{n}].{key}"]) for n in range(count)]) * TENTH_UM
         for key in ("setpoint", "correction")

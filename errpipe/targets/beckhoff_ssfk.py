@@ -18,7 +18,7 @@ from errpipe.targets import _sample
 from errpipe.targets._base import Curve, every_turn, expect, settings_in
 from errpipe.targets._screw_map import ScrewMap
 
-MOST = 1500  # points of a TwinCAT position correction table
+MAX_POINTS = 1500  # points of a TwinCAT position correction table
 TENTH_UM = 1e-4  # mm
 
 
@@ -42,7 +42,7 @@ class BeckhoffSsfk(ScrewMap):
     )
     goes_with = ("beckhoff_crosscomp", "beckhoff_temperature")
 
-    most, error_um = MOST, 0.1
+    most, error_um = MAX_POINTS, 0.1
 
     @classmethod
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
@@ -60,7 +60,7 @@ class BeckhoffSsfk(ScrewMap):
     def curve_of(cls, name: str, text: str) -> Curve:
         settings = settings_in(text)
         count, start, step = (int(settings[f"kw.ssfk.{k}"]) for k in ("kw_nr_max", "kw_startpos", "interval"))
-        expect(2 <= count <= MOST and step > 0, name, f"{count} nodes (2 to {MOST} are taken)")
+        expect(2 <= count <= MAX_POINTS and step > 0, name, f"{count} nodes (2 to {MAX_POINTS} are taken)")
         tables = []
         for side in ("pos", "neg"):
             values = [settings.get(f"kw.ssfk.table[{n}].{side}") for n in range(count)]

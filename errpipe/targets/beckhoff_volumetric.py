@@ -7,12 +7,12 @@ Limits    the controller makes the synthesis for its own kinematics; position on
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from errpipe.domain import components as iso
-from errpipe.domain.table import CompensationTable
+from errpipe.domain.table import CompensationTable, Component
 from errpipe.errors import GateError
 from errpipe.tables import batch, by_component
 from errpipe.targets import _sample
@@ -85,7 +85,7 @@ def _axis_of(component: str) -> str | None:
         return None
 
 
-def _block(table: CompensationTable, axis: str, name: str, own: list) -> str:
+def _block(table: CompensationTable, axis: str, name: str, own: Sequence[Component]) -> str:
     low, high = _sample.span(table, axis)
     x = np.linspace(low, high, POINTS)
     values = component_values(table, name, x)

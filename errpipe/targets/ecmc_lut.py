@@ -16,7 +16,7 @@ import numpy as np
 from errpipe.targets._base import Curve, expect
 from errpipe.targets._screw_map import ScrewMap
 
-LEAST = 3  # points of a table
+MIN_POINTS = 3  # points of a table
 DIGITS = 12  # significant digits of each number
 
 
@@ -41,8 +41,8 @@ class EcmcLut(ScrewMap):
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
         x = curve.positions
-        if x.size < LEAST:
-            x = np.linspace(x[0], x[-1], LEAST)
+        if x.size < MIN_POINTS:
+            x = np.linspace(x[0], x[-1], MIN_POINTS)
         value = -np.interp(x, curve.positions, curve.mean)
         lines = [f"# {curve.axis}: position, error to be added to it; mm (deg)", f"PREC={DIGITS}"]
         lines += [f"{p + 0.0:.9f} {v + 0.0:.9f}" for p, v in zip(x.tolist(), value.tolist(), strict=True)]
@@ -58,7 +58,7 @@ class EcmcLut(ScrewMap):
             words = line.split()
             expect(len(words) >= 2, name, f"invalid line {line!r}")
             rows.append([float(w) for w in words[:2]])
-        expect(len(rows) >= LEAST, name, f"{len(rows)} rows ({LEAST} or more are taken)")
+        expect(len(rows) >= MIN_POINTS, name, f"{len(rows)} rows ({MIN_POINTS} or more are taken)")
         x, value = np.array(rows).T
         expect(bool(np.all(np.diff(x) >= 0)), name, "is not sorted")
         axis = name.rpartition("_")[0]

@@ -14,10 +14,10 @@ Direction from the command (the HAL files feed the table from joint.N.pos-cmd). 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import resources
 
-from errpipe.domain.table import CompensationTable
+from errpipe.domain.table import CompensationTable, Output
 from errpipe.tables import ect
 from errpipe.targets import _sample
 from errpipe.targets._base import HOMED_AT_ONCE, ReadBack, Target
@@ -27,7 +27,7 @@ from errpipe.targets._whole import WholeTable
 COMPONENT, WIRING = "errpipe_inject.comp", "errpipe-inject.hal"
 TABLE, TABLE_HEADER = "inject_table.c", "inject_table.h"
 CORE = ("feedback_inject.h", "feedback_inject.c")
-LEAST_MOST = 0.001  # mm (deg): of the largest correction that the component takes
+MIN_LIMIT = 0.001  # mm (deg): of the largest correction that the component takes
 PER_LINE = 16  # bytes
 
 
@@ -85,9 +85,9 @@ class FeedbackInject(Target):
         return WholeTable.from_array(cls, files, TABLE, "inject_table")
 
 
-def _largest(outputs: tuple) -> float:
+def _largest(outputs: Sequence[Output]) -> float:
     """Sum of the limits of an axis' outputs, mm (deg): more than that the component does not take."""
-    return max(LEAST_MOST, sum((o.magnitude or 0.0) * o.factor for o in outputs))
+    return max(MIN_LIMIT, sum((o.magnitude or 0.0) * o.factor for o in outputs))
 
 
 def _header(table: CompensationTable, size: int) -> str:

@@ -26,7 +26,7 @@ from errpipe.errors import GateError
 from errpipe.targets import _sample
 from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, Points, ReadBack, Target, every_turn, expect
 
-MOST = 256  # points of an axis' table
+MAX_POINTS = 256  # points of an axis' table
 MARK = f"; {CAUTION}; then take this line out\n"
 ERROR_UM = 0.1  # between points, at most
 TENTH_UM = 1e-4  # mm (deg): unit of the spacing
@@ -97,7 +97,7 @@ class HeidenhainCom(Target):
 
 
 def _com(table: CompensationTable, over: str, own: list[str], whole: Mapping[str, str]) -> str:
-    points = min((_sample.uniform(table, a, over, MOST, ERROR_UM)[0] for a in own), key=lambda p: p.step)
+    points = min((_sample.uniform(table, a, over, MAX_POINTS, ERROR_UM)[0] for a in own), key=lambda p: p.step)
     x = _power_of_two(replace(points, start=0.0) if _sample.turns(table, over) else points)
     count = x.size
     curves = {axis: _sample.at_nodes(table, axis, over, x, relative=whole[axis] != over) for axis in own}
@@ -113,7 +113,7 @@ def _power_of_two(points: Points) -> np.ndarray:
     """Positions from the first on in steps of 2^n x 0.1 um: the largest that is as fine, or fits the rows."""
     length = points.step * (points.count - 1)
     step = TENTH_UM * 2.0 ** math.floor(math.log2(points.step / TENTH_UM) + 1e-9)
-    while math.ceil(length / step - 1e-9) + 1 > MOST:
+    while math.ceil(length / step - 1e-9) + 1 > MAX_POINTS:
         step *= 2
     return points.start + step * np.arange(math.ceil(length / step - 1e-9) + 1)
 
@@ -128,7 +128,7 @@ def _read(over: str, text: str) -> list[Curve]:
     expect(lines[0] == f"BEGIN {over}.COM MM" and lines[-1] == "[END]", f"{over}.COM", "has no BEGIN ... [END] frame")
     names = lines[1].split()[3:]
     rows = np.array([line.split() for line in lines[2:-1]], dtype=float)
-    expect(2 <= len(rows) <= MOST, f"{over}.COM", f"{len(rows)} rows (2 to {MOST} are taken)")
+    expect(2 <= len(rows) <= MAX_POINTS, f"{over}.COM", f"{len(rows)} rows (2 to {MAX_POINTS} are taken)")
     steps = np.diff(rows[:, 1]) / TENTH_UM
     whole = np.abs(steps - 2.0 ** np.round(np.log2(steps))).max() < 0.1
     expect(bool(whole), f"{over}.COM", "its spacing is not a power of two times 0.1 um")

@@ -40,7 +40,7 @@ BLOCKS = ("FB_EctLoad", "FB_EctCycle", "FB_EctSwitch", "FB_EctStore", "FB_EctFin
 DATA = "GVL_EctData"
 LIBRARY_VERSION = "2.0.0"  # first number: of the table format; the others count changes of the blocks
 # Room for other tables than the one exported: what the arrays hold at least.
-LEAST_CAPACITY = {
+MIN_CAPACITY = {
     "inputs": 32,
     "substitutes": 64,
     "nodes": 128,
@@ -99,12 +99,12 @@ class IecSt(Target):
 
 
 def capacity_for(table: CompensationTable) -> dict[str, int]:
-    """Highest index of each array: at least LEAST_CAPACITY, and twice what the table needs."""
+    """Highest index of each array: at least MIN_CAPACITY, and twice what the table needs."""
     data = ect.dumps(table)
     most = {}
     for number, (what, record) in lay.RECORDS.items():
         needed = len(ect.section(data, number)) // record.size
-        most[_NAMES.get(what, what.upper())] = max(LEAST_CAPACITY[what], 2 * needed, 1) - 1
+        most[_NAMES.get(what, what.upper())] = max(MIN_CAPACITY[what], 2 * needed, 1) - 1
     most["FACTORS"] = 4 * (most["TERMS"] + 1) - 1
     sizes = {_NAMES.get(what, what.upper()): record.size for what, record in lay.RECORDS.values()}
     most["BYTES"] = lay.HEADER_SIZE + sum(-(-(most[name] + 1) * size // 8) * 8 for name, size in sizes.items())

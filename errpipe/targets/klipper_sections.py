@@ -10,18 +10,18 @@ Limits    no direction, no lag; mesh rows are Y ascending, columns X ascending.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from errpipe.domain.table import CompensationTable
+from errpipe.domain.table import CompensationTable, Output
 from errpipe.errors import GateError
 from errpipe.targets import _sample
 from errpipe.targets._base import Curve, Line, Plane, ReadBack, Target, expect
 
 FILE = "errpipe.cfg"
 MESH = 21  # points along each axis
-LEAST_UM = 0.05  # a smaller influence is not written
+MIN_EFFECT_UM = 0.05  # a smaller influence is not written
 SKEWS = {"xy_skew": ("X", "Y"), "xz_skew": ("X", "Z"), "yz_skew": ("Y", "Z")}
 
 
@@ -110,11 +110,11 @@ def _read_mesh(text: str) -> Plane:
     return Plane("Z", ("X", "Y"), x, y, np.array(rows).T)
 
 
-def _skew(table: CompensationTable, axes: Mapping[str, str], corrected: Mapping) -> str:
+def _skew(table: CompensationTable, axes: Mapping[str, str], corrected: Mapping[str, Sequence[Output]]) -> str:
     """Straight part of X over Y, X over Z and Y over Z."""
     skew = {}
     for key, (axis, over) in SKEWS.items():
-        if axis in corrected and over in axes and _sample.moves_with(table, axis, over, LEAST_UM):
+        if axis in corrected and over in axes and _sample.moves_with(table, axis, over, MIN_EFFECT_UM):
             x = np.linspace(*_sample.span(table, over), 41)
             curve = _sample.curve(table, axis, over, x, relative=True)
             skew[key] = -float(np.polyfit(x, curve.mean, 1)[0])
@@ -129,7 +129,7 @@ def _skew(table: CompensationTable, axes: Mapping[str, str], corrected: Mapping)
 
 def _thermal(table: CompensationTable) -> str:
     lines = [_sample.line(table, "Z", sensor) for sensor in _sample.sensors_of(table)]
-    lines = [line for line in lines if abs(line.level) * 1e3 >= LEAST_UM]
+    lines = [line for line in lines if abs(line.level) * 1e3 >= MIN_EFFECT_UM]
     if not lines:
         return ""
     most = max(lines, key=lambda line: abs(line.level))

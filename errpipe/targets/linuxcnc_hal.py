@@ -31,7 +31,7 @@ JOINTS = "errpipe-joints.hal"
 SHIFT = "errpipe-origin-shift.hal"
 THREAD = "servo-thread"
 COUNT_SIZE = "0.0001"  # mm per count of an external offset
-MOST_BYTES = 1 << 20  # of a table as C source: more takes the compiler too long
+MAX_TABLE_BYTES = 1 << 20  # of a table as C source: more takes the compiler too long
 LONGEST_PIN = 24  # of HAL's 47 characters, with room for the component's name and a prefix
 _TABLE = re.compile(r"errpipe_table\[(\d+)\][^{]*\{([^}]*)\}")
 
@@ -64,9 +64,9 @@ class LinuxcncHal(Target):
     def write(cls, table: t.CompensationTable) -> dict[str, str]:
         _sample.moved_axes(table, cls.name)
         data = ect.dumps(table)
-        if len(data) > MOST_BYTES:
+        if len(data) > MAX_TABLE_BYTES:
             raise GateError(
-                f"linuxcnc_hal: the table has {len(data)} bytes (at most {MOST_BYTES}); allow a larger error_bound"
+                f"linuxcnc_hal: the table has {len(data)} bytes (at most {MAX_TABLE_BYTES}); allow a larger error_bound"
             )
         facts = _facts(table, data)
         return {

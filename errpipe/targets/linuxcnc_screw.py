@@ -25,7 +25,7 @@ ONLY_IN_MM = """\
 # does not start ("program 'expr' failed").
 loadusr -w expr [TRAJ]LINEAR_UNITS : m
 """
-MOST = 256  # points that the motion module keeps of a joint (EMCMOT_COMP_SIZE)
+MAX_POINTS = 256  # points that the motion module keeps of a joint (EMCMOT_COMP_SIZE)
 
 
 class LinuxcncScrew(ScrewMap):
@@ -63,7 +63,7 @@ class LinuxcncScrew(ScrewMap):
         ]
         return tuple(out)
 
-    most = MOST
+    most = MAX_POINTS
     error_um = 0.05  # finer than any screw repeats
 
     @classmethod
@@ -94,7 +94,7 @@ class LinuxcncScrew(ScrewMap):
                 break
             expect(not rows or values[0] > rows[-1][0], name, "positions are not ascending")
             rows.append(values)
-        expect(2 <= len(rows) <= MOST, name, f"{len(rows)} rows (2 to {MOST} are taken)")
+        expect(2 <= len(rows) <= MAX_POINTS, name, f"{len(rows)} rows (2 to {MAX_POINTS} are taken)")
         x, up, down = np.array(rows).T
         axis = name.split(".")[0].upper()
         return Curve(axis, axis, x, up, down)

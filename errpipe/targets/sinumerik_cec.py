@@ -53,7 +53,7 @@ SAME_UM = 0.02  # directions closer than this share one table
 PER_PRODUCT = 4  # tables
 PRODUCT_POINTS = 101  # of each table of a product
 PRODUCT_UM = 0.1  # rms; a product that takes away less is left out
-MOST_TERMS = 2  # products of one axis over one pair of axes
+MAX_PRODUCTS = 2  # products of one axis over one pair of axes
 FILE = "NC_CEC.INI"
 
 
@@ -202,7 +202,7 @@ def _separated(table: CompensationTable, axis: str, over: tuple[str, str]) -> li
     centred = plane.values - plane.values[n // 2] - plane.values[:, n // 2][:, None] + plane.values[n // 2, n // 2]
     left, sizes, right = np.linalg.svd(centred)
     out = []
-    for k in range(MOST_TERMS):
+    for k in range(MAX_PRODUCTS):
         rms = float(sizes[k]) / n
         if rms * 1e3 < PRODUCT_UM:
             break

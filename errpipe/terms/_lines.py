@@ -10,7 +10,7 @@ CELLS = 2**15  # most cells of a search for waves; the shortest wave is four of 
 # Turns that a wave makes within the positions covered; fewer are indistinguishable from curvature
 MIN_TURNS_OF_WAVE = 2.5
 STRONGEST = 12  # waves kept of each signal
-MOST_LINES = 6  # waves of one signal
+MAX_LINES = 6  # waves of one signal
 # Turns over the positions covered by which two lines differ at least: nearer ones would cancel each other
 MIN_SEPARATION = 1.0
 # Power of a line over the mean power of white noise; the largest of 10^6 noise powers stays below 14
@@ -137,7 +137,7 @@ def lines(at: np.ndarray, signal: np.ndarray) -> list[tuple[float, float]]:
     amplitude: list[float] = []
     base = np.polynomial.chebyshev.chebvander(2 * (at - at.min()) / max(span, 1e-300) - 1, 3)
     rest = _residual(base, signal)
-    while len(frequencies) < MOST_LINES:
+    while len(frequencies) < MAX_LINES:
         rough = peaks(at, rest, 1)
         if not rough.size:
             break

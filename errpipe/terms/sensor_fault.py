@@ -22,12 +22,14 @@ from errpipe.terms._slack import Slack
 
 # Log odds of a fault that readings show: it is there, open is only whether the simulation reads that sensor. Half of
 # the odds against each one of some twenty other effects
-SEEN = 3.0
+LOG_ODDS_IF_VISIBLE = 3.0
 ROWS_EACH_SIDE = 5  # rows on either side of a jump whose medians give its step
 MOST_JUMPS, MOST_STRETCHES = 6, 16  # of a sensor, that are tried: seen ones first, those between natural jumps last
-LEAST_READINGS = 30  # of a sensor, in which failures are searched for
-LEAST_ROWS = 8  # of a stretch; one in which a sensor does not change has four times as many, or a thirtieth of all
-ALIKE = 2.0  # factor between a jump off and the jump back
+MIN_READINGS = 30  # of a sensor, in which failures are searched for
+MIN_STRETCH_ROWS = (
+    8  # of a stretch; one in which a sensor does not change has four times as many, or a thirtieth of all
+)
+MAX_STEP_RATIO = 2.0  # factor between a jump off and the jump back
 LINES = (8, 24)  # readings of the straight lines on either side of a jump,
 JUMP = 7.0  # and standard errors by which these must miss each other: bodies bend as they warm. Short ones at least by
 CHANCE = 4.5  # what chance exceeds in one of 100,000 rows
@@ -66,7 +68,7 @@ class SensorFault(Term):
     _seen: bool = PrivateAttr(False)  # do the readings alone show that it failed, and when? Then that is no choice
 
     def log_prior_odds(self) -> float:
-        return SEEN if self._seen else self.prior_log_odds
+        return LOG_ODDS_IF_VISIBLE if self._seen else self.prior_log_odds
 
     def linear(self) -> tuple[Parameter, ...]:
         unit = "um/m/K" if self.axis else "um/K"
@@ -155,7 +157,7 @@ def _switched(recording: Recording) -> np.ndarray:
         out += 2 * _beside_rows(np.flatnonzero(np.diff(recording.array(name))) + 1, out.size)
     for name in recording.names("temperature"):
         read, finite = recording.array(name), np.isfinite(recording.array(name))
-        if finite.sum() >= LEAST_READINGS:
+        if finite.sum() >= MIN_READINGS:
             out += _beside_rows(np.array([*jumps(_filled(read), t, finite)], dtype=int), out.size)
     return out >= 2
 
@@ -181,7 +183,7 @@ def step_between(finite: np.ndarray, step: np.ndarray, first: int, last: int) ->
     if not ends:
         return 0.0
     on, off = step[ends[0]], -step[ends[-1]] if len(ends) == 2 else step[ends[0]]
-    return float(on + off) / 2 if on * off > 0 and max(on / off, off / on) < ALIKE else 0.0
+    return float(on + off) / 2 if on * off > 0 and max(on / off, off / on) < MAX_STEP_RATIO else 0.0
 
 
 def reconstructed(recording: Recording, sensor: str, first: int, last: int) -> np.ndarray:
@@ -247,12 +249,12 @@ def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = 
     """
     n = values.size
     finite = np.isfinite(values)
-    if finite.sum() < LEAST_READINGS:
+    if finite.sum() < MIN_READINGS:
         return {}
-    out, long, filled = dict.fromkeys(silent(values), True), max(4 * LEAST_ROWS, n // 30), _filled(values)
+    out, long, filled = dict.fromkeys(silent(values), True), max(4 * MIN_STRETCH_ROWS, n // 30), _filled(values)
     typical = np.median(np.abs(filled))
     if typical > 5.0:  # a dead channel reads zero
-        out |= dict.fromkeys(_stretches(finite & (np.abs(values) < 0.05 * typical), LEAST_ROWS), True)
+        out |= dict.fromkeys(_stretches(finite & (np.abs(values) < 0.05 * typical), MIN_STRETCH_ROWS), True)
     step, known = jumps(filled, t, finite if switched is None else finite & ~switched), steps(values, t)
 
     def is_unexplained(*rows: int) -> bool:
@@ -262,7 +264,7 @@ def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = 
 
     edges, natural = sorted(step), set()
     for i, a in enumerate(edges):
-        for b in (b for b in [*edges[i + 1 :], n] if b - a >= LEAST_ROWS):
+        for b in (b for b in [*edges[i + 1 :], n] if b - a >= MIN_STRETCH_ROWS):
             natural |= {(a, b - 1)} if not step[a] and not step.get(b) else set()
             out[a, b - 1] = is_unexplained(a, b) and step_between(*known, a, b - 1) != 0.0
         start = _still_from(filled, a, long)
@@ -363,7 +365,7 @@ def _missed(clock: np.ndarray, read: np.ndarray, k: int) -> tuple[np.ndarray, np
 
 def silent(values: np.ndarray) -> list[tuple[int, int]]:
     """First and last row of stretches where a sensor reads nothing."""
-    return _stretches(~np.isfinite(values), max(LEAST_ROWS, values.size // 100))
+    return _stretches(~np.isfinite(values), max(MIN_STRETCH_ROWS, values.size // 100))
 
 
 def _stretches(flags: np.ndarray, least: int) -> list[tuple[int, int]]:

@@ -116,7 +116,7 @@ def _place(recording: Recording, name: str) -> str:
     return f"{recording.manifest.columns[name].location or ''} {name.replace('_', ' ')}"
 
 
-def _first(recording: Recording, names: Sequence[str], pattern: re.Pattern) -> str | None:
+def _first(recording: Recording, names: Sequence[str], pattern: re.Pattern[str]) -> str | None:
     return next((n for n in names if pattern.search(_place(recording, n))), None)
 
 

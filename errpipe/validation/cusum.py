@@ -12,7 +12,7 @@ FALSE_ALARMS = 0.02  # share of years without drift with an alarm, any sensor, n
 HORIZON = 365  # runs for which that is valid: a year of nights
 SIMULATED = 4000  # simulated years without drift per threshold
 MIN_THRESHOLD = 5.0  # standard errors; with less, one outlying run would be an alarm
-FEWEST_RUNS = 4  # reference runs needed to estimate the scatter between runs
+MIN_REFERENCE_RUNS = 4  # reference runs needed to estimate the scatter between runs
 
 
 @lru_cache
@@ -52,7 +52,7 @@ def level_drift(old: Sequence[float], new: Sequence[float]) -> tuple[float, int]
     None below its threshold, or with too few reference runs.
     """
     count = len(old)
-    if count < FEWEST_RUNS or not len(new):
+    if count < MIN_REFERENCE_RUNS or not len(new):
         return None
     scale = max(float(np.std(old, ddof=1)), 1e-9)
     values = np.array([*old, *new], dtype=float)

@@ -30,7 +30,7 @@ GAINS = (0.0, 0.25, 0.5, 0.75, 1.0)  # competing shares of a model, 0 = no compe
 # (chosen on seeds 5101 and 5102 of `trials.thermal --log-days`, 12 machines; 1.0: 89, 78 and 74 %).
 NEXT_RUN = 1.5
 BLOCKS = "blocks:5"  # of one run, each predicted by the others
-TIE = 0.01  # of the held-out rms: the smaller gain wins within it
+TIE_MARGIN = 0.01  # of the held-out rms: the smaller gain wins within it
 VERSION = 1  # of the document's layout
 
 Blocks = Callable[[], Mapping[str, Sequence[HeldOut]]]
@@ -41,7 +41,7 @@ def judged(
     family: Family,
     scheme: holdout.HoldOut | str | None = None,
     *,
-    folds: Sequence | None = None,
+    folds: Sequence[holdout.Fold | tuple[str, np.ndarray, np.ndarray]] | None = None,
     progress: Callable[[float, str], None] = lambda share, text: None,
 ) -> tuple[dict[str, Any], dict[str, list[HeldOut]]]:
     """Refit a family without each group and validate on it: the document of `validation.json` for one scheme, and per
@@ -50,11 +50,9 @@ def judged(
     folds: splits made elsewhere, as (label, train mask, test mask), instead of those of `scheme`; they are refused
     if a row is both fitted and tested. rms in the response's unit. Raises DataError if nothing can be held out.
     """
-    if folds is None:
-        label, folds = family.folds(recording, scheme)
-    else:
-        folds, label = [holdout.Fold(*fold) for fold in folds], "given"
-    by_component, empty = _left_out(recording, family, folds, progress)
+    given = None if folds is None else ("given", [holdout.Fold(*fold) for fold in folds])
+    label, splits = given or family.folds(recording, scheme)
+    by_component, empty = _left_out(recording, family, splits, progress)
 
     @cache
     def blocks() -> dict[str, list[HeldOut]]:
@@ -302,7 +300,7 @@ def _at_gain(fold: HeldOut, gain: float) -> np.ndarray:
 
 def _smallest_tied_gain(gains: dict[str, float]) -> float:
     best = min(gains.values())
-    return min(float(g) for g, rms in gains.items() if rms <= best * (1.0 + TIE))
+    return min(float(g) for g, rms in gains.items() if rms <= best * (1.0 + TIE_MARGIN))
 
 
 def _coverage(folds: Sequence[HeldOut]) -> list[float | None]:

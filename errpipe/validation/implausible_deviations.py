@@ -257,7 +257,7 @@ def _of_the_other(r: Response, on: np.ndarray, off: np.ndarray) -> float | None:
     return _slope(a, b)
 
 
-MOST_ROWS = 3  # largest shift of values in rows: header lines (name, unit, a blank one)
+MAX_SHIFT_ROWS = 3  # largest shift of values in rows: header lines (name, unit, a blank one)
 
 
 def shifted_rows(r: Response) -> Finding | None:
@@ -269,7 +269,7 @@ def shifted_rows(r: Response) -> Finding | None:
     if shared.size < 9:
         return None
     a, b = (np.array([c[x] for x in shared]) for c in (up, down))
-    far = min(MOST_ROWS, (a.size - 7) // 2)
+    far = min(MAX_SHIFT_ROWS, (a.size - 7) // 2)
     gaps = {k: _scatter(a[far + k : a.size - far + k] - b[far - k : b.size - far - k]) for k in range(-far, far + 1)}
     best = min(gaps, key=lambda k: gaps[k])
     if best == 0 or not is_rearranged(r, gaps[0] ** 2, gaps[best] ** 2, a.size - 2 * far, noise_of_difference(r)):

@@ -19,7 +19,7 @@ from errpipe.validation.plausibility_finding import (
     noise_of_difference,
 )
 
-FEWEST_TARGETS = 10  # common targets; by chance a correlation on ten reaches -0.8 once in 200 tries
+MIN_TARGETS = 10  # common targets; by chance a correlation on ten reaches -0.8 once in 200 tries
 OPPOSITE = -0.8  # correlation of a curve with the mean of the others
 MIN_CORRELATION = 0.6  # correlation of the others with each other
 MIN_SCATTER_UM = 1.0  # um (urad): scatter of a curve about its line below which its sign is undetermined
@@ -70,7 +70,7 @@ def repeated_run(r: Response) -> Finding | None:
     for k in labels:
         rows = r.run == k
         first = seen.setdefault(bytes_of[int(k)], int(k))
-        if first != k and rows.sum() >= FEWEST_TARGETS:
+        if first != k and rows.sum() >= MIN_TARGETS:
             a, b = (r.recording.run_labels()[int(i)] for i in (first, k))
             evidence = f"run {b} repeats run {a} to the last digit in all {int(rows.sum())} readings"
             level: Literal["refuse", "ask"] = "refuse" if labels.size > 2 else "ask"
@@ -151,10 +151,10 @@ def shuffled_rows(r: Response) -> Finding | None:
     return None
 
 
-FEWEST_STEPS = 10  # from run to run: fewer do not show the usual size
+MIN_STEPS = 10  # from run to run: fewer do not show the usual size
 NEW_ZERO = 8.0  # times the usual step (1.4826 times the median size); normal noise: once in 1e15
 BEYOND_OTHERS = 3.0  # times the largest other step
-LEAST_ZERO_UM = 3.0  # um (urad): repeatability of homing, not worth a report
+MIN_ZERO_SHIFT_UM = 3.0  # um (urad): repeatability of homing, not worth a report
 FLAT = 0.2  # of a step: scatter of the targets about their line, beyond which the shape changed as well
 
 
@@ -164,7 +164,7 @@ def new_zero(r: Response) -> Finding | None:
     The thermal shift is proportional to the change of slope, about the point where the scale is held: it is removed.
     """
     codes = list(dict.fromkeys(r.run.tolist()))
-    if r.position is None or r.component.kind == "force" or len(codes) <= FEWEST_STEPS:
+    if r.position is None or r.component.kind == "force" or len(codes) <= MIN_STEPS:
         return None
     levels = np.round(np.asarray(r.position), 3)
     shared = levels
@@ -182,7 +182,7 @@ def new_zero(r: Response) -> Finding | None:
         place = float(np.sum(weight * shift * slope) / max(np.sum(weight * slope**2), 1e-12))
     step = shift - place * slope
     usual = 1.4826 * float(np.median(np.abs(step)))
-    large = np.flatnonzero((np.abs(step) > max(NEW_ZERO * usual, LEAST_ZERO_UM)) & (rough < FLAT * np.abs(step)))
+    large = np.flatnonzero((np.abs(step) > max(NEW_ZERO * usual, MIN_ZERO_SHIFT_UM)) & (rough < FLAT * np.abs(step)))
     rest = np.abs(np.delete(step, large)).max(initial=0.0)
     if not 0 < large.size <= max(1, step.size // 10) or np.abs(step[large]).min() < BEYOND_OTHERS * rest:
         return None
@@ -194,13 +194,13 @@ def new_zero(r: Response) -> Finding | None:
 
 NEAR = 3  # rows on each side of a step: their median is not a single reading
 SHARP = 0.7  # of a step between two neighbours when a zero is set; heat and wear take longer
-FEWEST_RUNS = 3  # whose median is the shape of the axis
+MIN_RUNS = 3  # whose median is the shape of the axis
 
 
 def zero_within_run(r: Response) -> Finding | None:
     """Steps within a run that other runs do not have, far beyond its scatter, and not at a reversal."""
     run = r.run
-    if r.position is None or r.component.kind == "force" or np.unique(run).size < FEWEST_RUNS or run.size < 4 * NEAR:
+    if r.position is None or r.component.kind == "force" or np.unique(run).size < MIN_RUNS or run.size < 4 * NEAR:
         return None
     rest = r.deviation - _group_medians(r.deviation, run)
     rest -= _group_medians(rest, r.cells())
@@ -210,7 +210,7 @@ def zero_within_run(r: Response) -> Finding | None:
     within = run[rows - NEAR] == run[rows + NEAR - 1]
     if not within.any():
         return None
-    least = max(NEW_ZERO * 1.4826 * float(np.median(np.abs(local[within]))), LEAST_ZERO_UM)
+    least = max(NEW_ZERO * 1.4826 * float(np.median(np.abs(local[within]))), MIN_ZERO_SHIFT_UM)
     within &= (np.abs(local) > least) & (np.abs(np.diff(rest)[rows - 1]) > SHARP * np.abs(local))
     steps = rows[within & (r.side()[rows] == r.side()[rows - 1])]
     said = []
@@ -253,7 +253,7 @@ def _curves(r: Response, groups: Sequence[np.ndarray]) -> np.ndarray | None:
     shared = levels[groups[0]] if groups else levels
     for rows in groups:
         shared = np.intersect1d(shared, levels[rows])
-    if shared.size < FEWEST_TARGETS:
+    if shared.size < MIN_TARGETS:
         return None
     out = []
     for rows in groups:

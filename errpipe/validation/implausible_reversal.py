@@ -6,8 +6,8 @@ import numpy as np
 
 from errpipe.validation.plausibility_finding import Finding, Response
 
-FEWEST_TARGETS = 5  # approached from both sides: of an axis up to 2 m (ISO 230-2, 5.3.2)
-FEWEST_READINGS = 8  # of a direction, if targets are not shared; fewer do not show the usual size
+MIN_TARGETS = 5  # approached from both sides: of an axis up to 2 m (ISO 230-2, 5.3.2)
+MIN_READINGS = 8  # of a direction, if targets are not shared; fewer do not show the usual size
 
 SHOWN = 1.0  # um: reporting threshold; an axis with a scale may have a smaller value of either sign
 
@@ -17,10 +17,10 @@ def reversal_of_the_other_sign(r: Response) -> Finding | None:
     if r.direction is None or r.component.kind != "positioning":
         return None
     up, down = r.deviation[r.direction > 0], r.deviation[r.direction < 0]
-    if min(up.size, down.size) < FEWEST_READINGS:
+    if min(up.size, down.size) < MIN_READINGS:
         return None
     lost = _at_shared_targets(r)
-    if lost.size >= FEWEST_TARGETS:
+    if lost.size >= MIN_TARGETS:
         step, samples = float(np.median(lost)), [lost]
     else:  # the curve of the axis counts as scatter
         step, samples = float(np.median(up) - np.median(down)), [up, down]

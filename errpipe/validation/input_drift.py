@@ -34,11 +34,13 @@ from typing import NamedTuple
 import numpy as np
 
 from errpipe.domain.recording import Recording
-from errpipe.validation.cusum import FALSE_ALARMS, FEWEST_RUNS, REFERENCE, cusum, threshold
+from errpipe.validation.cusum import FALSE_ALARMS, MIN_REFERENCE_RUNS, REFERENCE, cusum, threshold
 
 MIN_SD = 0.05  # K; residuals are not resolved below a sensor's display resolution
 QUIETER = 0.2  # largest CUSUM without the faulty sensor over that with it: chosen on simulated sensors, seeds 1 to 3
-ALIKE = 2.0  # ratio to the smallest of these: within it, a sensor may as well be the faulty one (by judgement)
+AMBIGUITY_RATIO = (
+    2.0  # ratio to the smallest of these: within it, a sensor may as well be the faulty one (by judgement)
+)
 SIGNS = np.array([1.0, -1.0])  # up and down
 # Likelihood of a drifting sensor over that of a changed machine: at most one change in 10 is misidentified
 RATIO = 10.0
@@ -49,7 +51,7 @@ SCALES: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {  # what reads so ->
     "degC instead of degF": lambda t: 1.8 * t + 32.0,
     "degC instead of K": lambda t: t + 273.15,
 }
-FAR = 25.0  # K; every sensor of a machine, including air, changes by less from one run to another
+MAX_TEMPERATURE_CHANGE = 25.0  # K; every sensor of a machine, including air, changes by less from one run to another
 SEASON = 15.0  # K; between seasons they change by less
 
 
@@ -94,7 +96,7 @@ def sensor_drift(
     """
     names, run = recording.names("temperature"), recording.run_codes()
     old, new = old_and_new(run, reference)
-    if len(names) < 2 or len(old) < FEWEST_RUNS or not new:
+    if len(names) < 2 or len(old) < MIN_REFERENCE_RUNS or not new:
         return []
     labels = recording.run_labels()
     data = _Readings(np.column_stack([recording.array(n) for n in names]), run, old, new)
@@ -145,7 +147,7 @@ def other_unit(recording: Recording, reference: np.ndarray) -> tuple[str, str] |
         if not all(np.isfinite(c[rows]).any() for c in columns):
             continue
         now = np.array([np.nanmedian(c[rows]) for c in columns])
-        if np.all(np.abs(now - before) > FAR):
+        if np.all(np.abs(now - before) > MAX_TEMPERATURE_CHANGE):
             for scale, back in SCALES.items():
                 if np.all(np.abs(back(now) - before) < SEASON):
                     return scale, recording.run_labels()[code]
@@ -222,7 +224,7 @@ def _faulty_sensors(data: _Readings, loudest: float) -> list[int]:
         left.append(max(cusum(column)[0] / limit for column in z.T))
     if min(left) >= max(1.0, QUIETER * loudest):
         return []
-    return [int(k) for k in np.argsort(left) if left[k] < max(1.0, ALIKE * min(left))]
+    return [int(k) for k in np.argsort(left) if left[k] < max(1.0, AMBIGUITY_RATIO * min(left))]
 
 
 def _standardised_residuals(data: _Readings) -> tuple[np.ndarray, np.ndarray, float]:

@@ -19,7 +19,7 @@ from errpipe.kinematics.chain import Chain, compile_chain
 from errpipe.kinematics.remaining import MAX_HARM_PROBABILITY
 from errpipe.models.direct import Direct
 
-TIE = 0.01  # of the uncompensated rms: within this margin, no compensation is preferred
+MIN_IMPROVEMENT = 0.01  # of the uncompensated rms: within this margin, no compensation is preferred
 
 
 def judged(
@@ -157,7 +157,7 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
         wrong += [
             f"{name}: {part['rms_before']:.3g} -> {part['rms_after']:.3g} um on held-out measurements"
             for name, part in parts.items()
-            if not part["rms_after"] < (1.0 - TIE) * part["rms_before"]
+            if not part["rms_after"] < (1.0 - MIN_IMPROVEMENT) * part["rms_before"]
         ]
     if wrong:
         measures = [m["measure"] for m in document.get("would_show", ())][:3]

@@ -15,17 +15,17 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.fitting.statistics import rms
-from errpipe.validation.cusum import FEWEST_RUNS
+from errpipe.validation.cusum import MIN_REFERENCE_RUNS
 from errpipe.validation.input_drift import MIN_SD, SCALES, old_and_new
 from errpipe.validation.response_drift import UNITS, meaning
 
-ODD = 4.0  # root of an F ratio: by chance once in years of nights, and then without a cause
+OUTLIER_RATIO = 4.0  # root of an F ratio: by chance once in years of nights, and then without a cause
 SOUND = 3.0  # root of an F ratio of a normal run; and the factor by which the correction reduces that of an odd one
 LASTING, FEWEST_LASTING = 0.8, 3  # of the odd runs, and runs: that one cause must explain
 AS_BEFORE = 2.0  # times the largest rms residual of the champion in its own runs: a run that fits
 UNLIKE = 5.0  # times that: a run that does not fit
 LIKELY = 2.0  # times the largest prediction of the champion's runs: beyond it the prediction is doubtful
-LEAST_NOISE = 0.1  # of the usual rms: a compensated machine is measured with at least the previous noise
+MIN_NOISE_SHARE = 0.1  # of the usual rms: a compensated machine is measured with at least the previous noise
 
 
 @dataclass(frozen=True)
@@ -71,18 +71,18 @@ def _causes(
     """
     names, run = recording.names("temperature"), recording.run_codes()
     old, new = old_and_new(run, reference)
-    if len(names) < 2 or len(old) < FEWEST_RUNS or not new:
+    if len(names) < 2 or len(old) < MIN_REFERENCE_RUNS or not new:
         return {}, {}
     readings = np.column_stack([recording.array(n) for n in names])
     good = np.isfinite(readings).all(axis=1)
     means = {c: readings[good & (run == c)].mean(axis=0) for c in (*old, *new) if (good & (run == c)).any()}
     old, new = [c for c in old if c in means], [c for c in new if c in means]
-    if len(old) < len(names) + FEWEST_RUNS:
+    if len(old) < len(names) + MIN_REFERENCE_RUNS:
         return {}, {}
     distance = _distance(np.array([means[c] for c in old]))
     as_read = {c: distance(means[c]) for c in new}
     causes: dict[int, tuple[str, str] | None] = {}
-    for code in [c for c in new if as_read[c] > ODD]:
+    for code in [c for c in new if as_read[c] > OUTLIER_RATIO]:
         tried = [(distance(mean), what, says) for what, says, mean in _put_right(means[code], names)]
         left, *cause = min(tried)
         causes[code] = (cause[0], cause[1]) if left < min(sound, as_read[code] / SOUND) else None
@@ -114,7 +114,7 @@ def _stands_alone(
     at = new.index(code)
     for side in (new[at + 1 :], new[:at][::-1]):
         for other in side:
-            if as_read[other] <= ODD:
+            if as_read[other] <= OUTLIER_RATIO:
                 break
             if causes[other] != causes[code]:
                 return False
@@ -190,7 +190,7 @@ def _factor(measured: np.ndarray, predicted: np.ndarray, usual: float) -> float 
     for factor in (-1.0, *UNITS):
         if rms(measured - factor * predicted) <= AS_BEFORE * usual * abs(factor):
             return factor
-    return 0.0 if LEAST_NOISE * usual < rms(measured) <= AS_BEFORE * usual else None
+    return 0.0 if MIN_NOISE_SHARE * usual < rms(measured) <= AS_BEFORE * usual else None
 
 
 def _few_in_a_row(places: Sequence[int], count: int) -> bool:

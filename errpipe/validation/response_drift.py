@@ -18,7 +18,7 @@ from errpipe.validation.cusum import level_drift
 
 WEAKEST_RUN = 0.25  # of the median rms of the prediction: a run with less motion does not determine the size
 NO_RESPONSE = 0.3  # of the prediction: compensated machines have less than a third, worn ones more
-FEWEST = 3  # runs of a group before and since a change, needed for a mean and a scatter
+MIN_RUNS = 3  # runs of a group before and since a change, needed for a mean and a scatter
 NO_GROUPS: Mapping[str, Mapping[int, str]] = {}
 TINY = 1e-12  # um2: smallest mean square whose logarithm is taken
 HALF = 0.5  # of a change of the mean: least change of the median of the same runs
@@ -105,14 +105,22 @@ def _groups(recording: Recording) -> dict[str, dict[int, str]]:
     return out
 
 
-def _sides(figures: Mapping[int, float], codes: Mapping[int, str], label: str, old: set[int], since: int) -> list[list]:
-    """Figures of a group's runs among the old ones, and since a run; [] if fewer than FEWEST are on a side."""
+def _sides(
+    figures: Mapping[int, float], codes: Mapping[int, str], label: str, old: set[int], since: int
+) -> list[list[float]]:
+    """Figures of a group's runs among the old ones, and since a run; [] if fewer than MIN_RUNS are on a side."""
     own = [c for c in figures if codes[c] == label]
     sides = [[figures[c] for c in own if c in old], [figures[c] for c in own if c not in old and c >= since]]
-    return sides if min(map(len, sides)) >= FEWEST else []
+    return sides if min(map(len, sides)) >= MIN_RUNS else []
 
 
-def _regime(groups, figures: Mapping[int, float], reference: np.ndarray, run: np.ndarray, since: int) -> str:
+def _regime(
+    groups: Mapping[str, Mapping[int, str]],
+    figures: Mapping[int, float],
+    reference: np.ndarray,
+    run: np.ndarray,
+    since: int,
+) -> str:
     """The only group of runs that moved, such as 'duty_cycle TM'; '' if others did, too, or if there are too few runs.
 
     figures: one per run, by its code. A group's shift is the mean of its runs since then minus that of its own before;

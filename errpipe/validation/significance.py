@@ -35,7 +35,7 @@ HALVES_LEVEL = 1e-4
 # of machines (formulas and `trials.thermal`, seed 41001): four that help have 0.04 to 0.21, five that harm 0.3 to 1.0.
 HALVES_LIKELY, INSIDE = 1e-2, 0.12
 UNLIKE = 0.05  # product of autocorrelations below which rows are independent
-FEWEST_DEGREES = 0.5  # of freedom of a correlation, however few rows the series are worth
+MIN_DEGREES = 0.5  # of freedom of a correlation, however few rows the series are worth
 
 
 def p_value(recording: Recording, folds: Sequence[HeldOut], gain: float) -> float:
@@ -80,7 +80,7 @@ def _correlated(one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> tuple
     if size == 0.0:
         return 1.0, worth
     correlation = min(sum(float(x @ y) for x, y in zip(one, other, strict=True)) / size, 1.0 - 1e-9)
-    degrees = max(worth - 2.0, FEWEST_DEGREES)
+    degrees = max(worth - 2.0, MIN_DEGREES)
     p = student_tail(correlation * np.sqrt(degrees / (1.0 - correlation**2)), degrees)
     return max(p, 1e-300), worth
 

@@ -11,8 +11,8 @@ from errpipe.domain.error_model import ComponentModel, ErrorModel, FittedTerm
 from errpipe.domain.recording import Recording
 from errpipe.fitting.components import from_run_start, term_of
 
-MOST = 3  # terms that are named; a change of more terms is not specific
-LEAST_SHARE = 0.02  # of the variance beyond the noise that a further term must explain: a seventh of the rms
+MAX_NAMED_TERMS = 3  # terms that are named; a change of more terms is not specific
+MIN_EXPLAINED_SHARE = 0.02  # of the variance beyond the noise that a further term must explain: a seventh of the rms
 NEARLY = 0.9  # share of the best term's variance: a term with fewer parameters that explains as much is preferred
 SIGNIFICANT = 4.0  # standard errors of the mean square of noise: threshold of a change
 AGAIN = 6.0  # standard errors of a second change of the level: chosen on simulated axes, seed 1
@@ -51,8 +51,8 @@ def what_changed(
     least = SIGNIFICANT * noise**2 * np.sqrt(2.0 / r.size)
     if beyond < least:
         return []
-    least = max(least, LEAST_SHARE * beyond)
-    while left > least and len(chosen) < MOST:
+    least = max(least, MIN_EXPLAINED_SHARE * beyond)
+    while left > least and len(chosen) < MAX_NAMED_TERMS:
         trials = {
             k: left - (_mean_square_residual(bases, [*chosen, k], r) - noise**2)
             for k in range(len(bases))

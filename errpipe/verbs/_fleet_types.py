@@ -20,7 +20,7 @@ NARROWEST = 1e-6  # of a parameter's size: standard deviation of a prior where m
 UNLIMITED = 1e12  # variance inflation that is allowed where every parameter has a prior
 
 
-def responses(models: Mapping[str, ErrorModel], least: int = pooling.LEAST_MACHINES) -> dict[str, dict[str, Any]]:
+def responses(models: Mapping[str, ErrorModel], least: int = pooling.MIN_MACHINES) -> dict[str, dict[str, Any]]:
     """What the machines of a type have in common of each response, from their models by name.
 
     Mean and spread (covariance between machines) of the parameters where at least so many machines have them.
@@ -68,7 +68,7 @@ def borrowing(
     out = []
     for pipeline, name, sets, folder in tasks:
         alike = {n: m for n, kind in types.items() if kind == types[name] and (m := models[n]) is not None}
-        known = responses(alike, pooling.LEAST_TO_BORROW) if name in undetermined else {}
+        known = responses(alike, pooling.MIN_LENDERS) if name in undetermined else {}
         if known and all("mean" in response for response in known.values()):
             stage = str(results[next(iter(alike))]["model"]).partition("/")[0]
             components = jsonfile.dumps([_component(n, r) for n, r in known.items()], indent=None).strip()

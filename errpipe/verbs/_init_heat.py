@@ -26,13 +26,15 @@ if TYPE_CHECKING:
     from errpipe.models import Family
 
 WARM, HEAT = "@WARM@", "@HEAT@ "
-MOVES = 1.0  # K between medians of runs: several times the noise and the calibration of a sensor of a machine tool
-FEWEST = 3  # groups; two cannot tell heat from whatever else differs between them
-LEAST = 0.05  # share of the held-out rms that a step must take away (by judgement)
-MOST_FOLDS = 12  # more cost time: three dozen models are judged
-SEEN = 0.9  # share of the rows of every group in which a temperature that is proposed was read
-TIE = 0.01  # of the held-out rms: fewer terms win within it
-MOST_ROWS = 6000  # judged: rows of a run resemble each other, and a laser test has fewer
+MIN_TEMPERATURE_CHANGE = (
+    1.0  # K between medians of runs: several times the noise and the calibration of a sensor of a machine tool
+)
+MIN_GROUPS = 3  # groups; two cannot tell heat from whatever else differs between them
+MIN_IMPROVEMENT = 0.05  # share of the held-out rms that a step must take away (by judgement)
+MAX_FOLDS = 12  # more cost time: three dozen models are judged
+MIN_READ_SHARE = 0.9  # share of the rows of every group in which a temperature that is proposed was read
+TIE_MARGIN = 0.01  # of the held-out rms: fewer terms win within it
+MAX_ROWS = 6000  # judged: rows of a run resemble each other, and a laser test has fewer
 
 
 @dataclass(frozen=True)
@@ -104,18 +106,18 @@ def _flow(scheme: HoldOut) -> str:
 
 
 def moving(recording: Recording) -> list[str]:
-    """Temperatures whose medians of runs differ by more than MOVES, in manifest order."""
+    """Temperatures whose medians of runs differ by more than MIN_TEMPERATURE_CHANGE, in manifest order."""
     run, out = recording.run_codes(), []
     for name in recording.names("temperature"):
         values = recording.array(name)
         medians = [np.median(v) for code in np.unique(run) if (v := values[(run == code) & np.isfinite(values)]).size]
-        if len(medians) >= FEWEST and np.ptp(medians) > MOVES:
+        if len(medians) >= MIN_GROUPS and np.ptp(medians) > MIN_TEMPERATURE_CHANGE:
             out.append(name)
     return out
 
 
 def scheme_of(recording: Recording) -> HoldOut | None:
-    """Whole groups to hold out: the coarsest of FEWEST or more, of whole runs (seasons, days), else runs; else None."""
+    """Whole groups to hold out: the coarsest of MIN_GROUPS or more (seasons, days), else runs; else None."""
     dated = recording
     with suppress(DataError):  # no dates
         dated = holdout.with_calendar(recording, "day")
@@ -124,14 +126,14 @@ def scheme_of(recording: Recording) -> HoldOut | None:
         of = dated.manifest.columns[column].of or column
         label = np.unique(holdout.labels(dated, of), return_inverse=True)[1]
         count = np.unique(label).size
-        if count >= FEWEST and np.unique(np.stack([run, label]), axis=1).shape[1] == np.unique(run).size:
+        if count >= MIN_GROUPS and np.unique(np.stack([run, label]), axis=1).shape[1] == np.unique(run).size:
             known[of] = count
     coarsest = min(known, key=lambda name: known[name]) if known else None
     count = known[coarsest] if coarsest else np.unique(run).size
-    if count < FEWEST:
+    if count < MIN_GROUPS:
         return None
-    if count > MOST_FOLDS:
-        return holdout.HoldOut(scheme="batches", of=coarsest, blocks=MOST_FOLDS)
+    if count > MAX_FOLDS:
+        return holdout.HoldOut(scheme="batches", of=coarsest, blocks=MAX_FOLDS)
     return holdout.HoldOut(scheme="leave-one-group-out" if coarsest else "leave-one-run-out", of=coarsest)
 
 
@@ -145,17 +147,17 @@ def helpful(
     """The candidates that held-out groups want beside the static model, step by step; None where none is wanted.
 
     family: the model with the candidates of these numbers; steps: candidates that may be added together, of `sensors`
-    temperatures. Each step must leave less of the groups left out than the model without it, by LEAST and by more than
-    chance (`_chance`), shared among the temperatures.
+    temperatures. Each step must reduce the held-out rms by MIN_IMPROVEMENT, and by more than chance (`_chance`), shared
+    among the temperatures.
     """
-    recording = recording.take(np.arange(len(recording)) % -(-len(recording) // MOST_ROWS) == 0)
+    recording = recording.take(np.arange(len(recording)) % -(-len(recording) // MAX_ROWS) == 0)
     chosen: tuple[int, ...] = ()
     first = judged = _judged(recording, scheme, family(chosen))
     while judged is not None:
         wider = {tuple(sorted({*chosen, *step})) for step in steps} - {chosen}
         tried = {terms: _judged(recording, scheme, family(terms)) for terms in sorted(wider)}
         able = {terms: left for terms, left in tried.items() if left is not None and _comparable(judged, left)}
-        able = {terms: left for terms, left in able.items() if _rms(left) <= (1.0 - LEAST) * _rms(judged)}
+        able = {terms: left for terms, left in able.items() if _rms(left) <= (1.0 - MIN_IMPROVEMENT) * _rms(judged)}
         while able and not _identifiable(recording, family(_best(able))):
             del able[_best(able)]
         if not able:
@@ -198,15 +200,15 @@ def _identifiable(recording: Recording, family: Family) -> bool:
 
 
 def _best(able: Mapping[tuple[int, ...], Sequence[HeldOut]]) -> tuple[int, ...]:
-    """The fewest terms within TIE of the least held-out rms."""
+    """The fewest terms within TIE_MARGIN of the least held-out rms."""
     least = min(map(_rms, able.values()))
-    return min((terms for terms, left in able.items() if _rms(left) <= (1.0 + TIE) * least), key=len)
+    return min((terms for terms, left in able.items() if _rms(left) <= (1.0 + TIE_MARGIN) * least), key=len)
 
 
 def _comparable(without: Sequence[HeldOut], having: Sequence[HeldOut]) -> bool:
     """Whether more terms are judged on the same rows, but for the few where a temperature is missing."""
     return len(without) == len(having) and all(
-        h.rows.size > SEEN * w.rows.size for w, h in zip(without, having, strict=True)
+        h.rows.size > MIN_READ_SHARE * w.rows.size for w, h in zip(without, having, strict=True)
     )
 
 

@@ -18,8 +18,8 @@ from errpipe.simulation import spindle_bar
 
 # Standard errors over duty cycles by which a set must beat no compensation (false-alarm rate 2 to 10 %)
 MIN_STANDARD_ERRORS = 2.0
-MOST_NAMED = 12  # columns of a file in a message
-ODD = 5.0  # times the rms of the other duty cycles: beyond, one of them decides alone, and is named
+MAX_NAMED = 12  # columns of a file in a message
+OUTLIER_RATIO = 5.0  # times the rms of the other duty cycles: beyond, one of them decides alone, and is named
 BAR_FLUXES = 3  # duty cycles of the simulated bar: one warm-up and two random ones
 
 
@@ -61,7 +61,7 @@ def _table(file: Path, error: str, group: str | None, time: str | None) -> pd.Da
             hint = did_you_mean(name, list(frame.columns))
             option = {error: "--error names the column of the error", group: "--group names the column of duty cycles"}
             hint = hint or (f" ({option[name]})" if name in option else "")
-            found = ", ".join(map(str, frame.columns[:MOST_NAMED]))
+            found = ", ".join(map(str, frame.columns[:MAX_NAMED]))
             raise DataError(f"{file}: no column {name!r}{hint}; between commas stand: {found}")
     return frame
 
@@ -150,7 +150,7 @@ def _undecided(best: Chosen, nothing: float, cycles: int) -> str:
     if best.rms_left_out >= nothing:
         worst = max(best.groups, key=lambda name: best.groups[name])
         others = float(np.sqrt(np.mean([v**2 for name, v in best.groups.items() if name != worst])))
-        if not best.groups[worst] > ODD * others:
+        if not best.groups[worst] > OUTLIER_RATIO * others:
             return "no sensor is better than doing nothing"
         return (
             f"no sensor is better than doing nothing: duty cycle {worst} alone is missed by {best.groups[worst]:.4g}, "

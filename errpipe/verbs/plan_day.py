@@ -20,7 +20,7 @@ from errpipe.thermal.duty_cycles import DutyCycles
 NOISE = 1.0  # um, of a reading, where nothing was measured that shows it
 MIN_GAIN = 0.05  # of the uncertainty: smaller gains are not worth another day of eight hours (a judgement)
 STANDS = 1.0  # mm or deg; an axis that moves by less in a run stands at one place
-MOST_LINES = 12  # candidates that are printed; the document has all
+MAX_LINES = 12  # candidates that are printed; the document has all
 
 
 def has_errors(folder: Path) -> bool:
@@ -84,7 +84,7 @@ def _document(
         f" over all of them {(before**2 + rest**2) ** 0.5:.3g} {{unit}}:",
         f"{before:.3g} {{unit}} from gains not known well enough, {rest:.3g} that no further run teaches",
     ]
-    for row in rows[:MOST_LINES]:
+    for row in rows[:MAX_LINES]:
         lines.append(
             f"{row['duty_cycle']} ({row['measured']} of {row['runs']} runs measured): gains {before:.3g} ->"
             f" {row['after']:.3g}, takes away {row['takes_away']:.3g} {{unit}}"

@@ -15,7 +15,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.kernels import table_cycle
 from errpipe.kernels.table_codes import HOLD, OFF, ON
 from errpipe.tables import ect, pack
-from errpipe.tables.limits import MOST_SLEW
+from errpipe.tables.limits import MAX_DEFAULT_SLEW
 from errpipe.tables.reference import Evaluator
 from tests.faults import campaign
 from tests.faults.sequences import CYCLE, SETTLED, Part
@@ -184,7 +184,7 @@ def unsafe(made: Machine, parts: list[Part], corrections: np.ndarray) -> str:
     for axis in {o.axis for o in outputs}:
         own = [k for k, o in enumerate(outputs) if o.axis == axis]
         moved = np.abs(np.diff(value[:, own].sum(axis=1), prepend=0.0)).max()
-        if moved > CYCLE * MOST_SLEW * (1 + 1e-4):
+        if moved > CYCLE * MAX_DEFAULT_SLEW * (1 + 1e-4):
             said.append(f"{axis} moves {moved:.3f} in a cycle")
     if (off := np.abs(value[-1] - right(made, parts)).max()) > SETTLED:
         said.append(f"{off:.4f} off at the end")

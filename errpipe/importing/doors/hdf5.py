@@ -99,7 +99,7 @@ def columns_of(name: str, matrix: np.ndarray, unit: str, length: int) -> list[tu
     )
 
 
-def _cells(array: np.ndarray) -> list:
+def _cells(array: np.ndarray) -> list[Any]:
     if array.dtype.kind in "iufb":
         return np.asarray(array, dtype=float).tolist()
     return [v.decode("utf-8", "replace") if isinstance(v, bytes) else str(v) for v in array]

@@ -55,7 +55,7 @@ def test_six_sensors_are_watched_within_400_nodes_and_cost_nothing(watched):
     table = judge.compiled(found.guard)
     assert found.guard.names() == sensors.NAMES and found.guard.compares
     assert len(table.nodes) - len(judge.plain.nodes) <= 400
-    assert found.document["cost"] <= _guarded.MOST_COST
+    assert found.document["cost"] <= _guarded.MAX_COST
     assert found.title("a lathe") == "a lathe"
 
 
@@ -188,7 +188,7 @@ def test_a_table_without_room_has_a_smaller_guard_or_none(watched):
 def test_a_guard_of_a_long_recording_is_learnt_from_some_of_its_rows():
     """Rows every half minute first, then some of the runs: 43,200 rows of a minute and 60,000 of 5 ms."""
     slow = _guarded._fewer_rows(sensors.machine(90, 5))
-    assert len(slow) <= _guarded.MOST_ROWS and len(np.unique(slow.run_codes())) == 30
+    assert len(slow) <= _guarded.MAX_ROWS and len(np.unique(slow.run_codes())) == 30
     assert np.allclose(np.diff(slow.time()[:480]), 60.0)
     columns = {"run": Column(role="run"), "t": Column(role="time", unit="s")}
     frame = pd.DataFrame({"run": np.repeat(["a", "b"], 30_000), "t": np.tile(np.arange(30_000) * 0.005, 2)})

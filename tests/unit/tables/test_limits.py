@@ -39,8 +39,8 @@ def steps(made: t.CompensationTable) -> tuple[float, float]:
 
 def test_an_axis_of_three_outputs_moves_by_one_micrometre_a_millisecond():
     made = tables.limited(three_on_x())
-    assert sum(o.slew for o in made.outputs if o.axis == "X") == pytest.approx(limits.MOST_SLEW)
-    assert next(o.slew for o in made.outputs if o.axis == "Y") == limits.MOST_SLEW
+    assert sum(o.slew for o in made.outputs if o.axis == "X") == pytest.approx(limits.MAX_DEFAULT_SLEW)
+    assert next(o.slew for o in made.outputs if o.axis == "Y") == limits.MAX_DEFAULT_SLEW
     step, _ = steps(made)
     assert 0.9 < step <= 1.0 + 1e-9
 

@@ -6,10 +6,10 @@ import pytest
 
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
-from errpipe.drivers.lowering import MOST_OPERANDS, Nodes
+from errpipe.drivers.lowering import MAX_OPERANDS, Nodes
 
 
-@pytest.mark.parametrize("count", [MOST_OPERANDS, MOST_OPERANDS + 1, 3 * MOST_OPERANDS + 5])
+@pytest.mark.parametrize("count", [MAX_OPERANDS, MAX_OPERANDS + 1, 3 * MAX_OPERANDS + 5])
 def test_a_long_sum_keeps_every_operand_and_weight(count: int) -> None:
     names = [f"T{k}" for k in range(count)]
     reading = {"kind": "sensor", "unit": "degC", "low": 0.0, "high": 60.0, "default": 20.0}
@@ -23,6 +23,6 @@ def test_a_long_sum_keeps_every_operand_and_weight(count: int) -> None:
         if isinstance(node, t.InputNode):
             values.append(1.0)
         elif isinstance(node, t.AffineNode):
-            assert len(node.of) <= MOST_OPERANDS
+            assert len(node.of) <= MAX_OPERANDS
             values.append(node.offset + sum(w * values[o] for w, o in zip(node.weights, node.of, strict=True)))
     assert values[last] == pytest.approx(7.0 + count * (count + 1) / 2)

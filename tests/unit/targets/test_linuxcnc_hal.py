@@ -70,7 +70,7 @@ def test_a_table_that_moves_no_axis_is_refused():
 
 
 def test_a_table_too_large_to_compile_is_refused(monkeypatch):
-    monkeypatch.setattr(linuxcnc_hal, "MOST_BYTES", 1000)
+    monkeypatch.setattr(linuxcnc_hal, "MAX_TABLE_BYTES", 1000)
     with pytest.raises(GateError, match="allow a larger error_bound"):
         LinuxcncHal.write(machines.warm())
 

@@ -153,8 +153,8 @@ def test_the_largest_of_an_expansion_is_that_of_all_its_corners(seed, monkeypatc
             )
         exact = max(exact, float(np.abs(total).max()))
     assert maximum.largest(terms, knots).reached == pytest.approx(exact)
-    monkeypatch.setattr(maximum, "MOST_CELLS", 20)
+    monkeypatch.setattr(maximum, "MAX_CELLS", 20)
     searched = maximum.largest(terms, knots)
     assert exact <= searched.bound * (1 + 1e-12) and searched.bound <= 1.0201 * exact
-    monkeypatch.setattr(maximum, "MOST_BOXES", 8)
+    monkeypatch.setattr(maximum, "MAX_BOXES", 8)
     assert exact <= maximum.largest(terms, knots).bound * (1 + 1e-12)

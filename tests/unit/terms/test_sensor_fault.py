@@ -7,7 +7,7 @@ import numpy as np
 from errpipe.diagnosis import hypotheses
 from errpipe.domain.recording import Recording
 from errpipe.terms import sensor_fault
-from errpipe.terms.sensor_fault import SEEN, SensorFault, reconstructed, step_between, steps, suspicious
+from errpipe.terms.sensor_fault import LOG_ODDS_IF_VISIBLE, SensorFault, reconstructed, step_between, steps, suspicious
 from tests.unit.diagnosis.machines import recording
 
 ROWS = 200
@@ -60,7 +60,7 @@ def test_a_sensor_that_reads_nothing_is_seen_to_have_failed() -> None:
         {n: {"role": "temperature", "unit": "degC"} for n in "abc"} | {"t": {"role": "time", "unit": "s"}},
     )
     odds = {(h.sensor, h.first, h.last): h.log_prior_odds() for h in SensorFault.bind(made, "EXX")}
-    assert odds.pop(("b", 81, 139)) == SEEN
+    assert odds.pop(("b", 81, 139)) == LOG_ODDS_IF_VISIBLE
     assert all(o == SensorFault.prior_log_odds for o in odds.values())
 
 
@@ -79,7 +79,7 @@ def test_a_failure_that_is_seen_shares_its_odds_with_no_jump_of_another_sensor(m
     made = _with_failures()
     monkeypatch.setattr(hypotheses, "TERMS", (SensorFault,))
     odds = {(h.terms[0].sensor, h.terms[0].first): h.prior for h in hypotheses.enumerate_all(made, "E_Z", made, None)}
-    assert len(odds) > 3 and odds.pop(("b", 81)) == SEEN
+    assert len(odds) > 3 and odds.pop(("b", 81)) == LOG_ODDS_IF_VISIBLE
     assert all(o <= SensorFault.prior_log_odds - np.log(len(odds)) for o in odds.values())
 
 
@@ -140,7 +140,7 @@ def test_sensors_that_jump_at_once_did_not_fail() -> None:
     kinds = {n: {"role": "temperature", "unit": "degC"} for n in "ab"} | {"t": {"role": "time", "unit": "s"}}
     for other, seen in ((read, True), (read + off, False)):
         made = recording({"t": t, "a": read + off, "b": other}, kinds)
-        assert (max(h.log_prior_odds() for h in SensorFault.bind(made, "EXX")) == SEEN) == seen
+        assert (max(h.log_prior_odds() for h in SensorFault.bind(made, "EXX")) == LOG_ODDS_IF_VISIBLE) == seen
 
 
 def test_what_goes_with_the_spindle_is_not_seen_to_be_a_failure() -> None:
@@ -153,4 +153,4 @@ def test_what_goes_with_the_spindle_is_not_seen_to_be_a_failure() -> None:
         role = {"role": "spindle_speed", "unit": "rpm"} if n == "n" else {"role": "ignore"}
         made = recording(columns | {"n": columns["n"]}, kinds | {"n": role})
         odds = {(h.first, h.last): h.log_prior_odds() for h in SensorFault.bind(made, "EXX") if h.sensor == "a"}
-        assert (odds[60, 119] == SEEN) == seen
+        assert (odds[60, 119] == LOG_ODDS_IF_VISIBLE) == seen
