@@ -10,7 +10,7 @@ import numpy as np
 from errpipe.diagnosis import units
 from errpipe.diagnosis.case import Case
 from errpipe.diagnosis.coloured import whiten
-from errpipe.diagnosis.evidence import Scene, averaged, textbook_share
+from errpipe.diagnosis.evidence import Scene, averaged
 from errpipe.diagnosis.hypotheses import Hypothesis, columns_of, scaled
 from errpipe.terms import search_of
 
@@ -117,12 +117,7 @@ def _projected_sizes(case: Case, scene: Scene, shape, core, scale, dependence: f
 
 def core_share(case: Case, k: int) -> float:
     """Share of the textbook form in the contribution of finding k, as searched."""
-    accepted = case.explanation.accepted
-    scene = case.search.scene(case.chosen())
-    b = scene.coefficients()
-    first = case.nuisance.index.size + sum(case.library.places[f.index].size for f in accepted[:k])
-    at = case.library.places[accepted[k].index]
-    return float(textbook_share(b[first : first + at.size], case.library.cores[accepted[k].index]))
+    return case.search.form_share(case.chosen(), k)
 
 
 def _columns(case: Case, h: Hypothesis):
