@@ -115,11 +115,6 @@ def _projected_sizes(case: Case, scene: Scene, shape, core, scale, dependence: f
     return [replace(e, low=e.low - DEPARTED * abs(e.value), high=e.high + DEPARTED * abs(e.value)) for e in out], joint
 
 
-def core_share(case: Case, k: int) -> float:
-    """Share of the textbook form in the contribution of finding k, as searched."""
-    return case.search.form_share(case.chosen(), k)
-
-
 def _columns(case: Case, h: Hypothesis):
     core, slack, rel = columns_of(h, case.recording)
     made = scaled(core[case.pair.rows], slack[case.pair.rows], rel)

@@ -6,10 +6,12 @@ import numpy as np
 import pandas as pd
 
 from errpipe.diagnosis.hypotheses import Hypothesis
+from errpipe.diagnosis.units import said
 from errpipe.domain.recording import Recording
 
 STEPS = 240  # points of a proposed experiment at which rivals are compared
-REVERSALS = (0.002, 0.005, 0.01, 0.03, 0.1, 0.3, 1.0)  # mm
+REVERSALS = (0.002, 0.005, 0.01, 0.03, 0.1, 0.3, 1.0)  # mm (deg)
+SPEEDS = (0.01, 0.03, 0.1, 0.3, 1.0)  # shares of the highest speed: friction differs most near standstill
 SURE = 3.0  # standard errors by which the predictions of two rivals must differ
 MOST_READINGS = 20000  # about one shift at one reading per second; a longer measurement is not proposed
 
@@ -28,18 +30,19 @@ def would_separate(
     best = (0.0, "")
     for what, trial in _hypothetical_recordings(recording, (*first[0].drivers, *second[0].drivers)):
         try:
-            gap = _predict(first, trial) - _predict(second, trial)
+            apart = _predict(first, trial) - _predict(second, trial)
         except (KeyError, ValueError, IndexError):
             continue
-        if np.isfinite(gap).all() and np.std(gap) > best[0]:
-            best = (float(np.std(gap)), what)
+        if np.isfinite(apart).all() and np.std(apart) > best[0]:
+            best = (float(np.std(apart)), what)
     if not best[1]:
         return ""
     readings = int(np.ceil((SURE * noise / best[0]) ** 2))
     if readings > MOST_READINGS:
         return f"{best[1]}; but on this machine their predictions agree within the noise even then"
     enough = "a few readings" if readings < 10 else f"about {float(f'{readings:.1g}'):.0f} readings"
-    return f"{best[1]}; the two then differ by {2 * best[0]:.2g} {unit} ({enough} at a noise of {noise:.2g} {unit})"
+    gap, scatter = said(2 * best[0], 2), said(noise, 2)
+    return f"{best[1]}; the two then differ by {gap} {unit} ({enough} at a noise of {scatter} {unit})"
 
 
 def _predict(fitted: tuple[Hypothesis, np.ndarray], trial: Recording) -> np.ndarray:
@@ -63,22 +66,31 @@ def _hypothetical_recordings(recording: Recording, drivers: tuple[str, ...]):
             continue
         values = recording.array(name)
         low, high = np.nanquantile(values, [0.02, 0.98])
-        frame = constant.copy()
+        frame, unit = constant.copy(), f" {kind.unit}" if kind.unit else ""
         if kind.role == "position":
             frame[name] = np.linspace(low, high, STEPS)
             trial = Recording(recording.manifest, frame)
-            yield f"move {name} from {low:.4g} to {high:.4g} with everything else at rest", trial
+            yield f"move {name} from {said(low)} to {said(high)}{unit} with everything else at rest", trial
             continue
-        frame[name] = np.where((np.arange(STEPS) // (STEPS // 4)) % 2 == 0, low, high)
+        if kind.role == "velocity":
+            top = max(abs(low), abs(high))
+            frame[name] = np.resize(np.outer(SPEEDS, (top, -top)), STEPS)
+            what = f"move with {name} at 1, 3, 10, 30 and 100 % of {said(top)}{unit}, in both directions"
+        else:
+            frame[name] = np.where((np.arange(STEPS) // (STEPS // 4)) % 2 == 0, low, high)
+            what = (
+                f"measure at {name} = {said(low)} and {said(high)}{unit} with all other inputs as constant as possible"
+            )
         for position in recording.names("position"):
             x = recording.array(position)
             frame[position] = np.tile(np.linspace(np.nanmin(x), np.nanmax(x), 8), STEPS // 8)
-        trial = Recording(recording.manifest, frame)
-        yield f"step {name} between {low:.4g} and {high:.4g} and hold every other input still", trial
+        yield what, Recording(recording.manifest, frame)
     for axis in {columns[n].axis for n in names if n in columns and columns[n].role in ("direction", "position")}:
         short = _short_reversals(recording, constant, axis)
         if short is not None:
-            yield "approach the same target after reversals of 0.002, 0.01, 0.1 and 1 mm", short
+            unit = columns[recording.name("position", axis=axis) or ""].unit
+            listed = ", ".join(f"{r:g}" for r in REVERSALS[:-1])
+            yield f"approach the same target after reversals of {listed} and {REVERSALS[-1]:g} {unit}", short
 
 
 def _rest(recording: Recording) -> pd.DataFrame:

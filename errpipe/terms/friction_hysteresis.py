@@ -23,7 +23,7 @@ from errpipe.yamlfile import quantity
 OVERRUN = 0.4  # mm by which machines run past a target to approach it from the other side (chosen in 0.1..1),
 MAX_OVERRUN_SHARE = 0.005  # and at most this share of the travel, for a stage of a few millimetres cannot
 
-START = 1.0  # freedom of the state in which a session starts: anywhere between the two saturated ones
+START = 0.4  # freedom of the state in which a session starts, as of lags: with 1 held-out starts are predicted badly
 
 
 class FrictionHysteresis(Term):
