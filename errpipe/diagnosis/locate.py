@@ -36,15 +36,13 @@ def regimes(
 
     mismatch: with datum and gains of the simulation fitted; its energy beyond `noise` (rms) is divided among the parts.
     """
-    out = []
-    energy = mismatch**2 - noise**2
+    out, energy = [], mismatch**2 - noise**2
     total = float(energy.sum())
     for what, inside in _parts(recording, rows):
         if inside.sum() >= LEAST_ROWS:
             b, a = (float(np.sqrt(np.mean(v[inside] ** 2))) for v in (before, after))
-            share = None
-            if total > 0.1 * rows.size * noise**2:  # else the mismatch does not exceed the noise
-                share = float(np.clip(energy[inside].sum() / total, 0.0, 1.0))
+            exceeds = total > 0.1 * rows.size * noise**2
+            share = float(np.clip(energy[inside].sum() / total, 0.0, 1.0)) if exceeds else None
             out.append(Regime(what=what, rows=int(inside.sum()), rms_before_um=b, rms_after_um=a, share=share))
     return tuple(out)
 
@@ -124,8 +122,7 @@ def _parts(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, np.nda
         if (u > middle).any():
             yield f"{name} up to {middle:.4g}", u <= middle
             yield f"{name} above {middle:.4g}", u > middle
-    for name in recording.names("coolant"):
-        u = recording.array(name)[rows]
+    for u in (recording.array(name)[rows] for name in recording.names("coolant")):
         if np.unique(u).size > 1:
             yield "coolant on", u > 0.5
             yield "coolant off", u <= 0.5

@@ -251,20 +251,17 @@ def _verdict(case: Case, findings: list[Finding], p_unknown: float, nameless: bo
     recalibrated = needs_recalibration(case)
     surest = max((f.confidence for f in findings), default=0.0)
     doubtful = nameless or (unnamed.wanders(case) and 2.0 * surest < unnamed.PROVISIONAL)
-    if findings and (p_unknown > confidence.UNKNOWN_FIRST or (doubtful and p_unknown >= unnamed.PROVISIONAL)):
+    may_be_unknown, gains_off = p_unknown >= unnamed.PROVISIONAL, _recalibration(case) if recalibrated else []
+    if p_unknown > confidence.UNKNOWN_FIRST or (may_be_unknown and (doubtful or not findings)):
         named = [unnamed.capped(f, min(p_unknown, 1.0 - p_unknown)) for f in findings]  # the first is the likelier
-        return [unnamed.finding(case, p_unknown), *named, *_recalibration(case, recalibrated)], "unexplained"
+        return [unnamed.finding(case, p_unknown), *named, *gains_off], "unexplained"
     if findings:
-        return [*findings, *_recalibration(case, recalibrated)], "missing_physics"
-    if p_unknown >= unnamed.PROVISIONAL:
-        return [unnamed.finding(case, p_unknown), *_recalibration(case, recalibrated)], "unexplained"
-    return _recalibration(case, recalibrated), "recalibrate" if recalibrated else "no_mismatch"
+        return [*findings, *gains_off], "missing_physics"
+    return gains_off, "recalibrate" if recalibrated else "no_mismatch"
 
 
-def _recalibration(case: Case, needed: bool) -> list[Finding]:
+def _recalibration(case: Case) -> list[Finding]:
     """The gains and the datum of the simulation, as a separate finding."""
-    if not needed:
-        return []
     scene = case.search.scene(case.chosen())
     b, cov = scene.coefficients(), scene.covariance()
     m = case.nuisance.index.size

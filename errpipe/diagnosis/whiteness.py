@@ -81,8 +81,7 @@ class Frame:
             return None
         u, s, _ = np.linalg.svd(made[:, keep] / after[keep], full_matrices=False)
         u = u[:, s > 1e-3 * s[0]]
-        count = u.shape[1]
-        if self.free <= count + 5:
+        if self.free <= (count := u.shape[1]) + 5:
             return None
         explained = float(np.sum((u.T @ self.left) ** 2))
         unexplained = float(self.left @ self.left) - explained

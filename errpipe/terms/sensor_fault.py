@@ -316,12 +316,8 @@ def jumps(filled: np.ndarray, t: np.ndarray, usable: np.ndarray) -> dict[int, fl
     sure = np.where(short > CHANCE, np.maximum(short, long), 0.0)  # residual of the long lines where the reading bends
     highest = np.lib.stride_tricks.sliding_window_view(np.pad(sure, LINES[0] // 2), LINES[0] + 1).max(axis=1)
     rows = np.flatnonzero((sure > JUMP) & (sure == highest))
-    plain = (
-        (pause[rows - 1] <= 2.0 * _longer_neighbour(pause)[rows - 1])
-        & (pause[rows - 1] > 0)
-        & usable[rows]
-        & usable[rows - 1]
-    )
+    going = (pause > 0) & (pause <= 2.0 * _longer_neighbour(pause))
+    plain = going[rows - 1] & usable[rows] & usable[rows - 1]
     first = np.lexsort((-sure[rows], ~plain))[:MOST_JUMPS]
     return {int(rows[k]): float(np.abs(step[rows[k]]) * plain[k]) for k in first}
 
@@ -376,6 +372,5 @@ def _stretches(flags: np.ndarray, least: int) -> list[tuple[int, int]]:
 
 
 def _rolling_range(values: np.ndarray, width: int) -> np.ndarray:
-    half = width // 2
-    window = np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="edge"), width)
+    window = np.lib.stride_tricks.sliding_window_view(np.pad(values, width // 2, mode="edge"), width)
     return window.max(axis=1) - window.min(axis=1)
