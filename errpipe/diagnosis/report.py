@@ -308,7 +308,7 @@ def _says(case: Case, effect: str, drivers, made: model.Modelled) -> str:
     shown = shown[: MOST_NUMBERS - len(last)] + last
     terms = made.hypothesis.terms
     whose = [f" of {getattr(t, 'axis', '')}" for t in terms for _ in t.linear()] if len(terms) > 1 else []
-    named = itertools.zip_longest(shown, whose[: len(shown)], fillvalue="")
+    named = zip(shown, itertools.chain(whose, itertools.repeat("")), strict=False)
     numbers = ", ".join(
         f"{e.name}{axis} = {said(e.value)}{'' if e.unit == '1' else f' {e.unit}'} ({said(e.low)} to {said(e.high)})"
         for e, axis in named
