@@ -22,7 +22,7 @@ from scipy.special import fdtrc
 
 from errpipe.diagnosis import units
 from errpipe.diagnosis.applied import GAIN, block_of, causal, session_datums, terms_of
-from errpipe.domain.diagnosis import Diagnosis, Finding, ResponseDiagnosis
+from errpipe.domain.diagnosis import Diagnosis, Finding, FoundParameter, ResponseDiagnosis
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import in_order_of_time, sessions
 from errpipe.errors import DataError
@@ -202,9 +202,8 @@ def _judged(r: ResponseDiagnosis, f: Finding, k: float, sd: float, degrees: int,
         state = "gone"
     else:
         state = "reversed" if k < 0 else "larger" if k > 1 else "smaller"
-    inner = {p.name for t in terms_of(f) for p in t.nonlinear()}
     sizes: list[dict[str, Any]] = []
-    for q in (q for q in f.parameters if q.name not in inner):
+    for q in _sizes(f):
         now = {"now": k * q.value, "now_ci95": sorted(((k - reach) * q.value, (k + reach) * q.value))}
         sizes.append({"name": q.name, "unit": q.unit, "then": q.value, "then_ci95": q.ci95} | now)
     return Held(r.component, f.effect, state, "", k, (k - reach, k + reach), p, tuple(sizes))
@@ -212,12 +211,14 @@ def _judged(r: ResponseDiagnosis, f: Finding, k: float, sd: float, degrees: int,
 
 def earlier_spread(f: Finding) -> float:
     """Relative standard deviation of a finding's earlier size, from the interval of its largest linear parameter."""
+    top = max(_sizes(f), key=lambda q: abs(q.value), default=None)
+    return (top.ci95[1] - top.ci95[0]) / (2 * 1.96) / abs(top.value) if top and top.value else 0.0
+
+
+def _sizes(f: Finding) -> list[FoundParameter]:
+    """The linear parameters of a finding."""
     inner = {p.name for t in terms_of(f) for p in t.nonlinear()}
-    sizes = [q for q in f.parameters if q.name not in inner and q.value != 0]
-    if not sizes:
-        return 0.0
-    top = max(sizes, key=lambda q: abs(q.value))
-    return (top.ci95[1] - top.ci95[0]) / (2 * 1.96) / abs(top.value)
+    return [q for q in f.parameters if q.name not in inner]
 
 
 WORDS: dict[str, str] = {

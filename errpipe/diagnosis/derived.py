@@ -16,6 +16,7 @@ from errpipe.kernels import responses
 FAST = 0.1  # s between rows, below which the axis is recorded in motion
 STILL = 4.0  # times the scatter of a position, from which it has moved
 BOTH_WAYS = 0.05  # share of the rows in either direction; fewer are returns to the start of another pass
+RETURN = 0.5  # share of the travel: if all moves in one direction are longer, and than the others, they are that, too
 OFTEN = 0.5  # distinct positions over rows: fewer are targets that a test approaches repeatedly
 LEAST_MOVE = 0.001  # mm or deg; as in the reader that derives directions from positions
 
@@ -25,9 +26,8 @@ def with_responses(recording: Recording) -> Recording:
     known = {recording.manifest.columns[n].component for n in recording.names("error")}
     twins = {recording.manifest.columns[n].component for n in recording.names("simulated")} - known
     forces = {n: recording.manifest.columns[n] for role in ("force", "torque") for n in recording.names(role)}
-    called = {
-        n: Column(role="error", component=c.component, unit=c.unit) for n, c in forces.items() if c.component in twins
-    }
+    forces = {n: c for n, c in forces.items() if c.component in twins}
+    called = {n: Column(role="error", component=c.component, unit=c.unit) for n, c in forces.items()}
     if not called:
         return recording
     manifest = recording.manifest.model_copy(update={"columns": recording.manifest.columns | called})
@@ -61,17 +61,15 @@ def with_motion(recording: Recording) -> tuple[Recording, dict[str, str]]:
     values: dict[str, np.ndarray] = {}
     source: dict[str, str] = {}
     for axis in moving:
-        if recording.names("direction", axis=axis) or recording.names("velocity", axis=axis):
-            continue
+        known = recording.names("direction", axis=axis) or recording.names("velocity", axis=axis)
         name = recording.name("command", axis=axis) or recording.name("position", axis=axis)
-        if name is None or not np.isfinite(recording.array(name)).all():
+        if known or name is None or not np.isfinite(recording.array(name)).all():
             continue
         for role, unit, made in _motion(recording, axis, name):
-            if role == "direction" and len(moving) > 1:
-                continue
-            label = f"{role} of {axis}"
-            columns[label], values[label] = Column(role=role, axis=axis, unit=unit), made
-            source[label] = name
+            if role != "direction" or len(moving) == 1:
+                label = f"{role} of {axis}"
+                columns[label], values[label] = Column(role=role, axis=axis, unit=unit), made
+                source[label] = name
     if not columns:
         return recording, {}
     manifest = recording.manifest.model_copy(update={"columns": recording.manifest.columns | columns})
@@ -91,7 +89,10 @@ def _motion(recording: Recording, axis: str, name: str):
     if min(np.mean(side > 0), np.mean(side < 0)) < BOTH_WAYS:
         return
     if not fast:
-        yield "direction", None, side
+        ways = ([way * m for m in np.diff(x) if way * m > LEAST_MOVE] for way in (1, -1))
+        short, long = sorted(ways, key=lambda moves: min(moves, default=np.inf))
+        if min(long, default=np.inf) <= max(RETURN * np.ptp(x), *short):
+            yield "direction", None, side
         return
     length = "deg" if axis in axes(recording, "rotary") else "mm"
     yield "velocity", f"{length}/s", derivative(t, x, run)

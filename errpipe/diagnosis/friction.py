@@ -60,9 +60,8 @@ class ByDirection:
     def _in_units(self, name: str, k: int, unit: str) -> FoundParameter:
         unit, factor = units.reported(unit, self.response, self.rotary)
         value, reach = self.law.value[k] * factor, 1.96 * model.WIDER * np.sqrt(self.law.covariance[k, k]) * factor
-        return FoundParameter(
-            name=name, value=float(value), unit=unit, ci95=(float(value - reach), float(value + reach))
-        )
+        ends = float(value - reach), float(value + reach)
+        return FoundParameter(name=name, value=float(value), unit=unit, ci95=ends)
 
     def damping(self) -> tuple[FoundParameter, ...]:
         """Damping of each direction."""
@@ -91,8 +90,7 @@ def has_friction(findings: list[Finding]) -> bool:
 def by_direction(case: Case) -> ByDirection | None:
     """The law of each direction if they differ, from the recorded force; None if not, or if this is undecidable."""
     axis = case.pair.component[2:]
-    velocity = case.recording.name("velocity", axis=axis)
-    acceleration = case.recording.name("acceleration", axis=axis)
+    velocity, acceleration = (case.recording.name(role, axis=axis) for role in ("velocity", "acceleration"))
     if not case.pair.component.startswith("F_") or velocity is None or acceleration is None:
         return None
     rows = case.pair.rows
@@ -101,8 +99,7 @@ def by_direction(case: Case) -> ByDirection | None:
     forward, back = (v > 0).astype(float), (v < 0).astype(float)
     if min(forward.sum(), back.sum()) < 10 * BLOCKS:
         return None
-    best, laws = None, []
-    fastest = float(np.quantile(np.abs(v), 0.999))
+    best, laws, fastest = None, [], float(np.quantile(np.abs(v), 0.999))
     for sharpness in (fastest * s for s in SHARPNESS):
         dry = np.sign(v) if sharpness == 0 else np.tanh(v / sharpness)
         mass, drag = 1e-3 * a, 1e-3 * v
@@ -110,8 +107,7 @@ def by_direction(case: Case) -> ByDirection | None:
         laws.append(law)
         if best is None or law.held_out < best.law.held_out:
             single_law = fitted(np.column_stack([mass, drag, dry, np.ones(v.size)]), force)
-            rotary = is_rotary(case.recording, axis)
-            best = ByDirection(axis, velocity, law, single_law, case.pair.unit, rotary)
+            best = ByDirection(axis, velocity, law, single_law, case.pair.unit, is_rotary(case.recording, axis))
     assert best is not None
     best = replace(best, law=widened(best.law, laws))
     differs = best.law.differ(1, 2) or best.law.differ(3, 4)

@@ -8,9 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from errpipe.diagnosis.hypotheses import Hypothesis
+from errpipe.diagnosis.whiteness import both_ways
 from errpipe.domain.diagnosis import ChangePoint, Regime, Where
 from errpipe.domain.recording import Recording
-from errpipe.drivers.motion import axes, direction, position_name
+from errpipe.drivers.motion import axes, position_name
 
 LEAST_ROWS = 10  # rows: a regime or stretch with fewer is not reported
 BLOCKS = 120  # stretches of time whose means are searched for changes
@@ -35,15 +36,13 @@ def regimes(
 
     mismatch: with datum and gains of the simulation fitted; its energy beyond `noise` (rms) is divided among the parts.
     """
-    out = []
-    energy = mismatch**2 - noise**2
+    out, energy = [], mismatch**2 - noise**2
     total = float(energy.sum())
     for what, inside in _parts(recording, rows):
         if inside.sum() >= LEAST_ROWS:
             b, a = (float(np.sqrt(np.mean(v[inside] ** 2))) for v in (before, after))
-            share = None
-            if total > 0.1 * rows.size * noise**2:  # else the mismatch does not exceed the noise
-                share = float(np.clip(energy[inside].sum() / total, 0.0, 1.0))
+            exceeds = total > 0.1 * rows.size * noise**2
+            share = float(np.clip(energy[inside].sum() / total, 0.0, 1.0)) if exceeds else None
             out.append(Regime(what=what, rows=int(inside.sum()), rms_before_um=b, rms_after_um=a, share=share))
     return tuple(out)
 
@@ -105,19 +104,15 @@ def _segments(values: np.ndarray) -> list[tuple[int, float, float]]:
 
 def _parts(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     run, labels = recording.run_codes()[rows], recording.run_labels()
-    codes = np.unique(run)
+    codes, sides = np.unique(run), both_ways(recording, rows)
     for c in codes if codes.size > 1 else ():
         yield f"run {labels[c]}", run == c
     for axis in axes(recording):
         name = position_name(recording, axis)
         x = recording.array(name)[rows]
-        try:
-            side = direction(recording, axis)[rows]
-        except KeyError:
-            side = np.ones(rows.size)
-        if np.unique(side).size > 1:
-            yield f"{name} approached from below", side > 0
-            yield f"{name} approached from above", side < 0
+        if axis in sides:
+            yield f"{name} approached from below", sides[axis] > 0
+            yield f"{name} approached from above", sides[axis] < 0
         cuts = np.quantile(x, [0.0, 1 / 3, 2 / 3, 1.0])
         for word, low, high in zip(("lower", "middle", "upper"), cuts[:-1], cuts[1:], strict=True):
             yield f"{word} third of {name}", (x >= low) & (x <= high)
@@ -127,8 +122,7 @@ def _parts(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, np.nda
         if (u > middle).any():
             yield f"{name} up to {middle:.4g}", u <= middle
             yield f"{name} above {middle:.4g}", u > middle
-    for name in recording.names("coolant"):
-        u = recording.array(name)[rows]
+    for u in (recording.array(name)[rows] for name in recording.names("coolant")):
         if np.unique(u).size > 1:
             yield "coolant on", u > 0.5
             yield "coolant off", u <= 0.5

@@ -10,7 +10,7 @@ import numpy as np
 from errpipe.diagnosis import units
 from errpipe.diagnosis.case import Case
 from errpipe.diagnosis.coloured import whiten
-from errpipe.diagnosis.evidence import Scene, averaged, textbook_share
+from errpipe.diagnosis.evidence import Scene, averaged
 from errpipe.diagnosis.hypotheses import Hypothesis, columns_of, scaled
 from errpipe.terms import search_of
 
@@ -39,12 +39,11 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Modelled:
-    """A finding with refined non-linear parameters, estimates, contribution, and the textbook form's share of it."""
+    """A finding with refined non-linear parameters, estimates and contribution."""
 
     hypothesis: Hypothesis
     estimates: tuple[Estimate, ...]
     contribution: np.ndarray
-    core_share: float
     joint: float  # chi squared of all linear parameters together, with the widened intervals
     cores: int  # number of linear parameters
 
@@ -65,7 +64,6 @@ def modelled(case: Case, k: int) -> Modelled:
     if curved is not None:
         cov[:cores, :cores] += _carried_over(case, scene, hypothesis, f.size, curved, scale[:cores])
     contribution = block @ b
-    core = block[:, :cores] @ b[:cores]
     linear = _linear(hypothesis, b, cov, scale)
     joint = float(b[:cores] @ np.linalg.solve(cov[:cores, :cores], b[:cores])) / WIDER**2
     lags = cores == 1 and hypothesis.terms[0].form.startswith("any start")  # departures imitate it
@@ -93,11 +91,10 @@ def modelled(case: Case, k: int) -> Modelled:
     estimates = [_at_largest(e, contribution, block, cov) if e.name in largest else e for e in estimates]
     for name, unit, value, low, high in spans:
         estimates.append(Estimate(name, value, unit, low, high))
-    share = float(np.std(core) / max(np.std(core) + np.std(contribution - core), 1e-12))
     rotary = units.on_rotary_axis(hypothesis.terms[0], case.recording)
     units_of = [(e, *units.reported(e.unit, case.pair.unit, rotary)) for e in estimates]
     stated = (Estimate(e.name, e.value * f, unit, e.low * f, e.high * f) for e, unit, f in units_of)
-    return Modelled(hypothesis, tuple(stated), contribution, share, joint, cores)
+    return Modelled(hypothesis, tuple(stated), contribution, joint, cores)
 
 
 def _projected_sizes(case: Case, scene: Scene, shape, core, scale, dependence: float) -> tuple[list[Estimate], float]:
@@ -113,16 +110,6 @@ def _projected_sizes(case: Case, scene: Scene, shape, core, scale, dependence: f
     out = _linear(h, nearest, cov, scale)
     joint = float(nearest @ np.linalg.solve(cov, nearest)) / WIDER**2 if carried > MOSTLY else 0.0
     return [replace(e, low=e.low - DEPARTED * abs(e.value), high=e.high + DEPARTED * abs(e.value)) for e in out], joint
-
-
-def core_share(case: Case, k: int) -> float:
-    """Share of the textbook form in the contribution of finding k, as searched."""
-    accepted = case.explanation.accepted
-    scene = case.search.scene(case.chosen())
-    b = scene.coefficients()
-    first = case.nuisance.index.size + sum(case.library.places[f.index].size for f in accepted[:k])
-    at = case.library.places[accepted[k].index]
-    return float(textbook_share(b[first : first + at.size], case.library.cores[accepted[k].index]))
 
 
 def _columns(case: Case, h: Hypothesis):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ from errpipe.diagnosis.gains import WHOLE, Nuisance
 from errpipe.diagnosis.hypotheses import Hypothesis
 from errpipe.diagnosis.own_noise import only_steps
 from errpipe.diagnosis.separate import would_separate
+from errpipe.diagnosis.units import said
 from errpipe.diagnosis.whiteness import whiteness
 from errpipe.domain.diagnosis import Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis, Rival, Significance
 
@@ -166,7 +168,7 @@ def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indic
         share=shaped.share if proved or noise else 0.0,
         shapes=sum(g for _, g in shaped.shapes),
         others=len(accepted) - 1,
-        core=model.core_share(case, k),
+        core=case.search.form_share(case.chosen(), k),
         agreement=held.agreement[k],
         rank=k,
         unexplained_share=unnamed.unexplained_share(case) if proved else 0.0,
@@ -249,20 +251,17 @@ def _verdict(case: Case, findings: list[Finding], p_unknown: float, nameless: bo
     recalibrated = needs_recalibration(case)
     surest = max((f.confidence for f in findings), default=0.0)
     doubtful = nameless or (unnamed.wanders(case) and 2.0 * surest < unnamed.PROVISIONAL)
-    if findings and (p_unknown > confidence.UNKNOWN_FIRST or (doubtful and p_unknown >= unnamed.PROVISIONAL)):
+    may_be_unknown, gains_off = p_unknown >= unnamed.PROVISIONAL, _recalibration(case) if recalibrated else []
+    if p_unknown > confidence.UNKNOWN_FIRST or (may_be_unknown and (doubtful or not findings)):
         named = [unnamed.capped(f, min(p_unknown, 1.0 - p_unknown)) for f in findings]  # the first is the likelier
-        return [unnamed.finding(case, p_unknown), *named, *_recalibration(case, recalibrated)], "unexplained"
+        return [unnamed.finding(case, p_unknown), *named, *gains_off], "unexplained"
     if findings:
-        return [*findings, *_recalibration(case, recalibrated)], "missing_physics"
-    if p_unknown >= unnamed.PROVISIONAL:
-        return [unnamed.finding(case, p_unknown), *_recalibration(case, recalibrated)], "unexplained"
-    return _recalibration(case, recalibrated), "recalibrate" if recalibrated else "no_mismatch"
+        return [*findings, *gains_off], "missing_physics"
+    return gains_off, "recalibrate" if recalibrated else "no_mismatch"
 
 
-def _recalibration(case: Case, needed: bool) -> list[Finding]:
+def _recalibration(case: Case) -> list[Finding]:
     """The gains and the datum of the simulation, as a separate finding."""
-    if not needed:
-        return []
     scene = case.search.scene(case.chosen())
     b, cov = scene.coefficients(), scene.covariance()
     m = case.nuisance.index.size
@@ -283,7 +282,7 @@ def _recalibration(case: Case, needed: bool) -> list[Finding]:
             drivers=(case.pair.simulated,),
             parameters=tuple(parameters),
             says="Datum or gains of the simulation are off; setting them right moves it by "
-            f"{rms:.3g} {case.pair.unit} rms." + (REVERSED if case.pair.reversed else ""),
+            f"{said(rms)} {case.pair.unit} rms." + (REVERSED if case.pair.reversed else ""),
             rms_um=rms,
             compensable=False,
         )
@@ -303,25 +302,35 @@ def _gains(case: Case, b: np.ndarray, covariance: np.ndarray) -> Iterator[tuple[
 
 
 def _says(case: Case, effect: str, drivers, made: model.Modelled) -> str:
-    wave = any(e.name == "amplitude" for e in made.estimates)
-    shown = [e for e in made.estimates if not (wave and e.name.startswith(("sine", "cosine")))]
+    wave = any(e.name.startswith("amplitude") for e in made.estimates)
+    shown = [e for e in made.estimates if not (wave and e.name.startswith(("sine", "cosine"))) and (e.low or e.high)]
     last = shown[-1:] if wave and len(shown) > MOST_NUMBERS else []
     shown = shown[: MOST_NUMBERS - len(last)] + last
-    numbers = ", ".join(f"{e.name} = {e.value:.3g} {e.unit} ({e.low:.3g} to {e.high:.3g})" for e in shown)
-    numbers += _unusual(made)
+    terms = made.hypothesis.terms
+    whose = [f" of {getattr(t, 'axis', '')}" for t in terms for _ in t.linear()] if len(terms) > 1 else []
+    named = zip(shown, itertools.chain(whose, itertools.repeat("")), strict=False)
+    numbers = ", ".join(
+        f"{e.name}{axis} = {said(e.value)}{'' if e.unit == '1' else f' {e.unit}'} ({said(e.low)} to {said(e.high)})"
+        for e, axis in named
+    )
+    artefact = terms[0].family == "measurement"  # of the recording: no simulation has it
     return (
-        f"The simulation lacks {effect.replace('_', ' ')}, driven by {', '.join(drivers)}: {numbers}; "
-        f"it makes up {np.std(made.contribution):.3g} {case.pair.unit} rms of the mismatch."
+        f"The {'recording contains' if artefact else 'simulation lacks'} {effect.replace('_', ' ')}, driven by "
+        f"{', '.join(drivers)}: {numbers}{_unusual(made)}; "
+        f"it makes up {said(float(np.std(made.contribution)))} {case.pair.unit} rms of the mismatch."
     )
 
 
 def _unusual(made: model.Modelled) -> str:
-    """A sentence on lags or lengths far from typical ones: the form may stand for another effect."""
-    names = {p.name: p for t in made.hypothesis.terms for p in t.nonlinear()}
+    """A sentence on lags or lengths far from typical ones: the form may stand for another effect.
+
+    Typical lengths are of linear axes: of an angle nothing is said.
+    """
+    names = {(p.name, p.unit): p for t in made.hypothesis.terms for p in t.nonlinear()}
     for e in made.estimates:
-        p = names.get(e.name)
+        p = names.get((e.name, e.unit))
         if p is not None and p.typical[0] > 0 and not p.typical[0] / 2 <= e.value <= 2 * p.typical[1]:
-            return f" (unusual: {e.name} is mostly {p.typical[0]:g} to {p.typical[1]:g} {p.unit})"
+            return f" (unusual: {e.name} is mostly {said(p.typical[0])} to {said(p.typical[1])} {p.unit})"
     return ""
 
 
@@ -329,11 +338,11 @@ def in_words(r: ResponseDiagnosis) -> str:
     """The response in one sentence."""
     unit = r.unit
     if r.verdict == "no_mismatch":
-        return f"{r.component}: recording and simulation agree within the noise ({r.noise_floor_um:.3g} {unit} rms)."
+        return f"{r.component}: recording and simulation agree within the noise ({said(r.noise_floor_um)} {unit} rms)."
     if r.verdict == "recalibrate":
         return (
-            f"{r.component}: nothing is missing; with datum and gains recalibrated {r.rms_before_um:.3g} becomes "
-            f"{r.rms_after_um:.3g} {unit} rms."
+            f"{r.component}: nothing is missing; with datum and gains recalibrated {said(r.rms_before_um)} becomes "
+            f"{said(r.rms_after_um)} {unit} rms."
         )
     names = [f.effect.replace("_", " ") for f in r.findings if f.effect != "recalibration"]
     what, one = " and ".join(names[:2]), len(names[:2]) == 1
@@ -344,7 +353,7 @@ def in_words(r: ResponseDiagnosis) -> str:
         each = f" {r.between_runs or 0.0:.0%} of the mismatch is one offset per run, as from a new datum."
         return (
             f"{r.component}: {what} {verb} the best name{s} found, but unproved: held-out rows are no better "
-            f"explained with {them} ({before:.3g} before, {after:.3g} {unit} rms after)."
+            f"explained with {them} ({said(before)} before, {said(after)} {unit} rms after)."
             + (each if (r.between_runs or 0.0) >= MOSTLY else "")
         )
     if names[0] == "unknown":
@@ -352,9 +361,9 @@ def in_words(r: ResponseDiagnosis) -> str:
         near = f" (the nearest name would be {known[0]})" if known else ""
         return (
             f"{r.component}: something is missing that no known effect explains{near}; a shape in the data brings the "
-            f"mismatch, held out, from {before:.3g} to {after:.3g} {unit} rms."
+            f"mismatch, held out, from {said(before)} to {said(after)} {unit} rms."
         )
     return (
-        f"{r.component}: {what} explain{'s' if one else ''} the mismatch; held out it falls from {before:.3g} to "
-        f"{after:.3g} {unit} rms."
+        f"{r.component}: {what} explain{'s' if one else ''} the mismatch; held out it falls from {said(before)} to "
+        f"{said(after)} {unit} rms."
     )

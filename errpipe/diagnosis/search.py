@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from errpipe.diagnosis.evidence import Active, Data, Scene, textbook_penalty
+from errpipe.diagnosis.evidence import Active, Data, Scene, textbook_penalty, textbook_share
 from errpipe.diagnosis.hypotheses import Hypothesis, Library
 
 MISSING = 10.0  # threshold: log Bayes factor of the first finding
@@ -18,7 +18,8 @@ MOST_PRICE = 25.0  # but never more than this
 SHORTLIST = 10  # first findings tried
 BETTER = 6.0  # log Bayes factor given the others from which an effect replaces another
 AS_LIKELY = 4.0  # log Bayes factor that a simpler effect may lose (generators, seeds 12201 to 14112), and
-TIED = 2.0  # one with fewer inputs and as many parameters
+TIED = 2.0  # one with fewer inputs and as many parameters,
+OWN_FORM = 0.5  # if its textbook form makes up this share of it (by judgement): departures are no simpler effect
 MAX_EXCHANGES = 4  # effects tried in place of each finding
 FINALISTS, MAX_LOSS = 4, 25.0  # explanations compared jointly at the end, and their largest log evidence below the best
 
@@ -152,8 +153,16 @@ class Search:
                 simpler = fewer > 0 or (fewer == 0 and len(other.drivers) < len(h.drivers))
                 if effect not in taken and lost < within and other.mask == h.mask and inside and simpler:
                     chosen = [(g.index, g.size) for g in accepted]
-                    return self.accepted(self.tune([*chosen[:k], (i, f.size), *chosen[k + 1 :]]))
+                    tuned = self.tune([*chosen[:k], (i, f.size), *chosen[k + 1 :]])
+                    if self.form_share(tuned, k) >= OWN_FORM:
+                        return self.accepted(tuned)
         return accepted
+
+    def form_share(self, chosen: list[tuple[int, float]], place: int) -> float:
+        """Share of the textbook form in the contribution of one of the chosen hypotheses."""
+        b, sizes = self.scene(chosen).coefficients(), [self.library.places[i].size for i, _ in chosen]
+        first, index = self.nuisance.index.size + sum(sizes[:place]), chosen[place][0]
+        return float(textbook_share(b[first : first + sizes[place]], self.library.cores[index]))
 
     def evidence(self, chosen: list[tuple[int, float]]) -> float:
         """Log evidence of the nuisances' priors with these hypotheses included, up to a constant."""

@@ -49,8 +49,7 @@ def chance(case: Case, k: int | None = None, surrogates: int = SURROGATES, whole
     accepted = case.explanation.accepted
     others = [(f.index, f.size) for j, f in enumerate(accepted) if j != k] if k is not None else []
     if whole is not None and k is not None and not others:
-        gain = accepted[k].gain
-        return replace(whole, gain=gain, p=_p(whole.best, gain))
+        return replace(whole, gain=accepted[k].gain, p=_p(whole.best, accepted[k].gain))
     scene = case.search.scene(others)
     rows = float(case.run.size / correlation_time(case.search.scene(case.chosen()).residual(), case.run))
     block = int(np.clip(2 * case.run.size / rows, LEAST_BLOCK, max(case.run.size // FEWEST_BLOCKS, 1)))
@@ -74,10 +73,8 @@ def surrogate_signals(left: np.ndarray, run: np.ndarray, block: int, count: int)
     for k in range(count):
         if k % 2:
             starts = rng.integers(0, n - block + 1, -(-n // block))
-            out[:, k] = (
-                left[(starts[:, None] + np.arange(block)).ravel()[:n]]
-                * np.repeat(rng.choice([-1.0, 1.0], starts.size), block)[:n]
-            )
+            drawn = left[(starts[:, None] + np.arange(block)).ravel()[:n]]
+            out[:, k] = drawn * np.repeat(rng.choice([-1.0, 1.0], starts.size), block)[:n]
         else:
             group = inside if by_run else (np.arange(n) + rng.integers(0, block)) // block
             out[:, k] = left * rng.choice([-1.0, 1.0], int(group.max()) + 1)[group]

@@ -44,3 +44,9 @@ def reported(unit: str, response: str, rotary: bool) -> tuple[str, float]:
     elif unit.startswith("N") and response == "N m":
         unit = response + unit[1:]
     return unit, factor
+
+
+def said(value: float, digits: int = 3) -> str:
+    """A number in a sentence, to so many significant digits, without an exponent up to a million."""
+    text = f"{value:.{digits}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text

@@ -203,10 +203,8 @@ def finding(case: Case, probability: float) -> Finding:
             "the held-out variance."
         )
         return _unknown(probability, h.drivers, says, case.search.scene([]).rms() ** 2 - case.sigma**2)
-    shapes = case.remainder.shapes
-    drivers = tuple(dict.fromkeys(d for s, _ in shapes[:2] for d in s.drivers)) or (
-        case.recording.name("time") or "row",
-    )
+    shapes, clock = case.remainder.shapes, case.recording.name("time") or "row"
+    drivers = tuple(dict.fromkeys(d for s, _ in shapes[:2] for d in s.drivers)) or (clock,)
     says = (
         f"Structure remains that no effect of the vocabulary explains; it correlates with {' and '.join(drivers)}. A "
         f"data-driven shape brings it from {case.sigma:.3g} to {case.remainder.rms:.3g} {case.pair.unit} rms."

@@ -81,8 +81,7 @@ class Frame:
             return None
         u, s, _ = np.linalg.svd(made[:, keep] / after[keep], full_matrices=False)
         u = u[:, s > 1e-3 * s[0]]
-        count = u.shape[1]
-        if self.free <= count + 5:
+        if self.free <= (count := u.shape[1]) + 5:
             return None
         explained = float(np.sum((u.T @ self.left) ** 2))
         unexplained = float(self.left @ self.left) - explained
@@ -99,8 +98,7 @@ class Frame:
         for lag in range(1, most + 1):
             same = self.run[lag:] == self.run[:-lag]
             rho = float(left[lag:][same] @ left[:-lag][same]) / power
-            pairs = max(int(same.sum()), 1)
-            q += rho**2 * n * (n + 2) / (n - lag) * (n - lag) / pairs
+            q += rho**2 * n * (n + 2) / max(int(same.sum()), 1)
         p = float(chdtrc(max(most - 1, 1), q))
         return WhitenessTest(against=ORDER, how="Ljung-Box", statistic=q, dof=most - 1, p=p)
 
@@ -108,7 +106,7 @@ class Frame:
 def _asked(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, str, np.ndarray]]:
     """The tests of the residual: (input, how, columns (rows, k))."""
     run = recording.run_codes()[rows]
-    sides = _sides(recording, rows)
+    sides = both_ways(recording, rows)
     names = [n for role in ("position", *ROLES) for n in recording.names(role) if n in recording.frame.columns]
     inputs = {n: recording.array(n)[rows] for n in names}
     inputs[ORDER] = np.arange(rows.size, dtype=float)
@@ -133,7 +131,7 @@ def _asked(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, str, n
             yield name, how, bins * side[:, None]
 
 
-def _sides(recording: Recording, rows: np.ndarray) -> dict[str, np.ndarray]:
+def both_ways(recording: Recording, rows: np.ndarray) -> dict[str, np.ndarray]:
     """The direction of each axis that moves both ways."""
     out = {}
     for axis in axes(recording):

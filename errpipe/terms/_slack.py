@@ -68,13 +68,13 @@ def difference_of_shape(column: np.ndarray, base: np.ndarray) -> np.ndarray:
     return column / max(float(np.std(column)), 1e-12) - base / max(float(np.std(base)), 1e-12)
 
 
-def start_states(recording: Recording, tau: float, first: float, later: float) -> Slack:
+def start_states(recording: Recording, tau: float, first: float, later: float, way: np.ndarray | None = None) -> Slack:
     """Decay of an unknown state at the start of each session, time constant tau in s.
 
     Of many sessions only what they have in common: a state for each would absorb all differences between sessions.
-    first, later: freedom in the first session and in each further one.
+    first, later: freedom in the first and in each further session. way: travelled, in place of time (tau in its unit).
     """
-    session, t = sessions(recording), recording.time()
+    session, t = sessions(recording), recording.time() if way is None else way
     codes, start, inside = np.unique(session, return_index=True, return_inverse=True)
     decay = np.exp(-np.maximum(t - t[start][inside], 0.0) / tau)
     if codes.size >= MANY_STARTS:

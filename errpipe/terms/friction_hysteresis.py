@@ -17,11 +17,13 @@ from errpipe.kernels import responses
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import as_positioning, axes_acting, is_radial
-from errpipe.terms._slack import Slack, bent
+from errpipe.terms._slack import Slack, bent, start_states
 from errpipe.yamlfile import quantity
 
 OVERRUN = 0.4  # mm by which machines run past a target to approach it from the other side (chosen in 0.1..1),
 MAX_OVERRUN_SHARE = 0.005  # and at most this share of the travel, for a stage of a few millimetres cannot
+
+START = 0.4  # freedom of the state in which a session starts, as of lags: with 1 held-out starts are predicted badly
 
 
 class FrictionHysteresis(Term):
@@ -77,6 +79,10 @@ class FrictionHysteresis(Term):
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         for factor in (0.3, 3.0):  # contacts slip one after the other: a spread of lengths
             yield self.basis(recording, nonlinear[0] * factor)[:, 0] - base[:, 0], 0.25
+        if not self.overrun:  # all travel is recorded, but not the moves before the recording
+            travelled = np.r_[0.0, np.cumsum(np.abs(np.diff(position(recording, self.axis))))]
+            for decay, freedom in start_states(recording, nonlinear[0], START, START, travelled):
+                yield 0.5 * decay * share(recording, self.axis, self.radial), freedom
         if not self.radial:
             yield from bent(base[:, 0], position(recording, self.axis))
 

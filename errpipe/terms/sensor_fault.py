@@ -36,7 +36,8 @@ CHANCE = 4.5  # what chance exceeds in one of 100,000 rows
 RARELY = 0.05  # share of the other rows in which a reading does not change, below which that is no habit of it
 # Of the fault: prior standard deviation of what the reading drawn through the gap misses (chosen on 40 faults)
 DRAWN = 0.3
-BENDS = 4  # half waves along the stretch, from which that may be made
+BENDS, SEEN_BENDS = 4, 12  # half waves along the stretch, from which that may be made; if the readings show its ends
+WINDOW = 9  # readings, in which a sensor does not change
 STILL = 0.05  # of a jump, within which a reading is constant before it
 
 
@@ -116,7 +117,7 @@ class SensorFault(Term):
         run = sessions(recording)
         if run[max(self.first - 1, 0)] != run[self.first]:
             return  # it begins with a session: no reading next to it from which a bend is drawn
-        for wave in range(1, BENDS + 1):
+        for wave in range(1, (SEEN_BENDS if self._seen else BENDS) + 1):
             yield inside * np.sin(np.pi * wave * along), DRAWN / wave
 
     def acts_where(self, recording: Recording, *nonlinear: float) -> dict[str, tuple[float, float]]:
@@ -269,11 +270,14 @@ def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = 
             out[a, b - 1] = is_unexplained(a, b) and step_between(*known, a, b - 1) != 0.0
         start = _still_from(filled, a, long)
         out |= {(start, a - 1): is_unexplained(a) and start > 0} if a - start >= long else {}
-    ranges = _rolling_range(filled, 9)
+    ranges = _rolling_range(filled, WINDOW)
     stuck = ranges <= 0.3 * np.median(ranges) + 1e-12
     for a, b in _stretches(stuck & finite, long)[:3]:
-        rarely = np.mean(np.delete(stuck, slice(a, b + 1))) < RARELY
-        out.setdefault((max(a - 4, 0), min(b + 4, n - 1)), bool(rarely and ranges[a : b + 1].max() <= 1e-12))
+        still = a + np.flatnonzero(ranges[a : b + 1] <= 1e-12)  # the ends may show a reading before or after it
+        seen = np.mean(np.delete(stuck, slice(a, b + 1))) < RARELY and still.size >= b - a + 2 - WINDOW
+        ends = (int(still[0]), int(still[-1])) if seen else (a, b)
+        frozen = max(ends[0] - WINDOW // 2, 0), min(ends[1] + WINDOW // 2, n - 1)
+        out[frozen] = out.get(frozen, False) or bool(seen)
     return dict(sorted(sorted(out.items(), key=lambda one: (not one[1], one[0] in natural))[:MOST_STRETCHES]))
 
 
@@ -314,12 +318,8 @@ def jumps(filled: np.ndarray, t: np.ndarray, usable: np.ndarray) -> dict[int, fl
     sure = np.where(short > CHANCE, np.maximum(short, long), 0.0)  # residual of the long lines where the reading bends
     highest = np.lib.stride_tricks.sliding_window_view(np.pad(sure, LINES[0] // 2), LINES[0] + 1).max(axis=1)
     rows = np.flatnonzero((sure > JUMP) & (sure == highest))
-    plain = (
-        (pause[rows - 1] <= 2.0 * _longer_neighbour(pause)[rows - 1])
-        & (pause[rows - 1] > 0)
-        & usable[rows]
-        & usable[rows - 1]
-    )
+    going = (pause > 0) & (pause <= 2.0 * _longer_neighbour(pause))
+    plain = going[rows - 1] & usable[rows] & usable[rows - 1]
     first = np.lexsort((-sure[rows], ~plain))[:MOST_JUMPS]
     return {int(rows[k]): float(np.abs(step[rows[k]]) * plain[k]) for k in first}
 
@@ -374,6 +374,5 @@ def _stretches(flags: np.ndarray, least: int) -> list[tuple[int, int]]:
 
 
 def _rolling_range(values: np.ndarray, width: int) -> np.ndarray:
-    half = width // 2
-    window = np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="edge"), width)
+    window = np.lib.stride_tricks.sliding_window_view(np.pad(values, width // 2, mode="edge"), width)
     return window.max(axis=1) - window.min(axis=1)

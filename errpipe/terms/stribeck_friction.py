@@ -32,7 +32,7 @@ class StribeckFriction(OfVelocity):
 
     term: Literal["stribeck_friction"] = "stribeck_friction"
     friction_part = "falling"
-    gains = (Parameter("extra", "N", (5.0, 150.0), (-5000.0, 5000.0), "force at creep above that at speed"),)
+    gains = (Parameter("extra", "N", (5.0, 150.0), (-5000.0, 5000.0), "excess force at creep", at_largest=True),)
     searched = (Parameter("v_s", "mm/s", (0.5, 20.0), (0.1, 100.0), "speed at which the dry part has gone", FADES),)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:

@@ -31,6 +31,25 @@ def test_the_actual_position_of_a_target_does_not_tell_its_deviation() -> None:
     assert np.array_equal(derived.at_targets(log).array("x"), log.array("x"))
 
 
+@pytest.mark.parametrize(
+    ("targets", "sided"),
+    [
+        (np.tile([0.0, 90.0, 160.0, 250.0, 330.0, 400.0], 5), False),  # every pass starts at 0, from the same side
+        (np.tile([0.0, 90.0, 160.0, 250.0, 330.0, 400.0][::-1], 5), False),
+        (np.tile([0.0, 200.0, 400.0, 400.0, 200.0, 0.0], 5), True),
+    ],
+)
+def test_a_return_to_the_start_of_another_pass_is_no_approach_from_the_other_side(targets, sided) -> None:
+    columns = {
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "t": {"role": "time", "unit": "s"},
+        "EXX": {"role": "error", "component": "EXX", "unit": "um"},
+    }
+    values = {"x": targets, "t": 9.0 * np.arange(targets.size), "EXX": targets / 80.0}
+    moved, _ = derived.with_motion(recording(columns, values))
+    assert bool(moved.names("direction")) is sided
+
+
 def test_a_drive_force_that_names_its_component_is_a_response() -> None:
     columns = {
         "x": {"role": "position", "axis": "X", "unit": "mm"},

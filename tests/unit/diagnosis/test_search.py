@@ -63,10 +63,16 @@ def test_a_search_keeps_its_prior_when_another_is_made_without_its_finding(monke
 
 
 @pytest.mark.parametrize(
-    ("lost", "drivers", "simpler"),
-    [(3.0, ("a",), True), (5.0, ("a",), False), (3.0, ("b", "c", "d"), False), (1.0, ("b", "c", "d"), False)],
+    ("lost", "drivers", "form", "simpler"),
+    [
+        (3.0, ("a",), 0.9, True),
+        (5.0, ("a",), 0.9, False),
+        (3.0, ("b", "c", "d"), 0.9, False),
+        (1.0, ("b", "c", "d"), 0.9, False),
+        (3.0, ("a",), 0.45, False),  # departures imitate the other effect: that is not simpler
+    ],
 )
-def test_of_two_that_are_as_likely_the_simpler_stands(lost, drivers, simpler):
+def test_of_two_that_are_as_likely_the_simpler_stands(lost, drivers, form, simpler):
     """A flexible mode far above what is excited is a compliance; inputs and non-linear parameters were chosen."""
     known = [
         SimpleNamespace(effect=e, drivers=d, nonlinear=(n,), mask=())
@@ -74,7 +80,10 @@ def test_of_two_that_are_as_likely_the_simpler_stands(lost, drivers, simpler):
     ]
     found = Accepted(0, known[0], 2.0, 90.0)
     search = SimpleNamespace(library=SimpleNamespace(hypotheses=known), tune=lambda chosen: chosen)
-    search.rivals = lambda accepted, k: [("inertial_deflection", lost, 1)]
+    search.rivals, search.form_share = (
+        lambda accepted, k: [("inertial_deflection", lost, 1)],
+        lambda chosen, place: form,
+    )
     search.accepted = lambda chosen: tuple(known[i].effect for i, _ in chosen)
     expected = ("inertial_deflection",) if simpler else (found,)
     assert Search.simplest(search, (found,)) == expected
@@ -90,7 +99,7 @@ def test_a_slope_that_no_temperature_moves_is_no_expansion(lost, drivers, simple
     ]
     found = Accepted(0, known[0], 2.0, 90.0)
     search = SimpleNamespace(library=SimpleNamespace(hypotheses=known), tune=lambda chosen: chosen)
-    search.rivals = lambda accepted, k: [("scale_error", lost, 1)]
+    search.rivals, search.form_share = lambda accepted, k: [("scale_error", lost, 1)], lambda chosen, place: 1.0
     search.accepted = lambda chosen: tuple(known[i].effect for i, _ in chosen)
     assert Search.simplest(search, (found,)) == (("scale_error",) if simpler else (found,))
 
@@ -104,7 +113,7 @@ def test_a_drift_with_the_coolant_stands_for_its_flow_only_where_they_are_tied(l
     ]
     found = Accepted(0, known[0], 2.0, 90.0)
     search = SimpleNamespace(library=SimpleNamespace(hypotheses=known), tune=lambda chosen: chosen)
-    search.rivals = lambda accepted, k: [("thermal_drift", lost, 1)]
+    search.rivals, search.form_share = lambda accepted, k: [("thermal_drift", lost, 1)], lambda chosen, place: 1.0
     search.accepted = lambda chosen: tuple(known[i].effect for i, _ in chosen)
     assert Search.simplest(search, (found,)) == (("thermal_drift",) if simpler else (found,))
 

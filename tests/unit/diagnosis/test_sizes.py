@@ -3,9 +3,10 @@
 import numpy as np
 
 from errpipe.diagnosis import diagnose
+from errpipe.diagnosis.units import said
 from errpipe.kernels.responses import lag
 
-from .machines import recording
+from .machines import recording, trace
 
 
 def test_the_size_of_a_lag_that_departures_play_is_that_of_the_lag():
@@ -43,3 +44,17 @@ def test_an_axis_that_tilts_is_seen_in_its_own_deviation_and_its_angle_has_a_siz
     assert response.findings[0].effect == "angular_abbe"
     angle = response.findings[0].parameters[0]
     assert 0.0 < angle.ci95[0] <= 25.0 <= angle.ci95[1]
+
+
+def test_the_size_of_falling_friction_is_that_at_creep_whatever_its_law():
+    """It falls with the speed, not with its square (Tustin's law): no Gaussian curve has that size at creep."""
+    made = trace(hidden=lambda row: 30.0 * np.sign(row["v"]) * np.exp(-np.abs(row["v"]) / 12.0))
+    (first, *_) = diagnose(made)[0].responses[0].findings
+    assert first.effect == "stribeck_friction"
+    (extra,) = [p for p in first.parameters if p.name == "extra"]
+    assert extra.ci95[0] <= 30.0 <= extra.ci95[1] < 45.0
+    assert "v at 1, 3, 10, 30 and 100 % of 2" in first.would_separate and " mm/s, in both" in first.would_separate
+
+
+def test_numbers_in_sentences_have_no_exponent_up_to_a_million():
+    assert [said(v) for v in (5768.6, 0.0123, -28100.0, 2.5e7)] == ["5770", "0.0123", "-28100", "2.5e+07"]

@@ -12,6 +12,7 @@ from errpipe.kernels import responses
 from errpipe.terms.backlash import Backlash
 from errpipe.terms.coulomb_friction import CoulombFriction
 from errpipe.terms.friction_gradient import FrictionGradient
+from errpipe.terms.friction_hysteresis import FrictionHysteresis
 from errpipe.terms.reversal_spike import ReversalSpike
 
 NOISE = 0.05  # mm/s
@@ -131,6 +132,20 @@ def test_a_spike_rises_over_travel_whatever_the_feed():
     columns = np.column_stack([base, *(column for column, _ in term.slack(recording, base, 0.04))][:4])
     left = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
     assert left.std() < 0.1 * y.std()
+
+
+def test_a_contact_may_start_anywhere_between_its_two_sides():
+    """A log starts after a short move: until the first reversal the friction builds up from an unknown state."""
+    recording = in_runs([-10.0 * np.cos(np.linspace(0.1, 6 * np.pi + 0.1, 3000))])
+    x, d = recording.array("x"), direction(recording, "X")
+    z = np.zeros(x.size)
+    for i in range(1, x.size):
+        z[i] = d[i] - (d[i] - z[i - 1]) * np.exp(-abs(x[i] - x[i - 1]) / 3.0)
+    term = FrictionHysteresis(axis="X")
+    base = term.basis(recording, 3.0)
+    columns = np.column_stack([base, *(column for column, _ in term.slack(recording, base, 3.0))][:4])
+    left = z - columns @ np.linalg.lstsq(columns, z, rcond=None)[0]
+    assert left.std() < 0.01 * z.std()
 
 
 def test_a_mass_that_brakes_harder_than_its_friction_runs_on_across_the_gap(there_and_back):

@@ -52,6 +52,15 @@ def test_a_stretch_that_stands_still_until_it_jumps_ends_at_the_jump() -> None:
     assert 60 <= first <= 90 and last == 219
 
 
+def test_a_reading_that_freezes_and_resumes_without_a_jump_is_seen_to_have_failed() -> None:
+    """Its last readings before and the first after are near the frozen one; other sensors are never still."""
+    read = np.round(20.0 + 3.0 * np.sin(np.arange(300) / 40.0), 2)
+    read[126:252] = read[126]  # half a wave later it is back at the same reading
+    read[252:256] = read[126] + 0.01 * np.arange(1, 5)
+    found = suspicious(read, 180.0 * np.arange(read.size))
+    assert any(seen and abs(first - 126) <= 2 and abs(last - 251) <= 2 for (first, last), seen in found.items())
+
+
 def test_a_sensor_that_reads_nothing_is_seen_to_have_failed() -> None:
     made = _recording()
     read = np.where((np.arange(ROWS) > 80) & (np.arange(ROWS) < 140), np.nan, made.array("b"))
