@@ -29,18 +29,20 @@ MAX_GAIN_PENALTY = 60.0  # largest penalty, in log evidence, for gains beyond th
 ALL_ONE = 6.0  # threshold: log odds that the gains of all parts but one are 1 rather than off as usual
 TRUST = 0.3  # weight of the decomposition's evidence: its residual is misfit, not noise
 EXACT_SD = 0.03  # prior standard deviation of such gains, relative to the usual
+AS_WELL = 1.02  # threshold: rms on held-out rows over that with gains, up to which a name is as good as its gain
 TWIN = 20.0  # threshold: log Bayes factor of an effect missing in a repeated measurement, beyond that of a finding
 
 
 def no_gain(
     search: Search, explanation: Explanation, judged: LeftOut, d: parts.Decomposition, nuisances, sizes, noise: float
 ) -> tuple[Search, Explanation, bool] | None:
-    """What is missing where a gain of a part may be that, if it is likelier; None elsewhere. And: in a twin?
+    """What is missing where a recalibration may be that, if it is likelier; None elsewhere. And: only if gains are 1?
 
     A simulation that holds every effect but one exactly lacks, or has too much of, that one: the gains of the others
-    are known to be 1 by log odds of `ALL_ONE` (Savage-Dickey ratio), or all are where it is a twin, measured itself,
-    and nothing else is named. Otherwise a part with a gain beyond the limits may imitate another effect: without that
-    gain something is missing, and held-out rows confirm it.
+    are known to be 1 by log odds of `ALL_ONE` (Savage-Dickey ratio). Its name is the same signal as its gain: it need
+    not be likelier, only as good on held-out rows. All gains are known to be 1 where it is a twin, measured itself, or
+    by the same odds where nothing is named: departures of the parts then have no reason. Otherwise a part with a gain
+    beyond the limits may imitate another effect: without that gain something is missing, and held-out rows confirm it.
     """
     held, rows = gains.totals(nuisances, sizes)
     chosen = lambda e: [(f.index, f.size) for f in e.accepted]  # noqa: E731
@@ -50,24 +52,34 @@ def no_gain(
     odds = 0.5 * (np.log1p(GAIN_SD**2 / variance) - at**2 / variance + at**2 / (GAIN_SD**2 + variance))
     off = int(np.argmin(odds))
     one = odds[off] <= -OFF and odds.sum() - odds[off] >= ALL_ONE
-    twin = not explanation.accepted and any(n.kind == "noise" for n in nuisances)
+    every = any(n.kind == "noise" for n in nuisances)
+    every = every or (not explanation.accepted and odds.min() > 0 and odds.sum() >= ALL_ONE)
     suspect = [held[off]] if one else [n for n, far in zip(held, gains.excess(scene, rows)[1], strict=False) if far]
-    suspect = held if twin else suspect
-    if len(held) < 2 or not suspect or not (one or search.weighed):  # wide gains are confirmed by held-out rows
+    suspect = held if every else suspect
+    if not (every or (len(held) > 1 and suspect)) or not (one or search.weighed):  # held-out rows confirmed wide gains
         return None
     effects, labels = {n.effect for n in suspect}, {n.part for n in suspect}
-    own = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.hypothesis.effect in effects}
-    each = zip(search.library.hypotheses, search.prior, strict=True)
-    prior = np.array([h.prior if (h.effect, h.drivers) in own and p > 0.5 * NEVER else p for h, p in each])
-    exactly = np.array([n.is_gain and (one or twin or n.part in labels) for n in nuisances])
+    parts_of = {(p.hypothesis.effect, p.hypothesis.drivers) for p in d.parts if p.hypothesis.effect in effects}
+    own = np.array([(h.effect, h.drivers) in parts_of for h in search.library.hypotheses]) & (
+        search.prior > 0.5 * NEVER
+    )
+    prior = np.where(own, [h.prior for h in search.library.hypotheses], search.prior)
+    exactly = np.array([n.is_gain and (one or every or n.part in labels) for n in nuisances])
     exact = Active(search.nuisance.index, search.nuisance.sd * np.where(exactly, EXACT_SD, 1.0))
-    other, named = settled(search.library, search.data, exact, prior, noise, search.rows)
-    if not named.accepted or other.evidence(chosen(named)) <= search.evidence(chosen(explanation)):
+    known = (noise, search.rows)
+    other, named = settled(search.library, search.data, exact, prior, *known)
+    before = {f.hypothesis.effect for f in explanation.accepted}
+    left = lambda s, e: judged.of_explanation(s, chosen(e))  # noqa: E731
+    if named.accepted and other.evidence(chosen(named)) > search.evidence(chosen(explanation)):
+        again = {f.hypothesis.effect for f in named.accepted} <= before
+        if every:
+            return (other, named, not again) if other.joint(chosen(named)) > TWIN else None
+        return (other, named, False) if one or left(other, named) < left(search, explanation) else None
+    if not one or before:
         return None
-    if twin:
-        return (other, named, True) if other.joint(chosen(named)) > TWIN else None
-    left = [judged.of_explanation(s, chosen(e)) for s, e in ((other, named), (search, explanation))]
-    return (other, named, False) if one or left[0] < left[1] else None
+    other, named = settled(search.library, search.data, exact, np.where(own, prior, NEVER), *known)
+    as_well = named.accepted and left(other, named) < AS_WELL * left(search, explanation)
+    return (other, named, True) if as_well else None
 
 
 def likeliest(

@@ -17,6 +17,10 @@ WINDOWS = (0.7, 1.0, 1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0)  # smoothing widths t
 # Second differences of the mismatch on those of a simulation's noise have a slope of -1: upper limit, standard
 # errors and correlation required (repetitions of five real machines -0.82 to -1.33, beyond 0.26; chosen on them)
 DILUTED, SHOWN, MATTERS = -0.7, 4.0, 0.15
+# Rows without the steps and spikes of a signal, which an effect missing there imitates: second differences of the
+# simulation within so many robust standard deviations, where slope and correlation must reach these limits. Twins of
+# a spindle, two gantries and six inductive probes reach -0.64 and 0.17, two simulated axes with play -0.17 and 0.05
+TYPICAL, DILUTED_TOO = 3.0, -0.5
 
 
 def noise_floor(
@@ -79,7 +83,12 @@ def noise_of_twin(simulated: np.ndarray, mismatch: np.ndarray, run: np.ndarray) 
     if same.sum() < MIN_PAIRS or spread <= 0 or own @ other > DILUTED * spread:
         return None
     certain = max(SHOWN / np.sqrt(same.sum() / 3.0), MATTERS)  # second differences overlap
-    return noise if -(own @ other) > certain * np.sqrt(spread * float(other @ other)) else None
+    if -(own @ other) <= certain * np.sqrt(spread * float(other @ other)):
+        return None
+    usual = np.abs(own) <= TYPICAL * MAD * np.median(np.abs(own))
+    own, other = own[usual], other[usual]
+    slow = own @ other < DILUTED_TOO * float(own @ own)
+    return noise if slow and -(own @ other) > MATTERS * np.sqrt(float(own @ own) * float(other @ other)) else None
 
 
 def smooth(values: np.ndarray, run: np.ndarray) -> np.ndarray:

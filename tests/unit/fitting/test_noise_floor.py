@@ -86,3 +86,12 @@ def test_a_computed_signal_has_no_noise_of_its_own(gain, rounded):
     simulated = np.round(simulated / rounded) * rounded if rounded else simulated
     mismatch = (gain - 1.0) * simulated + 0.3 * rng.standard_normal(400)
     assert noise_of_twin(simulated, mismatch, np.zeros(400, dtype=int)) is None
+
+
+def test_steps_that_are_missing_are_no_noise_of_a_simulation():
+    """A step with the wrong sign gives second differences a slope of -2, but only in the rows beside the steps."""
+    rng = np.random.default_rng(2)
+    steps = 5.0 * np.sign(np.sin(np.arange(400) / 7.0))
+    simulated = 30.0 * np.sin(np.arange(400) / 40.0) + steps
+    mismatch = -2.0 * steps + 0.3 * rng.standard_normal(400)
+    assert noise_of_twin(simulated, mismatch, np.zeros(400, dtype=int)) is None
