@@ -210,10 +210,7 @@ def with_legend(sheets: list[Sheet]) -> list[Sheet]:
 
 
 def _name_signals(sheet: Sheet, legend: Sheet, called: dict[str, str]) -> None:
-    """Replace the numbers of signals by the names that a legend gives them, in a sheet with a row per value, in place.
-
-    `tag_id` of a history, for which a table of tags has a row each.
-    """
+    """Replace the numbers of signals (`tag_id`) in rows of one value each by their names in a legend, in place."""
     body = sheet.rows if sheet.header is not None else sheet.rows[1:]
     header = [plain(label(c)) for c in (sheet.header or (sheet.rows[0] if sheet.rows else []))]
     for i in [i for i, text in enumerate(header) if _KEY.fullmatch(text)]:

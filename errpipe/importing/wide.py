@@ -88,19 +88,7 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     numeric, repeated = [c for c in layout.columns if c.numeric and c.header not in left_out], []
     headers = {c.header.lower() for c in numeric}
     said = {c.header: run_and_side(_positive_side(c.header, headers)) for c in numeric}
-    places = [c for c in numeric if guesses[c.header].kind in ("command", "position")]
-    places = [c for c in places if len(places) == 1 or not (_counts(c) or is_figure(c.header))]
-    targets = [c for c in places if said[c.header] == (None, None)]
-    targets = targets or [c for c in places if said[c.header][0] is None]
-    names = [re.sub(r"\d+", "", guessing.plain(c.header)) for c in numeric[:2]]
-    alike = len(names) == 2 and names[0] == names[1] != ""  # `j1`, `j2`: joints
-    first = numeric[0].header if numeric else ""
-    no_place = (
-        not first or alike or guesses[first].kind == "time" or kind_by_name(first) == "ignore"
-    )  # as in a spectrum
-    if not targets and not no_place and _rises(numeric[0]):
-        unsaid = [c for c in numeric[1:] if said[c.header] == (None, None) and _rises(c)]
-        targets = numeric[:1] if not _counts(numeric[0]) else [c for c in unsaid if not _counts(c)][:1]
+    targets = _targets(numeric, said, guesses)
     if len(targets) > 1 and all(np.array_equal(c.values, targets[0].values, equal_nan=True) for c in targets):
         repeated, targets = targets[1:], targets[:1]  # tables side by side, each with the targets
     if len(targets) != 1:
@@ -147,6 +135,24 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     ]
     way = ways[0] if ways and all(side is None for _, _, side in readings) else None
     return Wide(targets[0], readings, statistics, labels[0] if labels and not named else None, way)
+
+
+def _targets(
+    numeric: list[RawColumn], said: dict[str, tuple[str | None, float | None]], guesses: dict[str, guessing.ColumnGuess]
+) -> list[RawColumn]:
+    """The columns that may hold the targets."""
+    places = [c for c in numeric if guesses[c.header].kind in ("command", "position")]
+    places = [c for c in places if len(places) == 1 or not (_counts(c) or is_figure(c.header))]
+    targets = [c for c in places if said[c.header] == (None, None)]
+    targets = targets or [c for c in places if said[c.header][0] is None]
+    names = [re.sub(r"\d+", "", guessing.plain(c.header)) for c in numeric[:2]]
+    alike = len(names) == 2 and names[0] == names[1] != ""  # `j1`, `j2`: joints
+    first = numeric[0].header if numeric else ""
+    spectrum = not first or kind_by_name(first) == "ignore"
+    if not targets and not (spectrum or alike or guesses[first].kind == "time") and _rises(numeric[0]):
+        unsaid = [c for c in numeric[1:] if said[c.header] == (None, None) and _rises(c)]
+        targets = numeric[:1] if not _counts(numeric[0]) else [c for c in unsaid if not _counts(c)][:1]
+    return targets
 
 
 def _refuse_runs_without_sides(readings: list[tuple[RawColumn, str, float | None]]) -> None:

@@ -62,7 +62,9 @@ def test_channels_by_number_have_the_names_and_units_of_the_list_above(tmp_path:
     lines = ["Channel,Name,Unit", "0,X command,mm", "1,X actual,mm", "2,T nut,degC", "", "Scan,Time,0,1,2"]
     rows = enumerate(long_rows())
     lines += [f"{k},{STEP * k},{x},{x + d / 1000:.4f},{warmth(k)}" for k, (_, x, _, d) in rows]
-    holds_positions(imported(tmp_path, written(tmp_path / "scan.csv", lines), axis="X"))
+    recording = imported(tmp_path, written(tmp_path / "scan.csv", lines), axis="X")
+    holds_positions(recording)
+    assert recording.name("command", axis="X") == "X_command"
 
 
 def test_channels_of_command_and_actual_are_no_runs(tmp_path: Path) -> None:
@@ -101,7 +103,7 @@ def test_messages_of_several_topics_are_rows_of_their_time(tmp_path: Path) -> No
     lines = []
     for k, (_, x, _, d) in enumerate(long_rows()):
         when = moment(k).replace(" ", "T") + "+0100"
-        lines += [f'{when} mill/x {{"cmd_mm": {x}, "act_mm": {x + d / 1000:.4f}}}']
+        lines += [f'{when} mill/cmd {{"x_mm": {x}}}', f'{when} mill/act {{"x_mm": {x + d / 1000:.4f}}}']
         lines += [f'{when} mill/temp {{"nut_C": {warmth(k)}}}']
     holds_positions(imported(tmp_path, written(tmp_path / "mqtt.log", lines), axis="X"))
 
