@@ -13,7 +13,6 @@ correction = -deviation.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -288,7 +287,7 @@ class CompensationTable(Part):
         return self
 
 
-def _unique(what: str, names: Iterable[str]) -> set[str]:
+def _unique(what: str, names) -> set[str]:
     seen: set[str] = set()
     for name in names:
         if name in seen:

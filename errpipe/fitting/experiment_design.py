@@ -134,15 +134,7 @@ def propose(done: Sequence[Plan], options: DesignOptions | None = None, *, start
     return Plan(best[1])
 
 
-def _exchange(
-    known: np.ndarray,
-    speeds: list[float],
-    place: int,
-    rest: int,
-    value: float,
-    options: DesignOptions,
-    weight: np.ndarray,
-) -> float:
+def _exchange(known, speeds: list[float], place: int, rest: int, value: float, options, weight) -> float:
     """Insert the best allowed speed in one place; returns the cost."""
     kept = speeds[place]
     for level in options.levels:

@@ -12,9 +12,7 @@ from errpipe.errors import NotIdentifiable
 from errpipe.fitting.solve import one_thread
 from errpipe.terms import TERMS
 
-MAX_VARIANCE_INFLATION = (
-    200.0  # of a variance by the other columns: a correlation of 0.9975; beyond it the names are arbitrary
-)
+MAX_INFLATION = 200.0  # of a variance by the other columns: a correlation of 0.9975; beyond it the names are arbitrary
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,7 @@ def check(
     *,
     component: str,
     penalty: np.ndarray | None = None,
-    most: float = MAX_VARIANCE_INFLATION,
+    most: float = MAX_INFLATION,
 ) -> np.ndarray:
     """Variance inflation of each column, shape (p,), about the level if the design has one.
 

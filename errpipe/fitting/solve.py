@@ -84,9 +84,7 @@ def least_squares(
     return Solution(coefficients, response - design @ coefficients, inverse, used, leverage, rank)
 
 
-def _further_rows(
-    columns: int, penalty: np.ndarray | None, priors: Sequence[Prior], noise: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _further_rows(columns: int, penalty, priors: Sequence[Prior], noise: float) -> tuple[np.ndarray, np.ndarray]:
     rows, right = [np.empty((0, columns))], [np.empty(0)]
     if penalty is not None:
         rows.append(penalty_rows(penalty))
@@ -213,9 +211,7 @@ def spread_of(design: np.ndarray, shrunk: np.ndarray) -> np.ndarray:
     return np.where(shrunk, np.sqrt(np.mean(left**2, axis=0)), 1.0)
 
 
-def _fold_errors(
-    design: np.ndarray, response: np.ndarray, penalty: np.ndarray, folds: Sequence[tuple[np.ndarray, np.ndarray]]
-) -> list[float]:
+def _fold_errors(design, response, penalty, folds) -> list[float]:
     errors = []
     for train, test in folds:
         solution = least_squares(
@@ -225,7 +221,7 @@ def _fold_errors(
     return errors
 
 
-def _gcv(design: np.ndarray, response: np.ndarray, penalty: np.ndarray) -> float:
+def _gcv(design, response, penalty) -> float:
     solution = least_squares(design, response, penalty=penalty)
     n = response.size
     return float(np.mean(solution.residual**2) / (1.0 - solution.degrees / n) ** 2)

@@ -93,9 +93,7 @@ def _restricted(whitened: np.ndarray, logdet: float, penalty: np.ndarray | None)
     )
 
 
-def _some_rows(
-    sequence: np.ndarray, jacobian: np.ndarray, residual: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _some_rows(sequence, jacobian, residual):
     """Whole sequences, spread over the recording, up to MAX_ROWS; a part of the first if one is longer."""
     starts = np.flatnonzero(np.r_[True, sequence[1:] != sequence[:-1]])
     ends = np.r_[starts[1:], sequence.size]

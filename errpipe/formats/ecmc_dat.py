@@ -130,10 +130,7 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 
 
 def _complete(
-    path: Path,
-    targets: dict[int, float],
-    readings: dict[tuple[int, int, int], float],
-    settings: dict[str, tuple[int, str]],
+    path: Path, targets: dict[Any, Any], readings: dict[Any, Any], settings: dict[str, tuple[int, str]]
 ) -> None:
     """Raises DataError unless every announced target and cycle is there, in both directions."""
     if not targets or not readings:

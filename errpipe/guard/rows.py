@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,7 +56,7 @@ class Healthy:
         key = np.column_stack([self.run, (self.since() // length).astype(int)])
         return np.unique(key, axis=0, return_inverse=True)[1].reshape(-1)
 
-    def _per_stretch(self, values: np.ndarray, length: float, what: Callable[..., np.ndarray]) -> np.ndarray:
+    def _per_stretch(self, values: np.ndarray, length: float, what) -> np.ndarray:
         """Mean or maximum over each stretch of time of each session, per row."""
         key, out = self._stretches(length), np.empty_like(values)
         order = np.argsort(key, kind="stable")

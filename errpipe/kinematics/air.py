@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,12 +12,7 @@ WAVELENGTH = 0.6329908  # um in vacuum, helium-neon
 UNMEASURED_HUMIDITY = 14.0  # %: standard uncertainty of an unmeasured humidity, 25 to 75 %
 
 
-def index_change(
-    temperature: np.ndarray | None = None,
-    pressure: np.ndarray | None = None,
-    humidity: np.ndarray | None = None,
-    since: Sequence[float] | None = None,
-) -> np.ndarray | float:
+def index_change(temperature: Any = None, pressure: Any = None, humidity: Any = None, since: Any = None) -> Any:
     """n / n_0 - 1 of the air along a record (degC, hPa, %); n_0 of its first reading, or of the air `since`.
 
     Unrecorded quantities are taken as at n_0; for humidity the vapour pressure, which warming does not change.

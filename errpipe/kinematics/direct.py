@@ -99,9 +99,7 @@ def position_of(recording: Recording, component: str) -> str:
     return name
 
 
-def _curve(
-    recording: Recording, component: str, laser: Laser | None, known: Mapping[str, Curve], chain: Chain
-) -> Curve:
+def _curve(recording: Recording, component: str, laser: Laser | None, known, chain) -> Curve:
     axis, name = axis_of(component), position_of(recording, component)
     measured = recording.name("error", component=component)
     if measured is None:

@@ -79,17 +79,8 @@ class Observations:
         return out
 
 
-def _build(
-    q: np.ndarray,
-    tip: np.ndarray,
-    weights: np.ndarray,
-    value: np.ndarray | None,
-    columns: Sequence[tuple[str, float, np.ndarray]],
-    label: str,
-    socket: Sequence[float] | np.ndarray | None = None,
-    seconds: float = 0.0,
-) -> Observations:
-    """columns: name, prior standard deviation and column of each parameter of the set-up."""
+def _build(q, tip, weights, value, columns, label, socket=None, seconds=0.0) -> Observations:
+    """columns: list of (name, spread, column)."""
     n = len(q)
     value = np.full(n, np.nan) if value is None else np.asarray(value, dtype=float)
     return Observations(

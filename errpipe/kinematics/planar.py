@@ -244,7 +244,7 @@ def _repeats(recording: Recording, first: str, second: str) -> tuple[np.ndarray,
     return np.array(holes), np.array([np.subtract(at_second[h], at_first[h]) for h in holes])
 
 
-def _columns(recording: Recording, rows: np.ndarray | None) -> tuple[np.ndarray, ...]:
+def _columns(recording: Recording, rows: np.ndarray | None):
     names = [recording.name("position", axis=a) for a in "XY"]
     names += [recording.name("error", component=c) for c in ("E_X", "E_Y")]
     for name, what in zip(names, ("position of X", "position of Y", "error E_X", "error E_Y"), strict=True):
@@ -260,7 +260,7 @@ def _columns(recording: Recording, rows: np.ndarray | None) -> tuple[np.ndarray,
     return x, y, recording.run_codes()[keep], ex, ey
 
 
-def _inliers(x: np.ndarray, y: np.ndarray, run: np.ndarray, used: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+def _inliers(x, y, run, used, deviation: np.ndarray) -> np.ndarray:
     """1.0 for holes within MISTAKE robust standard deviations of their plate's affine map, 0.0 for outliers."""
     out = np.ones(len(x))
     for r in used:
@@ -289,9 +289,7 @@ def _common(functions: Functions, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.concatenate([linear, np.stack([values * (functions.output == k) for k in (0, 1)])], axis=2)
 
 
-def _design(
-    functions: Functions, x: np.ndarray, y: np.ndarray, run: np.ndarray, used: np.ndarray
-) -> tuple[np.ndarray, evidence.Spreads]:
+def _design(functions: Functions, x, y, run, used) -> tuple[np.ndarray, evidence.Spreads]:
     """Common columns, then three set-up columns per run, then (several runs) each run's own map."""
     common = _common(functions, x, y)
     common = common.reshape(-1, common.shape[2])

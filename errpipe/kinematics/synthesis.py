@@ -6,8 +6,6 @@ all axes at zero (`Chain.tip`), shape (3,), (1, 3) or (n, 3); default: the machi
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from errpipe.kernels import volumetric as k
@@ -88,7 +86,7 @@ def linear_motion(chain: Chain, q: np.ndarray, tip: np.ndarray | None = None) ->
     return motion_jacobian(chain, q, tip)[:, :3][:, :, chain.linear]
 
 
-def _rows(chain: Chain, q: np.ndarray, comps: np.ndarray | None, tip: np.ndarray | None) -> tuple[Any, Any, Any]:
+def _rows(chain: Chain, q: np.ndarray, comps: np.ndarray | None, tip: np.ndarray | None):
     q = np.ascontiguousarray(np.atleast_2d(np.asarray(q, dtype=float)))
     if q.shape[1] != len(chain.axes):
         raise ValueError(f"q has {q.shape[1]} columns; the axes are {', '.join(chain.axes)}")

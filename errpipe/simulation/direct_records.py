@@ -4,7 +4,7 @@ errors of such a set-up. Rotations are exact, air and beam errors are simulated 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -96,7 +96,8 @@ class _Test:
             "T_air": air.warm,
             "p_air": air.pressure,
         }
-        true = {n: _curve_at(self.values[n], p) for n in chain.of_axis(axis)}
+        # a constant has no curve over its axis
+        true = {n: np.asarray(f(p)) if callable(f := self.values[n]) else np.zeros(len(p)) for n in chain.of_axis(axis)}
         own = next((n for n in chain.of_axis(axis) if parse(n).kind in ("positioning", "angular positioning")), None)
         if own is not None:
             true[own] = true[own] + 0.5 * side * setup.reversal * rng.normal()
@@ -144,11 +145,6 @@ class _Test:
             if second or _is_datum_of(self.chain, square, name):
                 total -= lean * (self.turns[square] + (self.setup.squares.get(square, 0.0) if second else 0.0))
         return total
-
-
-def _curve_at(value: Callable[[np.ndarray], np.ndarray] | float, p: np.ndarray) -> np.ndarray:
-    """A component at positions p, shape (rows,); a constant has no curve over its axis."""
-    return np.asarray(value(p)) if callable(value) else np.zeros(len(p))
 
 
 def _sense(chain: Chain, axis: str) -> float:

@@ -62,9 +62,7 @@ def smooth_machine(chain: Chain, seed: int) -> dict[str, Callable[[np.ndarray], 
     return values
 
 
-def _smooth(
-    rng: np.random.Generator, chain: Chain, a: int, name: str, size: float
-) -> Callable[[np.ndarray], np.ndarray]:
+def _smooth(rng, chain: Chain, a: int, name: str, size: float):
     low, high = chain.travel[a]
     span = high - low
     axis = chain.machine.axes[chain.axes[a]]
@@ -137,9 +135,7 @@ def record(
     return of_one_table(title, chain.machine.name, columns, frame, constants)
 
 
-def _play(
-    chain: Chain, values: Values, run: Run, rng: np.random.Generator, noise: float, setup: float, protocol: str
-) -> pd.DataFrame:
+def _play(chain, values, run: Run, rng, noise, setup, protocol) -> pd.DataFrame:
     tip = chain.tip(run.length, run.offset)
     comps = components_at(chain, values, run.q)
     ideal = synthesis.ideal_pose(chain, run.q, tip)
@@ -173,9 +169,7 @@ def _play(
     return pd.DataFrame(out)
 
 
-def _part(
-    chain: Chain, values: Values, run: Run, rng: np.random.Generator, noise: float, setup: float
-) -> dict[str, np.ndarray]:
+def _part(chain: Chain, values: Values, run: Run, rng: np.random.Generator, noise: float, setup: float):
     """Readings of a part's features: rotated by `setup` urad on the CMM, and cut warm, some 20 um/m."""
     tip = chain.tip(run.length, run.offset)
     linear = chain.linear

@@ -97,16 +97,13 @@ def _csv(stream: IO[bytes], first: pd.DataFrame, frames: Iterable[pd.DataFrame])
 
 
 def _parquet(stream: IO[bytes], first: pd.DataFrame, frames: Iterable[pd.DataFrame]) -> int:
-    rows, schema = 0, pa.schema([pa.field(n, _kind(first[n])) for n in first.columns])
+    kinds = {"f": pa.float64(), "i": pa.int64()}
+    rows, schema = 0, pa.schema([pa.field(n, kinds.get(first[n].dtype.kind, pa.string())) for n in first.columns])
     with pq.ParquetWriter(stream, schema, version="2.6", compression="snappy", use_dictionary=["run"]) as writer:
         for frame in frames:
             writer.write_table(pa.Table.from_pandas(frame, schema, preserve_index=False))
             rows += len(frame)
     return rows
-
-
-def _kind(column: pd.Series) -> Any:
-    return {"f": pa.float64(), "i": pa.int64()}.get(column.dtype.kind, pa.string())
 
 
 def _with_readings(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import pandas as pd
 import pyarrow as pa
@@ -16,9 +16,6 @@ from errpipe.errors import DataError
 from errpipe.fitting.holdout import HALVES, HoldOut
 from errpipe.pipeline.stage import Context, Need, Stage
 from errpipe.stages import _artefacts
-
-if TYPE_CHECKING:
-    from errpipe.fitting.judging import HeldOut
 
 HELD_OUT = "held_out.parquet"
 MORE_RUNS = "; one half predicted by the other: how further runs go is not shown"
@@ -114,7 +111,7 @@ def headline(component: Mapping[str, Any]) -> str:
     )
 
 
-def _write_rows(path: Path, columns: Mapping[str, Sequence[HeldOut]]) -> None:
+def _write_rows(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
     """One line per held-out row and component: the deviation, and the residual of the model."""
     parts = [
         pd.DataFrame({"component": name, "group": f.label, "row": f.rows, "before": f.before, "after": f.after})

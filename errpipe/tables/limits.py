@@ -13,9 +13,7 @@ from errpipe.domain import table as t
 from errpipe.tables import bounds
 from errpipe.tables.compile import Limits, with_limits
 
-MAX_DEFAULT_SLEW = (
-    1000.0  # um/s (urad/s): 1 um/ms, below what a following-error alarm or a surface shows of a single step
-)
+MAX_DEFAULT_SLEW = 1000.0  # um/s (urad/s): 1 um/ms, below a following-error alarm or a mark on the surface
 MAX_MAGNITUDE = 10_000.0  # um (urad): more than any machine tool is wrong by; the same as ECT_MOST in ect.h
 MAX_RATE = 10_000.0  # um/s (urad/s): ten times the fastest default; beyond it a failure is a jump; ECT_MOST, too
 MIN_DEFAULT_SLEW = 100.0  # um/s (urad/s): a ramp of 100 um takes a second

@@ -14,9 +14,7 @@ from errpipe.tables.gridding import SAMPLES
 TURN = 360.0  # deg
 SAME_STEP = 1e-6  # of the span: steps that differ by less are one step, written with few digits
 SMOOTH = 30.0  # deg beyond what was measured of a turn within which its slope ends: a step between usual targets
-MAX_TURN_DIFFERENCE = (
-    0.1  # of a curve's peak to valley: turns that differ by less repeat; the difference is stated (by judgement)
-)
+MAX_TURN_DIFFERENCE = 0.1  # of a curve's peak to valley: turns that differ by less repeat (by judgement)
 
 Curve = Callable[[np.ndarray], np.ndarray]
 

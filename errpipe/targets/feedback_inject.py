@@ -58,7 +58,8 @@ class FeedbackInject(Target):
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
         by_axis = _sample.moved_axes(table, cls.name)
-        header, source = (_core(name) for name in CORE)
+        folder = resources.files("errpipe.targets").joinpath("inject")
+        header, source = (folder.joinpath(name).read_text(encoding="utf-8") for name in CORE)
         facts = {
             "header": header,
             "source": source.replace('#include "feedback_inject.h"\n', ""),
@@ -105,7 +106,3 @@ def _header(table: CompensationTable, size: int) -> str:
         + "\n".join(lines)
         + "\n\nextern const uint8_t inject_table[INJECT_TABLE_SIZE];\n\n#endif\n"
     )
-
-
-def _core(name: str) -> str:
-    return resources.files("errpipe.targets").joinpath("inject", name).read_text(encoding="utf-8")

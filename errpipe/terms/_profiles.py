@@ -165,9 +165,7 @@ class Harmonics(Shape):
 Profile = Annotated[Level | Line | Polynomial | Curve | Harmonics, Field(discriminator="kind")]
 
 
-def parameters(
-    profile: Profile, rotary: bool, per: str = "", typical: tuple[float, float] = (0.1, 100.0)
-) -> tuple[Parameter, ...]:
+def parameters(profile: Profile, rotary: bool, per: str = "", typical: tuple[float, float] = (0.1, 100.0)):
     """Linear parameters of a profile; `per`: unit of the driver it is multiplied with, such as K."""
     units = (f"{unit}/{per}" if per else unit for unit in profile.units(rotary))
     return tuple(Parameter(name, unit, typical) for name, unit in zip(profile.names(), units, strict=True))

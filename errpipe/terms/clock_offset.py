@@ -20,7 +20,7 @@ USUAL, LATE = 4.0, 0.05
 STEPS, FINE = 60.0, 0.5  # sampling intervals that are tried, and from one to the next
 FURTHER, FARTHER = 1.03, 900.0  # factor between longer ones, and the longest in s (typical ones reach 600 s)
 COARSE = 14  # offsets of the coarse grid, early and late each
-MIN_OFFSET_INTERVALS = 0.75  # sampling intervals by which clocks must differ to be seen
+MIN_INTERVALS = 0.75  # sampling intervals by which clocks must differ to be seen
 
 
 class ClockOffset(Term):
@@ -58,7 +58,7 @@ class ClockOffset(Term):
     def bind(cls, recording: Recording, component: str) -> Iterator[ClockOffset]:
         step, session = resolved_times(recording)
         longest = min(max(STEPS * step, FARTHER), 0.25 * session)
-        if recording.name("time") is not None and longest > MIN_OFFSET_INTERVALS * step:
+        if recording.name("time") is not None and longest > MIN_INTERVALS * step:
             for column in recording.names("simulated", component=component):
                 yield cls(column=column, shortest=max(USUAL * step, LATE), longest=longest)
 
@@ -74,15 +74,13 @@ class ClockOffset(Term):
         """The offset that brings the mismatch down most, and a coarse grid: gains of parts are not known yet."""
         step, _ = resolved_times(recording)
         for term in cls.bind(recording, component):
-            late = step * np.arange(MIN_OFFSET_INTERVALS, STEPS, FINE)
+            late = step * np.arange(MIN_INTERVALS, STEPS, FINE)
             late = np.r_[late, np.exp(np.arange(np.log(STEPS * step), np.log(term.longest), np.log(FURTHER)))]
             late = late[late <= term.longest]
             if signals.values:
                 offset = shift_of(Late(0.0, term.column), recording, signals, np.r_[-late[::-1], late], step)
                 coarse = np.geomspace(late[0], late[-1], COARSE)
-                yield from (
-                    (term, (float(v),)) for v in (offset, *coarse, *-coarse) if abs(v) >= MIN_OFFSET_INTERVALS * step
-                )
+                yield from ((term, (float(v),)) for v in (offset, *coarse, *-coarse) if abs(v) >= MIN_INTERVALS * step)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         return Late(nonlinear[0], self.column).value(recording)[:, None]

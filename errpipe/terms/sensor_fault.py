@@ -26,9 +26,7 @@ LOG_ODDS_IF_VISIBLE = 3.0
 ROWS_EACH_SIDE = 5  # rows on either side of a jump whose medians give its step
 MOST_JUMPS, MOST_STRETCHES = 6, 16  # of a sensor, that are tried: seen ones first, those between natural jumps last
 MIN_READINGS = 30  # of a sensor, in which failures are searched for
-MIN_STRETCH_ROWS = (
-    8  # of a stretch; one in which a sensor does not change has four times as many, or a thirtieth of all
-)
+MIN_STRETCH_ROWS = 8  # of a stretch; one without a change has four times as many, or a thirtieth of all
 MAX_STEP_RATIO = 2.0  # factor between a jump off and the jump back
 LINES = (8, 24)  # readings of the straight lines on either side of a jump,
 JUMP = 7.0  # and standard errors by which these must miss each other: bodies bend as they warm. Short ones at least by

@@ -38,9 +38,7 @@ from errpipe.validation.cusum import FALSE_ALARMS, MIN_REFERENCE_RUNS, REFERENCE
 
 MIN_SD = 0.05  # K; residuals are not resolved below a sensor's display resolution
 QUIETER = 0.2  # largest CUSUM without the faulty sensor over that with it: chosen on simulated sensors, seeds 1 to 3
-AMBIGUITY_RATIO = (
-    2.0  # ratio to the smallest of these: within it, a sensor may as well be the faulty one (by judgement)
-)
+AMBIGUITY_RATIO = 2.0  # to the smallest of these: within it, a sensor may also be the faulty one (by judgement)
 SIGNS = np.array([1.0, -1.0])  # up and down
 # Likelihood of a drifting sensor over that of a changed machine: at most one change in 10 is misidentified
 RATIO = 10.0

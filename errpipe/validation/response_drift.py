@@ -114,13 +114,7 @@ def _sides(
     return sides if min(map(len, sides)) >= MIN_RUNS else []
 
 
-def _regime(
-    groups: Mapping[str, Mapping[int, str]],
-    figures: Mapping[int, float],
-    reference: np.ndarray,
-    run: np.ndarray,
-    since: int,
-) -> str:
+def _regime(groups, figures: Mapping[int, float], reference: np.ndarray, run: np.ndarray, since: int) -> str:
     """The only group of runs that moved, such as 'duty_cycle TM'; '' if others did, too, or if there are too few runs.
 
     figures: one per run, by its code. A group's shift is the mean of its runs since then minus that of its own before;

@@ -26,9 +26,7 @@ if TYPE_CHECKING:
     from errpipe.models import Family
 
 WARM, HEAT = "@WARM@", "@HEAT@ "
-MIN_TEMPERATURE_CHANGE = (
-    1.0  # K between medians of runs: several times the noise and the calibration of a sensor of a machine tool
-)
+MIN_TEMPERATURE_CHANGE = 1.0  # K between medians of runs: several times a sensor's noise and calibration error
 MIN_GROUPS = 3  # groups; two cannot tell heat from whatever else differs between them
 MIN_IMPROVEMENT = 0.05  # share of the held-out rms that a step must take away (by judgement)
 MAX_FOLDS = 12  # more cost time: three dozen models are judged

@@ -126,7 +126,8 @@ def _rest(kind: str, error: Mapping[str, Any], place: Place, value: Any) -> tupl
 def _wrong_kind(value: Any, wanted: Sequence[str], choices: Sequence[str]) -> str:
     """Message for a value of the wrong type, or none of the choices, or both."""
     if not wanted:
-        return f"found {_short(value)}{_allowed(choices, value)}{_near(value, choices)}"
+        text = repr(value) if isinstance(value, str) and len(value) <= 60 else describe(value)
+        return f"found {text}{_allowed(choices, value)}{_near(value, choices)}"
     wanted = [*wanted, f"one of {', '.join(choices)}"] if choices else wanted
     message = f"found {describe(value)} ({' or '.join(wanted)} is needed)"
     if not isinstance(value, str):
@@ -152,10 +153,6 @@ def _allowed(words: Iterable[Any], value: Any = "") -> str:
 
 def _near(word: Any, allowed: Iterable[Any]) -> str:
     return did_you_mean(str(word), list(map(str, allowed)))
-
-
-def _short(value: Any) -> str:
-    return repr(value) if isinstance(value, str) and len(value) <= 60 else describe(value)
 
 
 def _count(value: Any) -> str:
