@@ -290,7 +290,7 @@ def test_a_flow_of_coolant_counts_as_on_or_off(tmp_path):
     said = r"recording.csv:3  note: -1 is not a flow in l/min \(allowed: 0 and more, or empty\)"
     with pytest.raises(DataError, match=said):
         manifest_folder.read(folder(tmp_path, [rows[0], "1,1,0,1,68,-1,1"], manifest=manifest))
-    with pytest.raises(ConfigError, match="'lpm' is not a unit of role coolant .* Did you mean l/min"):
+    with pytest.raises(ConfigError, match=r"'lpm' is not a unit of role coolant .* Did you mean l/min"):
         manifest_folder.read(folder(tmp_path, rows, manifest=manifest.replace("l/min", "lpm")))
 
 
