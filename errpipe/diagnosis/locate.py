@@ -111,10 +111,7 @@ def _parts(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, np.nda
     for axis in axes(recording):
         name = position_name(recording, axis)
         x = recording.array(name)[rows]
-        try:
-            side = direction(recording, axis)[rows]
-        except KeyError:
-            side = np.ones(rows.size)
+        side = direction(recording, axis)[rows]
         if np.unique(side).size > 1:
             yield f"{name} approached from below", side > 0
             yield f"{name} approached from above", side < 0

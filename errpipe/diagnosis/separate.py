@@ -63,13 +63,11 @@ def _hypothetical_recordings(recording: Recording, drivers: tuple[str, ...]):
             continue
         values = recording.array(name)
         low, high = np.nanquantile(values, [0.02, 0.98])
-        frame = constant.copy()
         if kind.role == "position":
-            frame[name] = np.linspace(low, high, STEPS)
-            trial = Recording(recording.manifest, frame)
-            yield f"move {name} from {low:.4g} to {high:.4g} with everything else at rest", trial
+            moved = Recording(recording.manifest, constant.assign(**{name: np.linspace(low, high, STEPS)}))
+            yield f"move {name} from {low:.4g} to {high:.4g} with everything else at rest", moved
             continue
-        frame[name] = np.where((np.arange(STEPS) // (STEPS // 4)) % 2 == 0, low, high)
+        frame = constant.assign(**{name: np.where((np.arange(STEPS) // (STEPS // 4)) % 2 == 0, low, high)})
         for position in recording.names("position"):
             x = recording.array(position)
             frame[position] = np.tile(np.linspace(np.nanmin(x), np.nanmax(x), 8), STEPS // 8)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from errpipe.diagnosis import confidence, holdout
+from errpipe.diagnosis import confidence, holdout, hypotheses
 from errpipe.diagnosis.case import Case, residual
 from errpipe.diagnosis.coloured import USUAL, autoregression, is_linear_noise, levels_jump
 from errpipe.diagnosis.evidence import Scene
@@ -21,8 +21,7 @@ ALONE = 0.5  # of the first one's log Bayes factor that its textbook form reache
 UNSTABLE = -1.0  # a textbook form that harms held-out rows by more than names help was not fitted with the others
 DEPARTED = 0.7  # confidence of `unknown` in that case
 SMALLER = 0.75  # threshold: rms on held-out rows over that without names, from which names are unconfirmed
-UNLIKELY = 0.08  # threshold: confidence of the surest name, below which `unknown` comes first (chosen on first 6103 and
-# 6106, second 6104 and 6105)
+UNLIKELY = 0.2  # threshold: confidence of the surest name, below which `unknown` comes first
 UNLIKELY_IN_PART = 0.5  # and of partial names, which are many (chosen on first 42103, 43102, second 42101, 42102,
 # 42104, 43101, 51101, 51102: false ones have 0.15 to 0.47, right ones 0.66 or more)
 WANDERING = 1.5  # threshold: rms of the residual over the noise between neighbours, from which it drifts,
@@ -59,11 +58,10 @@ def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.He
 
 def with_shapes(case: Case) -> tuple[np.ndarray, np.ndarray]:
     """Contribution of the unnamed shapes on the selected rows, and the residual of findings and shapes."""
-    shapes = np.column_stack([case.free_shapes[k].columns for k in case.remainder.taken])
-    named = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
+    columns = case.judged().columns([i for i, _ in case.chosen()], case.remainder.taken)
     b = Scene(case.search.data, case.remainder.active, case.search.noise).coefficients()
-    contribution = shapes @ b[-shapes.shape[1] :]
-    return contribution, case.y - np.column_stack([case.recal, *named]) @ b[: -shapes.shape[1]] - contribution
+    first = b.size - sum(case.free_shapes[k].columns.shape[1] for k in case.remainder.taken)
+    return columns[:, first:] @ b[first:], case.y - columns @ b
 
 
 def is_noise(case: Case) -> bool:
@@ -115,8 +113,9 @@ def _rhythm_remains(case: Case, held: holdout.HeldOut) -> bool:
     """
     if unexplained_share(case) <= UNREACHED or held.predicts_whole_runs() or is_noise(case):
         return False
-    blocks = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
-    named = np.column_stack(blocks) @ case.search.scene(case.chosen()).coefficients()[case.recal.shape[1] :]
+    first = case.recal.shape[1]
+    columns = case.judged().columns([i for i, _ in case.chosen()])[:, first:]
+    named = columns @ case.search.scene(case.chosen()).coefficients()[first:]
     return case.sigma**2 > UNREACHED * (case.sigma**2 + float(np.var(named)))
 
 
@@ -145,10 +144,35 @@ def unexplained_share(case: Case) -> float:
 
 
 def unlikely(case: Case, findings: list[Finding]) -> bool:
-    """Is every name too unlikely to precede `unknown`? Stretches and unions of three or more runs are many."""
+    """Is every name too unlikely to precede `unknown`? Stretches and unions of three or more runs are many.
+
+    So are parts that shapes over inputs exceed.
+    """
+    if only_a_level(case):
+        return True
     masks = [f.hypothesis.mask for f in case.explanation.accepted]
-    among_many = all(mask and (mask[0] == "range" or len(mask[1]) > 2) for mask in masks)
+    shaped = any(shape.of_inputs for shape, _ in case.remainder.shapes)
+    among_many = all(mask and (shaped or mask[0] == "range" or len(mask[1]) > 2) for mask in masks)
     return max(f.sure() for f in findings) < (UNLIKELY_IN_PART if among_many else UNLIKELY)
+
+
+def only_a_level(case: Case) -> bool:
+    """Is the first name no likelier than a level of each run, or, on part of the rows, a constant level there?
+
+    A joint between two scales, a weight on the foundation or a reflector set up anew is a level. Where its inputs
+    hardly change, or its own level follows it, an effect resembles one.
+    """
+    if not case.explanation.accepted:
+        return False
+    first, *others = case.explanation.accepted
+    each = [k for k, s in enumerate(case.free_shapes) if s.kind == "runs"]
+    sets, freedoms = [case.places[k] for k in each], [case.free_shapes[k].freedom for k in each]
+    if mask := first.hypothesis.mask:
+        inside = hypotheses.mask_of(mask, case.recording)[case.pair.rows]
+        sets.append(case.library.table.add(((inside - inside.mean()) / (inside.std() or 1.0))[:, None]))
+        freedoms.append(np.ones(1))
+    scene = case.search.scene([(f.index, f.size) for f in others])
+    return bool(sets) and bool(scene.gains(sets, freedoms, case.search.rows).max() >= first.gain)
 
 
 def confirmed_by_held_out(case: Case, held: holdout.HeldOut) -> bool:
@@ -167,11 +191,10 @@ def departs(case: Case, held: holdout.HeldOut) -> bool:
     """Do departures from the textbook forms predict held-out rows as an unnamed shape must?
 
     Real parts differ from the textbook by a few per cent of the variance; beyond that, the form is that of another
-    mechanism. Not counted are the decay of an initial state, any shape of a guideway, and individual wear rates of
-    tools. The ends of a partial effect are chosen on all rows: their error is no departure either.
+    mechanism. Not counted are the decay of an initial state, any shape of a guideway, and wear rates of single tools.
     """
     first = case.explanation.accepted[0].hypothesis if case.explanation.accepted else None
-    if first is None or first.mask or first.terms[0].form == "any rate":
+    if first is None or first.terms[0].form == "any rate":
         return False
     if held.departing() < HELD_OUT_SHARE or not UNSTABLE < held.textbook_share() < TEXTBOOK:
         return False

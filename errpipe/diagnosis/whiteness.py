@@ -32,8 +32,7 @@ def whiteness(case: Case) -> Whiteness:
     """All tests of a response's residual, and the sentence that summarises them."""
     unexplained = residual(case)
     share = slow_share(unexplained, case.run)
-    fitted = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
-    used = _whiten(np.column_stack([case.recal, *fitted]), case.run, share)
+    used = _whiten(case.judged().columns([i for i, _ in case.chosen()]), case.run, share)
     frame = Frame(_whiten(case.y, case.run, share), used, case.run, share)
     made = [frame.test(name, how, columns) for name, how, columns in _asked(case.recording, case.pair.rows)]
     tests = [t for t in made if t is not None]
@@ -99,8 +98,7 @@ class Frame:
         for lag in range(1, most + 1):
             same = self.run[lag:] == self.run[:-lag]
             rho = float(left[lag:][same] @ left[:-lag][same]) / power
-            pairs = max(int(same.sum()), 1)
-            q += rho**2 * n * (n + 2) / (n - lag) * (n - lag) / pairs
+            q += rho**2 * n * (n + 2) / max(int(same.sum()), 1)
         p = float(chdtrc(max(most - 1, 1), q))
         return WhitenessTest(against=ORDER, how="Ljung-Box", statistic=q, dof=most - 1, p=p)
 
@@ -108,7 +106,8 @@ class Frame:
 def _asked(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, str, np.ndarray]]:
     """The tests of the residual: (input, how, columns (rows, k))."""
     run = recording.run_codes()[rows]
-    sides = _sides(recording, rows)
+    every = {axis: direction(recording, axis)[rows] for axis in axes(recording)}
+    sides = {axis: side for axis, side in every.items() if (side > 0).any() and (side < 0).any()}
     names = [n for role in ("position", *ROLES) for n in recording.names(role) if n in recording.frame.columns]
     inputs = {n: recording.array(n)[rows] for n in names}
     inputs[ORDER] = np.arange(rows.size, dtype=float)
@@ -131,19 +130,6 @@ def _asked(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, str, n
         for axis, side in sides.items():
             how = "by direction" if len(sides) == 1 else f"by direction of {axis}"
             yield name, how, bins * side[:, None]
-
-
-def _sides(recording: Recording, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """The direction of each axis that moves both ways."""
-    out = {}
-    for axis in axes(recording):
-        try:
-            side = direction(recording, axis)[rows]
-        except KeyError:
-            continue
-        if (side > 0).any() and (side < 0).any():
-            out[axis] = side
-    return out
 
 
 def levels(u: np.ndarray) -> np.ndarray:

@@ -340,8 +340,9 @@ def test_noise_of_few_rows_has_a_rhythm_by_chance_only(memory: float) -> None:
         ([()], 0.05, True),
     ],
 )
-def test_a_name_in_a_part_that_is_one_of_many_must_be_likelier_than_not(masks, sure, unlikely):
+def test_a_name_in_a_part_that_is_one_of_many_must_be_likelier_than_not(monkeypatch, masks, sure, unlikely):
     """Else `unknown` comes first; one or two runs are few, and what acts everywhere is not chosen at all."""
+    monkeypatch.setattr(unnamed, "only_a_level", lambda case: False)
     accepted = [SimpleNamespace(hypothesis=SimpleNamespace(mask=mask)) for mask in masks]
     case = SimpleNamespace(explanation=SimpleNamespace(accepted=accepted))
     found = [SimpleNamespace(sure=lambda: sure)] * len(masks)
