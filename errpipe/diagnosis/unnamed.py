@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from errpipe.diagnosis import confidence, holdout, hypotheses
+from errpipe.diagnosis import confidence, holdout, hypotheses, model, plausible
 from errpipe.diagnosis.case import Case, residual
 from errpipe.diagnosis.coloured import USUAL, autoregression, is_linear_noise, levels_jump
 from errpipe.diagnosis.evidence import Scene
@@ -21,7 +21,7 @@ ALONE = 0.5  # of the first one's log Bayes factor that its textbook form reache
 UNSTABLE = -1.0  # a textbook form that harms held-out rows by more than names help was not fitted with the others
 DEPARTED = 0.7  # confidence of `unknown` in that case
 SMALLER = 0.75  # threshold: rms on held-out rows over that without names, from which names are unconfirmed
-UNLIKELY = 0.2  # threshold: confidence of the surest name, below which `unknown` comes first
+UNLIKELY = 0.2  # threshold: confidence of the surest name, below which `unknown` comes first: four in five are wrong
 UNLIKELY_IN_PART = 0.5  # and of partial names, which are many (chosen on first 42103, 43102, second 42101, 42102,
 # 42104, 43101, 51101, 51102: false ones have 0.15 to 0.47, right ones 0.66 or more)
 WANDERING = 1.5  # threshold: rms of the residual over the noise between neighbours, from which it drifts,
@@ -113,9 +113,8 @@ def _rhythm_remains(case: Case, held: holdout.HeldOut) -> bool:
     """
     if unexplained_share(case) <= UNREACHED or held.predicts_whole_runs() or is_noise(case):
         return False
-    first = case.recal.shape[1]
-    columns = case.judged().columns([i for i, _ in case.chosen()])[:, first:]
-    named = columns @ case.search.scene(case.chosen()).coefficients()[first:]
+    blocks = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
+    named = np.column_stack(blocks) @ case.search.scene(case.chosen()).coefficients()[case.recal.shape[1] :]
     return case.sigma**2 > UNREACHED * (case.sigma**2 + float(np.var(named)))
 
 
@@ -157,22 +156,21 @@ def unlikely(case: Case, findings: list[Finding]) -> bool:
 
 
 def only_a_level(case: Case) -> bool:
-    """Is the first name no likelier than a level of each run, or, on part of the rows, a constant level there?
+    """Is the first name, on part of the rows, no likelier than a constant level there, or than a level of each run?
 
     A joint between two scales, a weight on the foundation or a reflector set up anew is a level. Where its inputs
     hardly change, or its own level follows it, an effect resembles one.
     """
-    if not case.explanation.accepted:
+    if not case.explanation.accepted or not (mask := case.explanation.accepted[0].hypothesis.mask):
         return False
     first, *others = case.explanation.accepted
-    each = [k for k, s in enumerate(case.free_shapes) if s.kind == "runs"]
-    sets, freedoms = [case.places[k] for k in each], [case.free_shapes[k].freedom for k in each]
-    if mask := first.hypothesis.mask:
-        inside = hypotheses.mask_of(mask, case.recording)[case.pair.rows]
-        sets.append(case.library.table.add(((inside - inside.mean()) / (inside.std() or 1.0))[:, None]))
-        freedoms.append(np.ones(1))
+    inside = hypotheses.mask_of(mask, case.recording)[case.pair.rows]
+    level = case.library.table.add(((inside - inside.mean()) / (inside.std() or 1.0))[:, None])
+    each = [k for k, s in enumerate(case.free_shapes) if s.kind == "runs" and mask[0] == "runs"]
+    sets = [level, *(case.places[k] for k in each)]
+    freedoms = [np.ones(1), *(case.free_shapes[k].freedom for k in each)]
     scene = case.search.scene([(f.index, f.size) for f in others])
-    return bool(sets) and bool(scene.gains(sets, freedoms, case.search.rows).max() >= first.gain)
+    return bool(scene.gains(sets, freedoms, case.search.rows).max() >= first.gain)
 
 
 def confirmed_by_held_out(case: Case, held: holdout.HeldOut) -> bool:
@@ -198,7 +196,7 @@ def departs(case: Case, held: holdout.HeldOut) -> bool:
         return False
     if held.departing() < HELD_OUT_SHARE or not UNSTABLE < held.textbook_share() < TEXTBOOK:
         return False
-    return textbook_alone(case) < ALONE
+    return textbook_alone(case) < ALONE or plausible.no_size(model.modelled(case, 0))
 
 
 def textbook_alone(case: Case) -> float:

@@ -329,22 +329,25 @@ def test_noise_of_few_rows_has_a_rhythm_by_chance_only(memory: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("masks", "sure", "unlikely"),
+    ("masks", "sure", "shapes", "unlikely"),
     [
-        ([("range", "t", 3.0, 9.0)], 0.4, True),
-        ([("range", "t", 3.0, 9.0)], 0.6, False),
-        ([("runs", ("1", "2", "4"))], 0.4, True),
-        ([("runs", ("5", "6"))], 0.4, False),
-        ([()], 0.4, False),
-        ([("range", "t", 3.0, 9.0), ()], 0.4, False),
-        ([()], 0.05, True),
+        ([("range", "t", 3.0, 9.0)], 0.4, [], True),
+        ([("range", "t", 3.0, 9.0)], 0.6, [], False),
+        ([("runs", ("1", "2", "4"))], 0.4, [], True),
+        ([("runs", ("5", "6"))], 0.4, [], False),
+        ([("runs", ("5", "6"))], 0.4, [True], True),
+        ([("runs", ("5", "6"))], 0.4, [False], False),
+        ([()], 0.4, [True], False),
+        ([("range", "t", 3.0, 9.0), ()], 0.4, [], False),
+        ([()], 0.05, [], True),
     ],
 )
-def test_a_name_in_a_part_that_is_one_of_many_must_be_likelier_than_not(monkeypatch, masks, sure, unlikely):
-    """Else `unknown` comes first; one or two runs are few, and what acts everywhere is not chosen at all."""
+def test_a_name_in_a_part_that_is_one_of_many_must_be_likelier_than_not(monkeypatch, masks, sure, shapes, unlikely):
+    """Else `unknown` comes first; one or two runs are few, unless a shape over inputs remains (not one over time)."""
     monkeypatch.setattr(unnamed, "only_a_level", lambda case: False)
     accepted = [SimpleNamespace(hypothesis=SimpleNamespace(mask=mask)) for mask in masks]
-    case = SimpleNamespace(explanation=SimpleNamespace(accepted=accepted))
+    left = SimpleNamespace(shapes=[(SimpleNamespace(of_inputs=of_inputs), 40.0) for of_inputs in shapes])
+    case = SimpleNamespace(explanation=SimpleNamespace(accepted=accepted), remainder=left)
     found = [SimpleNamespace(sure=lambda: sure)] * len(masks)
     assert unnamed.unlikely(case, found) is unlikely  # type: ignore[arg-type]
 
