@@ -248,7 +248,7 @@ def _verdict(case: Case, findings: list[Finding], p_unknown: float, nameless: bo
     """Verdict; `unknown` comes first if an unnamed mechanism is likelier than the names."""
     recalibrated = needs_recalibration(case)
     surest = max((f.confidence for f in findings), default=0.0)
-    doubtful = nameless or (unnamed.wanders(case) and 2.0 * surest < unnamed.PROVISIONAL)
+    doubtful = nameless or surest < p_unknown
     if findings and (p_unknown > confidence.UNKNOWN_FIRST or (doubtful and p_unknown >= unnamed.PROVISIONAL)):
         named = [unnamed.capped(f, min(p_unknown, 1.0 - p_unknown)) for f in findings]  # the first is the likelier
         return [unnamed.finding(case, p_unknown), *named, *_recalibration(case, recalibrated)], "unexplained"
