@@ -265,6 +265,7 @@ def test_what_shapes_must_predict_to_take_a_name_away(monkeypatch):
     ways = ((1.8, 1.0, 40.0, True), (4.0, 1.0, 40.0, False), (1.8, 0.4, 40.0, True), (1.8, 1.0, 12.0, False))
     for bare, again, worth, expected in ways:
         assert unnamed.unexplained(*left_by(white, 1.0, 0.9, bare, again, worth)) == expected  # type: ignore[arg-type]
+    assert unnamed.unexplained(*left_by(white, 3.0, 0.8, worth=12.0))  # type: ignore[arg-type]
     for again in (0.4, 1.0):  # on held-out rows alone they may stand in
         case, held = left_by(white, 3.0, 0.8, again=again)
         case.remainder = SimpleNamespace(shapes=())
@@ -355,11 +356,13 @@ def test_a_name_in_a_part_that_is_one_of_many_must_be_likelier_than_not(monkeypa
 @pytest.mark.parametrize(("unknown", "limit"), [(0.4, 0.4), (0.7, 0.3)])
 def test_a_name_behind_unknown_is_no_likelier_than_it(monkeypatch, unknown, limit):
     monkeypatch.setattr(report, "needs_recalibration", lambda case: False)
-    monkeypatch.setattr(unnamed, "wanders", lambda case: False)
     monkeypatch.setattr(unnamed, "finding", lambda case, p: Finding(effect="unknown", confidence=p))
     names = [Finding(effect="stribeck_friction", confidence=0.8)]
     found, verdict = report._verdict(None, names, unknown, nameless=True)  # type: ignore[arg-type]
     assert verdict == "unexplained"
     assert [(f.effect, f.confidence) for f in found] == [("unknown", unknown), ("stribeck_friction", limit)]
+    for sure, first in ((0.35, "unknown"), (0.45, "stribeck_friction")):  # the likelier one comes first
+        names = [Finding(effect="stribeck_friction", confidence=sure)]
+        assert report._verdict(None, names, unnamed.PROVISIONAL, nameless=False)[0][0].effect == first  # type: ignore[arg-type]
     # noise that is a linear process is left: no reason to put it before a name
     assert report._verdict(None, names, unnamed.NOISE, nameless=True) == (names, "missing_physics")  # type: ignore[arg-type]
