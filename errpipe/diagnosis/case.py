@@ -78,8 +78,7 @@ def residual(case: Case, chosen: list[tuple[int, float]] | None = None) -> np.nd
 
 def left_by(made: SetUp, search: Search, chosen: list[tuple[int, float]]) -> np.ndarray:
     """Residual of chosen hypotheses in a search, on the selected rows."""
-    blocks = [made.library.block(i, made.recording, made.pair.rows) for i, _ in chosen]
-    return made.y - np.column_stack([made.recal, *blocks]) @ search.scene(chosen).coefficients()
+    return made.y - made.judged().columns([i for i, _ in chosen]) @ search.scene(chosen).coefficients()
 
 
 def own_datums(case: Case, chosen: list[tuple[int, float]]) -> np.ndarray | None:

@@ -250,7 +250,7 @@ def _verdict(case: Case, findings: list[Finding], p_unknown: float, nameless: bo
     """Verdict; `unknown` comes first if an unnamed mechanism is likelier than the names."""
     recalibrated = needs_recalibration(case)
     surest = max((f.confidence for f in findings), default=0.0)
-    doubtful = nameless or (unnamed.wanders(case) and 2.0 * surest < unnamed.PROVISIONAL)
+    doubtful = nameless or surest < p_unknown
     may_be_unknown, gains_off = p_unknown >= unnamed.PROVISIONAL, _recalibration(case) if recalibrated else []
     if p_unknown > confidence.UNKNOWN_FIRST or (may_be_unknown and (doubtful or not findings)):
         named = [unnamed.capped(f, min(p_unknown, 1.0 - p_unknown)) for f in findings]  # the first is the likelier

@@ -135,10 +135,7 @@ def _all_columns(recording: Recording, component: str, rows: np.ndarray) -> Iter
         yield "place", (name,), waves, free
         for other, u in slow if len(letters) == 1 else ():
             yield "place and input", (name, other), waves[:, :SMOOTH] * u[:, None], free[:SMOOTH]
-        try:
-            side = direction(recording, axis)[rows]
-        except KeyError:
-            continue
+        side = direction(recording, axis)[rows]
         if np.unique(side).size > 1 and len(letters) == 1:
             yield "place and direction", (name,), np.column_stack([side, waves * side[:, None]]), np.r_[1.0, free]
             for other, u in slow:

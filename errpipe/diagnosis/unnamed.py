@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from errpipe.diagnosis import confidence, holdout
+from errpipe.diagnosis import confidence, holdout, hypotheses, model, plausible
 from errpipe.diagnosis.case import Case, residual
 from errpipe.diagnosis.coloured import USUAL, autoregression, is_linear_noise, levels_jump
 from errpipe.diagnosis.evidence import Scene
@@ -59,11 +59,10 @@ def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.He
 
 def with_shapes(case: Case) -> tuple[np.ndarray, np.ndarray]:
     """Contribution of the unnamed shapes on the selected rows, and the residual of findings and shapes."""
-    shapes = np.column_stack([case.free_shapes[k].columns for k in case.remainder.taken])
-    named = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
+    columns = case.judged().columns([i for i, _ in case.chosen()], case.remainder.taken)
     b = Scene(case.search.data, case.remainder.active, case.search.noise).coefficients()
-    contribution = shapes @ b[-shapes.shape[1] :]
-    return contribution, case.y - np.column_stack([case.recal, *named]) @ b[: -shapes.shape[1]] - contribution
+    first = b.size - sum(case.free_shapes[k].columns.shape[1] for k in case.remainder.taken)
+    return columns[:, first:] @ b[first:], case.y - columns @ b
 
 
 def is_noise(case: Case) -> bool:
@@ -128,11 +127,9 @@ def proved(case: Case, held: holdout.HeldOut) -> bool:
 def unnamed_structure(case: Case, held: holdout.HeldOut) -> bool:
     """Are those shapes a mechanism besides the names? On held-out rows alone the names of a fold may have missed it."""
     share, gain = held.shape_share(), sum(g for _, g in case.remainder.shapes)
-    if case.remainder.shapes:
-        enough = share >= HELD_OUT_SHARE and gain >= confidence.MOST_BESIDE
-    else:
-        again = min(held.agreement, default=0.0) >= holdout.AGAIN
-        enough = again and share >= UNREACHED and unexplained_share(case) > UNREACHED
+    again = gain > 0.0 or min(held.agreement, default=0.0) >= holdout.AGAIN
+    enough = again and share >= UNREACHED and unexplained_share(case) > UNREACHED
+    enough = enough or (share >= HELD_OUT_SHARE and gain >= confidence.MOST_BESIDE)
     enough = enough and held.named**2 - held.shaped**2 >= NOTICEABLE * held.bare**2
     return bool(case.explanation.accepted) and enough and proved(case, held)
 
@@ -145,10 +142,34 @@ def unexplained_share(case: Case) -> float:
 
 
 def unlikely(case: Case, findings: list[Finding]) -> bool:
-    """Is every name too unlikely to precede `unknown`? Stretches and unions of three or more runs are many."""
+    """Is every name too unlikely to precede `unknown`? Stretches and unions of three or more runs are many.
+
+    So are parts that shapes over inputs exceed.
+    """
+    if only_a_level(case):
+        return True
     masks = [f.hypothesis.mask for f in case.explanation.accepted]
-    among_many = all(mask and (mask[0] == "range" or len(mask[1]) > 2) for mask in masks)
+    shaped = any(shape.of_inputs for shape, _ in case.remainder.shapes)
+    among_many = all(mask and (shaped or mask[0] == "range" or len(mask[1]) > 2) for mask in masks)
     return max(f.sure() for f in findings) < (UNLIKELY_IN_PART if among_many else UNLIKELY)
+
+
+def only_a_level(case: Case) -> bool:
+    """Is the first name, on part of the rows, no likelier than a constant level there, or than a level of each run?
+
+    A joint between two scales, a weight on the foundation or a reflector set up anew is a level. Where its inputs
+    hardly change, or its own level follows it, an effect resembles one.
+    """
+    if not case.explanation.accepted or not (mask := case.explanation.accepted[0].hypothesis.mask):
+        return False
+    first, *others = case.explanation.accepted
+    inside = hypotheses.mask_of(mask, case.recording)[case.pair.rows]
+    level = case.library.table.add(((inside - inside.mean()) / (inside.std() or 1.0))[:, None])
+    each = [k for k, s in enumerate(case.free_shapes) if s.kind == "runs" and mask[0] == "runs"]
+    sets = [level, *(case.places[k] for k in each)]
+    freedoms = [np.ones(1), *(case.free_shapes[k].freedom for k in each)]
+    scene = case.search.scene([(f.index, f.size) for f in others])
+    return bool(scene.gains(sets, freedoms, case.search.rows).max() >= first.gain)
 
 
 def confirmed_by_held_out(case: Case, held: holdout.HeldOut) -> bool:
@@ -167,15 +188,14 @@ def departs(case: Case, held: holdout.HeldOut) -> bool:
     """Do departures from the textbook forms predict held-out rows as an unnamed shape must?
 
     Real parts differ from the textbook by a few per cent of the variance; beyond that, the form is that of another
-    mechanism. Not counted are the decay of an initial state, any shape of a guideway, and individual wear rates of
-    tools. The ends of a partial effect are chosen on all rows: their error is no departure either.
+    mechanism. Not counted are the decay of an initial state, any shape of a guideway, and wear rates of single tools.
     """
     first = case.explanation.accepted[0].hypothesis if case.explanation.accepted else None
-    if first is None or first.mask or first.terms[0].form == "any rate":
+    if first is None or first.terms[0].form == "any rate":
         return False
     if held.departing() < HELD_OUT_SHARE or not UNSTABLE < held.textbook_share() < TEXTBOOK:
         return False
-    return textbook_alone(case) < ALONE
+    return textbook_alone(case) < ALONE or plausible.no_size(model.modelled(case, 0))
 
 
 def textbook_alone(case: Case) -> float:

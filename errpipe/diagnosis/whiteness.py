@@ -32,8 +32,7 @@ def whiteness(case: Case) -> Whiteness:
     """All tests of a response's residual, and the sentence that summarises them."""
     unexplained = residual(case)
     share = slow_share(unexplained, case.run)
-    fitted = [case.library.block(i, case.recording, case.pair.rows) for i, _ in case.chosen()]
-    used = _whiten(np.column_stack([case.recal, *fitted]), case.run, share)
+    used = _whiten(case.judged().columns([i for i, _ in case.chosen()]), case.run, share)
     frame = Frame(_whiten(case.y, case.run, share), used, case.run, share)
     made = [frame.test(name, how, columns) for name, how, columns in _asked(case.recording, case.pair.rows)]
     tests = [t for t in made if t is not None]
@@ -133,15 +132,8 @@ def _asked(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, str, n
 
 def both_ways(recording: Recording, rows: np.ndarray) -> dict[str, np.ndarray]:
     """The direction of each axis that moves both ways."""
-    out = {}
-    for axis in axes(recording):
-        try:
-            side = direction(recording, axis)[rows]
-        except KeyError:
-            continue
-        if (side > 0).any() and (side < 0).any():
-            out[axis] = side
-    return out
+    every = {axis: direction(recording, axis)[rows] for axis in axes(recording)}
+    return {axis: side for axis, side in every.items() if (side > 0).any() and (side < 0).any()}
 
 
 def levels(u: np.ndarray) -> np.ndarray:

@@ -224,3 +224,17 @@ def test_tools_of_which_few_wear_are_no_other_mechanism():
     case = judged(columns, kinds, "E_D", simulated + worn + 0.7 * rng.standard_normal(run.size), simulated)
     assert names(case) == ["tool_wear"]
     assert not unnamed.departs(case, holdout.held_out(case))
+
+
+@pytest.mark.parametrize("level", [True, False])
+def test_a_name_on_a_stretch_that_is_only_its_level_comes_after_unknown(level):
+    """A joint between two scales shifts all positions beyond it; play there is no such level."""
+    columns, kinds, noise = positioning(runs=4)
+    x = columns["x"]
+    hidden = 5.0 * (x > 320) if level else 3.0 * columns["dir"] * (x > 320)
+    case = judged(columns, kinds, "EXX", 20e-3 * x + hidden + 0.5 * noise, 20e-3 * x)
+    assert case.explanation.accepted[0].hypothesis.mask
+    assert unnamed.only_a_level(case) == level
+    (response, *_) = report.response(case)
+    assert (response.verdict == "unexplained") == level
+    assert not level or max(f.confidence for f in response.findings[1:] if f.effect != "recalibration") <= 0.4

@@ -265,6 +265,7 @@ def test_what_shapes_must_predict_to_take_a_name_away(monkeypatch):
     ways = ((1.8, 1.0, 40.0, True), (4.0, 1.0, 40.0, False), (1.8, 0.4, 40.0, True), (1.8, 1.0, 12.0, False))
     for bare, again, worth, expected in ways:
         assert unnamed.unexplained(*left_by(white, 1.0, 0.9, bare, again, worth)) == expected  # type: ignore[arg-type]
+    assert unnamed.unexplained(*left_by(white, 3.0, 0.8, worth=12.0))  # type: ignore[arg-type]
     for again in (0.4, 1.0):  # on held-out rows alone they may stand in
         case, held = left_by(white, 3.0, 0.8, again=again)
         case.remainder = SimpleNamespace(shapes=())
@@ -329,21 +330,25 @@ def test_noise_of_few_rows_has_a_rhythm_by_chance_only(memory: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("masks", "sure", "unlikely"),
+    ("masks", "sure", "shapes", "unlikely"),
     [
-        ([("range", "t", 3.0, 9.0)], 0.4, True),
-        ([("range", "t", 3.0, 9.0)], 0.6, False),
-        ([("runs", ("1", "2", "4"))], 0.4, True),
-        ([("runs", ("5", "6"))], 0.4, False),
-        ([()], 0.4, False),
-        ([("range", "t", 3.0, 9.0), ()], 0.4, False),
-        ([()], 0.05, True),
+        ([("range", "t", 3.0, 9.0)], 0.4, [], True),
+        ([("range", "t", 3.0, 9.0)], 0.6, [], False),
+        ([("runs", ("1", "2", "4"))], 0.4, [], True),
+        ([("runs", ("5", "6"))], 0.4, [], False),
+        ([("runs", ("5", "6"))], 0.4, [True], True),
+        ([("runs", ("5", "6"))], 0.4, [False], False),
+        ([()], 0.4, [True], False),
+        ([("range", "t", 3.0, 9.0), ()], 0.4, [], False),
+        ([()], 0.05, [], True),
     ],
 )
-def test_a_name_in_a_part_that_is_one_of_many_must_be_likelier_than_not(masks, sure, unlikely):
-    """Else `unknown` comes first; one or two runs are few, and what acts everywhere is not chosen at all."""
+def test_a_name_in_a_part_that_is_one_of_many_must_be_likelier_than_not(monkeypatch, masks, sure, shapes, unlikely):
+    """Else `unknown` comes first; one or two runs are few, unless a shape over inputs remains (not one over time)."""
+    monkeypatch.setattr(unnamed, "only_a_level", lambda case: False)
     accepted = [SimpleNamespace(hypothesis=SimpleNamespace(mask=mask)) for mask in masks]
-    case = SimpleNamespace(explanation=SimpleNamespace(accepted=accepted))
+    left = SimpleNamespace(shapes=[(SimpleNamespace(of_inputs=of_inputs), 40.0) for of_inputs in shapes])
+    case = SimpleNamespace(explanation=SimpleNamespace(accepted=accepted), remainder=left)
     found = [SimpleNamespace(sure=lambda: sure)] * len(masks)
     assert unnamed.unlikely(case, found) is unlikely  # type: ignore[arg-type]
 
@@ -351,11 +356,13 @@ def test_a_name_in_a_part_that_is_one_of_many_must_be_likelier_than_not(masks, s
 @pytest.mark.parametrize(("unknown", "limit"), [(0.4, 0.4), (0.7, 0.3)])
 def test_a_name_behind_unknown_is_no_likelier_than_it(monkeypatch, unknown, limit):
     monkeypatch.setattr(report, "needs_recalibration", lambda case: False)
-    monkeypatch.setattr(unnamed, "wanders", lambda case: False)
     monkeypatch.setattr(unnamed, "finding", lambda case, p: Finding(effect="unknown", confidence=p))
     names = [Finding(effect="stribeck_friction", confidence=0.8)]
     found, verdict = report._verdict(None, names, unknown, nameless=True)  # type: ignore[arg-type]
     assert verdict == "unexplained"
     assert [(f.effect, f.confidence) for f in found] == [("unknown", unknown), ("stribeck_friction", limit)]
+    for sure, first in ((0.35, "unknown"), (0.45, "stribeck_friction")):  # the likelier one comes first
+        names = [Finding(effect="stribeck_friction", confidence=sure)]
+        assert report._verdict(None, names, unnamed.PROVISIONAL, nameless=False)[0][0].effect == first  # type: ignore[arg-type]
     # noise that is a linear process is left: no reason to put it before a name
     assert report._verdict(None, names, unnamed.NOISE, nameless=True) == (names, "missing_physics")  # type: ignore[arg-type]

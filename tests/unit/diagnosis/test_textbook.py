@@ -20,11 +20,15 @@ def held(bare: float, textbook: float, named: float) -> HeldOut:
 
 
 @pytest.mark.parametrize(
-    ("textbook", "alone", "departs"),
-    [(1.0, 0.2, False), (2.8, 0.2, True), (2.8, 0.9, False), (1.6, 0.2, False), (3.5, 0.2, True), (8.0, 0.2, False)],
+    ("textbook", "alone", "unsized", "departs"),
+    [
+        *((1.0, 0.2, False, False), (2.8, 0.2, False, True), (2.8, 0.9, False, False), (1.6, 0.2, False, False)),
+        *((3.5, 0.2, False, True), (8.0, 0.2, False, False), (2.8, 0.9, True, True), (1.0, 0.9, True, False)),
+    ],
 )
-def test_a_form_that_the_textbook_does_not_carry_is_not_its_name(monkeypatch, textbook, alone, departs):
-    """Rows that sat out must be predicted by the departures, and the textbook form must do badly on its own as well.
+def test_a_form_that_the_textbook_does_not_carry_is_not_its_name(monkeypatch, textbook, alone, unsized, departs):
+    """Rows that sat out must be predicted by the departures, and the textbook form must do badly on its own as well,
+    or have no significant size beside them.
 
     One that does far worse than no name was not determined by the rows that it was fitted on, and says nothing.
     """
@@ -35,8 +39,10 @@ def test_a_form_that_the_textbook_does_not_carry_is_not_its_name(monkeypatch, te
         for h in (SimpleNamespace(mask=m, terms=terms) for m in ((), ("range", "t", 0.0, 60.0)))
     )
     monkeypatch.setattr(unnamed, "textbook_alone", lambda case: alone)
+    monkeypatch.setattr(unnamed.model, "modelled", lambda case, k: None)
+    monkeypatch.setattr(unnamed.plausible, "no_size", lambda made: unsized)
     assert unnamed.departs(explained, held(3.0, textbook, 1.0)) == departs
-    assert not unnamed.departs(in_part, held(3.0, textbook, 1.0))  # the ends of a part are roughly known
+    assert unnamed.departs(in_part, held(3.0, textbook, 1.0)) == departs
     assert not unnamed.departs(SimpleNamespace(explanation=Explanation((), np.zeros(0))), held(3.0, textbook, 1.0))
 
 
