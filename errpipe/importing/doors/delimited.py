@@ -49,9 +49,9 @@ def sniff(path: Path, head: bytes) -> bool:
 
 
 def _without_padding(data: bytes) -> bytes:
-    """Text without the zeros with which controllers fill a file of a fixed length."""
+    """Text without the zeros with which controllers fill a file of a fixed length; zeros alone are no text."""
     text = data.rstrip(b"\0")
-    return data if b"\0" in text[: 1 << 14] else text
+    return text if text and b"\0" not in text[: 1 << 14] else data
 
 
 def _wide(head: bytes) -> str | None:
