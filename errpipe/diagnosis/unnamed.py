@@ -9,6 +9,7 @@ from errpipe.diagnosis.case import Case, residual
 from errpipe.diagnosis.coloured import USUAL, autoregression, is_linear_noise, levels_jump
 from errpipe.diagnosis.evidence import Scene
 from errpipe.diagnosis.own_noise import linear_gain, rounded, rounding
+from errpipe.diagnosis.search import BETTER
 from errpipe.domain.diagnosis import Finding
 
 HELD_OUT_SHARE = 0.1  # threshold: share of the held-out variance beyond the names that shapes over inputs must predict
@@ -155,7 +156,7 @@ def unlikely(case: Case, findings: list[Finding]) -> bool:
 
 
 def only_a_level(case: Case) -> bool:
-    """Is the first name, on part of the rows, no likelier than a constant level there, or than a level of each run?
+    """Is a constant level, or a level of each run, likelier than the first name on that part of the rows?
 
     A joint between two scales, a weight on the foundation or a reflector set up anew is a level. Where its inputs
     hardly change, or its own level follows it, an effect resembles one.
@@ -169,7 +170,7 @@ def only_a_level(case: Case) -> bool:
     sets = [level, *(case.places[k] for k in each)]
     freedoms = [np.ones(1), *(case.free_shapes[k].freedom for k in each)]
     scene = case.search.scene([(f.index, f.size) for f in others])
-    return bool(scene.gains(sets, freedoms, case.search.rows).max() >= first.gain)
+    return bool(scene.gains(sets, freedoms, case.search.rows).max() >= first.gain + BETTER)
 
 
 def confirmed_by_held_out(case: Case, held: holdout.HeldOut) -> bool:
