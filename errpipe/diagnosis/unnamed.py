@@ -147,7 +147,7 @@ def unlikely(case: Case, findings: list[Finding]) -> bool:
 
     So are parts that shapes over inputs exceed.
     """
-    if only_a_level(case):
+    if level_advantage(case) >= BETTER:
         return True
     masks = [f.hypothesis.mask for f in case.explanation.accepted]
     shaped = any(shape.of_inputs for shape, _ in case.remainder.shapes)
@@ -155,22 +155,22 @@ def unlikely(case: Case, findings: list[Finding]) -> bool:
     return max(f.sure() for f in findings) < (UNLIKELY_IN_PART if among_many else UNLIKELY)
 
 
-def only_a_level(case: Case) -> bool:
-    """Is a constant level, or a level of each run, likelier than the first name on that part of the rows?
+def level_advantage(case: Case) -> float:
+    """Log Bayes factor of a level, constant or of each run, over the first name on that part of the rows, without odds.
 
     A joint between two scales, a weight on the foundation or a reflector set up anew is a level. Where its inputs
-    hardly change, or its own level follows it, an effect resembles one.
+    hardly change, or its own level follows it, an effect resembles one. Minus infinity for a name on all rows.
     """
     if not case.explanation.accepted or not (mask := case.explanation.accepted[0].hypothesis.mask):
-        return False
+        return -np.inf
     first, *others = case.explanation.accepted
     inside = hypotheses.mask_of(mask, case.recording)[case.pair.rows]
     level = case.library.table.add(((inside - inside.mean()) / (inside.std() or 1.0))[:, None])
     each = [k for k, s in enumerate(case.free_shapes) if s.kind == "runs" and mask[0] == "runs"]
     sets = [level, *(case.places[k] for k in each)]
     freedoms = [np.ones(1), *(case.free_shapes[k].freedom for k in each)]
-    scene = case.search.scene([(f.index, f.size) for f in others])
-    return bool(scene.gains(sets, freedoms, case.search.rows).max() >= first.gain + BETTER)
+    gains = case.search.scene([(f.index, f.size) for f in others]).gains(sets, freedoms, case.search.rows)
+    return float(gains.max() - first.gain + case.search.prior[first.index])
 
 
 def confirmed_by_held_out(case: Case, held: holdout.HeldOut) -> bool:
