@@ -276,11 +276,8 @@ def _outside(model: Any, name: str) -> str:
 
 def _exported(exported: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Files of every table; with their stage's name before them where there are several stages."""
-    if len(exported) < 2:
-        return [row for document in exported.values() for row in document["files"]]
-    return [
-        {**row, "file": f"{stage}/{row['file']}"} for stage, document in exported.items() for row in document["files"]
-    ]
+    heads = {stage: f"{stage}/" if len(exported) > 1 else "" for stage in exported}
+    return [{**row, "file": heads[name] + row["file"]} for name, made in exported.items() for row in made["files"]]
 
 
 def _left_out(exported: Mapping[str, Mapping[str, Any]]) -> list[str]:

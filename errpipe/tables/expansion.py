@@ -2,7 +2,7 @@
 
 Positions lie within given ranges and every other input within its validity (one without validity stands at its
 default). Lags have reached their operand, references are those of a given state, every axis was approached from one
-side. Curves are straight between the knots of their axis. An unknown stands for an input (centre + half * unknown),
+side. Curves are straight between the knots of their axis. An unknown represents an input (centre + half * unknown),
 for a side (-1 or 1), or, where its name begins with `~`, for what a straight line misses; each of these is bounded,
 so `maximum.largest` of an expansion is a bound.
 """
@@ -245,9 +245,9 @@ class Expansion:
             return [Term(value(low))]
         first, last = value(low), value(high)
         slope = (last - first) / (high - low)
-        least, most = _off(value, bends, low, high, first, last)
-        offset = first - slope * low + (least + most) / 2
-        return [Term(offset), *scaled(of, slope), *self.missed((most - least) / 2)]
+        lowest, highest = _off(value, bends, low, high, first, last)
+        offset = first - slope * low + (lowest + highest) / 2
+        return [Term(offset), *scaled(of, slope), *self.missed((highest - lowest) / 2)]
 
 
 def collected(terms: Terms) -> Terms:
@@ -335,10 +335,10 @@ def _knots_of(table: t.CompensationTable, names: set[str], low: float, high: flo
                     weight, offset = weight * of.weights[0], offset + weight * of.offset
                 of = table.nodes[of.of[0]]
             if weight and isinstance(of, t.InputNode) and of.input in names:
-                bends = [node.low, node.high] if isinstance(node, t.ClipNode) else _grid(node)
+                bends = (
+                    [node.low, node.high]
+                    if isinstance(node, t.ClipNode)
+                    else [node.start + node.step * k for k in range(len(node.values))]
+                )
                 knots.append((np.array(bends) - offset) / weight)
     return knots
-
-
-def _grid(node: t.LookupNode) -> list[float]:
-    return [node.start + node.step * k for k in range(len(node.values))]

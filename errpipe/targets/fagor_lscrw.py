@@ -40,7 +40,7 @@ class FagorLscrw(ScrewMap):
         "home; compare three points from both sides with a gauge",
     )
 
-    most, error_um = 1000, 0.1
+    max_points, error_um = 1000, 0.1
 
     @classmethod
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:

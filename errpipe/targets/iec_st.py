@@ -101,14 +101,14 @@ class IecSt(Target):
 def capacity_for(table: CompensationTable) -> dict[str, int]:
     """Highest index of each array: at least MIN_CAPACITY, and twice what the table needs."""
     data = ect.dumps(table)
-    most = {}
+    capacity = {}
     for number, (what, record) in lay.RECORDS.items():
         needed = len(ect.section(data, number)) // record.size
-        most[_NAMES.get(what, what.upper())] = max(MIN_CAPACITY[what], 2 * needed, 1) - 1
-    most["FACTORS"] = 4 * (most["TERMS"] + 1) - 1
+        capacity[_NAMES.get(what, what.upper())] = max(MIN_CAPACITY[what], 2 * needed, 1) - 1
+    capacity["FACTORS"] = 4 * (capacity["TERMS"] + 1) - 1
     sizes = {_NAMES.get(what, what.upper()): record.size for what, record in lay.RECORDS.values()}
-    most["BYTES"] = lay.HEADER_SIZE + sum(-(-(most[name] + 1) * size // 8) * 8 for name, size in sizes.items())
-    return most
+    capacity["BYTES"] = lay.HEADER_SIZE + sum(-(-(capacity[name] + 1) * size // 8) * 8 for name, size in sizes.items())
+    return capacity
 
 
 def unit(name: str, capacity: Mapping[str, int]) -> str:

@@ -71,7 +71,7 @@ class ClockOffset(Term):
     def located(
         cls, recording: Recording, component: str, signals: Signals
     ) -> Iterator[tuple[ClockOffset, tuple[float, ...]]]:
-        """The offset that brings the mismatch down most, and a coarse grid: gains of parts are not known yet."""
+        """The offset with the smallest residual, and a coarse grid: gains of parts are not known yet."""
         step, _ = resolved_times(recording)
         for term in cls.bind(recording, component):
             late = step * np.arange(MIN_INTERVALS, STEPS, FINE)

@@ -18,7 +18,7 @@ from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._search import Delays, Located, Signals, resolved_times
 
 MAX_SAMPLE_INTERVAL = 0.1  # s; what comes late in slower logs has another clock: see `clock_offset`
-LEAST, MOST = 0.02, 60.0  # sampling steps
+MIN_STEPS, MAX_STEPS = 0.02, 60.0  # sampling steps
 
 
 class DeadTime(Term):
@@ -68,9 +68,9 @@ class DeadTime(Term):
         for term in cls.bind(recording, component):
             if not signals.values or not np.isfinite(term._late(0.0).signal(recording)).all():
                 continue
-            trial = np.r_[-10.0:MOST:0.5] * step
+            trial = np.r_[-10.0:MAX_STEPS:0.5] * step
             delay = shift_of(term._late(0.0), recording, signals, trial, step)
-            if abs(delay) > LEAST * step and (term.axis or delay > 0):
+            if abs(delay) > MIN_STEPS * step and (term.axis or delay > 0):
                 yield term, (delay,)
 
     def _late(self, delay: float, gain: float = 1.0) -> Late:

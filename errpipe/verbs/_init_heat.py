@@ -199,8 +199,8 @@ def _identifiable(recording: Recording, family: Family) -> bool:
 
 def _best(able: Mapping[tuple[int, ...], Sequence[HeldOut]]) -> tuple[int, ...]:
     """The fewest terms within TIE_MARGIN of the least held-out rms."""
-    least = min(map(_rms, able.values()))
-    return min((terms for terms, left in able.items() if _rms(left) <= (1.0 + TIE_MARGIN) * least), key=len)
+    best = min(map(_rms, able.values()))
+    return min((terms for terms, left in able.items() if _rms(left) <= (1.0 + TIE_MARGIN) * best), key=len)
 
 
 def _comparable(without: Sequence[HeldOut], having: Sequence[HeldOut]) -> bool:
