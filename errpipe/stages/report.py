@@ -57,7 +57,12 @@ class Report(Stage):
             version=__version__,
             fingerprint=context.fingerprint[:16],
             sources=_sources(facts, recording, fits[-1].validation),
-            removed=[row for folder in context.every("cleanings").values() for row in _removed(folder)],
+            removed=[
+                {"rule": r["rule"].replace("_", " "), "rows": done["count"], "why": f"{done['what']}: {done['reason']}"}
+                for folder in context.every("cleanings").values()
+                for r in jsonfile.read(folder / "cleaning.json")["rules"]
+                for done in r["done"]
+            ],
             responses=[one for fit in fits for one in _responses(recording, fit)],
             refusal=self.refusal,
             consequences=[says for document in exported.values() for says in document.get("consequences", ())],
@@ -148,14 +153,6 @@ def _readings(validation: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         )
         out.append((f"{c['component']}: occasional readings", by_readings(levels, c["component"], c["unit"]), caption))
     return out
-
-
-def _removed(folder: Path) -> list[dict[str, Any]]:
-    return [
-        {"rule": rule["rule"].replace("_", " "), "rows": done["count"], "why": f"{done['what']}: {done['reason']}"}
-        for rule in jsonfile.read(folder / "cleaning.json")["rules"]
-        for done in rule["done"]
-    ]
 
 
 def _responses(recording: Any, fit: _Fit) -> list[Any]:

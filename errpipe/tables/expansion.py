@@ -77,7 +77,8 @@ class Expansion:
         for axis, (low, high) in ranges.items():
             candidates = list((more or {}).get(axis, ()))
             for table in tables:
-                candidates += _knots(table, axis, low, high)
+                names = {i.name for i in table.inputs if i.kind == "position" and i.axis == axis}
+                candidates += _knots_of(table, names, low, high)
             self.knots[axis] = _within(candidates, low, high)
         for table in tables:
             for channel in _bent_inputs(table, self.knots)[:MAX_CURVED_INPUTS]:
@@ -310,12 +311,6 @@ def _bent_inputs(table: t.CompensationTable, axes: Mapping[str, np.ndarray]) -> 
 def _within(candidates: Sequence[np.ndarray], low: float, high: float) -> np.ndarray:
     every = np.unique(np.concatenate([np.array([low, high]), *candidates]))
     return every[(every >= low) & (every <= high)]
-
-
-def _knots(table: t.CompensationTable, axis: str, low: float, high: float) -> list[np.ndarray]:
-    """Where the table's curves over an axis bend."""
-    names = {i.name for i in table.inputs if i.kind == "position" and i.axis == axis}
-    return _knots_of(table, names, low, high)
 
 
 def _knots_of(table: t.CompensationTable, names: set[str], low: float, high: float) -> list[np.ndarray]:

@@ -38,7 +38,8 @@ def grid(
     if not low < high:
         raise GateError(f"{what}: nothing to grid between {low:g} and {high:g}")
     first = _evaluate(curve, np.linspace(low, high, SAMPLES + 1), what)
-    intervals = min(_first_guess(first, bound), limit)
+    bend = float(np.max(np.abs(np.diff(first, 2)), initial=0.0)) * SAMPLES**2
+    intervals = min(max(1, int(np.ceil((bend / 8.0 / bound) ** 0.5))), limit)
     while True:
         error = interpolation_error(curve, low, high, intervals)
         if error <= bound:
@@ -88,11 +89,6 @@ def interpolation_error(curve: Callable[[np.ndarray], np.ndarray], start: float,
     dense = _evaluate(curve, x, "profile")
     straight = np.interp(x, x[::per_step], dense[::per_step])
     return float(np.max(np.abs(dense - straight)))
-
-
-def _first_guess(samples: np.ndarray, bound: float) -> int:
-    bend = float(np.max(np.abs(np.diff(samples, 2)), initial=0.0)) * SAMPLES**2
-    return max(1, int(np.ceil((bend / 8.0 / bound) ** 0.5)))
 
 
 def _evaluate(curve: Callable[[np.ndarray], np.ndarray], x: np.ndarray, what: str) -> np.ndarray:

@@ -190,11 +190,6 @@ def uniform(table: CompensationTable, axis: str, over: str, max_points: int, err
     return points, interpolation_error_um(points)
 
 
-def from_zero(table: CompensationTable, axis: str, grid: np.ndarray) -> np.ndarray:
-    """The grid; for a modulo axis, the same steps from 0 to 360 deg, as required by tables that count from 0."""
-    return np.linspace(0.0, TURN, grid.size) if turns(table, axis) else grid
-
-
 def _counts(max_points: int, turn: bool) -> Iterator[int]:
     """Numbers of points to try, ascending, at most `max_points`."""
     if turn:

@@ -38,6 +38,7 @@ class ClockOffset(Term):
     shortest: float = quantity("s", "Smallest usual shift.", 10.0)
     longest: float = quantity("s", "Largest shift that is tried.", 600.0)
     family = "measurement"
+    only_located = True
     compensable = False
     artefact = "the clocks of recording and simulation differ: set them right"
     simulated_log_odds = NEVER
@@ -61,11 +62,6 @@ class ClockOffset(Term):
         if recording.name("time") is not None and longest > MIN_INTERVALS * step:
             for column in recording.names("simulated", component=component):
                 yield cls(column=column, shortest=max(USUAL * step, LATE), longest=longest)
-
-    @classmethod
-    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[ClockOffset]:
-        """None without an offset: see `located`."""
-        return iter(())
 
     @classmethod
     def located(

@@ -35,6 +35,7 @@ class DeadTime(Term):
     column: str | None = Field(None, description="Column of the simulated signal that comes late.")
     axis: str | None = Field(None, description="Axis whose position comes late.")
     family = "servo"
+    only_located = True
     compensable = False
     simulated_log_odds = NEVER
     nuisance = False
@@ -55,11 +56,6 @@ class DeadTime(Term):
             yield cls(column=column)
         for axis in axes_acting(recording, component):
             yield cls(axis=axis)
-
-    @classmethod
-    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[DeadTime]:
-        """None without a delay: see `located`."""
-        return iter(())
 
     @classmethod
     def located(cls, recording: Recording, component: str, signals: Signals) -> Located:

@@ -48,6 +48,7 @@ class FlexibleMode(Term):
     on_force: bool = Field(False, description="The response is a drive force.")
     ringing: bool = Field(False, description="The simulation holds the static part: only what rings is missing.")
     family = "servo"
+    only_located = True
     compensable = False
     simulated_log_odds = NEVER
     in_part = "never"
@@ -72,11 +73,6 @@ class FlexibleMode(Term):
             for column in recording.names("acceleration", axis=axis):
                 for ringing in (False, True):
                     yield cls(axis=axis, column=column, on_force=on_force, ringing=ringing)
-
-    @classmethod
-    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[FlexibleMode]:
-        """None without a frequency: see `located`."""
-        return iter(())
 
     @classmethod
     def located(cls, recording: Recording, component: str, signals: Signals) -> Located:
