@@ -20,9 +20,9 @@ from bench.figure import Figure, main
 from errpipe.verbs.fleet import TIMES
 
 MACHINES = 200
-LONGER = 180  # runs of a machine, of half a year
+HALF_YEAR = 180  # runs of a machine, of half a year
 AIM = 1.8  # times faster with two workers, of machines of half a year
-SIZES = {LONGER: (AIM, 3), 6: (None, 3), 1000: (None, 1)}  # runs -> aim, and turns, the medians of which stand here
+SIZES = {HALF_YEAR: (AIM, 3), 6: (None, 3), 1000: (None, 1)}  # runs -> aim, and turns, the medians of which stand here
 ROWS = 22  # of a run
 
 

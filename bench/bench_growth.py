@@ -101,8 +101,8 @@ def figures() -> list[Figure]:
         "components of a cycle": (SIZES, "ns", lambda n: cycle_ns(table(2, n))),
         "rows of a run, ingest to validate": (ROWS, "s", command_s),
     }
-    if (most := asked_rows(0)) > ROWS[-1]:
-        measured = {"rows of a run, ingest to validate": ((*ROWS, most), "s", command_s)}
+    if (requested := asked_rows(0)) > ROWS[-1]:
+        measured = {"rows of a run, ingest to validate": ((*ROWS, requested), "s", command_s)}
     out = []
     for what, (sizes, unit, cost) in measured.items():
         costs, span = [cost(size) for size in sizes], f"{sizes[0]} to {sizes[-1]}"

@@ -69,8 +69,10 @@ def single_call() -> Figure:
     calls = 2000
     peer = seconds(lambda: [model.predict(x[:1]) for _ in range(calls)], 3)[0] / calls * 1e9
     ours = bench_cycle()
-    told = {"peer": "scikit-learn predict of one row", "lacks": "curves, lags, limits, sensors that fail"}
-    return Figure("one cycle of a table", ours["cycle_ns"], "ns", ours["spread"], times=peer / ours["cycle_ns"], **told)
+    reference = {"peer": "scikit-learn predict of one row", "lacks": "curves, lags, limits, sensors that fail"}
+    return Figure(
+        "one cycle of a table", ours["cycle_ns"], "ns", ours["spread"], times=peer / ours["cycle_ns"], **reference
+    )
 
 
 if __name__ == "__main__":

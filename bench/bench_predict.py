@@ -82,10 +82,10 @@ def figures() -> list[Figure]:
         cost(*ours)  # compiles
         bare, done = (sorted(cost(*c) for _ in range(REPEATS)) for c in (("-c", BARE, read, str(folder / "b")), ours))
     peer = {"peer": "pyarrow, bare", "times": bare[0][0] / done[0][0], "lacks": "a prediction, checks of the rows"}
-    apart = done[-1][0] / done[0][0] - 1.0
+    spread = done[-1][0] / done[0][0] - 1.0
     return [
-        Figure("predict, Parquet to Parquet, over bare", done[0][0] / bare[0][0], "x", apart, AIM, **peer),
-        Figure(f"predict of {count} rows", done[0][0], "s", apart, **peer),
+        Figure("predict, Parquet to Parquet, over bare", done[0][0] / bare[0][0], "x", spread, AIM, **peer),
+        Figure(f"predict of {count} rows", done[0][0], "s", spread, **peer),
         Figure("its peak memory", done[0][1], "GB", 0.0, MEMORY_AIM),
     ]
 

@@ -1,8 +1,8 @@
-"""For scale: what a greedy regression over the textbook forms says of the same cases.
+"""Baseline: a greedy regression over the textbook forms on the same cases.
 
     python -m trials.baseline OUT_DIR        # OUT_DIR as `generate` wrote it
 
-It scales the simulation, then adds the best form as long as that pays. It knows no reversal spikes, faults or clocks.
+It scales the simulation, then adds the best form as long as that pays. It has no reversal spikes, faults or clocks.
 """
 
 from __future__ import annotations

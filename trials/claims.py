@@ -1,4 +1,4 @@
-"""What a metrologist sees at a glance: claims that cannot be true, whatever the key says."""
+"""Claims that are physically impossible, independent of the key."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def trial(recording: Recording, component: str, pool: Sequence[str], seed: int, 
     """pool: labels of the runs that may be measured; the others judge."""
     cycles = DutyCycles.of(recording, component)
     rows = np.flatnonzero(np.isfinite(cycles.deviation))
-    least = noise_floor(recording, rows, cycles.deviation[rows]) or 1.0
+    threshold = noise_floor(recording, rows, cycles.deviation[rows]) or 1.0
     labels = recording.run_labels()
     free = [r for r in cycles.measured if labels[r] in pool]
     judged = [r for r in cycles.measured if labels[r] not in pool]
@@ -69,7 +69,7 @@ def trial(recording: Recording, component: str, pool: Sequence[str], seed: int, 
         known = cycles.learn(done)
         after = {r: cycles.expected(known, [r]) for r in free if r not in done}
         run = min(after, key=lambda r: after[r])
-        if cycles.expected(known) ** 2 - after[run] ** 2 <= least**2:
+        if cycles.expected(known) ** 2 - after[run] ** 2 <= threshold**2:
             stops.append(len(done))
         return run
 

@@ -228,8 +228,8 @@ def main() -> int:
         harm = sum(after > before for before, after in known)
         worse += harm
         medians = " -> ".join(f"{np.median(column):.3g}" for column in zip(*known, strict=True)) if known else "-"
-        least = f"{min(1 - after / before for before, after in known):.0%}" if known else "-"
-        print(f"| {name} | {len(known)} | {len(found) - len(known)} | {harm} | {medians} | {least} |", flush=True)
+        smallest = f"{min(1 - after / before for before, after in known):.0%}" if known else "-"
+        print(f"| {name} | {len(known)} | {len(found) - len(known)} | {harm} | {medians} | {smallest} |", flush=True)
     return int(worse > 0)
 
 

@@ -1,4 +1,4 @@
-"""Is a new machine with two runs better off with what its type knows? Its own fit beside the pooled one, on later runs.
+"""Does a new machine with two runs gain from the pooled parameters of its type? Own and pooled fit on later runs.
 
 python -m trials.pooled --seed 39 [--fleets 20]
 python -m trials.pooled --from RECORDING
@@ -29,7 +29,7 @@ from errpipe.formats import manifest_folder
 from errpipe.validation.predict import predict
 
 MACHINES, RUNS = 10, 15  # machines of the type, and runs of each
-FEW, JUDGED = 2, 20  # runs of the new one, and runs that judge it
+NEW_RUNS, JUDGED = 2, 20  # runs of the new one, and runs that judge it
 PLACES = np.r_[np.arange(0.0, 601.0, 60.0), np.arange(600.0, -1.0, -60.0)]  # mm
 MANIFEST = """recording: 1
 tables: [recording.csv]
@@ -74,7 +74,7 @@ def simulated(seed: int) -> tuple[dict[str, pd.DataFrame], pd.DataFrame]:
     rng = np.random.default_rng(seed)
     middle, spread = rng.uniform([-5, -15, 8], [5, 15, 13]), rng.uniform([1, 3, 0.3], [6, 12, 2])
     traits = {name: rng.normal(middle, spread) for name in [f"m{k}" for k in range(MACHINES)] + ["new"]}
-    rows = {name: runs_of(rng, traits[name], FEW if name == "new" else RUNS) for name in traits}
+    rows = {name: runs_of(rng, traits[name], NEW_RUNS if name == "new" else RUNS) for name in traits}
     return rows, runs_of(rng, traits["new"], JUDGED)
 
 
@@ -118,7 +118,7 @@ def of_months(folder: Path) -> Iterator[tuple[str, list[float]]]:
     choices = [(s, *more) for s in warm if "spindle" in s for n in (1, 2) for more in combinations(beside, n)]
     runs_of_months = {m: list(dict.fromkeys(frame[run][months == m])) for m in sorted(set(months))}
     for new, first in (
-        (m, runs[k : k + FEW]) for m, runs in runs_of_months.items() for k in range(len(runs) - FEW + 1)
+        (m, runs[k : k + NEW_RUNS]) for m, runs in runs_of_months.items() for k in range(len(runs) - NEW_RUNS + 1)
     ):
         judged = frame[(months == new) & ~frame[run].isin(first)]
         machines = {m: frame[(months == m) & ((months != new) | frame[run].isin(first))] for m in sorted(set(months))}

@@ -131,11 +131,13 @@ def main() -> int:
         whole = [o for o in match if o.axes]
         worse = [(seed, o.worse) for seed, o in zip(seeds, match, strict=True) if o.worse]
         bad += len(worse)
-        told = "-"
+        residuals = "-"
         if whole:
-            told = " -> ".join(f"{np.median([getattr(o, k)['all'] for o in whole]):.3g}" for k in ("before", "after"))
+            residuals = " -> ".join(
+                f"{np.median([getattr(o, k)['all'] for o in whole]):.3g}" for k in ("before", "after")
+            )
         part = sum(o.left_out > 0 for o in whole)
-        row = (name, protocol, len(whole), part, len(match) - len(whole), worse or 0, told)
+        row = (name, protocol, len(whole), part, len(match) - len(whole), worse or 0, residuals)
         print("| " + " | ".join(map(str, row)) + " |", flush=True)
     print(f"worse than nothing: {bad}")
     return 1 if bad else 0

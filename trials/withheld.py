@@ -28,7 +28,7 @@ def hidden(key: dict[str, Any]) -> list[tuple[str, list[str]]]:
 
 
 def without(case: str, component: str, names: tuple[str, ...]) -> dict[str, Any]:
-    """What the diagnosis says of a response when its library lacks these effects. Runs in a worker process."""
+    """Diagnosis of a response by a library without these effects. Runs in a worker process."""
     from errpipe.diagnosis import diagnose, hypotheses
     from errpipe.formats import manifest_folder
 

@@ -12,7 +12,7 @@ from errpipe.drivers.sessions import sessions
 SLOW_ROLES = ("temperature", "pressure", "humidity")
 MIN_READINGS = 5  # by judgement: fewer show no course
 MAX_READ_SHARE = 0.5  # share of rows with a reading, from which the other rows are failures
-LONGEST_GAP = 10.0  # over the mean one; a sensor that is silent for longer failed (chosen: rows lost at random reach 6)
+MAX_GAP = 10.0  # over the mean one; a sensor that is silent for longer failed (chosen: rows lost at random reach 6)
 MIN_HELD_ROWS = 3.0  # rows from one reading to the next, from which the rows between hold it
 
 
@@ -35,7 +35,7 @@ def between_readings(recording: Recording) -> Recording:
         fresh = np.flatnonzero(read & np.r_[True, values[1:] != values[:-1]])
         good = fresh if _held(values[fresh], np.diff(fresh)) else np.flatnonzero(read)
         gaps = np.diff(np.r_[-1, good, values.size])
-        regular = gaps.max() * good.size < LONGEST_GAP * values.size
+        regular = gaps.max() * good.size < MAX_GAP * values.size
         if regular and MIN_READINGS <= good.size < MAX_READ_SHARE * values.size:
             filled[name] = _lines(recording, values, good)
     return replace(recording, frame=recording.frame.assign(**filled)) if filled else recording

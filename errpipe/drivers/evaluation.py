@@ -10,7 +10,7 @@ import numpy as np
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Past, Recording
 from errpipe.drivers.motion import direction, position, unbroken
-from errpipe.drivers.sessions import LONGEST_PAUSE, sessions
+from errpipe.drivers.sessions import MAX_PAUSE, sessions
 from errpipe.kernels import responses
 
 Respond = Callable[["np.ndarray", "np.ndarray", "np.ndarray", bool], "np.ndarray"]
@@ -123,7 +123,7 @@ def _state(
 
 def _goes_on(recording: Recording, past: Past) -> bool:
     same_run = recording.run_labels()[recording.run_codes()[0]] == past.run
-    return same_run or (recording.name("time") is not None and 0.0 <= recording.time()[0] - past.time <= LONGEST_PAUSE)
+    return same_run or (recording.name("time") is not None and 0.0 <= recording.time()[0] - past.time <= MAX_PAUSE)
 
 
 def _rows_before(driver: d.First | d.Lag | d.Switch, last: float, seen: np.ndarray) -> tuple[float, ...]:

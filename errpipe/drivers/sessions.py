@@ -6,14 +6,14 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 
-LONGEST_PAUSE = 7200.0  # s between runs of one session (by judgement: a machine at rest cools down)
+MAX_PAUSE = 7200.0  # s between runs of one session (by judgement: a machine at rest cools down)
 
 
 def sessions(recording: Recording) -> np.ndarray:
     """Integer per row, shape (rows,): runs that follow in time share one, for heat does not stop between them.
 
     A new session starts where the run changes and time goes back, is missing, or jumps by more than
-    `LONGEST_PAUSE`; without a time column, or where the recording says so, every run is its own.
+    `MAX_PAUSE`; without a time column, or where the recording says so, every run is its own.
     """
     if "sessions" not in recording.derived:
         recording.derived["sessions"] = _sessions(recording)
@@ -25,7 +25,7 @@ def _sessions(recording: Recording) -> np.ndarray:
     if len(run) == 0 or recording.separate_runs or recording.name("time") is None:
         return run
     step = np.diff(recording.time())
-    goes_on = (step >= 0) & (step <= LONGEST_PAUSE)
+    goes_on = (step >= 0) & (step <= MAX_PAUSE)
     return np.r_[0, np.cumsum((run[1:] != run[:-1]) & ~goes_on)].astype(np.int64)
 
 

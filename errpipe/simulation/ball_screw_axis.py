@@ -108,12 +108,6 @@ def _targets() -> np.ndarray:
     return np.round(even + LEAD * scatter * inner, 3)
 
 
-def _visits(targets: np.ndarray) -> list[tuple[float, float]]:
-    """(target, side) in order: up and down, CYCLES times."""
-    up, down = ([(float(x), side) for x in order] for order, side in ((targets, 1.0), (targets[::-1], -1.0)))
-    return [*up, *down] * CYCLES
-
-
 def _program() -> _Program:
     rows, moves, t = [], [], 0.0
     targets = _targets()
@@ -126,7 +120,7 @@ def _program() -> _Program:
             moves.append((t, t + 60.0 * minutes, float(speed), *STROKE))
             t += 60.0 * minutes
         here = float(targets[0])
-        for x, side in _visits(targets):
+        for x, side in [*((float(x), 1.0) for x in targets), *((float(x), -1.0) for x in targets[::-1])] * CYCLES:
             lasts = max(abs(x - here), 2.0) / APPROACH_SPEED + DWELL
             moves.append((t, t + lasts, abs(x - here) / lasts, min(x, here), max(x, here)))
             t, here = t + lasts, x

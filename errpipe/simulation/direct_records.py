@@ -101,8 +101,8 @@ class _Test:
         own = next((n for n in chain.of_axis(axis) if parse(n).kind in ("positioning", "angular positioning")), None)
         if own is not None:
             true[own] = true[own] + 0.5 * side * setup.reversal * rng.normal()
-        sense = _sense(chain, axis)
-        true = {n: sense * value for n, value in true.items()}
+        if chain.machine.axes[axis].errors_of == "carriage" and chain.machine.moved_by(axis) == "workpiece":
+            true = {n: -1.0 * value for n, value in true.items()}
         for n in chain.of_axis(axis):
             noise = setup.noise if parse(n).unit == "um" else setup.angle_noise
             shown = self.shown(n, axis, p, true, air)
@@ -111,6 +111,8 @@ class _Test:
 
     def shown(self, name: str, axis: str, p: np.ndarray, true: Mapping[str, np.ndarray], air: _Air) -> np.ndarray:
         """The display of the instrument for one component, um or urad, before zero and noise."""
+        from scipy.spatial.transform import Rotation
+
         component, beam = parse(name), self.setup.beams.get(name, Laser())
         if component.unit == "urad":
             return true[name]
@@ -120,7 +122,8 @@ class _Test:
         if self.chain.machine.axes[axis].reference_on == "guideway":
             arm = arm + p[:, None] * along
         own = true[name] * (float(reads @ LETTERS[component.direction]) if component.kind == "positioning" else 1.0)
-        moved = own + (_turned(np.column_stack([true[f"E{d}{axis}"] for d in "ABC"]), arm) - arm) @ reads * 1e3
+        turn = Rotation.from_rotvec(np.column_stack([true[f"E{d}{axis}"] for d in "ABC"]) * 1e-6)  # from urad
+        moved = own + (turn.apply(arm) - arm) @ reads * 1e3
         if component.is_straightness:
             return moved + self.slope(name, axis, reads, along) * p * 1e-3
         if component.kind != "positioning":
@@ -145,18 +148,6 @@ class _Test:
             if second or _is_datum_of(self.chain, square, name):
                 total -= lean * (self.turns[square] + (self.setup.squares.get(square, 0.0) if second else 0.0))
         return total
-
-
-def _sense(chain: Chain, axis: str) -> float:
-    against = chain.machine.axes[axis].errors_of == "carriage" and chain.machine.moved_by(axis) == "workpiece"
-    return -1.0 if against else 1.0
-
-
-def _turned(turn: np.ndarray, arm: np.ndarray) -> np.ndarray:
-    """Arms (n, 3) after exact rotations by vectors (n, 3) in urad."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_rotvec(turn * 1e-6).apply(arm)
 
 
 def _is_datum_of(chain: Chain, square: str, name: str) -> bool:

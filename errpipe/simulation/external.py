@@ -26,7 +26,7 @@ from errpipe.simulation.responses import Values, error_column
 from errpipe.simulation.twin_csv import csv_by_name, csv_values
 from errpipe.simulation.twin_options import AnySource, FromCsv, FromFmu, FromModel, FromRecorded, TwinOptions
 
-FIRST_READINGS = 3  # whose mean is a run's zero if the datum is its start; a mean has less noise than one reading
+FIRST_READINGS = 3  # readings averaged to a run's zero if the datum is its start: less noise than one reading
 
 __all__ = ["AnySource", "FromCsv", "FromFmu", "FromModel", "FromRecorded", "by_name", "error_column", "with_twins"]
 
@@ -137,13 +137,13 @@ def _free_name(recording: Recording, wanted: str) -> str:
     return name
 
 
-def _refuse_missing(twin: Twin, most: float) -> None:
+def _refuse_missing(twin: Twin, max_share: float) -> None:
     missing = twin.rows - twin.with_twin
-    if not twin.with_twin or missing > most * twin.rows:
+    if not twin.with_twin or missing > max_share * twin.rows:
         reasons = "; ".join(f"{count} {why}" for why, count in twin.missing.items())
         raise DataError(
             f"twin: {twin.component}: {missing} of {twin.rows} recorded rows have no simulated value from "
-            f"{twin.source} ({reasons or 'empty'}; allowed: {100 * most:.0f} %)"
+            f"{twin.source} ({reasons or 'empty'}; allowed: {100 * max_share:.0f} %)"
         )
 
 

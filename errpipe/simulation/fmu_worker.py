@@ -112,7 +112,8 @@ class Work:
         if order.get("inputs"):
             plain = np.load(order["inputs"], allow_pickle=False)
             kinds = {v.name: v.type for v in self.model.modelVariables}
-            types = [(n, _dtype(kinds.get(n, "Real"))) for n in plain.dtype.names]
+            dtypes = {"Real": float, "Float64": float, "Float32": float, "Boolean": bool}
+            types = [(n, dtypes.get(kinds.get(n, "Real"), int)) for n in plain.dtype.names]
             signals = np.empty(plain.shape, dtype=types)
             for name in plain.dtype.names:
                 signals[name] = plain[name]
@@ -132,10 +133,6 @@ class Work:
         table = np.column_stack([np.asarray(result[n], dtype=float) for n in ("time", *order["outputs"])])
         np.save(order["output"], table, allow_pickle=False)
         return {"rows": len(table)}
-
-
-def _dtype(kind: str) -> type:
-    return {"Real": float, "Float64": float, "Float32": float, "Boolean": bool}.get(kind, int)
 
 
 def serve() -> None:
@@ -184,10 +181,10 @@ def become(user: int) -> None:
     import resource
 
     switch_on(PR_SET_NO_NEW_PRIVS)
-    most = threads_of(user or os.getuid()) + MAX_THREADS
+    limit = threads_of(user or os.getuid()) + MAX_THREADS
     _, hard = resource.getrlimit(resource.RLIMIT_NPROC)
-    most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-    resource.setrlimit(resource.RLIMIT_NPROC, (most, most))  # the kernel counts threads of a user; root's it does not
+    limit = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+    resource.setrlimit(resource.RLIMIT_NPROC, (limit, limit))  # the kernel counts threads of a user; root's it does not
     if user:
         os.setgroups([])
         os.setgid(user)

@@ -31,7 +31,7 @@ class Piece:
     name: str
     component: str
     unit: str
-    says: str
+    summary: str
     pairs: tuple[Lowered | Ringing | Late, ...]
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -337,7 +337,7 @@ def python_module(
     text += "".join(f"\n{code.rstrip()}\n" for op, code in HELPERS.items() if op in used)
     for piece, result in zip(pieces, program.results, strict=True):
         lines = [f"    n{n} = {_python(program.statements[n])}" for n in program.below(result)]
-        text += f'\n\ndef {piece.name}(columns, t, session):\n    """{_plain(piece.says)}"""\n' + "\n".join(lines)
+        text += f'\n\ndef {piece.name}(columns, t, session):\n    """{_plain(piece.summary)}"""\n' + "\n".join(lines)
         text += f"\n    return n{result}\n"
     components = dict.fromkeys(p.component for p in pieces)
     sums = [

@@ -171,7 +171,7 @@ def _description(program: Program, recording: Recording, components: list[str], 
         head = f'<ScalarVariable name={quoteattr(name)} valueReference="{k}" causality="input" variability="{held}">'
         variables.append(f'{head}<Real start="{start!r}"{unit}/></ScalarVariable>')
     for k, component in enumerate(components, start=len(inputs)):
-        says = "; ".join(p.says for p in program.pieces if p.component == component)
+        says = "; ".join(p.summary for p in program.pieces if p.component == component)
         head = f'<ScalarVariable name={quoteattr(component)} valueReference="{k}" causality="output" '
         head += f'description={quoteattr(says)} variability="continuous">'
         variables.append(f"{head}<Real unit={quoteattr(str(units[k]))}/></ScalarVariable>")

@@ -110,18 +110,13 @@ def _aligned(recording: Recording, component: str, table, wanted: CsvColumn, how
             absent[rows] = True
             continue
         values[rows], outside[rows], gaps[rows] = series.at(t[rows], how.longest_gap)
-        notes += _places(labels[code], t[rows], gaps[rows])
+        for a, b in zip(*stretches(gaps[rows]), strict=True):
+            first, last = t[rows[a]], t[rows[b - 1]]
+            notes.append(f"gap in run {labels[code]}: {b - a} rows from {first:.6g} to {last:.6g} s")
     hidden = len(notes) - MAX_GAPS_LISTED
     notes = notes[:MAX_GAPS_LISTED] + ([f"and {hidden} more gaps"] if hidden > 0 else [])
     why = {"of runs that the file does not have": absent, "outside its time": outside, "inside its gaps": gaps}
     return Values(values, name, why, tuple(notes))
-
-
-def _places(label: str, t: np.ndarray, gaps: np.ndarray) -> list[str]:
-    return [
-        f"gap in run {label}: {b - a} rows from {t[a]:.6g} to {t[b - 1]:.6g} s"
-        for a, b in zip(*stretches(gaps), strict=True)
-    ]
 
 
 def _series(table, simulated: np.ndarray, how: FromCsv, label: str, name: str) -> Series | None:

@@ -3,7 +3,7 @@
 Two ways to fit what was accepted:
 
     whole      a `fit` stage precedes: its terms and the accepted ones together, on the whole deviation
-    mismatch   none does: the accepted terms on recorded less simulated, the simulation being used as it stands
+    mismatch   none does: the accepted terms on recorded less simulated, the simulation being used unchanged
 
 Errors of the measurement (air, drift) are fitted together with the accepted terms as nuisance, so that it does not bias
 them, and is never compensated. A simulation whose own gains are off biases them too: where its values are plainly the
@@ -113,9 +113,10 @@ def _decide(f: Finding, response: ResponseDiagnosis, accept: Accept) -> Decision
     if f.effect == "recalibration":
         return decision if confident and not worse else replace(decision, reason=RECALIBRATION)
     from errpipe.diagnosis.applied import terms_of
+    from errpipe.terms import TERMS
 
     terms = terms_of(f)
-    artefacts = _artefacts_by_effect()
+    artefacts = {kind.reports_as: kind.artefact for kind in TERMS if kind.artefact}  # not the machine's fault
     if f.effect in artefacts or any(not t.compensable for t in terms):
         reason = artefacts.get(f.effect, FORCES if response.unit == "N" else "it is not a deviation of the tool")
         as_nuisance = confident and bool(terms) and all(t.nuisance for t in terms)
@@ -139,13 +140,6 @@ def _decide(f: Finding, response: ResponseDiagnosis, accept: Accept) -> Decision
     if not f.compensable or any(not t.lower(_complete(t, values)) for t in terms):
         return replace(decision, reason="a controller cannot compensate it: it has no compiled form")
     return replace(decision, terms=terms)
-
-
-def _artefacts_by_effect() -> dict[str, str]:
-    """Effects of the measurement, and why the machine is not at fault."""
-    from errpipe.terms import TERMS
-
-    return {kind.reports_as: kind.artefact for kind in TERMS if kind.artefact}
 
 
 def _complete(term: Term, values: dict[str, float]) -> dict[str, float]:
@@ -174,11 +168,11 @@ def parts(recording: Recording, component: str) -> tuple[Term, ...]:
     design = np.ones((simulated.size, 1))
     while len(chosen) < MAX_PARTS and columns:
         unexplained = [(_unexplained_share(np.hstack([design, c]), simulated), k) for k, (_, c) in enumerate(columns)]
-        least, k = min(unexplained)
+        lowest, k = min(unexplained)
         term, column = columns.pop(k)
         chosen.append(term)
         design = np.hstack([design, column])
-        if least < PLAIN:
+        if lowest < PLAIN:
             return tuple(chosen)
     return ()
 
@@ -253,9 +247,9 @@ def _with_one_refused(decisions: list[Decision], why: Exception) -> list[Decisio
     """Refuse one of them: the simulation's own gains first, then the least confident finding, then the nuisance."""
     accepted = [d for d in decisions if d.accepted]
     if accepted:
-        least = min(accepted, key=lambda d: (not d.of_simulation, d.finding.confidence))
+        lowest = min(accepted, key=lambda d: (not d.of_simulation, d.finding.confidence))
         reason = f"it cannot be distinguished from the other accepted terms: {str(why).splitlines()[0]}"
-        return [d.refused(reason) if d is least else d for d in decisions]
+        return [d.refused(reason) if d is lowest else d for d in decisions]
     if any(d.as_nuisance for d in decisions):
         return [replace(d, as_nuisance=False) for d in decisions]
     raise why

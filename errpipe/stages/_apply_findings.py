@@ -135,12 +135,12 @@ def terms_text(done: Sequence[Corrected]) -> str:
         terms = []
         for part in c.parts:
             where = part.finding.where.plain()
-            says = f"  # acts in {flow(where)} only" if where else ""
-            says += (
+            note = f"  # acts in {flow(where)} only" if where else ""
+            note += (
                 "  # corrects the gain of an effect that the simulation includes" if part.finding.effect == GAIN else ""
             )
             for term, values in zip(part.terms, part.values, strict=True):
-                terms.append(f"      - {flow(plain(term) | {'fixed': values})}{says}")
+                terms.append(f"      - {flow(plain(term) | {'fixed': values})}{note}")
         if (c.gain, c.offset) != (1.0, 0.0):
             lines.append(
                 f"# {c.component}: first {c.gain:.6g} times the simulated deviation, plus {c.offset:.6g} {c.unit}."
@@ -184,9 +184,9 @@ def _piece(c: Corrected, part: Part, read: Recording) -> Piece | str:
     all_pairs = tuple(pair for p in pairs for pair in p or ())
     numbers = [f"{n} = {v:.6g}" for values in part.values for n, v in values.items()]
     equations = dict.fromkeys(e for t in part.terms if (e := equation(type(t))))
-    says = ". ".join([f"{effect.replace('_', ' ')} of {c.component} in {c.unit}: {', '.join(numbers)}", *equations])
+    note = ". ".join([f"{effect.replace('_', ' ')} of {c.component} in {c.unit}: {', '.join(numbers)}", *equations])
     name = "".join(ch if ch.isalnum() else "_" for ch in f"{c.component}_{effect}")
-    piece = Piece(name, c.component, c.unit, says, all_pairs, dict(f.where.ranges))
+    piece = Piece(name, c.component, c.unit, note, all_pairs, dict(f.where.ranges))
     off = np.nanmax(np.abs(value(piece, read) - part.contribution))
     return piece if off <= SAME * np.nanmax(np.abs(part.contribution)) else NO_EQUATION
 

@@ -55,12 +55,12 @@ def checklist(
     read = _within_travel(read, table)
     happens = (*_plausible.of_files(read), *_plausible.not_measured(table), *_at_the_axis(table), *_of_force(table))
     if happens:
-        lines += ["## What will happen", "", *(f"- {says}." for says in dict.fromkeys(happens)), ""]
+        lines += ["## What will happen", "", *(f"- {text}." for text in dict.fromkeys(happens)), ""]
     lines += ["## Switch it on", ""]
     steps = (AS_MEASURED, *_numbered(target, table), *_alone(target, table), *target.activation)
     lines += [f"{n}. {step}" for n, step in enumerate(steps, 1)]
     if numbers:
-        lines += ["", "## Enter by hand", "", *(f"- {number.says}." for number in numbers)]
+        lines += ["", "## Enter by hand", "", *(f"- {number.text}." for number in numbers)]
     lines += ["", "## Three-point check", ""]
     if moves := _moves(read):
         lines += [
@@ -135,11 +135,11 @@ def _zeros(target: Any, read: Any, table: CompensationTable, others: Sequence[st
             in_table = _sample.curve(table, axis, axis, x[:-1])
             level = float(np.mean((in_table.up + in_table.down) / 2 - in_file[:-1]))
             if abs(level) > MIN_ZERO_SHIFT:
-                says = (
+                text = (
                     f"reference zero: the file is 0 there; the datum of {axis} keeps the constant {level:+.4f} {unit}"
                 )
                 part = Curve(axis, axis, np.array([low, high]), np.full(2, level), np.full(2, level))
-                out.append(ByHand(says, part))
+                out.append(ByHand(text, part))
     return out
 
 
@@ -164,11 +164,11 @@ def _one_turn(read: ReadBack, table: CompensationTable) -> list[ByHand]:
                 f"{over}: the file covers one turn, {low:g} to {high:g} deg, and its ends are held beyond: the control "
                 f"must count {over} in this range in every turn; with any other count the error can double"
             )
-    return [ByHand(says) for says in out]
+    return [ByHand(text) for text in out]
 
 
 def _from_the_start(read: ReadBack, table: CompensationTable) -> list[ByHand]:
-    """Of lines per kelvin whose table counts from the reading at its start: a file has a fixed reference instead."""
+    """Remarks on lines per kelvin that the table counts from the reading at its start, a file from a fixed one."""
     lines = [] if isinstance(read, WholeTable) else read.lines
     return [
         ByHand(
@@ -196,23 +196,23 @@ def _with_numbers(table: CompensationTable, read: Any, numbers: Sequence[Any]) -
 
 def _of_force(table: CompensationTable) -> list[str]:
     """What a force reading does, and that without one nothing is corrected for it."""
-    says = []
+    texts = []
     for force in (i for i in table.inputs if i.kind == "force"):
         for axis in _sample.outputs_by_axis(table):
             pushed = _sample.corrections(table, axis, {force.name: np.array([0.0, PUSH])}, np.ones(2))
             moved = 1e3 * float(pushed[1] - pushed[0])  # um
             if abs(moved) > 1e-3:
-                says.append(
+                texts.append(
                     f"at {force.name} = {PUSH:g} N and mid travel {axis} is commanded {abs(moved):.3g} um "
                     f"{'less' if moved < 0 else 'more'}; without a reading of {force.name}, with an old one, or one "
                     f"beyond {force.high:g} N, no force correction is made"
                 )
-    return says
+    return texts
 
 
 def _at_the_axis(table: CompensationTable) -> list[str]:
     """How a component that belongs to no axis, such as a diameter, moves the axis that corrects it."""
-    says = []
+    texts = []
     for output in table.outputs:
         for term in output.terms:
             try:
@@ -221,12 +221,12 @@ def _at_the_axis(table: CompensationTable) -> list[str]:
                 continue
             if output.axis and parsed.kind in ("diameter", "circular") and not term.factors:
                 along, less = 10.0 * term.weight, "less" if term.weight > 0 else "more"
-                says.append(
+                texts.append(
                     f"a {components.describe(parsed.name)} of +10 um corresponds to {along:+g} um along {output.axis}: "
                     f"{output.axis} is commanded {abs(along):g} um {less} (factor {term.weight:g}, from acts_on of "
                     "the export or the recording; verify the sign on one turned part)"
                 )
-    return says
+    return texts
 
 
 def _within_travel(read: Any, table: CompensationTable) -> Any:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from errpipe.domain.table import CompensationTable
     from errpipe.validation.gate import Passed
 
-MOST_SENSORS, MOST_ALONE = 6, 15  # compared with each other; monitored individually
+MAX_COMPARED, MAX_INDIVIDUAL = 6, 15  # compared with each other; monitored individually
 # Nodes of a table: per compared sensor and for the rest of the guard, at most 400 (tests/unit/stages/test_guarded.py);
 # per sensor monitored individually.
 NODES_COMPARED, NODES_BESIDE, NODES_ALONE = 55, 17, 25
@@ -95,7 +95,7 @@ class Judge:
         return float(max(shares, default=0.0))
 
     def of_use(self, moved: Mapping[str, float]) -> bool:
-        """Whether what a stand-in leaves is less than `MAX_LEFT` of no compensation, for every component."""
+        """Whether the residual with a substitute is below `MAX_LEFT` of no compensation, for every component."""
         return all(np.hypot(self.left[n], moved[n]) < MAX_LEFT * self.before[n] for n in self.left if n in moved)
 
 
@@ -135,12 +135,12 @@ def watch(judge: Judge, scheme: str | None) -> Watched:
     (one sensor, one run), each is monitored individually and the correction fades if one fails.
     """
     held = short_gaps_held(judge.recording)
-    most = min(MOST_SENSORS, (judge.room() - NODES_BESIDE) // NODES_COMPARED)
-    if most < 2:
+    max_count = min(MAX_COMPARED, (judge.room() - NODES_BESIDE) // NODES_COMPARED)
+    if max_count < 2:
         return _one_by_one(judge, held, "the table has too few free nodes for a comparison", scheme)
-    names = _chosen(judge, held, most)
+    names = _chosen(judge, held, max_count)
     if len(names) < 2:  # add the other sensors of the recording for comparison
-        names = (*names, *(n for n in held.names("temperature") if n not in names))[:most]
+        names = (*names, *(n for n in held.names("temperature") if n not in names))[:max_count]
     try:
         guard, folds = _learnt(held, names, scheme, learn.learn)
     except DataError as why:
@@ -160,8 +160,8 @@ def watch(judge: Judge, scheme: str | None) -> Watched:
     return Watched(guard, said, document)
 
 
-def _chosen(judge: Judge, held: Recording, most: int) -> tuple[str, ...]:
-    """At most so many of the temperatures that the table reads, those that move it most, in the recording's order."""
+def _chosen(judge: Judge, held: Recording, max_count: int) -> tuple[str, ...]:
+    """The `max_count` temperatures with the largest effect on the table, in the recording's order."""
     names = sensors_read(judge.plain, held)
     predicted, run = judge.predicted(judge.plain, held), held.run_codes()
     first = np.maximum.accumulate(np.where(np.r_[True, np.diff(run) != 0], np.arange(run.size), 0))
@@ -170,7 +170,7 @@ def _chosen(judge: Judge, held: Recording, most: int) -> tuple[str, ...]:
         stuck = held.with_columns({name: held.array(name)[first]}, {})
         return judge.cost(judge.rms_difference(judge.predicted(judge.plain, stuck), predicted))
 
-    ranked = sorted(names, key=moves, reverse=True)[:most] if len(names) > most else names
+    ranked = sorted(names, key=moves, reverse=True)[:max_count] if len(names) > max_count else names
     return tuple(n for n in names if n in ranked)
 
 
@@ -192,7 +192,7 @@ def _learnt(
 
 
 def _with_stand_ins(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[Fold]) -> SensorGuard:
-    """The guard, with a mark on each sensor whose estimate is of use, one at a time and in pairs."""
+    """The guard, each sensor with a useful estimate marked: one at a time and in pairs."""
     names, predicted = guard.names(), judge.predicted(judge.plain, held)
     gone = np.zeros((len(names), len(names), len(held)))  # of sensor i where j fails too
     for rows, own in folds:
@@ -262,10 +262,10 @@ def _affordable(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequen
 
 def _one_by_one(judge: Judge, held: Recording, why: str, scheme: str | None) -> Watched:
     """Each sensor monitored individually; no guard if that costs too much with healthy sensors."""
-    most = min(MOST_ALONE, judge.room() // NODES_ALONE)
-    if most < 1:
+    max_count = min(MAX_INDIVIDUAL, judge.room() // NODES_ALONE)
+    if max_count < 1:
         return not_watched(f"{why}; the table has no free nodes")
-    names = _chosen(judge, held, most)
+    names = _chosen(judge, held, max_count)
     try:
         guard, folds = _learnt(held, names, scheme, learn.limits)
     except DataError as lacking:

@@ -202,7 +202,7 @@ def with_positions(model: ErrorModel, axes: Iterable[str], recording: Recording 
 
 
 def turning(model: ErrorModel) -> set[str]:
-    """Rotary axes whose stated travel is a turn or more: they turn on."""
+    """Rotary axes with a stated travel of a turn or more (modulo axes)."""
     ends = {letter: facts["travel"] for letter, facts in model.constants.items() if facts.get("travel")}
     return {x for x, (low, high) in ends.items() if model.constants[x].get("kind") == "rotary" and high - low >= 360.0}
 

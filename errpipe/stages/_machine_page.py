@@ -103,7 +103,8 @@ def page(solved: Solved, title: str) -> str:
     figures += _volume(solved, errors)
     figures += [_component_figure(solved, errors)]
     for test in solved.tests.values():
-        if test.names("error", component="E_R") and _protocol(test) == "ballbar_circle":
+        protocol = test.manifest.constants.get("protocol")
+        if test.names("error", component="E_R") and protocol is not None and str(protocol.value) == "ballbar_circle":
             figures += ballbar_pages(test)
     data = {"title": title or chain.machine.name, "document": document, "figures": figures, "version": __version__}
     data["sign_note"] = _artefacts.SIGN_NOTE if document.get("sign") == "assumed" else ""
@@ -114,11 +115,6 @@ def _component_counts(chain: Chain) -> str:
     counts = {k: v for k, v in chain.counts().items() if v}
     listed = ", ".join(f"{n} {k.replace('_', ' ')}" for k, n in counts.items() if k != "total")
     return f"Drawn from its chain; arrows show each part's own motion for +. {counts['total']} components: {listed}."
-
-
-def _protocol(recording: Any) -> str:
-    named = recording.manifest.constants.get("protocol")
-    return str(named.value) if named is not None else ""
 
 
 def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]:

@@ -65,7 +65,7 @@ class _Largest:
     """The largest correction of an axis, mm (deg), and its sentence; the first one of nearly equal size is used."""
 
     def __init__(self, axis: str) -> None:
-        self.axis, self.size, self.says = axis, 0.0, ""
+        self.axis, self.size, self.sentence = axis, 0.0, ""
 
     def over(self, name: str, at: np.ndarray, both: Mapping[float, np.ndarray], unit: str | None = None) -> None:
         """Take corrections at places of another axis or sensor into account, by side of approach (0: of no side)."""
@@ -74,7 +74,7 @@ class _Largest:
             if abs(corrections[k]) > 1.01 * self.size:
                 self.size = float(abs(corrections[k]))
                 of = side if side and abs(float(both[side][k] - both[-side][k])) > SAME else 0.0
-                self.says = _sentence(self.axis, name, float(at[k]), of, -float(corrections[k]), unit)
+                self.sentence = _sentence(self.axis, name, float(at[k]), of, -float(corrections[k]), unit)
 
 
 def _largest(table: CompensationTable, axis: str) -> _Largest:
@@ -96,18 +96,18 @@ def _largest(table: CompensationTable, axis: str) -> _Largest:
 
 def of_table(table: CompensationTable) -> list[str]:
     """One sentence for each axis that a table moves: where its correction is largest, and its direction."""
-    largest = [says for axis in _sample.outputs_by_axis(table) if (says := _largest(table, axis).says)]
+    largest = [sentence for axis in _sample.outputs_by_axis(table) if (sentence := _largest(table, axis).sentence)]
     return [*_jumps(table), *largest, *not_measured(table)]
 
 
 def _jumps(table: CompensationTable) -> list[str]:
-    """A sentence for outputs whose rate nothing limits, as no table is that errpipe compiled of a model."""
+    """A sentence for outputs without a slew limit, which every table compiled by errpipe has."""
     free = ", ".join(o.name for o in table.outputs if o.slew is None)
-    says = (
+    sentence = (
         f"{free}: the table states no slew: where a position, a direction or a sensor jumps, an evaluator of the whole "
         "table moves the axis as far in one cycle; compile the table again with a slew before it runs"
     )
-    return [says] if free else []
+    return [sentence] if free else []
 
 
 def not_measured(table: CompensationTable) -> list[str]:
@@ -145,14 +145,14 @@ def of_files(read: Any) -> list[str]:
             at[over] = np.linspace(low, high, PLACES)
             sides = {s: read.correction(axis, at, np.full(PLACES, s), cold) for s in (1.0, -1.0)}
             largest.over(over, at[over], sides)
-        says = [largest.says] if largest.says else []
-        out += says or [_per_kelvin(line) for line in read.lines if line.axis == axis][:1]
+        per_kelvin = [_per_kelvin(line) for line in read.lines if line.axis == axis][:1]
+        out += [largest.sentence] if largest.sentence else per_kelvin
     return out
 
 
 def _per_kelvin(line: Any) -> str:
-    says = _sentence(line.axis, line.sensor, line.reference + 1.0, 0.0, -line.level, "degC")
-    return f"{says} (1 K above the reference, at {line.axis} = {line.zero:g})"
+    sentence = _sentence(line.axis, line.sensor, line.reference + 1.0, 0.0, -line.level, "degC")
+    return f"{sentence} (1 K above the reference, at {line.axis} = {line.zero:g})"
 
 
 def _sentence(axis: str, over: str, at: float, side: float, deviation: float, over_unit: str | None = None) -> str:

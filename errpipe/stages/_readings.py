@@ -17,7 +17,7 @@ from errpipe.errors import DataError, did_you_mean
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
 
-MOST_BYTES, MOST_CELLS = 64 << 20, 10_000_000  # of a file of readings: one a second for a year has 32 million bytes
+MAX_BYTES, MAX_CELLS = 64 << 20, 10_000_000  # of a file of readings: one a second for a year has 32 million bytes
 
 
 def read(path: Path, recording: Recording, components: Sequence[str]) -> pd.DataFrame:
@@ -54,12 +54,12 @@ def _table(path: Path) -> pd.DataFrame:
         raise DataError(f"{path}: there is no such file (readings, .csv or .parquet, are needed)")
     if path.suffix not in (".csv", ".parquet"):
         raise DataError(f"{path}: found suffix {path.suffix or 'none'} (allowed: .csv, .parquet)")
-    data = io.BytesIO(files.read(path, MOST_BYTES, DataError))
+    data = io.BytesIO(files.read(path, MAX_BYTES, DataError))
     try:
         if path.suffix == ".parquet":
             facts = pq.read_metadata(data)
-            if facts.num_rows * facts.num_columns > MOST_CELLS:
-                raise DataError(f"{path}: holds {facts.num_rows} rows (at most {MOST_CELLS} cells are read)")
+            if facts.num_rows * facts.num_columns > MAX_CELLS:
+                raise DataError(f"{path}: holds {facts.num_rows} rows (at most {MAX_CELLS} cells are read)")
             return pd.read_parquet(data)
         return pd.read_csv(data, dtype=str, keep_default_na=False, skip_blank_lines=False)
     except (ValueError, OSError) as err:  # pandas' and pyarrow's own errors are among them

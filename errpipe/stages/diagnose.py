@@ -55,18 +55,18 @@ def diagnose(
         raise UsageError(str(err)) from None
     jsonfile.write(Path(out) / "diagnosis.json", document)
     jsonfile.write_text(Path(out) / "report.html", page)
-    says = [*_twin_sign_and_unit.warnings(read), *(r.says for r in diagnosis.responses)]
-    summary = {"says": says, "verdicts": {r.component: r.verdict for r in diagnosis.responses}}
+    lines = [*_twin_sign_and_unit.warnings(read), *(r.says for r in diagnosis.responses)]
+    summary = {"says": lines, "verdicts": {r.component: r.verdict for r in diagnosis.responses}}
     if apply is not None:
         later = lambda share, text: progress(0.5 + 0.5 * share, f"once more: {text}")  # noqa: E731
         applied = _apply_findings.apply_findings(read, diagnosis, Path(apply), held, parameters, later)
-        says += [*_apply_findings.in_words(applied), *(str(f) for f in sorted(Path(apply).iterdir()))]
+        lines += [*_apply_findings.in_words(applied), *(str(f) for f in sorted(Path(apply).iterdir()))]
         summary |= {"apply": applied}
     elif any(r.verdict == "missing_physics" for r in diagnosis.responses):
-        says.append(
+        lines.append(
             "--apply DIR writes the simulation with the missing physics added: recording, terms, patch.py, patch.fmu"
         )
-    says.append(str(Path(out) / "report.html"))
+    lines.append(str(Path(out) / "report.html"))
     return summary
 
 

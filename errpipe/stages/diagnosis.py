@@ -1,4 +1,4 @@
-"""What a simulation leaves out, and the terms of it that the next export may compensate."""
+"""Effects missing from a simulation, and those terms of them that the next export may compensate."""
 
 from __future__ import annotations
 
@@ -64,12 +64,8 @@ class Diagnosis(Stage):
             "refused": [d.plain() for d in decisions if not d.accepted],
         }
         context.write_json("acceptance.json", {**document, "inputs": context.fingerprint})
-        return _summary(diagnosed, document)
-
-
-def _summary(diagnosis: Any, document: Mapping[str, Any]) -> dict[str, Any]:
-    summary = {r.component: r.says or r.verdict for r in diagnosis.responses}
-    for what in ("accepted", "refused"):
-        rows = [f"{d['effect']} ({d['component']})" for d in document[what]]
-        summary[what] = ", ".join(rows) or "nothing"
-    return summary
+        summary = {r.component: r.says or r.verdict for r in diagnosed.responses}
+        for what, decided in (("accepted", True), ("refused", False)):
+            rows = [f"{d.finding.effect} ({d.component})" for d in decisions if d.accepted is decided]
+            summary[what] = ", ".join(rows) or "nothing"
+        return summary

@@ -57,7 +57,12 @@ class Report(Stage):
             version=__version__,
             fingerprint=context.fingerprint[:16],
             sources=_sources(facts, recording, fits[-1].validation),
-            removed=[row for folder in context.every("cleanings").values() for row in _removed(folder)],
+            removed=[
+                {"rule": r["rule"].replace("_", " "), "rows": done["count"], "why": f"{done['what']}: {done['reason']}"}
+                for folder in context.every("cleanings").values()
+                for r in jsonfile.read(folder / "cleaning.json")["rules"]
+                for done in r["done"]
+            ],
             responses=[one for fit in fits for one in _responses(recording, fit)],
             refusal=self.refusal,
             consequences=[says for document in exported.values() for says in document.get("consequences", ())],
@@ -148,14 +153,6 @@ def _readings(validation: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         )
         out.append((f"{c['component']}: occasional readings", by_readings(levels, c["component"], c["unit"]), caption))
     return out
-
-
-def _removed(folder: Path) -> list[dict[str, Any]]:
-    return [
-        {"rule": rule["rule"].replace("_", " "), "rows": done["count"], "why": f"{done['what']}: {done['reason']}"}
-        for rule in jsonfile.read(folder / "cleaning.json")["rules"]
-        for done in rule["done"]
-    ]
 
 
 def _responses(recording: Any, fit: _Fit) -> list[Any]:
@@ -276,11 +273,8 @@ def _outside(model: Any, name: str) -> str:
 
 def _exported(exported: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Files of every table; with their stage's name before them where there are several stages."""
-    if len(exported) < 2:
-        return [row for document in exported.values() for row in document["files"]]
-    return [
-        {**row, "file": f"{stage}/{row['file']}"} for stage, document in exported.items() for row in document["files"]
-    ]
+    heads = {stage: f"{stage}/" if len(exported) > 1 else "" for stage in exported}
+    return [{**row, "file": heads[name] + row["file"]} for name, made in exported.items() for row in made["files"]]
 
 
 def _left_out(exported: Mapping[str, Mapping[str, Any]]) -> list[str]:

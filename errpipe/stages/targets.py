@@ -58,11 +58,11 @@ def compare_targets(table: Path) -> dict[str, Any]:
 
 
 def together(targets: Iterable[Any]) -> list[tuple[Any, ...]]:
-    """Every choice of two or more targets whose files one controller adds up."""
+    """Every combination of two or more targets that one controller adds up."""
 
     targets = tuple(targets)
-    most = max((len(t.goes_with) for t in targets), default=0) + 1
-    choices = [c for size in range(2, most + 1) for c in combinations(targets, size)]
+    max_targets = max((len(t.goes_with) for t in targets), default=0) + 1
+    choices = [c for size in range(2, max_targets + 1) for c in combinations(targets, size)]
     return [c for c in choices if all((b.name in a.goes_with or a.name in b.goes_with) for a, b in combinations(c, 2))]
 
 

@@ -21,9 +21,9 @@ from errpipe.tables import pack
 from errpipe.tables.reference import Evaluator
 
 _OUTSIDE = sum(1 << t.STATUS.index(bit) for bit in ("fading", "defaulted", "beyond_profile"))
-SHORT = 4000  # rows: the reference evaluator replays them (0.2 s) before Numba has loaded its twin (0.5 s); 3 inputs
-LONG = 500_000  # rows of a table: then in blocks, a third of the time; these take 0.15 s, compiling blocks 8 s
-FEW = 1024  # rows that are taken one by one where a block does not stand; chosen: a call of a kernel costs 20 us
+REPLAYED = 4000  # rows that the reference evaluator replays: 0.2 s for 3 inputs, Numba takes 0.5 s to load
+UNBLOCKED = 500_000  # rows of a table: then in blocks, a third of the time; these take 0.15 s, compiling blocks 8 s
+SINGLE = 1024  # rows evaluated singly where a block is invalid; chosen: a call of a kernel costs 20 us
 _replayed = 0  # rows, by this process
 
 
@@ -62,7 +62,7 @@ class Rows:
         self._walk = self._plain() if self._compiled is None else self._compiled.walk()
 
     def __call__(self, columns: Mapping[str, np.ndarray], time: np.ndarray, run: np.ndarray) -> Replay:
-        """What the table says about the next rows; arguments and refusals as of `evaluate`."""
+        """Evaluation of the next rows; arguments and errors as of `evaluate`."""
         table = self.table
         lacking = [i.name for i in table.inputs if not i.optional and i.name not in columns]
         if lacking:
@@ -124,9 +124,9 @@ class _Compiled:
         def walk(columns, time, run, goes_on, before, *results) -> None:
             nonlocal work
             self.rows += run.size
-            if work is None and self.rows > LONG:
+            if work is None and self.rows > UNBLOCKED:
                 work = self._workspace(state)
-            done, step = 0, run.size if work is None else FEW
+            done, step = 0, run.size if work is None else SINGLE
             while done < run.size:
                 if work is not None and goes_on:
                     done = table_replay.replay(program, plan, work, state, columns, time, run, before, done, *results)
@@ -164,7 +164,7 @@ def worth_compiling(rows: int) -> bool:
     """Whether rows to be replayed now, with those of this process before them, repay the start of Numba."""
     global _replayed
     _replayed += rows
-    return _replayed > SHORT
+    return _replayed > REPLAYED
 
 
 class Positions:
@@ -172,7 +172,7 @@ class Positions:
 
     moving: names of the inputs that `points` holds, in the order of its columns; readings: the other inputs
     (those not named are at their default). Every point is the first cycle of a run: lags stand at their
-    operand, directions at their start value unless an input knows better. Raises KeyError for an unknown input.
+    operand, directions at their start value unless an input states them. Raises KeyError for an unknown input.
     """
 
     def __init__(
@@ -232,7 +232,7 @@ def _plan(
     """Order in which the blocks of a table are evaluated.
 
     A profile is written to its component at once where its only pair is the component's first, is kept outside
-    validity, and has a driver that stands still; before all blocks where the profile stands still too. Two neighbours
+    validity, and has a constant driver; before all blocks where the profile is constant too. Two neighbours
     on one grid are evaluated together.
     """
     components = 1 + max(int(records["component"].max(initial=0)) for records in (program.pairs, program.terms))

@@ -72,7 +72,7 @@ def compile_table(
     error_bound: float = 0.01,
     position_cycle_s: float = 0.001,
     thermal_cycle_s: float = 1.0,
-    most_intervals: int = 16384,
+    limit: int = 16384,
     **stated: Unpack[Stated],
 ) -> t.CompensationTable:
     """Compile components into a table.
@@ -91,7 +91,7 @@ def compile_table(
     flat = [g for own_groups in groups for g in own_groups]
     seen, turns = _turns(inputs, travel or {}, turning)
     flat = [g.closed(*seen[g.axis]) if g.axis in turns and g.period is None else g for g in flat]
-    made = [g.profile(build, spans, seen, error_bound, most_intervals) for g in flat]
+    made = [g.profile(build, spans, seen, error_bound, limit) for g in flat]
     made = _on_common_grids(flat, made)
     used = {n.input for n in build.nodes if isinstance(n, t.InputNode)} | {p.input for p in made}
     made += _travels([i for i in inputs if i.name in used], travel or {}, turns, made)
@@ -198,7 +198,7 @@ class _Group:
         return _Group(self.driver, self.axis, turn.TURN, [whole], one.start, one.change)
 
     def profile(
-        self, build: Nodes, spans: list[bounds.Span], travel: Mapping[str, bounds.Span], bound: float, most: int
+        self, build: Nodes, spans: list[bounds.Span], travel: Mapping[str, bounds.Span], bound: float, limit: int
     ) -> t.Profile:
         if self.axis is None:
             return _constant(float(self.curve(np.zeros(1))[0]))
@@ -214,13 +214,15 @@ class _Group:
             if self.period is not None:
                 low, high = self.start, self.start + self.period
             what, periodic = f"profile over {self.axis}", self.period is not None
-            made = grid(self.curve, low, high, bound=bound / factor, unit=unit, periodic=periodic, most=most, what=what)
+            made = grid(
+                self.curve, low, high, bound=bound / factor, unit=unit, periodic=periodic, limit=limit, what=what
+            )
         if len(set(made.values)) == 1 and not self.closing:
             return _constant(made.values[0] * made.scale)
         return self.stated(made, channel.name)
 
     def stated(self, made: t.Profile, channel: str) -> t.Profile:
-        """The profile over its input, with all that sets it apart from its curve in its error."""
+        """The profile over its input; its error includes every difference from its curve."""
         error = made.interpolation_error + self.closing
         return t.Profile.model_validate(made.model_dump() | {"input": channel, "interpolation_error": error})
 

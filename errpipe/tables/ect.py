@@ -139,8 +139,8 @@ def _section_index(data: bytes) -> dict[int, tuple[int, int]]:
         entry = lay.SECTION.unpack_from(data, lay.SECTIONS_AT + position * lay.SECTION.size)
         if entry[:2] != (number, record.size):
             raise VerifyError(f"section {number} ({what}): id {entry[0]} with records of {entry[1]} bytes")
-        if entry[2] > lay.MOST[number]:
-            raise VerifyError(f"{entry[2]} {what} (allowed: {lay.MOST[number]})")
+        if entry[2] > lay.MAX_RECORDS[number]:
+            raise VerifyError(f"{entry[2]} {what} (allowed: {lay.MAX_RECORDS[number]})")
         if entry[3] != at:
             raise VerifyError(f"section {number} ({what}) starts at {entry[3]}, not at {at}")
         size = record.size * entry[2]

@@ -2,7 +2,7 @@
 
 Positions lie within given ranges and every other input within its validity (one without validity stands at its
 default). Lags have reached their operand, references are those of a given state, every axis was approached from one
-side. Curves are straight between the knots of their axis. An unknown stands for an input (centre + half * unknown),
+side. Curves are straight between the knots of their axis. An unknown represents an input (centre + half * unknown),
 for a side (-1 or 1), or, where its name begins with `~`, for what a straight line misses; each of these is bounded,
 so `maximum.largest` of an expansion is a bound.
 """
@@ -77,7 +77,8 @@ class Expansion:
         for axis, (low, high) in ranges.items():
             candidates = list((more or {}).get(axis, ()))
             for table in tables:
-                candidates += _knots(table, axis, low, high)
+                names = {i.name for i in table.inputs if i.kind == "position" and i.axis == axis}
+                candidates += _knots_of(table, names, low, high)
             self.knots[axis] = _within(candidates, low, high)
         for table in tables:
             for channel in _bent_inputs(table, self.knots)[:MAX_CURVED_INPUTS]:
@@ -245,9 +246,9 @@ class Expansion:
             return [Term(value(low))]
         first, last = value(low), value(high)
         slope = (last - first) / (high - low)
-        least, most = _off(value, bends, low, high, first, last)
-        offset = first - slope * low + (least + most) / 2
-        return [Term(offset), *scaled(of, slope), *self.missed((most - least) / 2)]
+        lowest, highest = _off(value, bends, low, high, first, last)
+        offset = first - slope * low + (lowest + highest) / 2
+        return [Term(offset), *scaled(of, slope), *self.missed((highest - lowest) / 2)]
 
 
 def collected(terms: Terms) -> Terms:
@@ -312,12 +313,6 @@ def _within(candidates: Sequence[np.ndarray], low: float, high: float) -> np.nda
     return every[(every >= low) & (every <= high)]
 
 
-def _knots(table: t.CompensationTable, axis: str, low: float, high: float) -> list[np.ndarray]:
-    """Where the table's curves over an axis bend."""
-    names = {i.name for i in table.inputs if i.kind == "position" and i.axis == axis}
-    return _knots_of(table, names, low, high)
-
-
 def _knots_of(table: t.CompensationTable, names: set[str], low: float, high: float) -> list[np.ndarray]:
     """Grids of profiles and of lookups of some inputs, and where clips of them begin."""
     knots = []
@@ -335,10 +330,10 @@ def _knots_of(table: t.CompensationTable, names: set[str], low: float, high: flo
                     weight, offset = weight * of.weights[0], offset + weight * of.offset
                 of = table.nodes[of.of[0]]
             if weight and isinstance(of, t.InputNode) and of.input in names:
-                bends = [node.low, node.high] if isinstance(node, t.ClipNode) else _grid(node)
+                bends = (
+                    [node.low, node.high]
+                    if isinstance(node, t.ClipNode)
+                    else [node.start + node.step * k for k in range(len(node.values))]
+                )
                 knots.append((np.array(bends) - offset) / weight)
     return knots
-
-
-def _grid(node: t.LookupNode) -> list[float]:
-    return [node.start + node.step * k for k in range(len(node.values))]

@@ -26,29 +26,30 @@ def grid(
     bound: float,
     unit: float = 0.001,
     periodic: bool = False,
-    most: int = MAX_INTERVALS,
+    limit: int = MAX_INTERVALS,
     what: str = "profile",
 ) -> Profile:
     """The profile of `curve` over [low, high] (periodic: one period), without its input.
 
     bound: largest interpolation error allowed, in the curve's unit; unit: the value of one integer step (made
-    ten times larger as often as 32 bits demand). Raises GateError if `most` intervals are not enough and
+    ten times larger as often as 32 bits demand). Raises GateError if `limit` intervals are not enough and
     where the curve is not finite.
     """
     if not low < high:
         raise GateError(f"{what}: nothing to grid between {low:g} and {high:g}")
     first = _evaluate(curve, np.linspace(low, high, SAMPLES + 1), what)
-    intervals = min(_first_guess(first, bound), most)
+    bend = float(np.max(np.abs(np.diff(first, 2)), initial=0.0)) * SAMPLES**2
+    intervals = min(max(1, int(np.ceil((bend / 8.0 / bound) ** 0.5))), limit)
     while True:
         error = interpolation_error(curve, low, high, intervals)
         if error <= bound:
             break
-        if intervals >= most:
+        if intervals >= limit:
             raise GateError(
-                f"{what}: {most} intervals leave {error:.3g} between the grid points (allowed {bound:.3g}). "
+                f"{what}: {limit} intervals leave {error:.3g} between the grid points (allowed {bound:.3g}). "
                 "Allow a larger error, or look for a step in the curve."
             )
-        intervals = min(most, max(intervals + 1, int(np.ceil(intervals * min(4.0, 1.02 * (error / bound) ** 0.5)))))
+        intervals = min(limit, max(intervals + 1, int(np.ceil(intervals * min(4.0, 1.02 * (error / bound) ** 0.5)))))
     return quantise(curve, low, high, max(intervals, 2 if periodic else 1), error, unit, periodic)
 
 
@@ -88,11 +89,6 @@ def interpolation_error(curve: Callable[[np.ndarray], np.ndarray], start: float,
     dense = _evaluate(curve, x, "profile")
     straight = np.interp(x, x[::per_step], dense[::per_step])
     return float(np.max(np.abs(dense - straight)))
-
-
-def _first_guess(samples: np.ndarray, bound: float) -> int:
-    bend = float(np.max(np.abs(np.diff(samples, 2)), initial=0.0)) * SAMPLES**2
-    return max(1, int(np.ceil((bend / 8.0 / bound) ** 0.5)))
 
 
 def _evaluate(curve: Callable[[np.ndarray], np.ndarray], x: np.ndarray, what: str) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Largest lag of corrections, because slow nodes hold their value between two thermal cycles.
 
-`bounds` says what a table can reach; values that are held stay within it. This says what holding them costs: at most
-what a slow node can change by within one thermal cycle, carried through the nodes, pairs and outputs that use it.
+`bounds` gives the range of a table, also of held values. The effect of holding them is at most what a
+slow node can change by within one thermal cycle, carried through the nodes, pairs and outputs that use it.
 """
 
 from __future__ import annotations

@@ -11,9 +11,9 @@ from errpipe.domain.table import CompensationTable, InputNode
 from errpipe.domain.table import Output as TableOutput
 from errpipe.errors import UsageError
 
-LONGEST_NAME = 31  # bytes of an input's name (schemas/ect-2.md)
+MAX_NAME_BYTES = 31  # bytes of an input's name (schemas/ect-2.md)
 # What tables that run together have in common
-LONGEST_TITLE = 127  # characters, as the table holds them
+MAX_TITLE = 127  # characters, as the table holds them
 SHARED = ("table", "position_cycle_s", "slow_every", "ramp_s", "fade_s")
 
 
@@ -53,7 +53,7 @@ def joined(tables: Sequence[CompensationTable]) -> CompensationTable:
 def _title(titles: list[str]) -> str:
     """All titles, each cut to its share where they are too long together: they begin with what to beware of."""
     text = ", ".join(titles)
-    return text if len(text) <= LONGEST_TITLE else ", ".join(t[: LONGEST_TITLE // len(titles) - 2] for t in titles)
+    return text if len(text) <= MAX_TITLE else ", ".join(t[: MAX_TITLE // len(titles) - 2] for t in titles)
 
 
 def _moved(table: CompensationTable) -> set[str]:
@@ -75,7 +75,7 @@ def _refuse_same_axis(tables: Sequence[CompensationTable]) -> None:
 def _renamed(name: str, axis: str) -> str:
     """A name with its axis behind it, as long as a controller can print it."""
     end = f"_{axis}"
-    kept = name.encode()[: LONGEST_NAME - len(end.encode())].decode(errors="ignore")
+    kept = name.encode()[: MAX_NAME_BYTES - len(end.encode())].decode(errors="ignore")
     return kept + end
 
 

@@ -43,11 +43,11 @@ RECORDS = {
     11: ("terms", TERM),
 }
 RECORDS_1 = RECORDS | {1: ("inputs", INPUT_1)}
-_MOST = (
+_MAX_RECORDS = (
     *(t.MAX_INPUTS, t.MAX_OPERANDS, t.MAX_NODES, t.MAX_OPERANDS, t.MAX_LOOKUP_VALUES, t.MAX_PROFILES, t.MAX_VALUES),
     *(t.MAX_COMPONENTS, t.MAX_PAIRS, t.MAX_OUTPUTS, t.MAX_MONOMIALS),
 )
-MOST = dict(zip(RECORDS, _MOST, strict=True))  # records of a section
+MAX_RECORDS = dict(zip(RECORDS, _MAX_RECORDS, strict=True))  # records of a section
 
 KINDS = ("position", "direction", "velocity", "force", "sensor", "speed", "coolant", "load", "tool", "other")
 UNITS = ("um", "urad")

@@ -23,7 +23,7 @@ RISE_S = 0.01  # s in which a correction reaches its slew: no step of its rate e
 
 
 def without(table: t.CompensationTable) -> str:
-    """The first output without magnitude or slew, or with more than the most of either; empty if there is none."""
+    """The first output without magnitude or slew, or with one above its maximum; empty if there is none."""
     for o in table.outputs:
         if o.magnitude is None or o.slew is None or o.magnitude > MAX_MAGNITUDE or o.slew > MAX_RATE:
             return o.name

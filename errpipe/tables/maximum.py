@@ -166,10 +166,10 @@ def _branch(search: _Search) -> Largest:
         order = order[bound[order] > CLOSE * reached]
         if order.size == 0:
             return Largest(max(kept, CLOSE * reached), reached)
-        most = max(1, MAX_BOXES // 2**axes)
-        kept = max(kept, float(bound[order[most:]].max(initial=0.0)))
+        tracked = max(1, MAX_BOXES // 2**axes)
+        kept = max(kept, float(bound[order[tracked:]].max(initial=0.0)))
         last = float(bound[order[0]])
         if kept >= last:
             break
-        box = (2 * box[order[:most], None, :] + halves).reshape(-1, axes)
+        box = (2 * box[order[:tracked], None, :] + halves).reshape(-1, axes)
     return Largest(max(kept, last, CLOSE * reached), reached)

@@ -75,7 +75,7 @@ class Evaluator:
         self.reset()
 
     def take_over(self, before: Evaluator) -> None:
-        """Begin where the evaluator of another table stands: its corrections and its ramp.
+        """Start from the state of another table's evaluator: its corrections and its ramp.
 
         Raises ValueError if the outputs are not the same ones.
         """
@@ -104,7 +104,7 @@ class Evaluator:
         """One cycle. inputs: new readings by name (NaN: a failed one; absent: none since the last cycle).
 
         dt: None at the controller's rate, else s since the row before; enable: corrections are wanted (else they go
-        to 0); hold: they stay as they are, whatever `enable` says. Raises KeyError for an unknown input.
+        to 0); hold: they are frozen, regardless of `enable`. Raises KeyError for an unknown input.
         """
         self._status = t.STATUS_BIT["running"]
         replay = dt is not None

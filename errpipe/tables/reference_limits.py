@@ -96,8 +96,8 @@ class Limits:
         self._rate[n] = rate
         self._correction[n] = before + rate
         if output.magnitude is not None and self._rules_of_2:
-            most = max(output.magnitude, abs(before))  # beyond it where another table left it: comes back at its rate
-            bounded = min(max(self._correction[n], -most), most)
+            bound = max(output.magnitude, abs(before))  # beyond it where another table left it: comes back at its rate
+            bounded = min(max(self._correction[n], -bound), bound)
             if bounded != self._correction[n]:
                 self.status |= t.STATUS_BIT["at_magnitude"]
                 self._correction[n] = bounded

@@ -209,7 +209,7 @@ class ReadBack:
 class ByHand:
     """A number to enter, in words, and the curve that it adds to the files (None: it adds nothing)."""
 
-    says: str
+    text: str
     curve: Curve | None = None
 
 
@@ -297,10 +297,10 @@ class Points:
         return self.start + self.step * np.arange(self.count)
 
 
-def too_many(target: str, points: int, most: int, error_um: float) -> GateError:
+def too_many(target: str, points: int, limit: int, error_um: float) -> GateError:
     """The error of a format whose points do not suffice."""
     return GateError(
-        f"{target}: {points} points are needed, {most} fit; with {most} the error would be {error_um:.3g} um. "
+        f"{target}: {points} points are needed, {limit} fit; with {limit} the error would be {error_um:.3g} um. "
         "Allow a larger error, or choose a target that holds more."
     )
 

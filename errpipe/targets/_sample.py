@@ -165,11 +165,11 @@ def _beyond(values: np.ndarray, x: np.ndarray, end: float, *, backwards: bool = 
     return out
 
 
-def uniform(table: CompensationTable, axis: str, over: str, most: int, error_um: float) -> tuple[Points, float]:
-    """The coarsest uniform grid of at most `most` points within `error_um`, and its largest error in um.
+def uniform(table: CompensationTable, axis: str, over: str, max_points: int, error_um: float) -> tuple[Points, float]:
+    """The coarsest uniform grid of at most `max_points` points within `error_um`, and its largest error in um.
 
     A grid of the table itself is used where no coarser one suffices: its nodes are the measured targets. Where even
-    `most` points do not suffice, they are given with the error they leave.
+    `max_points` points do not suffice, they are given with the error they leave.
     """
     low, high = span(table, over)
     fine = np.linspace(low, high, MAX_CURVE_INTERVALS + 1)
@@ -180,7 +180,7 @@ def uniform(table: CompensationTable, axis: str, over: str, most: int, error_um:
         gaps = (np.interp(fine, grid, np.interp(grid, fine, v)) - v for v in (dense.up, dense.down))
         return 1e3 * max(float(np.abs(gap).max()) for gap in gaps)
 
-    for count in _counts(most, turns(table, over)):
+    for count in _counts(max_points, turns(table, over)):
         points = Points(low, (high - low) / (count - 1), count)
         if interpolation_error_um(points) <= error_um:
             break
@@ -190,21 +190,16 @@ def uniform(table: CompensationTable, axis: str, over: str, most: int, error_um:
     return points, interpolation_error_um(points)
 
 
-def from_zero(table: CompensationTable, axis: str, grid: np.ndarray) -> np.ndarray:
-    """The grid; for a modulo axis, the same steps from 0 to 360 deg, as required by tables that count from 0."""
-    return np.linspace(0.0, TURN, grid.size) if turns(table, axis) else grid
-
-
-def _counts(most: int, turn: bool) -> Iterator[int]:
-    """Numbers of points to try, ascending, at most `most`."""
+def _counts(max_points: int, turn: bool) -> Iterator[int]:
+    """Numbers of points to try, ascending, at most `max_points`."""
     if turn:
-        yield from (n + 1 for n in TURN_INTERVALS if n < most)
+        yield from (n + 1 for n in TURN_INTERVALS if n < max_points)
         return
     count = 2
-    while count < most:
+    while count < max_points:
         yield count
         count = max(count + 1, int(count * 1.25))
-    yield most
+    yield max_points
 
 
 def _own_grids(table: CompensationTable, over: str) -> list[Points]:
@@ -243,12 +238,11 @@ def reach(table: CompensationTable, axis: str) -> tuple[float, float]:
     return span(table, axis) if axis in positions_of(table) else (0.0, 0.0)
 
 
-def moves_with(table: CompensationTable, axis: str, over: str, least_um: float = 0.01) -> bool:
-    """Whether the correction of `axis` changes along `over` by more than `least_um`."""
+def moves_with(table: CompensationTable, axis: str, over: str, threshold_um: float = 0.01) -> bool:
+    """Whether the correction of `axis` changes along `over` by more than `threshold_um`."""
     sampled = curve(table, axis, over, spread(*span(table, over), 301))
-    return (
-        float(max(np.ptp(sampled.up), np.ptp(sampled.down), np.abs(sampled.up - sampled.down).max())) * 1e3 > least_um
-    )
+    largest = max(np.ptp(sampled.up), np.ptp(sampled.down), np.abs(sampled.up - sampled.down).max())
+    return float(largest) * 1e3 > threshold_um
 
 
 def lost_motion(table: CompensationTable) -> dict[str, float]:

@@ -16,14 +16,14 @@ from errpipe.targets._base import ByHand, Curve, ReadBack, Target
 class ScrewMap(Target):
     """Base of the formats that hold screw maps: `file_of` writes one axis, `curve_of` reads one file."""
 
-    most: ClassVar[int]  # points of one curve
+    max_points: ClassVar[int]  # points of one curve
     error_um: ClassVar[float]  # of interpolation, where so few points do
 
     @classmethod
     def own_axes(cls, table: CompensationTable) -> list[tuple[int, str]]:
         """(number, letter) of each axis that is corrected over its own position. Raises GateError without any."""
-        known, corrected = _sample.positions_of(table), _sample.outputs_by_axis(table)
-        axes = [(n, a) for n, a in enumerate(_sample.axes_of(table), 1) if a in known and a in corrected]
+        lost_motion, corrected = _sample.positions_of(table), _sample.outputs_by_axis(table)
+        axes = [(n, a) for n, a in enumerate(_sample.axes_of(table), 1) if a in lost_motion and a in corrected]
         if not axes:
             raise GateError(f"{cls.name}: no axis of the table is corrected over its own position")
         return axes
@@ -31,7 +31,7 @@ class ScrewMap(Target):
     @classmethod
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
         """Equidistant positions of an axis' map: as few as the error allows."""
-        return _sample.uniform(table, axis, axis, cls.most, cls.error_um)[0].positions()
+        return _sample.uniform(table, axis, axis, cls.max_points, cls.error_um)[0].positions()
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
@@ -46,10 +46,10 @@ class ScrewMap(Target):
         if "both directions" in cls.holds:
             lost: dict[str, float | None] = dict.fromkeys(c.axis for c in read.curves)
         else:
-            known = _sample.lost_motion(table)
-            lost = {axis: known.get(axis, 0.0) for _, axis in cls.own_axes(table)}
-        says, held = "the control's backlash value", "= 0 (the file holds both)"
-        return tuple(_sample.backlash_by_hand(table, a, f"{a}: {says}", value, held) for a, value in lost.items())
+            lost_motion = _sample.lost_motion(table)
+            lost = {axis: lost_motion.get(axis, 0.0) for _, axis in cls.own_axes(table)}
+        parameter, held = "the control's backlash value", "= 0 (the file holds both)"
+        return tuple(_sample.backlash_by_hand(table, a, f"{a}: {parameter}", value, held) for a, value in lost.items())
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:

@@ -32,7 +32,7 @@ class AerotechCal(ScrewMap):
         "home; read the axis' calibration correction back at three points: it must be the list below",
     )
 
-    most, error_um = 5000, 0.05
+    max_points, error_um = 5000, 0.05
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:

@@ -42,12 +42,12 @@ class BeckhoffSsfk(ScrewMap):
     )
     goes_with = ("beckhoff_crosscomp", "beckhoff_temperature")
 
-    most, error_um = MAX_POINTS, 0.1
+    max_points, error_um = MAX_POINTS, 0.1
 
     @classmethod
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
         """Node distance and start are whole tenths of a micrometre, so the grid is laid on them."""
-        points, _ = _sample.uniform(table, axis, axis, cls.most, cls.error_um)
+        points, _ = _sample.uniform(table, axis, axis, cls.max_points, cls.error_um)
         start, step = round(points.start / TENTH_UM), max(1, int(np.ceil(points.step / TENTH_UM - 1e-6)))
         return (start + step * np.arange(points.count)) * TENTH_UM
 

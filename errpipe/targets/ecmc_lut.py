@@ -36,7 +36,7 @@ class EcmcLut(ScrewMap):
         "it acts only once the encoder is homed: compare the actual position before and after enabling at three points",
     )
 
-    most, error_um = 5000, 0.02
+    max_points, error_um = 5000, 0.02
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:

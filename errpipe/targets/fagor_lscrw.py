@@ -40,11 +40,12 @@ class FagorLscrw(ScrewMap):
         "home; compare three points from both sides with a gauge",
     )
 
-    most, error_um = 1000, 0.1
+    max_points, error_um = 1000, 0.1
 
     @classmethod
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
-        return _sample.from_zero(table, axis, super().grid(table, axis))
+        grid = super().grid(table, axis)  # from 0 over a turn, as the control counts
+        return np.linspace(0.0, _sample.TURN, grid.size) if _sample.turns(table, axis) else grid
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:

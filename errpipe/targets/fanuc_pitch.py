@@ -29,9 +29,9 @@ from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, Points, ReadBack
 from errpipe.targets._screw_map import ScrewMap
 
 UNIT = 1e-3  # mm, one detection unit
-LARGEST, MOST = 7, 1024  # pulses of one increment; points
+MAX_PULSES, MAX_POINTS = 7, 1024  # pulses of one increment; points
 TO_INTERVAL = 7500  # mm/min (deg/min) of rapid traverse per mm (deg) of the interval, parameter 3624
-SHORTEST = {"mm": 4.0, "deg": 2.0}  # interval for 30 m/min and 42 rpm; shorter only where values need it
+MIN_INTERVAL = {"mm": 4.0, "deg": 2.0}  # interval for 30 m/min and 42 rpm; shorter only where values need it
 SPARE = 3  # points that a grid laid around the reference may need more than one laid from the end of travel
 FILE = "PITCH.TXT"
 
@@ -65,11 +65,11 @@ class FanucPitch(ScrewMap):
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
         axes = cls.own_axes(table)
-        most = MOST // (2 * len(axes))
+        limit = MAX_POINTS // (2 * len(axes))
         lines, first = ["%", f"({CAUTION.upper()})"], 0
         for number, axis in axes:
-            points, error = _sample.uniform(table, axis, axis, most - SPARE, 0.5)
-            curve = _whole_steps(table, axis, points, most, error)
+            points, error = _sample.uniform(table, axis, axis, limit - SPARE, 0.5)
+            curve = _whole_steps(table, axis, points, limit, error)
             lines += _block(number, axis, first, curve)
             first += 2 * (curve.positions.size - 1 + _sample.turns(table, axis))
         return {FILE: "\n".join([*lines, "%", ""])}
@@ -86,35 +86,31 @@ class FanucPitch(ScrewMap):
         return ReadBack(curves=tuple(_read(int(number), axis, facts, data) for number, axis in axes))
 
 
-def _whole_steps(table: CompensationTable, axis: str, points: Points, most: int, left: float) -> Curve:
+def _whole_steps(table: CompensationTable, axis: str, points: Points, limit: int, left: float) -> Curve:
     """A grid so fine that no point has more than one pulse, or as few as can be; one of it is the reference, 0."""
     low, high = _sample.span(table, axis)
     turns, count = _sample.turns(table, axis), points.count
-    best, largest = None, LARGEST + 1
+    best, largest = None, MAX_PULSES + 1
     while True:
-        count = _of_turn(count) if turns else count
+        if turns:  # points that divide a turn into whole micrometres, at least so many
+            count = 1 + min((n for n in _sample.TURN_INTERVALS if n >= count - 1), default=_sample.TURN_INTERVALS[-1])
         x = _around_reference(low, high, count, turns)
-        enough = best is not None and float(x[1] - x[0]) < SHORTEST[unit_of(axis)]
-        if x.size > most or enough:
+        enough = best is not None and float(x[1] - x[0]) < MIN_INTERVAL[unit_of(axis)]
+        if x.size > limit or enough:
             break
         curve = _sample.at_nodes(table, axis, axis, x)
         zero = int(np.abs(x).argmin())
         pulses = max(int(np.abs(np.diff(_pulses(v, zero))).max()) for v in (curve.up, curve.down))
         if pulses < largest:
             best, largest = curve, pulses
-        if largest <= 1 or count >= most - SPARE:
+        if largest <= 1 or count >= limit - SPARE:
             break
-        count = min(most - SPARE, count + max(1, count // 4))
-    if best is None and x.size <= most:
-        raise GateError(f"fanuc_pitch: {axis} changes by more than {LARGEST} pulses from point to point of {most}")
+        count = min(limit - SPARE, count + max(1, count // 4))
+    if best is None and x.size <= limit:
+        raise GateError(f"fanuc_pitch: {axis} changes by more than {MAX_PULSES} pulses from point to point of {limit}")
     if best is None:
-        raise too_many("fanuc_pitch", x.size, most, left)
+        raise too_many("fanuc_pitch", x.size, limit, left)
     return best
-
-
-def _of_turn(count: int) -> int:
-    """Points that divide a turn into whole micrometres, at least so many."""
-    return 1 + min((n for n in _sample.TURN_INTERVALS if n >= count - 1), default=_sample.TURN_INTERVALS[-1])
 
 
 def _around_reference(low: float, high: float, count: int, turns: bool) -> np.ndarray:
@@ -180,7 +176,7 @@ def _read(number: int, axis: str, facts: Mapping[tuple[int, int], int], data: Ma
     sides = []
     for first in (lowest, negative):
         steps = [data.get(first + k) for k in range(n)]
-        sound = all(s is not None and abs(s) <= LARGEST for s in steps)
+        sound = all(s is not None and abs(s) <= MAX_PULSES for s in steps)
         expect(sound, FILE, f"A{number}: a point is missing or too large")
         sums = np.concatenate(([0.0], np.cumsum(np.array(steps, dtype=float))))
         sides.append((sums - sums[at_reference]) * UNIT)

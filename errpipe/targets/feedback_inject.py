@@ -14,10 +14,10 @@ Direction from the command (the HAL files feed the table from joint.N.pos-cmd). 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from importlib import resources
 
-from errpipe.domain.table import CompensationTable, Output
+from errpipe.domain.table import CompensationTable
 from errpipe.tables import ect
 from errpipe.targets import _sample
 from errpipe.targets._base import HOMED_AT_ONCE, ReadBack, Target
@@ -59,11 +59,12 @@ class FeedbackInject(Target):
     def write(cls, table: CompensationTable) -> dict[str, str]:
         by_axis = _sample.moved_axes(table, cls.name)
         folder = resources.files("errpipe.targets").joinpath("inject")
+        sums = [sum((o.magnitude or 0.0) * o.factor for o in outputs) for outputs in by_axis.values()]
         header, source = (folder.joinpath(name).read_text(encoding="utf-8") for name in CORE)
         facts = {
             "header": header,
             "source": source.replace('#include "feedback_inject.h"\n', ""),
-            "most": f"{max(map(_largest, by_axis.values())):.6f}",
+            "most": f"{max(MIN_LIMIT, *sums):.6f}",
             "axes": [{"letter": axis.lower(), "number": n} for n, axis in enumerate(by_axis)],
             "crc": ect.fingerprint(table),
             "names": ",".join(f"errpipe-inject.{axis.lower()}" for axis in by_axis),
@@ -84,11 +85,6 @@ class FeedbackInject(Target):
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
         return WholeTable.from_array(cls, files, TABLE, "inject_table")
-
-
-def _largest(outputs: Sequence[Output]) -> float:
-    """Sum of the limits of an axis' outputs, mm (deg): more than that the component does not take."""
-    return max(MIN_LIMIT, sum((o.magnitude or 0.0) * o.factor for o in outputs))
 
 
 def _header(table: CompensationTable, size: int) -> str:

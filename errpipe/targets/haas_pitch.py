@@ -26,7 +26,7 @@ INCH = 25.4  # mm
 STEP = INCH / 2  # of HAAS' table: half an inch
 # inch: 127 encoder steps, the largest value, of the coarsest encoder, whose step is the list's own resolution of 0.0001
 # inch. A finer one allows less: 127 / (steps per inch: parameter 5, 19 or 33).
-MOST = 127e-4
+LIMIT = 127e-4
 
 
 class HaasPitch(ScrewMap):
@@ -48,7 +48,7 @@ class HaasPitch(ScrewMap):
         "enter the values on the lead screw compensation page; zero return; compare three points with a gauge",
     )
 
-    most, error_um = 256, 1.0
+    max_points, error_um = 256, 1.0
 
     @classmethod
     def own_axes(cls, table: CompensationTable) -> list[tuple[int, str]]:
@@ -61,17 +61,17 @@ class HaasPitch(ScrewMap):
     @classmethod
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
         low, high = _sample.span(table, axis)
-        if (needed := int(np.ceil((high - low) / STEP - 1e-9)) + 1) > cls.most:
-            raise GateError(f"{cls.name}: {axis}: {needed} values of half an inch are needed, {cls.most} fit")
+        if (needed := int(np.ceil((high - low) / STEP - 1e-9)) + 1) > cls.max_points:
+            raise GateError(f"{cls.name}: {axis}: {needed} values of half an inch are needed, {cls.max_points} fit")
         return high - STEP * np.arange(int(np.ceil((high - low) / STEP - 1e-9)), -1, -1)
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
         mean = curve.mean
         values = ((mean - mean[-1]) / INCH)[::-1]
-        if (largest := float(np.abs(values).max())) > MOST:
+        if (largest := float(np.abs(values).max())) > LIMIT:
             raise GateError(
-                f"{cls.name}: {curve.axis}: a value of {largest:.4f} inch is needed, {MOST:.4f} inch (127 steps) is "
+                f"{cls.name}: {curve.axis}: a value of {largest:.4f} inch is needed, {LIMIT:.4f} inch (127 steps) is "
                 "the largest that any of these controls takes"
             )
         lines = [
@@ -83,15 +83,15 @@ class HaasPitch(ScrewMap):
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
-        says = []
+        entries = []
         for c in read.curves:
             largest = float(np.abs(c.up).max()) / INCH
             if largest > 0:
-                says.append(
+                entries.append(
                     f"{c.axis}: the largest value is {largest:.4f} inch; it takes at most 127 encoder steps, so "
                     f"its steps per inch (parameter 5, 19 or 33) must not be more than {127 / largest:.0f}"
                 )
-        return (*super().by_hand(table, read, others), *map(ByHand, says))
+        return (*super().by_hand(table, read, others), *map(ByHand, entries))
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:

@@ -66,14 +66,16 @@ class HeidenhainCom(Target):
                 files[f"{over}.COM"] = _com(table, over, own, whole)
         if not files:
             raise GateError("heidenhain_com: no axis of the table is corrected over a position")
-        files["CONFIG.CMA"] = _cma(axes, files)
+        named = " ".join(["0", "*", *(letter if f"{letter}.COM" in files else "-" for letter in axes)])
+        head = " ".join(["NR", "ACTIVE", *axes])
+        files["CONFIG.CMA"] = "\n".join(["BEGIN CONFIG.CMA", head, named, "[END]", ""])
         return {name: MARK + text for name, text in files.items()}
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
-        says, held = "the control's own backlash (iTNC: MP710)", "= 0, else lost motion acts twice"
+        parameter, held = "the control's own backlash (iTNC: MP710)", "= 0, else lost motion acts twice"
         own = dict.fromkeys(c.axis for c in read.curves if c.axis == c.over)
-        out = [_sample.backlash_by_hand(table, a, f"{a}: {says}", None, held) for a in own]
+        out = [_sample.backlash_by_hand(table, a, f"{a}: {parameter}", None, held) for a in own]
         for over, (low, high) in read.spans().items():
             if is_rotary(over) and not _sample.turns(table, over) and (low < 0.0 or high > TURN):
                 out.append(
@@ -116,11 +118,6 @@ def _power_of_two(points: Points) -> np.ndarray:
     while math.ceil(length / step - 1e-9) + 1 > MAX_POINTS:
         step *= 2
     return points.start + step * np.arange(math.ceil(length / step - 1e-9) + 1)
-
-
-def _cma(axes: list[str], files: Mapping[str, str]) -> str:
-    named = [letter if f"{letter}.COM" in files else "-" for letter in axes]
-    return "\n".join(["BEGIN CONFIG.CMA", " ".join(["NR", "ACTIVE", *axes]), " ".join(["0", "*", *named]), "[END]", ""])
 
 
 def _read(over: str, text: str) -> list[Curve]:

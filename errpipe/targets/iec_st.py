@@ -86,7 +86,8 @@ class IecSt(Target):
         files = {"ect.st": "\n".join([*units.values(), _data_unit(data, table)]), "example_twincat.st": _example(table)}
         for name, text in units.items():
             files[f"{name}.{'TcDUT' if name in TYPES else 'TcPOU'}"] = _twincat(name, text)
-        files[f"{DATA}.TcGVL"] = _twincat(DATA, _data_block(data, table, capacities))
+        size = f"VAR_GLOBAL\n    nFileSize : DINT := {len(data)};\n    aFile : ARRAY [0..{capacities['BYTES']}] OF BYTE"
+        files[f"{DATA}.TcGVL"] = _twincat(DATA, f"{_shown(table)}{size} := [\n        {_rows(data)}];\nEND_VAR\n")
         files["ect.plcopen.xml"] = _plcopen(units)
         files["errpipe.plcproj"] = _library()
         return files
@@ -101,14 +102,14 @@ class IecSt(Target):
 def capacity_for(table: CompensationTable) -> dict[str, int]:
     """Highest index of each array: at least MIN_CAPACITY, and twice what the table needs."""
     data = ect.dumps(table)
-    most = {}
+    capacity = {}
     for number, (what, record) in lay.RECORDS.items():
         needed = len(ect.section(data, number)) // record.size
-        most[_NAMES.get(what, what.upper())] = max(MIN_CAPACITY[what], 2 * needed, 1) - 1
-    most["FACTORS"] = 4 * (most["TERMS"] + 1) - 1
+        capacity[_NAMES.get(what, what.upper())] = max(MIN_CAPACITY[what], 2 * needed, 1) - 1
+    capacity["FACTORS"] = 4 * (capacity["TERMS"] + 1) - 1
     sizes = {_NAMES.get(what, what.upper()): record.size for what, record in lay.RECORDS.values()}
-    most["BYTES"] = lay.HEADER_SIZE + sum(-(-(most[name] + 1) * size // 8) * 8 for name, size in sizes.items())
-    return most
+    capacity["BYTES"] = lay.HEADER_SIZE + sum(-(-(capacity[name] + 1) * size // 8) * 8 for name, size in sizes.items())
+    return capacity
 
 
 def unit(name: str, capacity: Mapping[str, int]) -> str:
@@ -153,14 +154,6 @@ def _rows(data: bytes) -> str:
     """Only the bytes of this table: a PLC fills the rest with zeros, and FB_EctLoad takes nSize of them."""
     rows = [", ".join(map(str, data[k : k + _BYTES_PER_LINE])) for k in range(0, len(data), _BYTES_PER_LINE)]
     return ",\n        ".join(rows)
-
-
-def _data_block(data: bytes, table: CompensationTable, capacity: Mapping[str, int]) -> str:
-    """Global variables, where a controller has a file for them."""
-    return (
-        f"{_shown(table)}VAR_GLOBAL\n    nFileSize : DINT := {len(data)};\n"
-        f"    aFile : ARRAY [0..{capacity['BYTES']}] OF BYTE := [\n        {_rows(data)}];\nEND_VAR\n"
-    )
 
 
 def _data_unit(data: bytes, table: CompensationTable) -> str:

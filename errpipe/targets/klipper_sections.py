@@ -132,10 +132,10 @@ def _thermal(table: CompensationTable) -> str:
     lines = [line for line in lines if abs(line.level) * 1e3 >= MIN_EFFECT_UM]
     if not lines:
         return ""
-    most = max(lines, key=lambda line: abs(line.level))
-    expect(abs(most.level) <= 1.0, FILE, "more than 1 mm/K")
+    steepest = max(lines, key=lambda line: abs(line.level))
+    expect(abs(steepest.level) <= 1.0, FILE, "more than 1 mm/K")
     return (
         "# the sensor itself (sensor_type, sensor_pin, min_temp, max_temp) is in the same section of printer.cfg\n"
-        f"# sensor {most.sensor} reference {most.reference:.4f}\n"
-        f"[z_thermal_adjust]\ntemp_coeff: {-most.level:.9f}\nmax_z_adjustment: 1.0\n\n"
+        f"# sensor {steepest.sensor} reference {steepest.reference:.4f}\n"
+        f"[z_thermal_adjust]\ntemp_coeff: {-steepest.level:.9f}\nmax_z_adjustment: 1.0\n\n"
     )

@@ -32,7 +32,7 @@ SHIFT = "errpipe-origin-shift.hal"
 THREAD = "servo-thread"
 COUNT_SIZE = "0.0001"  # mm per count of an external offset
 MAX_TABLE_BYTES = 1 << 20  # of a table as C source: more takes the compiler too long
-LONGEST_PIN = 24  # of HAL's 47 characters, with room for the component's name and a prefix
+MAX_PIN_LENGTH = 24  # of HAL's 47 characters, with room for the component's name and a prefix
 _TABLE = re.compile(r"errpipe_table\[(\d+)\][^{]*\{([^}]*)\}")
 
 
@@ -222,7 +222,7 @@ def hal(name: str) -> str:
 
 def _identifier(name: str, taken: set[str]) -> str:
     """Lower-case letters, digits and single underscores, unique among `taken`."""
-    base = re.sub("_+", "_", re.sub("[^a-z0-9]", "_", name.lower())).strip("_")[:LONGEST_PIN].rstrip("_") or "pin"
+    base = re.sub("_+", "_", re.sub("[^a-z0-9]", "_", name.lower())).strip("_")[:MAX_PIN_LENGTH].rstrip("_") or "pin"
     identifier, n = base, 2
     while identifier in taken:
         identifier, n = f"{base}_{n}", n + 1

@@ -49,12 +49,12 @@ class LinuxcncScrew(ScrewMap):
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
-        says = {
+        remedy = {
             True: "no BACKLASH (the file holds both directions)",
             False: "BACKLASH has no effect with a COMP_FILE, and the table has no lost motion: measure both directions",
         }
         out = [
-            ByHand(f"[JOINT_n] of {c.axis}: {says[_sample.depends_on_direction(table, c.axis)]}") for c in read.curves
+            ByHand(f"[JOINT_n] of {c.axis}: {remedy[_sample.depends_on_direction(table, c.axis)]}") for c in read.curves
         ]
         out += [
             ByHand(f"{c.axis}: with WRAPPED_ROTARY the joint counts on: unwind it, or take the HAL component")
@@ -63,7 +63,7 @@ class LinuxcncScrew(ScrewMap):
         ]
         return tuple(out)
 
-    most = MAX_POINTS
+    max_points = MAX_POINTS
     error_um = 0.05  # finer than any screw repeats
 
     @classmethod

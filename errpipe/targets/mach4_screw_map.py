@@ -29,7 +29,7 @@ class Mach4ScrewMap(ScrewMap):
     source = "Mach4 screw mapping page of the controller's maker"
     activation = ("enter start, length and points under screw mapping; enable; compare three points from both sides",)
 
-    most, error_um = 1000, 0.2
+    max_points, error_um = 1000, 0.2
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
@@ -38,8 +38,8 @@ class Mach4ScrewMap(ScrewMap):
             for c in read.curves
         )
         lines = (
-            ByHand(f"{c.axis}: {says}, and each Error line of the file")
-            for c, says in zip(read.curves, numbers, strict=True)
+            ByHand(f"{c.axis}: {setting}, and each Error line of the file")
+            for c, setting in zip(read.curves, numbers, strict=True)
         )
         return (*lines, *super().by_hand(table, read, others))
 

@@ -47,7 +47,11 @@ class MarlinGcode(Target):
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
         head = [f"; {CAUTION}", "G21"]
-        lines = [*head, *_backlash(table)]
+        backlash = _sample.backlash_if_any(table, "marlin_gcode", "XYZ")
+        lines = [
+            *head,
+            *(["M425 F1 " + " ".join(f"{a}{v:.6f}" for a, v in sorted(backlash.items()))] if backlash else []),
+        ]
         if (bed := _sample.bed(table, POINTS)) is not None:
             lines += _mesh(bed)
         if lines == head:
@@ -62,11 +66,6 @@ class MarlinGcode(Target):
         lost = re.findall(r" ([A-Z])([\d.]+)", match[1]) if match else []
         curves = _sample.lost_motions((axis, float(value)) for axis, value in lost)
         return ReadBack(curves=curves, planes=_read_mesh(text))
-
-
-def _backlash(table: CompensationTable) -> list[str]:
-    backlash = _sample.backlash_if_any(table, "marlin_gcode", "XYZ")
-    return ["M425 F1 " + " ".join(f"{a}{v:.6f}" for a, v in sorted(backlash.items()))] if backlash else []
 
 
 def _mesh(plane: Plane) -> list[str]:

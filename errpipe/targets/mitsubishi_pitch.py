@@ -51,7 +51,7 @@ class MitsubishiPitch(ScrewMap):
         "power off and on, reference the axis; compare three points with a gauge",
     )
 
-    most, error_um = 500, 0.5
+    max_points, error_um = 500, 0.5
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
@@ -62,8 +62,8 @@ class MitsubishiPitch(ScrewMap):
                 "mitsubishi_pitch: linear axes only (the manuals consulted do not state how a turn is divided)"
             )
         for number, axis in enumerate(axes):
-            points, _ = _sample.uniform(table, axis, axis, cls.most, cls.error_um)
-            at, step, values = _divided(table, axis, points.step, cls.most)
+            points, _ = _sample.uniform(table, axis, axis, cls.max_points, cls.error_um)
+            at, step, values = _divided(table, axis, points.step, cls.max_points)
             lines += _block(number, axis, first, step, at, values)
             first += at.size
         return {FILE: "\n".join([*lines, "# end", ""])}
@@ -77,7 +77,7 @@ class MitsubishiPitch(ScrewMap):
         return ReadBack(curves=tuple(_read(facts, n) for n in sets))
 
 
-def _divided(table: CompensationTable, axis: str, step: float, most: int) -> tuple[np.ndarray, float, list[int]]:
+def _divided(table: CompensationTable, axis: str, step: float, max_points: int) -> tuple[np.ndarray, float, list[int]]:
     """Division points (numbers from the reference point), the step between them, mm, and what each adds.
 
     The step is halved until no point exceeds a parameter's range. Raises GateError if none is small enough.
@@ -88,7 +88,7 @@ def _divided(table: CompensationTable, axis: str, step: float, most: int) -> tup
         values = _rises(at, _sample.at_nodes(table, axis, axis, at * step))
         if max(map(abs, values)) <= LARGEST:
             return at, step, values
-        if 2 * at.size > most:
+        if 2 * at.size > max_points:
             raise GateError(f"mitsubishi_pitch: {axis} rises by more than {LARGEST} half units from point to point")
         step /= 2
 

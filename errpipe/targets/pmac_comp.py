@@ -51,20 +51,20 @@ class PmacComp(ScrewMap):
         "move 1 mm at a time past one entry: the compensation of motor xx (Mxx69) must read the entry / 16 counts",
     )
 
-    most, error_um = 1000, 0.1
+    max_points, error_um = 1000, 0.1
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
         blocks = []
         for number, axis in cls.own_axes(table):
-            points, error = _sample.uniform(table, axis, axis, cls.most, cls.error_um)
+            points, error = _sample.uniform(table, axis, axis, cls.max_points, cls.error_um)
             low, high = _sample.span(table, axis)
             step = int(np.ceil(points.step * COUNTS - 1e-6))
             turns = _sample.turns(table, axis)
             way = step / COUNTS  # one more entry at either end has its value; beyond it the table repeats
             at = np.arange(points.count - 1) if turns else _sample.around_zero(low - way, high + way, way)
-            if at.size > 2 * cls.most:
-                raise too_many(cls.name, at.size, 2 * cls.most, error)
+            if at.size > 2 * cls.max_points:
+                raise too_many(cls.name, at.size, 2 * cls.max_points, error)
             blocks.append(_block(number, axis, step, at, _sample.at_nodes(table, axis, axis, at * step / COUNTS)))
         return {FILE: "\n".join([f"; {CAUTION}", "CLOSE", *blocks[::-1], "I51=1", ""])}
 
@@ -72,12 +72,12 @@ class PmacComp(ScrewMap):
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
         out = []
         for number, axis in cls.own_axes(table):
-            says = f"leave I{number}86, the motor's backlash, as the file sets it: its tables count from there"
-            out.append(ByHand(f"{axis}: {says}"))
+            text = f"leave I{number}86, the motor's backlash, as the file sets it: its tables count from there"
+            out.append(ByHand(f"{axis}: {text}"))
             if not _sample.turns(table, axis):
                 low, high = next((c.positions[0], c.positions[-1]) for c in read.curves if c.axis == axis)
-                says = f"software limits (I{number}13, I{number}14) within {low:g} to {high:g} {unit_of(axis)}"
-                out.append(ByHand(f"{axis}: {says}: beyond, the table repeats from its other end"))
+                text = f"software limits (I{number}13, I{number}14) within {low:g} to {high:g} {unit_of(axis)}"
+                out.append(ByHand(f"{axis}: {text}: beyond, the table repeats from its other end"))
         return tuple(out)
 
     @classmethod

@@ -47,7 +47,7 @@ from errpipe.targets._base import (
     unit_of,
 )
 
-MOST, TABLES = 200, 8  # points of a table; tables
+MAX_POINTS, MAX_TABLES = 200, 8  # points of a table; tables
 ERROR_UM = 0.1  # between points, at most
 SAME_UM = 0.02  # directions closer than this share one table
 PER_PRODUCT = 4  # tables
@@ -103,7 +103,7 @@ class SinumerikCec(Target):
             for over in _sample.own_first(table, axis):
                 if not _sample.moves_with(table, axis, over):
                     continue
-                points = _sample.exact(_sample.uniform(table, axis, over, MOST, ERROR_UM)[0])
+                points = _sample.exact(_sample.uniform(table, axis, over, MAX_POINTS, ERROR_UM)[0])
                 curve = _sample.at_nodes(table, axis, over, points.positions(), relative=rest)
                 if screws and over == axis:
                     half = (curve.up - curve.down) / 2  # what one curve for both directions cannot express
@@ -120,11 +120,11 @@ class SinumerikCec(Target):
             raise NothingToAddError(f"sinumerik_cec: {' and '.join(others)} say all that it could")
         if not blocks:
             raise GateError("sinumerik_cec: no axis of the table is corrected over a position")
-        if len(blocks) > TABLES:
-            raise GateError(f"sinumerik_cec: {len(blocks)} tables are needed, {TABLES} fit")
+        if len(blocks) > MAX_TABLES:
+            raise GateError(f"sinumerik_cec: {len(blocks)} tables are needed, {MAX_TABLES} fit")
         remarks = ""
-        most_products = (TABLES - len(blocks)) // PER_PRODUCT
-        for factors in _products(table)[:most_products] if most_products else ():
+        max_products = (MAX_TABLES - len(blocks)) // PER_PRODUCT
+        for factors in _products(table)[:max_products] if max_products else ():
             remarks += (
                 f"; tables {len(blocks)} to {len(blocks) + 3}: a product for AX{axes.index(factors.axis) + 1}, in two "
                 "pairs whose own values cancel: experimental, the manual\n"
@@ -154,8 +154,8 @@ class SinumerikCec(Target):
             out.append(_sample.backlash_by_hand(table, axis, f"{axis}: MD32450 BACKLASH", None, held))
         for axis in read.axes():
             own = [np.abs([c.up, c.down]).max() for c in read.curves if c.axis == axis]
-            most_sum = f"{float(sum(own)):.4f} {unit_of(axis)} (the tables' largest values)"
-            out.append(ByHand(f"{axis}: MD32720 CEC_MAX_SUM above {most_sum}"))
+            max_sum = f"{float(sum(own)):.4f} {unit_of(axis)} (the tables' largest values)"
+            out.append(ByHand(f"{axis}: MD32720 CEC_MAX_SUM above {max_sum}"))
         return tuple(out)
 
     @classmethod

@@ -39,11 +39,11 @@ class SinumerikLec(ScrewMap):
     )
     goes_with = ("sinumerik_cec", "sinumerik_temperature")
 
-    most, error_um = 200, 0.1  # 808D fixed; 840D sl by MD38000
+    max_points, error_um = 200, 0.1  # 808D fixed; 840D sl by MD38000
 
     @classmethod
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
-        return _sample.exact(_sample.uniform(table, axis, axis, cls.most, cls.error_um)[0]).positions()
+        return _sample.exact(_sample.uniform(table, axis, axis, cls.max_points, cls.error_um)[0]).positions()
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:

@@ -38,7 +38,7 @@ class TwincatNcTable(ScrewMap):
         "compare AxisRef position with and without Enable at three points, from both sides",
     )
 
-    most, error_um = 2000, 0.05
+    max_points, error_um = 2000, 0.05
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:

@@ -38,7 +38,7 @@ class WeihongAxeserr(ScrewMap):
         "compare three points from both sides with a gauge",
     )
 
-    most, error_um = 1000, 0.1
+    max_points, error_um = 1000, 0.1
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:

@@ -23,6 +23,7 @@ from errpipe.domain.recording import Frozen, Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position_name
 from errpipe.drivers.simulated import Late, Ringing
+from errpipe.terms._place import as_positioning
 from errpipe.yamlfile import quantity
 
 
@@ -94,6 +95,8 @@ class Term(Frozen, ABC):
     is_level: ClassVar[bool] = False  # the deviation where everything else is zero: never shrunk
     one_sensor: ClassVar[bool] = False  # a plain gain on the reading of one sensor
     in_part: ClassVar[Literal["anywhere", "runs", "never"]] = "anywhere"  # may it act on a part: of an axis, or in runs
+    only_located: ClassVar[bool] = False  # a diagnosis tries no binding but those of `located`
+    also_of_positioning: ClassVar[bool] = False  # a diagnosis of EYX tries it as of EXX: `as_positioning`
     on_both_axes: ClassVar[bool] = True  # does it act on both axes of a circular test alike?
     rowwise: ClassVar[bool] = False  # of a row's basis: that row's columns and what `drive` makes of them, nothing else
     # what of its slack is no departure: the first column (the value that a rise is counted from), the first two (and
@@ -157,7 +160,7 @@ class Term(Frozen, ABC):
         return self.rowwise
 
     def penalty(self) -> np.ndarray | None:
-        """Square matrix over the linear parameters whose quadratic form is held small, or None."""
+        """Square matrix over the linear parameters of the quadratic penalty, or None."""
         return None
 
     def starts(self, name: str) -> tuple[float, ...]:
@@ -204,7 +207,9 @@ class Term(Frozen, ABC):
     @classmethod
     def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[Term]:
         """Bindings that a diagnosis tries; raw: the recording as it was read, before gaps were filled."""
-        return cls.bind(recording, component)
+        if cls.only_located:
+            return iter(())
+        return cls.bind(recording, as_positioning(component) if cls.also_of_positioning else component)
 
     @classmethod
     def located(cls, recording: Recording, component: str, signals: Any) -> Iterator[tuple[Term, tuple[float, ...]]]:

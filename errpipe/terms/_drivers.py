@@ -11,7 +11,7 @@ from errpipe.domain.recording import Recording
 
 REFERENCE = 20.0  # degC, ISO 1: the temperature at which lengths are stated
 STEEP = 1e9  # slope at which a clipped line is a sign: inputs are never as small as 1e-9 of their unit, unless 0
-CURVE_POINTS = 1200  # linear interpolation then leaves less than 1e-4 of a tanh or a bell over its range
+CURVE_POINTS = 1200  # the interpolation error is then below 1e-4 of a tanh or a bell over its range
 MAX_INPUT = 1e12  # no input is larger
 
 

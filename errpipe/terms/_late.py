@@ -12,7 +12,7 @@ PRECISION = 1e-5  # sampling steps
 
 
 def shift_of(late: Late, recording: Recording, signals: Signals, trial: np.ndarray, step: float) -> float:
-    """The delay in s that brings the mismatch down most: among those tried (ascending), then between its neighbours.
+    """The delay in s with the smallest residual: among those tried (ascending), then between its neighbours.
 
     step: sampling interval in s.
     """

@@ -19,7 +19,7 @@ MIN_POWER_RATIO = 30.0
 MIN_BASE_TURNS = 6.0
 MAX_ORDER = 100  # highest multiple of a base that is looked for
 NEAR = 0.35  # turns over the positions covered by which a line may miss a multiple of the base
-NEAR_KNOWN = 0.12  # and of a base that is known, for it may make few turns
+KNOWN_BASE_DISTANCE = 0.12  # and of a base that is known, for it may make few turns
 MISSING_BASE = 4  # the base itself may be absent down to this share of the lowest line (cogging: slots and poles)
 FEW_PLACES = 40  # up to so many a repeated profile of chance looks like a wave: see `waves_of_few_places`
 SCATTER = 0.02  # of the longest way between neighbouring places: actual positions nearer than that are of one target
@@ -58,7 +58,7 @@ def at_targets(at: np.ndarray) -> np.ndarray:
     return (np.bincount(target, at) / np.bincount(target))[target]
 
 
-def peaks(at: np.ndarray, signal: np.ndarray, most: int) -> np.ndarray:
+def peaks(at: np.ndarray, signal: np.ndarray, max_peaks: int) -> np.ndarray:
     """Frequencies (1/length) of the strongest waves along `at`, strongest first, to a quarter turn over the span.
 
     From twice the step between places to the positions covered over MIN_TURNS_OF_WAVE. Periodogram of the means of
@@ -84,7 +84,7 @@ def peaks(at: np.ndarray, signal: np.ndarray, most: int) -> np.ndarray:
     allowed = (frequency >= MIN_TURNS_OF_WAVE / span) & (frequency <= 1 / shortest)
     power = np.where(allowed, np.abs(np.fft.rfft(mean * weight, count)), 0.0)
     tops = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
-    return frequency[tops[np.argsort(-power[tops], kind="stable")][:most]]
+    return frequency[tops[np.argsort(-power[tops], kind="stable")][:max_peaks]]
 
 
 def waves_of_few_places(at: np.ndarray, signal: np.ndarray) -> np.ndarray:
@@ -119,7 +119,7 @@ def waves_of_few_places(at: np.ndarray, signal: np.ndarray) -> np.ndarray:
 
 
 def _residual(block: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """What a fit of a block's columns leaves of values (rows,) or (rows, k)."""
+    """Residual of a fit of a block's columns to values (rows,) or (rows, k)."""
     return values - block @ np.linalg.lstsq(block, values, rcond=None)[0]
 
 
@@ -193,7 +193,7 @@ def combs(
     if len(every) > 1 and (best is None or len(best[2]) < len(every)):
         yield every[0][0], tuple(_ratio(f / every[0][0], f * span) for f, _ in every), False
     for base in known:
-        orders = _orders(lines, base, NEAR_KNOWN / span)
+        orders = _orders(lines, base, KNOWN_BASE_DISTANCE / span)
         if orders and (len(orders) > 1 or orders[0][0] > 1):
             yield base, tuple(k for k, _, _ in orders), True
 

@@ -70,7 +70,7 @@ def velocities(recording: Recording, component: str) -> Iterator[tuple[str, str]
 
 
 def axes_acting(recording: Recording, component: str) -> tuple[str, ...]:
-    """Axes whose own deviation along themselves shows in a component: X in EXX and E_X, all of the circle in E_R."""
+    """Axes whose positioning deviation acts on a component: X in EXX and E_X, all of the circle in E_R."""
     present = axes(recording) + axes(recording, "rotary")
     if is_radial(component):
         return axes(recording)[:2]

@@ -40,7 +40,7 @@ class Shape(Frozen, ABC):
         """Columns, shape (rows, parameters), in um per unit of each parameter."""
 
     def penalty(self) -> np.ndarray | None:
-        """Square matrix over the parameters whose quadratic form is held small, or None."""
+        """Square matrix over the parameters of the quadratic penalty, or None."""
         return None
 
 

@@ -64,7 +64,7 @@ def higher_harmonics(x: np.ndarray, period: float) -> Slack:
 
 
 def difference_of_shape(column: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """A column less another, both at unit size: it changes the shape and leaves the size to the other."""
+    """Difference of two columns of unit size: it changes the shape, not the size."""
     return column / max(float(np.std(column)), 1e-12) - base / max(float(np.std(base)), 1e-12)
 
 
@@ -84,13 +84,13 @@ def start_states(recording: Recording, tau: float, first: float, later: float, w
         yield np.where(inside == k, decay, 0.0), first if k == 0 else later
 
 
-def lagged(recording: Recording, values: np.ndarray, tau: float, most: float = 1.0) -> np.ndarray:
+def lagged(recording: Recording, values: np.ndarray, tau: float, max_share: float = 1.0) -> np.ndarray:
     """First-order lag of values with time constant tau in s, started at the input, shape (rows,).
 
     most: share of the longest session that tau may reach; what follows far later than that does not follow at all, and
     less the values it would be their negative, the textbook form itself.
     """
-    tau = min(tau, most * resolved_times(recording)[1])
+    tau = min(tau, max_share * resolved_times(recording)[1])
     return responses.lag(sessions(recording), recording.time(), values, tau, tau, True)
 
 

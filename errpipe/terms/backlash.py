@@ -15,7 +15,7 @@ from errpipe.drivers.motion import direction, direction_column, moving, share
 from errpipe.drivers.sessions import hold
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
-from errpipe.terms._place import as_positioning, axes_acting, is_radial
+from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._search import Speeds
 from errpipe.terms._slack import Slack, of_reversal
 
@@ -43,6 +43,7 @@ class Backlash(Term):
     axis: Axis
     radial: Radial = False
     column: str | None = Field(None, description="Column of the acceleration, by which a mass changes sides.")
+    also_of_positioning = True
     family = "reversal"
     gains = (Parameter("lost_motion", "um", (2.0, 20.0), (-200.0, 200.0), "step between the directions"),)
 
@@ -60,10 +61,6 @@ class Backlash(Term):
             if recording.names("velocity", axis=axis):
                 for column in recording.names("acceleration", axis=axis):
                     yield cls(axis=axis, radial=is_radial(component), column=column)
-
-    @classmethod
-    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[Backlash]:
-        return cls.bind(recording, as_positioning(component))
 
     def splittable_in_batches(self, recording: Recording) -> bool:
         return recording.name("direction", axis=self.axis) is not None
@@ -88,6 +85,6 @@ class Backlash(Term):
 
     def lower(self, parameters: Mapping[str, float]) -> tuple[Lowered, ...] | None:
         if self.column is not None:
-            return None  # no controller knows which side its mass leans on
+            return None  # no controller has the acceleration that decides the side of the mass
         half = -0.5 * parameters["lost_motion"]
         return (Lowered(Direction(axis=self.axis), None, lambda x: np.full(np.shape(x), half)),)

@@ -38,6 +38,7 @@ class ClockOffset(Term):
     shortest: float = quantity("s", "Smallest usual shift.", 10.0)
     longest: float = quantity("s", "Largest shift that is tried.", 600.0)
     family = "measurement"
+    only_located = True
     compensable = False
     artefact = "the clocks of recording and simulation differ: set them right"
     simulated_log_odds = NEVER
@@ -63,15 +64,10 @@ class ClockOffset(Term):
                 yield cls(column=column, shortest=max(USUAL * step, LATE), longest=longest)
 
     @classmethod
-    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[ClockOffset]:
-        """None without an offset: see `located`."""
-        return iter(())
-
-    @classmethod
     def located(
         cls, recording: Recording, component: str, signals: Signals
     ) -> Iterator[tuple[ClockOffset, tuple[float, ...]]]:
-        """The offset that brings the mismatch down most, and a coarse grid: gains of parts are not known yet."""
+        """The offset with the smallest residual, and a coarse grid: gains of parts are not known yet."""
         step, _ = resolved_times(recording)
         for term in cls.bind(recording, component):
             late = step * np.arange(MIN_INTERVALS, STEPS, FINE)

@@ -18,7 +18,7 @@ from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._search import Delays, Located, Signals, resolved_times
 
 MAX_SAMPLE_INTERVAL = 0.1  # s; what comes late in slower logs has another clock: see `clock_offset`
-LEAST, MOST = 0.02, 60.0  # sampling steps
+MIN_STEPS, MAX_STEPS = 0.02, 60.0  # sampling steps
 
 
 class DeadTime(Term):
@@ -35,6 +35,7 @@ class DeadTime(Term):
     column: str | None = Field(None, description="Column of the simulated signal that comes late.")
     axis: str | None = Field(None, description="Axis whose position comes late.")
     family = "servo"
+    only_located = True
     compensable = False
     simulated_log_odds = NEVER
     nuisance = False
@@ -57,20 +58,15 @@ class DeadTime(Term):
             yield cls(axis=axis)
 
     @classmethod
-    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[DeadTime]:
-        """None without a delay: see `located`."""
-        return iter(())
-
-    @classmethod
     def located(cls, recording: Recording, component: str, signals: Signals) -> Located:
         """The delay that reduces the mismatch most; an early signal has another clock."""
         step, _ = resolved_times(recording)
         for term in cls.bind(recording, component):
             if not signals.values or not np.isfinite(term._late(0.0).signal(recording)).all():
                 continue
-            trial = np.r_[-10.0:MOST:0.5] * step
+            trial = np.r_[-10.0:MAX_STEPS:0.5] * step
             delay = shift_of(term._late(0.0), recording, signals, trial, step)
-            if abs(delay) > LEAST * step and (term.axis or delay > 0):
+            if abs(delay) > MIN_STEPS * step and (term.axis or delay > 0):
                 yield term, (delay,)
 
     def _late(self, delay: float, gain: float = 1.0) -> Late:

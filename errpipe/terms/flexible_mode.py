@@ -25,7 +25,7 @@ from errpipe.terms._slack import Slack
 MAX_SAMPLE_INTERVAL = 0.1  # s; structures vibrate at some Hz and more
 RATIO = 1.03  # between trial frequencies; lightly damped modes are followed by the finer steps around the best
 DAMPINGS = (0.01, 0.03, 0.1)  # damping ratios tried
-LEAST_DAMPING, HIGHEST_DAMPING = 1e-4, 0.25  # steel alone has more; beyond it no resonance shows in a spectrum
+MIN_DAMPING, MAX_DAMPING = 1e-4, 0.25  # steel alone has more; beyond it no resonance shows in a spectrum
 BLOCKS = 40  # stretches of rows, for the spread of a spectrum
 CHANCE = 1e-4  # false-alarm probability; some hundred frequencies are tried
 MAX_RESONANCES = 3  # resonances offered of each binding
@@ -48,12 +48,13 @@ class FlexibleMode(Term):
     on_force: bool = Field(False, description="The response is a drive force.")
     ringing: bool = Field(False, description="The simulation holds the static part: only what rings is missing.")
     family = "servo"
+    only_located = True
     compensable = False
     simulated_log_odds = NEVER
     in_part = "never"
     searched = (
         Parameter("frequency", "Hz", (5.0, 300.0), (1e-3, 1e6), "natural frequency", search=Resonances()),
-        Parameter("damping", "1", (0.005, 0.1), (1e-4, HIGHEST_DAMPING), "damping ratio", search=Listed()),
+        Parameter("damping", "1", (0.005, 0.1), (1e-4, MAX_DAMPING), "damping ratio", search=Listed()),
     )
     prior_log_odds = -3.0  # the strongest of a few hundred frequencies is chosen
 
@@ -74,18 +75,13 @@ class FlexibleMode(Term):
                     yield cls(axis=axis, column=column, on_force=on_force, ringing=ringing)
 
     @classmethod
-    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[FlexibleMode]:
-        """None without a frequency: see `located`."""
-        return iter(())
-
-    @classmethod
     def located(cls, recording: Recording, component: str, signals: Signals) -> Located:
         """The resonances that explain most of the mismatch, at several dampings."""
         for term in cls.bind(recording, component):
             if np.isfinite(recording.array(term.column)).all() and signals.values:
                 for frequency in term._strongest(recording, signals):
                     best = term._best(recording, signals, frequency)
-                    if LEAST_DAMPING < best[1] < 0.99 * HIGHEST_DAMPING and term._excited(recording, signals, *best):
+                    if MIN_DAMPING < best[1] < 0.99 * MAX_DAMPING and term._excited(recording, signals, *best):
                         yield term, best
                         for damping in DAMPINGS:
                             yield term, (best[0], damping)
@@ -122,14 +118,14 @@ class FlexibleMode(Term):
         from scipy.optimize import minimize
 
         def loss(at: np.ndarray) -> float:
-            damping = float(np.exp(min(at[1], np.log(HIGHEST_DAMPING))))
+            damping = float(np.exp(min(at[1], np.log(MAX_DAMPING))))
             return -self._explained(recording, signals, frequency * float(np.exp(at[0])), damping)
 
         start = [[0.0, np.log(d)] for d in (0.03, 0.03, 0.1)]
         start[1][0] = 0.01
         simplex = {"initial_simplex": start, "maxfev": 60, "xatol": 1e-4, "fatol": 0.0}
         optimum = minimize(loss, start[0], method="Nelder-Mead", options=simplex).x
-        return frequency * float(np.exp(optimum[0])), float(np.exp(min(optimum[1], np.log(HIGHEST_DAMPING))))
+        return frequency * float(np.exp(optimum[0])), float(np.exp(min(optimum[1], np.log(MAX_DAMPING))))
 
     def _explained(self, recording: Recording, signals: Signals, frequency: float, damping: float) -> float:
         """Sum of squares of the mismatch that a mode explains beyond columns of the motion itself."""

@@ -16,7 +16,7 @@ from errpipe.drivers.sessions import sessions
 from errpipe.kernels import responses
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
-from errpipe.terms._place import as_positioning, axes_acting, is_radial
+from errpipe.terms._place import axes_acting, is_radial
 from errpipe.terms._slack import Slack, bent, start_states
 from errpipe.yamlfile import quantity
 
@@ -41,6 +41,7 @@ class FrictionHysteresis(Term):
     axis: Axis
     radial: Radial = False
     overrun: float = quantity("mm", "Travel that the approach has already made when the target is read.", 0.0)
+    also_of_positioning = True
     family = "reversal"
     simulated_log_odds = -4.0
     gains = (Parameter("lost_motion", "um", (1.0, 10.0), (-200.0, 200.0), "step between directions, saturated"),)
@@ -55,18 +56,9 @@ class FrictionHysteresis(Term):
         for axis in axes_acting(recording, component):
             if recording.names("direction", axis=axis) or recording.names("velocity", axis=axis):
                 sided = bool(recording.names("direction", axis=axis)) and not is_radial(component)
-                yield cls(
-                    axis=axis, radial=is_radial(component), overrun=cls._overrun(recording, axis) if sided else 0.0
-                )
-
-    @classmethod
-    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[FrictionHysteresis]:
-        return cls.bind(recording, as_positioning(component))
-
-    @staticmethod
-    def _overrun(recording: Recording, axis: str) -> float:
-        low, high = travel(recording, axis)
-        return min(OVERRUN, MAX_OVERRUN_SHARE * (high - low))
+                low, high = travel(recording, axis) if sided else (0.0, 0.0)
+                overrun = min(OVERRUN, MAX_OVERRUN_SHARE * (high - low))
+                yield cls(axis=axis, radial=is_radial(component), overrun=overrun)
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
         if self.overrun:

@@ -32,6 +32,7 @@ class PitchCyclic(Term):
     axis: Axis
     radial: Radial = False
     orders: waves.Orders = (1.0,)
+    also_of_positioning = True
     family = "geometric"
     rowwise = True
     on_both_axes = False
@@ -51,10 +52,6 @@ class PitchCyclic(Term):
             for period in dict.fromkeys((*stated, *half, *turn)):
                 yield cls(axis=axis, radial=radial, fixed={"period": period})
             yield cls(axis=axis, radial=radial)
-
-    @classmethod
-    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[PitchCyclic]:
-        return cls.bind(recording, as_positioning(component))
 
     @classmethod
     def located(cls, recording: Recording, component: str, signals: Signals) -> Located:

@@ -19,7 +19,7 @@ from errpipe.terms._search import COARSE_RATIO, Listed, Signals, Speeds, geometr
 
 SHARES = (0.3, 0.4, 0.5, 0.58, 0.66, 0.74, 0.82, 0.9, 0.95)  # of the largest force
 STEPS = 2.0  # sampling steps: the shortest time of a loop that rows resolve
-LONGEST = 0.25  # s; a position loop of Kv = 2 /s, the slowest of machines, at twice its bandwidth
+MAX_TIME = 0.25  # s; a position loop of Kv = 2 /s, the slowest of machines, at twice its bandwidth
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Loops(Listed):
 
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
         shortest = STEPS * resolved_times(recording)[0]
-        return (0.0, *geometric(shortest, LONGEST, COARSE_RATIO)) if shortest < LONGEST else (0.0,)
+        return (0.0, *geometric(shortest, MAX_TIME, COARSE_RATIO)) if shortest < MAX_TIME else (0.0,)
 
 
 class Saturation(OfSimulatedForce):

@@ -24,7 +24,7 @@ from errpipe.terms._slack import Slack
 # the odds against each one of some twenty other effects
 LOG_ODDS_IF_VISIBLE = 3.0
 ROWS_EACH_SIDE = 5  # rows on either side of a jump whose medians give its step
-MOST_JUMPS, MOST_STRETCHES = 6, 16  # of a sensor, that are tried: seen ones first, those between natural jumps last
+MAX_JUMPS, MAX_STRETCHES = 6, 16  # of a sensor, that are tried: seen ones first, those between natural jumps last
 MIN_READINGS = 30  # of a sensor, in which failures are searched for
 MIN_STRETCH_ROWS = 8  # of a stretch; one without a change has four times as many, or a thirtieth of all
 MAX_STEP_RATIO = 2.0  # factor between a jump off and the jump back
@@ -276,7 +276,7 @@ def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = 
         ends = (int(still[0]), int(still[-1])) if seen else (a, b)
         frozen = max(ends[0] - WINDOW // 2, 0), min(ends[1] + WINDOW // 2, n - 1)
         out[frozen] = out.get(frozen, False) or bool(seen)
-    return dict(sorted(sorted(out.items(), key=lambda one: (not one[1], one[0] in natural))[:MOST_STRETCHES]))
+    return dict(sorted(sorted(out.items(), key=lambda one: (not one[1], one[0] in natural))[:MAX_STRETCHES]))
 
 
 def _filled(values: np.ndarray) -> np.ndarray:
@@ -318,7 +318,7 @@ def jumps(filled: np.ndarray, t: np.ndarray, usable: np.ndarray) -> dict[int, fl
     rows = np.flatnonzero((sure > JUMP) & (sure == highest))
     going = (pause > 0) & (pause <= 2.0 * _longer_neighbour(pause))
     plain = going[rows - 1] & usable[rows] & usable[rows - 1]
-    first = np.lexsort((-sure[rows], ~plain))[:MOST_JUMPS]
+    first = np.lexsort((-sure[rows], ~plain))[:MAX_JUMPS]
     return {int(rows[k]): float(np.abs(step[rows[k]]) * plain[k]) for k in first}
 
 

@@ -49,7 +49,7 @@ class Squareness(Term):
 
     @classmethod
     def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[Squareness]:
-        """Also of a straightness: there a fit leaves it to the set-up, but a simulation may lack it."""
+        """Also of a straightness: a fit attributes its slope to the set-up, but a simulation may lack it."""
         yield from cls.bind(recording, component)
         own = own_axis(component)
         if own in axes(recording) and direction_of(component) not in (own, None):

@@ -21,7 +21,7 @@ from errpipe.terms._place import is_radial, linear_axes_acting
 from errpipe.terms._search import Located, Signals, Times, geometric
 from errpipe.terms._slack import Slack, start_states
 
-RATIO, APART = 1.5, 3.0  # between trial time constants; factor between the two of one sensor
+TRIAL_RATIO, MIN_RATIO = 1.5, 3.0  # between trial time constants; factor between the two of one sensor
 MAX_RESIDUAL_SHARE = 0.9  # share of the sum of squares of one time constant, below which two of them are offered
 
 
@@ -94,7 +94,7 @@ class ThermalLag(Term):
         low, high = Times().limits(cls, recording)
         if not (is_deviation(component) and signals.values and recording.name("time") and high > 9 * low):
             return
-        taus = geometric(low, high, RATIO)
+        taus = geometric(low, high, TRIAL_RATIO)
         for sensor in sensors(recording):
             term = cls(sensor=sensor, two_stages=True)
             states = np.column_stack([drive(term._driver(tau), recording)[signals.rows] for tau in taus])
@@ -102,8 +102,8 @@ class ThermalLag(Term):
                 single = term._one(recording, signals, taus)
                 yield cls(sensor=sensor), (single,)
                 one = drive(term._driver(single), recording)[signals.rows]
-                apart = int(np.ceil(np.log(APART) / np.log(taus[1] / taus[0])))
-                best = two_of(states, one, signals.values, apart)
+                gap = int(np.ceil(np.log(MIN_RATIO) / np.log(taus[1] / taus[0])))
+                best = two_of(states, one, signals.values, gap)
                 if best is not None:
                     yield term, (taus[best[0]], taus[best[1]])
 
@@ -136,21 +136,21 @@ class ThermalLag(Term):
         return tuple(Lowered(scaled(self._driver(tau), gain)) for tau, gain in zip(taus, gains, strict=True))
 
 
-def two_of(states: np.ndarray, one: np.ndarray, signals: tuple[np.ndarray, ...], apart: int) -> tuple[int, int] | None:
-    """The two columns, at least `apart` from each other, that best explain the first signal with gains of one sign.
+def two_of(states: np.ndarray, one: np.ndarray, signals: tuple[np.ndarray, ...], gap: int) -> tuple[int, int] | None:
+    """The two columns, at least `gap` from each other, that best explain the first signal with gains of one sign.
 
-    A datum and gains of the other signals are free. None where the best single column, `one`, leaves hardly more.
+    A datum and gains of the other signals are free. None where the best single column, `one`, is hardly worse.
     """
     known = np.column_stack([np.ones(len(states)), *signals[1:]])
     block = np.column_stack([states, one, signals[0]])
     block = block - known @ np.linalg.lstsq(known, block, rcond=None)[0]
     products = block.T @ block
     single = float(products[-2, -1] ** 2 / max(products[-2, -2], 1e-300))
-    most, best = products[-1, -1] - (products[-1, -1] - single) * MAX_RESIDUAL_SHARE, None
+    threshold, best = products[-1, -1] - (products[-1, -1] - single) * MAX_RESIDUAL_SHARE, None
     for i in range(states.shape[1]):
-        for j in range(i + apart, states.shape[1]):
+        for j in range(i + gap, states.shape[1]):
             b = np.linalg.lstsq(products[np.ix_([i, j], [i, j])], products[[i, j], -1], rcond=1e-12)[0]
             explained = float(b @ products[[i, j], -1])
-            if b[0] * b[1] > 0 and explained > most:
-                most, best = explained, (i, j)
+            if b[0] * b[1] > 0 and explained > threshold:
+                threshold, best = explained, (i, j)
     return best

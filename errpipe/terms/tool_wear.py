@@ -86,7 +86,7 @@ class ToolWear(Term):
 
 
 def labels_over(recording: Recording, column: str) -> tuple[str, ...]:
-    """Columns of labels over whose changes a length cut runs on: it never falls, and there are two tools or more."""
+    """Label columns (2 to MAX_TOOLS values) across which a length cut accumulates; none if the length ever falls."""
     cut = recording.array(column)
     if np.any(np.diff(cut[np.isfinite(cut)]) < 0):
         return ()

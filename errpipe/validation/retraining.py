@@ -29,7 +29,7 @@ ALPHA = 0.05  # probability of ever promoting a challenger that is no better tha
 STAKE_SHARES = (0.1, 0.25, 0.5, 0.75, 0.9)
 BATCHES = 10  # largest number of fits for the new runs of one evaluation
 TOLERANCE = 1.02  # a group may be this much worse than no compensation: rounding of small groups, not a real loss
-LEAST_COVERAGE = 0.8  # of the 90 % interval; ISO/IEC Guide 98-3 asks for the stated one, ten groups scatter by 0.1
+MIN_COVERAGE = 0.8  # of the 90 % interval; ISO/IEC Guide 98-3 asks for the stated one, ten groups scatter by 0.1
 NO_BOX = Validity()
 LEAST_RUNS = 3  # of a group, needed for a paired test
 

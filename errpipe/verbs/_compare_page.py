@@ -25,8 +25,8 @@ def draw(changes: Sequence[tuple[str, Change]], findings: Sequence[tuple[str, fl
     with svg.figure(7.2, 2.4 * panels, panels) as (canvas, axes):
         axes = np.atleast_1d(axes)
         for panel, (name, c) in zip(axes, shown, strict=False):
-            at, mean, least, most = np.array(c.by_bin).T
-            panel.fill_between(at, least, most, color=svg.FLOOR, alpha=0.25, linewidth=0, label="least to largest")
+            at, mean, lowest, highest = np.array(c.by_bin).T
+            panel.fill_between(at, lowest, highest, color=svg.FLOOR, alpha=0.25, linewidth=0, label="least to largest")
             panel.plot(at, mean, "o-", color=svg.AFTER, markersize=3, label="mean")
             panel.axhline(0.0, color=svg.INK, linewidth=0.8)
             panel.set_xlabel(c.goes_with)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,7 +37,8 @@ def run_machine(pipeline: str, name: str, sets: Sequence[str], out: str) -> dict
     figures: dict[str, Any] = {"responses": {}, "drift": [], "model": "", "undetermined": False}
     folder, brought_up_to_date = Path(out) / MACHINES / name, set()
     callbacks = runner.Callbacks(finished=lambda step: brought_up_to_date.add(step.name))
-    _reset_peak()
+    with suppress(OSError):  # the peak of this process' memory counts from now (Linux)
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
     try:
         spec = load_pipeline(Path(pipeline), STAGES, sets=sets)
         runner.run(spec, folder, callbacks=callbacks)
@@ -56,14 +58,6 @@ def run_machine(pipeline: str, name: str, sets: Sequence[str], out: str) -> dict
     seconds = time.perf_counter() - begin
     result = {"name": name, "state": state, "message": message, "attempts": 1, "seconds": seconds}
     return figures | result | {"peak_mb": _peak_mb()}
-
-
-def _reset_peak() -> None:
-    """Let the peak of this process' memory count from now, where the system can (Linux)."""
-    try:
-        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
-    except OSError:
-        return
 
 
 def _peak_mb() -> float:

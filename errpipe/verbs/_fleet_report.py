@@ -1,4 +1,4 @@
-"""What a fleet's runs say together: worst machines first, machines that drift, machines alike, pooled parameters."""
+"""Report of a fleet: worst machines first, drifting machines, homogeneous groups, pooled parameters."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def write_report(
 
 
 def _suspicious(results: Sequence[Mapping[str, Any]], types_of: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What each machine alone does not show, in words."""
+    """Warnings that only a comparison of machines gives."""
     out = [f"{', '.join(names)}: the same readings; one recording under several names?" for names in _copies(results)]
     for kind in types_of:
         for component, response in kind["responses"].items():

@@ -1,4 +1,4 @@
-"""Machines of one type together: parameters of the type, who is alike, and what a machine with few runs borrows."""
+"""Machines of one type together: pooled parameters, homogeneous groups, priors for machines with few runs."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from errpipe.fitting import pooling
 from errpipe.verbs.fleet_processes import Task
 
 MIRRORED = (6.0, 2.0)  # spreads that a machine of the other sign is away from its type, at least, and turned, at most
-FEWEST_ALIKE = 5  # machines of a type below which no spread between them is known
+MIN_SPREAD_MACHINES = 5  # machines of a type below which no spread between them is known
 NARROWEST = 1e-6  # of a parameter's size: standard deviation of a prior where machines do not differ
 UNLIMITED = 1e12  # variance inflation that is allowed where every parameter has a prior
 
 
-def responses(models: Mapping[str, ErrorModel], least: int = pooling.MIN_MACHINES) -> dict[str, dict[str, Any]]:
-    """What the machines of a type have in common of each response, from their models by name.
+def responses(models: Mapping[str, ErrorModel], min_machines: int = pooling.MIN_MACHINES) -> dict[str, dict[str, Any]]:
+    """Pooled parameters of each response over the machines of a type, from their models by name.
 
     Mean and spread (covariance between machines) of the parameters where at least so many machines have them.
     """
     out: dict[str, dict[str, Any]] = {}
     for component in dict.fromkeys(c.component for m in models.values() for c in m.components):
         names, keys, estimates, covariances = _estimates(models, component)
-        pooled = pooling.pooled(estimates, covariances, least)
+        pooled = pooling.pooled(estimates, covariances, min_machines)
         out[component] = {
             "parameters": list(keys),
             "machines": names,
@@ -41,7 +41,7 @@ def responses(models: Mapping[str, ErrorModel], least: int = pooling.MIN_MACHINE
 
 
 def draw_together(models: dict[str, ErrorModel], component: str, response: dict[str, Any]) -> None:
-    """Draw the models of a type towards it (`response`: of `responses`); their parameters stand in it as well."""
+    """Shrink the models of a type towards its mean (`response`: of `responses`), which then holds their parameters."""
     if "mean" not in response:
         return
     names, _, estimates, covariances = _estimates(models, component)
@@ -60,17 +60,17 @@ def borrowing(
     models: Mapping[str, ErrorModel | None],
     types: Mapping[str, str],
 ) -> list[Task]:
-    """Tasks of the machines whose runs do not tell their parameters apart, now with priors: the spread of their type.
+    """Tasks of the machines with unidentifiable parameters, with priors: mean and spread of their type.
 
     undetermined: names of these machines; results, models, types: of all machines by name. A machine whose type is
     not known by enough others has no task. Parameters inside a term (time constants) are those of the type.
     """
     out = []
     for pipeline, name, sets, folder in tasks:
-        alike = {n: m for n, kind in types.items() if kind == types[name] and (m := models[n]) is not None}
-        known = responses(alike, pooling.MIN_LENDERS) if name in undetermined else {}
+        same_type = {n: m for n, kind in types.items() if kind == types[name] and (m := models[n]) is not None}
+        known = responses(same_type, pooling.MIN_LENDERS) if name in undetermined else {}
         if known and all("mean" in response for response in known.values()):
-            stage = str(results[next(iter(alike))]["model"]).partition("/")[0]
+            stage = str(results[next(iter(same_type))]["model"]).partition("/")[0]
             components = jsonfile.dumps([_component(n, r) for n, r in known.items()], indent=None).strip()
             keys = [f"{stage}.components={components}", f"{stage}.most_inflation={UNLIMITED:g}"]
             out.append((pipeline, name, [*sets, *keys], folder))
@@ -106,7 +106,7 @@ def _component(name: str, response: Mapping[str, Any]) -> dict[str, Any]:
 
 def _mirrored(names: Sequence[str], estimates: Sequence[np.ndarray], covariances: Sequence[np.ndarray]) -> list[str]:
     """Machines whose parameters lie far from those of the others, and with the other sign among them."""
-    if len(names) < FEWEST_ALIKE:
+    if len(names) < MIN_SPREAD_MACHINES:
         return []
     values = np.array(estimates)
     centre = np.median(values, axis=0)
@@ -124,7 +124,8 @@ def _estimates(
 ) -> tuple[list[str], tuple[str, ...], list[np.ndarray], list[np.ndarray]]:
     """Estimates and covariances of the machines whose model of a response has the commonest parameters."""
     parts = {n: c for n, m in models.items() for c in m.components if c.component == component and c.parameter_names}
-    keys_of = {n: _keys(c) for n, c in parts.items()}
+    names = {n: [(jsonfile.dumps(t.term, indent=None).strip(), p.name) for t, p in _free(c)] for n, c in parts.items()}
+    keys_of = {n: tuple(f"{term}.{name}" for term, name in of) for n, of in names.items()}
     keys = Counter(keys_of.values()).most_common(1)[0][0] if parts else ()
     same = {n: c for n, c in parts.items() if keys_of[n] == keys}
     values = [np.array([p.value for _, p in _free(c)]) for c in same.values()]
@@ -134,11 +135,6 @@ def _estimates(
 def _free(component: ComponentModel) -> list[tuple[FittedTerm, FittedParameter]]:
     """The parameters that were solved for, each with its term, in the order of the covariance."""
     return [(t, p) for t in component.terms for p in t.parameters if p.name not in t.term.get("fixed", {})]
-
-
-def _keys(component: ComponentModel) -> tuple[str, ...]:
-    """What each parameter that was solved for is: its term as declared, and its name."""
-    return tuple(f"{jsonfile.dumps(t.term, indent=None).strip()}.{p.name}" for t, p in _free(component))
 
 
 def with_parameters(model: ErrorModel, component: str, values: np.ndarray, covariance: np.ndarray) -> ErrorModel:

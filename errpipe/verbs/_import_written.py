@@ -74,7 +74,7 @@ def _next(proposal: Proposal, folder: Path) -> str:
 
 
 def _refuse_changed(folder: Path, parts: dict[str, str]) -> None:
-    """Raise UsageError if the folder's recording is not as an import wrote it: somebody's corrections are in it."""
+    """Raise UsageError if the folder's recording was edited after its import."""
     there = {name: folder / name for name in parts if (folder / name).exists()}
     texts = {name: file.read_text("utf-8", errors="replace") for name, file in there.items()}
     if not there or texts == parts:

@@ -53,7 +53,10 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
     """
     lines = text.splitlines()
     candidates = [line for line in lines if WARM in line]
-    cleaned = _cleaned(recording) if candidates and recording is not None and moving(recording) else None
+    cleaned = None
+    if candidates and recording is not None and moving(recording):
+        with suppress(DataError):  # no candidate is a sensor that cleaning excludes
+            cleaned = clean(recording)[0]
     sensors = moving(cleaned) if cleaned is not None else []
     filled = [line.replace(WARM, as_word(name)) for line in candidates for name in sensors]
     steps: list[tuple[int, ...]] = [(k,) for k in range(len(filled))]
@@ -84,13 +87,6 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
     why = f"terms of heat: {what} leaves {heat.after:.3g} um with them, {heat.before:.3g} um without temperatures"
     said = f"{_flow(heat.scheme)}   # {why}"
     return re.sub(r"(?m)^( +holdout: ).*", lambda found: found[1] + said, written(heat.terms)), [why]
-
-
-def _cleaned(recording: Recording) -> Recording | None:
-    """The recording as the pipeline cleans it: a sensor that is set aside is no candidate. None where it is refused."""
-    with suppress(DataError):
-        return clean(recording)[0]
-    return None
 
 
 def as_word(name: str) -> str:
@@ -199,8 +195,8 @@ def _identifiable(recording: Recording, family: Family) -> bool:
 
 def _best(able: Mapping[tuple[int, ...], Sequence[HeldOut]]) -> tuple[int, ...]:
     """The fewest terms within TIE_MARGIN of the least held-out rms."""
-    least = min(map(_rms, able.values()))
-    return min((terms for terms, left in able.items() if _rms(left) <= (1.0 + TIE_MARGIN) * least), key=len)
+    best = min(map(_rms, able.values()))
+    return min((terms for terms, left in able.items() if _rms(left) <= (1.0 + TIE_MARGIN) * best), key=len)
 
 
 def _comparable(without: Sequence[HeldOut], having: Sequence[HeldOut]) -> bool:

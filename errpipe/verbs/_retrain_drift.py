@@ -1,4 +1,4 @@
-"""What moved since the champion was fitted: sensors, its residual, single runs."""
+"""Drift since the champion was fitted: sensors, its residual, single runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from errpipe.fitting.components import evaluate
 from errpipe.validation import input_drift, odd_runs, response_drift, retraining
 from errpipe.validation.what_changed import changed_again, what_changed
 
-LEAST_SLOPE = 1.0  # 1/K2: a run tells a sensor's error to 1 K (a standard error of 1/sqrt(slope)), or does not count
+MIN_SLOPE = 1.0  # 1/K2: a run tells a sensor's error to 1 K (a standard error of 1/sqrt(slope)), or does not count
 
 
 def predictions(model: ErrorModel, recording: Recording) -> dict[str, np.ndarray]:
@@ -51,7 +51,7 @@ def drift(model: ErrorModel, old: Recording, recording: Recording, known: frozen
     The reference is what the champion was fitted on, also where those runs are no longer kept with the new ones.
     """
     both, reference = with_new_runs(old, recording, known)
-    if both is not None:  # where a sensor is silent nothing is predicted: what is left is no change of the machine
+    if both is not None:  # no prediction where a sensor is silent: the residual there is no change of the machine
         unheard = {label for runs in silent(model, both).values() for label in runs}
         heard = ~np.isin(np.asarray(both.run_labels())[both.run_codes()], list(unheard))
         both, reference = (both.take(heard), reference[heard]) if (heard & ~reference).any() else (None, reference)
@@ -67,17 +67,17 @@ def drift(model: ErrorModel, old: Recording, recording: Recording, known: frozen
     sensors = [asdict(d) for d in input_drift.sensor_drift(both, reference, apparent)]
     read = [d["column"] for d in sensors if d["suspected"] and d["column"] in model.columns]
     if read:  # what the champion predicts is wrong, not what was measured
-        says = {"meaning": f"it predicts by {read[0]}, which drifts"}
-        moved["sizes"] = [s | says if s["meaning"] else s for s in moved["sizes"]]
+        meaning = {"meaning": f"it predicts by {read[0]}, which drifts"}
+        moved["sizes"] = [s | meaning if s["meaning"] else s for s in moved["sizes"]]
     wrong = any(s["meaning"] for s in moved["sizes"])
     changes = [] if read or wrong else _changes(model, both, reference, prediction, moved)
     return {"inputs": sensors, **moved, "changes": changes, "runs": odd}
 
 
 def _odd_runs(model: ErrorModel, both: Recording, reference: np.ndarray) -> tuple[list[dict[str, Any]], list[str]]:
-    """New runs that are odd by themselves, and the labels of those that say nothing of what holds since.
+    """New runs that are outliers, and the labels of those that are no evidence of a lasting change.
 
-    Deviations that are odd up to the last run say what holds since: these stay, as do none whose sensors are wrong.
+    Deviations that are outliers up to the last run are a lasting change: these stay; runs with wrong sensors do not.
     """
     sensors = odd_runs.odd_sensors(both, reference)
     wrong = [o.run for o in sensors]
@@ -89,7 +89,7 @@ def _odd_runs(model: ErrorModel, both: Recording, reference: np.ndarray) -> tupl
 
 
 def _changes(model, both, reference, prediction, moved) -> list[dict[str, Any]]:
-    """Which terms of the model moved, for every component whose residual did, since the first run of any sign of it.
+    """Terms of the model that changed, for every component with a changed residual, since the first affected run.
 
     Where the machine changed twice it is since the second time: challengers are fitted on the runs of one machine.
     """
@@ -111,7 +111,7 @@ def _changes(model, both, reference, prediction, moved) -> list[dict[str, Any]]:
 
 
 def _apparent_errors(model: ErrorModel, recording: Recording, prediction, reference) -> dict[str, np.ndarray]:
-    """Column -> how far, per run, the sensor would be off if it alone explained what the champion leaves, K.
+    """Column -> how far, per run, the sensor would be off if it alone explained the champion's residual, K.
 
     Least squares of the residual on the prediction's change per kelvin; columns that the champion does not read, or
     whose constant offset it does not show, are left out.
@@ -128,8 +128,8 @@ def _apparent_errors(model: ErrorModel, recording: Recording, prediction, refere
             slope = np.where(known, warmer[component] - prediction[component], 0.0) / max(noise, 1e-9)
             above, below = above - slope * np.where(known, left, 0.0) / max(noise, 1e-9), below + slope**2
         by_run, weight = np.bincount(run, above), np.bincount(run, below)
-        if np.any(weight > LEAST_SLOPE):
-            out[column] = np.where(weight > LEAST_SLOPE, by_run / np.maximum(weight, LEAST_SLOPE), np.nan)
+        if np.any(weight > MIN_SLOPE):
+            out[column] = np.where(weight > MIN_SLOPE, by_run / np.maximum(weight, MIN_SLOPE), np.nan)
     return out
 
 
@@ -142,7 +142,7 @@ def with_new_runs(old: Recording, recording: Recording, known: frozenset[str]) -
 
 
 def _joined(old: Recording, new: Recording) -> Recording | None:
-    """Two recordings as one, the runs of the second marked apart; None where they share no columns."""
+    """Two recordings as one, the runs of the first relabelled; None where they share no columns."""
     run = old.name("run")
     names = [n for n in old.frame.columns if n in new.frame.columns]
     if run is None or run not in names or len(new) == 0:

@@ -1,4 +1,4 @@
-"""What stops a promotion: conditions that a challenger must meet beside the evidence for it, each with its reason."""
+"""Gates of a promotion: conditions on a challenger in addition to its evidence, each with its reason."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from errpipe.pipeline.spec import Pipeline
 from errpipe.stages import _artefacts
 from errpipe.validation import input_drift
 from errpipe.validation.held_out import in_short
-from errpipe.validation.retraining import LEAST_COVERAGE, Gate
+from errpipe.validation.retraining import MIN_COVERAGE, Gate
 from errpipe.verbs._retrain_drift import silent, with_new_runs
 
-MOST_NAMED = 6  # runs that a gate names
+MAX_NAMED = 6  # runs that a gate names
 
 
 def drifting_sensors(drift: Mapping[str, Any], model: ErrorModel) -> Gate:
@@ -45,11 +45,11 @@ def odd_runs(drift: Mapping[str, Any]) -> Iterator[Gate]:
 
 
 def silent_sensors(model: ErrorModel, recording: Recording) -> Iterator[Gate]:
-    """Which runs are no evidence, as a sensor was silent; no promotion of a model of one that is silent still."""
+    """Runs without evidence, as a sensor was silent; no promotion of a model with a sensor that is still silent."""
     last = recording.run_labels()[-1]
     for name, runs in silent(model, recording).items():
-        more = " and earlier ones" if len(runs) > MOST_NAMED else ""
-        says = f"none in run {', '.join(runs[-MOST_NAMED:])}{more}: no evidence"
+        more = " and earlier ones" if len(runs) > MAX_NAMED else ""
+        says = f"none in run {', '.join(runs[-MAX_NAMED:])}{more}: no evidence"
         says += ", and none in the last run: repair it, or fit without it" if last in runs else ""
         yield Gate(f"readings of {name}", last not in runs, says)
 
@@ -68,7 +68,7 @@ def names(reused: Sequence[str], any_new: bool) -> list[Gate]:
     if not reused:
         return []
     says = (
-        f"{', '.join(reused[:MOST_NAMED])}{', ...' if len(reused) > MOST_NAMED else ''}: called as runs that fitted the"
+        f"{', '.join(reused[:MAX_NAMED])}{', ...' if len(reused) > MAX_NAMED else ''}: called as runs that fitted the"
         " champion, with other readings, and counted as these: give new runs names of their own, or a time with a date"
     )
     return [Gate("names of runs", any_new, says)]
@@ -91,10 +91,10 @@ def narrower(model: ErrorModel) -> list[str]:
     out = []
     for name, (low, high) in model.validity.seen.items():
         unit = model.columns.get(name, {}).get("unit") or ""
-        least, most = model.validity.ranges[name]
+        lowest, highest = model.validity.ranges[name]
         out.append(
-            f"{name}: the challenger is fitted from {low:.4g} to {high:.4g} {unit}, and corrects from {least:.4g} to"
-            f" {most:.4g} {unit}, as the champion does."
+            f"{name}: the challenger is fitted from {low:.4g} to {high:.4g} {unit}, and corrects from {lowest:.4g} to"
+            f" {highest:.4g} {unit}, as the champion does."
         )
     return out
 
@@ -119,6 +119,6 @@ def coverage(pipeline: Pipeline, folder: Path) -> list[Gate]:
         if covered is None:
             out.append(Gate(name, True, "unknown: one group only"))
         else:
-            says = f"{covered:.2f} of held-out rows in the 90 % interval, {LEAST_COVERAGE:g} needed"
-            out.append(Gate(name, covered >= LEAST_COVERAGE, says))
+            says = f"{covered:.2f} of held-out rows in the 90 % interval, {MIN_COVERAGE:g} needed"
+            out.append(Gate(name, covered >= MIN_COVERAGE, says))
     return out

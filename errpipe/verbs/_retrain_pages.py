@@ -27,9 +27,9 @@ def write_pages(document: Mapping[str, Any], out: Path) -> None:
 
 
 def write_failure(title: str, why: str, out: Path) -> None:
-    """Write the pages of a look that judged nothing, in the place of those of the look before.
+    """Write the pages of a failed retraining, replacing those of the previous one.
 
-    Where the disk is full there are none: CI would take those of the look before for tonight's.
+    On a full disk no page is left: CI would take those of the previous one as current.
     """
     for page in (MARKDOWN, JUNIT, GITLAB, FIGURE):
         (out / page).unlink(missing_ok=True)
@@ -71,7 +71,7 @@ def markdown(document: Mapping[str, Any]) -> str:
 
 
 def _next_step(document: Mapping[str, Any]) -> str:
-    """What whoever reads the page does now."""
+    """The next step for the reader of the page."""
     if document["decision"] == "promote":
         return "put `run` beside this page in the place of the champion's folder, and its table on the machine."
     if all(g["passed"] or _waits(g) for g in document["gates"]):
@@ -80,7 +80,7 @@ def _next_step(document: Mapping[str, Any]) -> str:
 
 
 def _fitted(document: Mapping[str, Any]) -> list[str]:
-    """On which runs the challenger is fitted, where the machine changed at one of them; inputs it knows less of."""
+    """The runs of the challenger's fit, if the machine changed at one of them; inputs with a narrower fitted range."""
     says = str(document["fitted_on_all"])
     if document["fitted_since"]:
         says = f"Fitted on the runs since {document['fitted_since']} alone: those before are another machine's."
@@ -125,7 +125,7 @@ def _word(sensor: Mapping[str, Any]) -> str:
 
 
 def in_words(document: Mapping[str, Any]) -> list[str]:
-    """What a terminal shows: the decision, the gates that failed, sensors that may drift, what changed."""
+    """Lines for a terminal: decision, failed gates, sensors that may drift, changes."""
     lines = [document["decision"], *(f"{g['name']}: {g['says']}" for g in document["gates"] if not g["passed"])]
     for d in (d for d in document["drift"]["inputs"] if d["suspected"] or d["cleared"]):
         lines.append(f"sensor {d['column']} {_word(d)} since run {d['since']}")
@@ -133,7 +133,7 @@ def in_words(document: Mapping[str, Any]) -> list[str]:
 
 
 def _sentences(drift: Mapping[str, Any]) -> list[str]:
-    """What changed, in the terms of the model, sensors and runs that are odd by themselves: one sentence each."""
+    """One sentence per changed term of the model, per deviating sensor and per outlying run."""
     out = []
     for change in drift["changes"]:
         terms = "; ".join(t["says"] for t in change["terms"])
@@ -149,7 +149,7 @@ def _sentences(drift: Mapping[str, Any]) -> list[str]:
 
 
 def junit(document: Mapping[str, Any]) -> str:
-    """One test case per gate, as CI systems read them; evidence that has yet to come is skipped, not failed."""
+    """One test case per gate, as CI systems read them; insufficient evidence is skipped, not failed."""
     gates = document["gates"]
     waiting = sum(_waits(g) for g in gates)
     failed = sum(not g["passed"] for g in gates) - waiting
@@ -166,7 +166,7 @@ def junit(document: Mapping[str, Any]) -> str:
 
 
 def _waits(gate: Mapping[str, Any]) -> bool:
-    """Whether a gate does not hold because runs have yet to come: on a quiet night nothing is wrong."""
+    """Whether a gate fails only for lack of further runs."""
     return not gate["passed"] and gate["name"] == EVIDENCE
 
 

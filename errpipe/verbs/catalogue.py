@@ -50,10 +50,10 @@ def formats(name: str) -> dict[str, Any]:
     rows = [{"format": f.name, "how": "ingest", "about": _first_line(f.__doc__)} for f in FORMATS]
     rows += [{"format": name, "how": "identify", "about": what} for name, _, what, _ in TESTS]
     rows += [{"format": d.name, "how": "import", "about": _first_line(d.__doc__)} for d in DOORS]
-    says = []
+    lines = []
     for how, heading in HEADINGS.items():
-        says += [heading, *(f"  {r['format']:<20} {r['about']}" for r in rows if r["how"] == how)]
-    return {"formats": rows, "says": says}
+        lines += [heading, *(f"  {r['format']:<20} {r['about']}" for r in rows if r["how"] == how)]
+    return {"formats": rows, "says": lines}
 
 
 def _first_line(text: str | None) -> str:
@@ -69,7 +69,7 @@ def explain(code: str) -> dict[str, Any]:
     known |= {n: f"{(k.__doc__ or '').strip()} Exit code {k.exit_code}." for n, k in kinds.items()}
     if code not in known:
         raise UsageError(f"nothing is named {code!r} (allowed: {', '.join(known)}).{did_you_mean(code, known)}")
-    says = [f"{code}: {known[code]}"]
+    lines = [f"{code}: {known[code]}"]
     if code in EXPLANATIONS:
-        says.append(f"If the declaration is correct: export: {{allow: [{code}]}}, or errpipe export --allow {code}")
-    return {"code": code, "explanation": known[code], "says": says}
+        lines.append(f"If the declaration is correct: export: {{allow: [{code}]}}, or errpipe export --allow {code}")
+    return {"code": code, "explanation": known[code], "says": lines}

@@ -30,13 +30,13 @@ MAX_LISTED = 12  # lines of one kind in a text; the JSON document has all
 
 @dataclass
 class Comparison:
-    """kind: of what. says: sentences. parts: plain data. largest, rms: um (urad, N), None without a figure.
+    """kind: of what. lines: sentences. parts: plain data. largest, rms: um (urad, N), None without a figure.
 
     changes, findings: what is drawn; of a finding its name, its size before and after, um rms.
     """
 
     kind: str
-    says: list[str] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
     parts: dict[str, Any] = field(default_factory=dict)
     largest: float | None = None
     rms: float | None = None
@@ -60,19 +60,19 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
     if kinds[0] != kinds[1] and not set(kinds) <= correcting:
         raise DataError(f"{old} is a {kinds[0]} and {new} is a {kinds[1]}: two of one kind can be compared")
     result = HOW[kinds[0] if kinds[0] == kinds[1] else "model"](Path(old), Path(new))
-    result.says = result.says or ["nothing changed"]
+    result.lines = result.lines or ["nothing changed"]
     within = None
     if max_um is not None:
         within = result.largest is not None and result.largest <= max_um
         seen = "no figure of the difference" if result.largest is None else f"at most {result.largest:.4g}"
-        result.says.append(f"limit {max_um:g}: {seen}: {'within' if within else 'NOT within the limit'}")
+        result.lines.append(f"limit {max_um:g}: {seen}: {'within' if within else 'NOT within the limit'}")
     if figure is not None:
         from errpipe.verbs._compare_page import draw
 
         jsonfile.write_text(figure, draw(result.changes, result.findings))
-        result.says.append(str(figure))
+        result.lines.append(str(figure))
     figures = {"largest_um": result.largest, "rms_um": result.rms, "within": within}
-    return {"compare": VERSION, "kind": result.kind, **figures, **result.parts, "says": result.says}
+    return {"compare": VERSION, "kind": result.kind, **figures, **result.parts, "says": result.lines}
 
 
 def kind_of(path: Path) -> str:
@@ -119,7 +119,7 @@ def _warned(out: Comparison, *sides: CompensationTable | ErrorModel) -> None:
     out.parts["sign_assumed"] = assumed
     words = {(True, True): "both", (True, False): "the old one", (False, True): "the new one"}
     if where := words.get((assumed[0], assumed[1])):
-        out.says.append(f"{where}: {_artefacts.SIGN_NOTE}")
+        out.lines.append(f"{where}: {_artefacts.SIGN_NOTE}")
 
 
 def _settings(out: Comparison, old: CompensationTable, new: CompensationTable) -> None:
@@ -127,16 +127,16 @@ def _settings(out: Comparison, old: CompensationTable, new: CompensationTable) -
     names = ect.fingerprint(old), ect.fingerprint(new)
     out.parts["identity"] = list(names)
     if names[0] != names[1]:
-        out.says.append(f"table {names[0]} -> {names[1]}")
+        out.lines.append(f"table {names[0]} -> {names[1]}")
     for what, pair in (("input", (old.inputs, new.inputs)), ("output", (old.outputs, new.outputs))):
         before, after = ({part.name: part.model_dump(mode="json") for part in parts} for parts in pair)
         _keys(out, what, before, after)
         for name, a, b in _shared(before, after):
             for key, was, now in ((k, _short(v), _short(b[k])) for k, v in a.items()):
-                out.says += [f"{what} {name}: {key} {was} -> {now}"] if was != now else []
+                out.lines += [f"{what} {name}: {key} {was} -> {now}"] if was != now else []
     for key in ("machine", "title", "position_cycle_s", "thermal_cycle_s"):
         if getattr(old, key) != getattr(new, key):
-            out.says.append(f"{key}: {_short(getattr(old, key))} -> {_short(getattr(new, key))}")
+            out.lines.append(f"{key}: {_short(getattr(old, key))} -> {_short(getattr(new, key))}")
 
 
 def _models(old: Path, new: Path) -> Comparison:
@@ -164,7 +164,7 @@ def _parameters(out: Comparison, old: ErrorModel, new: ErrorModel) -> None:
         moved.append({"parameter": name, "old": a.value, "new": b.value, "unit": a.unit, "within_ci95": within})
         word = "" if within is None else f", {'inside' if within else 'outside'} its 95 % interval"
         if f"{a.value:.4g}" != f"{b.value:.4g}":
-            out.says.append(f"{name}: {a.value:.4g} -> {b.value:.4g} {a.unit}{word}")
+            out.lines.append(f"{name}: {a.value:.4g} -> {b.value:.4g} {a.unit}{word}")
     out.parts["parameters"] = moved
 
 
@@ -182,7 +182,7 @@ def _by_parameter(model: ErrorModel) -> dict[str, Any]:
 def _fields(out: Comparison, old: Compensation, new: Compensation) -> None:
     """Ranges of validity that differ; largest and rms difference per response, with the place."""
     new, same = changes.one_axis_one_name(old, new)
-    out.says += [
+    out.lines += [
         f"{was} in the old one and {now} in the new one are one axis: evaluated as one" for now, was in same.items()
     ]
     _ranges(out, old.ranges, new.ranges)
@@ -192,26 +192,26 @@ def _fields(out: Comparison, old: Compensation, new: Compensation) -> None:
         out.widen(c.largest, c.rms)
         out.changes.append((c.component, c))
         if c.largest == 0.0:
-            out.says.append(f"{c.component}: the same")
+            out.lines.append(f"{c.component}: the same")
             continue
-        out.says.append(f"{c.component}: differs by at most {c.largest:.4g} {c.unit} ({c.rms:.4g} rms over validity)")
+        out.lines.append(f"{c.component}: differs by at most {c.largest:.4g} {c.unit} ({c.rms:.4g} rms over validity)")
         if c.settled < SETTLED * c.largest:
-            out.says.append(f"    by at most {c.settled:.4g} {c.unit} once settled: they follow a step at other rates")
-        out.says += _where(c)
+            out.lines.append(f"    by at most {c.settled:.4g} {c.unit} once settled: they follow a step at other rates")
+        out.lines += _where(c)
 
 
 def _where(c: Change) -> list[str]:
-    """Lines that say where a response differs most, and what the difference goes with."""
+    """Lines on where a response differs most, and what the difference correlates with."""
     place = ", ".join(f"{name} = {value:.5g}" for name, value in c.at.items())
-    says = [f"    most at {place}: {c.old:+.4g} -> {c.new:+.4g} {c.unit}"]
+    lines = [f"    most at {place}: {c.old:+.4g} -> {c.new:+.4g} {c.unit}"]
     if c.goes_with and c.share > 0.1:
         means = [b[1] for b in c.by_bin]
         low, high = means.index(min(means)), means.index(max(means))
-        says.append(
+        lines.append(
             f"    {c.share:.0%} of it correlates with {c.goes_with}: on average {means[low]:+.3g} {c.unit} near "
             f"{c.by_bin[low][0]:.4g}, {means[high]:+.3g} near {c.by_bin[high][0]:.4g}"
         )
-    return says
+    return lines
 
 
 # ---------------------------------------------------------------- recordings, diagnoses, run folders
@@ -223,26 +223,26 @@ def _recordings(old: Path, new: Path) -> Comparison:
     _keys(out, "column", before.manifest.columns, after.manifest.columns)
     own = before.manifest.columns
     columns = _shared(own, after.manifest.columns)
-    out.says += [f"column {name}: is declared differently" for name, a, b in columns if a != b]
-    alike = {name for name, a, b in columns if _meaning_of_column(a) == _meaning_of_column(b)}
+    out.lines += [f"column {name}: is declared differently" for name, a, b in columns if a != b]
+    same_meaning = {name for name, a, b in columns if _meaning_of_column(a) == _meaning_of_column(b)}
     _keys(out, "run", dict.fromkeys(before.run_labels()), dict.fromkeys(after.run_labels()))
     if len(before) != len(after):
-        out.says.append(f"rows: {len(before)} -> {len(after)}")
+        out.lines.append(f"rows: {len(before)} -> {len(after)}")
     shared = changes.shared_runs(before, after)
-    moved = {n: f for n, f in changes.rows_changed(before, after).items() if n in alike} if shared else {}
+    moved = {n: f for n, f in changes.rows_changed(before, after).items() if n in same_meaning} if shared else {}
     out.parts |= {"shared_runs": shared, "columns": moved}
     for name, figures in moved.items():
         unit = own[name].unit or ""
-        out.says.append(
+        out.lines.append(
             f"{name}: {figures['rows']} rows of shared runs differ, by at most {figures['largest']:.4g} {unit}"
         )
         if own[name].role == "error":
             change = changes.of_rows(before, after, name)
             out.changes.append((name, change))
-            out.says += _where(change)
-    lone = [n for r in (before, after) for n in r.names("error") if n not in alike]
+            out.lines += _where(change)
+    lone = [n for r in (before, after) for n in r.names("error") if n not in same_meaning]
     if lone:
-        out.says.append(f"deviations that only one of the two holds: {', '.join(dict.fromkeys(lone))}")
+        out.lines.append(f"deviations that only one of the two holds: {', '.join(dict.fromkeys(lone))}")
     elif shared:
         errors = [moved[n] for n in before.names("error") if n in moved]
         out.widen(max((e["largest"] for e in errors), default=0.0), max((e["rms"] for e in errors), default=0.0))
@@ -263,7 +263,7 @@ def _diagnoses(old: Path, new: Path) -> Comparison:
         out.widen(size, size)
     for name, a, b in _shared(before, after):
         if a.verdict != b.verdict:
-            out.says.append(f"{name}: {a.verdict} -> {b.verdict}")
+            out.lines.append(f"{name}: {a.verdict} -> {b.verdict}")
         effects = [{f.effect: f for f in r.findings} for r in (a, b)]
         for effect in dict.fromkeys([*effects[0], *effects[1]]):
             was, now = (side.get(effect) for side in effects)
@@ -273,7 +273,7 @@ def _diagnoses(old: Path, new: Path) -> Comparison:
             _finding(out, name, effect, was, now, a.unit)
         figures = [r.holdout.rms_after_um for r in (a, b)]
         if figures[0] != figures[1]:
-            out.says.append(f"{name}: {figures[0]:.4g} -> {figures[1]:.4g} {a.unit} rms left on held-out rows")
+            out.lines.append(f"{name}: {figures[0]:.4g} -> {figures[1]:.4g} {a.unit} rms left on held-out rows")
         out.widen(0.0, 0.0)
         part = {"verdict": [a.verdict, b.verdict], "effects": [sorted(side) for side in effects]}
         out.parts["responses"][name] = part | {"rms_left": figures}
@@ -283,14 +283,14 @@ def _diagnoses(old: Path, new: Path) -> Comparison:
 def _finding(out: Comparison, name: str, effect: str, was: Any, now: Any, unit: str) -> None:
     if was is None or now is None:
         word, f = ("is new", now) if was is None else ("is gone", was)
-        out.says.append(f"{name}: {effect} {word} ({f.rms_um:.3g} {unit} rms, confidence {f.confidence:.2f})")
+        out.lines.append(f"{name}: {effect} {word} ({f.rms_um:.3g} {unit} rms, confidence {f.confidence:.2f})")
         return
     values = {p.name: p for p in was.parameters}
     for p in now.parameters:
         if p.name in values and values[p.name].value != p.value:
-            out.says.append(f"{name}: {effect}.{p.name} {values[p.name].value:.4g} -> {p.value:.4g} {p.unit}")
+            out.lines.append(f"{name}: {effect}.{p.name} {values[p.name].value:.4g} -> {p.value:.4g} {p.unit}")
     if abs(was.confidence - now.confidence) >= 0.005:
-        out.says.append(f"{name}: {effect} confidence {was.confidence:.2f} -> {now.confidence:.2f}")
+        out.lines.append(f"{name}: {effect} confidence {was.confidence:.2f} -> {now.confidence:.2f}")
 
 
 def _diagnosis(path: Path) -> dict[str, Any]:
@@ -309,7 +309,7 @@ def _run_folders(old: Path, new: Path) -> Comparison:
     _keys(out, "stage", before, after)
     for name, a, b in _shared(before, after):
         reasons = changes(_without_files(a), _without_files(b)) or changes(a, b)[:3]
-        out.says += [f"{name}: {reason}" for reason in reasons]
+        out.lines += [f"{name}: {reason}" for reason in reasons]
         files = _shared(a.outputs, b.outputs)
         parts = {f: _part(out, name, f, old / name / f, new / name / f, was == now) for f, was, now in files}
         known = {file: part for file, part in parts.items() if part is not None}
@@ -339,7 +339,7 @@ def _part(out: Comparison, stage: str, file: str, old: Path, new: Path, same: bo
     if file in (_artefacts.TABLE, _artefacts.MODEL) and comparison.largest is not None:
         out.widen(comparison.largest, comparison.rms or 0.0)
         out.changes += [(f"{stage}: {name}", c) for name, c in comparison.changes]
-    out.says += [f"{stage}: {line}" for line in comparison.says]
+    out.lines += [f"{stage}: {line}" for line in comparison.lines]
     out.findings += [(f"{stage}: {name}", was, now) for name, was, now in comparison.findings]
     return {"largest_um": comparison.largest, "rms_um": comparison.rms, **comparison.parts}
 
@@ -351,7 +351,7 @@ def _validation(out: Comparison, stage: str, old: Path, new: Path) -> dict[str, 
     for name, was, now in _shared(*sides):
         rms_left[name] = [was["rms_after"], now["rms_after"]]
         a, b = (f"{rms:.4g}" for rms in rms_left[name])
-        out.says += [f"{stage}: {name} {a} -> {b} {was['unit']} rms on held-out rows"] if a != b else []
+        out.lines += [f"{stage}: {name} {a} -> {b} {was['unit']} rms on held-out rows"] if a != b else []
     return rms_left
 
 
@@ -375,11 +375,11 @@ def _keys(out: Comparison, what: str, old: Mapping[str, Any], new: Mapping[str, 
     for names, word in ((gone, "only in the old one"), (added, "only in the new one")):
         if names:
             more = f" and {len(names) - MAX_LISTED} more" if len(names) > MAX_LISTED else ""
-            out.says.append(f"{what} {word}: {', '.join(names[:MAX_LISTED])}{more}")
+            out.lines.append(f"{what} {word}: {', '.join(names[:MAX_LISTED])}{more}")
 
 
 def _shared(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
-    """Name, and what it stands for in the old and in the new one, of names that both have."""
+    """(name, old value, new value) of the names that both have."""
     return [(name, value, new[name]) for name, value in old.items() if name in new]
 
 
@@ -387,8 +387,10 @@ def _ranges(out: Comparison, old: Mapping[str, Any], new: Mapping[str, Any]) -> 
     for name, a, b in _shared(old, new):
         if tuple(a) == tuple(b):
             continue
-        apart = a[0] < a[1] <= b[0] < b[1] or b[0] < b[1] <= a[0] < a[1]
-        out.says.append(f"validity of {name}: {a[0]:.5g} .. {a[1]:.5g} -> {b[0]:.5g} .. {b[1]:.5g}" + apart * ", apart")
+        disjoint = a[0] < a[1] <= b[0] < b[1] or b[0] < b[1] <= a[0] < a[1]
+        out.lines.append(
+            f"validity of {name}: {a[0]:.5g} .. {a[1]:.5g} -> {b[0]:.5g} .. {b[1]:.5g}" + disjoint * ", apart"
+        )
 
 
 def _short(value: Any) -> str:

@@ -31,7 +31,7 @@ _TURNING = re.compile(r"G(?:96(?!\d)|(?:50|92)[ \t]*S[ \t]*\d+)|T(?:0\d(?!00)\d\
 _WHOLE = re.compile(r"[XYZIJKR][ \t]*[+-]?0*[1-9]\d*(?![\d.])", re.IGNORECASE | re.ASCII)
 _LENGTH = re.compile(r"[XYZ][ \t]*[+-]?[\d.]*[1-9]", re.IGNORECASE | re.ASCII)
 _ROTARY = re.compile(r"[ABC][ \t]*[+-]?\.?\d+", re.IGNORECASE | re.ASCII)
-_SAID = (
+_MODAL_STATES = (
     (re.compile(r"G0*2[01](?![\d.])", re.IGNORECASE), "G20 or G21 (taken as mm)"),
     (re.compile(r"G0*9[01](?![\d.])", re.IGNORECASE), "G90 or G91 (taken as absolute)"),
 )
@@ -195,10 +195,10 @@ def whole_numbers(text: str) -> str:
 
 
 def unsaid(text: str) -> str:
-    """What a program leaves to the state that its control starts in, in words; '' where it says it all."""
+    """Modal states that a program does not set and its control's start state decides; '' if it sets all."""
     number, word = _first_match(_LENGTH, text)
     above = "\n".join(_COMMENT.sub("", line) for line in text.splitlines()[:number])
-    missing = [says for pattern, says in _SAID if not pattern.search(above)]
+    missing = [missing_word for pattern, missing_word in _MODAL_STATES if not pattern.search(above)]
     return "" if not word or not missing else f"line {number}: {word} comes before any {' and any '.join(missing)}"
 
 

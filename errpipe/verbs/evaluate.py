@@ -20,7 +20,7 @@ def evaluate(table: Path, at: Mapping[str, float]) -> dict[str, Any]:
 
     at: by the names of the table's inputs, or of a position by its axis, such as X.
     The readings are those of a settled machine with healthy sensors, on which a guard does not act: references are
-    taken where inputs stand by default, then every lag is left to settle.
+    taken at the inputs' default values, then every lag settles.
     """
     from errpipe.guard.in_table import without_guard
     from errpipe.tables.reference import Evaluator
@@ -40,7 +40,7 @@ def evaluate(table: Path, at: Mapping[str, float]) -> dict[str, Any]:
     evaluator.cycle({**start, **at}, dt=SETTLED)
     cycle = evaluator.cycle({**start, **at}, dt=SETTLED)
     outputs = {o.name: o for o in compensation_table.outputs}
-    says = [
+    lines = [
         f"{name}: deviation {value:+.4f} {outputs[name].unit}, "
         f"correction {cycle.correction[name]:+.7f} {outputs[name].correction_unit}"
         for name, value in cycle.deviation.items()
@@ -52,7 +52,7 @@ def evaluate(table: Path, at: Mapping[str, float]) -> dict[str, Any]:
         "correction": dict(cycle.correction),
         "outside": notes,
         "not_given": absent,
-        "says": [*says, *notes, *([f"not given, so at its default: {', '.join(absent)}"] if absent else [])],
+        "says": [*lines, *notes, *([f"not given, so at its default: {', '.join(absent)}"] if absent else [])],
     }
 
 

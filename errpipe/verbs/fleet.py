@@ -1,6 +1,6 @@
 """`errpipe fleet`: one pipeline for many machines, in processes of their own or on a Dask cluster; one report.
 
-Workers get paths and give back a few numbers; whatever a machine's run makes stands in OUT/machines/NAME. A machine
+Workers get paths and return a few numbers; the output of a machine's run is in OUT/machines/NAME. A machine
 that fails, or whose worker dies, does not stop the others. What was finished is not run again.
 """
 
@@ -66,7 +66,7 @@ def fleet(
     """Run every machine, then write the report. Returns its document with times and memory.
 
     jobs: processes, 0 for one per core; scheduler: address of a running Dask cluster instead. Raises ConfigError,
-    UsageError; what goes wrong with one machine stands in the document.
+    UsageError; the failure of one machine is recorded in the document.
     """
     from errpipe.pipeline.spec import load_pipeline
     from errpipe.stages import STAGES

@@ -64,9 +64,9 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
     repeated_runs.told_apart(complete)
     layouts = list(dict.fromkeys(tuple(parts[file].entries) for file in logs))
     for layout in layouts:  # a logger writes a file a day: those of one layout are one log
-        alike = [file for file in logs if tuple(parts[file].entries) == layout]
-        log = together.one_after_another([parts[file] for file in alike], [file.stem for file in alike])
-        together.add_log(complete, log, alike[0].stem)
+        same_layout = [file for file in logs if tuple(parts[file].entries) == layout]
+        log = together.one_after_another([parts[file] for file in same_layout], [file.stem for file in same_layout])
+        together.add_log(complete, log, same_layout[0].stem)
     shown = _shown(complete, sources)
     return complete, {**shown, "checks": _plausible(complete, options)}
 

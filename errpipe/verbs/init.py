@@ -77,11 +77,11 @@ def init(folder: Path, name: str, recording: Path | None = None, targets: Sequen
         jsonfile.write_text(own / "recording.yaml", _as_written.marked(manifest, table))  # `import` may replace it
     for file, text in texts.items():
         jsonfile.write_text(folder / file, text)
-    says = [*(f"{folder / file}" for file in texts), *why]
+    lines = [*(f"{folder / file}" for file in texts), *why]
     return {
         "template": name,
         "files": sorted(texts),
-        "says": [*says, f"next    errpipe run {folder / PIPELINE} --out {folder / 'out'}"],
+        "says": [*lines, f"next    errpipe run {folder / PIPELINE} --out {folder / 'out'}"],
     }
 
 
@@ -221,11 +221,11 @@ def _drifts(recording: Recording, component: str) -> bool:
 
 
 def _widest(recording: Recording) -> str:
-    """The component whose deviations spread most among those of one unit with the first."""
+    """The component with the largest standard deviation, among those with the unit of the first."""
     import numpy as np
 
     columns = {c: str(recording.name("error", component=c)) for c in recording.components()}
     unit = {c: recording.manifest.columns[name].unit for c, name in columns.items()}
     first = next(iter(columns))
-    alike = [c for c in columns if unit[c] == unit[first]]
-    return max(alike, key=lambda c: float(np.nan_to_num(np.nanstd(recording.array(columns[c])))))
+    same_unit = [c for c in columns if unit[c] == unit[first]]
+    return max(same_unit, key=lambda c: float(np.nan_to_num(np.nanstd(recording.array(columns[c])))))

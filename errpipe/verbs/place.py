@@ -23,7 +23,7 @@ OUTLIER_RATIO = 5.0  # times the rms of the other duty cycles: beyond, one of th
 BAR_FLUXES = 3  # duty cycles of the simulated bar: one warm-up and two random ones
 
 
-def place(file: Path, error: str, group: str | None, time: str | None, most: int) -> tuple[dict[str, Any], list[str]]:
+def place(file: Path, error: str, group: str | None, time: str | None, limit: int) -> tuple[dict[str, Any], list[str]]:
     """The document and its lines of a CSV file: one row a time, a column per candidate place, the error, duty cycles.
 
     Raises DataError naming the column that is missing or holds no numbers.
@@ -42,7 +42,7 @@ def place(file: Path, error: str, group: str | None, time: str | None, most: int
         raise DataError(
             f"{file}: no candidate sensor position except {', '.join(clocks)}, which is a clock (equal steps)"
         )
-    document, lines = judge(names, frame[names].to_numpy(float), frame[error].to_numpy(float), labels, most)
+    document, lines = judge(names, frame[names].to_numpy(float), frame[error].to_numpy(float), labels, limit)
     notes = [f"not a sensor position but a clock: {', '.join(clocks)} (equal steps)"] if clocks else []
     return document | {"candidates": names, "clocks": clocks}, [f"candidates: {', '.join(names)}", *notes, *lines]
 
@@ -89,7 +89,7 @@ def _is_clock(values: np.ndarray, labels: np.ndarray) -> bool:
     return True
 
 
-def bar(loss: float, most: int) -> tuple[dict[str, Any], list[str]]:
+def bar(loss: float, limit: int) -> tuple[dict[str, Any], list[str]]:
     """The same for the heated spindle of Ni (1997, Fig. 7): a bar with heat at its base, simulated."""
     body, rows, errors, labels = spindle_bar.Bar(loss), [], [], []
     for k in range(BAR_FLUXES):
@@ -102,20 +102,20 @@ def bar(loss: float, most: int) -> tuple[dict[str, Any], list[str]]:
         errors.append(spindle_bar.growth(theta))
         labels += [f"duty {k}"] * len(times)
     names = [f"{x:.2f} L" for x in body.places[::10]]
-    document, lines = judge(names, np.vstack(rows), np.concatenate(errors), np.array(labels), most)
+    document, lines = judge(names, np.vstack(rows), np.concatenate(errors), np.array(labels), limit)
     free = placement.lag_free_place(loss)
     document["lag_free_place"] = free
     return document, [*lines, f"a reading at {free:.3f} L lags as the growth does (the paper finds about 0.35 L)"]
 
 
-def judge(names: list[str], readings: Any, error: Any, labels: Any, most: int) -> tuple[dict[str, Any], list[str]]:
+def judge(names: list[str], readings: Any, error: Any, labels: Any, limit: int) -> tuple[dict[str, Any], list[str]]:
     """Rises over the start of each duty cycle, judged by leave-one-duty-cycle-out."""
     readings, error = readings.copy(), error.copy()
     for label in np.unique(labels):
         rows = np.flatnonzero(labels == label)
         readings[rows] -= readings[rows[0]]
         error[rows] -= error[rows[0]]
-    nothing, sets = placement.choose(readings, error, labels, most)
+    nothing, sets = placement.choose(readings, error, labels, limit)
     degrees = placement.by_degree(readings, error, labels)
     best = min(s.rms_left_out for s in sets)
     smallest = next(s for s in sets if s.rms_left_out <= best * placement.ENOUGH)

@@ -19,7 +19,7 @@ from errpipe.thermal.duty_cycles import DutyCycles
 
 NOISE = 1.0  # um, of a reading, where nothing was measured that shows it
 MIN_GAIN = 0.05  # of the uncertainty: smaller gains are not worth another day of eight hours (a judgement)
-STANDS = 1.0  # mm or deg; an axis that moves by less in a run stands at one place
+MIN_TRAVEL = 1.0  # mm or deg; an axis that moves less within a run is stationary
 MAX_LINES = 12  # candidates that are printed; the document has all
 
 
@@ -30,7 +30,7 @@ def has_errors(folder: Path) -> bool:
 
 
 def from_errors(
-    folder: Path, log: Path | None, component: str | None, by: Sequence[str], least: float | None
+    folder: Path, log: Path | None, component: str | None, by: Sequence[str], min_gain: float | None
 ) -> tuple[dict[str, Any], list[str]]:
     """The next duty cycle of a recording with temperatures and measured errors, and what it is expected to bring.
 
@@ -43,7 +43,9 @@ def from_errors(
     if log is not None:
         recording = _joined(recording, manifest_folder.read(log), log)
     cycles = DutyCycles.of(recording, chosen)
-    document, lines = _document(chosen, cycles, _candidates(recording, cycles, by), _least(recording, cycles, least))
+    document, lines = _document(
+        chosen, cycles, _candidates(recording, cycles, by), _min_gain(recording, cycles, min_gain)
+    )
     if axes := _moved(recording, chosen):
         lines.append(
             f"{chosen} was measured at several places of {', '.join(axes)}, and temperatures alone plan: what differs"
@@ -54,7 +56,7 @@ def from_errors(
 
 
 def _document(
-    component: str, cycles: DutyCycles, candidates: dict[str, list[int]], least: float
+    component: str, cycles: DutyCycles, candidates: dict[str, list[int]], min_gain: float
 ) -> tuple[dict[str, Any], list[str]]:
     """The document and its lines. candidates: runs by label."""
     known = cycles.learn(cycles.measured)
@@ -66,7 +68,7 @@ def _document(
         brings = max(before**2 - after**2, 0.0) ** 0.5
         rows.append({"duty_cycle": label, "runs": len(runs), "measured": done, "after": after, "takes_away": brings})
     rows.sort(key=lambda row: row["after"])
-    worth = rows[0]["takes_away"] > least
+    worth = rows[0]["takes_away"] > min_gain
     document = {
         "plan_day": 2,
         "component": component,
@@ -74,7 +76,7 @@ def _document(
         "measured": len(cycles.measured),
         "unknown_before": before,
         "not_taught": rest,
-        "least": least,
+        "least": min_gain,
         "worth_it": worth,
         "next": rows[0]["duty_cycle"] if worth else None,
         "candidates": rows,
@@ -91,7 +93,10 @@ def _document(
         )
     if worth:
         return document, [*lines, f"run next: {document['next']}"]
-    return document, [*lines, f"no further duty cycle is worth it: none takes away more than {least:.3g} {{unit}} rms"]
+    return document, [
+        *lines,
+        f"no further duty cycle is worth it: none takes away more than {min_gain:.3g} {{unit}} rms",
+    ]
 
 
 def _component(folder: Path, recording: Recording, component: str | None) -> str:
@@ -106,12 +111,12 @@ def _component(folder: Path, recording: Recording, component: str | None) -> str
 
 
 def _moved(recording: Recording, component: str) -> list[str]:
-    """Axes that stand at other places in a run where the error was measured."""
+    """Axes that are not stationary in a run in which the error was measured."""
     measured = np.isfinite(recording.array(str(recording.name("error", component=component))))
     run, axes = recording.run_codes()[measured], []
     for name in recording.names("position") or recording.names("command"):
         places = recording.array(name)[measured]
-        if any(np.ptp(places[run == r]) > STANDS for r in np.unique(run)):
+        if any(np.ptp(places[run == r]) > MIN_TRAVEL for r in np.unique(run)):
             axes.append(recording.manifest.columns[name].axis or name)
     return axes
 
@@ -144,10 +149,10 @@ def _candidates(recording: Recording, cycles: DutyCycles, by: Sequence[str]) -> 
     return out
 
 
-def _least(recording: Recording, cycles: DutyCycles, least: float | None) -> float:
-    """What a duty cycle must take away: as stated, else the noise of a reading, um."""
+def _min_gain(recording: Recording, cycles: DutyCycles, min_gain: float | None) -> float:
+    """Minimum reduction of the rms by a duty cycle, um: as stated, else the noise of a reading."""
     rows = np.flatnonzero(np.isfinite(cycles.deviation))
-    return least if least is not None else noise_floor(recording, rows, cycles.deviation[rows]) or NOISE
+    return min_gain if min_gain is not None else noise_floor(recording, rows, cycles.deviation[rows]) or NOISE
 
 
 def from_speeds(

@@ -31,7 +31,7 @@ from errpipe.verbs._retrain_pages import github_annotations, in_words, write_fai
 __all__ = ["github_annotations", "in_words", "retrain", "write_failure"]
 
 VERSION = 1  # of the document's layout
-LEAST_SINCE = 5  # runs since a change of the machine, from which a challenger is fitted on these alone
+MIN_RUNS_SINCE = 5  # runs since a change of the machine, from which a challenger is fitted on these alone
 RUN = "run"  # folder of the challenger's pipeline run, below OUT
 DOCUMENT = "retrain.json"
 
@@ -50,7 +50,7 @@ def retrain(
     """Run the pipeline into OUT/run and decide whether its model replaces the champion's.
 
     champion: folder of the earlier run that made the champion (of the same pipeline). Returns the document of
-    `retrain.json`: decision, evidence, gates, runs, drift. What cannot be judged stands on the pages, too; retrain.json
+    `retrain.json`: decision, evidence, gates, runs, drift. Failures to judge are on the pages, too; retrain.json
     then stays that of the look before. Raises DataError where the champion's folder lacks its
     model or recording, VerifyError where they are damaged, UsageError where the challenger would be written over it.
     """
@@ -121,7 +121,7 @@ def _since(earlier: Mapping[str, Any], champion: str) -> tuple[str | None, list[
 
 
 def _run(pipeline: Pipeline, out: Path, dates: Sequence[str], callbacks: Callbacks) -> tuple[str, str | None, str]:
-    """Run the pipeline on the runs since the first date that leaves enough of them, on all where none does.
+    """Run the pipeline on the runs since the first date with enough of them, else on all.
 
     Returns what refused it; since which run it is fitted; and why on all where the machine changed at a run.
     """
@@ -135,9 +135,9 @@ def _run(pipeline: Pipeline, out: Path, dates: Sequence[str], callbacks: Callbac
             runner.run(replace(pipeline, stages=stages), out / RUN, callbacks=callbacks)
             recording = _artefacts.recording_in(out / RUN / _last_stage_with(pipeline, "recording"))
             runs = len(recording.run_labels())
-            if runs >= LEAST_SINCE:
+            if runs >= MIN_RUNS_SINCE:
                 return "", since, ""
-            reasons.append(f"{runs} run{'' if runs == 1 else 's'} since then, {LEAST_SINCE} needed")
+            reasons.append(f"{runs} run{'' if runs == 1 else 's'} since then, {MIN_RUNS_SINCE} needed")
         except (DataError, GateError) as err:  # too few to fit, to judge, or to be better than nothing; not kept
             reasons.append(" ".join(str(err).split()).rstrip("."))
     on_all = ""
@@ -151,7 +151,7 @@ def _run(pipeline: Pipeline, out: Path, dates: Sequence[str], callbacks: Callbac
 
 
 def _no_longer_kept(run: str, old: Recording, new: Recording) -> bool:
-    """Whether a run of the champion has left the recording, and with it what was before: nothing is amiss then."""
+    """Whether the recording no longer holds a run of the champion (earlier runs were removed): not an error."""
     labels = old.run_labels()
     return run in labels and retraining.run_contents(old)[labels.index(run)] not in retraining.run_contents(new)
 
@@ -299,7 +299,7 @@ def _change(old: ErrorModel, new: ErrorModel, recording: Recording) -> dict[str,
 
 
 def _also_valid(pipeline: Pipeline, champion: ErrorModel, recording: Recording) -> Pipeline:
-    """The pipeline whose fit holds for the inputs that the champion holds for, where its file does not say which.
+    """The pipeline with the champion's validity ranges, where its file states none.
 
     A challenger of a few runs would correct nothing in the temperatures of another season, which its terms describe.
     """

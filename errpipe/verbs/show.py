@@ -35,14 +35,8 @@ def _plot_of(file: Path, kind: str) -> list[str]:
         return _recording(file)
     if kind == "compensation table":
         return _table(file)
-    return _controller_file(file) if kind == "controller file" else []
-
-
-def _controller_file(file: Path) -> list[str]:
-    out: list[str] = []
-    for c in controller_curves(file)[0][1][:2]:
-        out += _drawn(c)
-    return out
+    curves = controller_curves(file)[0][1][:2] if kind == "controller file" else []
+    return [line for c in curves for line in _drawn(c)]
 
 
 def _drawn(curve: Any) -> list[str]:

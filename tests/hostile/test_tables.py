@@ -145,7 +145,7 @@ def test_a_small_table_of_ten_million_equal_rows_is_refused(tmp_path: Path) -> N
 def test_readings_that_unpack_to_very_many_rows_are_refused(tmp_path: Path) -> None:
     from errpipe.stages import _readings
 
-    rows = pa.array(np.zeros(_readings.MOST_CELLS // 2 + 1, dtype=np.float32))
+    rows = pa.array(np.zeros(_readings.MAX_CELLS // 2 + 1, dtype=np.float32))
     pq.write_table(pa.table({"time": rows, "EXX": rows}), tmp_path / "r.parquet", compression="zstd")
     with pytest.raises(DataError, match=r"r.parquet: holds 5000001 rows"):
         _readings.read(tmp_path / "r.parquet", manifest_folder.read(recording_folder(tmp_path / "rec")), ["EXX"])

@@ -68,7 +68,7 @@ def same(one, two):
     ("timed", "datum", "short"), [(True, "absolute", 0), (True, "run_start", 10**9), (False, "run_start", 0)]
 )
 def test_parts_are_the_whole_to_the_bit(model, recording, timed, datum, short, monkeypatch):
-    monkeypatch.setattr(batch, "SHORT", short)  # 0: compiled; many: the reference evaluator
+    monkeypatch.setattr(batch, "REPLAYED", short)  # 0: compiled; many: the reference evaluator
     given = recording if timed else Recording(recording.manifest, recording.frame.drop(columns="t"))
     source = stage._of_model(model.model_copy(update={"datum": datum}))
     assert source.in_parts

@@ -97,7 +97,7 @@ def test_gridding_sees_kinks():
 
 def test_a_step_is_refused_with_the_error_it_would_leave():
     with pytest.raises(GateError, match=r"64 intervals leave .* \(allowed 0.01\)"):
-        grid(lambda x: np.where(x > 333.3, 5.0, 0.0), 0.0, 700.0, bound=0.01, most=64)
+        grid(lambda x: np.where(x > 333.3, 5.0, 0.0), 0.0, 700.0, bound=0.01, limit=64)
 
 
 def test_a_reversed_range_and_a_curve_without_value_are_refused():

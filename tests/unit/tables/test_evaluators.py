@@ -60,7 +60,7 @@ def rows_of(table, seed, rows=300):
 @pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("seed", range(25, 40))
 def test_replay_is_the_reference_to_the_bit(seed, compiled, long, monkeypatch):
-    monkeypatch.setattr(batch, "LONG", long)
+    monkeypatch.setattr(batch, "UNBLOCKED", long)
     table = everything(seed)
     rows = 300
     columns, time, run = rows_of(table, seed, rows)
@@ -100,8 +100,8 @@ def calm_rows(table, seed, rows):
 @pytest.fixture
 def in_blocks(monkeypatch):
     """A compiled replay takes blocks of rows from the beginning, as it does in a long recording."""
-    monkeypatch.setattr(batch, "LONG", -1)
-    monkeypatch.setattr(batch, "FEW", 20)
+    monkeypatch.setattr(batch, "UNBLOCKED", -1)
+    monkeypatch.setattr(batch, "SINGLE", 20)
 
 
 @pytest.mark.parametrize("seed", range(200, 240))

@@ -269,7 +269,7 @@ def test_the_number_of_points_to_enter_is_that_of_the_file_on_an_axis_that_turns
     (target,) = (t for t in TARGETS if t.name == name)
     table = turning(0.0, 360.0)
     files = target.write(table)
-    says = " ".join(number.says for number in target.by_hand(table, target.read_back(files), ()))
+    says = " ".join(number.text for number in target.by_hand(table, target.read_back(files), ()))
     count = len(re.findall(point, "".join(files.values())))
     assert count > 2 and re.search(rf"(NPOINTS \(P16\)|MAX_POINTS( of each table)?) = {count}\b", says), says
 
@@ -278,7 +278,7 @@ def test_no_backlash_of_the_control_stands_beside_a_file_of_both_directions():
     """PMAC's is in the file: set to 0 by hand, half of its tables would be lost."""
     table = table_of("reversal grows over the travel")
     says = {
-        t.name: " ".join(number.says for number in t.by_hand(table, t.read_back(t.write(table)), ()))
+        t.name: " ".join(number.text for number in t.by_hand(table, t.read_back(t.write(table)), ()))
         for t in TARGETS
         if "both directions" in t.holds and t.name not in ("c_runtime", "iec_st", "feedback_inject")
     }
@@ -370,7 +370,7 @@ def test_a_table_without_lost_motion_does_not_take_the_control_s_backlash_away(t
     """Measured from one side, with the control's own value at work: set to 0, the other side would lose it."""
     table = machines.too_long_at_plus_x()
     read = target.read_back(target.write(table))
-    says = " ".join(number.says for number in target.by_hand(table, read, ()))
+    says = " ".join(number.text for number in target.by_hand(table, read, ()))
     assert not re.search(r"(?i)backlash\S*( \(\S+\))?( value)? = 0", says), says
     if target.name not in ("beckhoff_volumetric", "pmac_comp"):
         assert "stays as it was while measuring" in says or "measure both directions" in says, says

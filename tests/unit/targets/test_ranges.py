@@ -41,7 +41,7 @@ def test_more_than_256_values_are_refused() -> None:
 
 def test_the_steps_per_inch_that_the_largest_value_allows_are_to_be_checked() -> None:
     table = one_axis("X", (0.0, 254.0), straight("X", 25.4, 254.0))  # 0.001 inch
-    says = [x.says for x in HAAS.by_hand(table, HAAS.read_back(HAAS.write(table)), [])]
+    says = [x.text for x in HAAS.by_hand(table, HAAS.read_back(HAAS.write(table)), [])]
     assert any("the largest value is 0.0010 inch" in x and "more than 127000" in x for x in says)
 
 
