@@ -93,7 +93,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
 def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.Indicators], after) -> list[float]:
     """Upper limits of the confidence of names. after: residual of the explanation, shape (rows,).
 
-    Drifting noise, another name with a far-off gain, or a level instead of a name in part, is as likely.
+    Drifting noise, or another name with a far-off gain, is as likely, unless predicted held-out rows contradict.
     """
     slow = case.held.names > PREDICTED * case.held.before
     far = slow and gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes)
@@ -102,12 +102,11 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
     rows = gains.totals(case.nuisances, case.sizes)[1]  # a repeated measurement has gains of 1, else its noise drifts
     wandering = only_steps(case) or (twin and np.abs(rows @ b[: rows.shape[1]]).max() > gains.FAR_OFF)
     most, shaped = [1.0] * len(made), case.held.shape_share() * min(left, 1.0) >= SHAPED
-    a_level = unnamed.level_advantage(case) >= 0.0
     for k, (m, s) in enumerate(zip(made, indicators, strict=True)):
         wanders = wandering or case.over_noise < 0.0 or (slow and s.wandering > s.gain)
         beside = made[: k + 1]  # a gain, or a finding with one
         a_gain = case.of_a_twin or any(plausible.gain_of_a_part(case, other) for other in beside)
-        if wanders or a_gain or (a_level and k == 0) or plausible.only_a_wave_in_time(m, after):
+        if wanders or a_gain or plausible.only_a_wave_in_time(m, after):
             most[k] = UNPROVED
         elif plausible.no_size(m):
             most[k] = UNSIZED

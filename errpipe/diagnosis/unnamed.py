@@ -147,7 +147,7 @@ def unlikely(case: Case, findings: list[Finding]) -> bool:
 
     So are parts that shapes over inputs exceed.
     """
-    if level_advantage(case) >= BETTER:
+    if is_a_level(case):
         return True
     masks = [f.hypothesis.mask for f in case.explanation.accepted]
     shaped = any(shape.of_inputs for shape, _ in case.remainder.shapes)
@@ -155,14 +155,14 @@ def unlikely(case: Case, findings: list[Finding]) -> bool:
     return max(f.sure() for f in findings) < (UNLIKELY_IN_PART if among_many else UNLIKELY)
 
 
-def level_advantage(case: Case) -> float:
-    """Log Bayes factor of a level, constant or of each run, over the first name on that part of the rows, without odds.
+def is_a_level(case: Case) -> bool:
+    """Is a constant level, or one of each run, likelier than the first name on that part of the rows, odds aside?
 
     A joint between two scales, a weight on the foundation or a reflector set up anew is a level. Where its inputs
-    hardly change, or its own level follows it, an effect resembles one. Minus infinity for a name on all rows.
+    hardly change, or its own level follows it, an effect resembles one.
     """
     if not case.explanation.accepted or not (mask := case.explanation.accepted[0].hypothesis.mask):
-        return -np.inf
+        return False
     first, *others = case.explanation.accepted
     inside = hypotheses.mask_of(mask, case.recording)[case.pair.rows]
     level = case.library.table.add(((inside - inside.mean()) / (inside.std() or 1.0))[:, None])
@@ -170,7 +170,7 @@ def level_advantage(case: Case) -> float:
     sets = [level, *(case.places[k] for k in each)]
     freedoms = [np.ones(1), *(case.free_shapes[k].freedom for k in each)]
     gains = case.search.scene([(f.index, f.size) for f in others]).gains(sets, freedoms, case.search.rows)
-    return float(gains.max() - first.gain + case.search.prior[first.index])
+    return bool(gains.max() >= first.gain - case.search.prior[first.index] + BETTER)
 
 
 def confirmed_by_held_out(case: Case, held: holdout.HeldOut) -> bool:

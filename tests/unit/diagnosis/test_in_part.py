@@ -234,7 +234,7 @@ def test_a_name_on_a_stretch_that_is_only_its_level_comes_after_unknown(level):
     hidden = 5.0 * (x > 320) if level else 3.0 * columns["dir"] * (x > 320)
     case = judged(columns, kinds, "EXX", 20e-3 * x + hidden + 0.5 * noise, 20e-3 * x)
     assert case.explanation.accepted[0].hypothesis.mask
-    assert (unnamed.level_advantage(case) >= unnamed.BETTER) == level
+    assert unnamed.is_a_level(case) == level
     (response, *_) = report.response(case)
     assert (response.verdict == "unexplained") == level
     assert not level or max(f.confidence for f in response.findings[1:] if f.effect != "recalibration") <= 0.4

@@ -345,7 +345,7 @@ def test_noise_of_few_rows_has_a_rhythm_by_chance_only(memory: float) -> None:
 )
 def test_a_name_in_a_part_that_is_one_of_many_must_be_likelier_than_not(monkeypatch, masks, sure, shapes, unlikely):
     """Else `unknown` comes first; one or two runs are few, unless a shape over inputs remains (not one over time)."""
-    monkeypatch.setattr(unnamed, "level_advantage", lambda case: -np.inf)
+    monkeypatch.setattr(unnamed, "is_a_level", lambda case: False)
     accepted = [SimpleNamespace(hypothesis=SimpleNamespace(mask=mask)) for mask in masks]
     left = SimpleNamespace(shapes=[(SimpleNamespace(of_inputs=of_inputs), 40.0) for of_inputs in shapes])
     case = SimpleNamespace(explanation=SimpleNamespace(accepted=accepted), remainder=left)
