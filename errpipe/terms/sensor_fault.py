@@ -27,12 +27,14 @@ ROWS_EACH_SIDE = 5  # rows on either side of a jump whose medians give its step
 MOST_JUMPS, MOST_STRETCHES = 6, 16  # of a sensor, that are tried: seen ones first, those between natural jumps last
 MIN_READINGS = 30  # of a sensor, in which failures are searched for
 MIN_STRETCH_ROWS = 8  # of a stretch; one without a change has four times as many, or a thirtieth of all
-MAX_STEP_RATIO = 2.0  # factor between a jump off and the jump back; and if one of these is beside a pause or switch,
-EQUAL_STEPS = 1.3  # for the readings alone to show a failure (chosen on 60 and 60 faults, seeds 44511 and 44512)
+MAX_STEP_RATIO = 2.0  # factor between a jump off and the jump back; if one of them may have another cause, at most
+EQUAL_STEPS = 1.3  # for the readings alone to show a failure (chosen on 120 faults, seeds 44511 and 44512)
 LINES = (8, 24)  # readings of the straight lines on either side of a jump,
 JUMP = 7.0  # and standard errors by which these must miss each other: bodies bend as they warm. Short ones at least by
 CHANCE = 4.5  # what chance exceeds in one of 100,000 rows
-HELD = 4.0  # times as long as any other stretch of equal readings is one in which the sensor failed
+# A sensor failed in a stretch of equal readings so many times as long as any other, and that ends with so many of the
+# display's steps (by judgement; true of none of 969 sound sensors, seeds 44511 to 44514)
+HELD, LEAVES = 4.0, 1.5
 RARELY = 0.05  # share of the other rows in which a reading does not change, below which that is no habit of it
 # Of the fault: prior standard deviation of what the reading drawn through the gap misses (chosen on 40 faults)
 DRAWN = 0.3
@@ -178,9 +180,7 @@ def steps(values: np.ndarray, t: np.ndarray | None) -> tuple[np.ndarray, np.ndar
     return finite, _missed(clock[finite], values[finite], LINES[0])[0]
 
 
-def step_between(
-    finite: np.ndarray, step: np.ndarray, first: int, last: int, ratio: float = MAX_STEP_RATIO
-) -> float:
+def step_between(finite: np.ndarray, step: np.ndarray, first: int, last: int, ratio: float = MAX_STEP_RATIO) -> float:
     """Step by which readings of a stretch are off: they jump by it and back, or to the end; else 0. Of `steps`."""
     ends = [k for k in np.searchsorted(finite, (first, last + 1)) if k < finite.size]
     if not ends:
@@ -248,7 +248,8 @@ def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = 
     """First and last row of stretches where a sensor is missing, is frozen, or lies between two jumps.
 
     True: the readings alone show that it failed there. It reads nothing or zero, jumps off and back by as much,
-    is constant until it jumps, or as nowhere else. switched: rows at which a jump has another cause.
+    is constant until it jumps, as nowhere else, or for far longer than elsewhere.
+    switched: rows at which a jump has another cause.
     """
     n = values.size
     finite = np.isfinite(values)
@@ -293,17 +294,18 @@ def _filled(values: np.ndarray) -> np.ndarray:
 
 
 def _held(read: np.ndarray, finite: np.ndarray) -> tuple[int, int] | None:
-    """First and last row of the longest stretch of equal readings, if it is far longer than any other and ends with
-    more than a step of the display: bodies that have come to rest depart from it slowly."""
+    """First and last row of the longest stretch of equal readings, if far longer than any other and left by a jump.
+
+    A body that came to rest leaves its temperature by one step of the display.
+    """
     edges = np.flatnonzero(np.abs(np.diff(read)) > 1e-9) + 1
     starts, ends = np.r_[0, edges], np.r_[edges, read.size]
     count = np.add.reduceat(finite.astype(int), starts)
     longest = int(count.argmax())
     if longest in (0, count.size - 1) or count[longest] < HELD * np.delete(count, longest).max():
         return None
-    moves = np.abs(np.diff(read[finite]))
-    leaves = abs(read[ends[longest]] - read[starts[longest]])
-    return (int(starts[longest]), int(ends[longest]) - 1) if leaves > 1.5 * moves[moves > 1e-9].min() else None
+    first, after, moves = int(starts[longest]), int(ends[longest]), np.abs(np.diff(read[finite]))
+    return (first, after - 1) if abs(read[after] - read[first]) > LEAVES * moves[moves > 1e-9].min() else None
 
 
 def _still_from(read: np.ndarray, a: int, long: int) -> int:
