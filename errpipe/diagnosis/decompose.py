@@ -226,8 +226,7 @@ class _Work:
             b = self._scene(chosen).coefficients()[1:]
             out, start = [], 0
             for i, _size in chosen:
-                cores = self.library.cores[i]
-                core = b[start : start + cores]
+                core = b[start : start + self.library.cores[i]]
                 start += self.freedom[i].size
                 out.append((i, float(np.clip(np.sqrt(np.mean(core**2)) / self.sigma, SIZES[0], SIZES[-1]))))
             chosen = out
@@ -264,11 +263,8 @@ class _Work:
         b, start, price = scene.coefficients()[1:], 0, 0.0
         for i, _ in chosen:
             width = self.freedom[i].size
-            price += (
-                PRICE
-                - self.prior[i]
-                + textbook_penalty(textbook_share(b[start : start + width], self.library.cores[i]))
-            )
+            share = textbook_share(b[start : start + width], self.library.cores[i])
+            price += PRICE - self.prior[i] + textbook_penalty(share)
             start += width
         expected = FINE * self.y.size * self.sigma**2
         return scene.evidence(self.count) - 0.5 * self.count * np.log1p(expected / scene.Q) - price

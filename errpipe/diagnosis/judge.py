@@ -279,17 +279,15 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     exact = recalibration.no_gain(search, explanation, judged, held, *known)
     if exact:
         (search, explanation, _), nuisance, held = exact, exact[0].nuisance, replace(held, parts=())
-    named = worth_naming(search, explanation, made.recording, rows, held)
-    if 0 < len(named.accepted) < len(explanation.accepted):  # another name may be likelier on its own
-        named = replace(named, accepted=search.accepted(search.exchanged(chosen_of(named))))
-    explanation = named
+    most, explanation = len(explanation.accepted), worth_naming(search, explanation, made.recording, rows, held)
+    if 0 < len(explanation.accepted) < most:  # another name may be likelier on its own
+        explanation = replace(explanation, accepted=search.accepted(search.exchanged(chosen_of(explanation))))
     kept = supported_by_held_out(search, chosen_of(explanation), judged)
     if len(kept) < len(explanation.accepted):
         explanation = replace(explanation, accepted=search.accepted(kept))
     explanation = replace(explanation, accepted=search.simplest(explanation.accepted))
     chosen = chosen_of(explanation)
-    sigma = max(search.scene(chosen).rms(), 1e-9)
-    search.sigma = sigma
+    search.sigma = sigma = max(search.scene(chosen).rms(), 1e-9)
     remainder = admit.remainder(search, chosen, made.free_shapes, made.places)
     if made.session is not None and not predicts_held_out(search, chosen, remainder, judged):
         remainder = admit.remainder(search, chosen, [], [])

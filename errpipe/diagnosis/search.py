@@ -84,10 +84,8 @@ class Search:
             if keys not in tried or total > tried[keys][0]:
                 tried[keys] = (total, chosen)
         ranked = sorted(tried.values(), key=lambda t: -t[0])
-        best_total = ranked[0][0]
-        best = max((self.tune(c) for total, c in ranked[:FINALISTS] if total > best_total - MAX_LOSS), key=self.joint)
-        best = self.exchanged(best)
-        return Explanation(self.accepted(best), alone)
+        finalists = [self.tune(c) for total, c in ranked[:FINALISTS] if total > ranked[0][0] - MAX_LOSS]
+        return Explanation(self.accepted(self.exchanged(max(finalists, key=self.joint))), alone)
 
     def exchanged(self, chosen: list[tuple[int, float]]) -> list[tuple[int, float]]:
         """Exchange step: replace each finding by another effect while the joint evidence grows."""

@@ -52,6 +52,27 @@ def test_a_stretch_that_stands_still_until_it_jumps_ends_at_the_jump() -> None:
     assert 60 <= first <= 90 and last == 219
 
 
+def test_one_of_two_equal_jumps_may_be_at_a_switch() -> None:
+    t, read = _warming(400, 0.02)
+    switched = np.isin(np.arange(400), range(99, 104))
+    for back, seen in ((2.5, True), (1.5, False)):
+        off = 2.5 * ((t > 6000) & (t < 15000)) + (2.5 - back) * (t >= 15000)
+        assert suspicious(read + off, t, switched)[101, 249] == seen
+    assert not suspicious(read + off, t, switched | np.isin(np.arange(400), range(247, 253)))[101, 249]
+
+
+def test_a_reading_held_far_longer_than_any_other_is_seen_to_have_failed() -> None:
+    """A coarse display often repeats itself, readings are missing in between, and a body at rest leaves slowly."""
+    rows = np.arange(600)
+    read = np.round(20.0 + 3.0 * np.sin(rows / 90.0), 1)
+    for leap, seen in ((0.1, False), (0.5, True)):
+        held = np.where(rows < 60, read, np.where(rows < 310, read[60], read[60] + leap + read - read[310]))
+        held[[110, 111, 200]] = np.nan
+        assert suspicious(held, 180.0 * rows).get((60, 309), False) == seen
+    often = np.where((rows >= 400) & (rows < 500), held[400], held)
+    assert not suspicious(often, 180.0 * rows).get((60, 309), False)
+
+
 def test_a_reading_that_freezes_and_resumes_without_a_jump_is_seen_to_have_failed() -> None:
     """Its last readings before and the first after are near the frozen one; other sensors are never still."""
     read = np.round(20.0 + 3.0 * np.sin(np.arange(300) / 40.0), 2)
