@@ -45,8 +45,9 @@ def continue_counts(p: Proposal, resolution: float | None) -> None:
             continue
         scale, one = (resolution, 1.0) if of != name else (1.0, resolution)
         turns = (scale * p.data[of] - p.canonical(str(command))) / resolution
-        for bits in COUNTER_BITS:
-            spans = (turns - turns[np.isfinite(turns)][:1]) / 2.0**bits
+        start = turns[np.isfinite(turns)][:1]
+        for bits in COUNTER_BITS if start.size else ():
+            spans = (turns - start) / 2.0**bits
             whole = np.round(spans)
             if np.nanmax(np.abs(whole), initial=0.0) > 0 and np.nanmax(np.abs(spans - whole), initial=0.0) < OFF:
                 p.data[of] = p.data[of] - whole * one * 2.0**bits
