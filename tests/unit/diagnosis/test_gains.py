@@ -92,43 +92,34 @@ def test_a_gain_far_off_is_a_gain_where_nothing_else_plays_it():
     assert diagnose(axis(7, gains=(1.0, 0.6)))[0].responses[0].verdict == "recalibrate"
 
 
-def test_a_twin_that_was_measured_itself_lacks_a_drift_of_what_it_holds():
-    """Its gains are 1: what goes with the bed and is more than it holds is missing, though a gain would play it."""
-    rng = np.random.default_rng(3)
+def warm_up_and_its_twin(seed, missing):
+    """A recording of E_Z and its repetition, which lacks `missing`, um, of the rises of bed and room."""
+    rng = np.random.default_rng(seed)
     t = np.arange(300) * 60.0
     bed = 80 * (1 - np.exp(-t / 900.0))
     frame = 15 * (1 - np.exp(-t / 6000.0)) + 0.02 * rng.standard_normal(t.size)
     room = 8 * (1 - np.exp(-t / 4500.0)) + np.sin(t / 2500)
-    holds = bed - 4.0 * frame + 3.0 * room
-    recorded, twin = holds + 1.2 * rng.standard_normal((2, t.size))
+    recorded, twin = bed - 4.0 * frame + 3.0 * room + 1.2 * rng.standard_normal((2, t.size))
     kinds = {"t": {"role": "time", "unit": "s"}}
     for name, where in (("T_frame", "frame"), ("T_bed", "bed"), ("T_room", "room")):
         kinds[name] = {"role": "temperature", "unit": "degC", "location": where}
     kinds["E_Z"] = {"role": "error", "component": "E_Z", "unit": "um"}
     kinds["E_Z_sim"] = {"role": "simulated", "component": "E_Z", "unit": "um"}
     columns = {"t": t, "T_frame": 22 + frame, "T_bed": 24 + bed, "T_room": 23 + room}
-    made = recording(columns | {"E_Z": recorded + 0.15 * bed, "E_Z_sim": twin}, kinds)
+    return recording(columns | {"E_Z": recorded + missing(bed, room), "E_Z_sim": twin}, kinds)
+
+
+def test_a_twin_that_was_measured_itself_lacks_a_drift_of_what_it_holds():
+    """Its gains are 1: what goes with the bed and is more than it holds is missing, though a gain would play it."""
+    made = warm_up_and_its_twin(3, lambda bed, room: 0.15 * bed)
     found = diagnose(made)[0].responses[0].findings[0]
     assert (found.effect, found.drivers) == ("thermal_drift", ("T_bed",))
     assert found.confidence <= 0.45  # it may be a gain after all
 
 
 def test_a_twin_lacks_a_lagged_drift_that_departures_of_its_parts_would_play():
-    rng = np.random.default_rng(4)
-    t = np.arange(300) * 60.0
-    bed = 80 * (1 - np.exp(-t / 900.0))
-    frame = 15 * (1 - np.exp(-t / 6000.0)) + 0.02 * rng.standard_normal(t.size)
-    room = 8 * (1 - np.exp(-t / 4500.0)) + np.sin(t / 2500)
-    recorded, twin = bed - 4.0 * frame + 3.0 * room + 1.2 * rng.standard_normal((2, t.size))
-    late = pd.Series(room).ewm(alpha=1 - np.exp(-60.0 / 1500.0), adjust=False).mean().to_numpy()
-    kinds = {"t": {"role": "time", "unit": "s"}}
-    for name, where in (("T_frame", "frame"), ("T_bed", "bed"), ("T_room", "room")):
-        kinds[name] = {"role": "temperature", "unit": "degC", "location": where}
-    kinds["E_Z"] = {"role": "error", "component": "E_Z", "unit": "um"}
-    kinds["E_Z_sim"] = {"role": "simulated", "component": "E_Z", "unit": "um"}
-    columns = {"t": t, "T_frame": 22 + frame, "T_bed": 24 + bed, "T_room": 23 + room}
-    made = recording(columns | {"E_Z": recorded - 1.5 * late, "E_Z_sim": twin}, kinds)
-    response = diagnose(made)[0].responses[0]
+    late = lambda v: pd.Series(v).ewm(alpha=1 - np.exp(-60.0 / 1500.0), adjust=False).mean().to_numpy()  # noqa: E731
+    response = diagnose(warm_up_and_its_twin(4, lambda bed, room: -1.5 * late(room)))[0].responses[0]
     assert response.verdict == "missing_physics"
     assert response.findings[0].drivers == ("T_room",)
     assert response.findings[0].confidence <= 0.45

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import random
 import resource
@@ -18,33 +17,11 @@ import pytest
 from errpipe.cli.app import main
 from errpipe.errors import DataError, GateError, UsageError, VerifyError
 from errpipe.registry import minisign
-from errpipe.registry.store import Entry, Registry
+from errpipe.registry.store import Registry
 from errpipe.tables import ect
 from tests.hostile.registry import campaign
+from tests.unit.registry.command_line import filled, run
 from tests.unit.targets import machines
-
-
-@pytest.fixture(scope="module")
-def key() -> minisign.SecretKey:
-    return minisign.generate()
-
-
-@pytest.fixture
-def where(tmp_path: Path, key: minisign.SecretKey) -> Path:
-    minisign.write_pair(key, tmp_path / "keys")
-    ect.write(machines.too_long_at_plus_x(), tmp_path / "one.ect")
-    ect.write(machines.wavy_both_directions(), tmp_path / "two.ect")
-    return tmp_path
-
-
-def run(where: Path, *words: str | Path, capsys: Any) -> tuple[int, dict[str, Any]]:
-    """Exit code and JSON document of one command line, with the keys where a verb takes them."""
-    keys = ["--public-key", where / "keys/errpipe.pub"]
-    if words[0] in ("promote", "rollback"):
-        keys += ["--key", where / "keys/errpipe.key"]
-    capsys.readouterr()
-    code = main([str(w) for w in (*words, *keys, "--json")])
-    return code, json.loads(capsys.readouterr().out)
 
 
 def test_what_was_on_machine_7_and_why(where: Path, capsys: Any) -> None:
@@ -111,104 +88,6 @@ def test_a_table_of_another_machine_of_the_registry_is_not_promoted_unasked(wher
     assert run(where, "promote", where / "reg", "mill-3", where / "mill-3.ect", *words, capsys=capsys)[0] == 0
     again = ("promote", where / "reg", "mill-5", where / "mill-4.ect", *words)
     assert run(where, *again, capsys=capsys)[0] == 4 and run(where, *again, "--other-outputs", capsys=capsys)[0] == 0
-
-
-def test_a_second_rollback_does_not_bring_the_bad_table_back(where: Path, capsys: Any) -> None:
-    """One, two, three were promoted; three is bad, and so turns out two: twice back is one, then none."""
-    reg = where / "reg"
-    ect.write(machines.bent(), where / "three.ect")
-    for name in ("one.ect", "two.ect", "three.ect"):
-        words = ("promote", reg, "7", where / name, "--why", name, "--other-outputs")
-        assert run(where, *words, capsys=capsys)[0] == 0
-    back = ("rollback", reg, "7", "--why", "bad", "--out", where / "back.ect")
-    for name in ("two.ect", "one.ect"):
-        assert run(where, *back, capsys=capsys)[0] == 0
-        assert (where / "back.ect").read_bytes() == (where / name).read_bytes()
-    code, document = run(where, *back, capsys=capsys)
-    assert code == 2 and "no earlier table to go back to (--to: entries 1 to 5)" in document["error"]["message"]
-    assert run(where, *back, "--to", "3", capsys=capsys)[0] == 0
-    assert run(where, *back, capsys=capsys)[0] == 0
-    assert (where / "back.ect").read_bytes() == (where / "two.ect").read_bytes()
-
-
-def test_a_table_promoted_twice_is_not_come_back_from_to_what_was_taken_off(where: Path, capsys: Any) -> None:
-    """One, two, one again: back is two, then the first one, then none. The third rollback brought two back."""
-    reg = where / "reg"
-    for name in ("one.ect", "two.ect", "one.ect"):
-        assert run(where, "promote", reg, "7", where / name, "--why", name, capsys=capsys)[0] == 0
-    back = ("rollback", reg, "7", "--why", "bad", "--out", where / "back.ect")
-    for name in ("two.ect", "one.ect"):
-        assert run(where, *back, capsys=capsys)[0] == 0
-        assert (where / "back.ect").read_bytes() == (where / name).read_bytes()
-    assert run(where, *back, capsys=capsys)[0] == 2
-
-
-def promoted(where: Path, capsys: Any, *names: str) -> None:
-    ect.write(machines.bent(), where / "three.ect")
-    for name in names:
-        words = ("promote", where / "reg", "7", where / name, "--why", name, "--other-outputs")
-        assert run(where, *words, capsys=capsys)[0] == 0
-
-
-def gone_back(where: Path, capsys: Any, *words: str) -> bytes | int:
-    """The table that a rollback wrote, or its exit code."""
-    back = ("rollback", where / "reg", "7", "--why", "bad", "--out", where / "back.ect", *words)
-    code, _ = run(where, *back, capsys=capsys)
-    return (where / "back.ect").read_bytes() if code == 0 else code
-
-
-@pytest.mark.parametrize(("to", "then"), [("1", []), ("3", ["two.ect", "one.ect"])])
-def test_a_rollback_to_one_of_two_promotions_of_a_table_goes_on_from_that_one(
-    where: Path, capsys: Any, to: str, then: list[str]
-) -> None:
-    """One, two, one, three; `--to 1` and then back again went from the third entry to two."""
-    promoted(where, capsys, "one.ect", "two.ect", "one.ect", "three.ect")
-    assert gone_back(where, capsys, "--to", to) == (where / "one.ect").read_bytes()
-    for name in then:
-        assert gone_back(where, capsys) == (where / name).read_bytes()
-    assert gone_back(where, capsys) == 2
-    _, document = run(where, "log", where / "reg", "7", capsys=capsys)
-    back_to = [e["back_to"] for e in document["result"]["entries"]]
-    assert back_to == [0, 0, 0, 0, int(to), *[2, 1][: len(then)]]
-
-
-def test_a_history_of_entries_that_state_no_number_is_read_and_goes_on(
-    where: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Version 1 of an entry, as registries hold it: verified, and rolled back by its table."""
-
-    def version_1(entry: Entry) -> dict[str, Any]:
-        names = ("machine", "number", "action", "table", "time", "why", "previous")
-        return {"registry_entry": 1} | {name: getattr(entry, name) for name in names}
-
-    with monkeypatch.context() as patched:
-        patched.setattr(Entry, "plain", version_1)
-        promoted(where, capsys, "one.ect", "two.ect", "one.ect", "three.ect")
-        assert gone_back(where, capsys, "--to", "1") == (where / "one.ect").read_bytes()
-    assert gone_back(where, capsys) == (where / "two.ect").read_bytes()  # from the nearest promotion of one
-    assert gone_back(where, capsys, "--to", "5") == (where / "one.ect").read_bytes()
-    assert gone_back(where, capsys) == (where / "two.ect").read_bytes()
-    code, document = run(where, "log", where / "reg", "7", capsys=capsys)
-    assert code == 0 and [e["back_to"] for e in document["result"]["entries"]] == [0, 0, 0, 0, 0, 2, 5, 2]
-
-
-def test_an_entry_that_returns_to_another_table_than_it_holds_is_refused(where: Path, key: minisign.SecretKey) -> None:
-    store = filled(where, key, 2)
-    store.append("7", "rollback", b"table 0", "worse", "2026-01-02T00:00:00Z", key, 2, back_to=2)
-    with pytest.raises(VerifyError, match="is not entry 3"):
-        store.history("7")
-
-
-@pytest.mark.parametrize("name", ["closed/back.ect", "folder"])
-def test_a_rollback_whose_file_cannot_be_written_is_not_on_record(where: Path, capsys: Any, name: str) -> None:
-    """Tried again, it would go back a second table."""
-    promoted(where, capsys, "one.ect", "two.ect")
-    (where / "folder").mkdir()
-    (where / "closed").write_text("", encoding="utf-8")
-    words = ("rollback", where / "reg", "7", "--why", "bad", "--out", where / name)
-    code, document = run(where, *words, capsys=capsys)
-    assert code == 2 and str(where / name.partition("/")[0]) in document["error"]["message"]
-    assert len(run(where, "log", where / "reg", "7", capsys=capsys)[1]["result"]["entries"]) == 2
 
 
 def test_a_table_that_was_changed_is_named_by_its_entry(where: Path, capsys: Any) -> None:
@@ -314,13 +193,6 @@ def test_a_changed_table_is_refused_as_such_where_there_is_nothing_to_go_back_to
     object_.unlink()
     object_.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
     assert run(where, "rollback", where / "reg", "7", "--why", "worse", capsys=capsys)[0] == 6
-
-
-def filled(where: Path, key: minisign.SecretKey, entries: int = 3) -> Registry:
-    store = Registry(where / "reg", key.public)
-    for n in range(entries):
-        store.append("7", "promote", f"table {n}".encode(), f"because {n}", "2026-01-01T00:00:00Z", key, n)
-    return store
 
 
 def test_whatever_is_touched_is_refused(where: Path, key: minisign.SecretKey) -> None:
