@@ -19,8 +19,7 @@ from errpipe.diagnosis.units import said
 from errpipe.diagnosis.whiteness import whiteness
 from errpipe.domain.diagnosis import Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis, Rival, Significance
 
-CLOSE = 4.0  # log Bayes factor below which a rival is listed as indistinguishable
-TIED = 1.1  # and (a likelihood ratio of 3) below which names in part share the confidence of their class by likelihood
+TIED = 1.1  # log Bayes factor (3 as a ratio) below which names in part share the confidence of their class
 ALIKE = 0.97  # or share of the contribution that the rival's textbook form explains, above which it is listed, too
 MOSTLY = 0.5  # share of the mismatch that is one offset per run, above which the report states it
 MOST_NUMBERS = 4  # parameters in a sentence; of a wave the amplitudes of its strongest orders and the period
@@ -199,7 +198,7 @@ def finding(case: Case, k: int, made: model.Modelled, indicators: list[confidenc
     rivals = sorted(case.search.rivals(accepted, k), key=lambda r: r[1])
     own = {(f.hypothesis.effect, f.hypothesis.drivers) for f in accepted}  # the same effect on other columns is a rival
     other = [r for r in rivals if r[0] != h.effect and (r[0], case.library.hypotheses[r[2]].drivers) not in own]
-    every = [r for r in other if r[1] < CLOSE or _fitted_rival(case, made, r[2])[1] < 1 - ALIKE]
+    every = [r for r in other if r[1] < Rival.CLOSE or _fitted_rival(case, made, r[2])[1] < 1 - ALIKE]
     close = every[:4]
     outside = min((r[1] for r in other if r not in every), default=50.0)
     name = confidence.naming(indicators[k])

@@ -12,6 +12,8 @@ from errpipe.domain.recording import Recording
 STEPS = 240  # points of a proposed experiment at which rivals are compared
 REVERSALS = (0.002, 0.005, 0.01, 0.03, 0.1, 0.3, 1.0)  # mm (deg)
 SPEEDS = (0.01, 0.03, 0.1, 0.3, 1.0)  # shares of the highest speed: friction differs most near standstill
+MOTION = ("position", "command", "velocity", "acceleration")  # roles that one move of an axis changes together
+ROWS_PER_PERIOD = 4096  # rows of a sine: straight between them is within 3e-7 of its amplitude, far below a dead time
 SURE = 3.0  # standard errors by which the predictions of two rivals must differ
 MOST_READINGS = 20000  # about one shift at one reading per second; a longer measurement is not proposed
 
@@ -52,42 +54,62 @@ def _predict(fitted: tuple[Hypothesis, np.ndarray], trial: Recording) -> np.ndar
 
 
 def _hypothetical_recordings(recording: Recording, drivers: tuple[str, ...]):
-    """Hypothetical recordings: one driver changes, the others are constant."""
-    names, columns, constant, t = dict.fromkeys(drivers), recording.manifest.columns, _rest(recording), recording.time()
-    constant[recording.name("time") or "t"] = np.linspace(0.0, float(np.nanmax(t) - np.nanmin(t)) or 3600.0, STEPS)
-    for name in names:
-        kind = columns.get(name)
-        if kind is None or name not in recording.frame.columns or kind.role in ("time", "run", "direction"):
-            continue
+    """Hypothetical recordings: one driver or one axis changes, the others are constant."""
+    columns, constant = recording.manifest.columns, _rest(recording)
+    names = [n for n in dict.fromkeys(drivers) if n in columns and n in recording]
+    for name in (n for n in names if columns[n].role not in (*MOTION, "time", "run", "direction")):
         low, high = np.nanquantile(recording.array(name), [0.02, 0.98])
-        frame, unit = constant.copy(), f" {kind.unit}" if kind.unit else ""
-        if kind.role == "position":
-            frame[name] = np.linspace(low, high, STEPS)
-            what = f"move {name} from {said(low)} to {said(high)}{unit} with everything else at rest"
-        elif kind.role == "velocity":
-            top = max(abs(low), abs(high))
-            frame[name] = np.resize(np.outer(SPEEDS, (top, -top)), STEPS)
-            what = f"move with {name} at 1, 3, 10, 30 and 100 % of {said(top)}{unit}, in both directions"
-        else:
-            frame[name] = np.where((np.arange(STEPS) // (STEPS // 4)) % 2 == 0, low, high)
-            what = f"measure at {name} = {said(low)} and {said(high)}{unit} with all other inputs as constant as can be"
-        for position in recording.names("position") if kind.role != "position" else ():
+        moved = {name: np.where((np.arange(STEPS) // (STEPS // 4)) % 2 == 0, low, high)}
+        for position in recording.names("position"):
             x = recording.array(position)
-            frame[position] = np.tile(np.linspace(np.nanmin(x), np.nanmax(x), 8), STEPS // 8)
-        yield what, Recording(recording.manifest, frame)
-    for axis in {columns[n].axis for n in names if n in columns and columns[n].role in ("direction", "position")}:
-        place, side = recording.name("position", axis=axis), recording.name("direction", axis=axis)
-        if place is not None and side is not None:
-            listed = f"{', '.join(f'{r:g}' for r in REVERSALS[:-1])} and {REVERSALS[-1]:g} {columns[place].unit}"
-            short = constant.assign(**_short_reversals(place, side, constant))
-            yield f"approach the same target after reversals of {listed}", Recording(recording.manifest, short)
+            moved[position] = np.tile(np.linspace(np.nanmin(x), np.nanmax(x), 8), STEPS // 8)
+        shown = f"{name} = {said(low)} and {said(high)} {columns[name].unit or ''}".strip()
+        yield (
+            f"measure at {shown} with all other inputs as constant as can be",
+            Recording(recording.manifest, constant.assign(**moved)),
+        )
+    for axis in dict.fromkeys(columns[n].axis for n in names if columns[n].role in (*MOTION, "direction")):
+        place = recording.name("position", axis=axis)
+        for what, moved in _moves(recording, axis, place, constant) if place else ():
+            rows = np.linspace(0, STEPS - 1, moved[place].size).astype(int)
+            yield what, Recording(recording.manifest, constant.iloc[rows].reset_index(drop=True).assign(**moved))
+
+
+def _moves(recording: Recording, axis: str | None, place: str, constant: pd.DataFrame):
+    """Moves of one axis that it can make, all its columns in agreement: slow, at several speeds, a sine, reversals."""
+    (low, high), unit = np.nanquantile(recording.array(place), [0.02, 0.98]), recording.manifest.columns[place].unit
+    position, side = (place, *recording.names("command", axis=axis)), recording.names("direction", axis=axis)
+    speed, clock = recording.name("velocity", axis=axis) or "", recording.name("time") or ""
+    top = float(np.nanquantile(np.abs(recording.array(speed)), 0.98)) if speed and clock and high > low else 0.0
+
+    def made(x: np.ndarray, v: np.ndarray, t: np.ndarray, **more: np.ndarray) -> dict[str, np.ndarray]:
+        known = {speed: v, clock: t} if top > 0 else {}
+        return {**dict.fromkeys(position, x), **dict.fromkeys(side, np.where(v < 0, -1.0, 1.0)), **known, **more}
+
+    v, t = np.full(STEPS, SPEEDS[0] * top or 1.0), np.linspace(0.0, (high - low) / (SPEEDS[0] * top or 1.0), STEPS)
+    what = f"move {place} from {said(low)} to {said(high)} {unit} slowly, with everything else at rest"
+    yield what, made(np.linspace(low, high, STEPS), v, t)
+    if side:
+        listed = f"{', '.join(f'{r:g}' for r in REVERSALS[:-1])} and {REVERSALS[-1]:g} {unit}"
+        yield f"approach the same target after reversals of {listed}", _short_reversals(place, side[0], constant)
+    if top > 0:
+        v, t = np.resize(np.outer(SPEEDS, (top, -top)), STEPS), 0.5 * (high - low) / top * np.arange(STEPS)
+        what = f"move {place} at 1, 3, 10, 30 and 100 % of {said(top)} {unit}/s, in both directions"
+        yield what, made(0.5 * (low + high) + np.cumsum(v) * t[1], v, t)
+    for name in recording.names("acceleration", axis=axis) if top > 0 else ():
+        most = max(float(np.nanquantile(np.abs(recording.array(name)), 0.98)), 2 * top**2 / (high - low))
+        rate, phase = most / top, np.linspace(0.0, 2 * np.pi, ROWS_PER_PERIOD)  # rad/s, rad
+        x, v, a = top / rate * np.sin(phase), top * np.cos(phase), -most * np.sin(phase)
+        what = f"move {place} by +-{said(top / rate)} {unit} as a sine of {said(rate / (2 * np.pi))} Hz"
+        yield what, made(0.5 * (low + high) + x, v, phase / rate, **{name: a})
 
 
 def _rest(recording: Recording) -> pd.DataFrame:
-    """Every input constant at its median."""
-    labels = {*recording.names("run"), *recording.names("group")}
+    """Every input constant at its median, the time over that of the recording."""
+    labels, t = {*recording.names("run"), *recording.names("group")}, recording.time()
     rest = {n: "1" if n in labels else float(np.nanmedian(recording.array(n))) for n in recording.frame.columns}
-    return pd.DataFrame(rest, index=range(STEPS))
+    time = np.linspace(0.0, float(np.nanmax(t) - np.nanmin(t)) or 3600.0, STEPS)
+    return pd.DataFrame(rest, index=range(STEPS)).assign(**{recording.name("time") or "t": time})
 
 
 def _short_reversals(place: str, side: str, rest: pd.DataFrame) -> dict[str, np.ndarray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -39,6 +39,7 @@ class Where(Frozen):
 class Rival(Frozen):
     """Another effect in the finding's place, and the log Bayes factor by which it lost."""
 
+    CLOSE: ClassVar[float] = 4.0  # below it the data cannot distinguish the two (Kass, Raftery: 3 to 5 is strong)
     effect: str
     lost_by: float
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from errpipe.domain.diagnosis import ChangePoint, Diagnosis, Finding, ResponseDiagnosis
+from errpipe.domain.diagnosis import ChangePoint, Diagnosis, Finding, ResponseDiagnosis, Rival
 from errpipe.reporting import page, svg
 
 VERDICTS = {
@@ -77,7 +77,7 @@ def _next(diagnosis: Diagnosis) -> str:
     for r in diagnosis.responses:
         for f in r.findings:
             if f.would_separate and f.indistinguishable_from:
-                return f"Measure next: {f.would_separate}."
+                return f"Next, to decide: {f.would_separate}."
     if any(r.verdict == "missing_physics" for r in diagnosis.responses):
         return (
             "Next: errpipe diagnose RECORDING --out DIR --apply FOLDER writes the simulation with what it lacks, as "
@@ -99,7 +99,8 @@ def _block(r: ResponseDiagnosis, trace: Trace, equations: Mapping[str, str]) -> 
         "located": _located(r),
         "largest_share": _largest_share(r) + _between_runs(r),
         "changes": [_change(c, r.unit) for c in r.changes],
-        "tests": _tests(r),
+        "tests": (tests := _tests(r)),
+        "split": [how for how in ("by run", "by direction") if any(t["cells"][how] for t in tests)],
         "residual": _residual(r, trace),
     }
 
@@ -107,7 +108,6 @@ def _block(r: ResponseDiagnosis, trace: Trace, equations: Mapping[str, str]) -> 
 def _finding(f: Finding, equations: Mapping[str, str]) -> dict[str, Any]:
     where = [f"runs {', '.join(f.where.runs)}"] if f.where.runs else []
     where += [f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in f.where.ranges.items()]
-    others = " or ".join(e.replace("_", " ") for e in f.indistinguishable_from)
     shown = f.parameters
     if f.effect == "recalibration":  # only parameters whose interval excludes 0
         shown = tuple(p for p in f.parameters if not p.ci95[0] <= 0 <= p.ci95[1])
@@ -115,11 +115,28 @@ def _finding(f: Finding, equations: Mapping[str, str]) -> dict[str, Any]:
         "d": f,
         "name": f.effect.replace("_", " "),
         "where": "; ".join(where) or "everywhere",
-        "others": others,
+        "others": _listed(f.indistinguishable_from),
+        "doubts": _doubts(f),
         "equations": list(dict.fromkeys(e for t in f.all_terms() if (e := equations.get(str(t["term"]))))),
         "parameters": shown,
         "hidden": len(f.parameters) - len(shown),
     }
+
+
+def _listed(effects: Sequence[str]) -> str:
+    return " or ".join(e.replace("_", " ") for e in effects)
+
+
+def _doubts(f: Finding) -> str:
+    """What else it may be: effects nearly as likely, and effects of the same form, which fit the data less well."""
+    lost = {v.effect: v.lost_by for v in reversed(f.rivals)}
+    alike = [e for e in f.indistinguishable_from if lost.get(e, 0.0) >= Rival.CLOSE]
+    close = [e for e in f.indistinguishable_from if e not in alike]
+    says = f" These data cannot distinguish it from {_listed(close)}." if close else ""
+    if alike:
+        least = page.number(min(lost[e] for e in alike))
+        says += f" {_listed(alike).capitalize()} has nearly the same form, but fits worse (log Bayes factor {least})."
+    return says
 
 
 def _change(c: ChangePoint, unit: str) -> str:
@@ -202,7 +219,7 @@ def _clock(trace: Trace) -> tuple[str, np.ndarray]:
         return "row", np.arange(trace.before.size, dtype=float)
     back = np.flatnonzero(np.diff(t) < 0)
     if not back.size:
-        return f"{trace.clock} in s", t
+        return svg.in_hours(f"{trace.clock} in s", t)
     forward = np.diff(t)
     pause = float(np.median(forward[forward > 0])) if (forward > 0).any() else 1.0
     shift = np.zeros(t.size)
@@ -252,8 +269,8 @@ def _rivals_of(f: Finding) -> str:
         axes.set_xscale("log")
         axes.set_xlim(0.3, 3 * max(*lost, 20.0))
         for y, v, end in zip(place, f.rivals, lost, strict=True):
-            axes.text(1.1 * end, y, f"{v.lost_by:.3g}", va="center", fontsize=8)
-        axes.axvline(4.5, color=svg.ALARM, lw=1.0)
+            axes.text(1.1 * end, y, page.number(v.lost_by), va="center", fontsize=8)
+        axes.axvline(Rival.CLOSE + 0.5, color=svg.ALARM, lw=1.0)
         axes.set_xlabel(f"explains less than {f.effect.replace('_', ' ')} by (log Bayes factor)")
         return svg.to_svg(canvas, f"Rivals of {f.effect.replace('_', ' ')}")
 

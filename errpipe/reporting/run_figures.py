@@ -45,7 +45,7 @@ def against_time(
             axes.set_title(f"left out: {label}", loc="left", fontsize=9)
             axes.set_ylabel(f"{component} in {unit}")
         np.atleast_1d(subplots)[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize=8)
-        np.atleast_1d(subplots)[-1].set_xlabel("time since the first row drawn in h")
+        np.atleast_1d(subplots)[-1].set_xlabel("time since the first row shown, in h")
         return svg.to_svg(canvas, f"{component} against time, held out")
 
 

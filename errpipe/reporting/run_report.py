@@ -102,6 +102,7 @@ def before_after(r: Response) -> str:
     label, x = next(iter(r.inputs.items()), ("row", np.arange(r.deviation.size, dtype=float)))
     if label.endswith(" in s") and np.ptp(x) > LONG:
         label, x = "row, in order of time", np.arange(r.deviation.size, dtype=float)
+    label, x = svg.in_hours(label, x)
     rows = svg.thin(r.deviation.size)
     with svg.figure(7.2, 3.2) as (canvas, axes):
         axes.plot(x[rows], r.deviation[rows], ".", ms=3, color=svg.BEFORE, label="before", alpha=0.75)
@@ -132,7 +133,7 @@ def by_group(r: Response) -> str:
 
 def residuals(r: Response) -> str:
     """Held-out residual against every input: structure here is missing physics."""
-    chosen = list(r.inputs.items())[:MOST_INPUTS]
+    chosen = [svg.in_hours(label, x) for label, x in list(r.inputs.items())[:MOST_INPUTS]]
     if not chosen:
         return ""
     columns = min(3, len(chosen))

@@ -72,6 +72,13 @@ def to_svg(canvas: Figure, title: str) -> str:
     return f'{head} role="img" aria-label="{_escape(title)}"><title>{_escape(title)}</title>{rest}'
 
 
+def in_hours(label: str, x: np.ndarray) -> tuple[str, np.ndarray]:
+    """Label and values of an axis; a time in s that spans more than two hours in h."""
+    if label.endswith(" in s") and np.ptp(x) > 7200.0:
+        return label.removesuffix(" in s") + " in h", x / 3600.0
+    return label, x
+
+
 def thin(n: int, most: int = MAX_POINTS) -> np.ndarray:
     """Row numbers, at most `most` of `n`, evenly spread and always the same."""
     return np.arange(n) if n <= most else np.unique(np.linspace(0, n - 1, most).astype(int))

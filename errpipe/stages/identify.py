@@ -63,8 +63,8 @@ class Identify(Stage):
         volumetric = document["volumetric"]
         out = {
             "components": len(solved.chain.components),
-            "volumetric_rms_um": volumetric["rms_um"],
-            "known_to_um": volumetric["standard_error_um"],
+            "volumetric_rms_um": volumetric["effect_rms_um"],
+            "expected_after_um": volumetric["left_rms_um"],
             "unseen": len(document["unseen"]),
         }
         truth = document.get("simulated_truth")

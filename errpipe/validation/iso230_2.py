@@ -180,7 +180,7 @@ def _notes(targets: np.ndarray, cycles: int) -> tuple[str, ...]:
     steps = np.diff(targets)
     if steps.size > 1 and np.ptp(steps) < 1e-3 * steps.mean():
         notes.append(
-            "equal steps between targets: a periodic error of that length, or a fraction of it, is not detected"
+            "Equal steps between targets: a periodic error of that length, or a fraction of it, is not detected"
         )
     return tuple(notes)
 

@@ -53,7 +53,7 @@ def test_the_size_of_falling_friction_is_that_at_creep_whatever_its_law():
     assert first.effect == "stribeck_friction"
     (extra,) = [p for p in first.parameters if p.name == "extra"]
     assert extra.ci95[0] <= 30.0 <= extra.ci95[1] < 45.0
-    assert "v at 1, 3, 10, 30 and 100 % of 2" in first.would_separate and " mm/s, in both" in first.would_separate
+    assert "x at 1, 3, 10, 30 and 100 % of 2" in first.would_separate and " mm/s, in both" in first.would_separate
 
 
 def test_numbers_in_sentences_have_no_exponent_up_to_a_million():
