@@ -12,7 +12,7 @@ from errpipe.cli.app import main
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 # Picture -> template, width and height of the window in CSS pixels.
-PICTURES = {"report": ("laser-iso230", 900, 980), "plane": ("drilled-plate", 900, 700)}
+PICTURES = {"report": ("laser-iso230", 900, 980)}
 SETTINGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--enable-logging=stderr")
 
 
