@@ -192,6 +192,12 @@ def _with_channel(channel: str, name: str) -> str:
     return name if channel.isdigit() else f"{channel} {name}"
 
 
+def is_legend(sheet: Sheet) -> bool:
+    """Whether a sheet lists channels with their names and units, and nothing else below its header."""
+    called = _called(sheet.rows)
+    return len(called) >= max(2, len(sheet.rows) - 1) and all(name.endswith("]") for name in called.values())
+
+
 def with_legend(sheets: list[Sheet]) -> list[Sheet]:
     """The sheets with the names and units that a legend sheet assigns to channels of another: `CH1 | Bearing | degC`.
 

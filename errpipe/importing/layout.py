@@ -114,11 +114,11 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
         u or a or unit_in_cells.get(i)
         for i, (u, a) in enumerate(zip(units, units_of_columns(rows, start - used, called), strict=True))
     ]
-    names = named_above(_merged(names, numbers[start:]), rows[: start - used]) if used else names
+    names = named_above(_merged(names, numbers[start:]), rows[: start - used])
     if stated:
         units = [u or split_header(n)[1] for u, n in zip(units, names, strict=True)]
         names = [*_stated_names(stated, len(names), used > 0), *names[len(stated) :]]
-    elif not used:
+    elif not used and "column 2" in names:
         notes.append("the file has no header: columns are numbered (--names gives them names)")
     remarks = [row for row, of_row in zip(rows[start:], numbers[start:], strict=True) if all(v is None for v in of_row)]
     below = [" ".join(map(str, filled_cells(row))) for row in remarks[:MOST_REMARKS]]

@@ -18,6 +18,8 @@ from errpipe.importing.proposed import Proposal
 DENSE_ROWS = 500  # rows: a log, not a positioning test
 FEWEST_VISITS = 6  # readings; fewer do not show which positions are targets
 DENSE_PLACES = 100  # distinct commands: a log, not a positioning test
+FEWEST_SAMPLES = 20  # rows: fewer do not show a motion
+FASTEST_TARGETS = 0.1  # s between rows: no axis stops at a target and is read in less
 
 SHARED = 3  # visits with the same digits that make a position a target
 
@@ -65,9 +67,18 @@ def resolve_order(p: Proposal, axis: str) -> None:
 def is_log(p: Proposal, axis: str | None = None) -> bool:
     """Whether the rows are samples of a moving axis in time, not targets."""
     command = p.first("command", axis) or p.first("position", axis)
-    if p.first("time") is None or command is None or p.rows < DENSE_ROWS or command not in p.data:
+    time = p.first("time")
+    if time is None or time not in p.data or command not in p.data or p.rows < FEWEST_SAMPLES:
         return False
-    return np.unique(np.round(p.data[command], 4)).size > DENSE_PLACES
+    places = np.unique(np.round(p.data[command], 4)).size
+    if p.rows < DENSE_ROWS:
+        return places > 0.5 * p.rows and float(np.nanmedian(np.diff(_seconds(p, time)))) < FASTEST_TARGETS
+    return places > DENSE_PLACES
+
+
+def _seconds(p: Proposal, time: str) -> np.ndarray:
+    scale = {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86400.0}[p.entries[time].get("unit", "s")]
+    return np.asarray(p.data[time], dtype=float) * scale
 
 
 def _log_of_an_axis(p: Proposal, axis: str) -> None:
@@ -75,8 +86,7 @@ def _log_of_an_axis(p: Proposal, axis: str) -> None:
     command, time = p.first("command", axis), p.first("time")
     if command is None or time is None:
         return
-    scale = {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86400.0}[p.entries[time].get("unit", "s")]
-    t, x = p.data[time] * scale, p.canonical(command)
+    t, x = _seconds(p, time), p.canonical(command)
     if np.isfinite(t).all() and np.isfinite(x).all() and np.all(np.diff(t) > 0):
         unit = "deg" if p.entries[command].get("unit") in ("deg", "rad") else "mm"
         v = np.gradient(x, t)

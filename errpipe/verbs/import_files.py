@@ -22,7 +22,7 @@ from errpipe.importing import features, named_values, order, other_tests, repeat
 from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
-from errpipe.importing.header import with_legend
+from errpipe.importing.header import is_legend, with_legend
 from errpipe.importing.layout import lay_out
 from errpipe.importing.long_form import unstacked
 from errpipe.importing.pairs import paired
@@ -35,6 +35,8 @@ from errpipe.verbs._import_written import manifest_of, write
 
 __all__ = ["options_of", "plain", "prepare", "write"]
 
+LARGEST_LEGEND = 1 << 16  # bytes of a file that only names channels: 500 lines
+TEXTS = (".csv", ".txt", ".tsv")  # endings of such a file
 MAX_SHEETS = 64  # with measurements, of one file; the rest is not opened
 
 
@@ -46,26 +48,32 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
     parts, sources = {}, []
     _refuse_twice(files)
     _refuse_several_axes(files, options)
-    for file in map(Path, files):
+    legends = _legends(files, door)
+    for file in [f for f in map(Path, files) if f not in legends]:
         proposal, source = _of_known_format(file, door, options), "a format with a door of its own"
         if proposal is None:
-            proposal, source = _of_any_sheet(file, door, options, may_be_log=len(files) > 1)
+            proposal, source = _of_any_sheet(file, door, options, len(files) > 1, [s for of in legends.values() for s in of])
         parts[file] = proposal
         sources.append({"file": file.name, "kind": source, "rows": proposal.rows})
+    for file, sheets in legends.items():
+        if not any(f"{s.name!r} names" in note for s in sheets for part in parts.values() for note in part.notes):
+            raise DataError(f"{file}: it only names channels, and none of the other files")
+        sources.append({"file": file.name, "kind": "names of channels", "rows": len(sheets[0].rows)})
     _refuse_unknown_sets(parts.values(), options)
     logs = [file for file, part in parts.items() if part.first("error") is None]
     if len(logs) == len(parts):
         _of_any_sheet(logs[0], door, options)  # raises: what the file lacks
     measured = {file: part for file, part in parts.items() if file not in logs}
-    together.refuse_states([file.stem for file in measured], "files", "import the one that is meant")
-    runs = together.sides_of_names([*measured.values()], [file.stem for file in measured])
+    stems = _names_of([*measured])
+    together.refuse_states(stems, "files", "import the one that is meant")
+    runs = together.sides_of_names([*measured.values()], stems)
     complete = together.one_after_another([*measured.values()], runs)
     order.sides_of_falling_runs(complete)
     repeated_runs.told_apart(complete)
     layouts = list(dict.fromkeys(tuple(parts[file].entries) for file in logs))
     for layout in layouts:  # a logger writes a file a day: those of one layout are one log
         same_layout = [file for file in logs if tuple(parts[file].entries) == layout]
-        log = together.one_after_another([parts[file] for file in same_layout], [file.stem for file in same_layout])
+        log = together.one_after_another([parts[file] for file in same_layout], _names_of(same_layout))
         together.add_log(complete, log, same_layout[0].stem)
     shown = _shown(complete, sources)
     return complete, {**shown, "checks": _plausible(complete, options)}
@@ -99,6 +107,21 @@ def _refuse_unknown_sets(parts: Iterable[Proposal], options: ImportOptions) -> N
                 )
 
 
+def _names_of(files: Sequence[Path]) -> list[str]:
+    """The names of files without endings; with their folder or ending if two are equal: they are names of runs."""
+    forms = ([f.stem for f in files], [f"{f.parent.name}-{f.stem}" for f in files], [f.name for f in files])
+    return next((names for names in forms if len({*names}) == len(names)), [str(f) for f in files])
+
+
+def _legends(files: Sequence[Path], door: DoorOptions) -> dict[Path, list[Sheet]]:
+    """The files that name the channels of the others, with their sheets: a list of tags beside their history."""
+    texts = [f for f in map(Path, files) if f.suffix.lower() in TEXTS and f.is_file() and len(files) > 1]
+    small = [f for f in texts if f.stat().st_size < LARGEST_LEGEND and not any(k.sniff(f) for k in formats.FORMATS)]
+    opened = {f: open_file(f, door)[1] for f in small}
+    legends = {f: sheets for f, sheets in opened.items() if all(map(is_legend, sheets))}
+    return legends if len(legends) < len(files) else {}
+
+
 def _refuse_twice(files: Sequence[Path]) -> None:
     """Raise DataError if two files hold the same bytes: a run that is counted twice claims a repeat that is none."""
     seen: dict[bytes, Path] = {}
@@ -130,12 +153,12 @@ def _of_sheet(sheet: Sheet, door: DoorOptions, options: ImportOptions, may_be_lo
 
 
 def _of_any_sheet(
-    file: Path, door: DoorOptions, options: ImportOptions, may_be_log: bool = False
+    file: Path, door: DoorOptions, options: ImportOptions, may_be_log: bool = False, legends: Sequence[Sheet] = ()
 ) -> tuple[Proposal, str]:
     """The proposal of the first sheet of a file that holds measurements, and what was opened; others are named."""
     kind, sheets = open_file(file, door)
     out, problems, asked = list[tuple[Proposal, str]](), dict[str, list[str]](), ""
-    for sheet in with_legend(sheets):
+    for sheet in with_legend([*sheets, *legends])[: len(sheets)]:
         if len(out) == MAX_SHEETS:
             break
         try:

@@ -10,11 +10,16 @@ A door module has
 
 from __future__ import annotations
 
+import gzip
 import os
 import re
 import sys
+import tempfile
+import zipfile
+import zlib
 from pathlib import Path
 from types import ModuleType
+from typing import IO
 
 from errpipe.errors import DataError, ErrpipeError, UsageError
 from errpipe.importing import controller_files
@@ -59,8 +64,11 @@ MOST_MEMORY = 3 << 30  # bytes in addition to those in use: 256 MB of packed num
 MOST_SECONDS = 120  # s
 
 
-def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
-    """Name of the door that reads a file, and its sheets. Raises DataError."""
+def open_file(path: Path, options: DoorOptions, unpacked: bool = False) -> tuple[str, list[Sheet]]:
+    """Name of the door that reads a file, and its sheets. Raises DataError.
+
+    A gzip file, or a zip file with one file in it, is unpacked first; not one that was unpacked itself.
+    """
     if not path.is_file():
         raise DataError(f"{path}: no such file")
     size = path.stat().st_size
@@ -73,6 +81,8 @@ def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
         )
     with path.open("rb") as stream:
         head = stream.read(HEAD_BYTES)
+    if not unpacked and head.startswith(b"\x1f\x8b"):
+        return _open_packed(path, options, gzip.open(path), path.stem)
     _refuse_known(path, head)
     for door in DOORS:
         if door.sniff(path, head):
@@ -83,9 +93,45 @@ def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
                 raise DataError(f"{path}: no rows ({door.name})")
             return door.name, sheets
     if head.startswith(b"PK\x03\x04"):
-        raise DataError(f"{path}: an archive: extract it first, and name its files")
+        names = _names_in_archive(path)
+        if unpacked or len(names) != 1:
+            raise DataError(f"{path}: an archive of {len(names)} files: extract it first, and name its files")
+        return _open_packed(path, options, _member(path, names[0]), Path(names[0]).name)
     kinds = ", ".join(door.name for door in DOORS)
     raise DataError(f"{path}: neither text nor any other kind of file that is imported (allowed: {kinds})")
+
+
+def _names_in_archive(path: Path) -> list[str]:
+    """The files in a zip file, without those that a system adds. Raises DataError."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = [i.filename for i in archive.infolist() if not i.is_dir()]
+    except (zipfile.BadZipFile, OSError) as err:
+        raise DataError(f"{path}: a damaged archive ({err})") from None
+    return [name for name in names if not re.search(r"(?:^|/)(?:\.|__MACOSX/)", name)]
+
+
+def _member(path: Path, name: str) -> IO[bytes]:
+    try:
+        return zipfile.ZipFile(path).open(name)
+    except (RuntimeError, NotImplementedError, zipfile.BadZipFile):  # a password; another compression
+        raise DataError(f"{path}: an archive that needs a password, or another program: extract it first") from None
+
+
+def _open_packed(path: Path, options: DoorOptions, stream: IO[bytes], name: str) -> tuple[str, list[Sheet]]:
+    """As `open_file`, of the bytes of a packed file, which are written to a temporary folder. Raises DataError."""
+    with tempfile.TemporaryDirectory() as folder, stream:
+        inner = Path(folder) / re.sub(r"[^\w. +=-]", "_", name)[-100:]
+        try:
+            data = stream.read(MOST_BYTES + 1)
+        except (OSError, EOFError, zlib.error, zipfile.BadZipFile) as err:
+            raise DataError(f"{path}: a damaged archive ({err})") from None
+        inner.write_bytes(data)
+        try:
+            kind, sheets = open_file(inner, options, unpacked=True)
+        except (DataError, UsageError) as err:
+            raise type(err)(str(err).replace(str(inner), f"{path}, {name}")) from None
+    return f"{kind}, packed", sheets
 
 
 def _refuse_known(path: Path, head: bytes) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from errpipe.errors import DataError, UsageError, did_you_mean
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable
+from errpipe.importing.sheet import Cell, DoorOptions, Rows, Sheet, affordable
 
 name = "Excel workbook"
 suffixes = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
@@ -39,7 +40,8 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         for each in chosen:
             sheet = book.get_sheet_by_name(each)
             affordable(sheet.total_height * sheet.total_width, f"{path}: {each}")
-            sheets.append(Sheet(each, [[_cell(c) for c in row] for row in sheet.to_python(skip_empty_area=False)]))
+            rows = [[_cell(c) for c in row] for row in sheet.to_python(skip_empty_area=False)]
+            sheets.append(Sheet(each, _with_merged_numbers(rows, sheet.merged_cell_ranges)))
     except (UsageError, DataError, MemoryError):
         raise
     except Exception as err:  # calamine raises many types of exception
@@ -48,6 +50,16 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
             "than Excel 5. Open it in a spreadsheet, and save it as .xlsx or .csv"
         ) from None
     return [sheet.limited() for sheet in sheets if len(sheet.rows) > 1]
+
+
+def _with_merged_numbers(rows: Rows, ranges: Iterable[Any] | None) -> Rows:
+    """The rows, with a number in a cell merged over several rows of one column, such as a target, in each of them."""
+    for (top, left), (bottom, right) in ranges or ():
+        value = rows[top][left] if top < len(rows) and left < len(rows[top]) else None
+        if left == right and isinstance(value, float):
+            for row in rows[top : bottom + 1]:
+                row[left] = value
+    return rows
 
 
 def _cell(value: Any) -> Cell:

@@ -1,4 +1,4 @@
-"""Parquet and Feather (by pyarrow), and JSON: one record per line, a list of records or rows, or a list per column."""
+"""Parquet and Feather (by pyarrow), and JSON or YAML: one record per line, a list of records or rows, or a list per column."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from errpipe.errors import DataError
+from errpipe import yamlfile
+from errpipe.errors import ConfigError, DataError
 from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
 
 name = "Parquet or JSON"
 suffixes = (".parquet", ".feather", ".arrow", ".json", ".jsonl", ".ndjson")
 binary = True  # a few bytes can declare many rows
 _PARQUET, _ARROW = b"PAR1", b"ARROW1"
+_YAML = (".yaml", ".yml")
 DEEPEST = 5  # nesting depth in which tables are searched for: a result of InfluxDB has 4
 FEWEST_ROWS = 3  # of a table next to the largest: fewer are facts of the set-up
 LONGEST_TEXT = 200  # characters of a text that is a comment
@@ -34,7 +36,7 @@ def sniff(path: Path, head: bytes) -> bool:
     """A Parquet or Feather file, or text that starts like JSON records; a line `[1] Circle` does not match."""
     begin = "".join(head[:64].decode("utf-8-sig", "replace").split()).replace("'", '"')
     records = begin.startswith(('{"', '[{"', "[{}", "[[")) or _LOGGED.match(head.decode("utf-8-sig", "replace"))
-    return head.startswith((_PARQUET, _ARROW)) or bool(records)
+    return head.startswith((_PARQUET, _ARROW)) or bool(records) or path.suffix.lower() in _YAML
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
@@ -90,7 +92,7 @@ def _json(path: Path) -> list[Sheet]:
     if re.match(r"[\[\s]*\{\s*'", text):  # dictionaries as Python prints them
         text = _OF_PYTHON.sub(lambda m: _JSON.get(m[0], '"'), text)
     try:
-        document = json.loads(text)
+        document = _yaml(path, text) if path.suffix.lower() in _YAML else json.loads(text)
     except ValueError:
         document = _of_one_time(_line(path, n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip())
     except RecursionError:
@@ -98,7 +100,7 @@ def _json(path: Path) -> list[Sheet]:
     tables = list(_tables(document))
     if not tables:
         raise DataError(
-            f"{path}: JSON without a table (allowed: one record per line, a list of records, rows or columns, "
+            f"{path}: JSON or YAML without a table (allowed: one record per line, a list of records, rows or columns, "
             "also within one object)"
         )
     _, largest = max(tables, key=lambda table: _rows(table[1]))
@@ -115,6 +117,15 @@ def _json(path: Path) -> list[Sheet]:
     above = [f"{k}: {v}" for k, v in facts if isinstance(v, str) and len(v) <= LONGEST_TEXT]  # `Axis: X`
     named = [(at if len(alike) > 1 and at else path.stem, t) for at, t in alike]
     return [_sheet(n, {k: [*map(_cell, of)] for k, of in t.items()}, [*notes], above) for n, t in named]
+
+
+def _yaml(path: Path, text: str) -> Any:
+    try:
+        document = yamlfile.parse(text, str(path))
+        document.raise_problems()
+    except ConfigError as err:
+        raise DataError(str(err)) from None
+    return document.value
 
 
 def _rows(table: dict[str, list[Any]]) -> int:
