@@ -22,6 +22,7 @@ MAX_SHEETS_NAMED = 6  # sheets named in a message
 OF_BOTH = (*OF_A_MACHINE, "spindle_speed", "velocity", "feed")  # what two devices may both record
 LARGEST_SHIFT = 900.0  # s: clocks that are set by hand differ by minutes
 MOST_COMPARED = 2000  # rows, and shifts, of a comparison of two clocks
+SAME_MISFIT = 0.01  # of the range: differences that noise explains; chosen on the same logs as the next
 CLOCK_RATIO = 3.0  # of mean differences now and at the best shift; chosen on simulated logs shifted by 0 to 600 s
 STALE_STEPS = 10.0  # steps of a log: an older reading is not used for the row
 
@@ -270,11 +271,17 @@ def _refuse_other_clock(
         known = (latest >= 0) & (latest < clock.size - 1) & np.isfinite(here + there[latest])
         misfit = np.where(known, np.abs(here - there[latest]), 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
         misfit[known.sum(axis=1) < 0.5 * rows.size] = np.inf
-        best, now = shifts[np.argmin(misfit)], misfit[np.argmin(np.abs(shifts))]
-        if abs(best) >= 2.0 * step and np.isfinite(now) and now > CLOCK_RATIO * misfit.min() + 0.01 * np.ptp(here):
+        near = shifts[misfit <= misfit.min() + SAME_MISFIT * np.ptp(here)]  # a cycle agrees again one period later
+        best, now = near[np.argmin(np.abs(near))], misfit[np.argmin(np.abs(shifts))]
+        if (
+            abs(best) >= 2.0 * step
+            and np.isfinite(now)
+            and now > CLOCK_RATIO * misfit.min() + SAME_MISFIT * np.ptp(here)
+        ):
+            way = "later" if best > 0 else "earlier"
             raise DataError(
-                f"{stem}: {name!r} is in both files, and agrees best {abs(best):g} s {'later' if best > 0 else 'earlier'} "
-                f"there: the clocks differ. Correct the times of one, or leave it out (--set {name}.role=ignore)"
+                f"{stem}: {name!r} is in both files, and agrees best {abs(best):g} s {way} there: the clocks "
+                f"differ. Correct the times of one, or leave it out (--set {name}.role=ignore)"
             )
 
 

@@ -49,10 +49,11 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
     _refuse_twice(files)
     _refuse_several_axes(files, options)
     legends = _legends(files, door)
+    named = [sheet for sheets in legends.values() for sheet in sheets]
     for file in [f for f in map(Path, files) if f not in legends]:
         proposal, source = _of_known_format(file, door, options), "a format with a door of its own"
         if proposal is None:
-            proposal, source = _of_any_sheet(file, door, options, len(files) > 1, [s for of in legends.values() for s in of])
+            proposal, source = _of_any_sheet(file, door, options, len(files) > 1, named)
         parts[file] = proposal
         sources.append({"file": file.name, "kind": source, "rows": proposal.rows})
     for file, sheets in legends.items():
@@ -92,11 +93,8 @@ def _refuse_unknown_sets(parts: Iterable[Proposal], options: ImportOptions) -> N
         of_file = {*part.headers, *map(slug, part.headers)}
         for name, keys in options.sets.items():
             entry = part.entries.get(part.names.get(name, slug(name)))
-            idle = [
-                k
-                for k in ("role", "unit")
-                if entry and name not in of_file and keys.get(k, entry.get(k)) != entry.get(k)
-            ]
+            made = entry if entry and name not in of_file else {}
+            idle = [k for k in ("role", "unit") if made and keys.get(k, made.get(k)) != made.get(k)]
             if entry is None and name in of_file and keys.get("role", "ignore") in resolve.PLACES:
                 idle = ["role"]  # a column of readings of a wide layout
             if idle:
@@ -218,12 +216,9 @@ def _of_known_format(file: Path, door: DoorOptions, options: ImportOptions) -> P
 
 def _refuse_idle_options(file: Path, name: str, given: dict[str, Any]) -> None:
     """Raise UsageError for an option that a format with a door of its own does not take."""
-    idle = [
-        key
-        for key in ("component", "unit", "sign", "resolution", "torque_constant", "names", "period", "sheet")
-        if given[key]
-    ]
-    idle += [f"set {column}.{key}" for column, keys in given["sets"].items() for key in keys if key in ("role", "unit")]
+    keys = ("component", "unit", "sign", "resolution", "torque_constant", "names", "period", "sheet")
+    idle = [key for key in keys if given[key]]
+    idle += [f"set {column}.{key}" for column, of in given["sets"].items() for key in of if key in ("role", "unit")]
     if idle:
         raise UsageError(
             f"{file}: of the format {name}, whose columns, units and sign are known: --{idle[0].replace('_', '-')} "

@@ -1,4 +1,4 @@
-"""Doors of `errpipe import`: one file per kind of measurement file. A new one is one file here and one entry in DOORS.
+"""Doors of `errpipe import`: one file per kind of measurement file. A new one is one file here and its name here.
 
 A door module has
     name                    as `errpipe formats` lists it
@@ -17,46 +17,20 @@ import sys
 import tempfile
 import zipfile
 import zlib
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import IO
 
 from errpipe.errors import DataError, ErrpipeError, UsageError
 from errpipe.importing import controller_files
-from errpipe.importing.doors import (
-    camonitor,
-    delimited,
-    dmis,
-    excel,
-    halsampler,
-    halscope,
-    hdf5,
-    markup,
-    matlab,
-    mtconnect,
-    numpy_arrays,
-    records,
-    sqlite,
-    tdms,
-)
 from errpipe.importing.sheet import DoorOptions, Sheet
 
-DOORS: tuple[ModuleType, ...] = (
-    excel,
-    tdms,
-    hdf5,
-    matlab,
-    numpy_arrays,
-    sqlite,
-    mtconnect,
-    markup,
-    halscope,
-    halsampler,
-    records,
-    camonitor,
-    dmis,
-    delimited,
+_NAMES = (
+    "excel tdms hdf5 matlab numpy_arrays sqlite mtconnect markup halscope halsampler records camonitor dmis delimited"
 )
+DOORS = tuple(
+    import_module(f"{__name__}.{name}") for name in _NAMES.split()
+)  # the first that recognises a file reads it
 
 MOST_BYTES = 256 << 20  # 256 MB: a larger log is stored as Parquet with a manifest, which is read in blocks
 HEAD_BYTES = 1 << 16  # for recognition of a format
@@ -82,7 +56,7 @@ def open_file(path: Path, options: DoorOptions, unpacked: bool = False) -> tuple
     with path.open("rb") as stream:
         head = stream.read(HEAD_BYTES)
     if not unpacked and head.startswith(b"\x1f\x8b"):
-        return _open_packed(path, options, gzip.open(path), path.stem)
+        return _open_packed(path, options, zipped=False)
     _refuse_known(path, head)
     for door in DOORS:
         if door.sniff(path, head):
@@ -92,40 +66,29 @@ def open_file(path: Path, options: DoorOptions, unpacked: bool = False) -> tuple
             if not any(sheet.rows for sheet in sheets):
                 raise DataError(f"{path}: no rows ({door.name})")
             return door.name, sheets
-    if head.startswith(b"PK\x03\x04"):
-        names = _names_in_archive(path)
-        if unpacked or len(names) != 1:
-            raise DataError(f"{path}: an archive of {len(names)} files: extract it first, and name its files")
-        return _open_packed(path, options, _member(path, names[0]), Path(names[0]).name)
+    if head.startswith(b"PK\x03\x04") and not unpacked:
+        return _open_packed(path, options, zipped=True)
     kinds = ", ".join(door.name for door in DOORS)
     raise DataError(f"{path}: neither text nor any other kind of file that is imported (allowed: {kinds})")
 
 
-def _names_in_archive(path: Path) -> list[str]:
-    """The files in a zip file, without those that a system adds. Raises DataError."""
+def _open_packed(path: Path, options: DoorOptions, zipped: bool) -> tuple[str, list[Sheet]]:
+    """As `open_file`, of the only file in a gzip or zip file, through a temporary folder. Raises DataError."""
+    name = path.stem
     try:
-        with zipfile.ZipFile(path) as archive:
-            names = [i.filename for i in archive.infolist() if not i.is_dir()]
-    except (zipfile.BadZipFile, OSError) as err:
-        raise DataError(f"{path}: a damaged archive ({err})") from None
-    return [name for name in names if not re.search(r"(?:^|/)(?:\.|__MACOSX/)", name)]
-
-
-def _member(path: Path, name: str) -> IO[bytes]:
-    try:
-        return zipfile.ZipFile(path).open(name)
-    except (RuntimeError, NotImplementedError, zipfile.BadZipFile):  # a password; another compression
-        raise DataError(f"{path}: an archive that needs a password, or another program: extract it first") from None
-
-
-def _open_packed(path: Path, options: DoorOptions, stream: IO[bytes], name: str) -> tuple[str, list[Sheet]]:
-    """As `open_file`, of the bytes of a packed file, which are written to a temporary folder. Raises DataError."""
-    with tempfile.TemporaryDirectory() as folder, stream:
+        if zipped:
+            with zipfile.ZipFile(path) as archive:
+                names = [n for n in archive.namelist() if not re.search(r"(?:^|/)(?:\.|__MACOSX/)|/$", n)]
+                if len(names) != 1:
+                    raise DataError(f"{path}: an archive of {len(names)} files: extract it first, and name its files")
+                data, name = archive.open(names[0]).read(MOST_BYTES + 1), names[0].rpartition("/")[2]
+        else:
+            with gzip.open(path) as stream:
+                data = stream.read(MOST_BYTES + 1)
+    except (OSError, EOFError, RuntimeError, zlib.error, zipfile.BadZipFile) as err:
+        raise DataError(f"{path}: an archive that cannot be read here ({err}): extract it first") from None
+    with tempfile.TemporaryDirectory() as folder:
         inner = Path(folder) / re.sub(r"[^\w. +=-]", "_", name)[-100:]
-        try:
-            data = stream.read(MOST_BYTES + 1)
-        except (OSError, EOFError, zlib.error, zipfile.BadZipFile) as err:
-            raise DataError(f"{path}: a damaged archive ({err})") from None
         inner.write_bytes(data)
         try:
             kind, sheets = open_file(inner, options, unpacked=True)
