@@ -49,7 +49,7 @@ _AXIS_OF_SHEET = re.compile(
     r"^([XYZ])\d?$|\b(?:axis|achse|axe|asse|eje)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse|axe|asse)\b",
     re.IGNORECASE,
 )
-_LENGTHS = re.compile(r"(l(ä|ae)nge|length|samples|anzahl|no\. of values)\b", re.IGNORECASE)  # of columns, above them
+_LENGTHS = re.compile(r"(l(ä|ae)nge|length|samples|anzahl|no\. of values)", re.IGNORECASE)  # of columns, above them
 _RULE = re.compile(r"[-=_+:~*|]{2,}")
 
 
@@ -213,7 +213,7 @@ def _first_data_row(name: str, rows: Rows, numbers: Numbers) -> int:
         block = range(r, min(r + 3, len(filled)))
         full = all(filled[i] >= max(2, 0.6 * width) and counts[i] >= max(1, 0.4 * filled[i]) for i in block)
         fact = counts[r] == 1 and width > 2 == filled[r] and is_word(rows[r][0])
-        fact |= _LENGTHS.match(str(rows[r][0])) is not None
+        fact |= _LENGTHS.fullmatch(str(rows[r][0]).strip(" :")) is not None
         if full and not fact and not is_header(rows[r], numbers, r):
             return r
     raise DataError(f"{name}: no block of numbers below a header in the first {DEEPEST_HEADER} lines ({NEEDED})")

@@ -239,10 +239,8 @@ def add_log(p: Proposal, log: Proposal, stem: str) -> None:
 
 
 def _same_day(p: Proposal, other: datetime, own: datetime, notes: list[str]) -> datetime:
-    """The date of a file, with day and month exchanged where their order was assumed and it is then that of the other.
-
-    `12/03/2025` beside `12.03.2025`. A log that passes a midnight has shown its order.
-    """
+    """The date of a file; with day and month exchanged if it is then that of the other file, as 12/03 beside 12.03."""
+    # Not where a date shows the order, as in a log that passes a midnight.
     assumed = re.search("the (month|day) first", p.guesses.get(p.first("time") or "", ""))
     if not assumed or own.day == own.month or (own.day, own.month, own.year) != (other.month, other.day, other.year):
         return own
@@ -273,11 +271,8 @@ def _refuse_other_clock(
         misfit[known.sum(axis=1) < 0.5 * rows.size] = np.inf
         near = shifts[misfit <= misfit.min() + SAME_MISFIT * np.ptp(here)]  # a cycle agrees again one period later
         best, now = near[np.argmin(np.abs(near))], misfit[np.argmin(np.abs(shifts))]
-        if (
-            abs(best) >= 2.0 * step
-            and np.isfinite(now)
-            and now > CLOCK_RATIO * misfit.min() + SAME_MISFIT * np.ptp(here)
-        ):
+        least = CLOCK_RATIO * misfit.min() + SAME_MISFIT * np.ptp(here)
+        if abs(best) >= 2.0 * step and np.isfinite(now) and now > least:
             way = "later" if best > 0 else "earlier"
             raise DataError(
                 f"{stem}: {name!r} is in both files, and agrees best {abs(best):g} s {way} there: the clocks "
