@@ -141,7 +141,9 @@ def _targets(
     first = numeric[0].header if numeric else ""
     spectrum = not first or kind_by_name(first) == "ignore"
     if not targets and not (spectrum or alike or guesses[first].kind == "time") and _rises(numeric[0]):
-        unsaid = [c for c in numeric[1:] if said[c.header] == (None, None) and _rises(c)]
+        unsaid = [
+            c for c in numeric[1:] if said[c.header] == (None, None) and _rises(c) and kind_by_name(c.header) != "time"
+        ]
         targets = numeric[:1] if not _counts(numeric[0]) else [c for c in unsaid if not _counts(c)][:1]
     return targets
 

@@ -26,11 +26,10 @@ from errpipe.importing import controller_files
 from errpipe.importing.sheet import DoorOptions, Sheet
 
 _NAMES = (
-    "excel tdms hdf5 matlab numpy_arrays sqlite mtconnect markup halscope halsampler records camonitor dmis delimited"
+    *("excel", "tdms", "hdf5", "matlab", "numpy_arrays", "sqlite", "mtconnect", "markup"),
+    *("halscope", "halsampler", "records", "camonitor", "dmis", "delimited"),
 )
-DOORS = tuple(
-    import_module(f"{__name__}.{name}") for name in _NAMES.split()
-)  # the first that recognises a file reads it
+DOORS = tuple(import_module(f"{__name__}.{name}") for name in _NAMES)  # in the order in which they are tried
 
 MOST_BYTES = 256 << 20  # 256 MB: a larger log is stored as Parquet with a manifest, which is read in blocks
 HEAD_BYTES = 1 << 16  # for recognition of a format

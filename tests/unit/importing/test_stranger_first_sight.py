@@ -206,3 +206,10 @@ def test_one_row_per_value_with_identifiers_and_two_clocks(tmp_path: Path, heade
     recording = imported(tmp_path, written(tmp_path / "a.csv", lines), sets=[])
     (error,) = recording.names("error", component="EXX")
     assert recording.array(error) == pytest.approx([d for *_, d in long_rows()], abs=1e-6)
+
+
+def test_two_channels_beside_a_clock_are_no_runs_over_time(tmp_path: Path) -> None:
+    """The times became targets in s: an internal error."""
+    rows = [f"{k + 1},{z},{s},{t}" for k, (s, z, t) in enumerate(zip(SECONDS, DRIFT, WARM, strict=True))]
+    header = "Index,Reading 101 (DCV) Z um,Relative Time s,Reading 102 (TC K) C"
+    has_drifted(imported(tmp_path, written(tmp_path / "k.csv", [header, *rows]), component="E_Z"))
