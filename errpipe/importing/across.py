@@ -113,12 +113,8 @@ def _are_targets(row: list[Cell], below: Rows, comma: bool) -> bool:
     values = [*dict.fromkeys(values)]
     steps = [b - a for a, b in pairwise(values)]
     counted = values == [1.0 + k for k in range(len(values))]  # run numbers
-    return (
-        len(values) >= FEWEST_TARGETS
-        and not words
-        and not counted
-        and (all(s > 0 for s in steps) or all(s < 0 for s in steps))
-    )
+    ordered = all(s > 0 for s in steps) or all(s < 0 for s in steps)
+    return len(values) >= FEWEST_TARGETS and not words and not counted and ordered
 
 
 def _sides(row: list[Cell], places: list[int]) -> dict[int, float] | None:

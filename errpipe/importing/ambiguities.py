@@ -16,7 +16,7 @@ from errpipe.importing.proposed import ImportOptions, Proposal, slug
 FEWEST_ROWS = 3  # rows with readings: a straight line fits any two
 PLACES = ("command", "position", "actual")
 # Other inputs that a deviation may depend on, if no position is recorded.
-INPUTS = (
+INPUTS = [
     "time",
     "temperature",
     "spindle_speed",
@@ -27,7 +27,7 @@ INPUTS = (
     "current",
     "pressure",
     "cut_length",
-)
+]
 # Lengths that are known better than the machine: if its own probe measured them, its reading replaces the command.
 _ARTEFACT = re.compile(
     r"\b(step ?gauges?|step ?bar|gau?ge ?blocks?|(stufen|parallel)?endmass\w*|(kugel|loch)(balken|platte|leiste)"
@@ -68,9 +68,8 @@ def _signs_in_a_column(p: Proposal, layout: Layout, options: ImportOptions) -> N
 
 def _artefact(p: Proposal, layout: Layout, options: ImportOptions) -> None:
     """Lengths of a gauge measured by the machine's own probe: reading minus gauge length is minus the deviation."""
-    said = next(
-        (x for x in [*layout.above, *(c.header for c in layout.columns)] if _ARTEFACT.search(words.plain(x))), None
-    )
+    texts = [*layout.above, *(c.header for c in layout.columns)]
+    said = next((x for x in texts if _ARTEFACT.search(words.plain(x))), None)
     if said is None or options.sign is not None or any("role" in keys for keys in options.sets.values()):
         return
     error = next((n for n, e in p.entries.items() if e["role"] == "error"), "")
@@ -175,7 +174,7 @@ _DIAMETERS = re.compile(
 )
 
 
-def refuse_diameters(layout: Layout, guesses: dict[str, columns.ColumnGuess], options: ImportOptions) -> None:
+def refuse_diameters(layout: Layout, guesses: columns.Guesses, options: ImportOptions) -> None:
     """Raise DataError if positions of an axis are diameters, as for X of a lathe: readings may be halved or not."""
     places = [c for c in layout.columns if guesses[c.header].kind in PLACES and c.numeric]
     above = words.axis_above(layout.above)
@@ -191,9 +190,7 @@ def refuse_diameters(layout: Layout, guesses: dict[str, columns.ColumnGuess], op
     )
 
 
-def component_above(
-    layout: Layout, guesses: dict[str, columns.ColumnGuess], options: ImportOptions, p: Proposal
-) -> ImportOptions:
+def component_above(layout: Layout, guesses: columns.Guesses, options: ImportOptions, p: Proposal) -> ImportOptions:
     """The options with the component, and its axis, named in lines above or in the file name, if no column names it.
 
     Raises DataError if several are named.

@@ -46,7 +46,9 @@ _BEFORE = (
     r"(?:[dΔδ]|e(?=[XYZ]\b)|pos|err(?:or)?|dev|cmd|act|nom|target|soll|ist|ref)(?=[XYZ](?![a-z]))"  # posX, errY, dZ
 )
 _BEHIND = r"axis|achse|pos|cmd|act|soll|ist|abw|fehler|(?:err(?:or)?|dev|drift|target|nom)(?![a-z])"  # Xerr
-_AXIS = re.compile(rf"(?:^|[\s_.\-(/<:])(?:{_BEFORE})?{AXIS_LETTER}(?:\d|[\s_.\-)/\[]|$|{_BEHIND})", re.IGNORECASE)
+_AXIS = re.compile(
+    rf"(?:^|[\s_.\-(/<:]|(?<=i[bmw])\[)(?:{_BEFORE})?{AXIS_LETTER}(?:\d|[\s_.\-)/\[\]]|$|{_BEHIND})", re.IGNORECASE
+)
 _WORDS = re.compile(
     r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|(?<=[\u3040-\ud7af])(?=[A-Za-z])|(?<=[A-Za-z])(?=[\u3040-\ud7af])"
 )
@@ -65,6 +67,9 @@ class ColumnGuess:
     kind: str
     axis: str | None
     why: str
+
+
+Guesses = dict[str, ColumnGuess]  # by header
 
 
 def guess(column: RawColumn) -> ColumnGuess:
@@ -104,13 +109,13 @@ def with_period(layout: Layout, period: float | None) -> Layout:
     return layout
 
 
-def with_one_clock(guesses: dict[str, ColumnGuess]) -> dict[str, ColumnGuess]:
+def with_one_clock(guesses: Guesses) -> Guesses:
     """The guesses; if there is a clock, `T_nut` is a temperature, however evenly it rises."""
     even = {h: ColumnGuess("temperature", None, g.why) for h, g in guesses.items() if g.why.endswith(EVEN_STEPS)}
     return guesses | even if len(even) < sum(g.kind == "time" for g in guesses.values()) else guesses
 
 
-def with_place(columns: list[RawColumn], guesses: dict[str, ColumnGuess], stated: str | None) -> dict[str, ColumnGuess]:
+def with_place(columns: list[RawColumn], guesses: Guesses, stated: str | None) -> Guesses:
     """The guesses; if no column is a position, the only column that names an axis and has the size of a travel is one.
 
     stated: an axis declared by the user; for a rotary one the only column of angles is the position: `q1 [rad]`.

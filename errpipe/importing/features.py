@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.importing import resolve, signs
+from errpipe.importing import order, resolve, signs
 from errpipe.importing.header import is_moment
 from errpipe.importing.layout import Layout
 from errpipe.importing.proposed import ImportOptions, Proposal
@@ -89,7 +89,7 @@ def proposal(sheet: Sheet, options: ImportOptions) -> Proposal | None:
         raise DataError("an inspection report without positions or deviations that vary: nothing to compensate")
     _ask_who_made_it(len(kept), moved, options)
     p = Proposal(notes=[*sheet.notes], headers={label(c) for row in rows[:1] for c in row})
-    p.put("run", _runs([place[a] for a in axes]), "repetition number of the position", role="run")
+    p.put("run", order.visits(*(np.round(place[a], 3) for a in axes)), "repetition number of the position", role="run")
     why = "nominal position of the feature" + ("" if units else "; no unit is stated, taken as mm")
     for a in moved:
         p.put(a, np.round(place[a], 4), why, role="position", axis=a, unit="mm")
@@ -332,13 +332,3 @@ def _deviations(readings: list[_Reading], unit: str | None, scale: float, option
             f"{FARTHEST:g} mm): does the header belong to these numbers?"
         )
     return both
-
-
-def _runs(places: list[np.ndarray]) -> list[str]:
-    """1, 2, ... for each row: how often its position has occurred so far."""
-    seen: Counter[tuple[float, ...]] = Counter()
-    out = []
-    for place in zip(*(np.round(x, 3).tolist() for x in places), strict=True):
-        seen[place] += 1
-        out.append(str(seen[place]))
-    return out

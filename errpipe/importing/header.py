@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 
 from errpipe.importing.blocks import COMMENT
-from errpipe.importing.facts import OF_A_FACT
 from errpipe.importing.sheet import Cell, Numbers, Rows, Sheet, filled_cells, label, number
 from errpipe.importing.units import split_header, unit_of
 from errpipe.importing.units_above import UNITS
@@ -32,6 +31,15 @@ _MOMENT = re.compile(
 _DATE_FORM = re.compile(
     r"[yY]{2,4}[./-][mM]{1,2}[./-][dD]{1,2}|[dD]{1,2}[./-][mM]{1,2}[./-][yY]{2,4}|[hH]{1,2}:[mM]{2}(:[sS]{2})?|NO\."
 )
+
+FACTS = {
+    "machine": r"machine|maschine",
+    "serial_number": r"serial(?: ?(?:no|number))?|serien ?nr|seriennummer|s/n",
+    "operator": r"operator|bediener|pr[üu]fer|inspector",
+    "date": r"date|datum",
+    "instrument": r"instrument|messger[äa]t|laser",
+}
+OF_A_FACT = "|".join(("axis|achse|axe|asse|eje|soft|program|title|titel|test|company|firma", *FACTS.values()))
 
 
 def is_word(cell: Cell) -> bool:
@@ -129,12 +137,9 @@ def names_of(rows: Rows, head: list[int], width: int) -> tuple[list[str], list[s
         texts = texts[-2:]
     if len(texts) == 2:
         filled = sum(bool(t) for t in texts[0][:width])
-        if (
-            (filled < 0.34 * width and not any(texts[0][1:width]))
-            or _are_positions(texts[1])
-            or _is_preamble(texts[0], texts[1][:width])
-            or (filled <= 2 and any(map(_is_amount, texts[0])))
-        ):
+        title = filled < 0.34 * width and not any(texts[0][1:width])
+        fact = filled <= 2 and any(map(_is_amount, texts[0]))
+        if title or fact or _are_positions(texts[1]) or _is_preamble(texts[0], texts[1][:width]):
             used -= 1
             texts = texts[-1:]
     if len(texts) == 2:
@@ -190,6 +195,12 @@ def _called(rows: Rows) -> dict[str, str]:
 def _with_channel(channel: str, name: str) -> str:
     """`CH1 Bearing`; the name alone if the channel is but a number, which would be read as that of a run."""
     return name if channel.isdigit() else f"{channel} {name}"
+
+
+def is_legend(sheet: Sheet) -> bool:
+    """Whether a sheet lists channels with their names and units, and nothing else below its header."""
+    called = _called(sheet.rows)
+    return len(called) >= max(2, len(sheet.rows) - 1) and all(name.endswith("]") for name in called.values())
 
 
 def with_legend(sheets: list[Sheet]) -> list[Sheet]:
@@ -253,3 +264,14 @@ def _are_positions(header: list[str]) -> bool:
     steps = np.diff(values)
     counted = np.array_equal(values, 1.0 + np.arange(len(values)))
     return len(values) > 3 and not counted and bool((steps > 0).all() or (steps < 0).all())
+
+
+def facts(above: list[str]) -> dict[str, str]:
+    """Facts on the set-up from the lines above a table: `Maschine: VMC 3`."""
+    found: dict[str, str] = {}
+    for line in above:
+        for name, words in FACTS.items():
+            match = re.match(rf"\s*(?:{words})\b\.?\s*[:=;,]?\s+(\S.{{0,80}})$", line, re.IGNORECASE)
+            if match and name not in found:
+                found[name] = match.group(1).strip()
+    return found

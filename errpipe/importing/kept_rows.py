@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from errpipe.importing import dates, wide
-from errpipe.importing.columns import ColumnGuess
+from errpipe.importing.columns import Guesses
 from errpipe.importing.header import is_word
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.proposed import Proposal
@@ -16,7 +16,7 @@ from errpipe.importing.sheet import label
 from errpipe.importing.together import STALE_STEPS
 
 
-def readings(layout: Layout, guesses: dict[str, ColumnGuess], p: Proposal) -> np.ndarray:
+def readings(layout: Layout, guesses: Guesses, p: Proposal) -> np.ndarray:
     """Whether each row is a reading; other exclusions are noted in the proposal."""
     out = ~_figures_below(layout, guesses, p) & ~_written_twice(layout, guesses, p) & ~_repeated(layout, guesses, p)
     measured = _measured_rows(layout, guesses)
@@ -31,7 +31,7 @@ OWN_ROWS = 0.5  # share of the rows of positions: with more, a sensor was read t
 MOST_REPEATED = 0.1  # share of the rows: above it, the clock of the log is coarse
 
 
-def in_order_of_time(layout: Layout, guesses: dict[str, ColumnGuess]) -> Layout:
+def in_order_of_time(layout: Layout, guesses: Guesses) -> Layout:
     """The rows sorted by date, if positions and readings then change less from row to row; else in file order.
 
     A clock that was set back interleaves what it wrote before and after: its order is not that of the readings.
@@ -46,7 +46,7 @@ def in_order_of_time(layout: Layout, guesses: dict[str, ColumnGuess]) -> Layout:
     far = [sum(np.nansum(np.abs(np.diff(v[i]))) / np.nanmax(np.abs(v)) for v in moving) for i in (..., order)]
     if far[1] > LESS_FAR * far[0]:
         return layout
-    parts = [RawColumn(c.header, c.unit, [c.cells[i] for i in order], c.values[order]) for c in layout.columns]
+    parts = [c.take(order) for c in layout.columns]
     notes = [*layout.notes, f"{falls} rows were earlier than the row above: rows sorted by date"]
     return Layout(parts, layout.above, notes, layout.below)
 
@@ -54,7 +54,7 @@ def in_order_of_time(layout: Layout, guesses: dict[str, ColumnGuess]) -> Layout:
 SLOW = ("temperature", "pressure", "humidity")  # sensors whose last reading stands for the next seconds
 
 
-def with_last_sensors(layout: Layout, guesses: dict[str, ColumnGuess]) -> Layout:
+def with_last_sensors(layout: Layout, guesses: Guesses) -> Layout:
     """The layout with the last reading of slow sensors in the rows of positions, if they have rows of their own."""
     clock = next((c for c in layout.columns if guesses[c.header].kind == "time"), None)
     measured = _measured_rows(layout, guesses)
@@ -71,12 +71,12 @@ def with_last_sensors(layout: Layout, guesses: dict[str, ColumnGuess]) -> Layout
             at = rows[np.maximum(last, 0)]
             fresh = ~there & (last >= 0) & (t - t[at] <= STALE_STEPS * np.median(np.diff(t[rows])))
             at = np.where(fresh, at, np.arange(at.size))
-            columns[-1] = RawColumn(c.header, c.unit, [c.cells[i] for i in at], c.values[at])
+            columns[-1] = c.take(at)
             notes.append(f"{c.header}: its last reading before each row ({int((fresh & measured).sum())} rows)")
     return Layout(columns, layout.above, notes, layout.below)
 
 
-def _repeated(layout: Layout, guesses: dict[str, ColumnGuess], p: Proposal) -> np.ndarray:
+def _repeated(layout: Layout, guesses: Guesses, p: Proposal) -> np.ndarray:
     """Rows equal to the row above in every cell, including the time: one reading written twice."""
     rows = list(zip(*(c.cells for c in layout.columns), strict=True))
     out = np.array([False, *(a == b for a, b in pairwise(rows))])
@@ -85,7 +85,7 @@ def _repeated(layout: Layout, guesses: dict[str, ColumnGuess], p: Proposal) -> n
     return out
 
 
-def _measured_rows(layout: Layout, guesses: dict[str, ColumnGuess]) -> np.ndarray:
+def _measured_rows(layout: Layout, guesses: Guesses) -> np.ndarray:
     """Rows with a value in every numeric position column."""
     keep = np.ones(len(layout.columns[0].cells), dtype=bool)
     for c in layout.columns:
@@ -95,7 +95,7 @@ def _measured_rows(layout: Layout, guesses: dict[str, ColumnGuess]) -> np.ndarra
     return keep & np.any(numbers, axis=0) if numbers else keep & False
 
 
-def _figures_below(layout: Layout, guesses: dict[str, ColumnGuess], p: Proposal) -> np.ndarray:
+def _figures_below(layout: Layout, guesses: Guesses, p: Proposal) -> np.ndarray:
     """Rows of statistics over the runs: `Mean;400;8.1`. The column of their names has numbers, or other names, above.
 
     In a column of runs each such name is a statistic; elsewhere they are few.
@@ -124,7 +124,7 @@ def _figures_below(layout: Layout, guesses: dict[str, ColumnGuess], p: Proposal)
     return out
 
 
-def _written_twice(layout: Layout, guesses: dict[str, ColumnGuess], p: Proposal) -> np.ndarray:
+def _written_twice(layout: Layout, guesses: Guesses, p: Proposal) -> np.ndarray:
     """Rows from where time goes back to where it continues, all duplicates of earlier rows: overlapping parts."""
     clock = next((c for c in layout.columns if guesses[c.header].kind == "time" and c.numeric), None)
     out = np.zeros(len(layout.columns[0].cells), dtype=bool)

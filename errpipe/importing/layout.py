@@ -49,6 +49,7 @@ _AXIS_OF_SHEET = re.compile(
     r"^([XYZ])\d?$|\b(?:axis|achse|axe|asse|eje)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse|axe|asse)\b",
     re.IGNORECASE,
 )
+_LENGTHS = re.compile(r"(l(ä|ae)nge|length|samples|anzahl|no\. of values)", re.IGNORECASE)  # of columns, above them
 _RULE = re.compile(r"[-=_+:~*|]{2,}")
 
 
@@ -60,6 +61,10 @@ class RawColumn:
     unit: str | None
     cells: list[Cell]
     values: np.ndarray  # NaN for a cell that is not a number
+
+    def take(self, rows: np.ndarray) -> RawColumn:
+        """The column with some of its rows, by number."""
+        return RawColumn(self.header, self.unit, [self.cells[i] for i in rows], self.values[rows])
 
     @property
     def texts(self) -> list[str]:
@@ -114,11 +119,11 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
         u or a or unit_in_cells.get(i)
         for i, (u, a) in enumerate(zip(units, units_of_columns(rows, start - used, called), strict=True))
     ]
-    names = named_above(_merged(names, numbers[start:]), rows[: start - used]) if used else names
+    names = named_above(_merged(names, numbers[start:]), rows[: start - used])
     if stated:
         units = [u or split_header(n)[1] for u, n in zip(units, names, strict=True)]
         names = [*_stated_names(stated, len(names), used > 0), *names[len(stated) :]]
-    elif not used:
+    elif not used and "column 2" in names:
         notes.append("the file has no header: columns are numbered (--names gives them names)")
     remarks = [row for row, of_row in zip(rows[start:], numbers[start:], strict=True) if all(v is None for v in of_row)]
     below = [" ".join(map(str, filled_cells(row))) for row in remarks[:MOST_REMARKS]]
@@ -208,6 +213,7 @@ def _first_data_row(name: str, rows: Rows, numbers: Numbers) -> int:
         block = range(r, min(r + 3, len(filled)))
         full = all(filled[i] >= max(2, 0.6 * width) and counts[i] >= max(1, 0.4 * filled[i]) for i in block)
         fact = counts[r] == 1 and width > 2 == filled[r] and is_word(rows[r][0])
+        fact |= _LENGTHS.fullmatch(str(rows[r][0]).strip(" :")) is not None
         if full and not fact and not is_header(rows[r], numbers, r):
             return r
     raise DataError(f"{name}: no block of numbers below a header in the first {DEEPEST_HEADER} lines ({NEEDED})")

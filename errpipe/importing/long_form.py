@@ -23,6 +23,7 @@ _SIGNAL = re.compile(
 _VALUE = re.compile(
     r"(?:var ?)?(value|state|payload|wert|reading|messwert|valeur|valore|valor)( ?\(?(float|double|num(ber|eric)?)\)?)?"
 )
+_DATA_ITEM = re.compile(r"data ?item ?(id)?")  # of MTConnect: an identifier beside the name, such as `x2`
 _NODE = re.compile(r"^ns=\d+;[sigb]=")  # of an OPC UA server, before the name
 _TICKS = re.compile(r"1\d{9}(\d{3}){0,3}(\.\d+)?")  # since 1970, from 2001 to 2033
 _LABELLED = re.compile(r"([^\W\d][\w:]*)\{(.*)\}")  # `axis_x_mm{job="mill"}` of Prometheus
@@ -115,6 +116,8 @@ def _columns(header: list[str], body: Rows) -> tuple[list[int], int, int, int | 
     some = [i for i in columns if sum(number(row[i], comma) is not None for row in sample) > 0.5 * len(sample)]
     value = next((i for i in some if header and _VALUE.fullmatch(header[i])), None)
     times = [i for i in (moments or numbers) if i != value and len({row[i] for row in sample}) > 1]
+    times = [i for i in times if not re.search("server|received", header[i] if header else "")] or times
+    named = [i for i in named if not _DATA_ITEM.fullmatch(header[i])] or named
     if named and value is not None and len(times) == 1:
         return named, times[0], value, units
     signals = [i for i in words if i != units]

@@ -19,6 +19,7 @@ _STAMP = re.compile(  # a time stamp or a counter before the values
 )
 _INDEX = re.compile(r"\[\d+\]$|(?<=#)\d+$")  # `VC[12]`, `#101`: values with an index instead of a name
 _TICKS = re.compile(r"\d{10,19}")  # of a line protocol: the time stamp after all values
+_OF_A_MEASUREMENT = re.compile(r"([^\s,=]+(?:,[^\s,=]+=[^\s,=]+)*) ([^\s,=]+=\S+) (\d{10,19})")
 FEWEST_ROWS = 3  # of a table
 MOSTLY = 0.8  # share of the lines that are names and values; share of the rows that contain a name
 
@@ -31,6 +32,8 @@ def tabled(sheet: Sheet) -> Sheet:
     cells = [[label(c) for c in filled_cells(row)] for row in sheet.rows]
     for mark in (" ", ",") if sheet.header is None else ():  # a decimal comma may have split the cells
         lines = [line for row in cells if re.search(r"\w", line := mark.join(row))]
+        if (series := _of_measurements(sheet, lines)) is not None:
+            return series
         found = [_pairs(line) for line in lines]
         each = {name for of_line in found for name, _, _ in of_line}
         if len(each) > len(lines) and all(map(_INDEX.search, each)):
@@ -43,6 +46,28 @@ def tabled(sheet: Sheet) -> Sheet:
             above = [line for line, of_rows in zip(lines, named, strict=True) if not of_rows]
             return _table(sheet, names, [pair for of_line in found for pair in of_line if pair[0] in names], above)
     return sheet
+
+
+def _of_measurements(sheet: Sheet, lines: list[str]) -> Sheet | None:
+    """A row per time of a line protocol of several measurements, `probe,tag=x field=1 time`; None for other lines.
+
+    A column has the names of measurement and field, and the tags that differ between lines.
+    """
+    parts = [m.groups() for line in lines if (m := _OF_A_MEASUREMENT.fullmatch(line))]
+    if len(parts) < len(lines) or len({head for head, _, _ in parts}) < 2:
+        return None
+    heads = {head: re.split(r"[,=]", head) for head, _, _ in parts}
+    shared = set.intersection(*(set(words[1:]) for words in heads.values()))
+    keys = {key for words in heads.values() for key in words[1::2]}
+    table: dict[str, dict[str, Cell]] = {}
+    for head, fields, time in parts:
+        named = " ".join(w for k, w in enumerate(heads[head]) if not k or (w not in shared and w not in keys))
+        for field in fields.split(","):
+            name, _, value = field.partition("=")
+            table.setdefault(time, {})[f"{named} {name}"] = re.sub(r"(?<=\d)[iu]$", "", value)
+    names = dict.fromkeys(name for values in table.values() for name in values)
+    rows: list[list[Cell]] = [[time, *map(table[time].get, names)] for time in sorted(table, key=int)]
+    return Sheet(sheet.name, rows, ["time stamp", *names], [*sheet.notes, f"{len(heads)} series in one column each"])
 
 
 def _table(sheet: Sheet, names: list[str], pairs: list[tuple[str, str, str]], above: list[str]) -> Sheet:

@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-from errpipe.domain import components, units
+from errpipe.domain import components
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
 from errpipe.importing import words
@@ -18,6 +18,8 @@ from errpipe.importing.proposed import Proposal
 DENSE_ROWS = 500  # rows: a log, not a positioning test
 FEWEST_VISITS = 6  # readings; fewer do not show which positions are targets
 DENSE_PLACES = 100  # distinct commands: a log, not a positioning test
+FEWEST_SAMPLES = 20  # rows: fewer do not show a motion
+FASTEST_TARGETS = 0.1  # s between rows: no axis stops at a target and is read in less
 
 SHARED = 3  # visits with the same digits that make a position a target
 
@@ -65,9 +67,13 @@ def resolve_order(p: Proposal, axis: str) -> None:
 def is_log(p: Proposal, axis: str | None = None) -> bool:
     """Whether the rows are samples of a moving axis in time, not targets."""
     command = p.first("command", axis) or p.first("position", axis)
-    if p.first("time") is None or command is None or p.rows < DENSE_ROWS or command not in p.data:
+    time = p.first("time")
+    if time is None or time not in p.data or command not in p.data or p.rows < FEWEST_SAMPLES:
         return False
-    return np.unique(np.round(p.data[command], 4)).size > DENSE_PLACES
+    places = np.unique(np.round(p.data[command], 4)).size
+    if p.rows < DENSE_ROWS:
+        return places > 0.5 * p.rows and float(np.nanmedian(np.diff(p.canonical(time)))) < FASTEST_TARGETS
+    return places > DENSE_PLACES
 
 
 def _log_of_an_axis(p: Proposal, axis: str) -> None:
@@ -75,15 +81,13 @@ def _log_of_an_axis(p: Proposal, axis: str) -> None:
     command, time = p.first("command", axis), p.first("time")
     if command is None or time is None:
         return
-    scale = {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86400.0}[p.entries[time].get("unit", "s")]
-    t, x = p.data[time] * scale, p.canonical(command)
+    t, x = p.canonical(time), p.canonical(command)
     if np.isfinite(t).all() and np.isfinite(x).all() and np.all(np.diff(t) > 0):
         unit = "deg" if p.entries[command].get("unit") in ("deg", "rad") else "mm"
         v = np.gradient(x, t)
         if p.first("velocity", axis) is None:
-            p.put(
-                f"v_{axis}", np.round(v, 6), "derivative of the command", role="velocity", axis=axis, unit=f"{unit}/s"
-            )
+            why = "derivative of the command"
+            p.put(f"v_{axis}", np.round(v, 6), why, role="velocity", axis=axis, unit=f"{unit}/s")
         if p.first("acceleration", axis) is None:
             a = np.round(np.gradient(v, t), 4)
             p.put(f"a_{axis}", a, "second derivative of the command", role="acceleration", axis=axis, unit=f"{unit}/s2")
@@ -152,9 +156,8 @@ def _directions_and_runs(p: Proposal, axis: str) -> None:
         moves = motion_sides(x, p.data.get(p.first("run") or ""))
         _sides_of_labels(p, moves)
         if moves is not None and np.unique(moves).size == 2:
-            p.put(
-                "direction", moves, "from the order of the positions: +1 where they rise", role="direction", axis=axis
-            )
+            why = "from the order of the positions: +1 where they rise"
+            p.put("direction", moves, why, role="direction", axis=axis)
     if p.first("run") is None:
         side = p.first("direction")
         runs = sweeps(x, p.data.get(side or ""))
@@ -199,8 +202,7 @@ def _runs_by_gaps(p: Proposal) -> None:
     time = p.first("time")
     if p.first("run") is not None or time is None:
         return
-    scale = units.conversion("time", p.entries[time].get("unit"))
-    t = p.data[time] if scale is None else scale(p.data[time])
+    t = p.canonical(time)
     if not np.isfinite(t).all() or t.size < 3:
         return
     steps = np.diff(t)
@@ -210,14 +212,12 @@ def _runs_by_gaps(p: Proposal) -> None:
         return
     labels = [str(n + 1) for n in range(number[-1] + 1)]
     if epoch := p.entries[time].get("epoch"):
-        starts = [
-            datetime.fromisoformat(epoch) + timedelta(seconds=float(t[number == n][0])) for n in np.unique(number)
-        ]
+        first = [float(t[number == n][0]) for n in np.unique(number)]
+        starts = [datetime.fromisoformat(epoch) + timedelta(seconds=s) for s in first]
         dates = [f"{start:%Y-%m-%d}" for start in starts]
         labels = dates if len(set(dates)) == len(dates) else [f"{start:%Y-%m-%d %H:%M}" for start in starts]
-    p.put(
-        "run", [labels[n] for n in number], f"a new run after each pause of more than {pause / 3600:.2g} h", role="run"
-    )
+    why = f"a new run after each pause of more than {pause / 3600:.2g} h"
+    p.put("run", [labels[n] for n in number], why, role="run")
 
 
 FEWEST_COPIED = 3  # rows equal to the rows before: fewer may be equal by chance on a coarse gauge
@@ -315,13 +315,13 @@ def _may_be_sides(p: Proposal, name: str, x: np.ndarray) -> bool:
     return len(at) == 2 and targets > 2 and min(at) >= FEWEST_OF_A_LABEL * targets
 
 
-def _visits(x: np.ndarray, way: np.ndarray) -> list[str]:
-    """How often each target has been approached from the same side so far, counted from 1."""
-    seen: Counter[tuple[float, float]] = Counter()
+def visits(*columns: np.ndarray) -> list[str]:
+    """How often the values of each row have occurred so far: a target, approached from one side; counted from 1."""
+    seen: Counter[tuple[float, ...]] = Counter()
     out = []
-    for pair in zip(np.round(x, 6).tolist(), way.tolist(), strict=True):
-        seen[pair] += 1
-        out.append(str(seen[pair]))
+    for row in zip(*(x.tolist() for x in columns), strict=True):
+        seen[row] += 1
+        out.append(str(seen[row]))
     return out
 
 
@@ -330,7 +330,7 @@ def sweeps(x: np.ndarray, side: np.ndarray | None) -> list[str]:
     way = motion_sides(x) if side is None else side
     if way is None:
         return ["1"] * x.size
-    again = _visits(x, way)
+    again = visits(np.round(x, 6), way)
     if _repeated(x[: x.size // 2], None) and len(set(again)) > 1:
         return again  # several readings per target before the next: the first, second, ... visit of each
     jumps = np.r_[False, np.diff(way) != 0]

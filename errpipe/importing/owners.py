@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
-from errpipe.importing.columns import ColumnGuess
+from errpipe.importing.columns import Guesses
 from errpipe.importing.layout import RawColumn
 
 OF_AN_AXIS = ("command", "position", "actual", "velocity", "acceleration", "current", "force", "torque")
@@ -14,7 +14,7 @@ _AXES = "XYZABCUVW"
 _NUMBERED = re.compile(r"(.*?)[ _.]?[(\[]?(\d+)[)\]]?")
 
 
-def only_of_axes(columns: list[RawColumn], guesses: dict[str, ColumnGuess]) -> dict[str, ColumnGuess]:
+def only_of_axes(columns: list[RawColumn], guesses: Guesses) -> Guesses:
     """The guesses without columns of a channel that is not an axis, if channels of axes have a column of the same name.
 
     Otherwise `S1_ActualVelocity` next to `X1_ActualVelocity` would be a velocity of the axis that the file names first.
@@ -30,7 +30,7 @@ def only_of_axes(columns: list[RawColumn], guesses: dict[str, ColumnGuess]) -> d
     return {**out, **_left_out(guesses)}
 
 
-def _left_out(guesses: dict[str, ColumnGuess]) -> dict[str, ColumnGuess]:
+def _left_out(guesses: Guesses) -> Guesses:
     """Columns of a numbered channel whose positions the user excluded, as ignored: `speed (3)` with `pos (3)`."""
     numbers = {h: match.groups() for h in guesses if (match := _NUMBERED.fullmatch(h))}
     places = ("command", "position", "actual")

@@ -53,9 +53,5 @@ def paired(sheet: Sheet) -> Sheet:
 def _repeats(row: list[Cell]) -> bool:
     """Whether every second cell of a row, from the first, is the same word."""
     labels = {label(c) for c in row[0::2] if c not in (None, "")}
-    return (
-        len(row) > 3
-        and len(labels) == 1
-        and row[2] not in (None, "")
-        and re.search(r"[^\W\d]", labels.pop()) is not None
-    )
+    again = len(row) > 3 and len(labels) == 1 and row[2] not in (None, "")
+    return again and re.search(r"[^\W\d]", labels.pop()) is not None

@@ -31,7 +31,7 @@ from errpipe.importing import (
     wide,
 )
 from errpipe.importing import columns as guessing
-from errpipe.importing.facts import facts
+from errpipe.importing.header import facts
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
@@ -119,9 +119,7 @@ def _stated(column: RawColumn, options: ImportOptions) -> guessing.ColumnGuess |
     return guessing.ColumnGuess(role, axis or guessing.axis_in(column.header), "")
 
 
-def _of_stated_axis(
-    layout: Layout, guesses: dict[str, guessing.ColumnGuess], axis: str | None
-) -> dict[str, guessing.ColumnGuess]:
+def _of_stated_axis(layout: Layout, guesses: guessing.Guesses, axis: str | None) -> guessing.Guesses:
     """The guesses with the axis from --axis, even if a line above names another axis: `U1-1` is then a channel.
 
     Raises DataError if all columns of an axis name another one and no line above does: the option would be ignored.
@@ -139,7 +137,7 @@ def _of_stated_axis(
     )
 
 
-def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], unfolded: wide.Wide | None) -> str | None:
+def _axis(layout: Layout, guesses: guessing.Guesses, unfolded: wide.Wide | None) -> str | None:
     motion = ("command", "position", "actual", "counts", "error")
     runs = {c.header for c in [*unfolded.statistics, *(r for r, _, _ in unfolded.readings)]} if unfolded else set()
     named = [
@@ -158,20 +156,13 @@ def _axis(layout: Layout, guesses: dict[str, guessing.ColumnGuess], unfolded: wi
 
 
 def _long(
-    layout: Layout,
-    guesses: dict[str, guessing.ColumnGuess],
-    axis: str,
-    options: ImportOptions,
-    p: Proposal,
-    may_be_log: bool,
+    layout: Layout, guesses: guessing.Guesses, axis: str, options: ImportOptions, p: Proposal, may_be_log: bool
 ) -> None:
     """One row of the file becomes one row of the recording."""
     keep = kept_rows.readings(layout, guesses, p)
     if not keep.any():
         raise DataError("no row contains a reading")
-    parts = [
-        RawColumn(c.header, c.unit, [c.cells[i] for i in np.flatnonzero(keep)], c.values[keep]) for c in layout.columns
-    ]
+    parts = [c.take(np.flatnonzero(keep)) for c in layout.columns]
     of_errors = [c for c in parts if guesses[c.header].kind == "error"]
     if len(of_errors) == 1 and of_errors[0].unit is None:
         of_errors[0].unit = unit_above(layout.above, of_errors[0].values)
@@ -192,12 +183,7 @@ def _long(
 
 
 def _wide(
-    layout: Layout,
-    guesses: dict[str, guessing.ColumnGuess],
-    table: wide.Wide,
-    axis: str,
-    options: ImportOptions,
-    p: Proposal,
+    layout: Layout, guesses: guessing.Guesses, table: wide.Wide, axis: str, options: ImportOptions, p: Proposal
 ) -> None:
     """A row per target becomes one row per reading."""
     index, run, sides, values = wide.unpivot(table)
@@ -221,8 +207,7 @@ def _wide(
             continue
         g = guesses[c.header]
         if g.kind in ("temperature", "pressure", "humidity", "feed", "spindle_speed"):
-            cells = [c.cells[i] for i in index]
-            add_column(RawColumn(c.header, c.unit, cells, c.values[index]), g, axis, options, p)
+            add_column(c.take(index), g, axis, options, p)
         else:
             p.notes.append(f"column {c.header!r} was excluded: {g.why}")
     resolve.finish(p, layout, axis, options)
@@ -239,9 +224,8 @@ def _wide_readings(
     unit = resolve.stated_unit(options, stated[0] if stated else unit_above(layout.above, values), headers[0])
     why = f"the columns of the runs; component {component} from the axis" if options.component is None else ""
     values, unit, why = resolve.unit_of_readings(values, unit, component, why)
-    p.put(
-        component, values, why.strip("; "), role="error", component=component, unit=unit, _axis=axis, _headers=headers
-    )
+    why = why.strip("; ")
+    p.put(component, values, why, role="error", component=component, unit=unit, _axis=axis, _headers=headers)
 
 
 def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: ImportOptions, p: Proposal) -> None:
@@ -262,11 +246,8 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
         usual = "deg" if own[0] in "ABC" else "mm"
         whole = unit is None and np.array_equal(c.values, np.round(c.values), equal_nan=True)
         factor = options.resolution if whole else None
-        unit, why = (
-            (usual, f"{why}; whole numbers: counts{OF_A_COUNT}")
-            if factor
-            else _unit_or(_known_unit(c, unit), usual, why)
-        )
+        counts = usual, f"{why}; whole numbers: counts{OF_A_COUNT}"
+        unit, why = counts if factor else _unit_or(_known_unit(c, unit), usual, why)
         values, unit, why = plain_unit(c.values * (factor or 1.0), unit, why, ROLE_UNITS[g.kind])
         p.put(c.header, values, why, role=g.kind, axis=own, unit=unit)
     elif g.kind == "counts":
@@ -310,7 +291,7 @@ def _filled_down(c: RawColumn, p: Proposal) -> RawColumn:
         return c
     at = np.maximum.accumulate(np.where(filled, np.arange(filled.size), 0))
     p.notes.append(f"empty cells of {c.header!r} take the value above them (merged cells)")
-    return RawColumn(c.header, c.unit, [c.cells[i] for i in at], c.values[at])
+    return c.take(at)
 
 
 def _known_unit(c: RawColumn, unit: str | None) -> str | None:

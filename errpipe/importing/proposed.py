@@ -65,8 +65,9 @@ class Proposal:
         return unique
 
     def canonical(self, name: str) -> np.ndarray:
-        """The values of a column of positions in mm or deg."""
-        convert = units.conversion("position", self.entries[name].get("unit"))
+        """The values of a column of positions in mm or deg, or of times in s."""
+        role = "time" if self.entries[name]["role"] == "time" else "position"
+        convert = units.conversion(role, self.entries[name].get("unit"))
         values: np.ndarray = self.data[name] if convert is None else convert(self.data[name])
         return values
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from errpipe.domain import components, units
 from errpipe.errors import DataError
 from errpipe.importing import order
-from errpipe.importing.columns import ColumnGuess
+from errpipe.importing.columns import Guesses
 from errpipe.importing.layout import RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 
@@ -57,7 +57,7 @@ def continue_counts(p: Proposal, resolution: float | None) -> None:
                 break
 
 
-def unit_by_positions(columns: Sequence[RawColumn], guesses: Mapping[str, ColumnGuess]) -> list[str]:
+def unit_by_positions(columns: Sequence[RawColumn], guesses: Guesses) -> list[str]:
     """Infer the unit of deviations without one that equal actual minus commanded position, or 1000 times it.
 
     Positions without a unit are in mm if they exceed any travel in inches. Returns a note on each.
@@ -113,9 +113,8 @@ def readings_as_errors(p: Proposal, axis: str) -> None:
             continue
         del p.entries[name], p.data[name]
         p.guesses.pop(name, None)
-        name = p.put(
-            f"actual_{axis}" if name == entry["component"] else name, values, role="actual", axis=axis, unit=unit
-        )
+        name = f"actual_{axis}" if name == entry["component"] else name
+        name = p.put(name, values, role="actual", axis=axis, unit=unit)
         p.guesses[name] = f"it rises with {place} one for one: absolute readings in {unit}, not deviations"
 
 
@@ -137,9 +136,8 @@ def _within_half_a_turn(p: Proposal, command: str, actual: str) -> None:
     passed = np.abs(np.nan_to_num(turns)) == 1
     if 0 < passed.mean() <= 0.5:
         p.data[actual] = np.where(passed, p.data[actual] - 360.0 * turns, p.data[actual])
-        p.guesses[actual] = f"{p.guesses.get(actual, '')}; {int(passed.sum())} of them a turn off, as 360 = 0".strip(
-            "; "
-        )
+        why = f"{p.guesses.get(actual, '')}; {int(passed.sum())} of them a turn off, as 360 = 0"
+        p.guesses[actual] = why.strip("; ")
 
 
 def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
@@ -169,9 +167,8 @@ def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
         if p.entries[command]["role"] == "position":
             p.entries[command]["role"] = "command"
         order.refuse_swapped(p, command, actual)
-        if options.sign == "commanded-minus-actual" and not {"command", "actual"} & {
-            keys.get("role") for keys in options.sets.values()
-        }:
+        stated = {keys.get("role") for keys in options.sets.values()}
+        if options.sign == "commanded-minus-actual" and not {"command", "actual"} & stated:
             raise DataError(
                 f"the error is {actual!r} minus {command!r}, both of which are recorded: --sign would be ignored. If "
                 f"the machine read {actual!r} on a gauge or part of known size, use --set {actual}.role=command "
@@ -180,7 +177,6 @@ def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
         _within_half_a_turn(p, command, actual)
         component = options.component or components.positioning(letter)
         unit = components.unit(component)
-        name = p.put(
-            component, None, role="error", component=component, unit=unit, derived={"minus": [actual, command]}
-        )
+        minus = {"minus": [actual, command]}
+        name = p.put(component, None, role="error", component=component, unit=unit, derived=minus)
         p.guesses[name] = f"error = {actual} - {command} (actual minus commanded)"

@@ -7,7 +7,6 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-from errpipe.domain import units
 from errpipe.errors import DataError
 from errpipe.importing.proposed import Proposal
 
@@ -80,7 +79,5 @@ def _days(p: Proposal) -> list[str] | None:
     epoch = p.entries[time].get("epoch") if time is not None else None
     if time is None or epoch is None or not np.isfinite(p.data[time]).all():
         return None
-    scale = units.conversion("time", p.entries[time].get("unit"))
-    seconds = p.data[time] if scale is None else scale(p.data[time])
     start = datetime.fromisoformat(epoch)
-    return [f"{start + timedelta(seconds=float(s)):%Y-%m-%d}" for s in seconds]
+    return [f"{start + timedelta(seconds=float(s)):%Y-%m-%d}" for s in p.canonical(time)]

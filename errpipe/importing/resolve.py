@@ -322,8 +322,5 @@ def _found(p: Proposal, name: str) -> str:
 def _may_be_a_place(p: Proposal, c: RawColumn) -> bool:
     """Whether an unused column has a unit of length and many values."""
     left_out = p.entries.get(p.names.get(c.header, ""), {}).get("role") == "ignore"
-    return (
-        left_out
-        and c.unit in ("mm", "m", "inch", "um", "deg", "rad")
-        and np.unique(c.values[np.isfinite(c.values)]).size > 3
-    )
+    many = np.unique(c.values[np.isfinite(c.values)]).size > 3
+    return left_out and many and c.unit in ("mm", "m", "inch", "um", "deg", "rad")

@@ -38,11 +38,7 @@ def one_axis(layout: Layout, options: ImportOptions) -> Layout:
 
 def _rows(layout: Layout, by: RawColumn, keep: np.ndarray, value: str) -> Layout:
     """Some rows of a layout, without the column that distinguishes them."""
-    kept = [
-        RawColumn(c.header, c.unit, [c.cells[i] for i in np.flatnonzero(keep)], c.values[keep])
-        for c in layout.columns
-        if c is not by
-    ]
+    kept = [c.take(np.flatnonzero(keep)) for c in layout.columns if c is not by]
     note = f"{int(keep.sum())} of {len(keep)} rows: those with {by.header} = {value}"
     return Layout(kept, [*layout.above], [*layout.notes, note], layout.below)
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import datetime
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
-from errpipe.errors import DataError
+from errpipe.errors import DataError, UsageError
 
 Cell = str | float | None
 Rows = list[list[Cell]]
@@ -58,10 +62,32 @@ class Sheet:
         return self
 
 
+@contextmanager
+def readable(path: Path, what: str, hint: str = "export it again, or as CSV") -> Iterator[None]:
+    """Raises DataError for an error within it: libraries raise many types of them for damaged files."""
+    try:
+        yield
+    except (UsageError, DataError, MemoryError):
+        raise
+    except Exception as err:
+        raise DataError(f"{path}: not {what} that can be read ({type(err).__name__}): {hint}") from None
+
+
 def affordable(cells: int, name: object) -> None:
     """Raise DataError if so many cells, or lines, would need too much memory."""
     if cells > MOST_CELLS:
         raise DataError(f"{name}: {cells} cells (at most {MOST_CELLS} are imported; split the file)")
+
+
+def cell_of(value: Any) -> Cell:
+    """A value of a file's library as a cell: a number, a date in ISO 8601, a duration in s, or text."""
+    if value is None or isinstance(value, str | float):
+        return None if value == "" else value
+    if isinstance(value, int):
+        return float(value)
+    if isinstance(value, datetime.timedelta):
+        return value.total_seconds()
+    return value.isoformat() if hasattr(value, "isoformat") else str(value)
 
 
 def number(cell: Any, comma: bool) -> float | None:

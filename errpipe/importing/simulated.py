@@ -26,9 +26,8 @@ def component_of_force(header: str, unit: str | None, axis: str) -> str | None:
 def as_a_load(p: Proposal, axis: str) -> str:
     """Hint how to diagnose a recorded force or torque; empty if there is none."""
     found = p.first("torque") or p.first("force")
-    return (
-        f"; the load of a drive is one with --set {found}.role=error --set {found}.component=F_{axis}" if found else ""
-    )
+    hint = f"; the load of a drive is one with --set {found}.role=error --set {found}.component=F_{axis}"
+    return hint if found else ""
 
 
 def forces_as_responses(p: Proposal) -> None:

@@ -6,7 +6,6 @@ import re
 
 import numpy as np
 
-from errpipe.domain import units
 from errpipe.importing.layout import Layout
 from errpipe.importing.proposed import Proposal
 from errpipe.importing.sheet import label, number
@@ -66,9 +65,8 @@ def units_by_positions(p: Proposal) -> None:
         if found is None or found[1] is None:
             said = f"; {found[0]:.3g} for 1 {usual} of the position" if found else ""
             p.entries[name] = {"role": "ignore"}
-            p.guesses[name] = (
-                f"a velocity{said} without a unit: declare it with --set {name}.unit=... (mm/s, deg/s, ...)"
-            )
+            hint = f"declare it with --set {name}.unit=... (mm/s, deg/s, ...)"
+            p.guesses[name] = f"a velocity{said} without a unit: {hint}"
             continue
         unit = found[1]
         if unit != usual:
@@ -82,9 +80,7 @@ def _scale(p: Proposal, name: str) -> tuple[float, str | None] | None:
     place = next((n for r in ("command", "actual", "position") if (n := p.first(r, axis)) in p.data), None)
     if place is None or clock not in p.data:
         return None
-    seconds = units.conversion("time", p.entries[clock].get("unit"))
-    t, x, v = np.asarray(p.data[clock], dtype=float), p.canonical(place), p.data[name]
-    t = t if seconds is None else seconds(t)
+    t, x, v = p.canonical(clock), p.canonical(place), p.data[name]
     good = np.isfinite(t) & np.isfinite(x) & np.isfinite(v)
     t, x, v = t[good], x[good], v[good]
     if t.size < 20 or np.any(np.diff(t) <= 0):

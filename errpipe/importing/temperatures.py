@@ -7,11 +7,11 @@ the column is not used, and a note states it.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from errpipe.importing.columns import ColumnGuess
+from errpipe.importing.columns import ColumnGuess, Guesses
 from errpipe.importing.layout import RawColumn
 from errpipe.importing.words import plain
 
@@ -68,9 +68,7 @@ UNEVEN = 0.25  # of the value for independent readings (2 variances): the mean s
 CALM = 1.0  # K: within this span a room shows only noise
 
 
-def with_temperatures(
-    columns: Sequence[RawColumn], guesses: Mapping[str, ColumnGuess]
-) -> tuple[dict[str, ColumnGuess], list[str]]:
+def with_temperatures(columns: Sequence[RawColumn], guesses: Guesses) -> tuple[Guesses, list[str]]:
     """The guesses with the columns that are clearly temperatures, and notes on possible ones."""
     out, notes = dict(guesses), []
     starts = _starts(columns, guesses)
@@ -125,7 +123,7 @@ def _named(text: str) -> bool:
     return bool(places) and all(w in places or _SIDE.fullmatch(w) or (letters and _AXIS.fullmatch(w)) for w in words)
 
 
-def _starts(columns: Sequence[RawColumn], guesses: Mapping[str, ColumnGuess]) -> np.ndarray:
+def _starts(columns: Sequence[RawColumn], guesses: Guesses) -> np.ndarray:
     """Rows at which a run starts, by its label, or by times that go back or pause; (rows,), the first one True."""
     rows = len(columns[0].cells)
     begins = np.zeros(rows, dtype=bool)

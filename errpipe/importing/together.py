@@ -19,6 +19,11 @@ from errpipe.importing.words import plain
 
 OF_A_MACHINE = ("command", "position", "actual")
 MAX_SHEETS_NAMED = 6  # sheets named in a message
+OF_BOTH = (*OF_A_MACHINE, "spindle_speed", "velocity", "feed")  # what two devices may both record
+LARGEST_SHIFT = 900.0  # s: clocks that are set by hand differ by minutes
+MOST_COMPARED = 2000  # rows, and shifts, of a comparison of two clocks
+SAME_MISFIT = 0.01  # of the range: differences that noise explains; chosen on the same logs as the next
+CLOCK_RATIO = 3.0  # of mean differences now and at the best shift; chosen on simulated logs shifted by 0 to 600 s
 STALE_STEPS = 10.0  # steps of a log: an older reading is not used for the row
 
 
@@ -201,6 +206,8 @@ def add_log(p: Proposal, log: Proposal, stem: str) -> None:
             f"{stem}: it contains no deviation, and files are merged by date and time, which not all of them have "
             "(write times such as 2025-03-01T07:00:00, or join the columns in one table)"
         )
+    start, own = _same_day(p, own, start, p.notes), _same_day(log, start, own, p.notes)
+    p.entries[p.first("time") or ""]["epoch"] = start.isoformat()
     _shift(log, start, own)
     time, log_time = p.first("time") or "", log.first("time") or ""
     logged = pd.DataFrame({n: v for n, v in log.data.items() if log.entries[n]["role"] != "run"})
@@ -215,6 +222,7 @@ def add_log(p: Proposal, log: Proposal, stem: str) -> None:
             f"of {stem}: {_period(start, logged[log_time].to_numpy())})"
         )
     p.notes.append(f"{stem}: its clock is taken to agree with that of the deviations: if not, shift its times")
+    _refuse_other_clock(p, log, logged, at, (stem, log_time, step))
     names = {n: n if n not in p.entries else slug(f"{stem}_{n}") for n in logged.columns if n != log_time}
     logged = logged.rename(columns={log_time: time, **names})
     if any(e["role"] in OF_A_MACHINE for e in p.entries.values()):
@@ -228,6 +236,48 @@ def add_log(p: Proposal, log: Proposal, stem: str) -> None:
         p.put(name, None, log.guesses.get(n, ""), **log.entries[n])
     numeric = {n: pd.api.types.is_numeric_dtype(both[n]) for n in both}
     p.data = {n: both[n].to_numpy(float) if numeric[n] else both[n].fillna("").tolist() for n in both}
+
+
+def _same_day(p: Proposal, other: datetime, own: datetime, notes: list[str]) -> datetime:
+    """The date of a file; with day and month exchanged if it is then that of the other file, as 12/03 beside 12.03."""
+    # Not where a date shows the order, as in a log that passes a midnight.
+    assumed = re.search("the (month|day) first", p.guesses.get(p.first("time") or "", ""))
+    if not assumed or own.day == own.month or (own.day, own.month, own.year) != (other.month, other.day, other.year):
+        return own
+    notes.append(f"day and month of {own:%Y-%m-%d} are exchanged: it is then the day of the other file")
+    return own.replace(day=own.month, month=own.day)
+
+
+def _refuse_other_clock(
+    p: Proposal, log: Proposal, logged: pd.DataFrame, at: np.ndarray, of_log: tuple[str, str, float]
+) -> None:
+    """Raise DataError if a speed or position that both files record agrees better at another time: two clocks.
+
+    The shift is that of the smallest mean absolute difference. of_log: its name, its column of times, s between rows.
+    """
+    stem, log_time, step = of_log
+    clock = logged[log_time].to_numpy(float)
+    rows = np.unique(np.linspace(0, at.size - 1, MOST_COMPARED).astype(int))
+    shifts = step * np.arange(-np.floor(LARGEST_SHIFT / step), np.floor(LARGEST_SHIFT / step) + 1)
+    shifts = shifts[:: max(shifts.size // MOST_COMPARED, 1)]
+    for name in [n for n in logged if log.entries[n]["role"] in OF_BOTH]:
+        own = next((n for n in p.data if {**p.entries[n], "location": 0} == {**log.entries[name], "location": 0}), None)
+        if own is None:
+            continue
+        here, there = np.asarray(p.data[own], dtype=float)[rows], logged[name].to_numpy(float)
+        latest = np.searchsorted(clock, at[rows][None, :] + shifts[:, None], side="right") - 1
+        known = (latest >= 0) & (latest < clock.size - 1) & np.isfinite(here + there[latest])
+        misfit = np.where(known, np.abs(here - there[latest]), 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+        misfit[known.sum(axis=1) < 0.5 * rows.size] = np.inf
+        near = shifts[misfit <= misfit.min() + SAME_MISFIT * np.ptp(here)]  # a cycle agrees again one period later
+        best, now = near[np.argmin(np.abs(near))], misfit[np.argmin(np.abs(shifts))]
+        least = CLOCK_RATIO * misfit.min() + SAME_MISFIT * np.ptp(here)
+        if abs(best) >= 2.0 * step and np.isfinite(now) and now > least:
+            way = "later" if best > 0 else "earlier"
+            raise DataError(
+                f"{stem}: {name!r} is in both files, and agrees best {abs(best):g} s {way} there: the clocks "
+                f"differ. Correct the times of one, or leave it out (--set {name}.role=ignore)"
+            )
 
 
 def _interleaved(p: Proposal, logged: pd.DataFrame, time: str, step: float) -> pd.DataFrame:

@@ -179,11 +179,8 @@ def split_header(text: str) -> tuple[str, str | None]:
             rest = " ".join((text[: bracket.start()] + " " + text[bracket.end() :]).split()).rstrip(" /") or text
             return rest, _of_a_temperature(unit, rest)
     after = None if _INLET.search(text) else _AFTER.match(text)
-    if (
-        after
-        and (unit := unit_of(after.group(2))) is not None
-        and (len(after.group(2)) > 1 or after.group(2) in _SIGNS)
-    ):
+    word = after.group(2) if after else ""
+    if after and (unit := unit_of(word)) is not None and (len(word) > 1 or word in _SIGNS):
         rest = after.group(1).rstrip(" _/,")
         return rest, _of_a_temperature(unit, rest)
     metres = re.fullmatch(r"(.*\S)(?:\s*/\s*|,\s+|\s+in\s+)m", text)
@@ -215,13 +212,8 @@ PLAIN_UNITS = {
 _OTHER_BY_UNIT = {
     "N": {"dan": 10.0, "kgf": 9.80665, "kp": 9.80665, "lbf": 4.4482216152605, "ozf": 0.27801385095378125},
     "kg": {"lbs": 0.45359237, "lb": 0.45359237},
-    "N m": {
-        "lbfft": 1.3558179483314004,
-        "ftlbf": 1.3558179483314004,
-        "lbfin": 0.1129848290276167,
-        "inlbf": 0.1129848290276167,
-        "mnm": 1e-3,
-    },
+    "N m": {"mnm": 1e-3, **dict.fromkeys(("lbfft", "ftlbf"), 1.3558179483314004)}
+    | dict.fromkeys(("lbfin", "inlbf"), 0.1129848290276167),
     "hPa": {"mmhg": 1.333224, "torr": 1.333224, "inhg": 33.86389, "psi": 68.94757, "atm": 1013.25},
     "1/s": {"hz": 1.0, "rps": 1.0, "u/s": 1.0, "rev/s": 1.0},
     "rpm": {"krpm": 1000.0, "rad/s spindle": 30.0 / np.pi},

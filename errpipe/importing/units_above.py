@@ -33,7 +33,7 @@ def units_of_columns(rows: list[list[Cell]], end: int, names: list[str]) -> list
         if units.count(None) == len(units) - 1 and (of_all := next(filter(None, units))) in ("inch", "mm", "m"):
             places = ("command", "position", "actual")
             return [of_all if kind_by_name(n) in places and not split_header(n)[1] else None for n in names]
-        if label(row[0]).lower().startswith("y_"):
+        if label(row[0]).lower().startswith("y_") or len(row) == width:  # the key is above a column of its own
             return ([None, *units] + [None] * width)[:width]
         if len([u for u in units if u]) == width:
             return [u for u in units if u]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,29 +27,25 @@ _STATISTIC = re.compile(
     r"|max\w*|min\w*|sum\w*|([smrbu]|[bsx]i)(?=[ ↑↓]|$)|\d ?s(igma)?|standard\w*"
     r"|repeatab\w*|reproduc\w*|uncertainty|unsicherheit|moyenne|ecart type|media|promedio)\b|平均|最大|最小|標準|标准"
 )
-_FIGURE = re.compile(
-    "[UBMRS]"
-)  # next to targets: the reversal of VDI/DGQ 3441, statistics of ISO 230-2; not axes U or B
+# Next to targets: the reversal of VDI/DGQ 3441, statistics of ISO 230-2; not axes U or B.
+_FIGURE = re.compile("[UBMRS]")
 _MEAN = re.compile(r"\b(mean|average|avg|mittel\w*|mw|moyenne|media|promedio)\b|[Øø∅\u0304\u0305]|平均")
 MEASURED = ("command", "position", "actual", "error", "time")
 KINDS = ("ignore", "error", "run", "direction", "actual", "position", "command")
 
 
+@dataclass
 class Wide:
     """The target column, the run and side (+1, -1, None) of every column of readings, and columns of statistics.
 
     run, way: the columns that name the run, and the side, of each row if the headers do not, or None.
     """
 
-    def __init__(
-        self,
-        target: RawColumn,
-        readings: list[tuple[RawColumn, str, float | None]],
-        statistics: list[RawColumn],
-        run: RawColumn | None = None,
-        way: RawColumn | None = None,
-    ):
-        self.target, self.readings, self.statistics, self.run, self.way = target, readings, statistics, run, way
+    target: RawColumn
+    readings: list[tuple[RawColumn, str, float | None]]
+    statistics: list[RawColumn]
+    run: RawColumn | None = None
+    way: RawColumn | None = None
 
 
 def run_and_side(header: str) -> tuple[str | None, float | None]:
@@ -82,7 +79,7 @@ def run_and_side(header: str) -> tuple[str | None, float | None]:
     return (numbers[-1] if numbers else None), side
 
 
-def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | None:
+def find(layout: Layout, guesses: guessing.Guesses) -> Wide | None:
     """The wide layout of a table, or None if a row is one reading."""
     left_out = [header for header, g in guesses.items() if g.kind == "ignore" and not g.why]  # by the user
     numeric, repeated = [c for c in layout.columns if c.numeric and c.header not in left_out], []
@@ -98,16 +95,11 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     runs = {said[c.header][0] for c in numeric if not statistic(c.header)} - {None}
     for c in numeric:
         run, side = said[c.header]
-        if (
-            c is targets[0]
-            or any(c is r for r in repeated)
-            or guesses[c.header].kind not in KINDS
-            or (run is None and side is None)
-        ):
+        of_targets = any(c is t for t in (targets[0], *repeated))
+        if of_targets or guesses[c.header].kind not in KINDS or (run is None and side is None):
             continue
-        lettered = run in runs and not statistic(
-            re.sub(r"\b[^\W\d_]\b", " ", c.header)
-        )  # `B 1` beside `F 1`: backwards
+        words = re.sub(r"\b[^\W\d_]\b", " ", c.header)  # `B 1` beside `F 1`: backwards
+        lettered = run in runs and not statistic(words)
         if statistic(c.header) and not lettered:
             statistics.append(c)
         else:
@@ -123,22 +115,21 @@ def find(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Wide | Non
     alone = letters and len({side for _, _, side in readings}) == 1  # `R1`, `R2`: readings, if there is no `F1`
     if alone or any(side is None for _, _, side in readings):  # `1a`, `1b`: b alone is not a direction
         readings = [(c, run, None) for c, run, _ in readings]
-    labels = [c for c in layout.columns if guesses[c.header].kind == "run" and not any(c is r for r, _, _ in readings)]
+    others = [c for c in layout.columns if not any(c is r for r, _, _ in readings)]
+    labels = [c for c in others if guesses[c.header].kind == "run"]
     named = len({said[c.header][0] for c, _, _ in readings} - {None}) > bool(labels)  # `+1`, `-1`: sides
     if len(readings) < 2:
         return None
     if len({(run, side) for _, run, side in readings}) < len(readings):
         _refuse_runs_without_sides(readings)
         return None
-    ways = [
-        c for c in layout.columns if guesses[c.header].kind == "direction" and not any(c is r for r, _, _ in readings)
-    ]
+    ways = [c for c in others if guesses[c.header].kind == "direction"]
     way = ways[0] if ways and all(side is None for _, _, side in readings) else None
     return Wide(targets[0], readings, statistics, labels[0] if labels and not named else None, way)
 
 
 def _targets(
-    numeric: list[RawColumn], said: dict[str, tuple[str | None, float | None]], guesses: dict[str, guessing.ColumnGuess]
+    numeric: list[RawColumn], said: dict[str, tuple[str | None, float | None]], guesses: guessing.Guesses
 ) -> list[RawColumn]:
     """The columns that may hold the targets."""
     places = [c for c in numeric if guesses[c.header].kind in ("command", "position")]
@@ -150,7 +141,9 @@ def _targets(
     first = numeric[0].header if numeric else ""
     spectrum = not first or kind_by_name(first) == "ignore"
     if not targets and not (spectrum or alike or guesses[first].kind == "time") and _rises(numeric[0]):
-        unsaid = [c for c in numeric[1:] if said[c.header] == (None, None) and _rises(c)]
+        unsaid = [
+            c for c in numeric[1:] if said[c.header] == (None, None) and _rises(c) and kind_by_name(c.header) != "time"
+        ]
         targets = numeric[:1] if not _counts(numeric[0]) else [c for c in unsaid if not _counts(c)][:1]
     return targets
 
@@ -247,7 +240,7 @@ def _by_side(rows: np.ndarray, side: np.ndarray) -> list[tuple[float | None, np.
     return [(way, rows[side[rows] == way]) for way in (1.0, -1.0) if (side[rows] == way).any()]
 
 
-def side_by_side(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Layout:
+def side_by_side(layout: Layout, guesses: guessing.Guesses) -> Layout:
     """Two tables side by side, with targets in different order, in the order of the first: the return pass."""
     kinds = [guesses[c.header].kind for c in layout.columns]
     at = [k for k, c in enumerate(layout.columns) if kinds[k] in ("command", "position") and c.numeric]
@@ -255,22 +248,16 @@ def side_by_side(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> La
     if len(at) != 2 or at[0] != 0 or at[1] + 1 == len(kinds) or at[1] == 1 or {*said} != {1.0, -1.0}:
         return layout
     here, there = (layout.columns[k].values for k in at)
-    if (
-        np.array_equal(here, there)
-        or not np.array_equal(np.sort(here), np.sort(there))
-        or np.unique(here).size < here.size
-    ):
+    same = np.array_equal(np.sort(here), np.sort(there)) and np.unique(here).size == here.size
+    if not same or np.array_equal(here, there):
         return layout
     rows = np.argsort(there)[np.argsort(np.argsort(here))]
-    turned_columns = [
-        c if k < at[1] else RawColumn(c.header, c.unit, [c.cells[i] for i in rows], c.values[rows])
-        for k, c in enumerate(layout.columns)
-    ]
+    turned_columns = [c if k < at[1] else c.take(rows) for k, c in enumerate(layout.columns)]
     note = f"two tables side by side: the rows from {layout.columns[at[1]].header!r} on follow the targets of the first"
     return Layout(turned_columns, layout.above, [*layout.notes, note], layout.below)
 
 
-def merged_targets(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> Layout:
+def merged_targets(layout: Layout, guesses: guessing.Guesses) -> Layout:
     """The layout with each target also in the row of its other side, if both share one merged cell.
 
     Raises DataError if more than one in ten rows has a reading and no target.
@@ -302,10 +289,9 @@ def merged_targets(layout: Layout, guesses: dict[str, guessing.ColumnGuess]) -> 
         )
     if np.array_equal(at, np.arange(filled.size)):
         return layout
-    note = (
-        f"{int((at != np.arange(filled.size)).sum())} rows share the {place.header!r} of the row above (merged cells)"
-    )
-    whole = RawColumn(place.header, place.unit, [place.cells[i] for i in at], place.values[at])
+    shared = int((at != np.arange(filled.size)).sum())
+    note = f"{shared} rows share the {place.header!r} of the row above (merged cells)"
+    whole = place.take(at)
     columns = [whole if c is place else c for c in layout.columns]
     return Layout(columns, layout.above, [*layout.notes, note], layout.below)
 
@@ -341,7 +327,7 @@ def unpivoted(layout: Layout) -> Layout:
         for k in (range(x.size) if ways is None or not (ways[r] * (x[-1] - x[0]) < 0) else range(x.size - 1, -1, -1))
     ]
     rows, at = np.array(pairs).T
-    columns = [RawColumn(c.header, c.unit, [c.cells[i] for i in rows], c.values[rows]) for c in others]
+    columns = [c.take(rows) for c in others]
     units = {c.unit for c in layout.columns if c.header in places} - {None}
     unit = units.pop() if len(units) == 1 else None
     columns.append(RawColumn("target", unit, [float(v) for v in x[at]], x[at]))

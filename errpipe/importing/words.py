@@ -64,7 +64,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"^(freq(uency|uenz|uence)?|hz)\b", "ignore"),
     (GROUP, "group"),
     (
-        r"(zeit|time|datum|date|stamp|(?<!mess)uhr|horodat|heure|\bora\b|\bfecha\b|\bhora\b|elapsed|duration|\bdauer\b|時刻|時間|时间|日時)",
+        r"(zeit|time|datum|date|stamp|\bunix\b|(?<!mess)uhr|horodat|heure|\bora\b|\bfecha\b|\bhora\b|elapsed|duration|\bdauer\b|時刻|時間|时间|日時)",
         "time",
     ),
     (
@@ -97,15 +97,15 @@ WORDS: tuple[tuple[str, str], ...] = (
         "coolant",
     ),
     (r"(torque|drehmoment|moment)", "torque"),
-    (r"\b(current|aktuelle?) ?pos(ition)?\b|^[xyzabcuvw]\d? pv$|process ?value", "actual"),
-    (r"^[xyzabcuvw]\d? (set|sp)$", "command"),
+    (r"\b(current|aktuelle?) ?pos(ition)?\b|^[xyzabcuvw]\d? pv$|process ?value|\$va im\b", "actual"),
+    (r"^[xyzabcuvw]\d? (set|sp)$|\$aa i[bmw]\b", "command"),  # of a SINUMERIK: set points of the axis
     (
         r"(current(?! ?(program|feed(?!b)|line|block|seq|tool|vel|speed|temp|time|stat|mode|step|cycle|no\b|num))"
         r"|strom|\biq\b|\bi q\b|ampere)",
         "current",
     ),
     (r"(force|kraft)|^f ?[xyz]$", "force"),
-    (r"(spindle ?speed|drehzahl|rpm|\bs act\b)", "spindle_speed"),
+    (r"(spindle ?speed|drehzahl|rpm|\bs act\b(?! [xyzabc]))", "spindle_speed"),
     (r"(feed ?rate|vorschub|\bfeed\b)", "feed"),
     (r"(press|druck|baro)", "pressure"),
     (r"(humid|feucht)", "humidity"),

@@ -22,7 +22,7 @@ from errpipe.importing import features, named_values, order, other_tests, repeat
 from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
-from errpipe.importing.header import with_legend
+from errpipe.importing.header import is_legend, with_legend
 from errpipe.importing.layout import lay_out
 from errpipe.importing.long_form import unstacked
 from errpipe.importing.pairs import paired
@@ -35,6 +35,8 @@ from errpipe.verbs._import_written import manifest_of, write
 
 __all__ = ["options_of", "plain", "prepare", "write"]
 
+LARGEST_LEGEND = 1 << 16  # bytes of a file that only names channels: 500 lines
+TEXTS = (".csv", ".txt", ".tsv")  # endings of such a file
 MAX_SHEETS = 64  # with measurements, of one file; the rest is not opened
 
 
@@ -46,26 +48,33 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
     parts, sources = {}, []
     _refuse_twice(files)
     _refuse_several_axes(files, options)
-    for file in map(Path, files):
+    legends = _legends(files, door)
+    named = [sheet for sheets in legends.values() for sheet in sheets]
+    for file in [f for f in map(Path, files) if f not in legends]:
         proposal, source = _of_known_format(file, door, options), "a format with a door of its own"
         if proposal is None:
-            proposal, source = _of_any_sheet(file, door, options, may_be_log=len(files) > 1)
+            proposal, source = _of_any_sheet(file, door, options, len(files) > 1, named)
         parts[file] = proposal
         sources.append({"file": file.name, "kind": source, "rows": proposal.rows})
+    for file, sheets in legends.items():
+        if not any(f"{s.name!r} names" in note for s in sheets for part in parts.values() for note in part.notes):
+            raise DataError(f"{file}: it only names channels, and none of the other files")
+        sources.append({"file": file.name, "kind": "names of channels", "rows": len(sheets[0].rows)})
     _refuse_unknown_sets(parts.values(), options)
     logs = [file for file, part in parts.items() if part.first("error") is None]
     if len(logs) == len(parts):
         _of_any_sheet(logs[0], door, options)  # raises: what the file lacks
     measured = {file: part for file, part in parts.items() if file not in logs}
-    together.refuse_states([file.stem for file in measured], "files", "import the one that is meant")
-    runs = together.sides_of_names([*measured.values()], [file.stem for file in measured])
+    stems = _names_of([*measured])
+    together.refuse_states(stems, "files", "import the one that is meant")
+    runs = together.sides_of_names([*measured.values()], stems)
     complete = together.one_after_another([*measured.values()], runs)
     order.sides_of_falling_runs(complete)
     repeated_runs.told_apart(complete)
     layouts = list(dict.fromkeys(tuple(parts[file].entries) for file in logs))
     for layout in layouts:  # a logger writes a file a day: those of one layout are one log
         same_layout = [file for file in logs if tuple(parts[file].entries) == layout]
-        log = together.one_after_another([parts[file] for file in same_layout], [file.stem for file in same_layout])
+        log = together.one_after_another([parts[file] for file in same_layout], _names_of(same_layout))
         together.add_log(complete, log, same_layout[0].stem)
     shown = _shown(complete, sources)
     return complete, {**shown, "checks": _plausible(complete, options)}
@@ -84,11 +93,8 @@ def _refuse_unknown_sets(parts: Iterable[Proposal], options: ImportOptions) -> N
         of_file = {*part.headers, *map(slug, part.headers)}
         for name, keys in options.sets.items():
             entry = part.entries.get(part.names.get(name, slug(name)))
-            idle = [
-                k
-                for k in ("role", "unit")
-                if entry and name not in of_file and keys.get(k, entry.get(k)) != entry.get(k)
-            ]
+            made = entry if entry and name not in of_file else {}
+            idle = [k for k in ("role", "unit") if made and keys.get(k, made.get(k)) != made.get(k)]
             if entry is None and name in of_file and keys.get("role", "ignore") in resolve.PLACES:
                 idle = ["role"]  # a column of readings of a wide layout
             if idle:
@@ -97,6 +103,21 @@ def _refuse_unknown_sets(parts: Iterable[Proposal], options: ImportOptions) -> N
                     f"--set {name}.{idle[0]} would be ignored ({why.split(';')[0]}): set it for a file's column, or "
                     "write a column of targets, one of readings, and one of runs"
                 )
+
+
+def _names_of(files: Sequence[Path]) -> list[str]:
+    """The names of files without endings; with their folder or ending if two are equal: they are names of runs."""
+    forms = ([f.stem for f in files], [f"{f.parent.name}-{f.stem}" for f in files], [f.name for f in files])
+    return next((names for names in forms if len({*names}) == len(names)), [str(f) for f in files])
+
+
+def _legends(files: Sequence[Path], door: DoorOptions) -> dict[Path, list[Sheet]]:
+    """The files that name the channels of the others, with their sheets: a list of tags beside their history."""
+    texts = [f for f in map(Path, files) if f.suffix.lower() in TEXTS and f.is_file() and len(files) > 1]
+    small = [f for f in texts if f.stat().st_size < LARGEST_LEGEND and not any(k.sniff(f) for k in formats.FORMATS)]
+    opened = {f: open_file(f, door)[1] for f in small}
+    legends = {f: sheets for f, sheets in opened.items() if all(map(is_legend, sheets))}
+    return legends if len(legends) < len(files) else {}
 
 
 def _refuse_twice(files: Sequence[Path]) -> None:
@@ -130,12 +151,12 @@ def _of_sheet(sheet: Sheet, door: DoorOptions, options: ImportOptions, may_be_lo
 
 
 def _of_any_sheet(
-    file: Path, door: DoorOptions, options: ImportOptions, may_be_log: bool = False
+    file: Path, door: DoorOptions, options: ImportOptions, may_be_log: bool = False, legends: Sequence[Sheet] = ()
 ) -> tuple[Proposal, str]:
     """The proposal of the first sheet of a file that holds measurements, and what was opened; others are named."""
     kind, sheets = open_file(file, door)
     out, problems, asked = list[tuple[Proposal, str]](), dict[str, list[str]](), ""
-    for sheet in with_legend(sheets):
+    for sheet in with_legend([*sheets, *legends])[: len(sheets)]:
         if len(out) == MAX_SHEETS:
             break
         try:
@@ -195,12 +216,9 @@ def _of_known_format(file: Path, door: DoorOptions, options: ImportOptions) -> P
 
 def _refuse_idle_options(file: Path, name: str, given: dict[str, Any]) -> None:
     """Raise UsageError for an option that a format with a door of its own does not take."""
-    idle = [
-        key
-        for key in ("component", "unit", "sign", "resolution", "torque_constant", "names", "period", "sheet")
-        if given[key]
-    ]
-    idle += [f"set {column}.{key}" for column, keys in given["sets"].items() for key in keys if key in ("role", "unit")]
+    keys = ("component", "unit", "sign", "resolution", "torque_constant", "names", "period", "sheet")
+    idle = [key for key in keys if given[key]]
+    idle += [f"set {column}.{key}" for column, of in given["sets"].items() for key in of if key in ("role", "unit")]
     if idle:
         raise UsageError(
             f"{file}: of the format {name}, whose columns, units and sign are known: --{idle[0].replace('_', '-')} "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import struct
 import time
 import zipfile
@@ -155,3 +156,11 @@ def test_a_tdms_file_that_is_cut_is_read_as_far_as_it_goes_and_says_so(tmp_path,
     assert 180 < sum(row[1] is not None for row in sheet.rows) < 200
     assert any("segment" in note for note in sheet.notes)
     assert capsys.readouterr().err == ""
+
+
+def test_a_packed_file_that_unpacks_to_more_than_is_imported(tmp_path, capsys):
+    path = tmp_path / "x.csv.gz"
+    path.write_bytes(gzip.compress(bytes(300 << 20)))
+    assert path.stat().st_size < 1 << 20
+    said = refused(path, tmp_path, capsys)
+    assert "x.csv.gz, x.csv: 256 MB (at most 256 MB are imported" in said.replace("\n", " ")

@@ -1,4 +1,4 @@
-"""Doors of `errpipe import`: one file per kind of measurement file. A new one is one file here and one entry in DOORS.
+"""Doors of `errpipe import`: one file per kind of measurement file. A new one is one file here and its name here.
 
 A door module has
     name                    as `errpipe formats` lists it
@@ -10,48 +10,26 @@ A door module has
 
 from __future__ import annotations
 
+import gzip
 import os
 import re
 import sys
+import tempfile
+import zipfile
+import zlib
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
 from errpipe.errors import DataError, ErrpipeError, UsageError
 from errpipe.importing import controller_files
-from errpipe.importing.doors import (
-    camonitor,
-    delimited,
-    dmis,
-    excel,
-    halsampler,
-    halscope,
-    hdf5,
-    markup,
-    matlab,
-    mtconnect,
-    numpy_arrays,
-    records,
-    sqlite,
-    tdms,
-)
 from errpipe.importing.sheet import DoorOptions, Sheet
 
-DOORS: tuple[ModuleType, ...] = (
-    excel,
-    tdms,
-    hdf5,
-    matlab,
-    numpy_arrays,
-    sqlite,
-    mtconnect,
-    markup,
-    halscope,
-    halsampler,
-    records,
-    camonitor,
-    dmis,
-    delimited,
+_NAMES = (
+    *("excel", "tdms", "hdf5", "matlab", "numpy_arrays", "sqlite", "mtconnect", "markup"),
+    *("halscope", "halsampler", "records", "camonitor", "dmis", "delimited"),
 )
+DOORS = tuple(import_module(f"{__name__}.{name}") for name in _NAMES)  # in the order in which they are tried
 
 MOST_BYTES = 256 << 20  # 256 MB: a larger log is stored as Parquet with a manifest, which is read in blocks
 HEAD_BYTES = 1 << 16  # for recognition of a format
@@ -59,8 +37,11 @@ MOST_MEMORY = 3 << 30  # bytes in addition to those in use: 256 MB of packed num
 MOST_SECONDS = 120  # s
 
 
-def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
-    """Name of the door that reads a file, and its sheets. Raises DataError."""
+def open_file(path: Path, options: DoorOptions, unpacked: bool = False) -> tuple[str, list[Sheet]]:
+    """Name of the door that reads a file, and its sheets. Raises DataError.
+
+    A gzip file, or a zip file with one file in it, is unpacked first; not one that was unpacked itself.
+    """
     if not path.is_file():
         raise DataError(f"{path}: no such file")
     size = path.stat().st_size
@@ -73,6 +54,8 @@ def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
         )
     with path.open("rb") as stream:
         head = stream.read(HEAD_BYTES)
+    if not unpacked and head.startswith(b"\x1f\x8b"):
+        return _open_packed(path, options, zipped=False)
     _refuse_known(path, head)
     for door in DOORS:
         if door.sniff(path, head):
@@ -82,10 +65,35 @@ def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
             if not any(sheet.rows for sheet in sheets):
                 raise DataError(f"{path}: no rows ({door.name})")
             return door.name, sheets
-    if head.startswith(b"PK\x03\x04"):
-        raise DataError(f"{path}: an archive: extract it first, and name its files")
+    if head.startswith(b"PK\x03\x04") and not unpacked:
+        return _open_packed(path, options, zipped=True)
     kinds = ", ".join(door.name for door in DOORS)
     raise DataError(f"{path}: neither text nor any other kind of file that is imported (allowed: {kinds})")
+
+
+def _open_packed(path: Path, options: DoorOptions, zipped: bool) -> tuple[str, list[Sheet]]:
+    """As `open_file`, of the only file in a gzip or zip file, through a temporary folder. Raises DataError."""
+    name = path.stem
+    try:
+        if zipped:
+            with zipfile.ZipFile(path) as archive:
+                names = [n for n in archive.namelist() if not re.search(r"(?:^|/)(?:\.|__MACOSX/)|/$", n)]
+                if len(names) != 1:
+                    raise DataError(f"{path}: an archive of {len(names)} files: extract it first, and name its files")
+                data, name = archive.open(names[0]).read(MOST_BYTES + 1), names[0].rpartition("/")[2]
+        else:
+            with gzip.open(path) as stream:
+                data = stream.read(MOST_BYTES + 1)
+    except (OSError, EOFError, RuntimeError, zlib.error, zipfile.BadZipFile) as err:
+        raise DataError(f"{path}: an archive that cannot be read here ({err}): extract it first") from None
+    with tempfile.TemporaryDirectory() as folder:
+        inner = Path(folder) / re.sub(r"[^\w. +=-]", "_", name)[-100:]
+        inner.write_bytes(data)
+        try:
+            kind, sheets = open_file(inner, options, unpacked=True)
+        except (DataError, UsageError) as err:
+            raise type(err)(str(err).replace(str(inner), f"{path}, {name}")) from None
+    return f"{kind}, packed", sheets
 
 
 def _refuse_known(path: Path, head: bytes) -> None:

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-import datetime
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from errpipe.errors import DataError, UsageError, did_you_mean
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable
+from errpipe.errors import UsageError, did_you_mean
+from errpipe.importing.sheet import DoorOptions, Rows, Sheet, affordable, cell_of, readable
 
 name = "Excel workbook"
 suffixes = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 binary = True
 _OLE = b"\xd0\xcf\x11\xe0"
 _BEFORE_OLE = (b"\t\0", b"\t\x02", b"\t\x04")  # .xls of Excel 2 to 4, still written by some instruments
+
+
+_OTHERWISE = (
+    "damaged, locked by a password, or older than Excel 5. Open it in a spreadsheet, and save it as .xlsx or .csv"
+)
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -27,7 +32,7 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         from python_calamine import CalamineWorkbook, SheetVisibleEnum
     except ImportError:
         raise UsageError(f"{path}: reading Excel needs python-calamine: pip install 'errpipe[excel]'") from None
-    try:
+    with readable(path, "a workbook", _OTHERWISE):
         book = CalamineWorkbook.from_path(str(path))
         names = list(book.sheet_names)
         if options.sheet is not None and options.sheet not in names:
@@ -39,22 +44,16 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         for each in chosen:
             sheet = book.get_sheet_by_name(each)
             affordable(sheet.total_height * sheet.total_width, f"{path}: {each}")
-            sheets.append(Sheet(each, [[_cell(c) for c in row] for row in sheet.to_python(skip_empty_area=False)]))
-    except (UsageError, DataError, MemoryError):
-        raise
-    except Exception as err:  # calamine raises many types of exception
-        raise DataError(
-            f"{path}: not a workbook that can be read ({type(err).__name__}): damaged, locked by a password, or older "
-            "than Excel 5. Open it in a spreadsheet, and save it as .xlsx or .csv"
-        ) from None
+            rows = [[cell_of(c) for c in row] for row in sheet.to_python(skip_empty_area=False)]
+            sheets.append(Sheet(each, _with_merged_numbers(rows, sheet.merged_cell_ranges)))
     return [sheet.limited() for sheet in sheets if len(sheet.rows) > 1]
 
 
-def _cell(value: Any) -> Cell:
-    if isinstance(value, bool) or value is None or value == "":
-        return None if value in (None, "") else float(value)
-    if isinstance(value, int | float):
-        return float(value)
-    if isinstance(value, datetime.datetime | datetime.date | datetime.time):
-        return value.isoformat()
-    return value.total_seconds() if isinstance(value, datetime.timedelta) else str(value)
+def _with_merged_numbers(rows: Rows, ranges: Iterable[Any] | None) -> Rows:
+    """The rows, with a number in a cell merged over several rows of one column, such as a target, in each of them."""
+    for (top, left), (bottom, right) in ranges or ():
+        value = rows[top][left] if top < len(rows) and left < len(rows[top]) else None
+        if left == right and isinstance(value, float):
+            for row in rows[top : bottom + 1]:
+                row[left] = value
+    return rows

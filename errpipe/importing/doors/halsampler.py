@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
+from errpipe.importing.sheet import DoorOptions, Sheet, affordable, number
 from errpipe.importing.words import kind_by_name
 
 name = "LinuxCNC halsampler"
@@ -47,28 +47,24 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     if overruns:
         notes.append(f"{overruns} overruns: samples were lost")
     counted = len(rows) > 2 and all(rows[i + 1][0] == rows[i][0] + 1 for i in range(min(len(rows) - 1, 200)))
-    period = options.period or PERIOD
-    names = list(options.names)
+    period, names = options.period or PERIOD, [*options.names]
+    named = len(names) == width
+    guess = "" if options.period else " (a guess; to change it: --period)"
     if counted:
-        notes.append(f"the first column counts samples, {period:g} s apart" + ("" if options.period else " (a guess)"))
+        notes.append(f"the first column counts samples, {period:g} s apart{guess}")
         rows = [[period * (r[0] - rows[0][0]), *r[1:]] for r in rows]
-        names = names if len(names) == width else ["t [s]", *names]
+        names = names if named else ["t [s]", *names]
     elif len(rows) < FEWEST_SAMPLES and not overruns and options.period is None:
-        header = names if len(names) == width else [f"column {i}" for i in range(1, width + 1)]
-        note = (
-            []
-            if len(names) == width
-            else [f"the file has no column names: give them with --names, {width}, such as target,error"]
-        )
-        return [Sheet(path.stem, [[*row] for row in rows], header, note).limited()]
-    elif len(names) == width and kind_by_name(names[0]) == "time":
+        says = f"the file has no column names: give them with --names, {width}, such as target,error"
+        header = names if named else [f"column {i}" for i in range(1, width + 1)]
+        return [Sheet(path.stem, [[*row] for row in rows], header, [] if named else [says]).limited()]
+    elif named and kind_by_name(names[0]) == "time":
         notes.append(f"the first column is the time, from its name {names[0]!r}")
     else:
         rows = [[period * i, *r] for i, r in enumerate(rows)]
         names, width = ["t [s]", *names], width + 1
-        notes.append(f"rows are {period:g} s apart" + ("" if options.period else " (a guess; to change it: --period)"))
+        notes.append(f"rows are {period:g} s apart{guess}")
     if len(names) != width:
         names = ["t [s]", *(f"pin.{i}" for i in range(width - 1))]
         notes.append(f"the file has no column names: give them with --names, {width - 1} of them, such as x_cmd,x_fb")
-    cells: list[list[Cell]] = [[*row] for row in rows]
-    return [Sheet(path.stem, cells, names, notes).limited()]
+    return [Sheet(path.stem, [[*row] for row in rows], names, notes).limited()]

@@ -5,13 +5,14 @@ A two-dimensional or compound data set is a separate sheet; an attribute `units`
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from errpipe.errors import DataError, UsageError
-from errpipe.importing.sheet import DoorOptions, Sheet, affordable
+from errpipe.importing.sheet import DoorOptions, Sheet, affordable, readable
 
 name = "HDF5"
 suffixes = (".h5", ".hdf5", ".hdf", ".nc")
@@ -28,27 +29,25 @@ def sniff(path: Path, head: bytes) -> bool:
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
     """Sheets of columns with one length. Raises DataError."""
-    try:
-        import h5py
-    except ImportError:
-        raise UsageError(f"{path}: reading HDF5 needs h5py: pip install 'errpipe[hdf]'") from None
     datasets: list[tuple[str, Any, str]] = []
 
     def visit(key: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and item.size and len(datasets) < MOST_SETS:
+        if getattr(item, "size", 0) and len(datasets) < MOST_SETS:
             refuse_linked_data(path, key, item)
             datasets.append((key, item[()], _unit(item)))
 
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(visit)
-    except (DataError, MemoryError):
-        raise
-    except Exception as err:  # h5py raises OSError, RuntimeError, ValueError, KeyError for damaged files
-        raise DataError(
-            f"{path}: not an HDF5 file that can be read ({type(err).__name__}): export it again, or as CSV"
-        ) from None
+    visit_items(path, "an HDF5 file", visit)
     return [s.limited() for s in sheets_of(datasets, path.stem) if options.sheet in (None, s.name)]
+
+
+def visit_items(path: Path, what: str, visit: Callable[[str, Any], None]) -> None:
+    """Call a function with the path and the object of everything in a file. Raises DataError, UsageError."""
+    try:
+        import h5py
+    except ImportError:
+        raise UsageError(f"{path}: reading {what} needs h5py: pip install 'errpipe[hdf]'") from None
+    with readable(path, what), h5py.File(path, "r") as file:
+        file.visititems(visit)
 
 
 def refuse_linked_data(path: Path, key: str, item: Any) -> None:
@@ -94,9 +93,8 @@ def columns_of(name: str, matrix: np.ndarray, unit: str, length: int) -> list[tu
     """The columns of a matrix with the length of the vectors: readings of several runs."""
     if matrix.shape[0] != length and matrix.shape[1] == length:
         matrix = matrix.T
-    return (
-        [(f"run {k + 1} {name}", matrix[:, k], unit) for k in range(matrix.shape[1])] if len(matrix) == length else []
-    )
+    runs = range(matrix.shape[1] if len(matrix) == length else 0)
+    return [(f"run {k + 1} {name}", matrix[:, k], unit) for k in runs]
 
 
 def _cells(array: np.ndarray) -> list[Any]:

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from errpipe.errors import DataError
-from errpipe.importing.doors.hdf5 import refuse_linked_data
-from errpipe.importing.sheet import DoorOptions, Sheet
+from errpipe.importing.doors.hdf5 import refuse_linked_data, visit_items
+from errpipe.importing.sheet import DoorOptions, Sheet, readable
 from errpipe.importing.structures import LONGEST_TEXT, Node, put, sheets_of
 
 name = "MATLAB"
@@ -33,14 +32,8 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     else:
         from scipy.io import loadmat
 
-        try:
+        with readable(path, "a MATLAB file"):
             file = loadmat(path, squeeze_me=True, struct_as_record=True)
-        except MemoryError:
-            raise
-        except Exception as err:  # scipy raises ValueError, TypeError, zlib.error, ... for damaged files
-            raise DataError(
-                f"{path}: not a MATLAB file that can be read ({type(err).__name__}): export it again, or as CSV"
-            ) from None
         for key, value in file.items():
             if not key.startswith("__"):
                 put(root, key, value)
@@ -48,17 +41,13 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
 
 
 def _newer(path: Path, root: Node) -> None:
-    try:
-        import h5py
-    except ImportError:
-        raise DataError(f"{path}: MATLAB 7.3 needs h5py: pip install 'errpipe[hdf]', or save it with -v7") from None
     nodes = {"": root}
 
     def visit(key: str, item: Any) -> None:
         parent, _, leaf = key.rpartition("/")
         if key.startswith("#") or parent not in nodes:
             return
-        if isinstance(item, h5py.Group):
+        if hasattr(item, "keys"):
             nodes[key] = Node(leaf)
             nodes[parent].within.append(nodes[key])
         elif item.attrs.get("MATLAB_class") == b"char" and item.size <= LONGEST_TEXT:
@@ -69,12 +58,4 @@ def _newer(path: Path, root: Node) -> None:
             if array.ndim in (1, 2):
                 nodes[parent].arrays[leaf] = array
 
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(visit)
-    except (DataError, MemoryError):
-        raise
-    except Exception as err:  # h5py raises OSError, RuntimeError, ValueError for damaged files
-        raise DataError(
-            f"{path}: not a MATLAB file that can be read ({type(err).__name__}): export it again, or as CSV"
-        ) from None
+    visit_items(path, "a MATLAB file", visit)

@@ -1,4 +1,4 @@
-"""Parquet and Feather (by pyarrow), and JSON: one record per line, a list of records or rows, or a list per column."""
+"""Parquet and Feather (by pyarrow), JSON or YAML: a record per line, a list of records or rows, a list per column."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
+from errpipe import yamlfile
+from errpipe.errors import ConfigError, DataError
+from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, cell_of, number, readable
 
 name = "Parquet or JSON"
 suffixes = (".parquet", ".feather", ".arrow", ".json", ".jsonl", ".ndjson")
 binary = True  # a few bytes can declare many rows
 _PARQUET, _ARROW = b"PAR1", b"ARROW1"
+_YAML = (".yaml", ".yml")
 DEEPEST = 5  # nesting depth in which tables are searched for: a result of InfluxDB has 4
 FEWEST_ROWS = 3  # of a table next to the largest: fewer are facts of the set-up
 LONGEST_TEXT = 200  # characters of a text that is a comment
@@ -34,7 +36,7 @@ def sniff(path: Path, head: bytes) -> bool:
     """A Parquet or Feather file, or text that starts like JSON records; a line `[1] Circle` does not match."""
     begin = "".join(head[:64].decode("utf-8-sig", "replace").split()).replace("'", '"')
     records = begin.startswith(('{"', '[{"', "[{}", "[[")) or _LOGGED.match(head.decode("utf-8-sig", "replace"))
-    return head.startswith((_PARQUET, _ARROW)) or bool(records)
+    return head.startswith((_PARQUET, _ARROW)) or bool(records) or path.suffix.lower() in _YAML
 
 
 def read(path: Path, options: DoorOptions) -> list[Sheet]:
@@ -52,7 +54,7 @@ def _sheet(name: str, columns: dict[str, list[Cell]], notes: list[str], above: l
 def _parquet(path: Path) -> dict[str, list[Cell]]:
     from pyarrow import feather, parquet
 
-    try:
+    with readable(path, "a Parquet file (or Feather)"):
         if path.read_bytes()[:6] == _ARROW:
             table = feather.read_table(path, use_threads=False, memory_map=False)
             affordable(table.num_rows * table.num_columns, path)
@@ -61,12 +63,6 @@ def _parquet(path: Path) -> dict[str, list[Cell]]:
             affordable(file.metadata.num_rows * file.metadata.num_columns, path)
             table = file.read(use_threads=False)
         return {_with_unit(f): _column(table[f.name]) for f in {f.name: f for f in table.schema}.values()}
-    except (DataError, MemoryError):
-        raise
-    except Exception as err:  # pyarrow raises ArrowInvalid, OSError, KeyError, ... for damaged files
-        raise DataError(
-            f"{path}: not a Parquet file (or Feather) that is read ({type(err).__name__}): export it again, or as CSV"
-        ) from None
 
 
 def _with_unit(field: Any) -> str:
@@ -81,7 +77,7 @@ def _column(values: Any) -> list[Cell]:
     if str(values.type).startswith(("int", "uint", "float", "double")):
         numbers: list[Cell] = values.to_numpy().astype(float).tolist()
         return numbers
-    return [_cell(v) for v in values.to_pylist()]
+    return [cell_of(v) for v in values.to_pylist()]
 
 
 def _json(path: Path) -> list[Sheet]:
@@ -90,7 +86,7 @@ def _json(path: Path) -> list[Sheet]:
     if re.match(r"[\[\s]*\{\s*'", text):  # dictionaries as Python prints them
         text = _OF_PYTHON.sub(lambda m: _JSON.get(m[0], '"'), text)
     try:
-        document = json.loads(text)
+        document = _yaml(path, text) if path.suffix.lower() in _YAML else json.loads(text)
     except ValueError:
         document = _of_one_time(_line(path, n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip())
     except RecursionError:
@@ -98,7 +94,7 @@ def _json(path: Path) -> list[Sheet]:
     tables = list(_tables(document))
     if not tables:
         raise DataError(
-            f"{path}: JSON without a table (allowed: one record per line, a list of records, rows or columns, "
+            f"{path}: JSON or YAML without a table (allowed: one record per line, a list of records, rows or columns, "
             "also within one object)"
         )
     _, largest = max(tables, key=lambda table: _rows(table[1]))
@@ -114,7 +110,16 @@ def _json(path: Path) -> list[Sheet]:
     facts = document.items() if isinstance(document, dict) else ()
     above = [f"{k}: {v}" for k, v in facts if isinstance(v, str) and len(v) <= LONGEST_TEXT]  # `Axis: X`
     named = [(at if len(alike) > 1 and at else path.stem, t) for at, t in alike]
-    return [_sheet(n, {k: [*map(_cell, of)] for k, of in t.items()}, [*notes], above) for n, t in named]
+    return [_sheet(n, {k: [*map(cell_of, of)] for k, of in t.items()}, [*notes], above) for n, t in named]
+
+
+def _yaml(path: Path, text: str) -> Any:
+    try:
+        document = yamlfile.parse(text, str(path))
+        document.raise_problems()
+    except ConfigError as err:
+        raise DataError(str(err)) from None
+    return document.value
 
 
 def _rows(table: dict[str, list[Any]]) -> int:
@@ -182,7 +187,7 @@ def _timed(pairs: list[Any]) -> list[tuple[str, Any]]:
     if len(pairs) < FEWEST_ROWS or not all(isinstance(p, list) and len(p) == 2 for p in pairs):
         return []
     for i in (0, 1):
-        t = np.array([v if (v := number(_cell(p[i]), False)) is not None else np.nan for p in pairs])
+        t = np.array([v if (v := number(cell_of(p[i]), False)) is not None else np.nan for p in pairs])
         per_second = 1e3 if t.min() > MOST_SECONDS else 1.0
         if t.min() / per_second > FEWEST_SECONDS and t.max() / per_second < MOST_SECONDS and (np.diff(t) > 0).all():
             dates = np.datetime_as_string(np.round(1e3 * t / per_second).astype("datetime64[ms]"), timezone="UTC")
@@ -242,11 +247,3 @@ def _named(values: list[Any]) -> Any:
     """A list of records with names as one record keyed by these names; any other list unchanged."""
     key = next((k for k in ("id", "name") if values and all(isinstance(v, dict) and k in v for v in values)), None)
     return values if key is None else {str(v[key]): {k: x for k, x in v.items() if k != key} for v in values}
-
-
-def _cell(value: Any) -> Cell:
-    if value is None or isinstance(value, float):
-        return value
-    if isinstance(value, int):
-        return float(value)
-    return value.isoformat() if hasattr(value, "isoformat") else str(value)

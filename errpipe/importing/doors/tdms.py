@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from errpipe.errors import DataError, UsageError
-from errpipe.importing.sheet import DoorOptions, Sheet
+from errpipe.errors import UsageError
+from errpipe.importing.sheet import DoorOptions, Sheet, readable
 
 name = "TDMS"
 suffixes = (".tdms",)
@@ -28,32 +28,20 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         from nptdms.log import log_manager
     except ImportError:
         raise UsageError(f"{path}: reading TDMS needs npTDMS: pip install 'errpipe[tdms]'") from None
-    remarks = _Remarks()
-    log_manager.console_handler.addFilter(remarks.add)  # its log messages become notes of the import
+    remarks: dict[str, None] = {}  # log messages of npTDMS become notes of the import, once each
+
+    def keep(record: logging.LogRecord) -> bool:
+        return remarks.setdefault(record.getMessage()) is not None
+
+    log_manager.console_handler.addFilter(keep)
     try:
-        file = TdmsFile.read(str(path))
-        groups = [g for g in file.groups() if options.sheet in (None, g.name) and g.channels()]
-        sheets = [_sheet(group).limited() for group in groups]
-        return [replace(sheet, notes=[*sheet.notes, *remarks.messages]) for sheet in sheets]
-    except (DataError, MemoryError):
-        raise
-    except Exception as err:  # npTDMS raises ValueError, struct.error, KeyError, ... for damaged files
-        raise DataError(
-            f"{path}: not a TDMS file that can be read ({type(err).__name__}): export it again, or as CSV"
-        ) from None
+        with readable(path, "a TDMS file"):
+            file = TdmsFile.read(str(path))
+            groups = [g for g in file.groups() if options.sheet in (None, g.name) and g.channels()]
+            sheets = [_sheet(group).limited() for group in groups]
     finally:
-        log_manager.console_handler.removeFilter(remarks.add)
-
-
-class _Remarks:
-    """Warnings of npTDMS on a file, such as a truncated last segment, once each."""
-
-    def __init__(self) -> None:
-        self.messages: dict[str, None] = {}
-
-    def add(self, record: logging.LogRecord) -> bool:
-        self.messages[record.getMessage()] = None
-        return False
+        log_manager.console_handler.removeFilter(keep)
+    return [replace(sheet, notes=[*sheet.notes, *remarks]) for sheet in sheets]
 
 
 def _sheet(group) -> Sheet:

@@ -217,6 +217,7 @@ def test_parts_and_multiples_of_a_unit() -> None:
 def test_what_is_no_measurement_has_a_way_forward(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "runs.zip", "w") as archive:
         archive.writestr("run1.csv", "\n".join(long_lines()))
+        archive.writestr("run2.csv", "\n".join(long_lines()))
     grbl = written(tmp_path / "a.log", [f"<Run|MPos:{x:.3f},0.000,-5.000|FS:500,0>" for _, x, _, _ in long_rows()])
     ball = written(
         tmp_path / "b.csv", ["C angle;X centre;Y centre;Z centre", *(f"{30 * k};1.1;2.2;{k}" for k in range(9))]

@@ -136,7 +136,7 @@ def test_records(tmp_path: Path, kind: str) -> None:
     ("text", "match"),
     [
         ('{"a": 1', ":1  not a JSON record"),
-        ('{"a": 1}', "JSON without a table"),
+        ('{"a": 1}', "JSON or YAML without a table"),
         ("PAR1 none PAR1", "not a Parquet file"),
     ],
 )
