@@ -22,8 +22,8 @@ MAX_SHEETS_NAMED = 6  # sheets named in a message
 OF_BOTH = (*OF_A_MACHINE, "spindle_speed", "velocity", "feed")  # what two devices may both record
 LARGEST_SHIFT = 900.0  # s: clocks that are set by hand differ by minutes
 MOST_COMPARED = 2000  # rows, and shifts, of a comparison of two clocks
-SAME_MISFIT = 0.01  # of the range: differences that noise explains; chosen on the same logs as the next
-CLOCK_RATIO = 3.0  # of mean differences now and at the best shift; chosen on simulated logs shifted by 0 to 600 s
+SAME_MISFIT = 0.01  # of the range: differences that noise explains; by judgement
+CLOCK_RATIO = 3.0  # of mean differences now and at the best shift; by judgement, tried on logs shifted by -240 to 180 s
 STALE_STEPS = 10.0  # steps of a log: an older reading is not used for the row
 
 
