@@ -58,15 +58,13 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
         _of_any_sheet(logs[0], door, options)  # raises: what the file lacks
     measured = {file: part for file, part in parts.items() if file not in logs}
     together.refuse_states([file.stem for file in measured], "files", "import the one that is meant")
-    runs = together.sides_of_names([*measured.values()], [file.stem for file in measured])
+    runs = together.sides_of_names([*measured.values()], together.names_of_files([*measured]))
     complete = together.one_after_another([*measured.values()], runs)
     order.sides_of_falling_runs(complete)
     repeated_runs.told_apart(complete)
-    layouts = list(dict.fromkeys(tuple(parts[file].entries) for file in logs))
-    for layout in layouts:  # a logger writes a file a day: those of one layout are one log
-        same_layout = [file for file in logs if tuple(parts[file].entries) == layout]
-        log = together.one_after_another([parts[file] for file in same_layout], [file.stem for file in same_layout])
-        together.add_log(complete, log, same_layout[0].stem)
+    for same_layout in together.of_one_log({file: parts[file] for file in logs}):
+        names = together.names_of_files(same_layout)
+        together.add_log(complete, together.one_after_another([parts[file] for file in same_layout], names), names)
     shown = _shown(complete, sources)
     return complete, {**shown, "checks": _plausible(complete, options)}
 
