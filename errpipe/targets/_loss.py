@@ -19,6 +19,7 @@ from errpipe.targets._whole import WholeTable
 
 STATES = 2000  # random states for the rms
 AT_ENDS = 0.3  # share of them at an end of each range
+MUCH, LITTLE = 0.05, 0.5  # share, and um: files that are worse than none by less are not remarked (by judgement)
 UM = 1e3  # per mm (thousandths of a degree per degree)
 
 
@@ -55,6 +56,43 @@ def losses(table: CompensationTable, read: ReadBack) -> list[Loss]:
         want = _sample.corrections(table, axis, states, side)
         gap = UM * (read.correction(axis, at, side, sensors) - want)
         out.append(Loss(axis, by_axis[axis].bound, float(np.abs(gap).max()), _rms(gap), UM * _rms(want)))
+    return out
+
+
+@dataclass(frozen=True)
+class Worse:
+    """A reading of one sensor with which an axis is further off with the files than without them; um (deg/1000) rms."""
+
+    axis: str
+    sensor: str
+    reading: float
+    without: float
+    with_files: float
+
+
+def worse_than_none(table: CompensationTable, read: ReadBack) -> list[Worse]:
+    """Per axis, the end of a sensor's validity at which the files harm most, over the travel, other sensors as usual.
+
+    A file without temperatures has the curve of one thermal state, and in another it may act the wrong way.
+    """
+    names, start = _sample.positions_of(table), _sample.middle(table)
+    ends = travel(table)
+    steps = np.tile(np.linspace(0.0, 1.0, STATES // 2), 2)
+    side = np.repeat([1.0, -1.0], STATES // 2)
+    places = {axis: low + (high - low) * steps for axis, (low, high) in ends.items()}
+    out = []
+    for axis in _sample.outputs_by_axis(table):
+        found = []
+        for i in table.inputs:
+            for reading in i.valid if i.kind == "sensor" and i.valid is not None and not i.optional else ():
+                sensors = {n: np.full(steps.size, v) for n, v in start.items() if n not in names.values()}
+                sensors[i.name] = np.full(steps.size, reading)
+                states = {names[a]: x for a, x in places.items()} | sensors
+                want = UM * _sample.corrections(table, axis, states, side)
+                gap = UM * read.correction(axis, places, side, sensors) - want
+                found.append(Worse(axis, i.name, reading, _rms(want), _rms(gap)))
+        harm = max(found, key=lambda w: w.with_files - w.without, default=None)
+        out += [harm] if harm and harm.with_files > harm.without * (1.0 + MUCH) + LITTLE else []
     return out
 
 

@@ -18,7 +18,17 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.files import missing
 from errpipe.formats import _derived, manifest_folder
-from errpipe.importing import features, named_values, order, other_tests, repeated_runs, resolve, signs, together
+from errpipe.importing import (
+    features,
+    named_values,
+    order,
+    other_tests,
+    repeated_runs,
+    resolve,
+    signs,
+    together,
+    unstated,
+)
 from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
@@ -53,6 +63,10 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
         parts[file] = proposal
         sources.append({"file": file.name, "kind": source, "rows": proposal.rows})
     _refuse_unknown_sets(parts.values(), options)
+    names = together.names_of_files([*parts])
+    unstated.refuse_another_scale(
+        dict(zip(names, parts.values(), strict=True)), {*options.sets, *map(slug, options.sets)}
+    )
     logs = [file for file, part in parts.items() if part.first("error") is None]
     if len(logs) == len(parts):
         _of_any_sheet(logs[0], door, options)  # raises: what the file lacks
