@@ -58,18 +58,11 @@ def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Propos
 
 
 def _without_sensor(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]:
-    """Fill temperatures that some files lack, or have without a reading, with empty cells, in place; notes on them.
-
-    Only if a file has all other columns of the most complete one: a sensor of another name has not failed.
-    """
+    """Fill temperatures that some files lack, or have without a reading, with empty cells, in place; notes on them."""
     notes = []
     whole = max(parts, key=lambda part: len(part.entries))
     for part, stem in zip(parts, stems, strict=True):
-        missing = [n for n in whole.entries if n not in part.entries]
-        if part.entries.keys() - whole.entries.keys() or any(
-            whole.entries[n]["role"] != "temperature" for n in missing
-        ):
-            continue
+        missing = _lacking(whole, part) or []
         for name in missing:
             part.entries[name] = dict(whole.entries[name])
             part.guesses[name] = whole.guesses.get(name, "")
@@ -92,31 +85,33 @@ def of_one_log(parts: Mapping[Path, Proposal]) -> list[list[Path]]:
     """Files without deviations by log: a logger writes a file a day, and some may lack a temperature of the others."""
     groups: list[list[Path]] = []
     for file in sorted(parts, key=lambda f: -len(parts[f].entries)):
-        for files in groups:
-            if all(_of_one_logger(parts[other], parts[file]) for other in files):
-                files.append(file)
-                break
-        else:
-            groups.append([file])
-    order = [*parts]
-    return sorted((sorted(files, key=order.index) for files in groups), key=lambda files: order.index(files[0]))
+        own = [files for files in groups if all(_of_one_logger(parts[other], parts[file]) for other in files)]
+        groups += [] if own else [[]]
+        (own or groups[-1:])[0].append(file)
+    order = [*parts].index
+    return sorted((sorted(files, key=order) for files in groups), key=lambda files: order(files[0]))
 
 
-def _of_one_logger(a: Proposal, b: Proposal) -> bool:
-    """Whether two logs have the same columns, or one lacks temperatures of the other and has another period."""
-    if a.entries.keys() == b.entries.keys():
+def _of_one_logger(whole: Proposal, part: Proposal) -> bool:
+    """Whether two logs have the same columns, or the second lacks temperatures and is of another period."""
+    if whole.entries.keys() == part.entries.keys():
         return True
-    whole, part = (a, b) if len(a.entries) > len(b.entries) else (b, a)
-    lacking = whole.entries.keys() - part.entries.keys()
-    if part.entries.keys() - whole.entries.keys() or any(whole.entries[n]["role"] != "temperature" for n in lacking):
-        return False
-    start, own, time = _epoch(a), _epoch(b), a.first("time") or ""
-    if start is None or own is None or part.first("temperature") is None:
+    start, own, time = _epoch(whole), _epoch(part), whole.first("time") or ""
+    if start is None or own is None or part.first("temperature") is None or _lacking(whole, part) is None:
         return False
     if (start.tzinfo is None) != (own.tzinfo is None):
         return False
-    here, there = a.data[time], b.data[time] + (own - start).total_seconds()
+    here, there = whole.data[time], part.data[time] + (own - start).total_seconds()
     return bool(np.nanmax(here) < np.nanmin(there) or np.nanmax(there) < np.nanmin(here))
+
+
+def _lacking(whole: Proposal, part: Proposal) -> list[str] | None:
+    """Temperatures of the first that the second lacks; None if it differs in more: another name is another sensor."""
+    missing = [n for n in whole.entries if n not in part.entries]
+    other = part.entries.keys() - whole.entries.keys() or any(
+        whole.entries[n]["role"] != "temperature" for n in missing
+    )
+    return None if other else missing
 
 
 _RUN_WORD = r"(?:run|lauf|durchlauf|messung|messreihe|cycle|zyklus|pass|trial|essai|passe|prova|ensayo|pasada)"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,8 +61,7 @@ def losses(table: CompensationTable, read: ReadBack) -> list[Loss]:
     return out
 
 
-@dataclass(frozen=True)
-class Worse:
+class Worse(NamedTuple):
     """A reading of one sensor with which an axis is further off with the files than without them; um (deg/1000) rms."""
 
     axis: str
@@ -76,24 +77,18 @@ def worse_than_none(table: CompensationTable, read: ReadBack) -> list[Worse]:
     A file without temperatures has the curve of one thermal state, and in another it may act the wrong way.
     """
     names, start = _sample.positions_of(table), _sample.middle(table)
-    ends = travel(table)
-    steps = np.tile(np.linspace(0.0, 1.0, STATES // 2), 2)
-    side = np.repeat([1.0, -1.0], STATES // 2)
-    places = {axis: low + (high - low) * steps for axis, (low, high) in ends.items()}
-    out = []
-    for axis in _sample.outputs_by_axis(table):
-        found = []
-        for i in table.inputs:
-            for reading in i.valid if i.kind == "sensor" and i.valid is not None and not i.optional else ():
-                sensors = {n: np.full(steps.size, v) for n, v in start.items() if n not in names.values()}
-                sensors[i.name] = np.full(steps.size, reading)
-                states = {names[a]: x for a, x in places.items()} | sensors
-                want = UM * _sample.corrections(table, axis, states, side)
-                gap = UM * read.correction(axis, places, side, sensors) - want
-                found.append(Worse(axis, i.name, reading, _rms(want), _rms(gap)))
-        harm = max(found, key=lambda w: w.with_files - w.without, default=None)
-        out += [harm] if harm and harm.with_files > harm.without * (1.0 + MUCH) + LITTLE else []
-    return out
+    places = {a: np.tile(np.linspace(*ends, STATES // 2), 2) for a, ends in travel(table).items()}
+    side, worst = np.repeat([1.0, -1.0], STATES // 2), dict[str, Worse]()
+    ends = [(i.name, v) for i in table.inputs if i.kind == "sensor" and not i.optional for v in i.valid or ()]
+    for axis, (sensor, reading) in product(_sample.outputs_by_axis(table), ends):
+        usual = {n: v for n, v in start.items() if n not in names.values()} | {sensor: reading}
+        sensors = {n: np.full(STATES, v) for n, v in usual.items()}
+        want = UM * _sample.corrections(table, axis, {names[a]: x for a, x in places.items()} | sensors, side)
+        left = _rms(UM * read.correction(axis, places, side, sensors) - want)
+        harm = left - _rms(want) * (1.0 + MUCH) - LITTLE
+        if harm > 0 and (axis not in worst or left - _rms(want) > worst[axis].with_files - worst[axis].without):
+            worst[axis] = Worse(axis, sensor, reading, _rms(want), left)
+    return [*worst.values()]
 
 
 def _states(table: CompensationTable, rng: np.random.Generator) -> tuple[dict[str, np.ndarray], np.ndarray]:

@@ -117,7 +117,7 @@ def test_a_day_on_another_scale_than_its_header_says_is_refused(
     rest = "degF" if right == "degC" else "degC"
     for n, day in enumerate(DAYS):
         log(tmp_path, day, unit=unit, scale=scale if n == 2 else rest)
-    with pytest.raises(DataError, match=rf"SPS_{DAYS[2]}: all temperatures are .* agree with them in {right}.*--set"):
+    with pytest.raises(DataError, match=rf"SPS_{DAYS[2]}: all temperatures lie .* agree with them in {right}.*--set"):
         prepared(files)
     stated = [f"{name}.unit={rest}" for name in ("Lager", "KSS_Tank")]
     assert prepared(files, sets=stated)[0].rows
