@@ -28,6 +28,11 @@ ALONE = (
     "take their place. Axes of one machine are exported together: "
     "errpipe export {0}/table.ect OTHER/table.ect --target {1} --out DIR"
 )
+NOT_ASSESSED = "not assessed: in settled states the table, counted from its start, is 0; its lags are lost"
+FROM_THE_START = (
+    "{0}: the correction is 0 at each start of the table and counts from there: set the zero (tool, datum) then. After "
+    "a restart while warm, without a new zero, what had grown before is missing"
+)
 CHECK_THE_SIGN = (
     f"**{_artefacts.SIGN_NOTE}.** Before "
     "anything is loaded: with the instrument of the recording set up at a target, jog the axis 0.1 mm (deg) beyond it, "
@@ -77,6 +82,8 @@ def checklist(
     lines += [
         f"- {x['axis']}: {x['rms_um']:.3g} {loss_unit(x['axis'])} rms of {x['table_rms_um']:.3g}, "
         f"at most {at_most(x['bound_um'])} {loss_unit(x['axis'])}"
+        if x["table_rms_um"] or isinstance(read, WholeTable)
+        else f"- {x['axis']}: {NOT_ASSESSED}"
         for x in lost
     ]
     lines += [] if others else _where_worse(table, read)
@@ -178,8 +185,12 @@ def _one_turn(read: ReadBack, table: CompensationTable) -> list[ByHand]:
 
 
 def _from_the_start(read: ReadBack, table: CompensationTable) -> list[ByHand]:
-    """Remarks on lines per kelvin that the table counts from the reading at its start, a file from a fixed one."""
-    lines = [] if isinstance(read, WholeTable) else read.lines
+    """Remarks on what the table counts from its start: the zero to set, and what a file counts from a fixed reading."""
+    if isinstance(read, WholeTable):
+        sensors = _sample.sensors_of(table)
+        axes = [a for a in read.axes() if any(_sample.counts_from_start(table, a, s) for s in sensors)]
+        return [ByHand(FROM_THE_START.format(", ".join(axes)))] if axes else []
+    lines = read.lines
     return [
         ByHand(
             f"{x.axis}: the table counts {x.sensor} from its reading at the start of the machine; the file counts from "
