@@ -33,7 +33,7 @@ from errpipe.importing import (
 from errpipe.importing import columns as guessing
 from errpipe.importing.header import facts
 from errpipe.importing.layout import Layout, RawColumn
-from errpipe.importing.proposed import ImportOptions, Proposal, slug
+from errpipe.importing.proposed import AXIS_ASSUMED, ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
 from errpipe.importing.temperatures import with_temperatures
 from errpipe.importing.units import PER_LENGTH, in_brackets, in_role, per_length, plain_unit, unit_of
@@ -95,7 +95,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         if angles:
             raise DataError(f"column {angles[0].header!r} has angles, and no axis is named: declare it with --axis C")
         axis, proposal.assumed_axis = "X", True
-        proposal.notes.append("no axis is named in the file: taken as X (to change it: --axis)")
+        proposal.notes.append(AXIS_ASSUMED)
     if wide_layout is not None:
         _wide(layout, guesses, wide_layout, axis, options, proposal)
     else:

@@ -30,6 +30,9 @@ class ImportOptions:
     sets: dict[str, dict[str, str]] = field(default_factory=dict)
 
 
+AXIS_ASSUMED = "no axis is named in the file: taken as X (to change it: --axis)"
+
+
 @dataclass
 class Proposal:
     """Rows by column name, the manifest entry of each column, the reason for each guess, and notes on the whole."""
@@ -79,7 +82,8 @@ class Proposal:
 def slug(text: str) -> str:
     """A header as a plain column name: letters, digits and underscores."""
     for letter, plain in (("ä", "ae"), ("ö", "oe"), ("ü", "ue"), ("ß", "ss"), ("µ", "u"), ("μ", "u"), ("°", "deg")):
-        text = text.replace(letter, plain).replace(letter.upper(), plain.capitalize())
+        capital = letter.upper() if len(letter.upper()) == 1 else letter  # that of the sharp s is SS, as in words
+        text = text.replace(letter, plain).replace(capital, plain.capitalize())
     plain_text = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
     name = re.sub(r"[^A-Za-z0-9]+", "_", plain_text).strip("_")
     return (f"c_{name}" if not name or name[0].isdigit() else name)[:60]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from errpipe.domain import units
 from errpipe.errors import DataError
 from errpipe.importing.columns import side
 from errpipe.importing.order import set_side
-from errpipe.importing.proposed import Proposal, slug
+from errpipe.importing.proposed import AXIS_ASSUMED, Proposal, slug
 from errpipe.importing.words import plain
 
 OF_A_MACHINE = ("command", "position", "actual")
@@ -42,6 +43,8 @@ def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Propos
             _refuse_another(name, (entry, other.entries[name]), (stems[0], stem))
     _in_one_unit(parts, stems)
     joined = Proposal(entries=dict(first.entries), guesses=dict(first.guesses), notes=[*first.notes, *lacking])
+    for part, stem in zip(parts[1:], stems[1:], strict=True):
+        joined.notes += [f"{stem}: {note}" for note in part.notes if note not in (*first.notes, AXIS_ASSUMED)]
     run = joined.first("run")
     if run is None:
         run = joined.put("run", None, "one run for each file", role="run")
@@ -60,18 +63,11 @@ def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Propos
 
 
 def _without_sensor(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]:
-    """Fill temperatures that some files lack, or have without a reading, with empty cells, in place; notes on them.
-
-    Only if a file has all other columns of the most complete one: a sensor of another name has not failed.
-    """
+    """Fill temperatures that some files lack, or have without a reading, with empty cells, in place; notes on them."""
     notes = []
     whole = max(parts, key=lambda part: len(part.entries))
     for part, stem in zip(parts, stems, strict=True):
-        missing = [n for n in whole.entries if n not in part.entries]
-        if part.entries.keys() - whole.entries.keys() or any(
-            whole.entries[n]["role"] != "temperature" for n in missing
-        ):
-            continue
+        missing = _lacking(whole, part) or []
         for name in missing:
             part.entries[name] = dict(whole.entries[name])
             part.guesses[name] = whole.guesses.get(name, "")
@@ -79,6 +75,48 @@ def _without_sensor(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str
         if missing:
             notes.append(f"{stem}: no reading of {', '.join(missing)}: missing")
     return notes
+
+
+def names_of_files(files: Sequence[Path]) -> list[str]:
+    """Names of runs, one per file: the stem; with its folder, or a number, if files of several folders share it."""
+    stems = [file.stem for file in files]
+    folders = [file.resolve().parent.name for file in files]
+    shared = [stems.count(stem) > 1 for stem in stems]
+    stems = [f"{folder}_{stem}" if s else stem for folder, stem, s in zip(folders, stems, shared, strict=True)]
+    return [f"{s}_{stems[: n + 1].count(s)}" if stems.count(s) > 1 else s for n, s in enumerate(stems)]
+
+
+def of_one_log(parts: Mapping[Path, Proposal]) -> list[list[Path]]:
+    """Files without deviations by log: a logger writes a file a day, and some may lack a temperature of the others."""
+    groups: list[list[Path]] = []
+    for file in sorted(parts, key=lambda f: -len(parts[f].entries)):
+        own = [files for files in groups if all(_of_one_logger(parts[other], parts[file]) for other in files)]
+        groups += [] if own else [[]]
+        (own or groups[-1:])[0].append(file)
+    order = [*parts].index
+    return sorted((sorted(files, key=order) for files in groups), key=lambda files: order(files[0]))
+
+
+def _of_one_logger(whole: Proposal, part: Proposal) -> bool:
+    """Whether two logs have the same columns, or the second lacks temperatures and is of another period."""
+    if whole.entries.keys() == part.entries.keys():
+        return True
+    start, own, time = _epoch(whole), _epoch(part), whole.first("time") or ""
+    if start is None or own is None or part.first("temperature") is None or _lacking(whole, part) is None:
+        return False
+    if (start.tzinfo is None) != (own.tzinfo is None):
+        return False
+    here, there = whole.data[time], part.data[time] + (own - start).total_seconds()
+    return bool(np.nanmax(here) < np.nanmin(there) or np.nanmax(there) < np.nanmin(here))
+
+
+def _lacking(whole: Proposal, part: Proposal) -> list[str] | None:
+    """Temperatures of the first that the second lacks; None if it differs in more: another name is another sensor."""
+    missing = [n for n in whole.entries if n not in part.entries]
+    other = part.entries.keys() - whole.entries.keys() or any(
+        whole.entries[n]["role"] != "temperature" for n in missing
+    )
+    return None if other else missing
 
 
 _RUN_WORD = r"(?:run|lauf|durchlauf|messung|messreihe|cycle|zyklus|pass|trial|essai|passe|prova|ensayo|pasada)"
@@ -193,14 +231,15 @@ def _in_one_unit(parts: Sequence[Proposal], stems: Sequence[str]) -> None:
         )
 
 
-def add_log(p: Proposal, log: Proposal, stem: str) -> None:
+def add_log(p: Proposal, log: Proposal, stems: Sequence[str]) -> None:
     """Merge a log without deviations with the readings, by date and time, in place.
 
+    stems: names of the log's files, which its notes may begin with.
     Readings at a position take the last reading of the log before them. A drift keeps the rows of both, so that the
-    warming between two readings is preserved; rows of the log outside every run become separate runs.
+    warming between two readings is preserved; each stretch of the log outside every run becomes a run of its own.
     Raises DataError if a clock has no date, or if the two have no common time.
     """
-    start, own = _epoch(p), _epoch(log)
+    start, own, stem = _epoch(p), _epoch(log), stems[0]
     if start is None or own is None:
         raise DataError(
             f"{stem}: it contains no deviation, and files are merged by date and time, which not all of them have "
@@ -221,6 +260,9 @@ def add_log(p: Proposal, log: Proposal, stem: str) -> None:
             f"{stem}: none of its rows is from the time of the deviations ({_period(start, at)}; "
             f"of {stem}: {_period(start, logged[log_time].to_numpy())})"
         )
+    named = tuple(f"{name}: " for name in stems)
+    notes = [note for note in log.notes if note not in (*p.notes, AXIS_ASSUMED)]
+    p.notes += [note if note.startswith(named) else f"{stem}: {note}" for note in notes]
     p.notes.append(f"{stem}: its clock is taken to agree with that of the deviations: if not, shift its times")
     _refuse_other_clock(p, log, logged, at, (stem, log_time, step))
     names = {n: n if n not in p.entries else slug(f"{stem}_{n}") for n in logged.columns if n != log_time}
@@ -288,9 +330,16 @@ def _interleaved(p: Proposal, logged: pd.DataFrame, time: str, step: float) -> p
     spans = rows.groupby(run, sort=False)[time].agg(["min", "max"]).sort_values("min")
     before = np.searchsorted(spans["min"] - step, logged[time], side="right") - 1
     inside = (before >= 0) & (logged[time].to_numpy() <= spans["max"].to_numpy()[np.maximum(before, 0)])
-    own = [spans.index[b] if i else f"log {b + 2}" for b, i in zip(before, inside, strict=True)]
+    stretch = np.cumsum(_starts(logged[time].to_numpy(), np.where(inside, -2, before), STALE_STEPS * step))
+    own = [spans.index[b] if i else f"log {s}" for b, i, s in zip(before, inside, stretch, strict=True)]
     both = pd.concat([rows, logged.assign(**{run: own})], ignore_index=True)
     return both.sort_values(time, kind="stable", ignore_index=True)
+
+
+def _starts(time: np.ndarray, between: np.ndarray, longest: float) -> np.ndarray:
+    """Whether a stretch of a log outside the runs begins, per row: between other runs, or after a break of the log."""
+    new = np.r_[True, (np.diff(between) != 0) | (np.diff(time) > longest)]
+    return new & (between >= -1)
 
 
 def _epoch(p: Proposal) -> datetime | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -13,14 +14,19 @@ from errpipe.importing.proposed import Proposal
 from errpipe.importing.temperatures import START
 from errpipe.importing.units import split_header
 
+FEWEST_APART = 2  # temperatures of a file: a single one may be of a part that was warm in one run alone
 COLDEST_K = 200.0  # K: below any machine
 LONGEST_STEP = 0.5  # s: longer steps are rare in a log of a moving axis; in ms they are usual
 PLACES = ("command", "position", "actual")
 
 
+def _of_heat(p: Proposal) -> list[str]:
+    return [n for n, e in p.entries.items() if e["role"] == "temperature" and np.isfinite(p.data[n]).any()]
+
+
 def _refuse_warm_without_a_unit(p: Proposal) -> None:
     """Raise DataError if temperatures without a unit are all above those of a shop and a cold machine in degC."""
-    temperatures = [n for n, e in p.entries.items() if e["role"] == "temperature" and np.isfinite(p.data[n]).any()]
+    temperatures = _of_heat(p)
     unstated = [n for n in temperatures if "no unit is stated" in p.guesses.get(n, "")]
     if unstated and len(unstated) == len(temperatures) and min(np.nanmin(p.data[n]) for n in unstated) > START[1]:
         sets = " ".join(f"--set {n}.unit=degF" for n in unstated)
@@ -28,6 +34,30 @@ def _refuse_warm_without_a_unit(p: Proposal) -> None:
             f"no unit is stated for {', '.join(unstated)}, and no reading is below {START[1]:g}: degF, or degC of a "
             f"warm machine? Declare it with {sets} (or degC)"
         )
+
+
+def refuse_another_scale(parts: Mapping[str, Proposal], stated: Iterable[str]) -> None:
+    """Raise DataError if all temperatures of one file lie beyond those of the others, and within on the other scale.
+
+    parts: by the name of the file; stated: columns whose unit the user gave.
+    """
+    rows = [(f, n, p.entries[n].get("unit"), p.data[n]) for f, p in parts.items() for n in _of_heat(p)]
+    known = [(f, n, u, np.nanmin(v), np.nanmax(v)) for f, n, u, v in rows if n not in stated]
+    for file, unit in dict.fromkeys((k[0], k[2]) for k in known if k[2] in ("degC", "degF")):
+        own, agrees = [k for k in known if k[0] == file], []
+        for _, name, _, low, high in own:
+            around = [k for k in known if k[0] != file and k[1:3] == (name, unit)]
+            floor, top = min((k[3] for k in around), default=np.nan), max((k[4] for k in around), default=np.nan)
+            apart = low > top if unit == "degC" else high < floor
+            low, high = ((v - 32.0) / 1.8 if unit == "degC" else 1.8 * v + 32.0 for v in (low, high))
+            agrees.append(apart and low <= top and high >= floor)
+        if len(own) >= FEWEST_APART and all(agrees):
+            raise DataError(
+                f"{file}: all temperatures lie beyond those of the other files ({own[0][1]}: {own[0][3]:.4g} to "
+                f"{own[0][4]:.4g} {unit}) and would agree with them in {'degF' if unit == 'degC' else 'degC'}: correct "
+                f"the unit in the header of this file. If {unit} is right: "
+                + " ".join(f"--set {k[1]}.unit={unit}" for k in own)
+            )
 
 
 def _refuse_radians(p: Proposal) -> None:

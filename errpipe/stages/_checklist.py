@@ -14,7 +14,7 @@ from errpipe.guard.in_table import stands_in, watched
 from errpipe.stages import _artefacts, _plausible
 from errpipe.targets import _sample
 from errpipe.targets._base import TURN, ByHand, Curve, ReadBack, unit_of
-from errpipe.targets._loss import at_most, loss_unit, losses
+from errpipe.targets._loss import at_most, loss_unit, losses, worse_than_none
 from errpipe.targets._whole import WholeTable
 
 PUSH = 100.0  # N: the force of an example
@@ -27,6 +27,11 @@ ALONE = (
     "the files hold {0} alone: points, tables and files of another axis may have the same numbers and names, and would "
     "take their place. Axes of one machine are exported together: "
     "errpipe export {0}/table.ect OTHER/table.ect --target {1} --out DIR"
+)
+NOT_ASSESSED = "not assessed: in settled states the table, counted from its start, is 0; its lags are lost"
+FROM_THE_START = (
+    "{0}: the correction is 0 at each start of the table and counts from there: set the zero (tool, datum) then. After "
+    "a restart while warm, without a new zero, what had grown before is missing"
 )
 CHECK_THE_SIGN = (
     f"**{_artefacts.SIGN_NOTE}.** Before "
@@ -77,13 +82,25 @@ def checklist(
     lines += [
         f"- {x['axis']}: {x['rms_um']:.3g} {loss_unit(x['axis'])} rms of {x['table_rms_um']:.3g}, "
         f"at most {at_most(x['bound_um'])} {loss_unit(x['axis'])}"
+        if x["table_rms_um"] or isinstance(read, WholeTable)
+        else f"- {x['axis']}: {NOT_ASSESSED}"
         for x in lost
     ]
+    lines += [] if others else _where_worse(table, read)
     lines += _with_numbers(table, read, numbers)
     if lost:
         seen = lost[0]["states"]
         lines += ["", f"At most: in any settled state inside travel and validity. Rms: of {seen} random ones."]
     return "\n".join([*lines, ""])
+
+
+def _where_worse(table: CompensationTable, read: Any) -> list[str]:
+    """Thermal states in which the files of a format without temperatures do harm."""
+    return [
+        f"- **{w.axis}: worse than without these files where {w.sensor} = {w.reading:.4g} degC: {w.with_files:.3g} "
+        f"instead of {w.without:.3g} {loss_unit(w.axis)} rms.** They hold the curve of one thermal state"
+        for w in worse_than_none(table, read)
+    ]
 
 
 def _watch(read: Any, table: CompensationTable) -> list[str]:
@@ -168,8 +185,12 @@ def _one_turn(read: ReadBack, table: CompensationTable) -> list[ByHand]:
 
 
 def _from_the_start(read: ReadBack, table: CompensationTable) -> list[ByHand]:
-    """Remarks on lines per kelvin that the table counts from the reading at its start, a file from a fixed one."""
-    lines = [] if isinstance(read, WholeTable) else read.lines
+    """Remarks on what the table counts from its start: the zero to set, and what a file counts from a fixed reading."""
+    if isinstance(read, WholeTable):
+        sensors = _sample.sensors_of(table)
+        axes = [a for a in read.axes() if any(_sample.counts_from_start(table, a, s) for s in sensors)]
+        return [ByHand(FROM_THE_START.format(", ".join(axes)))] if axes else []
+    lines = read.lines
     return [
         ByHand(
             f"{x.axis}: the table counts {x.sensor} from its reading at the start of the machine; the file counts from "

@@ -16,7 +16,7 @@ from errpipe.fitting.lowering import compensable, uncompensated_terms
 from errpipe.fitting.statistics import rms
 from errpipe.stages.predict import table_values
 from errpipe.tables import bounds
-from errpipe.thermal.arithmetic import held_readings
+from errpipe.thermal.arithmetic import held_readings, short_gaps_held
 from errpipe.validation.gate import Passed
 
 ROUNDING_UM = 1e-6  # um (urad): sums in another order differ by 1e-12 of 1e5 um at most
@@ -69,7 +69,12 @@ def _unguarded(table: CompensationTable) -> CompensationTable:
 
 
 def _within_validity(table: CompensationTable, recording: Recording) -> Recording:
-    """The recording with every reading clipped to the validity range of the table, where its bound applies."""
+    """The recording without gaps of temperatures, clipped to the validity range of the table, where its bound applies.
+
+    In a gap of one sensor a lag of several is held as a whole, while a table holds that one input only: the two differ
+    until the lag has settled, which is no error of gridding or rounding.
+    """
+    recording = short_gaps_held(recording, longest=None)
     boxes = {i.name: i.valid for i in table.inputs if i.valid is not None and i.name in recording}
     return recording.with_columns({n: np.clip(recording.array(n), *box) for n, box in boxes.items()}, {})
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from errpipe.targets._whole import WholeTable
 
 STATES = 2000  # random states for the rms
 AT_ENDS = 0.3  # share of them at an end of each range
+MUCH, LITTLE = 0.05, 0.5  # share, and um: files that are worse than none by less are not remarked (by judgement)
 UM = 1e3  # per mm (thousandths of a degree per degree)
 
 
@@ -56,6 +59,36 @@ def losses(table: CompensationTable, read: ReadBack) -> list[Loss]:
         gap = UM * (read.correction(axis, at, side, sensors) - want)
         out.append(Loss(axis, by_axis[axis].bound, float(np.abs(gap).max()), _rms(gap), UM * _rms(want)))
     return out
+
+
+class Worse(NamedTuple):
+    """A reading of one sensor with which an axis is further off with the files than without them; um (deg/1000) rms."""
+
+    axis: str
+    sensor: str
+    reading: float
+    without: float
+    with_files: float
+
+
+def worse_than_none(table: CompensationTable, read: ReadBack) -> list[Worse]:
+    """Per axis, the end of a sensor's validity at which the files harm most, over the travel, other sensors as usual.
+
+    A file without temperatures has the curve of one thermal state, and in another it may act the wrong way.
+    """
+    names, start = _sample.positions_of(table), _sample.middle(table)
+    places = {a: np.tile(np.linspace(*ends, STATES // 2), 2) for a, ends in travel(table).items()}
+    side, worst = np.repeat([1.0, -1.0], STATES // 2), dict[str, Worse]()
+    ends = [(i.name, v) for i in table.inputs if i.kind == "sensor" and not i.optional for v in i.valid or ()]
+    for axis, (sensor, reading) in product(_sample.outputs_by_axis(table), ends):
+        usual = {n: v for n, v in start.items() if n not in names.values()} | {sensor: reading}
+        sensors = {n: np.full(STATES, v) for n, v in usual.items()}
+        want = UM * _sample.corrections(table, axis, {names[a]: x for a, x in places.items()} | sensors, side)
+        left = _rms(UM * read.correction(axis, places, side, sensors) - want)
+        harm = left - _rms(want) * (1.0 + MUCH) - LITTLE
+        if harm > 0 and (axis not in worst or left - _rms(want) > worst[axis].with_files - worst[axis].without):
+            worst[axis] = Worse(axis, sensor, reading, _rms(want), left)
+    return [*worst.values()]
 
 
 def _states(table: CompensationTable, rng: np.random.Generator) -> tuple[dict[str, np.ndarray], np.ndarray]:

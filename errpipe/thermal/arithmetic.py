@@ -51,18 +51,20 @@ def held_readings(recording: Recording) -> Recording:
     return short_gaps_held(recording.each_run_alone())
 
 
-def short_gaps_held(recording: Recording, names: Iterable[str] | None = None) -> Recording:
+def short_gaps_held(
+    recording: Recording, names: Iterable[str] | None = None, longest: int | None = LONGEST_HELD
+) -> Recording:
     """The recording with sensors (default: temperatures) as a controller has them: held between readings.
 
-    Readings missing at the start of a run take its first one. Gaps of more than LONGEST_HELD readings, at the rate at
-    which the sensor is logged, stay empty.
+    Readings missing at the start of a run take its first one. Gaps of more than `longest` readings, at the rate at
+    which the sensor is logged, stay empty (None: no gap does).
     """
     held = {}
     for name in recording.names("temperature") if names is None else names:
         values = recording.frame[name]
         if values.count() in (0, len(values)):
             continue
-        limit = LONGEST_HELD * rows_between(values.to_numpy(dtype=float))
+        limit = None if longest is None else longest * rows_between(values.to_numpy(dtype=float))
         runs = values.groupby(recording.run_codes())
         held[name] = runs.ffill(limit=limit).where(runs.ffill().notna(), runs.bfill(limit=limit)).to_numpy()
     return recording.with_columns(held, {}) if held else recording

@@ -18,7 +18,17 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.files import missing
 from errpipe.formats import _derived, manifest_folder
-from errpipe.importing import features, named_values, order, other_tests, repeated_runs, resolve, signs, together
+from errpipe.importing import (
+    features,
+    named_values,
+    order,
+    other_tests,
+    repeated_runs,
+    resolve,
+    signs,
+    together,
+    unstated,
+)
 from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.doors import open_file
@@ -61,21 +71,22 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
             raise DataError(f"{file}: it only names channels, and none of the other files")
         sources.append({"file": file.name, "kind": "names of channels", "rows": len(sheets[0].rows)})
     _refuse_unknown_sets(parts.values(), options)
+    names = together.names_of_files([*parts])
+    unstated.refuse_another_scale(
+        dict(zip(names, parts.values(), strict=True)), {*options.sets, *map(slug, options.sets)}
+    )
     logs = [file for file, part in parts.items() if part.first("error") is None]
     if len(logs) == len(parts):
         _of_any_sheet(logs[0], door, options)  # raises: what the file lacks
     measured = {file: part for file, part in parts.items() if file not in logs}
-    stems = _names_of([*measured])
-    together.refuse_states(stems, "files", "import the one that is meant")
-    runs = together.sides_of_names([*measured.values()], stems)
+    together.refuse_states([file.stem for file in measured], "files", "import the one that is meant")
+    runs = together.sides_of_names([*measured.values()], together.names_of_files([*measured]))
     complete = together.one_after_another([*measured.values()], runs)
     order.sides_of_falling_runs(complete)
     repeated_runs.told_apart(complete)
-    layouts = list(dict.fromkeys(tuple(parts[file].entries) for file in logs))
-    for layout in layouts:  # a logger writes a file a day: those of one layout are one log
-        same_layout = [file for file in logs if tuple(parts[file].entries) == layout]
-        log = together.one_after_another([parts[file] for file in same_layout], _names_of(same_layout))
-        together.add_log(complete, log, same_layout[0].stem)
+    for same_layout in together.of_one_log({file: parts[file] for file in logs}):
+        names = together.names_of_files(same_layout)
+        together.add_log(complete, together.one_after_another([parts[file] for file in same_layout], names), names)
     shown = _shown(complete, sources)
     return complete, {**shown, "checks": _plausible(complete, options)}
 
@@ -103,12 +114,6 @@ def _refuse_unknown_sets(parts: Iterable[Proposal], options: ImportOptions) -> N
                     f"--set {name}.{idle[0]} would be ignored ({why.split(';')[0]}): set it for a file's column, or "
                     "write a column of targets, one of readings, and one of runs"
                 )
-
-
-def _names_of(files: Sequence[Path]) -> list[str]:
-    """The names of files without endings; with their folder or ending if two are equal: they are names of runs."""
-    forms = ([f.stem for f in files], [f"{f.parent.name}-{f.stem}" for f in files], [f.name for f in files])
-    return next((names for names in forms if len({*names}) == len(names)), [str(f) for f in files])
 
 
 def _legends(files: Sequence[Path], door: DoorOptions) -> dict[Path, list[Sheet]]:

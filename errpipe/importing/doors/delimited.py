@@ -66,7 +66,8 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
     """The cells of a text file. Raises DataError if it is not a table."""
     if options.sheet is not None:
         raise UsageError(f"{path}: a text is one table: --sheet would be ignored")
-    data = _without_padding(path.read_bytes())
+    whole = path.read_bytes()
+    data = _without_padding(whole)
     affordable(data.count(b"\n") + data.count(b"\r"), path)
     encoding, text = _decode(path, data)
     lines = _whole_lines(text.splitlines())
@@ -90,8 +91,12 @@ def read(path: Path, options: DoorOptions) -> list[Sheet]:
         _refuse_short_rows(path, rows)
     if separator == ",":
         _refuse_torn_numbers(path, rows)
+    zeros = len(whole) - len(data)
+    notes = [f"{zeros} bytes of zeros at its end were ignored, {CUT_OFF}"] if zeros else []
+    if separator != " " and not text.endswith(("\n", "\r")):
+        notes += _without_torn_row(rows)
     words = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}[separator]
-    return [Sheet(path.stem, rows, notes=[f"text in {encoding}, separated by {words}"]).limited()]
+    return [Sheet(path.stem, rows, notes=[f"text in {encoding}, separated by {words}", *notes]).limited()]
 
 
 def _by_blanks(path: Path, lines: list[str]) -> Iterator[list[Cell]]:
@@ -151,6 +156,8 @@ def _with_prose_quoted(lines: list[str]) -> list[str]:
     return ['"' + line + '"' if of_words else line for line, of_words in zip(lines, prose, strict=False)] + lines[head:]
 
 
+CUT_OFF = "check that the file was copied to its end"
+MIN_WHOLE_ROWS = 3  # rows of numbers of one length, by which a shorter last one is known as torn (by judgement)
 MOST_SHORT = 0.1  # share of the rows of numbers; above it, short rows are a layout
 
 
@@ -168,6 +175,20 @@ def _refuse_short_rows(path: Path, rows: Rows) -> None:
             f"{path}:{r + 1}  {len(rows[r])} cells, {width} in the rows around it: which one is missing? (write it "
             "empty, with its separator)"
         )
+
+
+def _without_torn_row(rows: Rows) -> list[str]:
+    """Remove a last row that begins like the row above but ends early, unlike all others of numbers; a note on it."""
+    of_numbers = [row for row in rows[:-1] if sum(map(_figure, row)) > 1]
+    if len(of_numbers) < MIN_WHOLE_ROWS or len({*map(len, of_numbers)}) > 1:
+        return []
+    above, last = of_numbers[-1], rows[-1]
+    begun = all(_figure(a) == _figure(b) for a, b in zip(above, last[:-1], strict=False))
+    if not 0 < len(last) < len(above) or not begun or not re.match(r"[\d.,+-]", str(last[0] or "")):
+        return []
+    rows.pop()
+    found = f"line {len(rows) + 1} has {len(last)} of {len(above)} cells and no end of line: the row was excluded"
+    return [f"{found}, {CUT_OFF}"]
 
 
 def _refuse_torn_numbers(path: Path, rows: Rows) -> None:

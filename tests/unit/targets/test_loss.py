@@ -158,3 +158,25 @@ def test_the_largest_of_an_expansion_is_that_of_all_its_corners(seed, monkeypatc
     assert exact <= searched.bound * (1 + 1e-12) and searched.bound <= 1.0201 * exact
     monkeypatch.setattr(maximum, "MAX_BOXES", 8)
     assert exact <= maximum.largest(terms, knots).bound * (1 + 1e-12)
+
+
+def test_a_curve_of_one_thermal_state_is_told_to_harm_in_another() -> None:
+    """Expansion of a scale: the curve at 24 degC, the middle of the range, is the wrong way at 16 degC."""
+    expansion_of_scale = Lowered(d.above("T", 20.0), "X", lambda x: 0.008 * x)
+    table = machines.compile_(("EXX", [expansion_of_scale]))
+    table = table.model_copy(
+        update={
+            "inputs": tuple(
+                i.model_copy(update={"valid": (16.0, 32.0), "margin": 1.0, "default": 24.0}) if i.name == "T" else i
+                for i in table.inputs
+            )
+        }
+    )
+    screw, temperature = (next(t for t in TARGETS if t.name == n) for n in ("sinumerik_lec", "sinumerik_temperature"))
+    (worst,) = _loss.worse_than_none(table, screw.read_back(screw.write(table)))
+    assert (worst.axis, worst.sensor, worst.reading) == ("X", "T", 16.0)
+    assert worst.with_files == pytest.approx(2 * worst.without, rel=0.02)  # 4 K the wrong way, beside 4 K
+    parts = [screw, temperature]
+    files = [p.write_with(table, [o.name for o in parts if o is not p]) for p in parts]
+    first, second = (p.read_back(own) for p, own in zip(parts, files, strict=True))
+    assert _loss.worse_than_none(table, first + second) == []
