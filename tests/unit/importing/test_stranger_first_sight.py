@@ -121,7 +121,7 @@ def test_partitions_with_files_of_one_name_are_runs(tmp_path: Path) -> None:
         own = [(x, s, d) for r, x, s, d in long_rows() if r == run]
         pd.DataFrame(own, columns=["X_mm", "dir", "EXX_um"]).to_parquet(files[-1])
     recording = imported(tmp_path, files)
-    assert set(recording.frame[recording.name("run")]) == {f"run={r}-part-0" for r in "123"}
+    assert set(recording.frame[recording.name("run")]) == {f"run={r}_part-0" for r in "123"}
 
 
 @pytest.mark.parametrize("swapped", ["log", "readings"])
