@@ -145,9 +145,7 @@ def _zeros(target: Any, read: Any, table: CompensationTable, others: Sequence[st
 
 def _one_turn(read: ReadBack, table: CompensationTable) -> list[ByHand]:
     """Over axes that turn on, what a file that ends after one turn asks of the control's way of counting."""
-    parts = [(c.over, c.positions) for c in read.curves if np.ptp(c.up) or np.ptp(c.down)]
-    parts += [pair for p in read.products for pair in zip(p.over, p.positions, strict=True)]
-    parts += [pair for p in read.planes for pair in zip(p.over, (p.first, p.second), strict=True)]
+    parts = replace(read, curves=tuple(c for c in read.curves if np.ptp(c.up) or np.ptp(c.down))).grids()
     known, out = _sample.positions_of(table), []
     for over in dict.fromkeys(over for over, x in parts if x[-1] - x[0] < 2 * TURN):
         if over in known and _sample.turns(table, over):
