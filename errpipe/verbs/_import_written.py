@@ -10,10 +10,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from errpipe import jsonfile
 from errpipe.domain import manifest_text
 from errpipe.domain.recording import Manifest
-from errpipe.errors import DataError, ErrpipeError, UsageError
+from errpipe.errors import DataError, ErrpipeError, UsageError, first_problem
 from errpipe.formats import manifest_folder
 from errpipe.importing import signs
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
@@ -102,9 +104,8 @@ def manifest_of(proposal: Proposal, options: ImportOptions, files: Sequence[Path
     document |= {"constants": {name: {"value": text} for name, text in facts.items()}, "columns": columns}
     try:
         return Manifest.model_validate(document)
-    except ValueError as err:
-        first = err.errors()[0] if hasattr(err, "errors") else {"loc": (), "msg": str(err)}
-        raise UsageError(f"import: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+    except ValidationError as err:
+        raise UsageError(f"import: {first_problem(err)}") from None
 
 
 def _csv(proposal: Proposal) -> str:
