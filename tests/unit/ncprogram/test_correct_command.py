@@ -23,11 +23,8 @@ def test_what_a_program_cannot_correct_is_said(tmp_path):
 
 
 def test_a_program_with_a_rotary_axis_says_how_it_was_taken():
-    assert (
-        remarks_on_words("(C1)\nG0 X1 c-90\n")
-        .get("rotary", "")
-        .startswith("line 2: c-90 is taken as of an axis that counts on")
-    )
+    remark = remarks_on_words("(C1)\nG0 X1. c-90\n")["rotary"]
+    assert remark.startswith("line 2: c-90 is taken as of an axis that counts on")
     assert remarks_on_words("(C1)\nG0 X1 ; A2\n").get("rotary", "") == ""
 
 
@@ -138,10 +135,13 @@ def test_lengths_without_a_point_are_named(line, found):
 
 @pytest.mark.parametrize("line", ["G96 S200 M3", "G50 S2000", "N5 g92 s1800", "T0101", "T1212 M6"])
 def test_a_turning_program_says_that_x_was_taken_as_a_radius(line):
-    assert "do not use the corrected program" in remarks_on_words(f"G21 G18 G99 G54\n{line}\nG0 X50.").get(
-        "diameters", ""
+    turned = f"G21 G18 G99 G54\n{line}\nG0 X50."
+    milled = "G90 (G96 is a lathe's)\nT12 M6\nT1234\nT0100\nG97 S1000 M3\nX5."
+        f"G21 G18 G99 G54\n{line}\nG0 X50.",
+        "G90 (G96 is a lathe's)\nT12 M6\nT1234\nT0100\nG97 S1000 M3\nX5.",
     )
-    assert diameters("G21 G90 G54 (G96 is a lathe's)\nT12 M6\nT1234\nT0100\nG97 S1000 M3\nG0 X50.") == ""
+    assert "do not use the corrected program" in remarks_on_words(turned)["diameters"]
+    assert remarks_on_words(milled) == {}
 
 
 @pytest.mark.parametrize(
