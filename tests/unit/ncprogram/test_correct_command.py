@@ -137,9 +137,6 @@ def test_lengths_without_a_point_are_named(line, found):
 def test_a_turning_program_says_that_x_was_taken_as_a_radius(line):
     turned = f"G21 G18 G99 G54\n{line}\nG0 X50."
     milled = "G90 (G96 is a lathe's)\nT12 M6\nT1234\nT0100\nG97 S1000 M3\nX5."
-        f"G21 G18 G99 G54\n{line}\nG0 X50.",
-        "G90 (G96 is a lathe's)\nT12 M6\nT1234\nT0100\nG97 S1000 M3\nX5.",
-    )
     assert "do not use the corrected program" in remarks_on_words(turned)["diameters"]
     assert remarks_on_words(milled) == {}
 
