@@ -186,7 +186,7 @@ def extremes(folder: Path) -> tuple[Recording, frozenset[str]]:
 
 
 def canonical(manifest: Manifest) -> Manifest:
-    """The manifest as it reads once the door has converted: canonical units, constants too.
+    """The manifest as it reads once it is converted: canonical units, constants too.
 
     Raises ValueError for a unit that is not one of its role's.
     """

@@ -43,7 +43,7 @@ def kills(folder: Path, count: int, rng: random.Random, end: float) -> tuple[int
     process, which has imported and compiled everything; each FRESH-th is an interpreter of its own instead.
     """
     from errpipe.cli.app import main
-    from tests.hostile.doors import PIPELINE, recording_folder
+    from tests.hostile.command_line import PIPELINE, recording_folder
 
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "p.yaml").write_text(PIPELINE + EXPORTED)

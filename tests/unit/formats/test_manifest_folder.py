@@ -1,4 +1,4 @@
-"""The door: roles, units, rows, and what is refused with which words."""
+"""Reading a manifest: roles, units, rows, and what is refused with which words."""
 
 import os
 import subprocess

@@ -12,7 +12,7 @@ import pytest
 
 from errpipe.errors import DataError
 from errpipe.importing import words
-from errpipe.importing.sheet import DoorOptions
+from errpipe.importing.sheet import ReaderOptions
 from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 
 RUNS, SIDES = (1, 2, 3), (1.0, -1.0)
@@ -220,7 +220,7 @@ def test_sheets_are_axes_and_the_others_are_named(tmp_path: Path) -> None:
     book.save(tmp_path / "f.xlsx")
     assert imported(tmp_path, tmp_path / "f.xlsx").components() == ("EYY",)
     assert "other sheets hold measurements too: X" in (tmp_path / "rec" / "recording.yaml").read_text()
-    holds_the_truth(imported(tmp_path, tmp_path / "f.xlsx", DoorOptions(sheet="X")))
+    holds_the_truth(imported(tmp_path, tmp_path / "f.xlsx", ReaderOptions(sheet="X")))
 
 
 def test_matrices_beside_the_targets(tmp_path: Path) -> None:

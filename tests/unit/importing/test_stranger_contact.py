@@ -11,7 +11,7 @@ import pytest
 from errpipe.cli.app import main
 from errpipe.errors import DataError
 from errpipe.importing.controller_files import ECT
-from errpipe.importing.sheet import DoorOptions
+from errpipe.importing.sheet import ReaderOptions
 from errpipe.verbs import import_files
 from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 
@@ -36,7 +36,7 @@ def refused(tmp_path: Path, text: str | bytes, match: str, name: str = "f.csv", 
     (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode("utf-8"))
     with pytest.raises(DataError, match=match):
         options = import_files.options_of(sets=[], **said)
-        import_files.prepare([tmp_path / name], DoorOptions(), options)
+        import_files.prepare([tmp_path / name], ReaderOptions(), options)
 
 
 ON_THE_SIGN = {
@@ -377,5 +377,5 @@ def test_a_sheet_with_a_question_is_not_passed_over(tmp_path: Path) -> None:
             sheet.append([r, mark(s), x, d])
     book.save(tmp_path / "f.xlsx")
     with pytest.raises(DataError, match=r"along which axis.*--sheet 'Summary'"):
-        import_files.prepare([tmp_path / "f.xlsx"], DoorOptions(), import_files.options_of(sets=[]))
+        import_files.prepare([tmp_path / "f.xlsx"], ReaderOptions(), import_files.options_of(sets=[]))
     holds_the_truth(imported(tmp_path, tmp_path / "f.xlsx", axis="X"))

@@ -65,9 +65,9 @@ def test_signals_of_one_clock(tmp_path: Path) -> None:
 def test_sheets_of_two_axes_are_distinguished(tmp_path: Path) -> None:
     other = {**COLUMNS, "error_um": ERROR + 7}
     savemat(tmp_path / "a.mat", {"laser": {"Y": other, "X": COLUMNS}})
-    from errpipe.importing.sheet import DoorOptions
+    from errpipe.importing.sheet import ReaderOptions
 
-    holds_the_truth(imported(tmp_path, tmp_path / "a.mat", DoorOptions(sheet="X")))
+    holds_the_truth(imported(tmp_path, tmp_path / "a.mat", ReaderOptions(sheet="X")))
 
 
 def page(tag: str) -> str:

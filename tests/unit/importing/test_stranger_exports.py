@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import DoorOptions, number, of_one_mark
+from errpipe.importing.sheet import ReaderOptions, number, of_one_mark
 from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 from tests.unit.importing.test_first_hour import PAIRS, RUNS, SIDES, de, headers, long, mark, wide
 
@@ -201,10 +201,10 @@ def test_names_of_a_person_replace_those_of_the_file(tmp_path: Path) -> None:
     facts = "Name\tAxis 1.SetPos\tName\tAxis 1.ActPos\nSampleTime[ms]\t2\tSampleTime[ms]\t2\nOffset\t0\tOffset\t0\nBit-Mask\t0\tBit-Mask\t0\n"
     rows = "\n".join(f"{2 * i}\t{x}\t{2 * i}\t{x + d / 1000:.5f}" for i, (_, x, _, d) in enumerate(ROWS))
     (tmp_path / "scope.csv").write_text(facts + "\n" + rows)
-    door = DoorOptions(names=("t [ms]", "x_cmd [mm]", "t2 [ms]", "x_act [mm]"))
-    holds_the_truth(imported(tmp_path, tmp_path / "scope.csv", door))
+    reader = ReaderOptions(names=("t [ms]", "x_cmd [mm]", "t2 [ms]", "x_act [mm]"))
+    holds_the_truth(imported(tmp_path, tmp_path / "scope.csv", reader))
     with pytest.raises(DataError, match="--names gives 3 names, the table has 4 columns"):
-        imported(tmp_path, tmp_path / "scope.csv", DoorOptions(names=("a", "b", "c")))
+        imported(tmp_path, tmp_path / "scope.csv", ReaderOptions(names=("a", "b", "c")))
 
 
 def test_labview_measurement(tmp_path: Path) -> None:
@@ -263,7 +263,7 @@ def test_tdms_channels_of_several_samplings(tmp_path: Path) -> None:
 
 def test_mtconnect_of_two_axes_and_whole_seconds(tmp_path: Path) -> None:
     """`08:00:01Z` comes after `08:00:00.998Z`; items of one name in two components are two columns."""
-    from errpipe.importing.doors import mtconnect
+    from errpipe.importing.readers import mtconnect
 
     moments = [f"2026-03-31T08:00:0{k // 500}" + (f".{k % 500 * 2:03d}" if k % 500 else "") + "Z" for k in range(1000)]
     streams = ""
@@ -277,7 +277,7 @@ def test_mtconnect_of_two_axes_and_whole_seconds(tmp_path: Path) -> None:
     file.write_text(
         f'<MTConnectStreams xmlns="urn:mtconnect.org:MTConnectStreams:1.4"><Streams>{streams}</Streams></MTConnectStreams>'
     )
-    (sheet,) = mtconnect.read(file, DoorOptions())
+    (sheet,) = mtconnect.read(file, ReaderOptions())
     assert sheet.header == ["time", "X act actual [mm]", "Y act actual [mm]"]
     assert [row[1] for row in sheet.rows] == [k + 0.5 for k in range(1000)]
 

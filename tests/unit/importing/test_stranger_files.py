@@ -103,10 +103,10 @@ FILES = {
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_of_a_stranger(tmp_path: Path, name: str) -> None:
     (tmp_path / "f.csv").write_text(FILES[name], encoding="utf-8")
-    from errpipe.importing.sheet import DoorOptions
+    from errpipe.importing.sheet import ReaderOptions
 
-    door = DoorOptions(names=("target", "error") if "names" in name else ())
-    holds_the_truth(imported(tmp_path, tmp_path / "f.csv", door, axis="X" if "two axes" in name else None))
+    reader = ReaderOptions(names=("target", "error") if "names" in name else ())
+    holds_the_truth(imported(tmp_path, tmp_path / "f.csv", reader, axis="X" if "two axes" in name else None))
 
 
 REFUSED = {

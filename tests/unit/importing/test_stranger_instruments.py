@@ -10,7 +10,7 @@ import openpyxl
 import pytest
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import DoorOptions
+from errpipe.importing.sheet import ReaderOptions
 from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 
 
@@ -136,9 +136,9 @@ def test_commands_and_readings_that_are_exchanged_in_one_run_are_refused(tmp_pat
 
 def test_the_unit_above_rows_without_a_header_is_that_of_columns_that_a_person_names(tmp_path: Path) -> None:
     rows = [f"{x / 25.4:.7f}, {(x + d / 1e3) / 25.4:.9f}" for _, x, _, d in long_rows()]
-    door = DoorOptions(names=("x_target", "x_actual"))
+    reader = ReaderOptions(names=("x_target", "x_actual"))
     file = write(tmp_path, "\n".join(['"Optodyne"', '"Unit: inch"', *rows]), "f.dat")
-    assert imported(tmp_path, file, door).frame["EXX"].abs().max() == pytest.approx(
+    assert imported(tmp_path, file, reader).frame["EXX"].abs().max() == pytest.approx(
         max(abs(d) for *_, d in long_rows()), abs=0.01
     )
 

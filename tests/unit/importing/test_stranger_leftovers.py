@@ -15,7 +15,7 @@ from errpipe.importing.layout import RawColumn
 from errpipe.importing.other_tests import TESTS
 from errpipe.importing.proposed import ImportOptions
 from errpipe.importing.resolve import unit_by_size
-from errpipe.importing.sheet import Cell, DoorOptions
+from errpipe.importing.sheet import Cell, ReaderOptions
 from errpipe.verbs import import_files
 from tests.unit.importing.known_test import imported, prepared
 
@@ -209,7 +209,7 @@ IN_WORDS = [
 @pytest.mark.parametrize(("name", "above", "axis"), IN_WORDS)
 def test_an_axis_in_words_is_taken_with_a_note(tmp_path: Path, name: str, above: str, axis: str) -> None:
     (tmp_path / name).write_text(positions(above=above), encoding="utf-8")
-    proposal, _ = import_files.prepare([tmp_path / name], DoorOptions(), ImportOptions())
+    proposal, _ = import_files.prepare([tmp_path / name], ReaderOptions(), ImportOptions())
     assert proposal.entries["Target"]["axis"] == axis
     assert any(note.startswith(f"the axis is {axis}, from ") for note in proposal.notes)
 

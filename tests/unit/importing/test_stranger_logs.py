@@ -16,7 +16,7 @@ from errpipe.importing.columns import guess
 from errpipe.importing.layout import RawColumn
 from errpipe.importing.owners import only_of_axes
 from errpipe.importing.proposed import Proposal
-from errpipe.importing.sheet import DoorOptions
+from errpipe.importing.sheet import ReaderOptions
 from errpipe.verbs import import_files
 from tests.unit.importing.known_test import imported
 from tests.unit.importing.known_test import prepared as prepared_files
@@ -231,7 +231,7 @@ def test_a_log_without_header_keeps_its_own_times(tmp_path: Path) -> None:
     """A column named time was a second clock beside rows that were taken as 1 ms apart."""
     path = tmp_path / "run.dat"
     path.write_text("".join(f"{t:.6f} {x:.4f} {x + 0.01:.4f}\n" for t, x in zip(1.7 * T, X, strict=True)), "utf-8")
-    proposal = prepared_files([path], DoorOptions(names=("time", "x_cmd", "x_fb")))[0]
+    proposal = prepared_files([path], ReaderOptions(names=("time", "x_cmd", "x_fb")))[0]
     assert proposal.data["time"] == pytest.approx(1.7 * T)
 
 

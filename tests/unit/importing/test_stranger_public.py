@@ -12,8 +12,8 @@ import pytest
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
 from errpipe.importing import words
-from errpipe.importing.doors import halscope
-from errpipe.importing.sheet import DoorOptions
+from errpipe.importing.readers import halscope
+from errpipe.importing.sheet import ReaderOptions
 from tests.unit.importing.known_test import holds_the_truth, imported, long_rows, prepared
 
 NAMES = ["run", "direction", "target_X_mm", "deviation_um"]
@@ -41,12 +41,12 @@ def test_a_trace_of_halscope(tmp_path: Path, mark: str) -> None:
 def test_a_sample_of_halscope_that_is_no_number_leaves_the_others_in_their_rows(tmp_path: Path) -> None:
     lines = [f"a {'nan' if i == 3 else f'{i:+.3f}'} b {2 * i:+.3f}" for i in range(6)]
     (tmp_path / "s.log").write_text("\n".join(["Sampling period is 1000000 nSec ", "", *lines]))
-    (sheet,) = halscope.read(tmp_path / "s.log", DoorOptions())
+    (sheet,) = halscope.read(tmp_path / "s.log", ReaderOptions())
     assert [row[1:] for row in sheet.rows if row[1] is not None] == [[i, 2.0 * i] for i in range(6) if i != 3]
     assert [row[0] for row in sheet.rows] == pytest.approx([1e-3 * i for i in range(6)])
     (tmp_path / "s.log").write_text("\n".join(["Sampling period is 1000000 nSec ", "", *lines[:3], "a +1", lines[4]]))
     with pytest.raises(DataError, match="sample 4 has different names"):
-        halscope.read(tmp_path / "s.log", DoorOptions())
+        halscope.read(tmp_path / "s.log", ReaderOptions())
 
 
 DOCUMENTS: dict[str, Any] = {
@@ -103,7 +103,7 @@ def test_numbered_signals_of_two_quantities_are_no_runs(tmp_path: Path) -> None:
     lines = ["number,theta_1,theta_2,tau_1,tau_2", *(f"{i},{i / 9},{i / 7},{i % 5},{i % 3}" for i in range(20))]
     (tmp_path / "f.csv").write_text("\n".join(lines))
     with pytest.raises(DataError, match="no column holds a deviation"):
-        imported(tmp_path, tmp_path / "f.csv", DoorOptions())
+        imported(tmp_path, tmp_path / "f.csv", ReaderOptions())
 
 
 @pytest.mark.parametrize("unit", ["Âµm", "æm"])

@@ -9,7 +9,7 @@ import pytest
 
 from errpipe.errors import DataError, UsageError
 from errpipe.importing import words
-from errpipe.importing.sheet import DoorOptions
+from errpipe.importing.sheet import ReaderOptions
 from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 from tests.unit.importing.test_first_hour import RUNS, SIDES, de, long
 
@@ -299,7 +299,7 @@ def test_sheets_that_are_runs_are_joined(tmp_path: Path, names: list[str], joine
         return
     with pytest.raises(DataError, match=r"which one is meant|several states"):
         imported(tmp_path, tmp_path / "f.xlsx")
-    assert len(imported(tmp_path, tmp_path / "f.xlsx", DoorOptions(sheet=names[1]))) == 2 * TARGETS.size
+    assert len(imported(tmp_path, tmp_path / "f.xlsx", ReaderOptions(sheet=names[1]))) == 2 * TARGETS.size
 
 
 def rows_of_run(run: int) -> list[list[object]]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from errpipe.errors import DataError, ErrpipeError
-from errpipe.importing.sheet import DoorOptions
+from errpipe.importing.sheet import ReaderOptions
 from errpipe.importing.words import kind_by_name
 from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 from tests.unit.importing.test_first_hour import PAIRS, RUNS, SIDES, headers, long, mark, wide
@@ -214,7 +214,7 @@ def test_one_row_with_another_decimal_mark(tmp_path: Path) -> None:
 LONG = long("Run;Dir;X [mm];Dev [um]", lambda r, x, s, d: f"{r};{mark(s)};{x};{d}")
 IN_VAIN = {
     "a column that is not there": ({"sets": ["Deviaton.unit=mm"]}, "no such column"),
-    "a sheet of a text": ({"door": DoorOptions("X")}, "--sheet would be ignored"),
+    "a sheet of a text": ({"reader": ReaderOptions("X")}, "--sheet would be ignored"),
     "another unit than the file's": ({"unit": "mm"}, "is in um, but --unit states mm"),
     "another axis than the file's": ({"axis": "Y"}, "--axis Y: column 'X' names the axis X.*--set 'X.axis=Y'"),
 }

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import DoorOptions
+from errpipe.importing.sheet import ReaderOptions
 from tests.unit.importing.known_test import imported
 
 STEP = 60.0  # s
@@ -144,7 +144,7 @@ def test_nanoseconds_and_a_period_that_a_person_says(
 ) -> None:
     """Nanoseconds were seconds, and --period of a CSV was ignored."""
     (tmp_path / "f.csv").write_text(log_of_an_axis(header, row), encoding="utf-8")
-    recording = imported(tmp_path, tmp_path / "f.csv", DoorOptions(period=period))
+    recording = imported(tmp_path, tmp_path / "f.csv", ReaderOptions(period=period))
     assert np.diff(recording.array(recording.name("time"))) == pytest.approx(0.002, abs=1e-6)
     assert np.abs(recording.array(recording.name("error", component="EXX"))).max() == pytest.approx(10.0, abs=0.01)
 

@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet
+from errpipe.importing.sheet import Cell, ReaderOptions, Sheet
 
 name = "DMIS"
 suffixes = (".dmo", ".dmi", ".dms")
@@ -25,7 +25,7 @@ def sniff(path: Path, head: bytes) -> bool:
     return re.search(rb"^\s*FA?\([^)]+\)\s*=\s*FEAT/", head, re.MULTILINE) is not None
 
 
-def read(path: Path, options: DoorOptions) -> list[Sheet]:
+def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     """A row per feature with a nominal position. Raises DataError if none was measured, and for unknown units."""
     text = re.sub(r"\$\s*\n\s*", "", path.read_text(encoding="latin-1"))
     places = {(kind, label): numbers.strip(",").split(",") for kind, label, numbers in _FEATURE.findall(text)}

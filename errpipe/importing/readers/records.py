@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
+from errpipe.importing.sheet import Cell, ReaderOptions, Sheet, affordable, number
 
 name = "Parquet or JSON"
 suffixes = (".parquet", ".feather", ".arrow", ".json", ".jsonl", ".ndjson")
@@ -37,7 +37,7 @@ def sniff(path: Path, head: bytes) -> bool:
     return head.startswith((_PARQUET, _ARROW)) or bool(records)
 
 
-def read(path: Path, options: DoorOptions) -> list[Sheet]:
+def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     """A row per record. Raises DataError for a damaged file, and for JSON without a table."""
     if path.read_bytes()[:6].startswith((_PARQUET, _ARROW)):
         return [_sheet(path.stem, _parquet(path), [], [])]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from errpipe.errors import DataError, UsageError
-from errpipe.importing.sheet import DoorOptions, Sheet, affordable
+from errpipe.importing.sheet import ReaderOptions, Sheet, affordable
 
 name = "HDF5"
 suffixes = (".h5", ".hdf5", ".hdf", ".nc")
@@ -26,7 +26,7 @@ def sniff(path: Path, head: bytes) -> bool:
     return head.startswith(SIGNATURE)
 
 
-def read(path: Path, options: DoorOptions) -> list[Sheet]:
+def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     """Sheets of columns with one length. Raises DataError."""
     try:
         import h5py

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.importing.doors.hdf5 import refuse_linked_data
-from errpipe.importing.sheet import DoorOptions, Sheet
+from errpipe.importing.readers.hdf5 import refuse_linked_data
+from errpipe.importing.sheet import ReaderOptions, Sheet
 from errpipe.importing.structures import LONGEST_TEXT, Node, put, sheets_of
 
 name = "MATLAB"
@@ -25,7 +25,7 @@ def sniff(path: Path, head: bytes) -> bool:
     return head.startswith(b"MATLAB ")
 
 
-def read(path: Path, options: DoorOptions) -> list[Sheet]:
+def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     """The sheets of a file, the largest first. Raises DataError."""
     root = Node("")
     if path.read_bytes()[:20].startswith(b"MATLAB 7.3"):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import DoorOptions, Sheet
+from errpipe.importing.sheet import ReaderOptions, Sheet
 from errpipe.importing.structures import Node, put, sheets_of
 
 name = "numpy"
@@ -21,7 +21,7 @@ def sniff(path: Path, head: bytes) -> bool:
     return head.startswith(_NPY) or (head.startswith(b"PK") and path.suffix.lower() == ".npz")
 
 
-def read(path: Path, options: DoorOptions) -> list[Sheet]:
+def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     """The sheets of a file, the largest first. Raises DataError for damaged files and for objects."""
     root = Node("")
     try:

@@ -1,4 +1,4 @@
-"""Door for XML files of other programs: own entities, which can expand without limit, are rejected in any encoding."""
+"""XML files of other programs: own entities, which can expand without limit, are rejected in any encoding."""
 
 from __future__ import annotations
 

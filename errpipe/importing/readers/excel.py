@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from errpipe.errors import DataError, UsageError, did_you_mean
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable
+from errpipe.importing.sheet import Cell, ReaderOptions, Sheet, affordable
 
 name = "Excel workbook"
 suffixes = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
@@ -21,7 +21,7 @@ def sniff(path: Path, head: bytes) -> bool:
     return path.suffix.lower() in suffixes and head.startswith((b"PK", _OLE, *_BEFORE_OLE))
 
 
-def read(path: Path, options: DoorOptions) -> list[Sheet]:
+def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     """The named sheet, else every sheet with at least two rows. Raises DataError, UsageError."""
     try:
         from python_calamine import CalamineWorkbook, SheetVisibleEnum

@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
+from errpipe.importing.sheet import Cell, ReaderOptions, Sheet, affordable, number
 
 name = "LinuxCNC halscope"
 suffixes = (".log", ".txt")
@@ -23,7 +23,7 @@ def sniff(path: Path, head: bytes) -> bool:
     return _PERIOD.match(head.decode("latin-1")) is not None
 
 
-def read(path: Path, options: DoorOptions) -> list[Sheet]:
+def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     """A column of times and one per signal, a row per sample. Raises DataError if a line has other names."""
     text = path.read_text(encoding="latin-1")
     found = _PERIOD.match(text)

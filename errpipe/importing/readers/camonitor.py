@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
+from errpipe.importing.sheet import Cell, ReaderOptions, Sheet, affordable, number
 
 name = "EPICS camonitor"
 suffixes = (".log", ".txt")
@@ -28,7 +28,7 @@ def sniff(path: Path, head: bytes) -> bool:
     return len(lines) > 2 and all(_LINE.fullmatch(line) for line in lines[:-1])
 
 
-def read(path: Path, options: DoorOptions) -> list[Sheet]:
+def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     """One sheet, a column per variable, a row per cycle. Raises DataError if no value is a number."""
     events: list[tuple[float, str, float]] = []
     epoch: datetime | None = None

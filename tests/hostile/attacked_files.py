@@ -65,7 +65,7 @@ M2
 
 
 @dataclass
-class Door:
+class AttackedFile:
     """A file that somebody hands over: its sound bytes, its place, and the command lines that open it."""
 
     name: str
@@ -80,26 +80,26 @@ class Door:
         self.sound = self.file.read_bytes()
 
 
-def doors(folder: Path) -> list[Door]:
+def attacked_files(folder: Path) -> list[AttackedFile]:
     """Sound files of every kind in `folder`, each with the commands that read it; every command succeeds once."""
     from errpipe.cli.app import main
 
     out = [*_tables(folder), *_runs(folder), *_signed(folder), *_tabular(folder)]
-    out += [Door(*facts) for facts in attack_more.files(folder)]
+    out += [AttackedFile(*facts) for facts in attack_more.files(folder)]
     with quiet():  # all of it once in this process: the forked ones need not import
-        for door in out:
-            for line in door.lines:
+        for attacked in out:
+            for line in attacked.lines:
                 code = main(line)
                 assert code == 0 or line[0] == "retrain", (line, code)
-    for door in _measurements(folder):
+    for attacked in _measurements(folder):
         with quiet():
-            assert main(door.lines[0]) == 0, door.name
-        shutil.rmtree(door.fresh)
-        code, said = forked(partial(main, door.lines[0]), folder)
-        assert code == 0, (door.name, said)
-        out.append(door)
-    out.append(Door("FMU archive", _archive(folder), []))
-    out.append(Door("FMU description", _description(folder), []))
+            assert main(attacked.lines[0]) == 0, attacked.name
+        shutil.rmtree(attacked.fresh)
+        code, said = forked(partial(main, attacked.lines[0]), folder)
+        assert code == 0, (attacked.name, said)
+        out.append(attacked)
+    out.append(AttackedFile("FMU archive", _archive(folder), []))
+    out.append(AttackedFile("FMU description", _description(folder), []))
     return out
 
 
@@ -107,7 +107,7 @@ def _command(*words: str | Path) -> list[str]:
     return [str(word) for word in words]
 
 
-def _tables(folder: Path) -> list[Door]:
+def _tables(folder: Path) -> list[AttackedFile]:
     """Tables, and what is read beside them."""
     from errpipe.tables import ect
     from tests.unit.targets import machines
@@ -123,18 +123,18 @@ def _tables(folder: Path) -> list[Door]:
     correct = _command("correct", program, "--table", ect_file, "--start", "0,0,0", "--out", folder / "o.ngc")
     at = ["--at", "x=100"]
     return [
-        Door("table (.ect)", ect_file, [_command("eval", ect_file, *at), _command("whatis", ect_file)]),
-        Door("table (JSON)", twin, [_command("eval", twin, *at), _command("compare", ect_file, twin)]),
-        Door("NC program", program, [correct]),
-        Door("machine", machine, [_command("synthesis", machine), _command("check", machine)]),
-        Door("laser file", laser, [_command("whatis", laser)]),
+        AttackedFile("table (.ect)", ect_file, [_command("eval", ect_file, *at), _command("whatis", ect_file)]),
+        AttackedFile("table (JSON)", twin, [_command("eval", twin, *at), _command("compare", ect_file, twin)]),
+        AttackedFile("NC program", program, [correct]),
+        AttackedFile("machine", machine, [_command("synthesis", machine), _command("check", machine)]),
+        AttackedFile("laser file", laser, [_command("whatis", laser)]),
     ]
 
 
-def _runs(folder: Path) -> list[Door]:
+def _runs(folder: Path) -> list[AttackedFile]:
     """Recordings, pipelines, and what a run of them leaves."""
     from errpipe.cli.app import main
-    from tests.hostile.doors import PIPELINE, recording_folder
+    from tests.hostile.command_line import PIPELINE, recording_folder
     from tests.hostile.test_tables import parquet_folder
 
     rec = recording_folder(folder / "rec", dev=measured(np.arange(40)))
@@ -151,20 +151,20 @@ def _runs(folder: Path) -> list[Door]:
     predict = _command("predict", model, rec, "--out", folder / "p.csv")
     plan = _command("plan", pipeline, "--out", out)
     return [
-        Door("manifest", rec / "recording.yaml", [_command("check", rec), run]),
-        Door("pipeline", pipeline, [_command("check", pipeline), plan, run]),
-        Door("CSV", rec / "rows.csv", [run]),
-        Door("Parquet", par / "rows.parquet", [_command("run", second, "--out", folder / "out2")]),
-        Door("lock file", out / "errpipe.lock", [run]),
-        Door("journal", _journal(out), [run]),
-        Door("note", out / ".errpipe" / "unchanged.json", [run]),
-        Door("model", model, [predict, _command("whatis", model), _command("compare", model, model)]),
-        Door("readings", readings, [[*predict, "--readings", str(readings)]]),
-        Door("exported folder", out / "export/export.json", [_command("verify", out / "export")]),
+        AttackedFile("manifest", rec / "recording.yaml", [_command("check", rec), run]),
+        AttackedFile("pipeline", pipeline, [_command("check", pipeline), plan, run]),
+        AttackedFile("CSV", rec / "rows.csv", [run]),
+        AttackedFile("Parquet", par / "rows.parquet", [_command("run", second, "--out", folder / "out2")]),
+        AttackedFile("lock file", out / "errpipe.lock", [run]),
+        AttackedFile("journal", _journal(out), [run]),
+        AttackedFile("note", out / ".errpipe" / "unchanged.json", [run]),
+        AttackedFile("model", model, [predict, _command("whatis", model), _command("compare", model, model)]),
+        AttackedFile("readings", readings, [[*predict, "--readings", str(readings)]]),
+        AttackedFile("exported folder", out / "export/export.json", [_command("verify", out / "export")]),
     ]
 
 
-def _signed(folder: Path) -> list[Door]:
+def _signed(folder: Path) -> list[AttackedFile]:
     """Signatures, keys, and the history of a machine."""
     from errpipe.cli.app import main
     from errpipe.tables import ect
@@ -182,18 +182,18 @@ def _signed(folder: Path) -> list[Door]:
     (entry,) = (registry / "machines" / "7").iterdir()
     (signature,) = registry.rglob("*.minisig")
     return [
-        Door("signature", Path(f"{table}.minisig"), [verify]),
-        Door("public key", keys / "errpipe.pub", [verify, log]),
-        Door("secret key", keys / "errpipe.key", [_command("sign", table, "--key", keys / "errpipe.key")]),
-        Door("registry entry", entry, [log]),
-        Door("signed entry", signature.with_suffix(""), [log]),
-        Door("entry's signature", signature, [log]),
+        AttackedFile("signature", Path(f"{table}.minisig"), [verify]),
+        AttackedFile("public key", keys / "errpipe.pub", [verify, log]),
+        AttackedFile("secret key", keys / "errpipe.key", [_command("sign", table, "--key", keys / "errpipe.key")]),
+        AttackedFile("registry entry", entry, [log]),
+        AttackedFile("signed entry", signature.with_suffix(""), [log]),
+        AttackedFile("entry's signature", signature, [log]),
     ]
 
 
-def _tabular(folder: Path) -> list[Door]:
+def _tabular(folder: Path) -> list[AttackedFile]:
     """A field of candidate places, and a fleet of one machine."""
-    from tests.hostile.doors import PIPELINE, recording_folder
+    from tests.hostile.command_line import PIPELINE, recording_folder
 
     field, fleet = folder / "field.csv", folder / "fleet.yaml"
     rows = [(f"d{n // 8}", n, np.sin(n), np.cos(n), 3 * np.sin(n) + 0.1 * np.cos(7 * n)) for n in range(40)]
@@ -203,8 +203,8 @@ def _tabular(folder: Path) -> list[Door]:
     (folder / "site" / "p.yaml").write_text(PIPELINE)
     fleet.write_text(FLEET)
     return [
-        Door("field of places", field, [_command("place", field, "--time", "time")]),
-        Door("fleet", fleet, [_command("fleet", fleet, "--out", folder / "out3", "--jobs", "1")]),
+        AttackedFile("field of places", field, [_command("place", field, "--time", "time")]),
+        AttackedFile("fleet", fleet, [_command("fleet", fleet, "--out", folder / "out3", "--jobs", "1")]),
     ]
 
 
@@ -215,8 +215,8 @@ def _journal(out: Path) -> Path:
     return path
 
 
-def _measurements(folder: Path) -> list[Door]:
-    """Files of each importing door, of the same axis."""
+def _measurements(folder: Path) -> list[AttackedFile]:
+    """Files of each importing attacked, of the same axis."""
     import h5py
     import nptdms
     import openpyxl
@@ -244,7 +244,7 @@ def _measurements(folder: Path) -> list[Door]:
     said = ["--yes", "--axis", "X", "--component", "EXX", "--unit", "um", "--sign", "actual-minus-commanded"]
     kinds = {"spreadsheet": "m.xlsx", "TDMS": "m.tdms", "HDF5": "m.h5", "MAT": "m.mat", "CSV to import": "m.csv"}
     return [
-        Door(kind, folder / name, [["import", str(folder / name), "--out", str(out), *said]], fresh=out)
+        AttackedFile(kind, folder / name, [["import", str(folder / name), "--out", str(out), *said]], fresh=out)
         for kind, name in kinds.items()
     ]
 
@@ -256,12 +256,12 @@ def _description(folder: Path) -> Path:
     return path
 
 
-def described(door: Door, folder: Path) -> int:
+def described(attacked: AttackedFile, folder: Path) -> int:
     """Exit code 3 where the process of an FMU refuses its description."""
     from errpipe.simulation import fmu_worker
 
     with zipfile.ZipFile(folder / "d.fmu", "w") as archive:
-        archive.write(door.file, "modelDescription.xml")
+        archive.write(attacked.file, "modelDescription.xml")
     os.chdir(folder)
     shutil.rmtree(folder / "unpacked", ignore_errors=True)
     work = fmu_worker.Work()
@@ -283,14 +283,14 @@ def _archive(folder: Path) -> Path:
     return path
 
 
-def unpack(door: Door, folder: Path) -> int:
+def unpack(attacked: AttackedFile, folder: Path) -> int:
     """Exit code 3 where the archive is refused, as the FMU's process reports it."""
     from errpipe.simulation import fmu_worker
 
     target = folder / "unpacked"
     shutil.rmtree(target, ignore_errors=True)
     try:
-        fmu_worker.unpack(str(door.file), str(target), 16)
+        fmu_worker.unpack(str(attacked.file), str(target), 16)
     except MemoryError:
         raise
     except Exception:  # whatever the zip library raises becomes a message of the process

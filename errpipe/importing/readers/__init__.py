@@ -1,6 +1,6 @@
-"""Doors of `errpipe import`: one file per kind of measurement file. A new one is one file here and one entry in DOORS.
+"""Readers of `errpipe import`: one file per kind of measurement file. A new one is a file here and an entry in READERS.
 
-A door module has
+A reader module has
     name                    as `errpipe formats` lists it
     suffixes                file name endings for which it is tried first
     sniff(path, head)       whether the first bytes match; never raises
@@ -18,7 +18,7 @@ from types import ModuleType
 
 from errpipe.errors import DataError, ErrpipeError, UsageError
 from errpipe.importing import controller_files
-from errpipe.importing.doors import (
+from errpipe.importing.readers import (
     camonitor,
     delimited,
     dmis,
@@ -34,9 +34,9 @@ from errpipe.importing.doors import (
     sqlite,
     tdms,
 )
-from errpipe.importing.sheet import DoorOptions, Sheet
+from errpipe.importing.sheet import ReaderOptions, Sheet
 
-DOORS: tuple[ModuleType, ...] = (
+READERS: tuple[ModuleType, ...] = (
     excel,
     tdms,
     hdf5,
@@ -59,8 +59,8 @@ MOST_MEMORY = 3 << 30  # bytes in addition to those in use: 256 MB of packed num
 MOST_SECONDS = 120  # s
 
 
-def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
-    """Name of the door that reads a file, and its sheets. Raises DataError."""
+def open_file(path: Path, options: ReaderOptions) -> tuple[str, list[Sheet]]:
+    """Name of the reader that reads a file, and its sheets. Raises DataError."""
     if not path.is_file():
         raise DataError(f"{path}: no such file")
     size = path.stat().st_size
@@ -74,17 +74,17 @@ def open_file(path: Path, options: DoorOptions) -> tuple[str, list[Sheet]]:
     with path.open("rb") as stream:
         head = stream.read(HEAD_BYTES)
     _refuse_known(path, head)
-    for door in DOORS:
-        if door.sniff(path, head):
-            if getattr(door, "binary", False):
-                _check_in_child_process(door, path, options)
-            sheets = door.read(path, options)
+    for reader in READERS:
+        if reader.sniff(path, head):
+            if getattr(reader, "binary", False):
+                _check_in_child_process(reader, path, options)
+            sheets = reader.read(path, options)
             if not any(sheet.rows for sheet in sheets):
-                raise DataError(f"{path}: no rows ({door.name})")
-            return door.name, sheets
+                raise DataError(f"{path}: no rows ({reader.name})")
+            return reader.name, sheets
     if head.startswith(b"PK\x03\x04"):
         raise DataError(f"{path}: an archive: extract it first, and name its files")
-    kinds = ", ".join(door.name for door in DOORS)
+    kinds = ", ".join(reader.name for reader in READERS)
     raise DataError(f"{path}: neither text nor any other kind of file that is imported (allowed: {kinds})")
 
 
@@ -104,7 +104,7 @@ def _refuse_known(path: Path, head: bytes) -> None:
         raise DataError(f"{path}: a Q-DAS file: export its values as CSV, each with its commanded position")
 
 
-def _check_in_child_process(door: ModuleType, path: Path, options: DoorOptions) -> None:
+def _check_in_child_process(reader: ModuleType, path: Path, options: ReaderOptions) -> None:
     """Read a file in a child process first, bounded in memory and time. Raises DataError."""
     if not hasattr(os, "fork") or sys.platform == "darwin":  # no fork, or an unsafe one: read unbounded
         return
@@ -113,7 +113,7 @@ def _check_in_child_process(door: ModuleType, path: Path, options: DoorOptions) 
     child = os.fork()
     if child == 0:
         os.close(answers)
-        _read_and_report(door, path, options, pipe_end)
+        _read_and_report(reader, path, options, pipe_end)
     os.close(pipe_end)
     with os.fdopen(answers, "rb") as stream:
         text = stream.read(1 << 16).decode(errors="replace")
@@ -127,7 +127,7 @@ def _check_in_child_process(door: ModuleType, path: Path, options: DoorOptions) 
         raise DataError(f"{path}: takes more than {MOST_MEMORY >> 30} GB of memory or {MOST_SECONDS} s to read")
 
 
-def _read_and_report(door: ModuleType, path: Path, options: DoorOptions, said: int) -> None:
+def _read_and_report(reader: ModuleType, path: Path, options: ReaderOptions, said: int) -> None:
     import resource
 
     code = 1
@@ -139,7 +139,7 @@ def _read_and_report(door: ModuleType, path: Path, options: DoorOptions, said: i
             _, hard = resource.getrlimit(which)
             most = most if hard == resource.RLIM_INFINITY else min(most, hard)
             resource.setrlimit(which, (most, most))
-        door.read(path, options)
+        reader.read(path, options)
         code = 0
     except ErrpipeError as err:
         os.write(said, str(err).encode()[: 1 << 16])

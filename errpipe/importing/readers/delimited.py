@@ -15,7 +15,7 @@ from pathlib import Path
 
 from errpipe.errors import DataError, UsageError
 from errpipe.importing.header import is_word
-from errpipe.importing.sheet import Cell, DoorOptions, Rows, Sheet, affordable, number
+from errpipe.importing.sheet import Cell, ReaderOptions, Rows, Sheet, affordable, number
 from errpipe.importing.units import unit_of
 
 name = "delimited text"
@@ -62,7 +62,7 @@ def _wide(head: bytes) -> str | None:
     return "utf-16-be" if even > 0.4 * len(head) / 2 and odd < 0.05 * len(head) else None
 
 
-def read(path: Path, options: DoorOptions) -> list[Sheet]:
+def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     """The cells of a text file. Raises DataError if it is not a table."""
     if options.sheet is not None:
         raise UsageError(f"{path}: a text is one table: --sheet would be ignored")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from errpipe.errors import DataError, UsageError
-from errpipe.importing.sheet import DoorOptions, Sheet
+from errpipe.importing.sheet import ReaderOptions, Sheet
 
 name = "TDMS"
 suffixes = (".tdms",)
@@ -21,7 +21,7 @@ def sniff(path: Path, head: bytes) -> bool:
     return head.startswith(b"TDSm")
 
 
-def read(path: Path, options: DoorOptions) -> list[Sheet]:
+def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     """Channels of each group, with a time column if the channels state their increment. Raises DataError."""
     try:
         from nptdms import TdmsFile

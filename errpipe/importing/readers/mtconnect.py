@@ -12,8 +12,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from errpipe.errors import DataError
-from errpipe.importing.doors._xml import root_of
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
+from errpipe.importing.readers._xml import root_of
+from errpipe.importing.sheet import Cell, ReaderOptions, Sheet, affordable, number
 
 name = "MTConnect"
 suffixes = (".xml",)
@@ -33,7 +33,7 @@ def _moment(path: Path, stamp: str) -> datetime:
     return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
 
 
-def read(path: Path, options: DoorOptions) -> list[Sheet]:
+def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     """All numeric samples sorted by time. Raises DataError."""
     root = root_of(path, path.read_bytes())
     samples: list[tuple[str, str, float | None]] = []

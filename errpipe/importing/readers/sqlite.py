@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable
+from errpipe.importing.sheet import Cell, ReaderOptions, Sheet, affordable
 
 name = "SQLite"
 suffixes = (".db", ".sqlite", ".sqlite3")
@@ -21,7 +21,7 @@ def sniff(path: Path, head: bytes) -> bool:
     return head.startswith(b"SQLite format 3\0")
 
 
-def read(path: Path, options: DoorOptions) -> list[Sheet]:
+def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     """The named table, else all, the largest first. Raises DataError, also if a journal contains pending rows."""
     for beside in (Path(f"{path}-wal"), Path(f"{path}-journal")):
         if beside.is_file() and beside.stat().st_size:

@@ -14,8 +14,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from errpipe.errors import DataError
-from errpipe.importing.doors._xml import root_of
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable
+from errpipe.importing.readers._xml import root_of
+from errpipe.importing.sheet import Cell, ReaderOptions, Sheet, affordable
 from errpipe.importing.units import unit_of
 
 name = "XML or HTML"
@@ -39,7 +39,7 @@ def _beginning(data: bytes) -> bytes:
     return data[:4096].lstrip(b"\xef\xbb\xbf\xff\xfe").replace(b"\0", b"").lstrip().lower()
 
 
-def read(path: Path, options: DoorOptions) -> list[Sheet]:
+def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     """Every table. Raises DataError."""
     data = path.read_bytes()
     if b"<html" in _beginning(data) or not _beginning(data).startswith(b"<?xml"):

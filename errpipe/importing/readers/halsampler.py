@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable, number
+from errpipe.importing.sheet import Cell, ReaderOptions, Sheet, affordable, number
 from errpipe.importing.words import kind_by_name
 
 name = "LinuxCNC halsampler"
@@ -25,7 +25,7 @@ def sniff(path: Path, head: bytes) -> bool:
     return len(lines) > 2 and all(_LINE.fullmatch(line) or line.strip() == b"overrun" for line in lines)
 
 
-def read(path: Path, options: DoorOptions) -> list[Sheet]:
+def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     """The samples with a time column. Raises DataError naming the line that does not fit."""
     rows: list[list[float]] = []
     notes = []
