@@ -10,7 +10,7 @@ import numpy as np
 
 from errpipe.domain import components
 from errpipe.domain.table import CompensationTable
-from errpipe.guard.in_table import stands_in, watched
+from errpipe.guard.in_table import has_guard, has_substitutes
 from errpipe.stages import _artefacts, _plausible
 from errpipe.targets import _sample
 from errpipe.targets._base import TURN, ByHand, Curve, ReadBack, unit_of
@@ -90,8 +90,8 @@ def _watch(read: Any, table: CompensationTable) -> list[str]:
     """Effect of a failed temperature sensor: undetected unless table and format monitor it."""
     if not _sample.sensors_of(table):
         return []
-    if isinstance(read, WholeTable) and watched(table):
-        if stands_in(table):
+    if isinstance(read, WholeTable) and has_guard(table):
+        if has_substitutes(table):
             return ["Sensors: temperatures are monitored against each other; others replace one that fails."]
         return ["Sensors: each temperature is monitored individually; the correction fades if one fails."]
     why = "the table has no guard" if isinstance(read, WholeTable) else "this format has no memory for a guard"

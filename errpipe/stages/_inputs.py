@@ -60,14 +60,14 @@ def table_inputs(
     columns = dict(model.columns)
     _check_names(columns)
     healthy = {s.name: s for s in guard.sensors} if guard is not None else {}
-    witnesses = set(healthy) - set(columns)  # of the others: without them the table goes on
-    for name in sorted(witnesses):
+    compared_only = set(healthy) - set(columns)  # for comparison with the others: without them the table goes on
+    for name in sorted(compared_only):
         columns[name] = {"role": "temperature", "unit": "degC"}
     inputs = [_channel(name, facts, model) for name, facts in columns.items() if facts["role"] in CHANNELS]
     inputs += [_datum(c.datum_input, c.unit, c.readings) for c in model.components if c.readings is not None]
     known, silence = _sensor_rates_and_silences(recording) if recording is not None else ({}, {})
     rates = {c.name: known.get(c.name) or _rate_of_step_input(c, model) for c in inputs}
-    inputs = [c.model_copy(update={"fade_on_default": False}) if c.name in witnesses else c for c in inputs]
+    inputs = [c.model_copy(update={"fade_on_default": False}) if c.name in compared_only else c for c in inputs]
     inputs = [_limited(c, rates[c.name], silence.get(c.name, 0.0), healthy.get(c.name)) for c in inputs]
     return [_fading(c) if healthy and c.kind == "sensor" and c.name not in healthy else c for c in inputs]
 

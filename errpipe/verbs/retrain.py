@@ -166,7 +166,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     scores = [s for s in earlier if s.run not in wrong]
     gates = [
         *_retrain_gates.responses(drift),
-        *_retrain_gates.odd_runs(drift),
+        *_retrain_gates.outlying_runs(drift),
         *_retrain_gates.silent_sensors(old_model, recording),
         *_retrain_gates.units(old_recording, recording, known),
     ]

@@ -1,5 +1,5 @@
 # ruff: noqa: E501  (a table of files, one a line)
-"""More files of strangers, in seven languages and by independent writers: the same known test, sign and all."""
+"""More third-party files, in seven languages and by independent writers: the same known test, sign and all."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ FILES: dict[str, str | bytes] = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_text_of_a_stranger(tmp_path: Path, name: str) -> None:
+def test_a_third_party_text(tmp_path: Path, name: str) -> None:
     text = FILES[name]
     (tmp_path / "f.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
     holds_the_truth(imported(tmp_path, tmp_path / "f.csv"))
@@ -199,7 +199,7 @@ SHEETS = {
 
 
 @pytest.mark.parametrize("name", SHEETS)
-def test_a_workbook_of_a_stranger(tmp_path: Path, name: str) -> None:
+def test_a_third_party_workbook(tmp_path: Path, name: str) -> None:
     openpyxl = pytest.importorskip("openpyxl", reason="the samples are made by openpyxl")
     pytest.importorskip("python_calamine", reason="the extra `excel` is not installed")
     book = openpyxl.Workbook()

@@ -1,4 +1,4 @@
-"""Units that a stranger wrote in words, or as parts of a unit: in a header, or in a line above the table."""
+"""Units that others wrote in words, or as parts of a unit: in a header, or in a line above the table."""
 
 from __future__ import annotations
 

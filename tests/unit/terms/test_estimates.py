@@ -1,4 +1,4 @@
-"""Terms whose values are located in the signals: orders of a wave, a resonance, a dead time, two time constants.
+"""Terms whose values are estimated from the signals: orders of a wave, a resonance, a dead time, two time constants.
 
 Second opinions: scipy's integrators and linear systems, closed forms; none of the terms' own code makes the data.
 """
@@ -115,7 +115,7 @@ def test_a_resonance_is_located(frequency, damping):
     w = 2 * np.pi * frequency
     ringing = lsim(TransferFunction([w**2], [1, 2 * damping * w, w**2]), a, t)[1]
     seen = -2e-3 * ringing + 0.5 * np.random.default_rng(3).normal(size=t.size)
-    names = {values[0] for _, values in FlexibleMode.located(log(), "EXX", signals(seen))}
+    names = {values[0] for _, values in FlexibleMode.estimates(log(), "EXX", signals(seen))}
     assert min(abs(f / frequency - 1) for f in names) < 0.02
     basis = FlexibleMode(axis="X", column="a").basis(log(), frequency, damping)[:, 0]
     assert_allclose(2 * basis, -2e-3 * ringing, atol=1e-9)
@@ -128,7 +128,7 @@ def test_noise_that_rings_is_no_mode():
         force = np.random.default_rng(seed).normal(size=t.size)
         w = 2 * np.pi * 30.0
         noise = lsim(TransferFunction([w**2], [1, 0.06 * w, w**2]), force, t)[1]
-        offered += bool(list(FlexibleMode.located(log(), "EXX", signals(noise))))
+        offered += bool(list(FlexibleMode.estimates(log(), "EXX", signals(noise))))
     assert offered == 0
 
 
@@ -145,8 +145,8 @@ def test_a_dead_time_is_located(delay):
     f = 40 * np.sin(9 * t) + 25 * np.sin(23 * t + 1)
     late = 40 * np.sin(9 * (t - delay)) + 25 * np.sin(23 * (t - delay) + 1)
     case = log(EXX_sim=f)
-    (matches,) = [v[0] for term, v in DeadTime.located(case, "EXX", signals(late - f + 0.05 * rng.normal(size=t.size)))
-                if term.column]  # fmt: skip
+    mismatch = signals(late - f + 0.05 * rng.normal(size=t.size))
+    (matches,) = [v[0] for term, v in DeadTime.estimates(case, "EXX", mismatch) if term.column]
     assert matches == pytest.approx(delay, abs=1e-4)
     basis = DeadTime(column="EXX_sim").basis(case, delay)[:, 0]
     assert_allclose(basis[50:], (late - f)[50:], atol=0.02)
@@ -163,7 +163,7 @@ def test_an_axis_comes_late_behind_its_command_not_behind_its_own_late_position(
     kinds["t"] = {"role": "time", "unit": "s"}
     case = recording({"t": t, "command": path(t), "position": path(t - 0.003)}, kinds)
     late = 1e3 * (path(t - 0.003) - path(t))
-    ((_, (delay,)),) = DeadTime.located(case, "EXX", signals(late))
+    ((_, (delay,)),) = DeadTime.estimates(case, "EXX", signals(late))
     assert delay == pytest.approx(0.003, abs=1e-6)
     assert_allclose(DeadTime(axis="X").basis(case, 0.003)[5:, 0], late[5:], atol=0.02)
 
@@ -179,7 +179,7 @@ def test_a_clock_offset_is_located_at_any_sampling_rate(step, offset):
         return 20 * np.interp(when / step, np.linspace(-1000, 5000, 200), corners)
 
     seen = curve(t - offset) - curve(t) + rng.normal(size=t.size)
-    (_, (found,)), *_ = ClockOffset.located(log(t=t, EXX_sim=curve(t)), "EXX", signals(seen))
+    (_, (found,)), *_ = ClockOffset.estimates(log(t=t, EXX_sim=curve(t)), "EXX", signals(seen))
     assert found == pytest.approx(offset, abs=0.2 * step)
 
 
@@ -192,7 +192,7 @@ def test_a_loop_that_settles_against_a_linear_system():
     basis = FollowingError(axis="X", column="v", settles=True).basis(case, 0.012)[:, 0]
     assert_allclose(basis, -late, atol=1e-9 * np.abs(v).max())
     seen = -15.0 * late + 0.5 * np.random.default_rng(8).normal(size=t.size)
-    ((_, (tau,)),) = FollowingError.located(case, "EXX", signals(seen))
+    ((_, (tau,)),) = FollowingError.estimates(case, "EXX", signals(seen))
     assert tau == pytest.approx(0.012, rel=0.02)
 
 
@@ -275,9 +275,9 @@ def test_two_time_constants_against_the_step_response():
     term = ThermalLag(sensor="T", reference=20.0, two_stages=True)
     assert_allclose(term.basis(case, 400.0, 6000.0), np.column_stack(parts), atol=1e-9)
     seen = 2 * parts[0] + 3 * parts[1] + 0.2 * np.random.default_rng(6).normal(size=t.size)
-    _, (match, taus) = ThermalLag.located(case, "E_Z", signals(seen))
+    _, (match, taus) = ThermalLag.estimates(case, "E_Z", signals(seen))
     assert match.two_stages and is_close(taus, (400.0, 6000.0))
-    ((single, tau),) = ThermalLag.located(case, "E_Z", signals(parts[1] + 0.01 * seen))
+    ((single, tau),) = ThermalLag.estimates(case, "E_Z", signals(parts[1] + 0.01 * seen))
     assert not single.two_stages and tau[0] == pytest.approx(6000.0, rel=0.05)
 
 
@@ -350,4 +350,4 @@ def test_a_wave_as_long_as_the_encoders_signal_is_the_encoders(stated, offered):
     near = lambda periods: any(abs(p - 0.04) < 5e-5 for p in periods)  # noqa: E731
     free = next(t for t in PitchCyclic.bind(log, "EXX") if not t.fixed)
     assert near(Waves().values(free, "period", log, signals(wave))) == offered
-    assert near(p for _, (p,) in PitchCyclic.located(log, "EXX", signals(wave))) == offered
+    assert near(p for _, (p,) in PitchCyclic.estimates(log, "EXX", signals(wave))) == offered

@@ -8,7 +8,7 @@ import pytest
 
 from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Column, Manifest, Recording
-from errpipe.validation.odd_runs import odd_responses, odd_sensors
+from errpipe.validation.outlying_runs import outliers_of_responses, outliers_of_sensors
 from errpipe.validation.what_changed import what_changed
 
 OLD, NEW, ROWS = 12, 8, 24
@@ -41,8 +41,8 @@ def test_sound_runs_are_not_odd() -> None:
     for seed in range(20):
         columns, error = machine(seed)
         noise = np.random.default_rng(seed + 100).normal(0.0, 0.8, RUN.size)
-        assert odd_sensors(recorded(columns, error), REFERENCE) == []
-        assert odd_responses(recorded(columns, error + noise), REFERENCE, {"EXX": error}) == []
+        assert outliers_of_sensors(recorded(columns, error), REFERENCE) == []
+        assert outliers_of_responses(recorded(columns, error + noise), REFERENCE, {"EXX": error}) == []
 
 
 def test_two_sensors_exchanged_for_one_night_are_named_with_the_night() -> None:
@@ -50,14 +50,14 @@ def test_two_sensors_exchanged_for_one_night_are_named_with_the_night() -> None:
     wrong = RUN == WRONG
     screw, air = columns["T_screw"], columns["T_air"]
     columns |= {"T_screw": np.where(wrong, air, screw), "T_air": np.where(wrong, screw, air)}
-    (odd,) = odd_sensors(recorded(columns, error), REFERENCE)
+    (odd,) = outliers_of_sensors(recorded(columns, error), REFERENCE)
     assert (odd.run, odd.what, odd.says) == (str(WRONG), "T_screw and T_air", "read exchanged")
 
 
 def test_one_sensor_in_another_unit_for_one_night_is_named_with_the_unit() -> None:
     columns, error = machine(8)
     columns["T_bed"] = np.where(RUN == WRONG, 1.8 * columns["T_bed"] + 32.0, columns["T_bed"])
-    (odd,) = odd_sensors(recorded(columns, error), REFERENCE)
+    (odd,) = outliers_of_sensors(recorded(columns, error), REFERENCE)
     assert (odd.run, odd.what, odd.says) == (str(WRONG), "T_bed", "reads as if in degF instead of degC")
 
 
@@ -65,7 +65,7 @@ def test_a_sensor_that_drifts_is_not_odd() -> None:
     for seed, rate in ((9, 1.5), (11, -0.4), (12, 0.1), (13, -0.1), (14, 0.2)):
         columns, error = machine(seed)
         columns["T_bed"] = columns["T_bed"] + rate * np.maximum(0, RUN - OLD)
-        assert odd_sensors(recorded(columns, error), REFERENCE) == []
+        assert outliers_of_sensors(recorded(columns, error), REFERENCE) == []
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_one_file_of_another_sign_or_unit_is_named_though_sound_ones_follow(fact
     measured = error + np.random.default_rng(1).normal(0.0, 0.8, RUN.size)
     read = factor * measured if factor else measured - error  # a table that is on takes away what it predicts
     measured = np.where(RUN == WRONG, read, measured)
-    (odd,) = odd_responses(recorded(columns, measured), REFERENCE, {"EXX": error})
+    (odd,) = outliers_of_responses(recorded(columns, measured), REFERENCE, {"EXX": error})
     assert odd.run == str(WRONG) and odd.wrong and means in odd.says
 
 
@@ -91,10 +91,10 @@ def test_a_run_of_another_machine_is_named_once_the_next_run_is_as_before_and_pr
     columns, error = machine(11)
     measured = error + np.random.default_rng(2).normal(0.0, 0.8, RUN.size)
     foreign = np.where(RUN == WRONG, 40.0 * np.cos(columns["x"] / 90.0), measured)
-    (odd,) = odd_responses(recorded(columns, foreign), REFERENCE, {"EXX": error})
+    (odd,) = outliers_of_responses(recorded(columns, foreign), REFERENCE, {"EXX": error})
     assert odd.run == str(WRONG) and not odd.wrong and "another machine" in odd.says
     crashed = np.where(RUN >= WRONG, measured + 30.0, measured)  # it stays: no odd run, a change
-    assert odd_responses(recorded(columns, crashed), REFERENCE, {"EXX": error}) == []
+    assert outliers_of_responses(recorded(columns, crashed), REFERENCE, {"EXX": error}) == []
 
 
 def test_a_run_of_a_changed_machine_that_happens_to_be_small_is_not_called_compensated() -> None:
@@ -102,7 +102,7 @@ def test_a_run_of_a_changed_machine_that_happens_to_be_small_is_not_called_compe
     noise = np.random.default_rng(2).normal(0.0, 0.8, RUN.size)
     changed = np.where(RUN >= OLD, -20.0, error) + noise
     changed[RUN == WRONG] = noise[RUN == WRONG]
-    assert odd_responses(recorded(columns, changed), REFERENCE, {"EXX": error}) == []
+    assert outliers_of_responses(recorded(columns, changed), REFERENCE, {"EXX": error}) == []
 
 
 MODEL = {
@@ -159,5 +159,5 @@ def test_a_run_of_which_nothing_is_predicted_is_in_no_other_unit() -> None:
     columns, error = machine(6)
     noise = np.random.default_rng(7).normal(0.0, 0.5, RUN.size)
     predicted = np.where(RUN == WRONG, 0.0, error)
-    found = odd_responses(recorded(columns, error + noise), REFERENCE, {"EXX": predicted})
+    found = outliers_of_responses(recorded(columns, error + noise), REFERENCE, {"EXX": predicted})
     assert not [odd for odd in found if odd.wrong]

@@ -101,7 +101,7 @@ FILES = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_file_of_a_stranger(tmp_path: Path, name: str) -> None:
+def test_a_third_party_file(tmp_path: Path, name: str) -> None:
     (tmp_path / "f.csv").write_text(FILES[name], encoding="utf-8")
     from errpipe.importing.sheet import ReaderOptions
 

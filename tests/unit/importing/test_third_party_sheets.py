@@ -1,4 +1,4 @@
-"""Result sheets of strangers: merged cells, sides in a column, words for signs in more languages, several machines."""
+"""Third-party result sheets: merged cells, sides in a column, words for signs in more languages, several machines."""
 
 from __future__ import annotations
 

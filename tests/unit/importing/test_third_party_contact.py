@@ -1,4 +1,4 @@
-"""First contact: what a stranger's file says of signs, sides, axes and units is taken, or asked about."""
+"""First contact: what a third-party file says of signs, sides, axes and units is taken, or asked about."""
 
 from __future__ import annotations
 

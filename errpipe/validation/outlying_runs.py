@@ -29,7 +29,7 @@ MIN_NOISE_SHARE = 0.1  # of the usual rms: a compensated machine is measured wit
 
 
 @dataclass(frozen=True)
-class OddRun:
+class OutlyingRun:
     """what: the columns or the component; says: description. wrong: the readings are wrong, not the machine."""
 
     run: str
@@ -38,7 +38,7 @@ class OddRun:
     wrong: bool = True
 
 
-def odd_sensors(recording: Recording, reference: np.ndarray) -> list[OddRun]:
+def outliers_of_sensors(recording: Recording, reference: np.ndarray) -> list[OutlyingRun]:
     """New runs in which two temperatures are exchanged, or one is in another unit.
 
     reference: rows fitted by the champion, (rows,). Empty if there are too few sensors or reference runs.
@@ -46,10 +46,10 @@ def odd_sensors(recording: Recording, reference: np.ndarray) -> list[OddRun]:
     labels, (as_read, causes) = recording.run_labels(), _causes(recording, reference, SOUND)
     new = list(as_read)
     found = [(c, cause) for c, cause in causes.items() if cause is not None and _stands_alone(new, c, as_read, causes)]
-    return [OddRun(labels[c], *cause) for c, cause in found]
+    return [OutlyingRun(labels[c], *cause) for c, cause in found]
 
 
-def odd_from_there_on(recording: Recording, reference: np.ndarray) -> list[OddRun]:
+def outliers_from_there_on(recording: Recording, reference: np.ndarray) -> list[OutlyingRun]:
     """The runs outside the reference rows, (rows,), that one cause explains, if it explains nearly all odd ones.
 
     Corrected readings may differ from the reference, because a machine continues to warm up, but less.
@@ -59,7 +59,7 @@ def odd_from_there_on(recording: Recording, reference: np.ndarray) -> list[OddRu
     runs = [c for c, cause in causes.items() if cause == usual]
     if usual is None or len(runs) < max(FEWEST_LASTING, LASTING * len(causes)):
         return []
-    return [OddRun(labels[c], *usual) for c in runs]
+    return [OutlyingRun(labels[c], *usual) for c in runs]
 
 
 def _causes(
@@ -134,9 +134,9 @@ def _put_right(mean: np.ndarray, names: Sequence[str]) -> Iterator[tuple[str, st
             yield name, f"reads as if in {scale}", values
 
 
-def odd_responses(
+def outliers_of_responses(
     recording: Recording, reference: np.ndarray, predictions: Mapping[str, np.ndarray], wrong: Sequence[str] = ()
-) -> list[OddRun]:
+) -> list[OutlyingRun]:
     """New runs whose deviations are the champion's with another sign, in another unit or compensated, or unlike any.
 
     Only if most new runs are normal. wrong: labels of runs with wrong temperatures, and therefore wrong
@@ -152,12 +152,12 @@ def odd_responses(
         rows = {c: np.flatnonzero(known & (run == c)) for c in codes}
         pairs = {c: (measured[r], prediction[r]) for c, r in rows.items()}
         old = [c for c in codes if reference[rows[c][0]]]
-        for code, says, is_wrong in _odd_of_one_response(pairs, old):
-            out.append(OddRun(labels[code], component, says, is_wrong))
+        for code, says, is_wrong in _outliers_of_one_response(pairs, old):
+            out.append(OutlyingRun(labels[code], component, says, is_wrong))
     return out
 
 
-def _odd_of_one_response(
+def _outliers_of_one_response(
     pairs: Mapping[int, tuple[np.ndarray, np.ndarray]], old: Sequence[int]
 ) -> Iterator[tuple[int, str, bool]]:
     """Odd runs of one response: code, description, whether the readings are wrong (not the machine).

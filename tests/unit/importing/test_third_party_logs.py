@@ -1,4 +1,4 @@
-"""What logs of strangers' machines ran into: columns of other motors, states of a program, scatter, held values."""
+"""What logs of other machines ran into: columns of other motors, states of a program, scatter, held values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a stranger's first hour still ran into: constant sensors, units nobody wrote, devices by name, axes in words."""
+"""First imports of third-party files: constant sensors, units nobody wrote, devices by name, axes in words."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from errpipe.cli.app import main
-from tests.unit.importing.test_stranger_axes_and_sides import table
+from tests.unit.importing.test_third_party_axes_and_sides import table
 
 HEAD = "Run;Dir;Pos [mm];Deviation [um]"
 

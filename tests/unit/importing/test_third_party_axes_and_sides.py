@@ -1,4 +1,4 @@
-"""Axes, components and sides as strangers write them: a direction, a name of a file, a display beside a laser."""
+"""Axes, components and sides as other programs write them: a direction, a name of a file, a display beside a laser."""
 
 from __future__ import annotations
 
