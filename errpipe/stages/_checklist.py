@@ -48,16 +48,20 @@ def checklist(
     if _artefacts.UNGATED in table.title:
         warning = f"**{_artefacts.UNGATED}.** Measure before and after, and take it off where it is not better."
         lines += ["", warning, ""]
-    lines += _watch(read, table)
+    lines += _sensor_monitoring(read, table)
     lines += [f"Source: {target.source}. Confidence: {target.confidence}.", ""]
-    numbers = (*target.by_hand(table, read, others), *_zeros(target, read, table, others), *_one_turn(read, table))
+    numbers = (
+        *target.by_hand(table, read, others),
+        *_zero_shifts(target, read, table, others),
+        *_one_turn(read, table),
+    )
     numbers += tuple(_from_the_start(read, table))
     read = _within_travel(read, table)
     happens = (*_plausible.of_files(read), *_plausible.not_measured(table), *_at_the_axis(table), *_of_force(table))
     if happens:
         lines += ["## What will happen", "", *(f"- {text}." for text in dict.fromkeys(happens)), ""]
     lines += ["## Switch it on", ""]
-    steps = (AS_MEASURED, *_numbered(target, table), *_alone(target, table), *target.activation)
+    steps = (AS_MEASURED, *_axis_numbers(target, table), *_single_axis(target, table), *target.activation)
     lines += [f"{n}. {step}" for n, step in enumerate(steps, 1)]
     if numbers:
         lines += ["", "## Enter by hand", "", *(f"- {number.text}." for number in numbers)]
@@ -86,7 +90,7 @@ def checklist(
     return "\n".join([*lines, ""])
 
 
-def _watch(read: Any, table: CompensationTable) -> list[str]:
+def _sensor_monitoring(read: Any, table: CompensationTable) -> list[str]:
     """Effect of a failed temperature sensor: undetected unless table and format monitor it."""
     if not _sample.sensors_of(table):
         return []
@@ -99,13 +103,13 @@ def _watch(read: Any, table: CompensationTable) -> list[str]:
     return ["", warning, ""]
 
 
-def _alone(target: Any, table: CompensationTable) -> list[str]:
+def _single_axis(target: Any, table: CompensationTable) -> list[str]:
     """That files of one axis and those of another may take the same numbers and names on one control."""
     moved = list(_sample.outputs_by_axis(table))
     return [ALONE.format(moved[0], target.name)] if len(moved) == 1 else []
 
 
-def _numbered(target: Any, table: CompensationTable) -> list[str]:
+def _axis_numbers(target: Any, table: CompensationTable) -> list[str]:
     """Which axis the files mean by a number: the table does not know all axes of the machine."""
     if not target.numbering:
         return []
@@ -116,7 +120,7 @@ def _numbered(target: Any, table: CompensationTable) -> list[str]:
     ]
 
 
-def _zeros(target: Any, read: Any, table: CompensationTable, others: Sequence[str]) -> list[Any]:
+def _zero_shifts(target: Any, read: Any, table: CompensationTable, others: Sequence[str]) -> list[Any]:
     """What switching on does to the zero of each axis that has a curve over itself."""
     out = []
     for axis in dict.fromkeys(c.axis for c in read.curves if c.axis == c.over):

@@ -76,7 +76,7 @@ class Judge:
         """The table with a guard."""
         return compile_model(self.model, self.options, guard, self.recording)
 
-    def room(self) -> int:
+    def free_nodes(self) -> int:
         """Nodes that a guard may take: every pair of the table takes one to fade."""
         return MAX_NODES - len(self.plain.nodes) - len(self.plain.pairs)
 
@@ -135,7 +135,7 @@ def choose_guard(judge: Judge, scheme: str | None) -> TableGuard:
     (one sensor, one run), each is monitored individually and the correction fades if one fails.
     """
     held = short_gaps_held(judge.recording)
-    max_count = min(MAX_COMPARED, (judge.room() - NODES_BESIDE) // NODES_COMPARED)
+    max_count = min(MAX_COMPARED, (judge.free_nodes() - NODES_BESIDE) // NODES_COMPARED)
     if max_count < 2:
         return _one_by_one(judge, held, "the table has too few free nodes for a comparison", scheme)
     names = _chosen(judge, held, max_count)
@@ -145,7 +145,7 @@ def choose_guard(judge: Judge, scheme: str | None) -> TableGuard:
         guard, folds = _learnt(held, names, scheme, learn.learn)
     except DataError as why:
         return _one_by_one(judge, held, str(why), scheme)
-    guard = _with_stand_ins(judge, held, guard, folds)
+    guard = _with_substitutes(judge, held, guard, folds)
     guard, cost = _affordable(judge, held, guard, folds)
     if cost > MAX_COST:
         return _one_by_one(
@@ -191,7 +191,7 @@ def _learnt(
     return guard, []
 
 
-def _with_stand_ins(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[Fold]) -> SensorGuard:
+def _with_substitutes(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[Fold]) -> SensorGuard:
     """The guard, each sensor with a useful estimate marked: one at a time and in pairs."""
     names, predicted = guard.names(), judge.predicted(judge.plain, held)
     gone = np.zeros((len(names), len(names), len(held)))  # of sensor i where j fails too
@@ -262,7 +262,7 @@ def _affordable(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequen
 
 def _one_by_one(judge: Judge, held: Recording, why: str, scheme: str | None) -> TableGuard:
     """Each sensor monitored individually; no guard if that costs too much with healthy sensors."""
-    max_count = min(MAX_INDIVIDUAL, judge.room() // NODES_ALONE)
+    max_count = min(MAX_INDIVIDUAL, judge.free_nodes() // NODES_ALONE)
     if max_count < 1:
         return no_guard(f"{why}; the table has no free nodes")
     names = _chosen(judge, held, max_count)

@@ -246,7 +246,7 @@ class Target:
         return cls.write(table)
 
     @classmethod
-    def remarked(cls, files: Mapping[str, str], lines: Sequence[str]) -> dict[str, str]:
+    def with_remarks(cls, files: Mapping[str, str], lines: Sequence[str]) -> dict[str, str]:
         """The files with lines as comments behind the first line of those that have room for comments."""
         out = dict(files)
         for name in files:
@@ -257,7 +257,7 @@ class Target:
         return out
 
     @classmethod
-    def bare(cls, files: Mapping[str, str]) -> dict[str, str]:
+    def without_remarks(cls, files: Mapping[str, str]) -> dict[str, str]:
         """The files without such comments, for a reader that compares every line."""
         out = dict(files)
         for end, form in cls.remark.items():
