@@ -207,19 +207,14 @@ def turning(model: ErrorModel) -> set[str]:
     return {x for x, (low, high) in ends.items() if model.constants[x].get("kind") == "rotary" and high - low >= 360.0}
 
 
-def unknown_inputs(names: set[str], model: ErrorModel) -> None:
-    """Raises GateError naming an input that no controller can feed (such as the time of a recording).
+def refuse_unknown_inputs(drivers: Iterable[d.Driver], model: ErrorModel) -> None:
+    """Raises GateError naming an input below some drivers that no controller can feed (such as a recording's time).
 
     Raises UsageError if a term was given a response for a sensor.
     """
     readings = {c.datum_input for c in model.components if c.readings is not None}
-    for name in sorted(names - readings):
+    for name in sorted({name for driver in drivers for name in d.inputs(driver)} - readings):
         role = model.columns.get(name, {}).get("role")
         if role not in CHANNELS:
             refusal = UsageError if role in ("error", "simulated") else GateError
             raise refusal(f"a driver reads {name!r} (role {role}), which a controller cannot be given")
-
-
-def read_by(drivers: list[d.Driver]) -> set[str]:
-    """Names of all inputs below some drivers."""
-    return {name for driver in drivers for name in d.inputs(driver)}

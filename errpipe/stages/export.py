@@ -70,7 +70,7 @@ class Export(CompileOptions, SignOptions, Stage):
         from errpipe.domain.error_model import joined
         from errpipe.stages import _plausible, _proof
 
-        models = _artefacts.models_in(context)
+        models = [_artefacts.read_model(at / _artefacts.MODEL) for at in context.every("error_model").values()]
         model = joined(models)
         recording = _artefacts.recording_in(context.needed("recording"))
         if _artefacts.sign_noted(model) or _artefacts.sign_assumed([recording]):

@@ -148,7 +148,6 @@ def lattice(
 
     Raises UsageError if the counts do not fit the machine.
     """
-
     from errpipe.kinematics import compensation
     from errpipe.kinematics.chain import combinations
 
@@ -232,7 +231,6 @@ def largest_difference(
     Both as a displacement of the tool point in the workpiece's frame: the directions in which the linear axes move it
     are taken at each pose, as rotary axes turn them.
     """
-
     from errpipe.kinematics import synthesis
     from errpipe.tables import batch
 

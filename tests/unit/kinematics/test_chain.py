@@ -185,7 +185,7 @@ def test_reversed_travel_is_refused():
 
 
 @pytest.mark.parametrize("path", READY, ids=lambda p: p.stem)
-def test_the_ready_files_are_read_by_the_projects_own_door(path):
+def test_the_ready_files_are_read_by_the_projects_own_reader(path):
     assert yamlfile.load(path, Machine).name == path.stem
 
 
