@@ -1,4 +1,4 @@
-"""The door for files that others wrote: regular files only, of a bounded size, under names that stay in their folder.
+"""Access to files that others wrote: regular files only, of a bounded size, under names that stay in their folder.
 
 A named pipe or `/dev/zero` in a folder of recordings would be read for ever; a name such as `../../x` in a lock file
 would be deleted. Every reader and every writer of errpipe passes here.

@@ -56,13 +56,13 @@ def command(
       errpipe import log.txt --out recording --names x_cmd,x_fb --period 0.001 --yes
     """
     work = module_of("verbs.import_files")
-    from errpipe.importing.sheet import DoorOptions
+    from errpipe.importing.sheet import ReaderOptions
 
     said = {"axis": axis, "component": component, "unit": unit, "sign": sign, "title": title, "machine": machine}
     options = work.options_of(**said, resolution=resolution, torque_constant=torque_constant, sets=sets)
-    door = DoorOptions(sheet, tuple(n.strip() for n in names.split(",")) if names else (), period)
+    reader = ReaderOptions(sheet, tuple(n.strip() for n in names.split(",")) if names else (), period)
     try:
-        proposal, shown = work.prepare(files, door, options)
+        proposal, shown = work.prepare(files, reader, options)
     except DataError as err:
         raise DataError(f"{err}{_again(str(err), context)}") from None
     lines = folded([*shown["says"], *(f"  implausible: {text}" for text in shown["checks"])])

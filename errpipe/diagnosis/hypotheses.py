@@ -256,7 +256,7 @@ def enumerate_all(recording: Recording, component: str, raw: Recording, signals:
             for values in points:
                 own = odds + sizes(group[0], values)
                 yield Hypothesis(group[0].reports_as, group, (values,) * len(group), drivers, own)
-        located = list(kind.located(recording, component, signals))
+        located = list(kind.estimates(recording, component, signals))
         for term, values in located:
             odds = term.log_prior_odds() - float(np.log(len(located))) + sizes(term, values)
             yield Hypothesis(term.reports_as, (term,), (values,), tuple(term.drivers(recording)), odds)

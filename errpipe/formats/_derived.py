@@ -1,4 +1,4 @@
-"""Columns that a manifest derives from others, computed at the door: nothing behind it knows that they were."""
+"""Columns that a manifest derives from others, computed on reading: no later code knows that they were."""
 
 from __future__ import annotations
 

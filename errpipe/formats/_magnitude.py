@@ -1,6 +1,6 @@
 """What no measurement can be: a reading beyond these limits is a slip of unit, a logger's mark or a damaged file.
 
-Refused at the door, because a deviation of 1e10 um would leave as a correction of 10 km that no later step doubts.
+Refused on reading, because a deviation of 1e10 um would leave as a correction of 10 km that no later step doubts.
 """
 
 from __future__ import annotations

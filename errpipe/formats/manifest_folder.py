@@ -23,13 +23,12 @@ import pyarrow.parquet as pq
 from errpipe import files, jsonfile, yamlfile
 from errpipe.domain import units
 from errpipe.domain.batch import Batch
+from errpipe.domain.manifest_text import manifest_text
 from errpipe.domain.recording import Manifest, Past, Recording
 from errpipe.domain.written_manifest import WrittenManifest
 from errpipe.errors import ConfigError, DataError
 from errpipe.formats import _derived, _tables
 from errpipe.formats._magnitude import refuse_impossible, refuse_reverse_flow
-from errpipe.formats._manifest_text import flow as flow
-from errpipe.formats._manifest_text import manifest_text as manifest_text
 from errpipe.formats._runs import Runs, known_runs, runs_stated
 
 name = "manifest"
@@ -187,7 +186,7 @@ def extremes(folder: Path) -> tuple[Recording, frozenset[str]]:
 
 
 def canonical(manifest: Manifest) -> Manifest:
-    """The manifest as it reads once the door has converted: canonical units, constants too.
+    """The manifest as it reads once it is converted: canonical units, constants too.
 
     Raises ValueError for a unit that is not one of its role's.
     """

@@ -12,12 +12,12 @@ from errpipe.domain import table as t
 from errpipe.guard.detect import FADE_S
 
 
-def watched(table: t.CompensationTable) -> bool:
+def has_guard(table: t.CompensationTable) -> bool:
     """Whether the table contains a sensor guard."""
     return bool(_gates(table))
 
 
-def stands_in(table: t.CompensationTable) -> bool:
+def has_substitutes(table: t.CompensationTable) -> bool:
     """Whether a guarded table contains estimates of sensors from each other."""
     return any(_guarded_input(table, node) is not None and _estimates(table, node) for node in table.nodes)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from errpipe.importing.doors import markup
+from errpipe.importing.readers import markup
 from errpipe.importing.sheet import Cell, Sheet, filled_cells
 from errpipe.importing.words import plain
 

@@ -35,7 +35,7 @@ _SEXAGESIMAL = re.compile(  # 15°00'01.86", -0° 0′ 2″
 
 
 @dataclass(frozen=True)
-class DoorOptions:
+class ReaderOptions:
     """Options of a file. names: of the columns if it has no header; period: s between rows."""
 
     sheet: str | None = None
@@ -45,7 +45,7 @@ class DoorOptions:
 
 @dataclass
 class Sheet:
-    """One table of cells. header: column names if the file states them separately; notes: remarks of the door.
+    """One table of cells. header: column names if the file states them separately; notes: remarks of the reader.
 
     above: lines of text that the file states outside the table.
     """

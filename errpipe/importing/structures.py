@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from errpipe.importing.doors.hdf5 import MOST_COLUMNS, columns_of
+from errpipe.importing.readers.hdf5 import MOST_COLUMNS, columns_of
 from errpipe.importing.sheet import Cell, Sheet, affordable
 from errpipe.importing.units import split_header
 from errpipe.importing.words import kind_by_name

@@ -141,5 +141,5 @@ def bare_kernel(function: Callable[..., Any]) -> Kernel:
 
 
 def kernel(function: Callable[..., Any]) -> Kernel:
-    """njit with the house settings: no fast-math (bits are compared), IEEE division, cached, compiled when called."""
+    """njit with common settings: no fast-math (bits are compared), IEEE division, cached, compiled when called."""
     return Kernel(function)

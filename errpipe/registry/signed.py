@@ -1,4 +1,4 @@
-"""A table whose signature holds: the one door through which a table passes where only signed ones may."""
+"""A table whose signature holds: the only access to a table where only signed ones are allowed."""
 
 from __future__ import annotations
 

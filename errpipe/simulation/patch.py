@@ -98,7 +98,7 @@ class Program:
         return self._sum((self.add("late", (read,), delay=op.delay), read), (op.gain * factor, -op.gain * factor))
 
     def _pair(self, pair: Lowered) -> int:
-        driver = self.walk(pair.driver)
+        driver = self.number_of(pair.driver)
         if pair.axis is None or pair.profile is None:
             factor = 1.0 if pair.profile is None else float(np.asarray(pair.profile(np.zeros(1)))[0])
             return self._sum((driver,), (factor,))
@@ -124,7 +124,7 @@ class Program:
         start, step = float(at[0]), float((at[-1] - at[0]) / count)
         return self.add("lookup", (place,), start=start, step=step, values=table, period=float(period or 0.0))
 
-    def walk(self, driver: d.Driver) -> int:
+    def number_of(self, driver: d.Driver) -> int:
         """Index of the statement that computes a driver."""
         match driver:
             case d.Input():
@@ -135,7 +135,7 @@ class Program:
                 place = self.add("input", name=position_name(self.recording, driver.axis))
                 return self.add("approach", (place, self._side(driver)), length=driver.length)
         children = getattr(driver, "of", ())
-        of = tuple(self.walk(c) for c in (children if isinstance(children, tuple) else (children,)))
+        of = tuple(self.number_of(c) for c in (children if isinstance(children, tuple) else (children,)))
         own = {n: getattr(driver, n) for n in type(driver).model_fields if n not in ("op", "of")}
         match driver:
             case d.Lag():

@@ -106,12 +106,12 @@ def _recalibration(d: Decision, recording: Recording, whole: bool, named: bool) 
 def _decide(f: Finding, response: ResponseDiagnosis, accept: Accept) -> Decision:
     decision = Decision(response.component, f)
     if f.effect == "unknown":
-        return replace(decision, reason=UNKNOWN)
+        return decision.refused(UNKNOWN)
     confident = f.sure() >= accept.confidence
     holdout = response.holdout
     worse = holdout.rms_after_um >= holdout.rms_before_um
     if f.effect == "recalibration":
-        return decision if confident and not worse else replace(decision, reason=RECALIBRATION)
+        return decision if confident and not worse else decision.refused(RECALIBRATION)
     from errpipe.diagnosis.applied import terms_of
     from errpipe.terms import TERMS
 
@@ -122,23 +122,23 @@ def _decide(f: Finding, response: ResponseDiagnosis, accept: Accept) -> Decision
         as_nuisance = confident and bool(terms) and all(t.nuisance for t in terms)
         return replace(decision, terms=terms, reason=reason, as_nuisance=as_nuisance)
     if not confident:
-        return replace(decision, reason=f"its confidence of {f.sure():.2f} is below {accept.confidence:.2f}")
+        return decision.refused(f"its confidence of {f.sure():.2f} is below {accept.confidence:.2f}")
     if worse:
         detail = f"{holdout.rms_before_um:.3g} -> {holdout.rms_after_um:.3g} {response.unit}"
-        return replace(decision, reason=f"held-out rows are no better explained with it ({detail})")
+        return decision.refused(f"held-out rows are no better explained with it ({detail})")
     if not terms:
-        return replace(decision, reason="it names no term")
+        return decision.refused("it names no term")
     if f.where.runs:
-        return replace(decision, reason=f"it acted in some runs only ({', '.join(f.where.runs)}): a table acts always")
+        return decision.refused(f"it acted in some runs only ({', '.join(f.where.runs)}): a table acts always")
     similar_artefacts = [other for other in f.indistinguishable_from if other in artefacts]
     if similar_artefacts and not accept.despite_artefact:
         detail = f"; {f.would_separate}" if f.would_separate else ""
-        return replace(
-            decision, reason=f"cannot be distinguished from {similar_artefacts[0]}, which is not the machine's{detail}"
+        return decision.refused(
+            f"cannot be distinguished from {similar_artefacts[0]}, which is not the machine's{detail}"
         )
     values = {p.name: p.value for p in f.parameters}
     if not f.compensable or any(not t.lower(_complete(t, values)) for t in terms):
-        return replace(decision, reason="a controller cannot compensate it: it has no compiled form")
+        return decision.refused("a controller cannot compensate it: it has no compiled form")
     return replace(decision, terms=terms)
 
 

@@ -20,10 +20,10 @@ from errpipe import jsonfile
 from errpipe.diagnosis import applied, diagnose
 from errpipe.diagnosis.applied import GAIN, Corrected, Held, Part
 from errpipe.domain.diagnosis import Diagnosis
+from errpipe.domain.manifest_text import flow
 from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import in_order_of_time
 from errpipe.formats import manifest_folder
-from errpipe.formats.manifest_folder import flow
 from errpipe.simulation import patch, patch_fmu
 from errpipe.simulation.patch import Piece, value
 from errpipe.stages._docstrings import equation

@@ -115,11 +115,6 @@ def read_model(path: Path) -> ErrorModel:
         raise VerifyError(f"{path}: not an error model: {first_problem(err, *place)}") from None
 
 
-def models_in(context: Context) -> list[ErrorModel]:
-    """Every error model of the slot `error_model`, in file order."""
-    return [read_model(folder / MODEL) for folder in context.every("error_model").values()]
-
-
 def model_json(model: ErrorModel) -> dict[str, Any]:
     """The canonical JSON value of an error model, without what is at its default."""
     return model.model_dump(mode="json", exclude_defaults=True) | {"error_model": 1}

@@ -10,7 +10,7 @@ import numpy as np
 
 from errpipe.domain import components
 from errpipe.domain.table import CompensationTable
-from errpipe.guard.in_table import stands_in, watched
+from errpipe.guard.in_table import has_guard, has_substitutes
 from errpipe.stages import _artefacts, _plausible
 from errpipe.targets import _sample
 from errpipe.targets._base import TURN, ByHand, Curve, ReadBack, unit_of
@@ -53,16 +53,20 @@ def checklist(
     if _artefacts.UNGATED in table.title:
         warning = f"**{_artefacts.UNGATED}.** Measure before and after, and take it off where it is not better."
         lines += ["", warning, ""]
-    lines += _watch(read, table)
+    lines += _sensor_monitoring(read, table)
     lines += [f"Source: {target.source}. Confidence: {target.confidence}.", ""]
-    numbers = (*target.by_hand(table, read, others), *_zeros(target, read, table, others), *_one_turn(read, table))
+    numbers = (
+        *target.by_hand(table, read, others),
+        *_zero_shifts(target, read, table, others),
+        *_one_turn(read, table),
+    )
     numbers += tuple(_from_the_start(read, table))
     read = _within_travel(read, table)
     happens = (*_plausible.of_files(read), *_plausible.not_measured(table), *_at_the_axis(table), *_of_force(table))
     if happens:
         lines += ["## What will happen", "", *(f"- {text}." for text in dict.fromkeys(happens)), ""]
     lines += ["## Switch it on", ""]
-    steps = (AS_MEASURED, *_numbered(target, table), *_alone(target, table), *target.activation)
+    steps = (AS_MEASURED, *_axis_numbers(target, table), *_single_axis(target, table), *target.activation)
     lines += [f"{n}. {step}" for n, step in enumerate(steps, 1)]
     if numbers:
         lines += ["", "## Enter by hand", "", *(f"- {number.text}." for number in numbers)]
@@ -103,12 +107,12 @@ def _where_worse(table: CompensationTable, read: Any) -> list[str]:
     ]
 
 
-def _watch(read: Any, table: CompensationTable) -> list[str]:
+def _sensor_monitoring(read: Any, table: CompensationTable) -> list[str]:
     """Effect of a failed temperature sensor: undetected unless table and format monitor it."""
     if not _sample.sensors_of(table):
         return []
-    if isinstance(read, WholeTable) and watched(table):
-        if stands_in(table):
+    if isinstance(read, WholeTable) and has_guard(table):
+        if has_substitutes(table):
             return ["Sensors: temperatures are monitored against each other; others replace one that fails."]
         return ["Sensors: each temperature is monitored individually; the correction fades if one fails."]
     why = "the table has no guard" if isinstance(read, WholeTable) else "this format has no memory for a guard"
@@ -116,13 +120,13 @@ def _watch(read: Any, table: CompensationTable) -> list[str]:
     return ["", warning, ""]
 
 
-def _alone(target: Any, table: CompensationTable) -> list[str]:
+def _single_axis(target: Any, table: CompensationTable) -> list[str]:
     """That files of one axis and those of another may take the same numbers and names on one control."""
     moved = list(_sample.outputs_by_axis(table))
     return [ALONE.format(moved[0], target.name)] if len(moved) == 1 else []
 
 
-def _numbered(target: Any, table: CompensationTable) -> list[str]:
+def _axis_numbers(target: Any, table: CompensationTable) -> list[str]:
     """Which axis the files mean by a number: the table does not know all axes of the machine."""
     if not target.numbering:
         return []
@@ -133,7 +137,7 @@ def _numbered(target: Any, table: CompensationTable) -> list[str]:
     ]
 
 
-def _zeros(target: Any, read: Any, table: CompensationTable, others: Sequence[str]) -> list[Any]:
+def _zero_shifts(target: Any, read: Any, table: CompensationTable, others: Sequence[str]) -> list[Any]:
     """What switching on does to the zero of each axis that has a curve over itself."""
     out = []
     for axis in dict.fromkeys(c.axis for c in read.curves if c.axis == c.over):
@@ -162,9 +166,7 @@ def _zeros(target: Any, read: Any, table: CompensationTable, others: Sequence[st
 
 def _one_turn(read: ReadBack, table: CompensationTable) -> list[ByHand]:
     """Over axes that turn on, what a file that ends after one turn asks of the control's way of counting."""
-    parts = [(c.over, c.positions) for c in read.curves if np.ptp(c.up) or np.ptp(c.down)]
-    parts += [pair for p in read.products for pair in zip(p.over, p.positions, strict=True)]
-    parts += [pair for p in read.planes for pair in zip(p.over, (p.first, p.second), strict=True)]
+    parts = replace(read, curves=tuple(c for c in read.curves if np.ptp(c.up) or np.ptp(c.down))).grids()
     known, out = _sample.positions_of(table), []
     for over in dict.fromkeys(over for over, x in parts if x[-1] - x[0] < 2 * TURN):
         if over in known and _sample.turns(table, over):

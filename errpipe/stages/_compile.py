@@ -81,7 +81,7 @@ def _table_of(
         behind = ", ".join(sorted({t for terms in uncompensated_terms(model).values() for t in terms})) or "no term"
         raise GateError(f"export: a controller can compensate nothing of this model (it contains {behind})")
     followed = [p for pairs in lowered.values() for p in pairs]
-    _inputs.unknown_inputs(_inputs.read_by([p.driver for p in followed]), model)
+    _inputs.refuse_unknown_inputs((p.driver for p in followed), model)
     axes = {p.axis for p in followed if p.axis is not None and p.profile is not None}
     placed = _inputs.with_positions(model, axes.union(*(d.axes(p.driver) for p in followed)), recording)
     inputs = _inputs.table_inputs(placed, guard, recording)
@@ -114,7 +114,6 @@ def _table_of(
 
 def _not_measured(model: ErrorModel, pairs: Sequence[Lowered], recording: Recording | None) -> list[str]:
     """The interpolated part of a turn: where the measured ends are further apart than the targets."""
-
     from errpipe.stages import _inputs, _plausible
 
     said = []
@@ -133,7 +132,6 @@ def _not_measured(model: ErrorModel, pairs: Sequence[Lowered], recording: Record
 
 def travel_speeds(recording: Recording) -> dict[str, float]:
     """Axis -> its largest speed in the recording, mm/s or deg/s; axes whose speed it does not show are left out."""
-
     from errpipe.drivers.motion import axes
 
     speeds = {}

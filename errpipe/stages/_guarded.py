@@ -39,22 +39,22 @@ MAX_ROWS = 20_000  # of a recording for learning and validating a guard: 6 s on 
 COARSEST_S = 30.0  # largest s between remaining rows: a tenth of the time in which a healthy reading changes
 MAX_BATCHES = 6  # of held-out runs: each needs a separate guard
 MAX_TITLE = 127  # characters, of a table
-WATCHED_ALONE = "temperatures monitored individually"
-NOT_WATCHED = "temperatures not monitored"
+MONITORED_ALONE = "temperatures monitored individually"
+NOT_MONITORED = "temperatures not monitored"
 Fold = tuple[np.ndarray, SensorGuard]  # rows of a group, and the guard that was learnt without them
 
 
 @dataclass(frozen=True)
-class Watched:
+class TableGuard:
     """The guard of a table (none: no sensor is monitored), its sentence, and the document of `export.json`."""
 
     guard: SensorGuard | None
-    said: str
+    sentence: str
     document: dict[str, Any]
 
     def title(self, title: str) -> str:
         """The title of the table, with a note if temperatures are not monitored, or only individually."""
-        mark = NOT_WATCHED if self.guard is None else "" if self.guard.compares else WATCHED_ALONE
+        mark = NOT_MONITORED if self.guard is None else "" if self.guard.compares else MONITORED_ALONE
         return "; ".join(filter(None, (title[: MAX_TITLE - len(mark) - 2], mark))) if mark else title
 
 
@@ -76,7 +76,7 @@ class Judge:
         """The table with a guard."""
         return compile_model(self.model, self.options, guard, self.recording)
 
-    def room(self) -> int:
+    def free_nodes(self) -> int:
         """Nodes that a guard may take: every pair of the table takes one to fade."""
         return MAX_NODES - len(self.plain.nodes) - len(self.plain.pairs)
 
@@ -128,14 +128,14 @@ def sensors_read(plain: CompensationTable, recording: Recording) -> list[str]:
     return [n for n in recording.names("temperature") if n in read]
 
 
-def watch(judge: Judge, scheme: str | None) -> Watched:
+def choose_guard(judge: Judge, scheme: str | None) -> TableGuard:
     """The guard learnt from the recording, if it costs at most `MAX_COST` with healthy sensors.
 
     scheme: the hold-out of the validation; its groups, else runs, are held out. If sensors cannot be compared
     (one sensor, one run), each is monitored individually and the correction fades if one fails.
     """
     held = short_gaps_held(judge.recording)
-    max_count = min(MAX_COMPARED, (judge.room() - NODES_BESIDE) // NODES_COMPARED)
+    max_count = min(MAX_COMPARED, (judge.free_nodes() - NODES_BESIDE) // NODES_COMPARED)
     if max_count < 2:
         return _one_by_one(judge, held, "the table has too few free nodes for a comparison", scheme)
     names = _chosen(judge, held, max_count)
@@ -145,7 +145,7 @@ def watch(judge: Judge, scheme: str | None) -> Watched:
         guard, folds = _learnt(held, names, scheme, learn.learn)
     except DataError as why:
         return _one_by_one(judge, held, str(why), scheme)
-    guard = _with_stand_ins(judge, held, guard, folds)
+    guard = _with_substitutes(judge, held, guard, folds)
     guard, cost = _affordable(judge, held, guard, folds)
     if cost > MAX_COST:
         return _one_by_one(
@@ -157,7 +157,7 @@ def watch(judge: Judge, scheme: str | None) -> Watched:
     others = [n for n in sensors_read(judge.plain, held) if n not in names]
     said += f"; {len(others)} of less influence are not; the correction fades if one is lost" if others else ""
     said += f"; the correction fades if {' or '.join(fading)} fails, which no other replaces" if fading else ""
-    return Watched(guard, said, document)
+    return TableGuard(guard, said, document)
 
 
 def _chosen(judge: Judge, held: Recording, max_count: int) -> tuple[str, ...]:
@@ -191,7 +191,7 @@ def _learnt(
     return guard, []
 
 
-def _with_stand_ins(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[Fold]) -> SensorGuard:
+def _with_substitutes(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[Fold]) -> SensorGuard:
     """The guard, each sensor with a useful estimate marked: one at a time and in pairs."""
     names, predicted = guard.names(), judge.predicted(judge.plain, held)
     gone = np.zeros((len(names), len(names), len(held)))  # of sensor i where j fails too
@@ -260,27 +260,27 @@ def _affordable(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequen
     return tried, float(cost)
 
 
-def _one_by_one(judge: Judge, held: Recording, why: str, scheme: str | None) -> Watched:
+def _one_by_one(judge: Judge, held: Recording, why: str, scheme: str | None) -> TableGuard:
     """Each sensor monitored individually; no guard if that costs too much with healthy sensors."""
-    max_count = min(MAX_INDIVIDUAL, judge.room() // NODES_ALONE)
+    max_count = min(MAX_INDIVIDUAL, judge.free_nodes() // NODES_ALONE)
     if max_count < 1:
-        return not_watched(f"{why}; the table has no free nodes")
+        return no_guard(f"{why}; the table has no free nodes")
     names = _chosen(judge, held, max_count)
     try:
         guard, folds = _learnt(held, names, scheme, learn.limits)
     except DataError as lacking:
-        return not_watched(f"{why}; {lacking}")
+        return no_guard(f"{why}; {lacking}")
     guard, cost = _affordable(judge, held, guard, folds)
     if cost > MAX_COST:
-        return not_watched(f"{why}; individual monitoring would increase the residual by {100 * cost:.0f} %")
+        return no_guard(f"{why}; individual monitoring would increase the residual by {100 * cost:.0f} %")
     said = f"no temperature replaces another ({why}): one that jumps by several kelvin, or loses its own noise,"
-    return Watched(
+    return TableGuard(
         guard, f"{said} fades the correction", {"watched": list(names), "stand_in": [], "cost": cost, "why": why}
     )
 
 
-def not_watched(why: str) -> Watched:
+def no_guard(why: str) -> TableGuard:
     """No guard, with the reason."""
-    return Watched(
+    return TableGuard(
         None, f"temperatures are not monitored ({why}): a failed one is followed", {"watched": [], "why": why}
     )

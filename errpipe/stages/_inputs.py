@@ -60,14 +60,14 @@ def table_inputs(
     columns = dict(model.columns)
     _check_names(columns)
     healthy = {s.name: s for s in guard.sensors} if guard is not None else {}
-    witnesses = set(healthy) - set(columns)  # of the others: without them the table goes on
-    for name in sorted(witnesses):
+    compared_only = set(healthy) - set(columns)  # for comparison with the others: without them the table goes on
+    for name in sorted(compared_only):
         columns[name] = {"role": "temperature", "unit": "degC"}
     inputs = [_channel(name, facts, model) for name, facts in columns.items() if facts["role"] in CHANNELS]
     inputs += [_datum(c.datum_input, c.unit, c.readings) for c in model.components if c.readings is not None]
     known, silence = _sensor_rates_and_silences(recording) if recording is not None else ({}, {})
     rates = {c.name: known.get(c.name) or _rate_of_step_input(c, model) for c in inputs}
-    inputs = [c.model_copy(update={"fade_on_default": False}) if c.name in witnesses else c for c in inputs]
+    inputs = [c.model_copy(update={"fade_on_default": False}) if c.name in compared_only else c for c in inputs]
     inputs = [_limited(c, rates[c.name], silence.get(c.name, 0.0), healthy.get(c.name)) for c in inputs]
     return [_fading(c) if healthy and c.kind == "sensor" and c.name not in healthy else c for c in inputs]
 
@@ -207,19 +207,14 @@ def turning(model: ErrorModel) -> set[str]:
     return {x for x, (low, high) in ends.items() if model.constants[x].get("kind") == "rotary" and high - low >= 360.0}
 
 
-def unknown_inputs(names: set[str], model: ErrorModel) -> None:
-    """Raises GateError naming an input that no controller can feed (such as the time of a recording).
+def refuse_unknown_inputs(drivers: Iterable[d.Driver], model: ErrorModel) -> None:
+    """Raises GateError naming an input below some drivers that no controller can feed (such as a recording's time).
 
     Raises UsageError if a term was given a response for a sensor.
     """
     readings = {c.datum_input for c in model.components if c.readings is not None}
-    for name in sorted(names - readings):
+    for name in sorted({name for driver in drivers for name in d.inputs(driver)} - readings):
         role = model.columns.get(name, {}).get("role")
         if role not in CHANNELS:
             refusal = UsageError if role in ("error", "simulated") else GateError
             raise refusal(f"a driver reads {name!r} (role {role}), which a controller cannot be given")
-
-
-def read_by(drivers: list[d.Driver]) -> set[str]:
-    """Names of all inputs below some drivers."""
-    return {name for driver in drivers for name in d.inputs(driver)}

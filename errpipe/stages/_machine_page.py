@@ -148,20 +148,16 @@ def _volume(solved: Solved, errors: MachineErrors) -> list[tuple[str, str, str]]
     return figures
 
 
-def _nan_where_none(values: Any) -> Any:
-    return np.array([np.nan if v is None else v for v in values])
-
-
 def _component_figure(solved: Solved, errors: MachineErrors) -> tuple[str, str, str]:
     bands = {}
     for name, curve in solved.document["curves"].items():
         value, half = np.array(curve["value"]), np.array(curve["half_width95"])
         at = positions_of(curve)
         bands[name] = (at, value - half, value + half)
-    measured = {
-        name: (_nan_where_none(r["target"]), _nan_where_none(r["up"]), _nan_where_none(r["down"]))
-        for name, r in solved.document.get("records", {}).items()
-    }
+    measured = {}
+    for name, r in solved.document.get("records", {}).items():
+        target, up, down = (np.array(r[key], dtype=float) for key in ("target", "up", "down"))  # None: NaN
+        measured[name] = target, up, down
     caption = "After ISO 230-1: displacements left, angles right; bands are 95 % intervals."
     if measured:
         caption += " Marks: mean reading at a target coming from below (▸) and from above (◂)."

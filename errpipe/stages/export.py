@@ -22,7 +22,7 @@ from errpipe.yamlfile import quantity
 if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.table import CompensationTable
-    from errpipe.stages._guarded import Watched
+    from errpipe.stages._guarded import TableGuard
     from errpipe.validation.gate import Passed
 
 
@@ -70,7 +70,7 @@ class Export(CompileOptions, SignOptions, Stage):
         from errpipe.domain.error_model import joined
         from errpipe.stages import _plausible, _proof
 
-        models = _artefacts.models_in(context)
+        models = [_artefacts.read_model(at / _artefacts.MODEL) for at in context.every("error_model").values()]
         model = joined(models)
         recording = _artefacts.recording_in(context.needed("recording"))
         if _artefacts.sign_noted(model) or _artefacts.sign_assumed([recording]):
@@ -80,11 +80,11 @@ class Export(CompileOptions, SignOptions, Stage):
         model = passed.model
         context.progress(0.1, "compiling")
         plain = compile_model(model, self, None, recording)
-        watched = _watched(self, replace(passed, model=model), plain, recording, context)
+        chosen = _guard_of(self, replace(passed, model=model), plain, recording, context)
         table = plain
-        if watched is not None:
-            model = model.model_copy(update={"title": watched.title(model.title)})
-            table = compile_model(model, self, watched.guard, recording)
+        if chosen is not None:
+            model = model.model_copy(update={"title": chosen.title(model.title)})
+            table = compile_model(model, self, chosen.guard, recording)
         context.progress(0.5, "comparing table and model")
         proof = _proof.compare(table, model, recording, plain)
         checks += _proof.remarks(proof, passed)
@@ -94,12 +94,12 @@ class Export(CompileOptions, SignOptions, Stage):
         document = {"proof": proof, "files": files, "left_out": list(passed.left_out), "judged": list(passed.judged)}
         document |= {"ungated": _artefacts.UNGATED} if self.ungated else {}
         document |= {"checks": checks, "consequences": _plausible.of_table(table)}
-        document |= {"guard": {"says": watched.said, **watched.document}} if watched is not None else {}
+        document |= {"guard": {"says": chosen.sentence, **chosen.document}} if chosen is not None else {}
         document["sha256"] = checksums(context.folder, files, [_artefacts.MODEL])
         context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, **document})
         worst = max((p["largest_difference_um"] for p in proof), default=0.0)
         summary = {"table": _artefacts.TABLE, "largest_difference_from_the_model_um": worst}
-        summary |= {"guard": watched.said} if watched is not None else {}
+        summary |= {"guard": chosen.sentence} if chosen is not None else {}
         held = {p["component"]: p["rows_held_back"] for p in proof if p["rows_held_back"]}
         return summary | ({"rows_held_back": ", ".join(f"{n} {rows}" for n, rows in held.items())} if held else {})
 
@@ -134,9 +134,9 @@ def _gate(model: ErrorModel, fits: Sequence[ErrorModel], options: Export, contex
     return replace(passed, model=with_readings(passed.model, validations, options.readings_per_shift))
 
 
-def _watched(
+def _guard_of(
     options: Export, passed: Passed, plain: CompensationTable, recording: Recording, context: Context
-) -> Watched | None:
+) -> TableGuard | None:
     """The guard of a table's temperatures, written beside it; None where it reads none.
 
     Raises GateError where a guard was asked for and none can be learnt.
@@ -146,16 +146,16 @@ def _watched(
     if not _guarded.sensors_read(plain, recording):
         return None
     if options.guard is False:
-        return _guarded.not_watched("guard: false")
+        return _guarded.no_guard("guard: false")
     context.progress(0.2, "regressing each temperature on the others")
     folders = context.every("validation").values()
     schemes = (jsonfile.read(folder / _artefacts.VALIDATION)["scheme"] for folder in folders)
-    watched = _guarded.watch(_guarded.judge(passed, options, recording, plain), next(schemes, None))
-    if options.guard and (watched.guard is None or not watched.guard.compares):
-        raise GateError(f"export: guard: true: {watched.said}")
-    if watched.guard is not None:
-        context.write_json("sensor_guard.json", watched.guard.model_dump(mode="json"))
-    return watched
+    chosen = _guarded.choose_guard(_guarded.judge(passed, options, recording, plain), next(schemes, None))
+    if options.guard and (chosen.guard is None or not chosen.guard.compares):
+        raise GateError(f"export: guard: true: {chosen.sentence}")
+    if chosen.guard is not None:
+        context.write_json("sensor_guard.json", chosen.guard.model_dump(mode="json"))
+    return chosen
 
 
 def _write(context: Context, table: CompensationTable, model: ErrorModel, options: Export) -> list[dict[str, str]]:

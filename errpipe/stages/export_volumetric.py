@@ -85,7 +85,7 @@ class ExportVolumetric(SignOptions, Stage):
         remarks = self.seal(table, context.folder / _artefacts.TABLE)
         left_out = [axis for axis in chain.machine.linear_axes() if axis not in axes]
         left_out += [component for component in chain.components if component not in kept]
-        note = left_alone(left_out)
+        note = not_corrected(left_out)
         files += write_targets(table, self.targets, context.folder, remarks, note)
         facts: dict[str, Any] = {"proof": proof, "files": files, "left_out": left_out, "note": note}
         if self.lattice is not None:
@@ -109,7 +109,7 @@ class ExportVolumetric(SignOptions, Stage):
         return machine.pass_gate(document, judged)
 
 
-def left_alone(names: Sequence[str]) -> str:
+def not_corrected(names: Sequence[str]) -> str:
     """What a table does not correct, as a sentence for the checklists; nothing where it corrects all."""
     if not names:
         return ""
@@ -148,7 +148,6 @@ def lattice(
 
     Raises UsageError if the counts do not fit the machine.
     """
-
     from errpipe.kinematics import compensation
     from errpipe.kinematics.chain import combinations
 
@@ -232,7 +231,6 @@ def largest_difference(
     Both as a displacement of the tool point in the workpiece's frame: the directions in which the linear axes move it
     are taken at each pose, as rotary axes turn them.
     """
-
     from errpipe.kinematics import synthesis
     from errpipe.tables import batch
 

@@ -87,15 +87,15 @@ def promote(
     if data[:1] == b"{":  # the JSON twin: on record is what a controller loads
         data = ect.dumps(new)
     if not other_outputs:
-        _of_no_other(store.machines(), machine, new, table)
+        _refuse_other_machine(store.machines(), machine, new, table)
     if past and not other_outputs:
-        _same_kind(store.table(past[-1]), new, machine, table)
+        _refuse_other_outputs(store.table(past[-1]), new, machine, table)
     when = _time_after(past, time)
     entry = store.append(machine, "promote", data, _why(why), when, minisign.read_secret(secret), len(past))
     return _row(entry, store) | _with_remark(f"machine {machine}: table {name} is entry {entry.number}", when)
 
 
-def _same_kind(before: bytes, table: CompensationTable, machine: str, path: Path) -> None:
+def _refuse_other_outputs(before: bytes, table: CompensationTable, machine: str, path: Path) -> None:
     """Raises GateError if a table is of another machine, axes or units than the one that it replaces.
 
     A controller runs one table: a table of Y alone in place of that of X ends the compensation of X, and one whose
@@ -115,7 +115,7 @@ def _same_kind(before: bytes, table: CompensationTable, machine: str, path: Path
     )
 
 
-def _of_no_other(known: Sequence[str], machine: str, table: CompensationTable, path: Path) -> None:
+def _refuse_other_machine(known: Sequence[str], machine: str, table: CompensationTable, path: Path) -> None:
     """Raises GateError if a table is of another machine of this registry; 7-X may have tables of 7."""
     of = table.machine
     if of in known and of != machine and not machine.startswith((f"{of}-", f"{of}.", f"{of}_")):

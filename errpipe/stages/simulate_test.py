@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from errpipe import yamlfile
 from errpipe.domain.laser import Laser
+from errpipe.domain.protocols import PROTOCOLS
 from errpipe.pipeline.stage import Context, InputPath, Stage
 from errpipe.stages._artefacts import TRUTH
 from errpipe.stages.identify import LASERS, SQUARES
 from errpipe.yamlfile import quantity
+
+RECORDS = ("laser", "level")  # of one axis each: `direct` simulates all of them
+if TYPE_CHECKING:
+    Protocol = str
+else:
+    Protocol = Literal[("direct", *(name for name in PROTOCOLS if name not in RECORDS))]
 
 
 class SimulateTest(Stage):
@@ -23,21 +30,9 @@ class SimulateTest(Stage):
 
     kind: Literal["simulate_test"]
     machine: InputPath = Field(description="Machine file with the kinematic chain.")
-    protocol: Literal[
-        "point_cloud",
-        "direct",
-        "ballbar_circle",
-        "telescoping_bar",
-        "multilateration",
-        "diagonal",
-        "step_diagonal",
-        "ball_plate",
-        "ball_array",
-        "hole_pattern",
-        "part",
-        "r_test",
-        "rotary_ballbar",
-    ] = Field("point_cloud", description="Which test; direct: laser and level along each axis, both ways.")
+    protocol: Protocol = Field(
+        "point_cloud", description="Which test; direct: laser and level along each axis, both ways."
+    )
     points: int = Field(150, ge=20, le=5000, description="Places of a point cloud, each seen with three tools.")
     targets: int = Field(17, ge=5, le=500, description="Targets along each axis of a direct measurement.")
     cycles: int = Field(

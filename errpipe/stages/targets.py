@@ -167,7 +167,7 @@ def write_targets(
     remarks = (*_artefacts.warnings_in(table.title), *remarks)
     for target in targets:
         others = _sibling_names(target, targets)
-        files = target.remarked(target.write_with(table, others), remarks)
+        files = target.with_remarks(target.write_with(table, others), remarks)
         lost = losses(table, target, files)
         for name, text in files.items():
             jsonfile.write_text(inside(folder, f"{target.name}/{name}", GateError), text)

@@ -59,7 +59,7 @@ class Rows:
 
     def _begin(self) -> None:
         self._before: tuple[int, float] | None = None  # run and time of the last row
-        self._walk = self._plain() if self._compiled is None else self._compiled.walk()
+        self._replay_rows = self._plain() if self._compiled is None else self._compiled.replay_rows()
 
     def __call__(self, columns: Mapping[str, np.ndarray], time: np.ndarray, run: np.ndarray) -> Replay:
         """Evaluation of the next rows; arguments and errors as of `evaluate`."""
@@ -78,7 +78,7 @@ class Rows:
         if rows:
             goes_on = self._before is not None and self._before[0] == run[0]
             before = self._before[1] if self._before is not None else 0.0
-            self._walk(readings, time, run, goes_on, before, deviation, correction, status)
+            self._replay_rows(readings, time, run, goes_on, before, deviation, correction, status)
             self._before = (int(run[-1]), float(time[-1]))
         names = [o.name for o in table.outputs]
         return Replay(dict(zip(names, deviation, strict=True)), dict(zip(names, correction, strict=True)), status)
@@ -86,7 +86,7 @@ class Rows:
     def _plain(self) -> Callable[..., None]:
         evaluator, names = Evaluator(self.table), [i.name for i in self.table.inputs]
 
-        def walk(readings, time, run, goes_on, before, deviation, correction, status) -> None:
+        def replay_rows(readings, time, run, goes_on, before, deviation, correction, status) -> None:
             times, runs = time.tolist(), run.tolist()
             for k, row in enumerate(readings.T.tolist()):
                 dt = 0.0
@@ -100,7 +100,7 @@ class Rows:
                 correction[:, k] = list(cycle.correction.values())
                 status[k] = cycle.status
 
-        return walk
+        return replay_rows
 
 
 class _Compiled:
@@ -115,13 +115,13 @@ class _Compiled:
         self.profile_fixed = program.values[program.profiles["first"]] * program.profiles["scale"]
         self.rows = 0  # replayed so far
 
-    def walk(self) -> Callable[..., None]:
+    def replay_rows(self) -> Callable[..., None]:
         """What replays rows from the first one on."""
         program, plan, state = self.program, self.plan, pack.state(self.program)
         row, fresh = np.empty(state.inputs.size), np.ones(state.inputs.size, dtype=np.uint8)
         work = None
 
-        def walk(columns, time, run, goes_on, before, *results) -> None:
+        def replay_rows(columns, time, run, goes_on, before, *results) -> None:
             nonlocal work
             self.rows += run.size
             if work is None and self.rows > UNBLOCKED:
@@ -137,7 +137,7 @@ class _Compiled:
                     table_cycle.replay(program, state, fresh, row, *rows, *results)
                     goes_on, before = True, float(time[done - 1])
 
-        return walk
+        return replay_rows
 
     def _workspace(self, state: table_cycle.State) -> table_replay.Workspace:
         # Not compiled: that takes seconds, and this a millisecond.

@@ -68,11 +68,9 @@ def compile_table(
     outputs: Sequence[OutputSource] | None = None,
     travel: Mapping[str, tuple[float, float]] | None = None,
     turning: Collection[str] = (),
-    limits: Mapping[str, Limits] | None = None,
     error_bound: float = 0.01,
     position_cycle_s: float = 0.001,
     thermal_cycle_s: float = 1.0,
-    limit: int = 16384,
     **stated: Unpack[Stated],
 ) -> t.CompensationTable:
     """Compile components into a table.
@@ -91,7 +89,7 @@ def compile_table(
     flat = [g for own_groups in groups for g in own_groups]
     seen, turns = _turns(inputs, travel or {}, turning)
     flat = [g.closed(*seen[g.axis]) if g.axis in turns and g.period is None else g for g in flat]
-    made = [g.profile(build, spans, seen, error_bound, limit) for g in flat]
+    made = [g.profile(build, spans, seen, error_bound) for g in flat]
     made = _on_common_grids(flat, made)
     used = {n.input for n in build.nodes if isinstance(n, t.InputNode)} | {p.input for p in made}
     made += _travels([i for i in inputs if i.name in used], travel or {}, turns, made)
@@ -110,7 +108,7 @@ def compile_table(
         pairs=tuple(pairs),
         outputs=tuple(monomials),
     )
-    return with_limits(table, limits or {})
+    return with_limits(table, {})
 
 
 def _pairs(
@@ -198,7 +196,7 @@ class _Group:
         return _Group(self.driver, self.axis, turn.TURN, [whole], one.start, one.change)
 
     def profile(
-        self, build: Nodes, spans: list[bounds.Span], travel: Mapping[str, bounds.Span], bound: float, limit: int
+        self, build: Nodes, spans: list[bounds.Span], travel: Mapping[str, bounds.Span], bound: float
     ) -> t.Profile:
         if self.axis is None:
             return _constant(float(self.curve(np.zeros(1))[0]))
@@ -214,9 +212,7 @@ class _Group:
             if self.period is not None:
                 low, high = self.start, self.start + self.period
             what, periodic = f"profile over {self.axis}", self.period is not None
-            made = grid(
-                self.curve, low, high, bound=bound / factor, unit=unit, periodic=periodic, limit=limit, what=what
-            )
+            made = grid(self.curve, low, high, bound=bound / factor, unit=unit, periodic=periodic, what=what)
         if len(set(made.values)) == 1 and not self.closing:
             return _constant(made.values[0] * made.scale)
         return self.stated(made, channel.name)

@@ -173,13 +173,15 @@ class ReadBack:
         lines, products = self.lines + other.lines, self.products + other.products
         return ReadBack(self.curves + other.curves, self.planes + other.planes, lines, products)
 
+    def grids(self) -> list[tuple[str, np.ndarray]]:
+        """Axis and ascending positions, mm (deg), of every part over an axis: curves, products, planes."""
+        of_products = (pair for p in self.products for pair in zip(p.over, p.positions, strict=True))
+        of_planes = (pair for p in self.planes for pair in zip(p.over, (p.first, p.second), strict=True))
+        return [*((c.over, c.positions) for c in self.curves), *of_products, *of_planes]
+
     def spans(self) -> dict[str, tuple[float, float]]:
         """Axis -> the ends of the positions over which anything is corrected, mm (deg)."""
-        ends = {c.over: (float(c.positions[0]), float(c.positions[-1])) for c in self.curves}
-        grids = [*((p.over, p.positions) for p in self.products), *((p.over, (p.first, p.second)) for p in self.planes)]
-        for over, positions in grids:
-            ends |= {axis: (float(x[0]), float(x[-1])) for axis, x in zip(over, positions, strict=True)}
-        return ends
+        return {axis: (float(x[0]), float(x[-1])) for axis, x in self.grids()}
 
     def axes(self) -> tuple[str, ...]:
         """Axes that would be moved."""
@@ -244,7 +246,7 @@ class Target:
         return cls.write(table)
 
     @classmethod
-    def remarked(cls, files: Mapping[str, str], lines: Sequence[str]) -> dict[str, str]:
+    def with_remarks(cls, files: Mapping[str, str], lines: Sequence[str]) -> dict[str, str]:
         """The files with lines as comments behind the first line of those that have room for comments."""
         out = dict(files)
         for name in files:
@@ -255,7 +257,7 @@ class Target:
         return out
 
     @classmethod
-    def bare(cls, files: Mapping[str, str]) -> dict[str, str]:
+    def without_remarks(cls, files: Mapping[str, str]) -> dict[str, str]:
         """The files without such comments, for a reader that compares every line."""
         out = dict(files)
         for end, form in cls.remark.items():

@@ -12,6 +12,7 @@ import numpy as np
 
 from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
+from errpipe.fitting.statistics import rms
 from errpipe.guard.in_table import without_guard
 from errpipe.tables import maximum
 from errpipe.tables.expansion import SIDE, Expansion, Term, Terms, collected, scaled
@@ -57,7 +58,7 @@ def losses(table: CompensationTable, read: ReadBack) -> list[Loss]:
     for axis in _sample.outputs_by_axis(table):
         want = _sample.corrections(table, axis, states, side)
         gap = UM * (read.correction(axis, at, side, sensors) - want)
-        out.append(Loss(axis, by_axis[axis].bound, float(np.abs(gap).max()), _rms(gap), UM * _rms(want)))
+        out.append(Loss(axis, by_axis[axis].bound, float(np.abs(gap).max()), rms(gap), UM * rms(want)))
     return out
 
 
@@ -84,10 +85,10 @@ def worse_than_none(table: CompensationTable, read: ReadBack) -> list[Worse]:
         usual = {n: v for n, v in start.items() if n not in names.values()} | {sensor: reading}
         sensors = {n: np.full(STATES, v) for n, v in usual.items()}
         want = UM * _sample.corrections(table, axis, {names[a]: x for a, x in places.items()} | sensors, side)
-        left = _rms(UM * read.correction(axis, places, side, sensors) - want)
-        harm = left - _rms(want) * (1.0 + MUCH) - LITTLE
-        if harm > 0 and (axis not in worst or left - _rms(want) > worst[axis].with_files - worst[axis].without):
-            worst[axis] = Worse(axis, sensor, reading, _rms(want), left)
+        left = rms(UM * read.correction(axis, places, side, sensors) - want)
+        harm = left - rms(want) * (1.0 + MUCH) - LITTLE
+        if harm > 0 and (axis not in worst or left - rms(want) > worst[axis].with_files - worst[axis].without):
+            worst[axis] = Worse(axis, sensor, reading, rms(want), left)
     return [*worst.values()]
 
 
@@ -125,14 +126,8 @@ def bounds(table: CompensationTable, read: ReadBack) -> dict[str, maximum.Larges
     if isinstance(read, WholeTable) and read.table == table:
         return dict.fromkeys(axes, maximum.Largest(0.0, 0.0))
     more: dict[str, list[np.ndarray]] = {}
-    for c in read.curves:
-        more.setdefault(c.over, []).append(c.positions)
-    for p in read.planes:
-        for axis, grid in zip(p.over, (p.first, p.second), strict=True):
-            more.setdefault(axis, []).append(grid)
-    for q in read.products:
-        for axis, grid in zip(q.over, q.positions, strict=True):
-            more.setdefault(axis, []).append(grid)
+    for axis, grid in read.grids():
+        more.setdefault(axis, []).append(grid)
     tables = [table, *([read.table] if isinstance(read, WholeTable) else [])]
     expansion = Expansion(travel(table), more, tables, run_up=_sample.RUN_UP)
     out, by_table = {}, _moved(expansion, table)
@@ -146,9 +141,9 @@ def bounds(table: CompensationTable, read: ReadBack) -> dict[str, maximum.Larges
     return out
 
 
-def _moved(room: Expansion, table: CompensationTable) -> dict[str, Terms]:
+def _moved(expansion: Expansion, table: CompensationTable) -> dict[str, Terms]:
     """Axis -> correction of a table, mm (deg)."""
-    deviation = room.outputs(without_guard(table), _sample.middle(table))
+    deviation = expansion.outputs(without_guard(table), _sample.middle(table))
     return {
         axis: [
             x for o in outputs for x in scaled(deviation[o.name], -o.factor * _sample.MACHINE_UNITS[o.correction_unit])
@@ -157,52 +152,48 @@ def _moved(room: Expansion, table: CompensationTable) -> dict[str, Terms]:
     }
 
 
-def _read(room: Expansion, table: CompensationTable, read: ReadBack, axis: str) -> Terms:
+def _read(expansion: Expansion, table: CompensationTable, read: ReadBack, axis: str) -> Terms:
     """Correction of one axis by files, mm (deg)."""
     out: Terms = []
     for c in read.curves:
-        out += _curve(room, c) if c.axis == axis else []
+        out += _curve(expansion, c) if c.axis == axis else []
     for p in read.planes:
-        out += _plane(room, p) if p.axis == axis else []
+        out += _plane(expansion, p) if p.axis == axis else []
     for q in read.products:
         if q.axis == axis:
-            first, second = (room.curve(over, x, v) for over, x, v in zip(q.over, q.positions, q.values, strict=True))
-            out += room.product([first], [second])
+            first, second = map(expansion.curve, q.over, q.positions, q.values)
+            out += expansion.product([first], [second])
     for line in read.lines:
-        out += _line(room, table, line) if line.axis == axis else []
+        out += _line(expansion, table, line) if line.axis == axis else []
     return out
 
 
-def _curve(room: Expansion, c: Curve) -> Terms:
+def _curve(expansion: Expansion, c: Curve) -> Terms:
     """Mean of both directions, and half their difference times the side."""
-    half = room.curve(c.over, c.positions, (c.up - c.down) / 2)
-    mean = room.curve(c.over, c.positions, (c.up + c.down) / 2)
+    half = expansion.curve(c.over, c.positions, (c.up - c.down) / 2)
+    mean = expansion.curve(c.over, c.positions, (c.up + c.down) / 2)
     return [mean, Term(half.factor, half.curves, (SIDE + c.over,))]
 
 
-def _plane(room: Expansion, p: Plane) -> Terms:
+def _plane(expansion: Expansion, p: Plane) -> Terms:
     """Bilinear: for each position of the first axis a hat over it times the row over the second."""
     out = []
     for hat, row in zip(np.eye(p.first.size), p.values, strict=True):
         if row.any():
-            curves = {**room.curve(p.over[0], p.first, hat).curves, **room.curve(p.over[1], p.second, row).curves}
-            out.append(Term(1.0, curves))
+            first, second = expansion.curve(p.over[0], p.first, hat), expansion.curve(p.over[1], p.second, row)
+            out.append(Term(1.0, {**first.curves, **second.curves}))
     return out
 
 
-def _line(room: Expansion, table: CompensationTable, line: Line) -> Terms:
+def _line(expansion: Expansion, table: CompensationTable, line: Line) -> Terms:
     """(reading - reference) x (level + slope x (position - zero))."""
     channel = table.inputs[table.input_index(line.sensor)]
-    along: Mapping[str, np.ndarray] = room.knots
+    along: Mapping[str, np.ndarray] = expansion.knots
     way = [Term(line.slope, {line.axis: along[line.axis] - line.zero})] if line.axis in along and line.slope else []
-    return room.product([*room.input(channel), Term(-line.reference)], [Term(line.level), *way])
+    return expansion.product([*expansion.input(channel), Term(-line.reference)], [Term(line.level), *way])
 
 
 def at_most(bound: float) -> str:
     """A bound in three digits that are not below it."""
     unit = 10.0 ** (math.floor(math.log10(bound)) - 2) if bound > 0 else 1.0
     return f"{math.ceil(bound / unit - 1e-9) * unit:.3g}"
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

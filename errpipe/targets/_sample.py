@@ -368,7 +368,7 @@ def warm_lines(table: CompensationTable, target: str) -> list[Line]:
     return lines
 
 
-def even(table: CompensationTable, axis: str, count: int) -> Points:
+def evenly_spaced(table: CompensationTable, axis: str, count: int) -> Points:
     """So many points over the range of an axis."""
     low, high = span(table, axis)
     return Points(low, (high - low) / (count - 1), count)
@@ -378,7 +378,7 @@ def bed(table: CompensationTable, count: int) -> Plane | None:
     """Z over so many points along X and along Y; None for a table that does not correct Z, or reads no X or Y."""
     if "Z" not in outputs_by_axis(table) or not {"X", "Y"} <= set(positions_of(table)):
         return None
-    return plane(table, "Z", ("X", "Y"), (even(table, "X", count), even(table, "Y", count)))
+    return plane(table, "Z", ("X", "Y"), (evenly_spaced(table, "X", count), evenly_spaced(table, "Y", count)))
 
 
 def plane(table: CompensationTable, axis: str, over: tuple[str, str], points: tuple[Points, Points]) -> Plane:

@@ -1,9 +1,10 @@
-"""Text of files: titles and names as text of a comment (no title becomes a part of the program), and templates."""
+"""Text of files: titles and names as text of a comment (no title becomes a part of the program), templates, bytes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -32,6 +33,22 @@ def _templates() -> jinja2.Environment:
         undefined=jinja2.StrictUndefined,
         autoescape=False,
     )
+
+
+def source(folder: str, name: str) -> str:
+    """A text file of the package."""
+    return resources.files("errpipe").joinpath(folder, name).read_text(encoding="utf-8")
+
+
+def byte_rows(data: bytes, per_line: int, separator: str) -> str:
+    """Bytes as decimal numbers, so many on a line."""
+    return separator.join(", ".join(map(str, data[k : k + per_line])) for k in range(0, len(data), per_line))
+
+
+def c_array(header: str, name: str, data: bytes) -> str:
+    """Bytes as a C source file that includes the header with their declaration."""
+    rows = byte_rows(data, 16, ",\n    ")
+    return f'#include "{header}"\n\nconst uint8_t {name}[{len(data)}] = {{\n    {rows}}};\n'
 
 
 def filled(template: str, facts: Mapping[str, Any]) -> str:

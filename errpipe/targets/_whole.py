@@ -45,7 +45,7 @@ class WholeTable(ReadBack):
     @classmethod
     def as_written(cls, target: type[Target], files: Mapping[str, str], data: bytes) -> WholeTable:
         """From the table's bytes. Raises VerifyError if the files are not those that the target writes of it."""
-        table, plain_files = ect.loads(data), target.bare(files)
+        table, plain_files = ect.loads(data), target.without_remarks(files)
         for name, text in target.write(table).items():
             expect(plain_files.get(name) == text, name, "is missing or was changed")
         return cls.of(table)

@@ -56,7 +56,8 @@ class BeckhoffCrosscomp(Target):
             # Whether another curve includes the constant part: only one curve of an axis may.
             rest = "beckhoff_ssfk" in others and axis in _sample.positions_of(table)
             masters = [o for o in _sample.positions_of(table) if o != axis and _sample.moves_with(table, axis, o)]
-            curves = [_curve(table, axis, over, relative=rest) for over in masters]
+            grids = {o: _sample.uniform(table, axis, o, MAX_NODES, ERROR_UM)[0].positions() for o in masters}
+            curves = [_sample.at_nodes(table, axis, over, x, relative=rest) for over, x in grids.items()]
             if curves:
                 largest = max(curves, key=lambda c: float(np.ptp(c.up + c.down)))
                 files[f"cross_{axis}_over_{largest.over}.lis"] = _text(axes, largest)
@@ -71,18 +72,12 @@ class BeckhoffCrosscomp(Target):
         return ReadBack(curves=tuple(_read(name, text) for name, text in sorted(files.items())))
 
 
-def _curve(table: CompensationTable, axis: str, over: str, *, relative: bool) -> Curve:
-    points, _ = _sample.uniform(table, axis, over, MAX_NODES, ERROR_UM)
-    return _sample.at_nodes(table, axis, over, points.positions(), relative=relative)
-
-
 def _text(axes: list[str], curve: Curve) -> str:
     lines = [f"# {CAUTION}", f"# {curve.axis} over {curve.over}"]
     lines += [f"kopf.achs_nr {axes.index(curve.axis) + 1}", f"kopf.log_achs_name {curve.axis}"]
     lines += ["kw.crosscomp.unit 1", f"kw.crosscomp.master_ax_nr {axes.index(curve.over) + 1}"]
     lines += [f"kw.crosscomp.last_index {curve.positions.size - 1}"]
-    mean = curve.mean
-    for n, (x, v) in enumerate(zip(curve.positions.tolist(), mean.tolist(), strict=True)):
+    for n, (x, v) in enumerate(zip(curve.positions.tolist(), curve.mean.tolist(), strict=True)):
         lines.append(f"kw.crosscomp.table[{n}].setpoint {round(x / TENTH_UM)}")
         lines.append(f"kw.crosscomp.table[{n}].correction {round(v / TENTH_UM)}")
     return "\n".join(lines) + "\n"

@@ -54,7 +54,19 @@ class BeckhoffSsfk(ScrewMap):
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
         start, second = (round(x / TENTH_UM) for x in curve.positions[:2].tolist())
-        return f"achskw{number}.lis", _text(number, curve.axis, start, second - start, curve)
+        facts = {
+            "kopf.achs_nr": number,
+            "kopf.log_achs_name": curve.axis,
+            "kw.ssfk.unit": 1,
+            "kw.ssfk.interval": second - start,
+            "kw.ssfk.kw_startpos": start,
+            "kw.ssfk.kw_nr_max": curve.positions.size,
+            "kw.ssfk.bilateral": 1,
+            "kw.ssfk.modulo": int(curve.turns),
+        }
+        for side, correction in (("pos", curve.up), ("neg", curve.down)):
+            facts |= {f"kw.ssfk.table[{n}].{side}": v for n, v in enumerate(tenths(correction))}
+        return f"achskw{number}.lis", "".join(f"{key:<30}{value}\n" for key, value in facts.items())
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
@@ -79,19 +91,3 @@ class BeckhoffSsfk(ScrewMap):
 def tenths(correction: np.ndarray) -> list[int]:
     """Corrections in mm as errors in whole tenths of a micrometre; ties are rounded to the even number."""
     return [round(-v / TENTH_UM) for v in correction.tolist()]
-
-
-def _text(number: int, axis: str, start: int, step: int, curve: Curve) -> str:
-    facts = {
-        "kopf.achs_nr": number,
-        "kopf.log_achs_name": axis,
-        "kw.ssfk.unit": 1,
-        "kw.ssfk.interval": step,
-        "kw.ssfk.kw_startpos": start,
-        "kw.ssfk.kw_nr_max": curve.positions.size,
-        "kw.ssfk.bilateral": 1,
-        "kw.ssfk.modulo": int(curve.turns),
-    }
-    rows = {f"kw.ssfk.table[{n}].pos": v for n, v in enumerate(tenths(curve.up))}
-    rows |= {f"kw.ssfk.table[{n}].neg": v for n, v in enumerate(tenths(curve.down))}
-    return "".join(f"{key:<30}{value}\n" for key, value in (facts | rows).items())

@@ -103,9 +103,9 @@ def component_values(table: CompensationTable, name: str, x: np.ndarray) -> dict
     total: dict[str, np.ndarray] = {}
     for side in (1.0, -1.0):
         order = x if side > 0 else x[::-1]
-        walk = np.r_[order[0] - side, order]
-        columns = {i: np.full(walk.size, v) for i, v in start.items()} | {name: walk}
-        replay = batch.evaluate(bare, columns, np.zeros(walk.size), np.zeros(walk.size, dtype=int))
+        path = np.r_[order[0] - side, order]
+        columns = {i: np.full(path.size, v) for i, v in start.items()} | {name: path}
+        replay = batch.evaluate(bare, columns, np.zeros(path.size), np.zeros(path.size, dtype=int))
         for component, values in replay.deviation.items():
             total[component] = total.get(component, 0.0) + values[1:][:: int(side)] / 2
     return total

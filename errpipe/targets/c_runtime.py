@@ -11,15 +11,12 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
-from importlib import resources
 
 from errpipe.domain.table import CompensationTable
 from errpipe.tables import ect
 from errpipe.targets._base import ReadBack, Target
-from errpipe.targets._text import plain
+from errpipe.targets._text import c_array, plain, source
 from errpipe.targets._whole import WholeTable
-
-_PER_LINE = 16  # bytes
 
 RUNTIME = ("ect.h", "ect.c", "ect_identity.h", "ect_identity.c")
 
@@ -47,10 +44,9 @@ class CRuntime(Target):
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
-        runtime = resources.files("errpipe.tables").joinpath("runtime")
-        files = {name: runtime.joinpath(name).read_text(encoding="utf-8") for name in RUNTIME}
-        data = ect.dumps(table)
-        return files | {"table.h": _header(table, data), "table.c": _source(data), "example.c": _example(table)}
+        files, data = {name: source("tables/runtime", name) for name in RUNTIME}, ect.dumps(table)
+        files |= {"table.h": _header(table, data), "table.c": c_array("table.h", "ect_table", data)}
+        return files | {"example.c": _example(table)}
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> ReadBack:
@@ -81,12 +77,6 @@ def _header(table: CompensationTable, data: bytes) -> str:
         + "\n".join(lines)
         + "\n\nextern const uint8_t ect_table[ECT_TABLE_SIZE];\n\n#endif\n"
     )
-
-
-def _source(data: bytes) -> str:
-    rows = [", ".join(map(str, data[k : k + _PER_LINE])) for k in range(0, len(data), _PER_LINE)]
-    body = ",\n    ".join(rows)
-    return f'#include "table.h"\n\nconst uint8_t ect_table[{len(data)}] = {{\n    {body}}};\n'
 
 
 def _example(table: CompensationTable) -> str:

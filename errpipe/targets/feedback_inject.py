@@ -15,20 +15,18 @@ Direction from the command (the HAL files feed the table from joint.N.pos-cmd). 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib import resources
 
 from errpipe.domain.table import CompensationTable
 from errpipe.tables import ect
 from errpipe.targets import _sample
 from errpipe.targets._base import HOMED_AT_ONCE, ReadBack, Target
-from errpipe.targets._text import filled, plain
+from errpipe.targets._text import c_array, filled, plain, source
 from errpipe.targets._whole import WholeTable
 
 COMPONENT, WIRING = "errpipe_inject.comp", "errpipe-inject.hal"
 TABLE, TABLE_HEADER = "inject_table.c", "inject_table.h"
 CORE = ("feedback_inject.h", "feedback_inject.c")
 MIN_LIMIT = 0.001  # mm (deg): of the largest correction that the component takes
-PER_LINE = 16  # bytes
 
 
 class FeedbackInject(Target):
@@ -58,27 +56,22 @@ class FeedbackInject(Target):
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
         by_axis = _sample.moved_axes(table, cls.name)
-        folder = resources.files("errpipe.targets").joinpath("inject")
         sums = [sum((o.magnitude or 0.0) * o.factor for o in outputs) for outputs in by_axis.values()]
-        header, source = (folder.joinpath(name).read_text(encoding="utf-8") for name in CORE)
+        header, core = (source("targets/inject", name) for name in CORE)
         facts = {
             "header": header,
-            "source": source.replace('#include "feedback_inject.h"\n', ""),
+            "source": core.replace('#include "feedback_inject.h"\n', ""),
             "most": f"{max(MIN_LIMIT, *sums):.6f}",
             "axes": [{"letter": axis.lower(), "number": n} for n, axis in enumerate(by_axis)],
             "crc": ect.fingerprint(table),
             "names": ",".join(f"errpipe-inject.{axis.lower()}" for axis in by_axis),
         }
-        files = dict(zip(CORE, (header, source), strict=True))
-        runtime = resources.files("errpipe.tables").joinpath("runtime")
-        files |= {name: runtime.joinpath(name).read_text(encoding="utf-8") for name in ("ect.h", "ect.c")}
+        files = dict(zip(CORE, (header, core), strict=True))
+        files |= {name: source("tables/runtime", name) for name in ("ect.h", "ect.c")}
         files[COMPONENT] = filled("errpipe-inject.comp.j2", facts)
         files[WIRING] = filled("errpipe-inject.hal.j2", facts)
         data = ect.dumps(table)
-        rows = [", ".join(map(str, data[k : k + PER_LINE])) for k in range(0, len(data), PER_LINE)]
-        files[TABLE] = f'#include "{TABLE_HEADER}"\n\nconst uint8_t inject_table[{len(data)}] = {{\n    ' + (
-            ",\n    ".join(rows) + "};\n"
-        )
+        files[TABLE] = c_array(TABLE_HEADER, "inject_table", data)
         files[TABLE_HEADER] = _header(table, len(data))
         return files
 

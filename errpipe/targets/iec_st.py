@@ -24,14 +24,13 @@ import uuid
 import zlib
 from collections.abc import Mapping
 from html import escape  # as xml.sax.saxutils has it, which imports an HTTP client
-from importlib import resources
 from typing import Any
 
 from errpipe.domain.table import CompensationTable
 from errpipe.tables import ect
 from errpipe.tables import layout as lay
 from errpipe.targets._base import ReadBack, Target, expect, found
-from errpipe.targets._text import plain
+from errpipe.targets._text import byte_rows, plain, source
 from errpipe.targets._whole import WholeTable
 
 TYPES = ("ECT_FILE", "ECT_INPUTS", "ECT_FRESH", "ECT_OUTPUTS", "ECT_TABLE")
@@ -114,7 +113,7 @@ def capacity_for(table: CompensationTable) -> dict[str, int]:
 
 def unit(name: str, capacity: Mapping[str, int]) -> str:
     """One type, function or function block as Structured Text, its arrays sized."""
-    text = resources.files("errpipe.targets").joinpath("st", f"{name}.st").read_text(encoding="utf-8")
+    text = source("targets/st", f"{name}.st")
     text = re.sub(r"^( *)@REALS p\+(\d+) (.*?)\{(.*?)\}(\[\w\])@$", _reals, text, flags=re.M)
     text = re.sub(r"@([48]) (?:(\w)\+)?(\d+)@", _bytes_at, text)
     return re.sub(r"@([A-Z]+)@", lambda m: str(capacity[m[1]]), text)
@@ -152,8 +151,7 @@ def _shown(table: CompensationTable) -> str:
 
 def _rows(data: bytes) -> str:
     """Only the bytes of this table: a PLC fills the rest with zeros, and FB_EctLoad takes nSize of them."""
-    rows = [", ".join(map(str, data[k : k + _BYTES_PER_LINE])) for k in range(0, len(data), _BYTES_PER_LINE)]
-    return ",\n        ".join(rows)
+    return byte_rows(data, _BYTES_PER_LINE, ",\n        ")
 
 
 def _data_unit(data: bytes, table: CompensationTable) -> str:
@@ -185,7 +183,7 @@ def _example(table: CompensationTable) -> str:
         for parts in arrays
         for number, part in enumerate(parts)
     )
-    text = resources.files("errpipe.targets").joinpath("st", "P_EctExample.st").read_text(encoding="utf-8")
+    text = source("targets/st", "P_EctExample.st")
     first = next((i for i in table.inputs if i.kind == "position"), table.inputs[0] if table.inputs else output)
     for mark, value in {
         "@names@": names,

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from importlib import resources
 from typing import Any
 
 from errpipe.domain import table as t
@@ -23,7 +22,7 @@ from errpipe.errors import GateError
 from errpipe.tables import ect
 from errpipe.targets import _sample
 from errpipe.targets._base import HOMED_AT_ONCE, ByHand, ReadBack, Target, expect, found
-from errpipe.targets._text import filled, plain
+from errpipe.targets._text import filled, plain, source
 from errpipe.targets._whole import WholeTable
 
 COMPONENT = "errpipe.comp"
@@ -204,12 +203,11 @@ def _work_area(table: t.CompensationTable) -> list[tuple[int, str]]:
 
 def _source(data: bytes) -> dict[str, Any]:
     """The runtime without its own include, and the table's bytes as C."""
-    folder = resources.files("errpipe.tables").joinpath("runtime")
-    header, source = (folder.joinpath(name).read_text(encoding="utf-8") for name in ("ect.h", "ect.c"))
+    header, runtime = (source("tables/runtime", name) for name in ("ect.h", "ect.c"))
     rows = [data[k : k + 20] for k in range(0, len(data), 20)]
     return {
         "header": header,
-        "source": source.replace('#include "ect.h"\n', ""),
+        "source": runtime.replace('#include "ect.h"\n', ""),
         "size": len(data),
         "bytes": "\n".join("    " + " ".join(f"0x{b:02x}," for b in row) for row in rows),
     }

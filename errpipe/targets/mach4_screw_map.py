@@ -33,19 +33,22 @@ class Mach4ScrewMap(ScrewMap):
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
-        numbers = (
-            f"start {c.positions[0]:g}, length {c.positions[-1] - c.positions[0]:g}, {c.positions.size} points"
-            for c in read.curves
-        )
         lines = (
-            ByHand(f"{c.axis}: {setting}, and each Error line of the file")
-            for c, setting in zip(read.curves, numbers, strict=True)
+            ByHand(
+                f"{c.axis}: start {c.positions[0]:g}, length {np.ptp(c.positions):g}, {c.positions.size} points, and "
+                "each Error line of the file"
+            )
+            for c in read.curves
         )
         return (*lines, *super().by_hand(table, read, others))
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
-        return f"screwmap_{curve.axis}.txt", _text(curve.axis, curve)
+        n, length, lines = curve.positions.size, float(np.ptp(curve.positions)), [f"# {CAUTION}"]
+        for side, values in (("+", curve.up), ("-", curve.down)):
+            lines += [f"[{curve.axis}{side}]", f"Start={curve.positions[0]:.6f}", f"Length={length:.6f}", f"Points={n}"]
+            lines += [f"Error{k}={v + 0.0:.6f}" for k, v in enumerate(values.tolist())]
+        return f"screwmap_{curve.axis}.txt", "\n".join([*lines, ""])
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
@@ -59,12 +62,3 @@ class Mach4ScrewMap(ScrewMap):
         expect(set(sides) == {"+", "-"}, name, "needs a map for each direction")
         x = float(facts["Start"]) + np.linspace(0.0, float(facts["Length"]), sides["+"].size)
         return Curve(axis, axis, x, sides["+"], sides["-"])
-
-
-def _text(axis: str, curve: Curve) -> str:
-    n, length = curve.positions.size, float(curve.positions[-1] - curve.positions[0])
-    lines = [f"# {CAUTION}"]
-    for side, values in (("+", curve.up), ("-", curve.down)):
-        lines += [f"[{axis}{side}]", f"Start={curve.positions[0]:.6f}", f"Length={length:.6f}", f"Points={n}"]
-        lines += [f"Error{k}={v + 0.0:.6f}" for k, v in enumerate(values.tolist())]
-    return "\n".join(lines) + "\n"

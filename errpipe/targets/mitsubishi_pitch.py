@@ -95,8 +95,7 @@ def _divided(table: CompensationTable, axis: str, step: float, max_points: int) 
 
 def _rises(at: np.ndarray, curve: Curve) -> list[int]:
     """What each point adds, half units; nothing at the reference point."""
-    zero = int(np.flatnonzero(at == 0)[0])
-    mean = curve.mean
+    zero, mean = int(np.flatnonzero(at == 0)[0]), curve.mean
     rise = np.diff(np.round((mean - mean[zero]) / UNIT).astype(int))
     return [*rise[:zero].tolist(), 0, *rise[zero:].tolist()]
 

@@ -130,7 +130,7 @@ class SinumerikCec(Target):
                 "pairs whose own values cancel: experimental, the manual\n"
                 ";   does not say whether tables that multiply add their own values too; enable all four or none\n"
             )
-            blocks += _four(len(blocks), axes, factors)
+            blocks += _cancelling_pairs(len(blocks), axes, factors)
         named = "".join(f"; AX{n} = {letter}\n" for n, letter in enumerate(axes, 1))
         sign = (
             "; sign: value = deviation, taken to move the axis by minus the value; not proved (CHECKLIST.md, step 3)\n"
@@ -197,7 +197,8 @@ def _products(table: CompensationTable) -> list[_Factors]:
 def _separated(table: CompensationTable, axis: str, over: tuple[str, str]) -> list[_Factors]:
     """The interaction of two axes, others in the middle, as the first products of its singular value decomposition."""
     n = PRODUCT_POINTS  # odd: its middle is where the curves over single axes are taken
-    grids = _sample.exact(_sample.even(table, over[0], n)), _sample.exact(_sample.even(table, over[1], n))
+    first, second = (_sample.exact(_sample.evenly_spaced(table, axis_over, n)) for axis_over in over)
+    grids = first, second
     plane = _sample.plane(table, axis, over, grids)
     centred = plane.values - plane.values[n // 2] - plane.values[:, n // 2][:, None] + plane.values[n // 2, n // 2]
     left, sizes, right = np.linalg.svd(centred)
@@ -214,7 +215,7 @@ def _separated(table: CompensationTable, axis: str, over: tuple[str, str]) -> li
     return out
 
 
-def _four(number: int, axes: list[str], factors: _Factors) -> list[str]:
+def _cancelling_pairs(number: int, axes: list[str], factors: _Factors) -> list[str]:
     """P times Q and -P times -Q, half of the error each."""
     half = np.sqrt(0.5)
     first, second = (half * v for v in factors.values)

@@ -59,7 +59,13 @@ class SinumerikLec(ScrewMap):
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:
-        return f"AX{number}_{curve.axis}_EEC.INI", _text(f"AX{number}", curve.positions, -curve.mean, curve.turns)
+        x, ax = curve.positions, f"AX{number}"
+        lines = [f"%_N_{ax}_EEC_INI", "CHANDATA(1)"]
+        lines += [f"$AA_ENC_COMP[0,{n},{ax}]={v + 0.0:.6f}" for n, v in enumerate(-curve.mean)]
+        facts = {"STEP": float(x[1] - x[0]), "MIN": float(x[0]), "MAX": float(x[-1])}
+        lines += [f"$AA_ENC_COMP_{key}[0,{ax}]={_sample.decimal(value)}" for key, value in facts.items()]
+        lines += [f"$AA_ENC_COMP_IS_MODULO[0,{ax}]={curve.turns:d}", "M17", ""]
+        return f"{ax}_{curve.axis}_EEC.INI", "\n".join(lines)
 
     @classmethod
     def curve_of(cls, name: str, text: str) -> Curve:
@@ -77,12 +83,3 @@ class SinumerikLec(ScrewMap):
             expect(value[0] == value[-1], name, "does not end on its first value, and repeats")
             return every_turn(curve)
         return curve
-
-
-def _text(machine_axis: str, positions: np.ndarray, values: np.ndarray, turns: bool) -> str:
-    lines = [f"%_N_{machine_axis}_EEC_INI", "CHANDATA(1)"]
-    lines += [f"$AA_ENC_COMP[0,{n},{machine_axis}]={v + 0.0:.6f}" for n, v in enumerate(values)]
-    step = float(positions[1] - positions[0])
-    facts = {"STEP": step, "MIN": float(positions[0]), "MAX": float(positions[-1])}
-    lines += [f"$AA_ENC_COMP_{key}[0,{machine_axis}]={_sample.decimal(value)}" for key, value in facts.items()]
-    return "\n".join([*lines, f"$AA_ENC_COMP_IS_MODULO[0,{machine_axis}]={turns:d}", "M17", ""])

@@ -68,8 +68,7 @@ class SmoothiePitch(ScrewMap):
 
 def _rows(curve: Curve) -> list[str]:
     """Multipliers at the nodes such that the trapezoid sums meet the curve at every node, as smooth as can be."""
-    x = curve.positions
-    mean = curve.mean
+    x, mean = curve.positions, curve.mean
     slope = np.gradient(mean, x)
     # The trapezoid rule of these slopes misses the curve by a little; one correction step takes that away.
     missed = np.diff(mean) - (slope[1:] + slope[:-1]) / 2 * np.diff(x)

@@ -13,8 +13,7 @@ import re
 
 import numpy as np
 
-from errpipe.errors import VerifyError
-from errpipe.targets._base import Curve, every_turn, expect
+from errpipe.targets._base import Curve, every_turn, expect, found
 from errpipe.targets._screw_map import ScrewMap
 
 RAMP = 1.0  # mm/s: 1 um/ms, as corrections of a table move at most (`tables/limits.py`)
@@ -49,9 +48,8 @@ class TwincatNcTable(ScrewMap):
         axis = name.split(".")[0].split("_")[-1]
         sides = []
         for side in SIDES:
-            match = re.search(rf"aCompensation{axis}{side} : ARRAY\[0\.\.(\d+)\].*?:= \[(.*?)\];", text, re.S)
-            if match is None:
-                raise VerifyError(f"{name}: has no array for {SIDES[side]}")
+            array = re.compile(rf"aCompensation{axis}{side} : ARRAY\[0\.\.(\d+)\].*?:= \[(.*?)\];", re.S)
+            match = found(array, text, name, f"has no array for {SIDES[side]}")
             rows = [(float(x), float(v)) for x, v in _ELEMENT.findall(match[2])]
             expect(len(rows) == int(match[1]) + 1, name, f"{len(rows)} elements in an array of {int(match[1]) + 1}")
             sides.append(np.array(rows))

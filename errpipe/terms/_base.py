@@ -95,7 +95,7 @@ class Term(Frozen, ABC):
     is_level: ClassVar[bool] = False  # the deviation where everything else is zero: never shrunk
     one_sensor: ClassVar[bool] = False  # a plain gain on the reading of one sensor
     in_part: ClassVar[Literal["anywhere", "runs", "never"]] = "anywhere"  # may it act on a part: of an axis, or in runs
-    only_located: ClassVar[bool] = False  # a diagnosis tries no binding but those of `located`
+    only_estimated: ClassVar[bool] = False  # a diagnosis tries no binding but those of `estimates`
     also_of_positioning: ClassVar[bool] = False  # a diagnosis of EYX tries it as of EXX: `as_positioning`
     on_both_axes: ClassVar[bool] = True  # does it act on both axes of a circular test alike?
     rowwise: ClassVar[bool] = False  # of a row's basis: that row's columns and what `drive` makes of them, nothing else
@@ -207,12 +207,12 @@ class Term(Frozen, ABC):
     @classmethod
     def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[Term]:
         """Bindings that a diagnosis tries; raw: the recording as it was read, before gaps were filled."""
-        if cls.only_located:
+        if cls.only_estimated:
             return iter(())
         return cls.bind(recording, as_positioning(component) if cls.also_of_positioning else component)
 
     @classmethod
-    def located(cls, recording: Recording, component: str, signals: Any) -> Iterator[tuple[Term, tuple[float, ...]]]:
+    def estimates(cls, recording: Recording, component: str, signals: Any) -> Iterator[tuple[Term, tuple[float, ...]]]:
         """Bindings whose non-linear values are read off the signals at once, where a grid of them would be too large.
 
         signals: see `_search.Signals`; the first one is the mismatch. Several orders of a wave, two time constants.

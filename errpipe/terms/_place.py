@@ -1,4 +1,4 @@
-"""Where a response lives: which axis it belongs to, and how an axis' own deviation shows in it.
+"""The place of a response: which axis it belongs to, and how an axis' own deviation shows in it.
 
 A positioning deviation (`EXX`) or a tool-point deviation (`E_X`) holds an axis' deviation in full; the
 radial deviation of a circular test (`E_R`) holds x/R of it, counted from the circle's centre.

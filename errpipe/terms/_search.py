@@ -19,7 +19,7 @@ from errpipe.drivers.sessions import sessions
 from errpipe.terms._base import Parameter, Search, Term
 from errpipe.terms._lines import periods
 
-Located = Iterator[tuple[Term, tuple[float, ...]]]  # bindings with their non-linear values, read off the signals
+Estimates = Iterator[tuple[Term, tuple[float, ...]]]  # bindings with non-linear values estimated from signals
 STEPS = 9  # points of a refinement, the best one in their middle
 RATIO = 1.6  # from value to value of a scale within its typical range; neighbours overlap within half of that
 COARSE_RATIO = 2.5  # and outside of it
@@ -28,7 +28,7 @@ TYPICAL_WIDTH = 5.0  # factor beyond the typical range that counts as one standa
 
 @dataclass(frozen=True)
 class Signals:
-    """Signals in which values are located, on the judged rows (indices into the recording); the mismatch comes first.
+    """Signals from which values are estimated, on the judged rows (indices into the recording); the mismatch first.
 
     values: with the axes' speeds and accelerations projected out; motion: orthonormal columns of these (rows, k).
     """
@@ -226,7 +226,7 @@ class Widths(Listed):
 
 @dataclass(frozen=True)
 class Resonances(Listed):
-    """A natural frequency, located by the term; from three turns in the longest session to a fifth of the rate."""
+    """A natural frequency; estimated by the term; from three turns in the longest session to a fifth of the rate."""
 
     reach: float = 0.04
 
@@ -238,7 +238,7 @@ class Resonances(Listed):
 
 @dataclass(frozen=True)
 class Delays(Listed):
-    """A delay, located by the term; refined from a hundredth of a sampling step to ten of them."""
+    """A delay; estimated by the term; refined from a hundredth of a sampling step to ten of them."""
 
     reach: float = 10.0
 

@@ -38,7 +38,7 @@ class ClockOffset(Term):
     shortest: float = quantity("s", "Smallest usual shift.", 10.0)
     longest: float = quantity("s", "Largest shift that is tried.", 600.0)
     family = "measurement"
-    only_located = True
+    only_estimated = True
     compensable = False
     artefact = "the clocks of recording and simulation differ: set them right"
     simulated_log_odds = NEVER
@@ -46,7 +46,7 @@ class ClockOffset(Term):
     gain_sd = 0.15  # the difference of the shifted signals enters with gain 1
     in_part = "never"
     gains = (Parameter("share", "1", (0.8, 1.2), (0.0, 2.0), "1 where the shift explains it in full"),)
-    prior_log_odds = -0.5  # shared among the located one and the grid: somewhat likelier than a dead time of the signal
+    prior_log_odds = -0.5  # shared among the estimated one and the grid: a little likelier than a dead time
 
     def nonlinear(self) -> tuple[Parameter, ...]:
         typical, bounds = (self.shortest, self.longest), (-self.longest, self.longest)
@@ -64,7 +64,7 @@ class ClockOffset(Term):
                 yield cls(column=column, shortest=max(USUAL * step, LATE), longest=longest)
 
     @classmethod
-    def located(
+    def estimates(
         cls, recording: Recording, component: str, signals: Signals
     ) -> Iterator[tuple[ClockOffset, tuple[float, ...]]]:
         """The offset with the smallest residual, and a coarse grid: gains of parts are not known yet."""

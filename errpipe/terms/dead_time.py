@@ -15,7 +15,7 @@ from errpipe.terms._base import NEVER, Example, Parameter, Term
 from errpipe.terms._example import rows, worked
 from errpipe.terms._late import shift_of
 from errpipe.terms._place import axes_acting, is_radial
-from errpipe.terms._search import Delays, Located, Signals, resolved_times
+from errpipe.terms._search import Delays, Estimates, Signals, resolved_times
 
 MAX_SAMPLE_INTERVAL = 0.1  # s; what comes late in slower logs has another clock: see `clock_offset`
 MIN_STEPS, MAX_STEPS = 0.02, 60.0  # sampling steps
@@ -35,7 +35,7 @@ class DeadTime(Term):
     column: str | None = Field(None, description="Column of the simulated signal that comes late.")
     axis: str | None = Field(None, description="Axis whose position comes late.")
     family = "servo"
-    only_located = True
+    only_estimated = True
     compensable = False
     simulated_log_odds = NEVER
     nuisance = False
@@ -58,7 +58,7 @@ class DeadTime(Term):
             yield cls(axis=axis)
 
     @classmethod
-    def located(cls, recording: Recording, component: str, signals: Signals) -> Located:
+    def estimates(cls, recording: Recording, component: str, signals: Signals) -> Estimates:
         """The delay that reduces the mismatch most; an early signal has another clock."""
         step, _ = resolved_times(recording)
         for term in cls.bind(recording, component):
@@ -80,7 +80,7 @@ class DeadTime(Term):
         return (self._late(delay, parameters["share"]),) if delay > 0 else None  # no simulation anticipates
 
     def log_prior_odds(self) -> float:
-        """Its delay is located without a grid, so that this holds its price; axes mostly lag in proportion to speed."""
+        """The price of its delay, estimated without a grid, is included; axes mostly lag in proportion to speed."""
         return -8.0 if self.axis else -4.0
 
     @classmethod

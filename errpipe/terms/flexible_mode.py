@@ -19,7 +19,7 @@ from errpipe.terms._drivers import scaled
 from errpipe.terms._example import rows, worked
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import axes_acting, is_radial
-from errpipe.terms._search import Listed, Located, Resonances, Signals, resolved_times
+from errpipe.terms._search import Estimates, Listed, Resonances, Signals, resolved_times
 from errpipe.terms._slack import Slack
 
 MAX_SAMPLE_INTERVAL = 0.1  # s; structures vibrate at some Hz and more
@@ -48,7 +48,7 @@ class FlexibleMode(Term):
     on_force: bool = Field(False, description="The response is a drive force.")
     ringing: bool = Field(False, description="The simulation holds the static part: only what rings is missing.")
     family = "servo"
-    only_located = True
+    only_estimated = True
     compensable = False
     simulated_log_odds = NEVER
     in_part = "never"
@@ -75,7 +75,7 @@ class FlexibleMode(Term):
                     yield cls(axis=axis, column=column, on_force=on_force, ringing=ringing)
 
     @classmethod
-    def located(cls, recording: Recording, component: str, signals: Signals) -> Located:
+    def estimates(cls, recording: Recording, component: str, signals: Signals) -> Estimates:
         """The resonances that explain most of the mismatch, at several dampings."""
         for term in cls.bind(recording, component):
             if np.isfinite(recording.array(term.column)).all() and signals.values:
@@ -114,7 +114,7 @@ class FlexibleMode(Term):
         return out
 
     def _best(self, recording: Recording, signals: Signals, frequency: float) -> tuple[float, float]:
-        """Frequency and damping near a located frequency that explain the mismatch best."""
+        """Frequency and damping near an estimated frequency that explain the mismatch best."""
         from scipy.optimize import minimize
 
         def loss(at: np.ndarray) -> float:

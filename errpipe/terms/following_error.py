@@ -18,7 +18,7 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._drivers import scaled
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import axes_acting, is_radial
-from errpipe.terms._search import Located, Signals, resolved_times
+from errpipe.terms._search import Estimates, Signals, resolved_times
 
 MAX_SAMPLE_INTERVAL = 0.1  # s; of slower logs rows show a loop that has settled
 
@@ -48,7 +48,7 @@ class FollowingError(Term):
         return (Parameter("settling", "s", (0.001, 0.1), (1e-6, 10.0), "time constant of the loop"),)
 
     def log_prior_odds(self) -> float:
-        return -4.0 if self.settles else 0.0  # its time constant is located, which the grid does not pay for
+        return -4.0 if self.settles else 0.0  # its time constant is estimated, which the grid does not pay for
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[FollowingError]:
@@ -57,7 +57,7 @@ class FollowingError(Term):
                 yield cls(axis=axis, column=column)
 
     @classmethod
-    def located(cls, recording: Recording, component: str, signals: Signals) -> Located:
+    def estimates(cls, recording: Recording, component: str, signals: Signals) -> Estimates:
         """In fast logs the loop's time constant that best explains the mismatch, together with a datum."""
         from scipy.optimize import minimize_scalar
 

@@ -14,7 +14,7 @@ from errpipe.terms import _orders as waves
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis, Radial
 from errpipe.terms._place import as_positioning, axes_acting, drive_periods, is_radial
-from errpipe.terms._search import Located, Signals, Waves, of_encoder
+from errpipe.terms._search import Estimates, Signals, Waves, of_encoder
 from errpipe.terms._slack import Slack
 
 
@@ -54,7 +54,7 @@ class PitchCyclic(Term):
             yield cls(axis=axis, radial=radial)
 
     @classmethod
-    def located(cls, recording: Recording, component: str, signals: Signals) -> Located:
+    def estimates(cls, recording: Recording, component: str, signals: Signals) -> Estimates:
         """Several orders of one wave, as the mismatch shows them."""
         for axis in () if is_radial(component) else axes_acting(recording, as_positioning(component)):
             stated = drive_periods(recording.manifest.axis(axis))

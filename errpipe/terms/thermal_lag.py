@@ -18,7 +18,7 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._drivers import REFERENCE, rise_driver, scaled, sensors
 from errpipe.terms._fields import Reference, Sensor
 from errpipe.terms._place import is_radial, linear_axes_acting
-from errpipe.terms._search import Located, Signals, Times, geometric
+from errpipe.terms._search import Estimates, Signals, Times, geometric
 from errpipe.terms._slack import Slack, start_states
 
 TRIAL_RATIO, MIN_RATIO = 1.5, 3.0  # between trial time constants; factor between the two of one sensor
@@ -89,7 +89,7 @@ class ThermalLag(Term):
         return -3.0 if self.two_stages else 0.0
 
     @classmethod
-    def located(cls, recording: Recording, component: str, signals: Signals) -> Located:
+    def estimates(cls, recording: Recording, component: str, signals: Signals) -> Estimates:
         """For each sensor the time constant, and the two a factor of three or more apart, that explain most."""
         low, high = Times().limits(cls, recording)
         if not (is_deviation(component) and signals.values and recording.name("time") and high > 9 * low):

@@ -14,7 +14,7 @@ from errpipe.terms import _orders as waves
 from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
 from errpipe.terms._place import drive_periods, driven_axes, pole_periods
-from errpipe.terms._search import Located, Signals, Waves
+from errpipe.terms._search import Estimates, Signals, Waves
 from errpipe.terms._slack import Slack
 
 
@@ -47,7 +47,7 @@ class TorqueRipple(Term):
             yield cls(axis=axis)
 
     @classmethod
-    def located(cls, recording: Recording, component: str, signals: Signals) -> Located:
+    def estimates(cls, recording: Recording, component: str, signals: Signals) -> Estimates:
         """Several orders of one wave, as the mismatch shows them."""
         for axis in driven_axes(recording, component):
             for period, orders, known in waves.seen(recording, axis, signals, stated(recording, axis)):

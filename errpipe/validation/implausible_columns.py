@@ -9,7 +9,7 @@ import numpy as np
 
 from errpipe.domain import components
 from errpipe.domain.recording import Recording
-from errpipe.validation import odd_runs
+from errpipe.validation import outlying_runs
 from errpipe.validation.plausibility_finding import Finding
 
 MIN_MOVES = 10  # steps or rows; with fewer a check reports nothing
@@ -319,7 +319,7 @@ def sensors_of_some_runs(recording: Recording) -> Iterator[Finding]:
     run = recording.run_codes()
     order = list(dict.fromkeys(run.tolist()))
     for share in REFERENCE:
-        odd = odd_runs.odd_from_there_on(recording, np.isin(run, order[: int(share * len(order))]))
+        odd = outlying_runs.outliers_from_there_on(recording, np.isin(run, order[: int(share * len(order))]))
         if not odd:
             continue
         names, labels = odd[0].what.split(" and "), {o.run for o in odd}

@@ -106,10 +106,8 @@ def _circle(recording, label, plane, first, second, value, rows) -> Circle:
     turned = np.unwrap(angle)
     sense = 1 if turned[-1] >= turned[0] else -1
     radius = float(np.hypot(first, second).mean())
-    speed = None
     feed = recording.name("feed")
-    if feed is not None:
-        speed = float(np.nanmean(recording.array(feed)[rows])) / 60.0
+    speed = None if feed is None else float(np.nanmean(recording.array(feed)[rows])) / 60.0
     return Circle(label, plane, sense, angle, value, radius, speed)
 
 

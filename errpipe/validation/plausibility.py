@@ -14,14 +14,10 @@ import numpy as np
 
 from errpipe.domain.recording import Recording
 from errpipe.errors import GateError
-from errpipe.validation import implausible_columns, implausible_deviations, implausible_groups, implausible_reversal
+from errpipe.validation import implausible_columns, implausible_deviations, implausible_groups
 from errpipe.validation.plausibility_finding import MIN_FINITE_ROWS, Finding, responses
 
-RESPONSE_CHECKS = (
-    *implausible_deviations.CHECKS,
-    implausible_reversal.reversal_of_the_other_sign,
-    *implausible_groups.CHECKS,
-)
+RESPONSE_CHECKS = (*implausible_deviations.CHECKS, *implausible_groups.CHECKS)
 
 
 def findings(recording: Recording) -> list[Finding]:

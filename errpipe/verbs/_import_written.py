@@ -10,13 +10,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from errpipe import jsonfile
+from errpipe.domain import manifest_text
 from errpipe.domain.recording import Manifest
-from errpipe.errors import DataError, ErrpipeError, UsageError
+from errpipe.errors import DataError, ErrpipeError, UsageError, first_problem
 from errpipe.formats import manifest_folder
 from errpipe.importing import signs
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
-from errpipe.verbs import _as_written
 
 TABLE = "recording.csv"
 DIGITS = 12  # of a number in the table: more than any instrument has
@@ -33,8 +35,8 @@ def write(
     if Path(folder).exists() and not Path(folder).is_dir():
         raise UsageError(f"{folder}: is a file (a folder for the recording is needed)")
     manifest = manifest_of(proposal, options, files)
-    table, text = _csv(proposal), _commented(manifest_folder.manifest_text(manifest), proposal)
-    parts = {TABLE: table, manifest_folder.MANIFEST: _as_written.marked(text, table)}
+    table, text = _csv(proposal), _commented(manifest_text.manifest_text(manifest), proposal)
+    parts = {TABLE: table, manifest_folder.MANIFEST: manifest_text.marked(text, table)}
     if not overwrite:
         _refuse_changed(Path(folder), parts)
     with tempfile.TemporaryDirectory(prefix="errpipe-") as trial:
@@ -79,7 +81,7 @@ def _refuse_changed(folder: Path, parts: dict[str, str]) -> None:
     texts = {name: file.read_text("utf-8", errors="replace") for name, file in there.items()}
     if not there or texts == parts:
         return
-    if not _as_written.as_written(texts.get(manifest_folder.MANIFEST, ""), texts.get(TABLE, "")):
+    if not manifest_text.is_unchanged(texts.get(manifest_folder.MANIFEST, ""), texts.get(TABLE, "")):
         raise UsageError(
             f"{', '.join(map(str, there.values()))}: changed since it was imported, or not written by an import: "
             "nothing was written. Name another folder with --out, or use --overwrite to replace these files"
@@ -102,9 +104,8 @@ def manifest_of(proposal: Proposal, options: ImportOptions, files: Sequence[Path
     document |= {"constants": {name: {"value": text} for name, text in facts.items()}, "columns": columns}
     try:
         return Manifest.model_validate(document)
-    except ValueError as err:
-        first = err.errors()[0] if hasattr(err, "errors") else {"loc": (), "msg": str(err)}
-        raise UsageError(f"import: {'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+    except ValidationError as err:
+        raise UsageError(f"import: {first_problem(err)}") from None
 
 
 def _csv(proposal: Proposal) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -13,6 +12,7 @@ import numpy as np
 
 from errpipe import yamlfile
 from errpipe.cleaning import clean
+from errpipe.domain.manifest_text import flow, scalar
 from errpipe.errors import DataError
 from errpipe.fitting import holdout
 from errpipe.fitting.statistics import student_tail
@@ -58,7 +58,7 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
         with suppress(DataError):  # no candidate is a sensor that cleaning excludes
             cleaned = clean(recording)[0]
     sensors = moving(cleaned) if cleaned is not None else []
-    filled = [line.replace(WARM, as_word(name)) for line in candidates for name in sensors]
+    filled = [line.replace(WARM, scalar(name)) for line in candidates for name in sensors]
     steps: list[tuple[int, ...]] = [(k,) for k in range(len(filled))]
     steps += [tuple(range(k, len(filled), len(sensors))) for k in range(len(sensors))]  # all terms of one sensor
     scheme = scheme_of(cleaned) if cleaned is not None and filled else None
@@ -85,18 +85,8 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
         return written(()), []
     what = holdout.name(heat.scheme)
     why = f"terms of heat: {what} leaves {heat.after:.3g} um with them, {heat.before:.3g} um without temperatures"
-    said = f"{_flow(heat.scheme)}   # {why}"
+    said = f"{flow(heat.scheme.model_dump(exclude_defaults=True))}   # {why}"
     return re.sub(r"(?m)^( +holdout: ).*", lambda found: found[1] + said, written(heat.terms)), [why]
-
-
-def as_word(name: str) -> str:
-    """A column's name as written in YAML."""
-    return name if name.isidentifier() else json.dumps(name, ensure_ascii=False)
-
-
-def _flow(scheme: HoldOut) -> str:
-    said = scheme.model_dump(exclude_defaults=True)
-    return "{" + ", ".join(f"{key}: {as_word(v) if key == 'of' else v}" for key, v in said.items()) + "}"
 
 
 def moving(recording: Recording) -> list[str]:

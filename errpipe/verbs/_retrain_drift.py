@@ -13,7 +13,7 @@ from errpipe.domain.operations import LARGEST_NUMBER
 from errpipe.domain.recording import Recording
 from errpipe.errors import VerifyError
 from errpipe.fitting.components import evaluate
-from errpipe.validation import input_drift, odd_runs, response_drift, retraining
+from errpipe.validation import input_drift, outlying_runs, response_drift, retraining
 from errpipe.validation.what_changed import changed_again, what_changed
 
 MIN_SLOPE = 1.0  # 1/K2: a run tells a sensor's error to 1 K (a standard error of 1/sqrt(slope)), or does not count
@@ -39,8 +39,8 @@ def silent(model: ErrorModel, recording: Recording) -> dict[str, list[str]]:
     """Column that a model reads -> labels of the runs in which it holds no reading; only such columns."""
     run, labels, out = recording.run_codes(), recording.run_labels(), {}
     for name in (n for n in model.columns if n in recording.frame and recording.manifest.columns[n].unit):
-        heard = set(run[np.isfinite(recording.array(name))].tolist())
-        if runs := [label for code, label in enumerate(labels) if code not in heard]:
+        with_reading = set(run[np.isfinite(recording.array(name))].tolist())
+        if runs := [label for code, label in enumerate(labels) if code not in with_reading]:
             out[name] = runs
     return out
 
@@ -52,12 +52,14 @@ def drift(model: ErrorModel, old: Recording, recording: Recording, known: frozen
     """
     both, reference = with_new_runs(old, recording, known)
     if both is not None:  # no prediction where a sensor is silent: the residual there is no change of the machine
-        unheard = {label for runs in silent(model, both).values() for label in runs}
-        heard = ~np.isin(np.asarray(both.run_labels())[both.run_codes()], list(unheard))
-        both, reference = (both.take(heard), reference[heard]) if (heard & ~reference).any() else (None, reference)
+        lacking = {label for runs in silent(model, both).values() for label in runs}
+        complete = ~np.isin(np.asarray(both.run_labels())[both.run_codes()], list(lacking))
+        both, reference = (
+            (both.take(complete), reference[complete]) if (complete & ~reference).any() else (None, reference)
+        )
     if both is None:
         return {"inputs": [], "residuals": [], "sizes": [], "rms": [], "changes": [], "runs": []}
-    odd, lone = _odd_runs(model, both, reference)
+    odd, lone = _outlying_runs(model, both, reference)
     labels = np.asarray(both.run_labels())[both.run_codes()]
     sound = ~np.isin(labels, lone)
     both, reference = both.take(sound), reference[sound]
@@ -74,14 +76,14 @@ def drift(model: ErrorModel, old: Recording, recording: Recording, known: frozen
     return {"inputs": sensors, **moved, "changes": changes, "runs": odd}
 
 
-def _odd_runs(model: ErrorModel, both: Recording, reference: np.ndarray) -> tuple[list[dict[str, Any]], list[str]]:
+def _outlying_runs(model: ErrorModel, both: Recording, reference: np.ndarray) -> tuple[list[dict[str, Any]], list[str]]:
     """New runs that are outliers, and the labels of those that are no evidence of a lasting change.
 
     Deviations that are outliers up to the last run are a lasting change: these stay; runs with wrong sensors do not.
     """
-    sensors = odd_runs.odd_sensors(both, reference)
+    sensors = outlying_runs.outliers_of_sensors(both, reference)
     wrong = [o.run for o in sensors]
-    responses = odd_runs.odd_responses(both, reference, predictions(model, both), wrong)
+    responses = outlying_runs.outliers_of_responses(both, reference, predictions(model, both), wrong)
     last = both.run_labels()[-1]
     lasting = {(o.what, o.says) for o in responses if o.run == last}
     lone = [o for o in responses if (o.what, o.says) not in lasting]

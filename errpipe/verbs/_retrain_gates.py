@@ -34,7 +34,7 @@ def responses(drift: Mapping[str, Any]) -> Iterator[Gate]:
         yield Gate(f"readings of {d['component']}", False, says)
 
 
-def odd_runs(drift: Mapping[str, Any]) -> Iterator[Gate]:
+def outlying_runs(drift: Mapping[str, Any]) -> Iterator[Gate]:
     """No promotion of a challenger fitted on single runs whose readings are known to be wrong."""
     runs: dict[tuple[str, str], list[str]] = {}
     for odd in (o for o in drift["runs"] if o["wrong"]):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape  # xml.sax.saxutils, with the same, imports an HTTP client
 from pathlib import Path
 from typing import Any
@@ -34,14 +34,9 @@ def write_failure(title: str, why: str, out: Path) -> None:
     for page in (MARKDOWN, JUNIT, GITLAB, FIGURE):
         (out / page).unlink(missing_ok=True)
     heading = f"# {plain_text(title or 'Retraining')}: not judged"
+    case = f'  <testcase classname="retrain" name="judged"><error message="{escape(why)}"/></testcase>'
     jsonfile.write_text(out / MARKDOWN, f"{heading}\n\n{plain_text(why)}\n\nThe champion is kept.\n")
-    lines = [
-        '<?xml version="1.0" encoding="UTF-8"?>',
-        '<testsuite name="errpipe retrain" tests="1" failures="0" errors="1" skipped="0">',
-        f'  <testcase classname="retrain" name="judged"><error message="{escape(why)}"/></testcase>',
-        "</testsuite>",
-    ]
-    jsonfile.write_text(out / JUNIT, "\n".join(lines) + "\n")
+    jsonfile.write_text(out / JUNIT, _test_suite({"tests": 1, "failures": 0, "errors": 1, "skipped": 0}, [case]))
     jsonfile.write(out / GITLAB, [_quality("not judged", why, "blocker")])
 
 
@@ -153,16 +148,20 @@ def junit(document: Mapping[str, Any]) -> str:
     gates = document["gates"]
     waiting = sum(_waits(g) for g in gates)
     failed = sum(not g["passed"] for g in gates) - waiting
-    lines = [
-        '<?xml version="1.0" encoding="UTF-8"?>',
-        f'<testsuite name="errpipe retrain" tests="{len(gates)}" failures="{failed}" errors="0" skipped="{waiting}">',
-    ]
+    lines = []
     for gate in gates:
         name, says, kind = escape(gate["name"]), escape(gate["says"]), "skipped" if _waits(gate) else "failure"
         lines.append(f'  <testcase classname="retrain" name="{name}">')
         lines += [] if gate["passed"] else [f'    <{kind} message="{says}">{says}</{kind}>']
         lines.append("  </testcase>")
-    return "\n".join([*lines, "</testsuite>"]) + "\n"
+    return _test_suite({"tests": len(gates), "failures": failed, "errors": 0, "skipped": waiting}, lines)
+
+
+def _test_suite(counts: Mapping[str, int], cases: Sequence[str]) -> str:
+    """JUnit XML of test cases."""
+    attributes = "".join(f' {name}="{count}"' for name, count in counts.items())
+    head = f'<?xml version="1.0" encoding="UTF-8"?>\n<testsuite name="errpipe retrain"{attributes}>'
+    return "\n".join([head, *cases, "</testsuite>", ""])
 
 
 def _waits(gate: Mapping[str, Any]) -> bool:

@@ -39,17 +39,17 @@ def terms(name: str) -> dict[str, Any]:
 
 
 def formats(name: str) -> dict[str, Any]:
-    """Every format with a door of its own, and every kind of file that `errpipe import` opens."""
+    """Every format with a reader of its own, and every kind of file that `errpipe import` opens."""
     from errpipe.formats import FORMATS
-    from errpipe.importing.doors import DOORS
     from errpipe.importing.other_tests import TESTS
+    from errpipe.importing.readers import READERS
     from errpipe.verbs import reference
 
     if name:
         return {"format": name, "says": [reference.entry("formats", name).rstrip()]}
     rows = [{"format": f.name, "how": "ingest", "about": _first_line(f.__doc__)} for f in FORMATS]
     rows += [{"format": name, "how": "identify", "about": what} for name, _, what, _ in TESTS]
-    rows += [{"format": d.name, "how": "import", "about": _first_line(d.__doc__)} for d in DOORS]
+    rows += [{"format": d.name, "how": "import", "about": _first_line(d.__doc__)} for d in READERS]
     lines = []
     for how, heading in HEADINGS.items():
         lines += [heading, *(f"  {r['format']:<20} {r['about']}" for r in rows if r["how"] == how)]

@@ -106,12 +106,12 @@ def _tables(old: Path, new: Path) -> Comparison:
     before, after = _artefacts.read_table(old), _artefacts.read_table(new)
     out = Comparison("table")
     _settings(out, before, after)
-    _warned(out, before, after)
+    _sign_warning(out, before, after)
     _fields(out, changes.of_table(before), changes.of_table(after))
     return out
 
 
-def _warned(out: Comparison, *sides: CompensationTable | ErrorModel) -> None:
+def _sign_warning(out: Comparison, *sides: CompensationTable | ErrorModel) -> None:
     """Which side holds for readings of an assumed sign: the difference of two is then no evidence for either."""
     assumed = [
         _artefacts.SIGN_ASSUMED in s.title or (isinstance(s, ErrorModel) and _artefacts.sign_noted(s)) for s in sides
@@ -144,7 +144,7 @@ def _models(old: Path, new: Path) -> Comparison:
     out = Comparison("model")
     if isinstance(before, ErrorModel) and isinstance(after, ErrorModel):
         _parameters(out, before, after)
-    _warned(out, before, after)
+    _sign_warning(out, before, after)
     seen: list[Compensation] = [
         changes.of_model(side) if isinstance(side, ErrorModel) else changes.of_table(by_component(side))
         for side in (before, after)

@@ -26,11 +26,25 @@ MOVED = ("X", "Y", "Z")
 CHUNK = 1_000_000  # bytes of the program read at a time
 MAX_PRINTED_BYTES = 8_000_000  # of a program that goes to standard output
 MAX_OVERRUN = 1.0  # mm; a program may overrun the ends of what was measured by so much without a remark
-# Surface speed, its largest rpm, a tool with its offset as Fanuc's lathes call it
-_TURNING = re.compile(r"G(?:96(?!\d)|(?:50|92)[ \t]*S[ \t]*\d+)|T(?:0\d(?!00)\d\d|1([0-6])1\1)(?!\d)", re.IGNORECASE)
-_WHOLE = re.compile(r"[XYZIJKR][ \t]*[+-]?0*[1-9]\d*(?![\d.])", re.IGNORECASE | re.ASCII)
 _LENGTH = re.compile(r"[XYZ][ \t]*[+-]?[\d.]*[1-9]", re.IGNORECASE | re.ASCII)
-_ROTARY = re.compile(r"[ABC][ \t]*[+-]?\.?\d+", re.IGNORECASE | re.ASCII)
+_WORDS = {  # key of the result -> a word of a program, and what it leaves open
+    "whole_numbers": (  # 0 is the same in every unit
+        re.compile(r"[XYZIJKR][ \t]*[+-]?0*[1-9]\d*(?![\d.])", re.IGNORECASE | re.ASCII),
+        "has no decimal point and is taken as a whole length, as LinuxCNC does: a control that counts it in least "
+        "increments (Fanuc 3401#0 DPI = 0) would go 1000 times further by the corrected program",
+    ),
+    "diameters": (  # surface speed, its largest rpm, a tool with its offset as Fanuc's lathes call it
+        re.compile(r"G(?:96(?!\d)|(?:50|92)[ \t]*S[ \t]*\d+)|T(?:0\d(?!00)\d\d|1([0-6])1\1)(?!\d)", re.IGNORECASE),
+        "is a lathe's, and X was taken as a radius and no tool offset but that of G43, as LinuxCNC does: where the "
+        "control counts X in diameters (Fanuc 1006#3 DIA, Siemens DIAMON), do not use the corrected program; if T sets "
+        "an offset, the correction is evaluated at a position wrong by that offset",
+    ),
+    "rotary": (
+        re.compile(r"[ABC][ \t]*[+-]?\.?\d+", re.IGNORECASE | re.ASCII),
+        "is taken as of an axis that counts on, and not corrected: where the sign of an angle says which way round "
+        "(LinuxCNC WRAPPED_ROTARY, Fanuc 1008#1 RAB = 1), do not use the corrected program",
+    ),
+}
 _MODAL_STATES = (
     (re.compile(r"G0*2[01](?![\d.])", re.IGNORECASE), "G20 or G21 (taken as mm)"),
     (re.compile(r"G0*9[01](?![\d.])", re.IGNORECASE), "G90 or G91 (taken as absolute)"),
@@ -64,7 +78,7 @@ def correct(
     compensation_table = _artefacts.read_table(table)
     readings = readings_of(compensation_table, at)
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    deviation = _watched(deviation_of(compensation_table, readings), low, high)
+    deviation = _with_extent(deviation_of(compensation_table, readings), low, high)
     setup = setup_of(offsets, tools, start)
 
     def rewritten(write: Callable[[bytes], object]) -> Summary:
@@ -108,15 +122,9 @@ def _remarks(table: CompensationTable, offsets: Sequence[str], beginning: str) -
         result["not_corrected"] = f"{', '.join(left)}: programs are corrected in X, Y and Z only"
     if not any(option.startswith("G54=") for option in offsets):
         result["offsets"] = "no --offset of G54 was given: G54 is taken as 0,0,0, machine coordinates"
-    if missing := unsaid(beginning):
+    if missing := unset_modal_states(beginning):
         result["taken_as"] = missing
-    if whole := whole_numbers(beginning):
-        result["whole_numbers"] = whole
-    if turned := diameters(beginning):
-        result["diameters"] = turned
-    if rotary := rotary_words(beginning):
-        result["rotary"] = rotary
-    return result
+    return result | remarks_on_words(beginning)
 
 
 def chunks_of(program: Path) -> Iterator[bytes]:
@@ -185,40 +193,18 @@ def _corrected_once(chunks: Iterator[bytes]) -> Iterator[bytes]:
         yield chunk
 
 
-def whole_numbers(text: str) -> str:
-    """The first length without a decimal point, in words; '' if there is none. 0 is the same in every unit."""
-    number, word = _first_match(_WHOLE, text)
-    return word and (
-        f"line {number}: {word} has no decimal point and is taken as a whole length, as LinuxCNC does: a control that "
-        "counts it in least increments (Fanuc 3401#0 DPI = 0) would go 1000 times further by the corrected program"
-    )
+def remarks_on_words(text: str) -> dict[str, str]:
+    """What the first word of a program with a length as a whole number, of turning, of a rotary axis leaves open."""
+    first = {key: (*_first_match(pattern, text), what) for key, (pattern, what) in _WORDS.items()}
+    return {key: f"line {number}: {word} {what}" for key, (number, word, what) in first.items() if word}
 
 
-def unsaid(text: str) -> str:
+def unset_modal_states(text: str) -> str:
     """Modal states that a program does not set and its control's start state decides; '' if it sets all."""
     number, word = _first_match(_LENGTH, text)
     above = "\n".join(_COMMENT.sub("", line) for line in text.splitlines()[:number])
     missing = [missing_word for pattern, missing_word in _MODAL_STATES if not pattern.search(above)]
     return "" if not word or not missing else f"line {number}: {word} comes before any {' and any '.join(missing)}"
-
-
-def diameters(text: str) -> str:
-    """The first word of a turning program, whose X may be a diameter, in words; '' if there is none."""
-    number, word = _first_match(_TURNING, text)
-    return word and (
-        f"line {number}: {word} is a lathe's, and X was taken as a radius and no tool offset but that of G43, as "
-        "LinuxCNC does: where the control counts X in diameters (Fanuc 1006#3 DIA, Siemens DIAMON), do not use the "
-        "corrected program; if T sets an offset, the correction is evaluated at a position wrong by that offset"
-    )
-
-
-def rotary_words(text: str) -> str:
-    """The first word of a rotary axis, in words; '' if there is none."""
-    number, word = _first_match(_ROTARY, text)
-    return word and (
-        f"line {number}: {word} is taken as of an axis that counts on, and not corrected: where the sign of an angle "
-        "says which way round (LinuxCNC WRAPPED_ROTARY, Fanuc 1008#1 RAB = 1), do not use the corrected program"
-    )
 
 
 def _first_match(pattern: re.Pattern[str], text: str) -> tuple[int, str]:
@@ -286,15 +272,15 @@ def outside_travel(table: CompensationTable, low: np.ndarray, high: np.ndarray) 
     return "; ".join(outside)
 
 
-def _watched(deviation: Deviation, low: np.ndarray, high: np.ndarray) -> Deviation:
+def _with_extent(deviation: Deviation, low: np.ndarray, high: np.ndarray) -> Deviation:
     """The deviation, which keeps the lowest and highest place that it was asked for."""
 
-    def watched(points: np.ndarray, length: float) -> np.ndarray:
+    def recorded(points: np.ndarray, length: float) -> np.ndarray:
         np.fmin(low, points.min(axis=0), out=low)
         np.fmax(high, points.max(axis=0), out=high)
         return deviation(points, length)
 
-    return watched
+    return recorded
 
 
 def depends_on_direction(table: CompensationTable) -> bool:

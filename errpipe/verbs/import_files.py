@@ -31,14 +31,14 @@ from errpipe.importing import (
 )
 from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
-from errpipe.importing.doors import open_file
 from errpipe.importing.header import is_legend, with_legend
 from errpipe.importing.layout import lay_out
 from errpipe.importing.long_form import unstacked
 from errpipe.importing.pairs import paired
 from errpipe.importing.proposal import propose
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
-from errpipe.importing.sheet import DoorOptions, Sheet
+from errpipe.importing.readers import open_file
+from errpipe.importing.sheet import ReaderOptions, Sheet
 from errpipe.importing.units import unit_of
 from errpipe.validation import plausibility
 from errpipe.verbs._import_written import manifest_of, write
@@ -50,7 +50,7 @@ TEXTS = (".csv", ".txt", ".tsv")  # endings of such a file
 MAX_SHEETS = 64  # with measurements, of one file; the rest is not opened
 
 
-def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) -> tuple[Proposal, dict[str, Any]]:
+def prepare(files: Sequence[Path], reader: ReaderOptions, options: ImportOptions) -> tuple[Proposal, dict[str, Any]]:
     """The proposed recording of some files, and what is to be shown before it is confirmed.
 
     Raises DataError for a file that cannot be read, UsageError for an option that does not fit.
@@ -58,12 +58,12 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
     parts, sources = {}, []
     _refuse_twice(files)
     _refuse_several_axes(files, options)
-    legends = _legends(files, door)
+    legends = _legends(files, reader)
     named = [sheet for sheets in legends.values() for sheet in sheets]
     for file in [f for f in map(Path, files) if f not in legends]:
-        proposal, source = _of_known_format(file, door, options), "a format with a door of its own"
+        proposal, source = _of_known_format(file, reader, options), "a format with a reader of its own"
         if proposal is None:
-            proposal, source = _of_any_sheet(file, door, options, len(files) > 1, named)
+            proposal, source = _of_any_sheet(file, reader, options, len(files) > 1, named)
         parts[file] = proposal
         sources.append({"file": file.name, "kind": source, "rows": proposal.rows})
     for file, sheets in legends.items():
@@ -77,7 +77,7 @@ def prepare(files: Sequence[Path], door: DoorOptions, options: ImportOptions) ->
     )
     logs = [file for file, part in parts.items() if part.first("error") is None]
     if len(logs) == len(parts):
-        _of_any_sheet(logs[0], door, options)  # raises: what the file lacks
+        _of_any_sheet(logs[0], reader, options)  # raises: what the file lacks
     measured = {file: part for file, part in parts.items() if file not in logs}
     together.refuse_states([file.stem for file in measured], "files", "import the one that is meant")
     runs = together.sides_of_names([*measured.values()], together.names_of_files([*measured]))
@@ -116,11 +116,11 @@ def _refuse_unknown_sets(parts: Iterable[Proposal], options: ImportOptions) -> N
                 )
 
 
-def _legends(files: Sequence[Path], door: DoorOptions) -> dict[Path, list[Sheet]]:
+def _legends(files: Sequence[Path], reader: ReaderOptions) -> dict[Path, list[Sheet]]:
     """The files that name the channels of the others, with their sheets: a list of tags beside their history."""
     texts = [f for f in map(Path, files) if f.suffix.lower() in TEXTS and f.is_file() and len(files) > 1]
     small = [f for f in texts if f.stat().st_size < LARGEST_LEGEND and not any(k.sniff(f) for k in formats.FORMATS)]
-    opened = {f: open_file(f, door)[1] for f in small}
+    opened = {f: open_file(f, reader)[1] for f in small}
     legends = {f: sheets for f, sheets in opened.items() if all(map(is_legend, sheets))}
     return legends if len(legends) < len(files) else {}
 
@@ -146,26 +146,26 @@ def _refuse_several_axes(files: Sequence[Path], options: ImportOptions) -> None:
         )
 
 
-def _of_sheet(sheet: Sheet, door: DoorOptions, options: ImportOptions, may_be_log: bool) -> Proposal:
+def _of_sheet(sheet: Sheet, reader: ReaderOptions, options: ImportOptions, may_be_log: bool) -> Proposal:
     """The proposal of one sheet: features that were probed, else columns. Raises DataError where it holds neither."""
     proposed = features.proposal(sheet, options)
     if proposed is not None:
         return proposed
-    cells = transposed(unstacked(sheet if door.names else paired(named_values.tabled(sheet))))
-    return propose(with_period(lay_out(cells, door.names), door.period), options, may_be_log)
+    cells = transposed(unstacked(sheet if reader.names else paired(named_values.tabled(sheet))))
+    return propose(with_period(lay_out(cells, reader.names), reader.period), options, may_be_log)
 
 
 def _of_any_sheet(
-    file: Path, door: DoorOptions, options: ImportOptions, may_be_log: bool = False, legends: Sequence[Sheet] = ()
+    file: Path, reader: ReaderOptions, options: ImportOptions, may_be_log: bool = False, legends: Sequence[Sheet] = ()
 ) -> tuple[Proposal, str]:
     """The proposal of the first sheet of a file that holds measurements, and what was opened; others are named."""
-    kind, sheets = open_file(file, door)
+    kind, sheets = open_file(file, reader)
     out, problems, asked = list[tuple[Proposal, str]](), dict[str, list[str]](), ""
     for sheet in with_legend([*sheets, *legends])[: len(sheets)]:
         if len(out) == MAX_SHEETS:
             break
         try:
-            out.append((_of_sheet(sheet, door, options, may_be_log), sheet.name))
+            out.append((_of_sheet(sheet, reader, options, may_be_log), sheet.name))
         except DataError as err:
             reason = str(err).removeprefix(f"{sheet.name}: ") if len(sheets) > 1 else str(err)
             problems.setdefault(reason, []).append(sheet.name)
@@ -189,8 +189,8 @@ def _of_any_sheet(
     return proposal, f"{kind}, {name}" if len(sheets) > 1 else kind
 
 
-def _of_known_format(file: Path, door: DoorOptions, options: ImportOptions) -> Proposal | None:
-    """A file of a vendor's own format (`errpipe formats`), as its door reads it.
+def _of_known_format(file: Path, reader: ReaderOptions, options: ImportOptions) -> Proposal | None:
+    """A file of a vendor's own format (`errpipe formats`), as its own reader reads it.
 
     Raises UsageError for an option whose value such a file states itself: it would be ignored.
     """
@@ -200,15 +200,13 @@ def _of_known_format(file: Path, door: DoorOptions, options: ImportOptions) -> P
         raise DataError(f"{file}: a folder (allowed: files)")
     if not any(f.sniff(file) for f in formats.FORMATS):
         return None
-    reader = formats.detect(file)
-    _refuse_idle_options(file, reader.name, {**asdict(door), **asdict(options)})
-    recording = formats.read(file, reader.name, {} if options.axis is None else {"axis": options.axis})
-    proposal = Proposal(notes=[f"{file.name} is of the format {reader.name}: nothing is guessed"])
-    taken = getattr(reader.Options(), "axis", None)
+    known = formats.detect(file)
+    _refuse_idle_options(file, known.name, {**asdict(reader), **asdict(options)})
+    recording = formats.read(file, known.name, {} if options.axis is None else {"axis": options.axis})
+    proposal = Proposal(notes=[f"{file.name} is of the format {known.name}: nothing is guessed"])
+    taken = getattr(known.Options(), "axis", None)
     if taken is not None and options.axis is None:
-        proposal.notes[0] = (
-            f"{file.name} is of the format {reader.name}, which names no axis: taken as {taken} (--axis)"
-        )
+        proposal.notes[0] = f"{file.name} is of the format {known.name}, which names no axis: taken as {taken} (--axis)"
     if recording.manifest.machine:
         proposal.facts["machine"] = recording.manifest.machine
     for name, column in recording.manifest.columns.items():
@@ -220,7 +218,7 @@ def _of_known_format(file: Path, door: DoorOptions, options: ImportOptions) -> P
 
 
 def _refuse_idle_options(file: Path, name: str, given: dict[str, Any]) -> None:
-    """Raise UsageError for an option that a format with a door of its own does not take."""
+    """Raise UsageError for an option that a format with a reader of its own does not take."""
     keys = ("component", "unit", "sign", "resolution", "torque_constant", "names", "period", "sheet")
     idle = [key for key in keys if given[key]]
     idle += [f"set {column}.{key}" for column, of in given["sets"].items() for key in of if key in ("role", "unit")]

@@ -67,14 +67,14 @@ def init(folder: Path, name: str, recording: Path | None = None, targets: Sequen
     if existing:
         raise UsageError(f"{folder}: {', '.join(existing)} is there already; nothing was written")
     if recording is None and template.sample is not None:
+        from errpipe.domain.manifest_text import marked
         from errpipe.simulation import folder as recording_folder
         from errpipe.simulation import sample_recordings
-        from errpipe.verbs import _as_written
 
         own = folder / "recording"
         recording_folder.write(own, getattr(sample_recordings, template.sample)())
         manifest, table = ((own / name).read_text("utf-8") for name in ("recording.yaml", "recording.csv"))
-        jsonfile.write_text(own / "recording.yaml", _as_written.marked(manifest, table))  # `import` may replace it
+        jsonfile.write_text(own / "recording.yaml", marked(manifest, table))  # `import` may replace it
     for file, text in texts.items():
         jsonfile.write_text(folder / file, text)
     lines = [*(f"{folder / file}" for file in texts), *why]
@@ -118,6 +118,7 @@ def _filled(
     name: str, text: str, folder: Path, recording: Path | None, targets: Sequence[str]
 ) -> tuple[str, list[str]]:
     """The pipeline with the recording's own axis, component and numbers in place of the @WORDS@; why heat is in it."""
+    from errpipe.domain.manifest_text import scalar
     from errpipe.verbs import _init_heat
 
     words = {"AXIS": "X", "COMPONENT": "EXX", "RECORDING": "recording", "DEGREE": "10", "ISO": "true"}
@@ -146,9 +147,7 @@ def _filled(
     text, words["COMPONENTS"] = _for_each(text, drifts), ", ".join(drifts)
     words["METHOD"] = "ridge" if recording is not None and len(sensors) > 1 else "linear"
     text = re.sub(
-        r"(?m)^.*@SENSOR@.*\n",
-        lambda line: "".join(line[0].replace("@SENSOR@", _init_heat.as_word(s)) for s in sensors),
-        text,
+        r"(?m)^.*@SENSOR@.*\n", lambda line: "".join(line[0].replace("@SENSOR@", scalar(s)) for s in sensors), text
     )
     for word, value in words.items():
         text = text.replace(f"@{word}@", value)

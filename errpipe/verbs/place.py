@@ -72,8 +72,6 @@ def _refuse_gaps(file: Path, frame: pd.DataFrame, names: Sequence[str], group: s
         values = frame[name].to_numpy(float)
         for row in np.flatnonzero(np.isnan(values))[:1]:
             raise DataError(f"{file}:{row + 2}  {name}: is empty (allowed: a number; leave out the row or the column)")
-    for name in names:
-        values = frame[name].to_numpy(float)
         for row in np.flatnonzero(np.abs(values) > LARGEST_NUMBER)[:1]:
             raise DataError(f"{file}:{row + 2}  {name}: found {values[row]:g} (allowed: up to {LARGEST_NUMBER:g})")
     for row in np.flatnonzero(frame[group].isna())[:1] if group else ():

@@ -14,7 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 from errpipe import jsonfile
 from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Recording
-from errpipe.errors import DataError, ErrpipeError, GateError, MissingColumn, UsageError, VerifyError
+from errpipe.errors import DataError, ErrpipeError, GateError, MissingColumn, UsageError, VerifyError, first_problem
 from errpipe.fitting.validity import as_in_a_table, fading
 from errpipe.formats.manifest_folder import MANIFEST
 from errpipe.pipeline import runner
@@ -166,7 +166,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     scores = [s for s in earlier if s.run not in wrong]
     gates = [
         *_retrain_gates.responses(drift),
-        *_retrain_gates.odd_runs(drift),
+        *_retrain_gates.outlying_runs(drift),
         *_retrain_gates.silent_sensors(old_model, recording),
         *_retrain_gates.units(old_recording, recording, known),
     ]
@@ -273,8 +273,7 @@ def _scores_of(document: Mapping[str, Any], path: Path, champion: str) -> list[R
     try:
         scores = TypeAdapter(list[RunScore]).validate_python(document.get("runs"))
     except ValidationError as err:
-        first = err.errors()[0]
-        raise VerifyError(f"{path}: {'.'.join(map(str, ('runs', *first['loc'])))}: {first['msg']}") from None
+        raise VerifyError(f"{path}: {first_problem(err, 'runs')}") from None
     for n, score in enumerate(scores):
         if not all(0.0 <= x < math.inf for x in (score.nothing, score.champion, score.challenger)):
             raise VerifyError(f"{path}: runs.{n}: a mean square is not a number of 0 um2 or more")

@@ -143,12 +143,12 @@ def _controller_file(file: Path) -> dict[str, Any] | None:
 
 def _importable(file: Path) -> dict[str, Any] | None:
     """A file that the import opens."""
-    from errpipe.importing.doors import DOORS, HEAD_BYTES
+    from errpipe.importing.readers import HEAD_BYTES, READERS
 
     with file.open("rb") as stream:
         head = stream.read(HEAD_BYTES)
-    door = next((d for d in DOORS if file.suffix.lower() in d.suffixes and head and d.sniff(file, head)), None)
-    return None if door is None else {"kind": "measurement file", "format": door.name, "next": "errpipe import"}
+    reader = next((d for d in READERS if file.suffix.lower() in d.suffixes and head and d.sniff(file, head)), None)
+    return None if reader is None else {"kind": "measurement file", "format": reader.name, "next": "errpipe import"}
 
 
 def _model(file: Path) -> dict[str, Any]:

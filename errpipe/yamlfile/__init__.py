@@ -1,4 +1,4 @@
-"""The one door for YAML: version 1.2, every problem of a file at once, each with line and column.
+"""The only reader of YAML: version 1.2, every problem of a file at once, each with line and column.
 
     manifest = load(path, Manifest)                       # the validated model, or ConfigError
     document = read(path, environment=os.environ)         # values and places; ${NAME:-default} in texts

@@ -1,4 +1,4 @@
-"""Imports run downward only; packages on one line are strangers; no files import each other in a circle; a few
+"""Imports run downward only; packages on one line are siblings; no files import each other in a circle; a few
 libraries belong to a few packages.
 
 Checked on the syntax tree of every file, so that imports inside functions and under TYPE_CHECKING count too.
@@ -103,7 +103,7 @@ def breaches(source: str, module: str) -> list[str]:
         if LINE[other] < LINE[own]:
             out.append(f"{where} imports {name}: {own} lies below {other}")
         elif LINE[other] == LINE[own]:
-            out.append(f"{where} imports {name}: {own} and {other} are strangers")
+            out.append(f"{where} imports {name}: {own} and {other} are siblings")
         elif own in ONLY and other not in ONLY[own]:
             out.append(f"{where} imports {name}: {own} may import only {', '.join(sorted(ONLY[own])) or 'libraries'}")
     return out
@@ -190,9 +190,9 @@ def test_a_planted_circle_is_found() -> None:
         ("errpipe.terms.backlash", "from .. import fitting", "below fitting"),
         ("errpipe.terms.__init__", "from ..fitting import solve", "below fitting"),
         ("errpipe.terms.backlash", "from ..fitting.solve import x", "below fitting"),
-        ("errpipe.formats.csv", "import errpipe.targets.iso", "strangers"),
-        ("errpipe.domain.table", "from errpipe.kernels import kernel", "strangers"),
-        ("errpipe.jsonfile", "from errpipe.yamlfile import load", "strangers"),
+        ("errpipe.formats.csv", "import errpipe.targets.iso", "siblings"),
+        ("errpipe.domain.table", "from errpipe.kernels import kernel", "siblings"),
+        ("errpipe.jsonfile", "from errpipe.yamlfile import load", "siblings"),
         ("errpipe.pipeline.spec", "from errpipe.domain.recording import Manifest", "may import only"),
         ("errpipe.kernels.lag", "from errpipe.errors import DataError", "may import only"),
         ("errpipe.fitting.solve", "if TYPE_CHECKING:\n    import numba", "imports numba"),

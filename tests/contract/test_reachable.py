@@ -27,10 +27,10 @@ KNOWN = {
     "targets._base.rounding_um": "stated for the tests that every format goes through",
     "cli._verbs.list_commands": "click calls it",
     "cli._verbs.format_commands": "click calls it",
-    **{f"importing.doors.markup.handle_{event}": "HTMLParser calls it" for event in ("starttag", "endtag", "data")},
+    **{f"importing.readers.markup.handle_{event}": "HTMLParser calls it" for event in ("starttag", "endtag", "data")},
 }
 LOADED_BY_NAME = (
-    *("api", "cleaning", "cli", "formats", "importing.doors"),
+    *("api", "cleaning", "cli", "formats", "importing.readers"),
     *("models", "simulation", "stages", "targets", "terms", "verbs"),
 )
 # Modules that no other module of errpipe imports, entry points apart.

@@ -70,8 +70,8 @@ def test_every_plug_in_is_documented(package: str) -> None:
     for entry in getattr(import_module(f"errpipe.{package}"), REGISTRIES[package]):
         kind = entry if isinstance(entry, type | types.ModuleType) else type(entry)
         module = entry if isinstance(entry, types.ModuleType) else import_module(kind.__module__)
-        told = [(module.__doc__ or "").strip(), (vars(kind).get("__doc__") or "").strip()]
-        silent += [] if all(told) else [home(entry)]
+        output = [(module.__doc__ or "").strip(), (vars(kind).get("__doc__") or "").strip()]
+        silent += [] if all(output) else [home(entry)]
     assert silent == []
 
 

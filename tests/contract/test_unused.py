@@ -39,7 +39,7 @@ KNOWN_OPTIONS = {  # option -> who sets it
 KNOWN_FIELDS = {  # field of a dataclass -> who reads it
     "tables.reference.Cycle.faults": "whoever compares an evaluator with the reference",
     "validation.input_drift.Drift.cleared": "the pages of a retraining, from its document",
-    "validation.odd_runs.OddRun.wrong": "the gates of a retraining, from its document",
+    "validation.outlying_runs.OutlyingRun.wrong": "the gates of a retraining, from its document",
 }
 
 

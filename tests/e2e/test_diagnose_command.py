@@ -139,9 +139,9 @@ def test_an_fmu_is_set_right_before_anything_is_called_missing(tmp_path: Path, f
     lines = (tmp_path / "better/parameters.yaml").read_text().splitlines()
     set_right = {name: float(value) for name, value in (line.split("#")[0].split(": ") for line in lines)}
     assert abs(set_right["gain"] - GAIN) < 0.1 and abs(set_right["tau"] - TAU) < 60
-    told = " ".join(result["notes"])
-    assert "gain recalibrated" in told and "tau recalibrated" in told and "2 -> 2.6" in told
-    assert str(tmp_path) not in told
+    output = " ".join(result["notes"])
+    assert "gain recalibrated" in output and "tau recalibrated" in output and "2 -> 2.6" in output
+    assert str(tmp_path) not in output
 
 
 @pytest.mark.slow

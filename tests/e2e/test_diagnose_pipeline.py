@@ -123,8 +123,8 @@ def test_where_nothing_is_missing_nothing_is_accepted_and_nothing_exported(tmp_p
     quiet = quiet.with_columns({"EXX": quiet.array("EXX") + LOST / 2 * quiet.array("dir")}, {})
     with pytest.raises(GateError, match="nothing of this model"):
         piped(tmp_path, quiet, {"kind": "diagnose"}, {"kind": "export", "ungated": True})
-    told = read(tmp_path / "out/diagnose/acceptance.json")
-    assert told["accepted"] == []
+    output = read(tmp_path / "out/diagnose/acceptance.json")
+    assert output["accepted"] == []
 
 
 def test_a_recording_without_twins_is_a_clear_message(tmp_path: Path) -> None:
@@ -169,8 +169,8 @@ def test_after_a_model_of_another_family_nothing_is_added_and_it_stays_as_it_was
     (tmp_path / "out").mkdir()
     folders = {"recording": {"in": tmp_path / "in"}, "error_model": {"season": tmp_path / "season"}}
     Diagnosis(kind="diagnose").run(Context(tmp_path / "out", stages=folders))
-    told = read(tmp_path / "out/acceptance.json")
-    assert told["accepted"] == [] and "season model" in told["refused"][0]["reason"]
+    output = read(tmp_path / "out/acceptance.json")
+    assert output["accepted"] == [] and "season model" in output["refused"][0]["reason"]
     for name in ("fit.json", "error_model.json"):
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "season" / name).read_bytes()
 
@@ -387,8 +387,8 @@ def test_the_positioning_axis_lacks_dry_friction_which_no_table_compensates(tmp_
     decided = read(out / "diagnose/acceptance.json")
     assert decided["accepted"] == [] and "feed-forward" in decided["refused"][0]["reason"]
     (response,) = read(out / "diagnose/diagnosis.json")["responses"]
-    told = {p["name"]: p for p in response["findings"][0]["parameters"]}
-    force, sharpness = told["force"], told["sharpness"]
+    output = {p["name"]: p for p in response["findings"][0]["parameters"]}
+    force, sharpness = output["force"], output["sharpness"]
     assert 1.5 < sharpness["ci95"][0] < sharpness["value"] < sharpness["ci95"][1] < 8.0  # mm/s; a sign would be 0
     assert response["holdout"]["rms_after_um"] < 1.5  # friction alone 2.3, with the axis' vibration at 25 Hz 1.2
     assert force["unit"] == "N" and force["value"] == pytest.approx(20.4, rel=0.1)  # published: 20.4 N
@@ -402,7 +402,7 @@ def test_the_positioning_axis_s_friction_differs_by_direction(tmp_path: Path) ->
     out = real("positioning-axis-force", tmp_path)
     (response,) = read(out / "diagnose/diagnosis.json")["responses"]
     assert response["findings"][0]["effect"] == "coulomb_friction"  # what is viscous is a gain: the simulation holds it
-    told = {p["name"]: p for f in response["findings"] for p in f["parameters"]}
+    output = {p["name"]: p for f in response["findings"] for p in f["parameters"]}
     published = [
         ("damping_forward", 157.0),
         ("damping_forward", 161.0),
@@ -410,10 +410,10 @@ def test_the_positioning_axis_s_friction_differs_by_direction(tmp_path: Path) ->
         ("damping_backward", 236.0),
     ]
     for name, value in published:  # it depends on how sharply dry friction is taken to turn round
-        low, high = told[name]["ci95"]
-        assert told[name]["unit"] == "N s/m" and low <= value <= high and high - low < 20
-    assert told.get("damping", {"unit": "1"})["unit"] == "1"  # of the mode; one for both ways says nothing beside these
-    assert {"force_forward", "force_backward"} <= set(told)
+        low, high = output[name]["ci95"]
+        assert output[name]["unit"] == "N s/m" and low <= value <= high and high - low < 20
+    assert output.get("damping", {"unit": "1"})["unit"] == "1"  # of the mode; one for both ways adds nothing
+    assert {"force_forward", "force_backward"} <= set(output)
     assert "differs by direction" in response["says"]
 
 

@@ -167,6 +167,6 @@ def test_lasers_and_a_ball_bar_are_solved_as_one_machine(tmp_path, monkeypatch):
     document = json.loads((out / "identify" / "identification.json").read_text())
     assert document["unseen"] == [] and document["simulated_truth"]["after_rms_um"] < 0.6
     page = (out / "identify" / "identification.html").read_text()
-    for told in ("Circular test XY", "G both ways", "servo mismatch XY", "Read off the plot"):
-        assert told in page
+    for output in ("Circular test XY", "G both ways", "servo mismatch XY", "Read off the plot"):
+        assert output in page
     assert main(["verify", str(out / "export_volumetric")]) == 0

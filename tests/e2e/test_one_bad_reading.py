@@ -228,19 +228,19 @@ def test_one_bad_sample_of_the_position(table, evaluate, side, moves):
     assert off.max() < 1.0 and off[:, BACK:MOVES].max() < 0.02 and off[:, MOVES + BACK :].max() < 0.02
 
 
-@pytest.mark.parametrize("told", [1.0, -1.0, 0.5, -1e-3])
+@pytest.mark.parametrize("stated", [1.0, -1.0, 0.5, -1e-3])
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_one_bad_sample_of_the_direction_at_a_standstill(table, evaluate, told, way):
+def test_one_bad_sample_of_the_direction_at_a_standstill(table, evaluate, stated, way):
     """The axis came from one side and stands; for one cycle its direction is told, which nothing else confirms."""
     x = np.full(2400, 500.0)
     x[:50] -= way * 0.02 * np.arange(50, 0, -1)
     columns = {"x": x, "dir": np.zeros(x.size), "T_nut": np.full(x.size, 25.0)}
     right = evaluate(table, np.column_stack([columns[i.name] for i in table.inputs]))
-    columns["dir"][2200] = told
+    columns["dir"][2200] = stated
     wrong = evaluate(table, np.column_stack([columns[i.name] for i in table.inputs]))
     off = np.abs(wrong - right)
     assert off.max() < 1.0 and off[2200 + BACK :].max() < 0.02
-    assert (off.max() > 0.01) == (told * way < 0)  # the same way again changes nothing
+    assert (off.max() > 0.01) == (stated * way < 0)  # the same way again changes nothing
 
 
 SPINDLE = (

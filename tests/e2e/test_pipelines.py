@@ -225,8 +225,8 @@ class TestReal:
         def left(table, frame):
             manifest_folder.write(Recording(recording.manifest, frame), tmp_path / "rows")
             assert main(["predict", str(table), str(tmp_path / "rows"), "--out", str(tmp_path / "p.csv")]) == 0
-            told = pd.read_csv(tmp_path / "p.csv")["dia_disp_predicted"].to_numpy()
-            return float(np.sqrt(np.nanmean((truth - told) ** 2)))
+            output = pd.read_csv(tmp_path / "p.csv")["dia_disp_predicted"].to_numpy()
+            return float(np.sqrt(np.nanmean((truth - output) ** 2)))
 
         tables = {}
         for guard in ("true", "false"):

@@ -131,8 +131,8 @@ def _faults(r: np.random.Generator, cycles: int, x: float):
     speed = r.uniform(-0.2, 0.2, 2)
     turn = int(r.integers(cycles))
     way = x + np.cumsum(np.where(np.arange(cycles) < turn, *speed))
-    told = np.diff(way, prepend=way[0]) / CYCLE * (r.random() < 0.5)
-    readings = np.column_stack([way, np.full(cycles, 27.0), np.full(cycles, 24.0), told])
+    output = np.diff(way, prepend=way[0]) / CYCLE * (r.random() < 0.5)
+    readings = np.column_stack([way, np.full(cycles, 27.0), np.full(cycles, 24.0), output])
     fresh = np.ones(readings.shape, np.uint8)
     at, length = int(r.integers(cycles)), int(r.integers(1, cycles + 1))
     for channel in range(readings.shape[1]):

@@ -1,4 +1,4 @@
-"""A bounded campaign against every door: mutated files, and processes that are killed at any moment. `make attack`.
+"""A bounded campaign against all that reads files: mutated files, and processes killed at any moment. `make attack`.
 
     python -m tests.hostile.attack --seconds 600 --kills 1000 --seed 7
 
@@ -24,7 +24,7 @@ from functools import partial
 from pathlib import Path
 
 from tests.hostile import mutations
-from tests.hostile.attack_doors import Door, described, doors, unpack
+from tests.hostile.attacked_files import AttackedFile, attacked_files, described, unpack
 from tests.hostile.kills import beside
 from tests.hostile.processes import ALLOWED, forked
 
@@ -39,49 +39,51 @@ def modification_times(folder: Path) -> dict[str, int]:
     return {row.path: row.stat().st_mtime_ns if row.is_file() else 0 for row in rows}
 
 
-def attack(folder: Path, seconds: float, rng: random.Random) -> tuple[list[Door], list[str]]:
-    """Mutate files for so long, at least LEAST of them; the doors with what they answered, and what was found."""
+def attack(folder: Path, seconds: float, rng: random.Random) -> tuple[list[AttackedFile], list[str]]:
+    """Mutate files for so long, at least LEAST of them; the files with what was answered, and what was found."""
     from errpipe.cli.app import main
 
     (folder.parent / "precious.txt").write_text("precious")
-    opened, pair = doors(folder), []
+    opened, pair = attacked_files(folder), []
     end = time.monotonic() + seconds
-    while time.monotonic() < end or sum(door.tried for door in opened) < LEAST:
-        door = rng.choice(opened)
-        data = mutations.mutated(door.sound, rng)
-        if door.sound.startswith(b"ECT") and rng.random() < 0.8:
+    while time.monotonic() < end or sum(attacked.tried for attacked in opened) < LEAST:
+        attacked = rng.choice(opened)
+        data = mutations.mutated(attacked.sound, rng)
+        if attacked.sound.startswith(b"ECT") and rng.random() < 0.8:
             data = mutations.sealed(data)
-        elif zipfile.is_zipfile(io.BytesIO(door.sound)) and rng.random() < 0.8:
-            data = mutations.repacked(door.sound, rng)
-        elif door.sound[:1] == b"{" and rng.random() < 0.6:
-            data = mutations.reshaped(door.sound, rng)
-        door.file.write_bytes(data)
-        if door.fresh is not None:
-            shutil.rmtree(door.fresh, ignore_errors=True)
-        line = rng.choice(door.lines) if door.lines else ["unpack"]
-        inside = unpack if door.file.suffix == ".fmu" else described
-        work = partial(main, line) if door.lines else partial(inside, door, folder)
+        elif zipfile.is_zipfile(io.BytesIO(attacked.sound)) and rng.random() < 0.8:
+            data = mutations.repacked(attacked.sound, rng)
+        elif attacked.sound[:1] == b"{" and rng.random() < 0.6:
+            data = mutations.reshaped(attacked.sound, rng)
+        attacked.file.write_bytes(data)
+        if attacked.fresh is not None:
+            shutil.rmtree(attacked.fresh, ignore_errors=True)
+        line = rng.choice(attacked.lines) if attacked.lines else ["unpack"]
+        inside = unpack if attacked.file.suffix == ".fmu" else described
+        work = partial(main, line) if attacked.lines else partial(inside, attacked, folder)
         before = modification_times(folder)
         code, said = forked(work, folder.parent)
         touched = {path for path, _ in before.items() ^ modification_times(folder).items()}
-        pair += [f"{door.name}: {' '.join(line[:1])} touched {path}" for path in sorted(touched)]
-        door.file.write_bytes(door.sound)
-        door.tried += 1
-        door.codes[-1 if code is None else code] += 1
+        pair += [f"{attacked.name}: {' '.join(line[:1])} touched {path}" for path in sorted(touched)]
+        attacked.file.write_bytes(attacked.sound)
+        attacked.tried += 1
+        attacked.codes[-1 if code is None else code] += 1
         if code not in ALLOWED or "internal error" in said:
-            kept = folder.parent / f"found-{len(pair)}-{door.file.name}"
+            kept = folder.parent / f"found-{len(pair)}-{attacked.file.name}"
             kept.write_bytes(data)
-            pair.append(f"{door.name}: {' '.join(line[:1])} gave {code}: {said.strip()[:300]} (kept as {kept.name})")
+            pair.append(
+                f"{attacked.name}: {' '.join(line[:1])} gave {code}: {said.strip()[:300]} (kept as {kept.name})"
+            )
     return opened, pair
 
 
-def report(opened: list[Door], killed: str, found: list[str]) -> Iterator[str]:
+def report(opened: list[AttackedFile], killed: str, found: list[str]) -> Iterator[str]:
     """What was tried and what was found, as a table and lines."""
-    yield f"{'door':<16} {'tried':>7}  exit codes"
-    for door in opened:
-        codes = ", ".join(f"{code}: {n}" for code, n in sorted(door.codes.items()))
-        yield f"{door.name:<16} {door.tried:>7}  {codes}"
-    yield f"{sum(door.tried for door in opened)} files; SIGKILL: {killed}"
+    yield f"{'attacked':<16} {'tried':>7}  exit codes"
+    for attacked in opened:
+        codes = ", ".join(f"{code}: {n}" for code, n in sorted(attacked.codes.items()))
+        yield f"{attacked.name:<16} {attacked.tried:>7}  {codes}"
+    yield f"{sum(attacked.tried for attacked in opened)} files; SIGKILL: {killed}"
     yield f"found: {len(found)}"
     yield from found
 
@@ -97,8 +99,8 @@ def main_() -> int:
     counted = beside(given.kills, given.seed, began + LONGEST * given.seconds)
     with tempfile.TemporaryDirectory(prefix="errpipe-attack-") as name:
         top = Path(name)
-        (top / "doors").mkdir()
-        opened, counts = attack(top / "doors", given.seconds, random.Random(given.seed))
+        (top / "files").mkdir()
+        opened, counts = attack(top / "files", given.seconds, random.Random(given.seed))
         if given.keep is not None:
             given.keep.mkdir(parents=True, exist_ok=True)
             for path in top.glob("found-*"):

@@ -1,4 +1,4 @@
-"""Further doors: what retraining, comparing and exporting a table read back, and files of controllers."""
+"""Further attacked_files: what retraining, comparing and exporting a table read back, and files of controllers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def _command(*words: str | Path) -> list[str]:
 
 
 def files(folder: Path) -> list[tuple[str, Path, list[list[str]]]]:
-    """(name, sound file, commands that read it) of each door."""
+    """(name, sound file, commands that read it) of each attacked file."""
     return [*_retrained(folder / "site2"), *_diagnosed(folder), *_exported(folder), *_history(folder)]
 
 
@@ -44,7 +44,7 @@ def _retrained(site: Path) -> list[tuple[str, Path, list[list[str]]]]:
 def _diagnosed(folder: Path) -> list[tuple[str, Path, list[list[str]]]]:
     """A diagnosis, read by what compares and explains."""
     from errpipe.cli.app import main
-    from tests.hostile.doors import MANIFEST, recording_folder
+    from tests.hostile.command_line import MANIFEST, recording_folder
 
     rec, out = folder / "twin", folder / "diagnosis"
     at = np.arange(120.0)

@@ -1,6 +1,6 @@
 """Generated hostile inputs: each a name, and a function that writes it into a folder and gives the command lines.
 
-Sound files of every door with one thing wrong: cut, in another encoding, with values no number has, columns missing,
+Sound files of every kind with one thing wrong: cut, in another encoding, with values no number has, columns missing,
 empty or twice, archives in archives. None of it lies in the repository; `test_corpus.py` runs all of it.
 """
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.hostile.doors import MANIFEST, PIPELINE, recording_folder
+from tests.hostile.command_line import MANIFEST, PIPELINE, recording_folder
 from tests.hostile.kills import measured
 
 Words = list[list[str]]

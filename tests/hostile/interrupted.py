@@ -20,7 +20,7 @@ import numpy as np
 from errpipe import jsonfile
 from errpipe.cli.app import main
 from errpipe.errors import VerifyError
-from tests.hostile.doors import PIPELINE, recording_folder
+from tests.hostile.command_line import PIPELINE, recording_folder
 from tests.hostile.kills import EXPORTED, measured, tree
 from tests.hostile.processes import forked, fresh, killed, memory, quiet, victim
 

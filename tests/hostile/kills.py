@@ -43,7 +43,7 @@ def kills(folder: Path, count: int, rng: random.Random, end: float) -> tuple[int
     process, which has imported and compiled everything; each FRESH-th is an interpreter of its own instead.
     """
     from errpipe.cli.app import main
-    from tests.hostile.doors import PIPELINE, recording_folder
+    from tests.hostile.command_line import PIPELINE, recording_folder
 
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "p.yaml").write_text(PIPELINE + EXPORTED)
@@ -92,11 +92,11 @@ def beside(count: int, seed: int, end: float) -> Callable[[], tuple[int, list[st
     if pid == 0:
         try:
             with tempfile.TemporaryDirectory(prefix="errpipe-attack-", dir=memory()) as name:
-                told = kills(Path(name), count, random.Random(seed), end)
+                output = kills(Path(name), count, random.Random(seed), end)
         except BaseException as err:
-            told = 0, [f"the kill campaign ended: {type(err).__name__}: {err}"]
+            output = 0, [f"the kill campaign ended: {type(err).__name__}: {err}"]
         with os.fdopen(writer, "w") as stream:
-            json.dump([*told, time.monotonic() - began], stream)
+            json.dump([*output, time.monotonic() - began], stream)
         os._exit(0)
     os.close(writer)
 

@@ -14,16 +14,16 @@ import pytest
 
 from errpipe import jsonfile
 from errpipe.pipeline import runner
-from tests.hostile import attack, attack_doors, kills
+from tests.hostile import attack, attacked_files, kills
 from tests.hostile.processes import ALLOWED, forked
 
 
 @pytest.mark.slow
 def test_a_short_campaign_finds_nothing(tmp_path: Path) -> None:
-    (tmp_path / "doors").mkdir()
-    opened, counts = attack.attack(tmp_path / "doors", 20.0, random.Random(11))
+    (tmp_path / "files").mkdir()
+    opened, counts = attack.attack(tmp_path / "files", 20.0, random.Random(11))
     assert counts == []
-    assert sum(door.tried for door in opened) >= 20
+    assert sum(attacked.tried for attacked in opened) >= 20
 
 
 @pytest.mark.slow
@@ -64,17 +64,17 @@ def test_what_is_planted_is_found(tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_touched_beside_is_found(tmp_path: Path) -> None:
-    (tmp_path / "doors").mkdir()
+    (tmp_path / "files").mkdir()
     (tmp_path / "precious.txt").write_text("precious")
-    before = attack.modification_times(tmp_path / "doors")
+    before = attack.modification_times(tmp_path / "files")
     (tmp_path / "said.txt").write_text("said")
-    (tmp_path / "doors" / "o.ngc").write_text("G0 X0")
-    assert attack.modification_times(tmp_path / "doors") == before
-    (tmp_path / "doors" / "x").mkdir()
-    assert attack.modification_times(tmp_path / "doors") != before
-    (tmp_path / "doors" / "x").rmdir()
+    (tmp_path / "files" / "o.ngc").write_text("G0 X0")
+    assert attack.modification_times(tmp_path / "files") == before
+    (tmp_path / "files" / "x").mkdir()
+    assert attack.modification_times(tmp_path / "files") != before
+    (tmp_path / "files" / "x").rmdir()
     (tmp_path / "precious.txt").unlink()
-    assert attack.modification_times(tmp_path / "doors") != before
+    assert attack.modification_times(tmp_path / "files") != before
 
 
 def planted(kind: str, path: Path) -> None:
@@ -104,22 +104,22 @@ NO_FILE = ("a pipe", "a link to a pipe", "a device", "a link to itself", "a fold
 
 @pytest.mark.slow
 def test_every_door_ends_with_a_message_where_there_is_no_file(tmp_path: Path) -> None:
-    """Every command of every door of the campaign; none waits, none reads without end."""
+    """Every command of every file of the campaign; none waits, none reads without end."""
     from errpipe.cli.app import main
 
-    folder = tmp_path / "doors"
+    folder = tmp_path / "files"
     folder.mkdir()
     wrong = []
-    for door in attack_doors.doors(folder):
-        for kind, line in itertools.product(NO_FILE, door.lines):
-            if door.fresh is not None:
-                shutil.rmtree(door.fresh, ignore_errors=True)
-            door.file.unlink(missing_ok=True)  # a run removes what an interrupted one left
-            planted(kind, door.file)
+    for attacked in attacked_files.attacked_files(folder):
+        for kind, line in itertools.product(NO_FILE, attacked.lines):
+            if attacked.fresh is not None:
+                shutil.rmtree(attacked.fresh, ignore_errors=True)
+            attacked.file.unlink(missing_ok=True)  # a run removes what an interrupted one left
+            planted(kind, attacked.file)
             code, said = forked(partial(main, line), tmp_path)
             if code not in ALLOWED or "internal error" in said:
-                wrong.append(f"{door.name}, {kind}, {line[0]}: {code} {said.strip()[-200:]}")
-            shutil.rmtree(door.file) if door.file.is_dir() else door.file.unlink(missing_ok=True)
-            door.file.with_name("a-pipe").unlink(missing_ok=True)
-            door.file.write_bytes(door.sound)
+                wrong.append(f"{attacked.name}, {kind}, {line[0]}: {code} {said.strip()[-200:]}")
+            shutil.rmtree(attacked.file) if attacked.file.is_dir() else attacked.file.unlink(missing_ok=True)
+            attacked.file.with_name("a-pipe").unlink(missing_ok=True)
+            attacked.file.write_bytes(attacked.sound)
     assert wrong == []

@@ -18,7 +18,7 @@ import pytest
 from errpipe import files, jsonfile
 from errpipe.errors import VerifyError
 from errpipe.tables import ect
-from tests.hostile.doors import PIPELINE, command, process, recording_folder
+from tests.hostile.command_line import PIPELINE, command, process, recording_folder
 from tests.unit.targets import machines
 
 LEAVING = ["../x", "..", "/etc/x", "a/../../x", "a\\..\\x", "C:x", "", " ", "a\0b", "a\nb", "/", "a//etc/x"]

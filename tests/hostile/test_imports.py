@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from errpipe.importing.doors import open_file
-from errpipe.importing.sheet import DoorOptions
-from tests.hostile.doors import command
+from errpipe.importing.readers import open_file
+from errpipe.importing.sheet import ReaderOptions
+from tests.hostile.command_line import command
 
 SHEET = (
     '<worksheet xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"><sheetData>{}</sheetData></worksheet>'
@@ -51,7 +51,7 @@ def workbook(path: Path, rows: str) -> Path:
 def test_a_workbook_of_two_distant_cells(tmp_path, capsys):
     """Readers make a rectangle of it: 1,048,576 rows of 16,384 columns, 400 GB."""
     sound = '<row r="1"><c r="A1"><v>1</v></c></row><row r="3"><c r="B3"><v>2</v></c></row>'
-    assert open_file(workbook(tmp_path / "sound.xlsx", sound), DoorOptions())[1][0].rows[2] == [None, 2.0]
+    assert open_file(workbook(tmp_path / "sound.xlsx", sound), ReaderOptions())[1][0].rows[2] == [None, 2.0]
     rows = '<row r="1"><c r="A1"><v>1</v></c></row><row r="1048576"><c r="XFD1048576"><v>2</v></c></row>'
     path = workbook(tmp_path / "far.xlsx", rows)
     assert path.stat().st_size < 2000
@@ -144,15 +144,15 @@ def test_values_too_small_or_large_for_a_slope_say_nothing(size):
 
 def test_a_tdms_file_that_is_cut_is_read_as_far_as_it_goes_and_says_so(tmp_path, capsys):
     nptdms = pytest.importorskip("nptdms")
-    from errpipe.importing.doors import tdms
-    from errpipe.importing.sheet import DoorOptions
+    from errpipe.importing.readers import tdms
+    from errpipe.importing.sheet import ReaderOptions
 
     path = tmp_path / "t.tdms"
     with nptdms.TdmsWriter(str(path)) as writer:
         for _ in range(2):
             writer.write_segment([nptdms.ChannelObject("g", n, np.arange(100.0)) for n in ("x", "EXX")])
     path.write_bytes(path.read_bytes()[:-100])
-    (sheet,) = tdms.read(path, DoorOptions())
+    (sheet,) = tdms.read(path, ReaderOptions())
     assert 180 < sum(row[1] is not None for row in sheet.rows) < 200
     assert any("segment" in note for note in sheet.notes)
     assert capsys.readouterr().err == ""

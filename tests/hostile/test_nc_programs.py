@@ -16,7 +16,7 @@ import pytest
 from errpipe.errors import DataError
 from errpipe.ncprogram.modal import Setup
 from errpipe.tables import ect
-from tests.hostile.doors import command
+from tests.hostile.command_line import command
 from tests.nc import correct, too_long_at_plus_x
 from tests.unit.targets import machines
 

@@ -14,7 +14,7 @@ import pytest
 
 from errpipe.errors import ConfigError, DataError
 from errpipe.formats import manifest_folder
-from tests.hostile.doors import MANIFEST, command, recording_folder
+from tests.hostile.command_line import MANIFEST, command, recording_folder
 
 ROOT = Path(__file__).parents[2]
 FIT = """pipeline: 1

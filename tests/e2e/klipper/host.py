@@ -137,7 +137,7 @@ def positions(python: Path, folder: Path, config: str, gcode: str) -> list[dict[
         [*command, "-l", "klippy.log"], cwd=folder, capture_output=True, text=True, timeout=120, check=False
     )
     log = folder / "klippy.log"
-    told = run.stdout + run.stderr + (log.read_text(errors="replace") if log.is_file() else "")
-    matches = re.findall(r"toolhead: X:(\S+) Y:(\S+) Z:(\S+)", told)
-    assert matches, told[-4000:]
+    output = run.stdout + run.stderr + (log.read_text(errors="replace") if log.is_file() else "")
+    matches = re.findall(r"toolhead: X:(\S+) Y:(\S+) Z:(\S+)", output)
+    assert matches, output[-4000:]
     return [dict(zip("XYZ", map(float, row), strict=True)) for row in matches]

@@ -47,8 +47,8 @@ def test_toolhead_positions_equal_what_is_read_back(klippy, tmp_path, capsys):
         moved = read.correction(axis, at, np.ones(len(places)), {"T": np.full(len(places), 20.0)})
         worst[axis] = np.abs(np.array([row[axis] for row in motion]) - at[axis] - moved).max()
     with capsys.disabled():
-        told = ", ".join(f"{axis} {gap * 1e6:.2f} nm" for axis, gap in worst.items())
-        print(f"\nKlipper host against read-back, worst of {len(places)} places: {told}")
+        output = ", ".join(f"{axis} {gap * 1e6:.2f} nm" for axis, gap in worst.items())
+        print(f"\nKlipper host against read-back, worst of {len(places)} places: {output}")
     assert max(worst.values()) < PRINT_MM
     # A bed 20 um high at X = +500 lifts Z by that much less; a positive C0Y leans Y to minus X and is undone.
     there = motion[2]

@@ -60,7 +60,7 @@ def rms(values):
     return np.sqrt(np.mean(values**2, axis=0))
 
 
-def told(what, deviation):
+def output(what, deviation):
     figures = " ".join(f"{v:9.4f}" for v in (*rms(deviation), *np.abs(deviation).max(axis=0)))
     return f"  {what:<34}{figures}"
 
@@ -98,10 +98,10 @@ def test_the_component_removes_what_the_table_promises(off, hal, capsys):
     seen = 1e3 * (hal.motor - hal.command) + by_reference(hal)
     with capsys.disabled():
         print("\nLinuxCNC, every servo cycle of a lattice in heat, um:        rms X Y Z, largest X Y Z")
-        print(told("compensation off", before))
-        print(told("HAL component", after))
-        print(told("promised (largest)", allowed))
-        print(told("component against reference", seen[hal.moving()]))
+        print(output("compensation off", before))
+        print(output("HAL component", after))
+        print(output("promised (largest)", allowed))
+        print(output("component against reference", seen[hal.moving()]))
         print(f"  largest residual / promise: {np.max(np.abs(after) / allowed):.3f}")
     assert np.all(rms(before) > 10.0)
     assert np.all(np.abs(after) <= MARGIN * allowed)
@@ -110,7 +110,7 @@ def test_the_component_removes_what_the_table_promises(off, hal, capsys):
 
 def test_no_cycle_is_missed(hal, capsys):
     facts = hal.facts
-    assert facts["overruns"] == 0 and facts["told"] == []
+    assert facts["overruns"] == 0 and facts["output"] == []
     assert np.all(np.diff(hal.number) == 1) and np.all(np.diff(hal.heartbeat) == 1)
     # Running and active, and at most beyond a profile's end by the last bit of a position.
     assert set(hal.status[hal.moving()]) <= {3, 3 + 1024}
@@ -140,9 +140,9 @@ def test_a_screw_file_leaves_what_was_predicted(linuxcnc, capsys):
     general = {x.axis: x for x in _loss.losses(made, read)}
     with capsys.disabled():
         print("\nScrew files, um:                                             rms X Y Z, largest X Y Z")
-        print(told("residual in LinuxCNC", residual[settled]))
-        print(told("predicted, cycle by cycle", rest[settled]))
-        print(told("difference", gap))
+        print(output("residual in LinuxCNC", residual[settled]))
+        print(output("predicted, cycle by cycle", rest[settled]))
+        print(output("difference", gap))
         print("  over the whole volume (errpipe)   " + " ".join(f"{general[a].rms:9.4f}" for a in "XYZ"))
     assert settled.sum() > 3000
     # The file's own rounding of positions, and what the table itself does not know.
@@ -168,8 +168,8 @@ def test_origin_shift_by_external_offsets(linuxcnc, capsys):
     resting[: record.moving().start] = False
     with capsys.disabled():
         print("\nExternal offsets, um:                                        rms X Y Z, largest X Y Z")
-        print(told("residual at rest", residual[resting]))
-        print(told("residual in motion", residual[record.moving()]))
+        print(output("residual at rest", residual[resting]))
+        print(output("residual in motion", residual[record.moving()]))
     assert resting.sum() > 200  # cycles
     assert np.all(np.abs(residual[resting]) <= MARGIN * promise(record)[resting] + 0.5 * COUNT)
 

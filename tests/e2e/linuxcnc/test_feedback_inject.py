@@ -156,7 +156,7 @@ def test_the_loop_is_brought_to_the_corrected_place(capsys):
 
 
 def judge(made, temperature, facts, rows, capsys) -> None:
-    assert facts["told"] == [] and facts["overruns"] == 0
+    assert facts["output"] == [] and facts["overruns"] == 0
     # Injected counts and the encoder's own, in each of four emergency stops (in which it gets hot) and after it.
     stops = np.array(facts["stops"])
     assert stops.shape == (9, 2) and abs(stops[0, 0]) > 20 and np.ptp(stops, axis=0).tolist() == [0, 0], stops

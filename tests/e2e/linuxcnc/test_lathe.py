@@ -153,7 +153,7 @@ def test_a_diameter_follows_the_temperatures_of_a_day(exported, capsys):
         write(folder, table, readings, names)
         with session.installed(folder / "errpipe.comp"):
             facts, rows = session.run(folder, 120)
-    assert facts["told"] == [] and facts["overruns"] == 0
+    assert facts["output"] == [] and facts["overruns"] == 0
     moved, count = 1e-3 * rows[:, 2], rows[:, 4].astype(int)  # um; the reading of the cycle
     first = int(np.argmax(count >= WAIT))
     assert count[-1] == len(readings) - 1 and first > 500, "the day must begin after the machine is on"

@@ -67,7 +67,7 @@ def test_parts_turned_under_force_come_out_straight(lathe, table, capsys):
         write(folder, table, readings)
         with session.installed(folder / "errpipe.comp"):
             facts, rows = session.run(folder, 120)
-    assert facts["told"] == [] and facts["overruns"] == 0
+    assert facts["output"] == [] and facts["overruns"] == 0
     z, moved, force, count = rows[:, 1], 1e-3 * rows[:, 2], rows[:, 3], rows[:, 4].astype(int)
     cut = (count >= test_lathe.WAIT) & (count < len(readings) - 1) & (z >= 70.0) & (z <= 170.0)
     assert cut.sum() > 5000 and np.ptp(z[cut]) > 50, "the tool must have travelled while the force acted"

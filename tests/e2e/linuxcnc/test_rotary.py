@@ -112,7 +112,7 @@ def session_of(folder: Path, made: t.CompensationTable) -> np.ndarray:
     session.write(folder, files, program_s=100, joints=2)
     with session.installed(folder / COMPONENT):
         facts, rows = session.run(folder, 150)
-    assert facts["told"] == [] and facts["overruns"] == 0, facts
+    assert facts["output"] == [] and facts["overruns"] == 0, facts
     return rows
 
 

@@ -20,14 +20,14 @@ with open("plan.json") as plan:
 ui = hal.component("screen")
 ui.ready()  # hal.get_value and set_p need a component of one's own
 command, status, errors = linuxcnc.command(), linuxcnc.stat(), linuxcnc.error_channel()
-told = []
+output = []
 
 
 def poll():
     status.poll()
     message = errors.poll()
     if message:
-        told.append(message[1])
+        output.append(message[1])
         print("LINUXCNC:", message, flush=True)
 
 
@@ -129,7 +129,7 @@ def main():
     time.sleep(0.2)
     sampler.send_signal(signal.SIGINT)
     sampler.wait(20)
-    facts = {"elapsed_s": elapsed, "cycles": cycles, "rounds": rounds, "told": told}
+    facts = {"elapsed_s": elapsed, "cycles": cycles, "rounds": rounds, "output": output}
     facts["stops"] = emergency_stops(PLAN["stops"]) if PLAN.get("stops") else []
     facts["overruns"] = hal.get_value("sampler.0.overruns")
     for name in ("errpipe", "motion-controller", "servo-thread"):

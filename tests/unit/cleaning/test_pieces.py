@@ -141,9 +141,9 @@ def test_the_stage_takes_what_the_pipeline_says(tmp_path, rows, in_pieces):
     assert main(["run", str(tmp_path / "pipeline.yaml"), "--out", str(tmp_path / "out")]) == 0
     cleaned = manifest_folder.read(tmp_path / "out/clean")
     assert len(cleaned) == len(source) - 1 and "T_column" not in cleaned.frame
-    told = jsonfile.read(tmp_path / "out/clean/cleaning.json")
-    aside = [d for r in told["rules"] for d in r["done"] if d["what"] == "set column aside"]
-    assert (told["rows_before"], told["rows_after"]) == (7201, 7200)
+    output = jsonfile.read(tmp_path / "out/clean/cleaning.json")
+    aside = [d for r in output["rules"] for d in r["done"] if d["what"] == "set column aside"]
+    assert (output["rows_before"], output["rows_after"]) == (7201, 7200)
     assert len(aside) == (2 if in_pieces else 1), "each piece says it"
 
 

@@ -152,14 +152,14 @@ SHAPES = {
 
 def measured(shape: str) -> dict[str, Any]:
     """Seconds, CPU seconds and peak memory (MB) of a fresh process that diagnoses this shape, and what it named."""
-    told = subprocess.run(
+    output = subprocess.run(
         [sys.executable, "-m", "tests.unit.diagnosis.long", shape],
         check=True,
         capture_output=True,
         text=True,
         cwd=Path(__file__).parents[3],
     )
-    return json.loads(told.stdout)
+    return json.loads(output.stdout)
 
 
 def main(shape: str) -> None:
@@ -171,9 +171,9 @@ def main(shape: str) -> None:
     diagnosis, _ = diagnose(made)
     took = {"seconds": round(perf_counter() - start, 2), "cpu_seconds": round(process_time() - cpu, 2)}
     peak = peak_kb() / 1024
-    told = {f.effect: [p.value for p in f.parameters if p.name == "period"] for f in diagnosis.responses[0].findings}
+    output = {f.effect: [p.value for p in f.parameters if p.name == "period"] for f in diagnosis.responses[0].findings}
     rows, columns = made.frame.shape
-    print(json.dumps({**took, "peak_mb": round(peak), "rows": rows, "columns": columns, "periods_by_name": told}))
+    print(json.dumps({**took, "peak_mb": round(peak), "rows": rows, "columns": columns, "periods_by_name": output}))
 
 
 if __name__ == "__main__":

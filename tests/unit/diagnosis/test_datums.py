@@ -28,7 +28,7 @@ def zeros(c: dict, size: float = 6.0) -> np.ndarray:
     return size * np.random.default_rng(7).standard_normal(int(c["day"].max()) + 1)[c["day"]]
 
 
-def told(recording):
+def output(recording):
     (response,) = diagnose(recording)[0].responses
     return response, [f.effect for f in response.findings if f.effect != "recalibration"]
 
@@ -39,7 +39,7 @@ def levels(response) -> dict[str, float]:
 
 def test_what_is_missing_is_found_behind_datums_that_differ():
     case = mornings(hidden=lambda c: late(c) + zeros(c))
-    response, effects = told(case)
+    response, effects = output(case)
     assert response.verdict == "missing_physics" and effects[0] == "thermal_lag"
     tau = next(p for p in response.findings[0].parameters if p.name == "tau")
     assert tau.ci95[0] <= TAU <= tau.ci95[1] < 2 * TAU
@@ -48,21 +48,21 @@ def test_what_is_missing_is_found_behind_datums_that_differ():
 
 
 def test_it_is_proved_on_whole_starts_that_sat_out():
-    response, _ = told(mornings(hidden=lambda c: late(c) + zeros(c)))
+    response, _ = output(mornings(hidden=lambda c: late(c) + zeros(c)))
     held = response.holdout
     assert held.scheme.startswith("10 whole runs in 5 groups") and "first 5 rows, which do not count" in held.scheme
     assert held.rms_after_um < 0.3 * held.rms_before_um and held.rms_after_um < 1.0
 
 
 def test_datums_alone_are_no_missing_physics():
-    response, effects = told(mornings(hidden=zeros))
+    response, effects = output(mornings(hidden=zeros))
     assert effects == [] and response.verdict == "recalibrate"
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_cause_that_steps_from_day_to_day_keeps_its_name(seed: int):
     """What creeps on over the days is cheaper as one rate than as ten datums."""
-    response, effects = told(mornings(seed, hidden=lambda c: 12 * c["t"] / c["t"].max()))
+    response, effects = output(mornings(seed, hidden=lambda c: 12 * c["t"] / c["t"].max()))
     assert effects == ["sensor_drift"] and not levels(response)
     assert response.between_runs > 0.9 and "separate datum" not in response.says
 
@@ -70,7 +70,7 @@ def test_a_cause_that_steps_from_day_to_day_keeps_its_name(seed: int):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_another_gain_on_a_sensor_that_the_static_model_holds_is_a_recalibration(seed: int):
     """Mornings differ by their room: no datum of each, and nothing missing."""
-    response, effects = told(mornings(seed, hidden=lambda c: 2.0 * (c["T_room"] - 20)))
+    response, effects = output(mornings(seed, hidden=lambda c: 2.0 * (c["T_room"] - 20)))
     assert effects == [] and response.verdict == "recalibrate" and not levels(response)
     gains = {p.name: p for f in response.findings for p in f.parameters}
     room = gains["gain of thermal_drift on T_room less 1"]
@@ -79,7 +79,7 @@ def test_another_gain_on_a_sensor_that_the_static_model_holds_is_a_recalibration
 
 
 def test_runs_without_a_pause_between_them_share_a_datum():
-    response, _ = told(mornings(hidden=lambda c: late(c) + zeros(c), pause=600.0))
+    response, _ = output(mornings(hidden=lambda c: late(c) + zeros(c), pause=600.0))
     assert not levels(response)
     assert "blocks of neighbouring rows" in response.holdout.scheme
 

@@ -71,9 +71,9 @@ CASES = {
 @pytest.mark.parametrize("effect", CASES)
 def test_named_with_its_size_down_to_the_noise(effect: str) -> None:
     change, name, size = CASES[effect]
-    said, told, left = answer(change)
+    said, output, left = answer(change)
     assert said == effect and left < 2.1  # the noise is 2 N
-    assert told[name].value == pytest.approx(size, rel=0.1)
+    assert output[name].value == pytest.approx(size, rel=0.1)
 
 
 def test_mass_off_by_a_tenth_is_a_recalibration() -> None:

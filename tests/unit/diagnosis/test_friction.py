@@ -28,10 +28,10 @@ def found(seed: int, **friction_):
 
 
 def test_each_way_gets_its_own_figures():
-    response, told = found(0, dry=(18.0, 22.0), damping=(160.0, 236.0))
+    response, output = found(0, dry=(18.0, 22.0), damping=(160.0, 236.0))
     assert response.findings[0].effect in ("coulomb_friction", "viscous_friction")
     for name, true in (("force_forward", 18.0), ("force_backward", 22.0)):
-        assert told[name].unit == "N" and told[name].ci95[0] <= true <= told[name].ci95[1]
+        assert output[name].unit == "N" and output[name].ci95[0] <= true <= output[name].ci95[1]
     assert any("Friction differs by direction" in f.says for f in response.findings)
 
 
@@ -48,10 +48,10 @@ def test_the_intervals_of_both_ways_cover():
 
 
 def test_one_law_both_ways_is_left_alone():
-    response, told = found(1, dry=(20.0, 20.0), damping=(200.0, 200.0))
+    response, output = found(1, dry=(20.0, 20.0), damping=(200.0, 200.0))
     assert {f.effect for f in response.findings} >= {"coulomb_friction", "viscous_friction"}
     assert not any("direction" in f.says for f in response.findings)
-    assert not [name for name in told if name.endswith(("forward", "backward"))]
+    assert not [name for name in output if name.endswith(("forward", "backward"))]
 
 
 def test_a_damping_that_would_drive_the_axis_is_no_law_of_friction():

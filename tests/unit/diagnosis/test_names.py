@@ -48,9 +48,9 @@ def test_a_hidden_effect_is_named_with_its_size(effect):
 def test_a_wave_has_an_amplitude_whatever_its_phase(turn):
     made = axis(8, hidden=lambda c: 1.5 * np.sin(2 * np.pi * c["x"] / 10.0 + turn))
     first = diagnose(made)[0].responses[0].findings[0]
-    (told,) = (p for p in first.parameters if p.name == "amplitude")
-    assert first.effect == "pitch_cyclic" and told.unit == "um"
-    assert told.ci95[0] <= 1.5 <= told.ci95[1] and told.ci95[1] - told.ci95[0] < 0.6
+    (output,) = (p for p in first.parameters if p.name == "amplitude")
+    assert first.effect == "pitch_cyclic" and output.unit == "um"
+    assert output.ci95[0] <= 1.5 <= output.ci95[1] and output.ci95[1] - output.ci95[0] < 0.6
 
 
 @pytest.mark.parametrize("uneven", [0.0, 0.3])
@@ -58,8 +58,8 @@ def test_the_interval_of_a_size_that_varies_is_as_wide_as_it_varies(uneven):
     """Lost motion of 6 um that grows by a third with the day: many rows do not make its mean any surer."""
     day = lambda c: 1 + uneven * (2 * c["t"] / c["t"][-1] - 1)  # noqa: E731
     first = diagnose(axis(3, hidden=lambda c: -3.0 * c["dir"] * day(c), noise=0.2))[0].responses[0].findings[0]
-    (told,) = (p for p in first.parameters if p.unit == "um")
-    low, high = sorted(map(abs, told.ci95))
+    (output,) = (p for p in first.parameters if p.unit == "um")
+    low, high = sorted(map(abs, output.ci95))
     assert first.effect == "backlash" and low <= 6.0 <= high
     assert (high - low > 0.9) == (uneven > 0)
 

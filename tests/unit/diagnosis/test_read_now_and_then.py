@@ -1,4 +1,4 @@
-"""Sensors that are read less often than the response, as strangers' loggers read them."""
+"""Sensors that are read less often than the response, as many loggers read them."""
 
 from __future__ import annotations
 

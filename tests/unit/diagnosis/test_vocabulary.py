@@ -158,11 +158,11 @@ def test_named_with_its_sizes_and_nothing_else(name: str, tmp_path: Path) -> Non
     response = diagnose(manifest_folder.read(tmp_path / "recording"))[0].responses[0]
     findings = [f for f in response.findings if f.effect != "recalibration"]
     assert [f.effect for f in findings] == [effect]
-    told = {p.name: p for p in findings[0].parameters}
+    output = {p.name: p for p in findings[0].parameters}
     for size, true in sizes.items():
-        low, high = told[size].ci95
-        assert low <= true <= high, (size, told[size])
-        assert abs(told[size].value) == pytest.approx(true, rel=0.15)
+        low, high = output[size].ci95
+        assert low <= true <= high, (size, output[size])
+        assert abs(output[size].value) == pytest.approx(true, rel=0.15)
     assert effect.replace("_", " ") in findings[0].says
     assert (
         response.rms_after_um < 1.25 * response.noise_floor_um or response.rms_after_um < 0.2 * response.rms_before_um

@@ -69,7 +69,7 @@ def test_squareness_turns_about_the_third_axis():
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "output"),
     [
         ("C0Y", "squareness of Y: its direction, turned about Z"),
         ("A0C", "squareness of the axis line of C: tilted about X"),
@@ -81,8 +81,8 @@ def test_squareness_turns_about_the_third_axis():
         ("A0S", "tilt of the spindle about X"),
     ],
 )
-def test_location_errors_are_said_as_what_they_are(name, told):
-    assert components.describe(name) == told
+def test_location_errors_are_said_as_what_they_are(name, output):
+    assert components.describe(name) == output
 
 
 def test_positioning_of_an_axis():

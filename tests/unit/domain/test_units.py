@@ -1,4 +1,4 @@
-"""Units at the door."""
+"""Units on reading."""
 
 import math
 

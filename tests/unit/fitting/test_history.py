@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from errpipe import jsonfile
+from errpipe.domain.manifest_text import manifest_text
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.errors import DataError
 from errpipe.fitting.batches import Source, equivalent_rows, survey
@@ -233,10 +234,10 @@ def test_a_table_says_of_which_runs_it_consists_so_that_they_are_not_read(tmp_pa
     assert source.runs == dict(recording["run"].value_counts(sort=False))
     read = []
     batches = lambda names, **known: read.append(names) or source.batches(names, **known)  # noqa: E731
-    told, counted = (survey(replace(source, batches=batches, runs=r), Terms(**MODEL)) for r in (source.runs, None))
+    text, counted = (survey(replace(source, batches=batches, runs=r), Terms(**MODEL)) for r in (source.runs, None))
     assert read == [["run"]]
-    assert told.runs == counted.runs and told.scheme == counted.scheme
-    np.testing.assert_array_equal(told.lengths, counted.lengths)
+    assert text.runs == counted.runs and text.scheme == counted.scheme
+    np.testing.assert_array_equal(text.lengths, counted.lengths)
     for wrong in (b"[]", b"{", b'[["a", 1]]', b'[["a", -1], ["b", 3001]]', b'[["a", 1500], ["a", 1500]]', b"3", b"[3]"):
         table = pq.read_table(tmp_path / manifest_folder.TABLE)
         facts = {**table.schema.metadata, b"errpipe.runs": wrong}
@@ -267,8 +268,8 @@ def two_years(folder, rows: int) -> None:
     (folder / "raw").mkdir()
     for name, part in (("a", recording.frame.iloc[: rows // 2]), ("b", recording.frame.iloc[rows // 2 :])):
         part.to_parquet(folder / "raw" / f"{name}.parquet", index=False)
-    told = manifest_folder.manifest_text(recording.manifest.model_copy(update={"tables": ("a.parquet", "b.parquet")}))
-    (folder / "raw/recording.yaml").write_text(told, "utf-8")
+    text = manifest_text(recording.manifest.model_copy(update={"tables": ("a.parquet", "b.parquet")}))
+    (folder / "raw/recording.yaml").write_text(text, "utf-8")
     (folder / "pipeline.yaml").write_text(PIPELINE, "utf-8")
 
 

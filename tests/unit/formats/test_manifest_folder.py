@@ -1,4 +1,4 @@
-"""The door: roles, units, rows, and what is refused with which words."""
+"""Reading a manifest: roles, units, rows, and what is refused with which words."""
 
 import os
 import subprocess
@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from errpipe.domain.batch import joined
+from errpipe.domain.manifest_text import manifest_text
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.errors import ConfigError, DataError
 from errpipe.formats import _tables, manifest_folder
@@ -340,7 +341,7 @@ columns:
     (tmp_path / "recording.yaml").write_text(text, encoding="utf-8")
     manifest = manifest_folder.load_manifest(tmp_path)
     assert manifest_folder.canonical(manifest) == manifest
-    (tmp_path / "recording.yaml").write_text(manifest_folder.manifest_text(manifest), encoding="utf-8")
+    (tmp_path / "recording.yaml").write_text(manifest_text(manifest), encoding="utf-8")
     assert manifest_folder.load_manifest(tmp_path) == manifest
 
 

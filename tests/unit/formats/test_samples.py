@@ -21,11 +21,11 @@ def sample_of(name: str) -> Path:
     return matches[0]
 
 
-@pytest.mark.parametrize("door", FORMATS, ids=lambda door: door.name)
-def test_a_sample_is_recognised_and_read_in_canonical_units(door) -> None:
-    sample = sample_of(door.name)
-    assert [f.name for f in FORMATS if f.sniff(sample)] == [door.name]
-    required = [name for name, field in door.Options.model_fields.items() if field.is_required()]
+@pytest.mark.parametrize("file_format", FORMATS, ids=lambda file_format: file_format.name)
+def test_a_sample_is_recognised_and_read_in_canonical_units(file_format) -> None:
+    sample = sample_of(file_format.name)
+    assert [f.name for f in FORMATS if f.sniff(sample)] == [file_format.name]
+    required = [name for name, field in file_format.Options.model_fields.items() if field.is_required()]
     assert not required, f"a file is read without being asked about: {required} need a default"
     recording = formats.read(sample)
     responses = recording.names("error")
@@ -36,9 +36,9 @@ def test_a_sample_is_recognised_and_read_in_canonical_units(door) -> None:
         assert conversion is None or conversion.identity, f"{name}: {column.unit} is not canonical ({conversion.unit})"
 
 
-@pytest.mark.parametrize("door", FORMATS, ids=lambda door: door.name)
-def test_sniff_never_raises(door, tmp_path: Path) -> None:
+@pytest.mark.parametrize("file_format", FORMATS, ids=lambda file_format: file_format.name)
+def test_sniff_never_raises(file_format, tmp_path: Path) -> None:
     (tmp_path / "empty").write_bytes(b"")
     (tmp_path / "bytes").write_bytes(bytes(range(256)))
     for path in (tmp_path, tmp_path / "empty", tmp_path / "bytes", tmp_path / "nothing"):
-        assert door.sniff(path) is False
+        assert file_format.sniff(path) is False

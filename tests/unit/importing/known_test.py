@@ -13,7 +13,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.formats import manifest_folder
 from errpipe.importing.proposed import ImportOptions, Proposal
-from errpipe.importing.sheet import DoorOptions
+from errpipe.importing.sheet import ReaderOptions
 from errpipe.verbs import import_files
 
 TARGETS = np.linspace(0, 600, 13)
@@ -38,23 +38,23 @@ def long_rows() -> list[tuple[str, float, float, float]]:
     return rows
 
 
-def prepared(files: list[Path], door: DoorOptions | None = None, **said: Any) -> tuple[Proposal, ImportOptions]:
+def prepared(files: list[Path], reader: ReaderOptions | None = None, **said: Any) -> tuple[Proposal, ImportOptions]:
     """The proposal of files; where they name no axis a person says X."""
     options = import_files.options_of(sets=said.pop("sets", []), **said)
     try:
-        proposal, _ = import_files.prepare(files, door or DoorOptions(), options)
+        proposal, _ = import_files.prepare(files, reader or ReaderOptions(), options)
     except DataError as err:
         if "no axis is named in the file" not in str(err):
             raise
         options = replace(options, axis="X")
-        proposal, _ = import_files.prepare(files, door or DoorOptions(), options)
+        proposal, _ = import_files.prepare(files, reader or ReaderOptions(), options)
     return proposal, options
 
 
-def imported(tmp_path: Path, file: Path | list[Path], door: DoorOptions | None = None, **said: Any) -> Recording:
+def imported(tmp_path: Path, file: Path | list[Path], reader: ReaderOptions | None = None, **said: Any) -> Recording:
     """The recording of a file, written and read back."""
     files = file if isinstance(file, list) else [file]
-    proposal, options = prepared(files, door, **said)
+    proposal, options = prepared(files, reader, **said)
     import_files.write(proposal, tmp_path / "rec", options, files)
     return manifest_folder.read(tmp_path / "rec")
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from errpipe.errors import DataError, UsageError
-from errpipe.importing.doors import markup
-from errpipe.importing.sheet import DoorOptions
+from errpipe.importing.readers import markup
+from errpipe.importing.sheet import ReaderOptions
 from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 
 
@@ -27,7 +27,7 @@ def test_excel_by_openpyxl(tmp_path: Path) -> None:
     book.save(tmp_path / "test.xlsx")
     holds_the_truth(imported(tmp_path, tmp_path / "test.xlsx"))
     with pytest.raises(UsageError, match="no sheet 'Y'"):
-        imported(tmp_path, tmp_path / "test.xlsx", DoorOptions(sheet="Y"))
+        imported(tmp_path, tmp_path / "test.xlsx", ReaderOptions(sheet="Y"))
 
 
 def test_excel_by_xlsxwriter_long_with_merged_header(tmp_path: Path) -> None:
@@ -101,11 +101,11 @@ def test_records_of_xml_in_any_encoding_and_no_entities(tmp_path: Path, encoding
     records = "".join(f'<r t="{k}" x="{10 * k}" e="7"/>' for k in range(9))
     begin = f'<?xml version="1.0" encoding="{encoding}"?>'
     (tmp_path / "log.xml").write_text(f"{begin}<a>{records}</a>", encoding=encoding)
-    (sheet,) = markup.read(tmp_path / "log.xml", DoorOptions())
+    (sheet,) = markup.read(tmp_path / "log.xml", ReaderOptions())
     assert sheet.header == ["t", "x", "e"] and len(sheet.rows) == 9
     (tmp_path / "bomb.xml").write_text(f'{begin}<!DOCTYPE a [<!ENTITY b "7">]><a>{records}</a>', encoding=encoding)
     with pytest.raises(DataError, match="its own entities"):
-        markup.read(tmp_path / "bomb.xml", DoorOptions())
+        markup.read(tmp_path / "bomb.xml", ReaderOptions())
 
 
 def test_halsampler_with_and_without_counter(tmp_path: Path) -> None:
@@ -113,7 +113,7 @@ def test_halsampler_with_and_without_counter(tmp_path: Path) -> None:
     for counter in (True, False):
         lines = [f"{f'{i} ' if counter else ''}{v:.6f} {v - 0.005:.6f}" for i, v in enumerate(x)]
         (tmp_path / "hal.log").write_text("\n".join(["overrun", *lines, ""]))
-        recording = imported(tmp_path, tmp_path / "hal.log", DoorOptions(names=("x_cmd", "x_fb"), period=0.002))
+        recording = imported(tmp_path, tmp_path / "hal.log", ReaderOptions(names=("x_cmd", "x_fb"), period=0.002))
         assert recording.array("EXX") == pytest.approx(-5.0, abs=1e-6)
         assert np.diff(recording.time()) == pytest.approx(0.002)
         assert recording.names("simulated") and recording.names("velocity", axis="X")

@@ -1,5 +1,5 @@
 # ruff: noqa: E501  (a table of files, one a line)
-"""More files of strangers, in seven languages and by independent writers: the same known test, sign and all."""
+"""More third-party files, in seven languages and by independent writers: the same known test, sign and all."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from errpipe.errors import DataError
 from errpipe.importing import words
-from errpipe.importing.sheet import DoorOptions
+from errpipe.importing.sheet import ReaderOptions
 from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
 
 RUNS, SIDES = (1, 2, 3), (1.0, -1.0)
@@ -137,7 +137,7 @@ FILES: dict[str, str | bytes] = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_text_of_a_stranger(tmp_path: Path, name: str) -> None:
+def test_a_third_party_text(tmp_path: Path, name: str) -> None:
     text = FILES[name]
     (tmp_path / "f.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
     holds_the_truth(imported(tmp_path, tmp_path / "f.csv"))
@@ -199,7 +199,7 @@ SHEETS = {
 
 
 @pytest.mark.parametrize("name", SHEETS)
-def test_a_workbook_of_a_stranger(tmp_path: Path, name: str) -> None:
+def test_a_third_party_workbook(tmp_path: Path, name: str) -> None:
     openpyxl = pytest.importorskip("openpyxl", reason="the samples are made by openpyxl")
     pytest.importorskip("python_calamine", reason="the extra `excel` is not installed")
     book = openpyxl.Workbook()
@@ -220,7 +220,7 @@ def test_sheets_are_axes_and_the_others_are_named(tmp_path: Path) -> None:
     book.save(tmp_path / "f.xlsx")
     assert imported(tmp_path, tmp_path / "f.xlsx").components() == ("EYY",)
     assert "other sheets hold measurements too: X" in (tmp_path / "rec" / "recording.yaml").read_text()
-    holds_the_truth(imported(tmp_path, tmp_path / "f.xlsx", DoorOptions(sheet="X")))
+    holds_the_truth(imported(tmp_path, tmp_path / "f.xlsx", ReaderOptions(sheet="X")))
 
 
 def test_matrices_beside_the_targets(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from errpipe.cli.app import main
 from errpipe.errors import DataError, ErrpipeError, UsageError
-from errpipe.importing.sheet import DoorOptions
+from errpipe.importing.sheet import ReaderOptions
 from errpipe.verbs import import_files
 from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows, number
 
@@ -201,7 +201,7 @@ def test_damaged_files_never_raise_anything_else(tmp_path: Path) -> None:
             file = tmp_path / f"damaged{Path(seed).suffix}"
             file.write_bytes(bytes(data))
             try:
-                import_files.prepare([file], DoorOptions(), import_files.options_of(sets=[]))
+                import_files.prepare([file], ReaderOptions(), import_files.options_of(sets=[]))
             except ErrpipeError:
                 continue
 
@@ -212,7 +212,7 @@ FORMATS = Path(__file__).parents[2] / "data" / "formats"
 def test_the_axis_of_a_vendor_file_is_the_stated_one(tmp_path: Path) -> None:
     """A file that names no axis was imported as X whatever --axis said."""
     assert imported(tmp_path, FORMATS / "ecmc_dat.dat", axis="Y").components() == ("EYY",)
-    proposal, _ = import_files.prepare([FORMATS / "ecmc_dat.dat"], DoorOptions(), import_files.options_of(sets=[]))
+    proposal, _ = import_files.prepare([FORMATS / "ecmc_dat.dat"], ReaderOptions(), import_files.options_of(sets=[]))
     assert any("names no axis: taken as X" in note for note in proposal.notes)
 
 

@@ -31,18 +31,8 @@ def _named(protocol):
     part,
     r_test,
     rotary_ballbar,
-) = map(_named, runs_of.PROTOCOLS)
-THREE_AXES = (
-    circles,
-    telescoping,
-    multilateration,
-    cloud,
-    diagonals,
-    step_diagonals,
-    ball_plate,
-    ball_array,
-    hole_pattern,
-)
+) = EVERY = tuple(map(_named, runs_of.PROTOCOLS))
+THREE_AXES = EVERY[: EVERY.index(part)]
 FIVE_AXES = (r_test, rotary_ballbar)
 
 

@@ -185,7 +185,7 @@ def test_reversed_travel_is_refused():
 
 
 @pytest.mark.parametrize("path", READY, ids=lambda p: p.stem)
-def test_the_ready_files_are_read_by_the_projects_own_door(path):
+def test_the_ready_files_are_read_by_the_projects_own_reader(path):
     assert yamlfile.load(path, Machine).name == path.stem
 
 
@@ -198,5 +198,5 @@ def test_a_wrong_machine_file_says_where_and_what(tmp_path):
     (tmp_path / "m.yaml").write_text(text)
     with pytest.raises(ConfigError) as refused:
         yamlfile.load(tmp_path / "m.yaml", Machine)
-    told = str(refused.value)
-    assert "m.yaml:7:" in told and "liner" in told and "travle" in told and "Did you mean travel?" in told
+    output = str(refused.value)
+    assert "m.yaml:7:" in output and "liner" in output and "travle" in output and "Did you mean travel?" in output

@@ -40,16 +40,16 @@ def test_the_probability_is_what_draws_from_the_posterior_say(whole):
     assert used.all() == whole and used.any()
     part = rows @ np.where(used, solved.mean, 0.0)
     before, after = rows @ true, rows @ true - part[:, None]
-    told = remaining._expected(solved, np.where(used, solved.mean, 0.0), rows, len(q))
-    assert told.harm == pytest.approx((rms(after) > rms(before)).mean(), abs=0.02)
-    assert told.left_rms_um == pytest.approx(np.sqrt(3.0 * np.mean(after**2)), rel=0.05)
+    output = remaining._expected(solved, np.where(used, solved.mean, 0.0), rows, len(q))
+    assert output.harm == pytest.approx((rms(after) > rms(before)).mean(), abs=0.02)
+    assert output.left_rms_um == pytest.approx(np.sqrt(3.0 * np.mean(after**2)), rel=0.05)
     for axis, shown in judged.axes.items():
         own = np.arange("XYZ".index(axis), len(rows), 3)
-        told = remaining._expected(solved, np.where(used, solved.mean, 0.0), rows[own])
-        assert told.harm == pytest.approx((rms(after[own]) > rms(before[own])).mean(), abs=0.02), axis
+        output = remaining._expected(solved, np.where(used, solved.mean, 0.0), rows[own])
+        assert output.harm == pytest.approx((rms(after[own]) > rms(before[own])).mean(), abs=0.02), axis
         if not whole:
             assert (
-                shown.harm == pytest.approx(told.harm, rel=1e-6, abs=1e-12)
+                shown.harm == pytest.approx(output.harm, rel=1e-6, abs=1e-12)
                 and shown.harm <= remaining.MAX_HARM_PROBABILITY
             )
 

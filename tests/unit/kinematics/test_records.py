@@ -137,7 +137,7 @@ def test_a_record_made_once_is_judged_on_every_fifth_target():
 
 
 @pytest.mark.parametrize(
-    ("lasers", "told"),
+    ("lasers", "stated"),
     [
         ({"EXX": {"dead_path": 100.0}}, "to correct the dead path, record the air"),
         ({"EBX": {"offset": (1, 0, 0)}}, "lasers.EBX: an angle has no dead path"),
@@ -145,21 +145,21 @@ def test_a_record_made_once_is_judged_on_every_fifth_target():
         ({"EXY": {}}, "lasers.EXY: no recording holds EXY"),
     ],
 )
-def test_a_set_up_that_does_not_fit_is_refused(lasers, told):
+def test_a_set_up_that_does_not_fit_is_refused(lasers, stated):
     chain, _, recording = played_x({})
     kept = {n: c for n, c in recording.manifest.columns.items() if c.role not in ("temperature", "pressure")}
     bare = Recording(recording.manifest.model_copy(update={"columns": kept}), recording.frame[list(kept)])
-    with pytest.raises(DataError, match=told):
+    with pytest.raises(DataError, match=stated):
         records.observations(chain, {"": bare}, lasers={n: direct.Laser(**s) for n, s in lasers.items()})
 
 
 @pytest.mark.parametrize(
-    ("squares", "told"),
+    ("squares", "stated"),
     [({"C0X": 0.0}, "no such squareness.*Did you mean C0Y"), ({"C0Y": 0.0}, "EXY was not recorded")],
 )
-def test_a_square_needs_both_its_records(squares, told):
+def test_a_square_needs_both_its_records(squares, stated):
     chain, _, recording = played_x({})
-    with pytest.raises(DataError, match=told):
+    with pytest.raises(DataError, match=stated):
         records.observations(chain, {"": recording}, squares=squares)
 
 
@@ -202,8 +202,8 @@ def coverage(seeds) -> tuple[float, float, float]:
         true = {n: v for n, v in values.items() if n not in without}
         gap = synthesis.exact(chain, q, metrology.components_at(chain, true, q))[:, :3] - fitted.predict(q)[0]
         volume.append((np.mean(gap**2), np.mean(fitted.predict(q)[1] ** 2)))
-    left, told = np.sqrt(np.mean(volume, axis=0))
-    return float(np.mean(inside)), float(np.mean(constants)), float(left / told)
+    left, stated = np.sqrt(np.mean(volume, axis=0))
+    return float(np.mean(inside)), float(np.mean(constants)), float(left / stated)
 
 
 @pytest.mark.slow

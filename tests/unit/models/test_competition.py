@@ -149,9 +149,9 @@ def test_a_whole_season_sits_out_and_the_mixture_passes_the_gate() -> None:
     assert document["scheme"] == "leave-one-group-out:season"
     assert [g["label"] for g in document["components"][0]["groups"]] == list(SEASONS)
     assert pass_gate(fitted.model, [document]).model.components[0].gain == 1.0
-    told = fitted.documents["competition.json"]
-    assert set(told["rms_um"]) == {"run", "season", "cold or warm starts"}
-    assert sum(w["weight"] for w in told["weights"]) <= 1.0 + 1e-6
+    output = fitted.documents["competition.json"]
+    assert set(output["rms_um"]) == {"run", "season", "cold or warm starts"}
+    assert sum(w["weight"] for w in output["weights"]) <= 1.0 + 1e-6
     (grid,) = family.grids(fitted.documents)
     assert grid.rows[0] == "nothing" and grid.best == "mixture" and grid.rows[-1] == "noise floor"
     assert grid.columns == ["every run", "every season", "cold or warm starts", *SEASONS, "cold", "warm"]

@@ -112,13 +112,13 @@ def test_in_a_competition_it_is_not_chosen_where_it_is_worse(seed):
     """Deviations follow a temperature alone, and every run is warmer than the last: tanh ends where rises go on."""
     whole = recording(bent=0.0, runs=8, seed=seed, warmer=1.5)
     fitted, judged = (whole.take(np.flatnonzero((whole.run_codes() == 7) == sat_out)) for sat_out in (False, True))
-    told = BESIDE.fit(fitted).documents["competition.json"]
+    output = BESIDE.fit(fitted).documents["competition.json"]
     (network, rises) = (
-        min(rms for name, rms in told["rms_um"]["run"].items() if name.startswith(family))
+        min(rms for name, rms in output["rms_um"]["run"].items() if name.startswith(family))
         for family in ("neural_volume", "rises")
     )
     assert network > 1.5 * rises
-    assert [w["family"] for w in told["weights"]] == ["rises"]
+    assert [w["family"] for w in output["weights"]] == ["rises"]
     assert left(BESIDE, fitted, judged) == pytest.approx(left(ALONE, fitted, judged), rel=0.01)
 
 

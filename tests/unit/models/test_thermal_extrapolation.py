@@ -92,8 +92,8 @@ def test_the_interval_widens_where_runs_disagree_and_not_where_they_agree() -> N
     apart = further | {"T_2": 20 + 0.5 * warm}
 
     def half(frame: dict) -> float:
-        told = model.predict(recording(pd.DataFrame(frame)))
-        return float((told.upper - told.lower)[-1] / 2 / (1 + abs(told.predicted[-1]) / 50))
+        output = model.predict(recording(pd.DataFrame(frame)))
+        return float((output.upper - output.lower)[-1] / 2 / (1 + abs(output.predicted[-1]) / 50))
 
     assert half(apart) > 4 * half(further)
 
@@ -126,8 +126,8 @@ def test_the_interval_widens_where_families_disagree(second: int) -> None:
 
     def half(t_2: np.ndarray) -> float:
         further = {"run": "x", "t": STEP * np.arange(120), "T_1": 20 + np.linspace(0, 20, 120), "T_2": t_2, "E_Z": 0.0}
-        told = model.predict(recording(pd.DataFrame(further)))
-        return float((told.upper - told.lower)[-1] / 2)
+        output = model.predict(recording(pd.DataFrame(further)))
+        return float((output.upper - output.lower)[-1] / 2)
 
     apart = half(20 + np.linspace(0, 10, 120)) / half(20 + np.linspace(0, 20, 120))
     assert apart > 4 if second else abs(apart - 1.0) < 0.01
@@ -255,9 +255,9 @@ def test_a_log_of_days_in_one_run_counts_as_its_days() -> None:
     problem = linear.problem(log, "E_Z", None, 3)
     assert not problem.one_day and problem.own == len(log) < len(problem.recording)
     assert problem.run_count == 5 + 2
-    told = Auto(component="E_Z", among=("rises",)).train(log).predict(log)
-    left = since_start(log.array("E_Z"), log.run_codes(), 3)[0] - told.predicted
-    assert np.mean(0.5 * (told.upper - told.lower)) < 1.7 * np.quantile(np.abs(left), 0.9)
+    output = Auto(component="E_Z", among=("rises",)).train(log).predict(log)
+    left = since_start(log.array("E_Z"), log.run_codes(), 3)[0] - output.predicted
+    assert np.mean(0.5 * (output.upper - output.lower)) < 1.7 * np.quantile(np.abs(left), 0.9)
 
 
 def hall_log(seed: int, days: int, started: float) -> tuple[Recording, np.ndarray]:
@@ -340,8 +340,8 @@ def test_rows_behind_a_sensor_that_fell_silent_in_a_day_judge_nothing(monkeypatc
     frame = days(6, 4)
     seen = (frame["run"] != "day 2") | (frame.groupby("run").cumcount() < 40)
     gone = recording(frame.assign(T_1=frame["T_1"].where(seen)).drop(columns="machine"))
-    family, told = Lagged(component="E_Z"), SimpleNamespace(values=lambda r: np.zeros(len(r)), validity=Validity())
-    monkeypatch.setattr(Lagged, "train", lambda self, recording, rows: told)
+    family, output = Lagged(component="E_Z"), SimpleNamespace(values=lambda r: np.zeros(len(r)), validity=Validity())
+    monkeypatch.setattr(Lagged, "train", lambda self, recording, rows: output)
     (figures,) = held_out(gone, family)["components"]
     rows = {g["label"]: g["rows"] for g in figures["groups"]}
     assert rows == {f"day {k}": 120 for k in range(6)} | {"day 2": 43}  # three readings are held

@@ -6,7 +6,7 @@ from errpipe.cli.app import main
 from errpipe.ncprogram import writer
 from errpipe.tables import ect
 from errpipe.verbs.correct import correct as correct_file
-from errpipe.verbs.correct import diameters, rotary_words, unsaid, whole_numbers
+from errpipe.verbs.correct import remarks_on_words, unset_modal_states
 from tests.unit.targets import machines
 
 
@@ -23,8 +23,9 @@ def test_what_a_program_cannot_correct_is_said(tmp_path):
 
 
 def test_a_program_with_a_rotary_axis_says_how_it_was_taken():
-    assert rotary_words("(C1)\nG0 X1 c-90\n").startswith("line 2: c-90 is taken as of an axis that counts on")
-    assert rotary_words("(C1)\nG0 X1 ; A2\n") == ""
+    remark = remarks_on_words("(C1)\nG0 X1. c-90\n")["rotary"]
+    assert remark.startswith("line 2: c-90 is taken as of an axis that counts on")
+    assert remarks_on_words("(C1)\nG0 X1 ; A2\n").get("rotary", "") == ""
 
 
 def test_an_input_that_is_given_twice_is_refused(tmp_path, capsys):
@@ -128,14 +129,16 @@ def test_a_printed_program_is_the_written_one_to_the_byte_and_its_remarks_go_to_
 )
 def test_lengths_without_a_point_are_named(line, found):
     """On a Fanuc that counts them in thousandths the corrected program, which has points, goes 1000 times further."""
-    says = whole_numbers(f"G21 G90 G54\n{line}\n")
+    says = remarks_on_words(f"G21 G90 G54\n{line}\n").get("whole_numbers", "")
     assert says.startswith(f"line 2: {found} has no decimal point") if found else says == ""
 
 
 @pytest.mark.parametrize("line", ["G96 S200 M3", "G50 S2000", "N5 g92 s1800", "T0101", "T1212 M6"])
 def test_a_turning_program_says_that_x_was_taken_as_a_radius(line):
-    assert "do not use the corrected program" in diameters(f"G21 G18 G99 G54\n{line}\nG0 X50.")
-    assert diameters("G21 G90 G54 (G96 is a lathe's)\nT12 M6\nT1234\nT0100\nG97 S1000 M3\nG0 X50.") == ""
+    turned = f"G21 G18 G99 G54\n{line}\nG0 X50."
+    milled = "G90 (G96 is a lathe's)\nT12 M6\nT1234\nT0100\nG97 S1000 M3\nX5."
+    assert "do not use the corrected program" in remarks_on_words(turned)["diameters"]
+    assert remarks_on_words(milled) == {}
 
 
 @pytest.mark.parametrize(
@@ -151,4 +154,4 @@ def test_a_turning_program_says_that_x_was_taken_as_a_radius(line):
 )
 def test_what_a_program_leaves_to_the_state_of_its_control_is_said(program, left):
     """On a control that starts in inches the corrected program would be wrong by 25.4 times the correction."""
-    assert unsaid(program).startswith(left) and bool(unsaid(program)) == bool(left)
+    assert unset_modal_states(program).startswith(left) and bool(unset_modal_states(program)) == bool(left)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from errpipe.ncprogram.modal import Setup
-from tests.nc import bent, correct
+from tests.nc import CUTS, bent, correct
 
 pytestmark = [
     pytest.mark.toolchain,
@@ -20,21 +20,7 @@ pytestmark = [
 SETUP = Setup(
     offsets={"G54": (100.0, 50.0, -200.0), "G55": (300.0, 50.0, -200.0)}, tools={1: 80.0}, start=(100.0, 50.0, -200.0)
 )
-PROGRAM = """G17 G21 G90 G54 G94
-N20 G43 H1
-N30 G0 X0 Y0 Z20
-N40 G1 Z-2 F200
-N50 G1 X80 Y10 F800 (first cut)
-N60 G3 X80 Y50 I0 J20
-N70 G2 X60 Y70 R20
-G91 G1 X-10 Y-5
-X-10
-G90 G18 G2 X20 Z-2 I-10 K0
-G17 G20 G1 X2 Y1 F30
-G21 G55 G1 X10 Y10
-G49 G0 Z150
-M2
-"""
+PROGRAM = f"G17 G21 G90 G54 G94\n{CUTS}"
 INCH = 25.4
 
 

@@ -39,8 +39,8 @@ def test_what_was_on_machine_7_and_why(where: Path, capsys: Any) -> None:
     assert entry["number"] == 2 and entry["why"] == "recorded on 2026-03-01"
     _, document = run(where, "log", reg, "--file", where / "one.ect", capsys=capsys)
     assert [e["number"] for e in document["result"]["entries"]] == [1, 3]
-    ect.write(machines.bent(), where / "stranger.ect")
-    assert run(where, "log", reg, "--file", where / "stranger.ect", capsys=capsys)[0] == 6
+    ect.write(machines.bent(), where / "unrecorded.ect")
+    assert run(where, "log", reg, "--file", where / "unrecorded.ect", capsys=capsys)[0] == 6
 
 
 def test_a_table_of_another_axis_or_machine_does_not_replace_one_unasked(where: Path, capsys: Any) -> None:
@@ -249,10 +249,10 @@ def test_of_two_simultaneous_promotions_one_wins_and_one_is_refused(where: Path,
             return "won"
         except GateError as err:
             assert "another writer was first" in str(err)
-            return "told"
+            return "refused"
 
     with ThreadPoolExecutor(8) as pool:
-        assert sorted(pool.map(promote, range(8))) == ["told"] * 7 + ["won"]
+        assert sorted(pool.map(promote, range(8))) == ["refused"] * 7 + ["won"]
     assert len(Registry(where / "reg", key.public).history("7")) == 2
 
 

@@ -100,13 +100,13 @@ def test_a_remark_changes_nothing_that_the_controller_reads(target: Any) -> None
     key, table = minisign.generate(), machines.sample(target)
     text = key.sign(ect.dumps(table), "machine 7")
     files = target.write(table)
-    remarked = target.remarked(files, signed.remarks(table, text, key.public))
+    remarked = target.with_remarks(files, signed.remarks(table, text, key.public))
     added = "".join(line for n in files for line in remarked[n].splitlines(keepends=True) if "errpipe remark" in line)
-    assert target.bare(remarked) == files
+    assert target.without_remarks(remarked) == files
     for line in text.splitlines()[1::2]:
         assert line.rstrip("=") in added and base64.b64decode(line)
     assert max(map(len, added.splitlines())) <= 200
     assert repr(target.read_back(remarked)) == repr(target.read_back(files))
     for name in files:  # what only looks like a remark is not passed over
         planted = remarked | {name: remarked[name] + "system(); /* errpipe remark: x */\n"}
-        assert target.bare(planted) != files
+        assert target.without_remarks(planted) != files

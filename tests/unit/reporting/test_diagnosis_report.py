@@ -31,8 +31,8 @@ def trace(*effects: str, **more) -> Trace:
     inputs = {"when": np.arange(ROWS) * 2.0, "x": x}
     carried = {e: (k + 1.0) * np.sin(x / (40.0 + 20 * k)) for k, e in enumerate(effects)}
     before = sum(carried.values()) + rng.normal(0, 1, ROWS)
-    told = {"contributions": carried, "inputs": inputs, "clock": "when", "units": {"x": "mm", "when": "s"}}
-    return Trace(before, before - sum(carried.values()), np.zeros(ROWS, dtype=int), **(told | more))
+    output = {"contributions": carried, "inputs": inputs, "clock": "when", "units": {"x": "mm", "when": "s"}}
+    return Trace(before, before - sum(carried.values()), np.zeros(ROWS, dtype=int), **(output | more))
 
 
 def page(*effects: str) -> str:

@@ -63,11 +63,11 @@ def test_slices_before_and_after_stand_side_by_side_in_one_scale(measured):
     left = replace(errors, tables=tuple(0.1 * t for t in errors.tables), constants=0.1 * errors.constants)
     panels = {n: machine_figures.size_of(chain, e) for n, e in (("before", errors), ("after", left))}
     svg = machine_figures.slices(chain, panels)
-    told = words(svg)
-    assert {"X mm, at Z -250", "X mm, at Y 250", "Y mm, at X 400", "Y mm", "Z mm"} <= told
-    planes = {n: sorted(w for w in told if w.startswith(f"{n}:")) for n in panels}
+    output = words(svg)
+    assert {"X mm, at Z -250", "X mm, at Y 250", "Y mm, at X 400", "Y mm", "Z mm"} <= output
+    planes = {n: sorted(w for w in output if w.startswith(f"{n}:")) for n in panels}
     assert len(planes["before"]) == len(planes["after"]) == 3
-    assert sum(w == "um" for w in told) == 1  # one bar of colours
+    assert sum(w == "um" for w in output) == 1  # one bar of colours
     assert svg == machine_figures.slices(chain, panels)
 
 
@@ -76,8 +76,8 @@ def test_a_table_of_two_axes_has_its_plane_before_and_after():
     links = ["workpiece", "X'", "bed", "Y", "spindle", "tool"]
     chain = compile_chain(Machine.model_validate({"machine": 1, "name": "table", "chain": links, "axes": axes}))
     panels = {"before": lambda q: q[:, 0] / 50, "after": lambda q: 0.1 + 0 * q[:, 0]}
-    told = words(machine_figures.slices(chain, panels))
-    assert {"X mm", "Y mm", "before: 5.8 um rms, 10.0 largest", "after: 0.10 um rms, 0.10 largest"} <= told
+    output = words(machine_figures.slices(chain, panels))
+    assert {"X mm", "Y mm", "before: 5.8 um rms, 10.0 largest", "after: 0.10 um rms, 0.10 largest"} <= output
 
 
 def test_what_is_left_without_a_known_direction_is_drawn_as_balls(measured):

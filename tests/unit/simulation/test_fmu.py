@@ -77,9 +77,9 @@ def declared(model: Path, folder: Path, **units: str) -> Path:
                     pattern = rf'(name="{variable}"[^>]*>\s*<Real)'
                     text, count = re.subn(pattern, rf'\1 unit="{unit}"', text)
                     assert count == 1, text
-                told = "".join(f'<Unit name="{u}"/>' for u in sorted(set(units.values())))
-                told = f"<UnitDefinitions>{told}</UnitDefinitions>"
-                text = re.sub("(<LogCategories|<DefaultExperiment|<ModelVariables)", told + r"\1", text, count=1)
+                output = "".join(f'<Unit name="{u}"/>' for u in sorted(set(units.values())))
+                output = f"<UnitDefinitions>{output}</UnitDefinitions>"
+                text = re.sub("(<LogCategories|<DefaultExperiment|<ModelVariables)", output + r"\1", text, count=1)
                 data = text.encode()
             target.writestr(name, data)
     return out
@@ -197,10 +197,10 @@ def test_sessions_start_anew_and_runs_in_a_row_do_not(model: Path) -> None:
 )
 def test_what_it_does_to_itself_it_does_alone(model: Path, mode: int, message: str) -> None:
     start = time.perf_counter()
-    with pytest.raises(DataError, match=message) as told:
+    with pytest.raises(DataError, match=message) as output:
         simulated(recorded(), model, parameters={"mode": mode}, time_limit=2.0 if mode == 2 else 30.0, memory_mb=1024)
     assert time.perf_counter() - start < 90  # it would hang for ever; starting a process takes long on a busy machine
-    assert told.value.exit_code == 3 and "/tmp" not in str(told.value) and "Traceback" not in str(told.value)
+    assert output.value.exit_code == 3 and "/tmp" not in str(output.value) and "Traceback" not in str(output.value)
 
 
 def test_no_process_outlives_its_recording(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -65,11 +65,11 @@ def test_python(tmp_path: Path) -> None:
     made = recording(runs=2)
     columns = {n: made.array(n) for n in ("a", "x")}
     day = np.repeat([0, 1], 1500)
-    told = module(tmp_path, made).deviation(columns, made.time(), day)
+    output = module(tmp_path, made).deviation(columns, made.time(), day)
     for piece, component in ((RINGS, "EXX"), (LATE, "EYX")):
-        assert_allclose(told[component], patch.value(piece, made), rtol=1e-9, atol=1e-9)
+        assert_allclose(output[component], patch.value(piece, made), rtol=1e-9, atol=1e-9)
         wanted = np.tile(closed_forms(recording())[component], 2)
-        assert_allclose(told[component], wanted, atol=2e-3 * np.abs(wanted).max())
+        assert_allclose(output[component], wanted, atol=2e-3 * np.abs(wanted).max())
 
 
 @pytest.mark.slow

@@ -39,8 +39,8 @@ def test_a_control_that_holds_the_whole_table_takes_it_and_its_checklist_says_th
     with pytest.raises(GateError, match="moves an axis"):
         target.write(diameter())
     stage.write_targets(diameter(E_D={"axis": "X"}), [target.name], tmp_path)
-    told = (tmp_path / target.name / stage.CHECKLIST).read_text()
-    assert "+10 um corresponds to +5 um along X: X is commanded 5 um less" in told
+    output = (tmp_path / target.name / stage.CHECKLIST).read_text()
+    assert "+10 um corresponds to +5 um along X: X is commanded 5 um less" in output
 
 
 def test_the_recording_may_say_it_and_the_export_wins():

@@ -11,7 +11,7 @@ from errpipe.guard import in_table, learn
 from errpipe.guard.detect import faults
 from errpipe.models.terms import Terms
 from errpipe.stages import _guarded
-from errpipe.stages._checklist import _watch
+from errpipe.stages._checklist import _sensor_monitoring
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages.predict import table_values
 from errpipe.targets import _sample
@@ -47,7 +47,7 @@ def judged(rows: Recording, model: ErrorModel) -> _guarded.Judge:
 def watched():
     rows, model = machine(8, 5)
     judge = judged(rows, model)
-    return rows, model, judge, _guarded.watch(judge, None)
+    return rows, model, judge, _guarded.choose_guard(judge, None)
 
 
 def test_six_sensors_are_watched_within_400_nodes_and_cost_nothing(watched):
@@ -80,10 +80,10 @@ def test_a_table_without_its_guard_is_the_plain_one(watched):
     rows, model, judge, found = watched
     table = judge.compiled(found.guard)
     free = in_table.without_guard(table)
-    assert in_table.watched(table) and in_table.stands_in(table) and not in_table.watched(free)
+    assert in_table.has_guard(table) and in_table.has_substitutes(table) and not in_table.has_guard(free)
     assert len(free.nodes) == len(judge.plain.nodes) and in_table.without_guard(judge.plain) is judge.plain
-    told, plain = (table_values(t, model, rows)["E_Z"] for t in (free, judge.plain))
-    np.testing.assert_array_equal(told, plain)
+    output, plain = (table_values(t, model, rows)["E_Z"] for t in (free, judge.plain))
+    np.testing.assert_array_equal(output, plain)
     names = {"T_bed": np.array([20.0, 25.0])}
     settled = [_sample.corrections(t, "Z", names, np.ones(2)) for t in (table, judge.plain)]
     np.testing.assert_array_equal(*settled)
@@ -94,11 +94,11 @@ def test_one_run_or_one_sensor_is_watched_by_itself():
     for runs, read, why in ((1, ("T_bearing", "T_room"), "found: 2, 1"), (4, ("T_bed",), "found: 1, 4")):
         rows, model = machine(runs, 7, read)
         rows = without(rows, set(sensors.NAMES) - set(read))
-        found = _guarded.watch(judged(rows, model), None)
-        assert not found.guard.compares and why in found.said, found.said
-        assert found.title(200 * "x").endswith(f"x; {_guarded.WATCHED_ALONE}") and len(found.title(200 * "x")) == 127
+        found = _guarded.choose_guard(judged(rows, model), None)
+        assert not found.guard.compares and why in found.sentence, found.sentence
+        assert found.title(200 * "x").endswith(f"x; {_guarded.MONITORED_ALONE}") and len(found.title(200 * "x")) == 127
         table = judged(rows, model).compiled(found.guard)
-        assert in_table.watched(table) and not in_table.stands_in(table)
+        assert in_table.has_guard(table) and not in_table.has_substitutes(table)
 
 
 def without(rows: Recording, names: set[str]) -> Recording:
@@ -109,7 +109,7 @@ def without(rows: Recording, names: set[str]) -> Recording:
 def test_a_sensor_watched_by_itself_fades_the_correction_where_it_stands_still():
     rows, model = machine(1, 7, ("T_bearing", "T_room"))
     judge = judged(rows, model)
-    table = judge.compiled(_guarded.watch(judge, None).guard)
+    table = judge.compiled(_guarded.choose_guard(judge, None).guard)
     late = rows.time() >= 7200.0
     x = rows.array("T_bearing")
     failed = rows.with_columns({"T_bearing": np.where(late, x[120], x)}, {})
@@ -139,16 +139,16 @@ def test_a_guard_that_costs_sound_sensors_too_much_is_left_out_and_said(watched)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(learn, "learn", jumpy)
-        found = _guarded.watch(judge, None)
-    assert not found.guard.compares and "with healthy sensors it would cost" in found.said
+        found = _guarded.choose_guard(judge, None)
+    assert not found.guard.compares and "with healthy sensors it would cost" in found.sentence
 
 
 def test_a_sensor_that_no_other_tells_fades_the_correction(watched):
     """The stand-in of a sensor whose noise the table turns into more than the whole error."""
     rows, model, judge, _ = watched
     poor = _guarded.Judge(model, CompileOptions(), rows, judge.plain, judge.left, {"E_Z": 1.01 * judge.left["E_Z"]})
-    lost = _guarded.watch(poor, None)
-    assert not all(s.stands_in for s in lost.guard.sensors) and "fades if" in lost.said
+    lost = _guarded.choose_guard(poor, None)
+    assert not all(s.stands_in for s in lost.guard.sensors) and "fades if" in lost.sentence
     alone = [s for s in lost.guard.sensors if not s.stands_in]  # a false alarm would cost the whole correction
     assert all(s.jump >= 5.0 for s in alone)
 
@@ -158,29 +158,29 @@ def test_checklists_say_whether_sensors_are_watched(watched, guarded):
     _, _, judge, found = watched
     table = judge.compiled(found.guard) if guarded else judge.plain
     whole, lines = WholeTable(table=table), ReadBack()
-    assert any("monitored against each other" in x for x in _watch(whole, table)) == guarded
-    assert any("the table has no guard" in x for x in _watch(whole, table)) != guarded
-    assert any("no memory for a guard" in x for x in _watch(lines, table))
+    assert any("monitored against each other" in x for x in _sensor_monitoring(whole, table)) == guarded
+    assert any("the table has no guard" in x for x in _sensor_monitoring(whole, table)) != guarded
+    assert any("no memory for a guard" in x for x in _sensor_monitoring(lines, table))
 
 
 def test_no_guard_is_said_in_the_title(tmp_path):
-    found = _guarded.not_watched("guard: false")
-    assert found.title("lathe") == f"lathe; {_guarded.NOT_WATCHED}" and "guard: false" in found.said
+    found = _guarded.no_guard("guard: false")
+    assert found.title("lathe") == f"lathe; {_guarded.NOT_MONITORED}" and "guard: false" in found.sentence
 
 
 def test_a_table_without_room_has_a_smaller_guard_or_none(watched):
     """300 nodes are enough for five sensors that are compared, 100 for four by themselves, 20 for none."""
     _, _, judge, _ = watched
 
-    def with_room(nodes: int) -> _guarded.Watched:
+    def with_room(nodes: int) -> _guarded.TableGuard:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(_guarded.Judge, "room", lambda self: nodes)
-            return _guarded.watch(judge, None)
+            return _guarded.choose_guard(judge, None)
 
     few, alone, none = map(with_room, (300, 100, 20))
     assert few.guard.compares and len(few.guard.sensors) == 5
-    assert not alone.guard.compares and len(alone.guard.sensors) == 4 and "free nodes" in alone.said
-    assert none.guard is None and "free nodes" in none.said
+    assert not alone.guard.compares and len(alone.guard.sensors) == 4 and "free nodes" in alone.sentence
+    assert none.guard is None and "free nodes" in none.sentence
     assert len(judge.compiled(few.guard).nodes) - len(judge.plain.nodes) <= 300
     assert len(judge.compiled(alone.guard).nodes) - len(judge.plain.nodes) <= 100
 

@@ -79,7 +79,7 @@ def test_a_table_that_may_jump_says_so_and_runs_only_where_it_is_named(tmp_path:
     with pytest.raises(VerifyError, match="EXX is corrected without magnitude or slew"):
         Table.read(tmp_path / "table.ect").cycle()
     says = targets.export(tmp_path / "table.ect", ["c_runtime"], tmp_path / "out")["says"]
-    told = [says, [(tmp_path / "out" / "c_runtime" / "CHECKLIST.md").read_text()]]
-    assert all("EXX: the table states no slew" in "".join(lines) for lines in told)
+    output = [says, [(tmp_path / "out" / "c_runtime" / "CHECKLIST.md").read_text()]]
+    assert all("EXX: the table states no slew" in "".join(lines) for lines in output)
     ect.write(follower(100.0, 1000.0), tmp_path / "slow.ect")
     assert "no slew" not in "".join(targets.export(tmp_path / "slow.ect", ["c_runtime"], tmp_path / "out2")["says"])

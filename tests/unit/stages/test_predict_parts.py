@@ -105,8 +105,8 @@ def test_the_files_hold_what_the_whole_prediction_says(model, tmp_path, monkeypa
         manifest_folder, "iter_chunks", lambda path, rows=0, of=manifest_folder.iter_chunks: of(path, 700)
     )
     for name in ("p.parquet", "p.csv"):
-        told = stage.predict(tmp_path / "error_model.json", tmp_path / "rows", tmp_path / name)
-        assert told["rows"] == len(drift) and told["columns"] == list(whole)
+        output = stage.predict(tmp_path / "error_model.json", tmp_path / "rows", tmp_path / name)
+        assert output["rows"] == len(drift) and output["columns"] == list(whole)
     same(pd.read_parquet(tmp_path / "p.parquet"), whole)
     assert (tmp_path / "p.csv").read_text() == whole.to_csv(index=False, lineterminator="\n")
 
@@ -128,8 +128,8 @@ def test_a_sensor_that_falls_silent_is_named_and_its_rows_have_no_interval(model
         list(said["silent"]) == ["T_front"]
         and f"in {first.size - 23} of {len(frame)} rows" in said["silent"]["T_front"]
     )
-    told = pd.read_csv(tmp_path / "out.csv")
-    assert told["E_Z_upper"].isna().to_numpy().nonzero()[0].tolist() == first[23:].tolist()
+    output = pd.read_csv(tmp_path / "out.csv")
+    assert output["E_Z_upper"].isna().to_numpy().nonzero()[0].tolist() == first[23:].tolist()
     manifest_folder.write(drift, tmp_path / "healthy")
     assert "silent" not in stage.predict(file, tmp_path / "healthy", tmp_path / "out.csv")
 

@@ -55,13 +55,15 @@ def test_other_units_of_the_same_quantity_are_converted(tmp_path: Path, table: P
 
 
 @pytest.mark.parametrize(
-    ("name", "told"), [("mm/x.csv", "would replace a file of the recording"), ("p.xlsx", ".csv or .parquet")]
+    ("name", "output"), [("mm/x.csv", "would replace a file of the recording"), ("p.xlsx", ".csv or .parquet")]
 )
-def test_a_prediction_replaces_nothing_measured(tmp_path: Path, table: Path, capsys: Any, name: str, told: str) -> None:
+def test_a_prediction_replaces_nothing_measured(
+    tmp_path: Path, table: Path, capsys: Any, name: str, output: str
+) -> None:
     folder = record(tmp_path / "mm")
     before = (folder / "x.csv").read_bytes()
     assert main(["predict", str(table), str(folder), "--out", str(tmp_path / name)]) == 2
-    assert told in capsys.readouterr().err and (folder / "x.csv").read_bytes() == before
+    assert output in capsys.readouterr().err and (folder / "x.csv").read_bytes() == before
 
 
 def test_a_prediction_of_before_is_replaced(tmp_path: Path, table: Path) -> None:

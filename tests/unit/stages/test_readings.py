@@ -82,12 +82,12 @@ def reading(recording, *rows) -> str:
 @pytest.mark.parametrize("as_table", [False, True], ids=["model", "table"])
 def test_a_machine_10_um_too_long_is_predicted_10_um_longer_after_a_reading(run, recording, as_table):
     without, _ = run(model(**TAKES), None, as_table)
-    told, answer = run(model(**TAKES), reading(recording, 8), as_table)
+    output, answer = run(model(**TAKES), reading(recording, 8), as_table)
     assert answer["readings"] == {"E_X": {"used": 1, "not_believed": 0, "by": "datum_E_X"}}
     more = np.zeros(2 * ROWS)
     more[9:21] = 10.0  # after row 8, for 7200 s, in its own run
-    assert_allclose(told - without, more, atol=1e-9)
-    assert_allclose(told[9:21], recording.array("x")[9:21], atol=1e-3)
+    assert_allclose(output - without, more, atol=1e-9)
+    assert_allclose(output[9:21], recording.array("x")[9:21], atol=1e-3)
 
 
 def test_a_share_of_the_reading_and_none_that_is_wild(run, recording):
@@ -100,9 +100,9 @@ def test_a_share_of_the_reading_and_none_that_is_wild(run, recording):
 
 def test_a_table_without_the_input_is_corrected_beside_it(run, recording):
     without, _ = run(model(), None)
-    told, answer = run(model(), reading(recording, 8, 40), as_table=True)
+    output, answer = run(model(), reading(recording, 8, 40), as_table=True)
     assert "the table has no input" in answer["readings"]["E_X"]["by"]
-    more = told - without
+    more = output - without
     assert (more[:9] == 0).all() and (more[ROWS : ROWS + 11] == 0).all()
     assert_allclose(np.r_[more[9:ROWS], more[ROWS + 11 :]], 10.0, atol=1e-9)
 

@@ -38,9 +38,9 @@ def table(model):
 def test_outside_the_box_the_table_says_what_the_model_says(fitted, model, table):
     one = machine(2, seed=9, rows=40)
     hot = Recording(one.manifest, one.frame.assign(**{n: one.array(n) + 20.0 for n in SENSORS}))
-    told = table_values(table, model, hot)["E_D"]
-    assert np.abs(told).max() > 1.0
-    assert_allclose(told, fitted.values(hot), atol=1e-9)
+    output = table_values(table, model, hot)["E_D"]
+    assert np.abs(output).max() > 1.0
+    assert_allclose(output, fitted.values(hot), atol=1e-9)
 
 
 def test_the_table_has_no_box_of_its_own_and_still_fades_where_a_sensor_is_lost(model, table):

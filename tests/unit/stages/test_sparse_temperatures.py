@@ -65,8 +65,8 @@ def test_terms_are_judged_on_the_rows_between_two_readings_too():
     table = compile_model(model, CompileOptions(), recording=recording)
     assert family.judge(recording, fold)["E_Z"].rows.size == fold.test.sum()
     columns = {i.name: recording.array(i.name) for i in table.inputs}
-    told = batch.evaluate(by_component(table), columns, recording.time(), recording.run_codes()).deviation["E_Z"]
-    left = recording.array("E_Z") - told
+    output = batch.evaluate(by_component(table), columns, recording.time(), recording.run_codes()).deviation["E_Z"]
+    left = recording.array("E_Z") - output
     assert np.sqrt(np.mean(left**2)) == pytest.approx(model.components[0].rms_after, rel=1e-3)
 
 

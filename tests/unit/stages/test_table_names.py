@@ -26,9 +26,9 @@ from errpipe.stages import _inputs
     ],
 )
 def test_a_column_that_does_not_fit_a_table_is_named(name, facts, words):
-    with pytest.raises(GateError, match="Rename it in the recording") as told:
+    with pytest.raises(GateError, match="Rename it in the recording") as output:
         _inputs.table_inputs(SimpleNamespace(columns={name: facts}))
-    assert words in str(told.value) and repr(name) in str(told.value)
+    assert words in str(output.value) and repr(name) in str(output.value)
 
 
 def test_a_title_of_several_lines_becomes_one():

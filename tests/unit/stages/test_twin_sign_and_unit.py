@@ -33,12 +33,12 @@ def recording(factor: float) -> Recording:
 
 
 @pytest.mark.parametrize(
-    ("factor", "told"),
+    ("factor", "output"),
     [(1.0, ""), (-1.0, "one of them has the other sign"), (1e-3, "one of them is probably not in um"), (0.0, "")],
 )
-def test_a_reversed_sign_and_another_unit_are_reported(factor: float, told: str) -> None:
+def test_a_reversed_sign_and_another_unit_are_reported(factor: float, output: str) -> None:
     said = warnings(recording(factor))
-    assert [told in s for s in said] == ([True] if told else [])
+    assert [output in s for s in said] == ([True] if output else [])
 
 
 def test_what_is_missing_may_have_the_other_sign_than_what_is_simulated() -> None:

@@ -53,8 +53,8 @@ def run(count: int, seed: int, by_c: Callable[[bytes], bool] | None) -> tuple[in
     taken, pair = 0, []
     for _ in range(count):
         data = c.damaged(r, r.choice(bases))
-        if told := finding(data, by_c):
-            pair.append((told, data))
+        if output := finding(data, by_c):
+            pair.append((output, data))
         taken += by_c(data) if by_c is not None else 0
     return taken, pair
 
@@ -72,8 +72,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         taken, result = run(count, seed, c_reader(Path(folder)))
     print(f"{count} executions of both readers, {taken} tables taken, {len(result)} findings")
-    for told, data in result[:20]:
-        print(told, data.hex())
+    for output, data in result[:20]:
+        print(output, data.hex())
     return 1 if result else 0
 
 

@@ -9,7 +9,17 @@ from errpipe.domain import driver as d
 from errpipe.domain import table as t
 from errpipe.drivers.lowered import Lowered
 from errpipe.errors import GateError
-from errpipe.tables import ComponentSource, Limits, MonomialSource, OutputSource, batch, bounds, compile_table, ect
+from errpipe.tables import (
+    ComponentSource,
+    Limits,
+    MonomialSource,
+    OutputSource,
+    batch,
+    bounds,
+    compile_table,
+    ect,
+    with_limits,
+)
 from errpipe.tables.gridding import grid, interpolation_error
 from errpipe.tables.reference import Evaluator
 from tests.unit.tables.made import everything, position, sensor, ten_um_too_long
@@ -135,10 +145,10 @@ def test_bounds_are_never_too_small():
 def test_magnitude_is_limited_to_what_the_table_can_reach():
     table = ten_um_too_long()
     assert table.outputs[0].magnitude == pytest.approx(10.0, rel=0.1) and table.outputs[0].magnitude >= 10.0
-    own = ten_um_too_long(limits={"EXX": Limits(3.0, 100.0, 1000.0)}).outputs[0]
+    own = with_limits(table, {"EXX": Limits(3.0, 100.0, 1000.0)}).outputs[0]
     assert (own.magnitude, own.slew, own.acceleration) == (3.0, 100.0, 1000.0)
     with pytest.raises(GateError, match="EYY"):
-        ten_um_too_long(limits={"EYY": Limits(3.0)})
+        with_limits(table, {"EYY": Limits(3.0)})
 
 
 def test_outputs_are_sums_of_monomials():

@@ -154,9 +154,9 @@ def test_damage_behind_a_mended_checksum_is_refused_or_sound():
 def test_a_twin_that_makes_no_sense_is_refused(change, words, tmp_path):
     twin = json.loads(ten_um_too_long().model_dump_json()) | change
     (tmp_path / "t.json").write_text(json.dumps(twin))
-    with pytest.raises(VerifyError, match=r"t\.json: ") as told:
+    with pytest.raises(VerifyError, match=r"t\.json: ") as output:
         ect.read_json(tmp_path / "t.json")
-    assert words in str(told.value)
+    assert words in str(output.value)
 
 
 def test_fingerprint_is_the_checksum_a_controller_shows(tmp_path):

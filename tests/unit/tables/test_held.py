@@ -78,8 +78,8 @@ def test_the_bound_holds_and_is_not_idle(name):
 def test_an_input_without_a_rate_may_cross_its_range():
     (free,) = held.outputs(made(100, NODES["a rise"], None))
     assert free.largest == pytest.approx(140.0 * 10.0)
-    (told,) = held.outputs(made(100, NODES["a rise"], None), otherwise=held.USUAL)
-    assert told.largest == pytest.approx(10.0 * 0.99 / 60.0)
+    (output,) = held.outputs(made(100, NODES["a rise"], None), otherwise=held.USUAL)
+    assert output.largest == pytest.approx(10.0 * 0.99 / 60.0)
 
 
 def test_a_table_without_slow_nodes_is_never_late():

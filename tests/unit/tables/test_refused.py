@@ -51,9 +51,9 @@ def test_the_rules_are_many_and_the_table_itself_is_sound():
 
 @every
 def test_python(what, data):
-    with pytest.raises(VerifyError) as told:
+    with pytest.raises(VerifyError) as output:
         ect.loads(data)
-    assert "\n" not in str(told.value) and "pydantic" not in str(told.value)
+    assert "\n" not in str(output.value) and "pydantic" not in str(output.value)
 
 
 @needs_gcc

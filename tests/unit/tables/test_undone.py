@@ -19,10 +19,10 @@ def evaluator(driver: d.Driver) -> Evaluator:
     return Evaluator(compile_table([source], inputs=[position(), speed], ramp_s=0.0))
 
 
-def sides(way, told=None, dt: float | None = None) -> str:
+def sides(way, stated=None, dt: float | None = None) -> str:
     """+ or - per reading of an axis whose threshold is 1 mm, and which starts at +."""
     e = evaluator(d.Direction(axis="X", threshold=1.0))
-    known = [{}] * len(way) if told is None else [{"v": float(v)} for v in told]
+    known = [{}] * len(way) if stated is None else [{"v": float(v)} for v in stated]
     cycles = (e.cycle({"x": float(x), **more}, dt=dt) for x, more in zip(way, known, strict=True))
     return "".join("+" if c.deviation["EXX"] > 0 else "-" for c in cycles)
 
@@ -68,7 +68,7 @@ def test_a_reversal_shows_in_the_cycle_in_which_it_is_read(way, right):
 
 
 @pytest.mark.parametrize(
-    ("way", "told", "right"),
+    ("way", "stated", "right"),
     [
         pytest.param([14] * 5, [0, 0, -1, 0, 0], "++-++", id="at a standstill"),
         pytest.param([14] * 4, [-1, 0, 0, 0], "-+++", id="the first reading of all"),
@@ -79,8 +79,8 @@ def test_a_reversal_shows_in_the_cycle_in_which_it_is_read(way, right):
         pytest.param([14, 13.75, 13.5, 13.25, 13.25], [0, -1, -1, -1, 0], "+----", id="slow motion"),
     ],
 )
-def test_a_stated_direction_without_motion_is_reverted(way, told, right):
-    assert sides(way, told) == right
+def test_a_stated_direction_without_motion_is_reverted(way, stated, right):
+    assert sides(way, stated) == right
 
 
 def test_rows_of_a_recording_are_all_believed():

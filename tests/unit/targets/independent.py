@@ -61,7 +61,7 @@ def _comments(node) -> list[tuple[int, int]]:
 def _first_error(node) -> str:
     if node.type == "ERROR" or node.is_missing:
         return f"line {node.start_point[0] + 1}: {node.text[:80]!r}"
-    return next((told for told in map(_first_error, node.children) if told), "")
+    return next((output for output in map(_first_error, node.children) if output), "")
 
 
 @cache

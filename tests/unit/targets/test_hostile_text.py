@@ -130,8 +130,8 @@ def test_the_oddest_names_that_a_table_may_hold_are_read_back(target, tmp_path):
 
 @pytest.mark.parametrize("title", TITLES)
 def test_plain_text_holds_no_sign_of_any_language(title):
-    told = plain(title)
-    assert told.isprintable() and not set(told) & set("\"'\\*?;()[]{}<>%#=&$`|~!@\n")
+    output = plain(title)
+    assert output.isprintable() and not set(output) & set("\"'\\*?;()[]{}<>%#=&$`|~!@\n")
 
 
 @pytest.mark.parametrize("name", NAMES)

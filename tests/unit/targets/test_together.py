@@ -92,8 +92,8 @@ def test_an_export_of_companions_writes_them_beside_each_other(tmp_path):
     text = (tmp_path / "sinumerik_cec" / "NC_CEC.INI").read_text()
     curves = BY_NAME["sinumerik_cec"].read_back({"NC_CEC.INI": text}).curves
     assert {(c.axis, c.over) for c in curves} == {("X", "Y"), ("Y", "X")}
-    told = (tmp_path / "sinumerik_cec" / "CHECKLIST.md").read_text()
-    assert "only together with those of sinumerik_lec" in told
+    output = (tmp_path / "sinumerik_cec" / "CHECKLIST.md").read_text()
+    assert "only together with those of sinumerik_lec" in output
 
 
 def test_what_is_left_together_counts_the_numbers_entered_by_hand(tmp_path):
@@ -168,12 +168,12 @@ def test_the_move_list_says_what_the_axis_does_in_all(tmp_path):
     """Sums of all tables of an axis, other axes at mid travel, and the corners of a product."""
     table = machines.tilting()
     stage.write_targets(table, ["sinumerik_cec"], tmp_path)
-    told = (tmp_path / "sinumerik_cec" / "CHECKLIST.md").read_text()
+    output = (tmp_path / "sinumerik_cec" / "CHECKLIST.md").read_text()
     for x, z in ((0.0, -300.0), (500.0, -300.0), (500.0, 0.0)):
         want = 1e3 * float(_sample.corrections(table, "X", {"x": np.array([x]), "z": np.array([z])}, np.ones(1))[0])
-        row = next(line for line in told.splitlines() if line.startswith(f"| X | X and Z | {x:.3f}, {z:.3f} |"))
+        row = next(line for line in output.splitlines() if line.startswith(f"| X | X and Z | {x:.3f}, {z:.3f} |"))
         assert float(row.split("|")[4]) == pytest.approx(want, abs=0.02)
-    assert "products" in told and "SD41300 = 0" in told
+    assert "products" in output and "SD41300 = 0" in output
 
 
 def test_files_of_one_axis_say_that_others_are_exported_with_them(tmp_path):

@@ -206,11 +206,11 @@ def test_far_outside_only_a_share_is_used_and_the_interval_is_as_much_wider():
     cold = machine(8)
     model = thermal_season.fit(cold, "E_D")
     one = machine(1, seed=9, rows=40)
-    told = []
+    output = []
     for offset in (0.0, 25.0):
         shifted = {n: one.array(n) + offset for n in ("T_room", "T_spindle", "T_bed")}
-        told.append(model.predict(Recording(one.manifest, one.frame.assign(**shifted))))
-    near, far = told
+        output.append(model.predict(Recording(one.manifest, one.frame.assign(**shifted))))
+    near, far = output
     assert rms(far.predicted) < 0.65 * rms(near.predicted)
     assert (far.upper - far.lower > 1.6 * (near.upper - near.lower))[5:].all()
 

@@ -83,9 +83,9 @@ def test_later_logs_lie_in_the_interval(days: int, tmp_path) -> None:
     covered, wide = [], []
     for number in range(8):
         fit, judge = recorded(tmp_path, 6101, number, days)
-        told = predict(Auto(component="E_Z", among=("rises", "lagged")).fit(fit).model, judge)
-        left = since(judge.array("E_Z"), judge) - since(told["E_Z_predicted"].to_numpy(), judge)
-        half = 0.5 * (told["E_Z_upper"] - told["E_Z_lower"]).to_numpy()
+        output = predict(Auto(component="E_Z", among=("rises", "lagged")).fit(fit).model, judge)
+        left = since(judge.array("E_Z"), judge) - since(output["E_Z_predicted"].to_numpy(), judge)
+        half = 0.5 * (output["E_Z_upper"] - output["E_Z_lower"]).to_numpy()
         covered.append(np.mean(np.abs(left) <= half))
         wide.append(np.mean(half) / np.quantile(np.abs(left), 0.9))
     assert np.mean(covered) > 0.85, covered

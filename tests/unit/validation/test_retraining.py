@@ -192,7 +192,7 @@ def test_who_may_drift_is_said_with_the_likeliest_first() -> None:
 
 
 @pytest.mark.parametrize(
-    ("scale", "offset", "told"),
+    ("scale", "offset", "output"),
     [
         (1.8, 32.0, "degF instead of degC"),
         (1.0, 273.15, "K instead of degC"),
@@ -203,15 +203,15 @@ def test_who_may_drift_is_said_with_the_likeliest_first() -> None:
     ],
 )
 def test_another_scale_of_all_temperatures_is_named_with_its_first_run(
-    scale: float, offset: float, told: str | None
+    scale: float, offset: float, output: str | None
 ) -> None:
     recording, reference = sensors(None, 0.0)
     late, names = recording.run_codes() >= 30, recording.names("temperature")
-    if told in ("degC instead of degF", "degC instead of K"):
+    if output in ("degC instead of degF", "degC instead of K"):
         unturned = {n: (recording.array(n) - offset) / scale for n in names}
         recording = recording.with_columns(unturned, {})
     turned = {n: np.where(late, scale * recording.array(n) + offset, recording.array(n)) for n in names}
-    assert other_unit(recording.with_columns(turned, {}), reference) == (None if told is None else (told, "day 30"))
+    assert other_unit(recording.with_columns(turned, {}), reference) == (None if output is None else (output, "day 30"))
     one = recording.with_columns({names[0]: turned[names[0]]}, {})
     assert other_unit(one, reference) is None
 

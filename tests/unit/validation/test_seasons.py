@@ -107,21 +107,21 @@ def test_the_table_tells_a_season_that_fails(recording):
 
 
 def test_days_are_pooled_by_months(recording):
-    told = seasons.table(recording, "E_D", Slope, "forward:day", in_season=False)
-    assert [m["month"] for m in told["months"]] == ["2017-01", "2017-02"]
-    spring = [r for r in told["groups"] if r["left_out"].startswith("2017-02")]
+    output = seasons.table(recording, "E_D", Slope, "forward:day", in_season=False)
+    assert [m["month"] for m in output["months"]] == ["2017-01", "2017-02"]
+    spring = [r for r in output["groups"] if r["left_out"].startswith("2017-02")]
     squares = sum(r["rows"] * r["out_of_season"] ** 2 for r in spring)
-    assert_allclose(told["months"][1]["out_of_season"] ** 2 * told["months"][1]["rows"], squares)
+    assert_allclose(output["months"][1]["out_of_season"] ** 2 * output["months"][1]["rows"], squares)
     assert "months" not in seasons.table(recording, "E_D", Slope, in_season=False)
-    assert "2017-02" in survey.text(told)
+    assert "2017-02" in survey.text(output)
 
 
 def test_a_season_model_is_judged_like_every_other_model(recording):
     fold = holdout.groups(recording, "leave-one-group-out:season")[1]
-    told = Season(component="E_D", options=SeasonOptions(correction=False)).judge(recording, fold)["E_D"]
-    assert told.label == "spring" and (np.sort(told.rows) == np.flatnonzero(fold.test)).all()
-    assert_allclose(told.before, arithmetic.since_start_of(recording, "E_D")[told.rows])
-    assert told.rms(told.after) < told.rms(told.before) and (told.outside >= 0).all()
+    output = Season(component="E_D", options=SeasonOptions(correction=False)).judge(recording, fold)["E_D"]
+    assert output.label == "spring" and (np.sort(output.rows) == np.flatnonzero(fold.test)).all()
+    assert_allclose(output.before, arithmetic.since_start_of(recording, "E_D")[output.rows])
+    assert output.rms(output.after) < output.rms(output.before) and (output.outside >= 0).all()
 
 
 def test_one_season_is_judged_by_its_runs(recording):

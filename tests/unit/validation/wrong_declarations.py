@@ -1,4 +1,4 @@
-"""Recordings that are declared wrongly, each as the door would hand it over, with the refusal that must name the fault.
+"""Recordings that are declared wrongly, each as it is read, with the refusal that must name the fault.
 
 `docs/wrong-declarations.md` is the same list for people; a test holds the two together.
 """

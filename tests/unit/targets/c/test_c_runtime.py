@@ -267,8 +267,8 @@ def sanitized(folder: Path, tables_, *more: str) -> tuple[Path, list[Path]]:
 @pytest.mark.parametrize("more", [(), ("-DECT_SINGLE",)], ids=["double", "single"])
 def test_damaged_tables_never_read_out_of_bounds(tmp_path, more):
     program, files = sanitized(tmp_path, [everything(s) for s in range(8)], *more)
-    told = run(program, *files, 500).stdout
-    assert re.match(r"4000 executions, \d+ accepted", told)
+    output = run(program, *files, 500).stdout
+    assert re.match(r"4000 executions, \d+ accepted", output)
 
 
 @pytest.mark.slow
@@ -298,8 +298,8 @@ def test_libfuzzer_finds_nothing(tmp_path):
         (corpus / seed.name).write_bytes(seed.read_bytes())
     # libFuzzer's limit of resident memory reads a peak that a process inherits from its parent: each request is limited
     limits = ["-max_len=6000", "-rss_limit_mb=0", "-malloc_limit_mb=64"]
-    told = run(tmp_path / "fuzz", f"-runs={count}", *limits, "-seed=1", corpus, cwd=tmp_path).stderr
-    assert f"Done {count} runs" in told
+    output = run(tmp_path / "fuzz", f"-runs={count}", *limits, "-seed=1", corpus, cwd=tmp_path).stderr
+    assert f"Done {count} runs" in output
 
 
 def test_memory_is_known_before_it_runs(library):
