@@ -190,8 +190,7 @@ def _rows(chain: Chain, r: Record, laser, squares: Mapping[str, float], turns) -
     n, c = len(r.position), parse(r.component)
     own = np.zeros((n, len(chain.components)))
     own[:, chain.index(r.component)] = sense(chain, r.component)
-    guided = chain.machine.axes[r.axis].reference_on == "guideway"
-    if (c.kind == "positioning" or c.is_straightness) and (guided or (laser is not None and any(laser.offset))):
+    if c.kind == "positioning" or c.is_straightness:
         _add_arms(chain, own, r, laser or direct.Laser())
     middle = chain.travel[chain.axes.index(r.axis)].mean()
     metres = (r.position - middle) * 1e-3
@@ -265,11 +264,9 @@ def sense(chain: Chain, component: str) -> float:
 
 def _add_arms(chain: Chain, own: np.ndarray, r: Record, laser: direct.Laser) -> None:
     """Add to `own` the Abbe arms, um per urad: the beam is offset from the point that a component is defined at."""
-    axis = chain.machine.axes[r.axis]
-    along = np.asarray(chain.machine.direction(r.axis))
-    arm = np.tile(-np.asarray(laser.offset, dtype=float), (len(r.position), 1))
-    if axis.reference_on == "guideway":
-        arm = arm + r.position[:, None] * along
+    arm = direct.arms(chain, r.axis, laser, r.position)
+    if not arm.any():
+        return
     reads = direct.direction_of(chain, r.component)
     for letter, about in ROTATIONS.items():
         name = f"E{letter}{r.axis}"

@@ -111,6 +111,38 @@ def test_guideway_reference_reads_its_own_straightness():
     assert largest_gap(chain, values, solution, "EYX") < 0.15
 
 
+@pytest.mark.parametrize("axis", ["X", "X'"])
+@pytest.mark.parametrize("reference_on", ["carriage", "guideway"])
+@pytest.mark.parametrize("read_on", ["carriage", "guideway"])
+def test_a_straightness_is_that_of_the_tool_wherever_the_gauge_was(axis, reference_on, read_on):
+    """The gauge at the tool: it travels with an axis that moves the tool and stands beside one that moves the work."""
+    axes = {a: {"kind": "linear", "travel": [0, 500]} for a in "XYZ"}
+    axes["X"]["reference_on"] = reference_on
+    given = {"machine": 1, "name": "m", "chain": ["workpiece", axis, "bed", "Y", "Z", "tool"], "axes": axes}
+    if axis == "X":
+        given["chain"] = ["workpiece", "bed", "X", "Y", "Z", "tool"]
+    chain = compile_chain(Machine.model_validate(given | {"tool": {"length": 0}}))
+    x = np.linspace(0, 500, 21)
+    angle, straightness = 30.0 * np.sin(x / 90.0), 8.0 * np.cos(x / 70.0)
+    components = np.zeros((21, len(chain.components)))
+    components[:, chain.index("ECX")], components[:, chain.index("EYX")] = angle, straightness
+    q = np.column_stack([x, np.zeros(21), np.zeros(21)])
+    at_tool = synthesis.first_order(chain, q, components)[:, 1]
+    gauge_at_tool = "carriage" if axis == "X" else "guideway"
+    reading = at_tool if read_on == gauge_at_tool else at_tool - x * angle * 1e-3
+    columns = {
+        "x": Column(role="position", axis="X", unit="mm"),
+        "EYX": Column(role="error", component="EYX", unit="um"),
+        "ECX": Column(role="error", component="ECX", unit="urad"),
+    }
+    frame = pd.DataFrame({"x": x, "EYX": reading, "ECX": angle})
+    recording = Recording(Manifest(recording=1, tables=("t.csv",), columns=columns), frame)
+    solution = solve(chain, recording, lasers={"EYX": direct.Laser(read_on=read_on)})
+    found = synthesis.first_order(chain, q, solution.errors().at(q))[:, 1]
+    rest = found - at_tool
+    assert_allclose(rest - np.polyval(np.polyfit(x, rest, 1), x), 0.0, atol=0.4)
+
+
 def test_readings_that_sat_out_are_left_with_the_noise():
     chain, _, recording = played_x(ABBE, noise=0.3, angle_noise=0.5)
     name, folds = direct_family.direct_folds(recording)
