@@ -89,7 +89,10 @@ def outlying(
         if rows.size >= MIN_READINGS:
             level = values[rows] if position is None else _without_slope(values[rows], position[rows])
             far_off.append(rows[_outliers_of_run(level, _parts(t[rows]), threshold, step)])
-    return np.concatenate(far_off) if far_off else np.zeros(0, dtype=np.int64)
+    found = np.concatenate(far_off) if far_off else np.zeros(0, dtype=np.int64)
+    if position is None or not found.size:
+        return found
+    return np.asarray(found[~_repeated(values, position, found, threshold, step)])
 
 
 def _usual_step(values: np.ndarray) -> float:
@@ -115,6 +118,27 @@ def _without_slope(values: np.ndarray, position: np.ndarray) -> np.ndarray:
         return values
     change = values[order[half:]] - values[order[: order.size - half]]
     return np.asarray(values - np.median(change[way > 0] / way[way > 0]) * (position - position[order[0]]))
+
+
+def _repeated(values: np.ndarray, position: np.ndarray, rows: np.ndarray, threshold: float, step: float) -> np.ndarray:
+    """Which rows agree with the other visits of their place, shape as rows: the curve itself stands off there.
+
+    The end of a stroke whose error rises steeply is the commonest. Judged by the scatter between successive visits, so
+    that a drift does not count; at least two other visits are needed.
+    """
+    place = np.unique(np.round(position, 3), return_inverse=True)[1].reshape(-1)  # 1 um (0.001 deg): one target
+    order = np.lexsort((np.arange(place.size), place))
+    order = order[np.isfinite(values[order]) & np.isfinite(position[order])]
+    change = np.abs(np.diff(values[order]))[np.diff(place[order]) == 0]
+    if not change.size:
+        return np.zeros(rows.size, dtype=bool)
+    limit = threshold * max(NORMAL * float(np.median(change)) / np.sqrt(2.0), step / 2, 1e-12)
+    out = np.zeros(rows.size, dtype=bool)
+    for i, row in enumerate(rows):
+        visits = order[place[order] == place[row]]
+        other = visits[np.argsort(np.abs(visits - row), kind="stable")][1 : 1 + SIDE]
+        out[i] = other.size >= 2 and abs(values[row] - np.median(values[other])) <= limit
+    return out
 
 
 def _parts(t: np.ndarray) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field, NonNegativeFloat
 
 from errpipe.yamlfile import Options, quantity
@@ -16,6 +18,12 @@ class Laser(Options):
     )
     offset: tuple[float, float, float] = quantity(
         "mm", "From the beam to the point the component is defined at (Abbe), X, Y, Z.", (0.0, 0.0, 0.0)
+    )
+    read_on: Literal["carriage", "guideway"] = Field(
+        "carriage",
+        description="Straightness: whether the point at which it is read travels with the carriage (reflector or gauge "
+        "on it), or stands (a gauge in the spindle against a straightedge on the moving table: guideway). The point is "
+        "where the offset says when the axis is at 0.",
     )
     wavelength_corrected: bool = Field(
         True, description="Whether the laser's own weather station corrected the displacement."

@@ -167,8 +167,9 @@ def interpolate(grids: tuple[np.ndarray, ...], values: np.ndarray, q: np.ndarray
 def _lattice_bound(errors: MachineErrors, grids: tuple[np.ndarray, ...], tip: np.ndarray | None) -> float:
     """Sum over components of the largest gap between curve and chord times its largest arm.
 
-    Arms are linear in each coordinate, and an axis' own coordinate is in its own arm only if the error is
-    defined on the guideway; the product is then bent by at most gap x arm + h^2/4 x slope.
+    Arms are linear in each coordinate, and an axis' own coordinate is in its own arm only if the point that the error
+    is defined at does not stand at the tool (on the guideway of an axis that moves the tool, on the carriage of one
+    that moves the workpiece); the product is then bent by at most gap x arm + h^2/4 x slope.
     """
     chain = errors.chain
     corners = combinations(chain.travel)
@@ -183,7 +184,9 @@ def _lattice_bound(errors: MachineErrors, grids: tuple[np.ndarray, ...], tip: np
         curve = np.interp(fine, grid, values)
         chord = np.interp(fine, grids[a], np.interp(grids[a], grid, values))
         total += np.abs(curve - chord).max() * arms[:, c]
-        if chain.angular[c] and chain.machine.axes[chain.axes[a]].reference_on == "guideway":
+        axis = chain.axes[a]
+        apart = {"tool": "guideway", "workpiece": "carriage"}[chain.machine.moved_by(axis)]
+        if chain.angular[c] and chain.machine.axes[axis].reference_on == apart:
             step = grids[a][1] - grids[a][0]
             slope = np.abs(np.diff(values)).max() / (grid[1] - grid[0])
             total += 1e-3 * step**2 / 4 * slope

@@ -174,6 +174,19 @@ def direction_of(chain: Chain, component: str) -> np.ndarray:
     return np.eye(3)["XYZ".index(c.direction)]
 
 
+def arms(chain: Chain, axis: str, laser: Laser, position: np.ndarray) -> np.ndarray:
+    """From the point that the components are defined at to the one at which a straightness is read, mm (n, 3).
+
+    Both coincide (up to the offset) where the axis is at 0. What travels with a carriage that holds the workpiece goes
+    against the direction of the axis.
+    """
+    machine = chain.machine
+    travels = int(laser.read_on == "carriage") - int(machine.axes[axis].reference_on == "carriage")
+    sense = -travels if machine.moved_by(axis) == "workpiece" else travels
+    along = np.asarray(machine.direction(axis), dtype=float)
+    return sense * np.asarray(position)[:, None] * along - np.asarray(laser.offset, dtype=float)
+
+
 def _abbe(turn: np.ndarray, laser: Laser, direction: np.ndarray) -> np.ndarray:
     return np.cross(turn, np.asarray(laser.offset)) @ np.asarray(direction, dtype=float) * 1e-3
 

@@ -19,14 +19,14 @@ file may define an axis' errors as the carriage's own, and an axis may run again
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from errpipe.domain.components import is_error_motion, parse
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, did_you_mean
-from errpipe.kinematics import direct
+from errpipe.kinematics import direct, synthesis
 from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import LETTERS, Chain
 
@@ -43,7 +43,8 @@ class Record:
 
     position (n,) mm or deg; value (n,) um or urad, the beam's errors out; side (n,) +1 coming from below; rows: of
     the recording; noise: of one reading; label: of the recording, where there are several; zero (n,): number of the
-    zero that each reading counts from; air: standard uncertainty of the index of the air, um/m.
+    zero that each reading counts from; air: standard uncertainty of the index of the air, um/m; others: positions
+    (n,) of the other axes, mm or deg, if recorded.
     """
 
     component: str
@@ -56,6 +57,7 @@ class Record:
     label: str
     zero: np.ndarray
     air: float = 0.0
+    others: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 def component_of(label: object) -> str:
@@ -143,7 +145,12 @@ def _record(recording: Recording, component: str, laser, label: str, take) -> Re
     noise = _repeatability(p, value - _zeros(p, value, side, zero), side)
     by_laser = laser is not None and parse(component).kind == "positioning"
     index = direct.air_uncertainty(recording, laser) if by_laser else 0.0
-    return Record(component, axis, p, value, side, number[kept], noise, label, zero, index)
+    others = {
+        str(c.axis): recording.array(n)[number[kept]]
+        for n, c in recording.manifest.columns.items()
+        if c.role in ("position", "command") and c.axis not in (None, axis)
+    }
+    return Record(component, axis, p, value, side, number[kept], noise, label, zero, index, others)
 
 
 def _zeros(p: np.ndarray, value: np.ndarray, side: np.ndarray, zero: np.ndarray) -> np.ndarray:
@@ -190,9 +197,9 @@ def _rows(chain: Chain, r: Record, laser, squares: Mapping[str, float], turns) -
     n, c = len(r.position), parse(r.component)
     own = np.zeros((n, len(chain.components)))
     own[:, chain.index(r.component)] = sense(chain, r.component)
-    guided = chain.machine.axes[r.axis].reference_on == "guideway"
-    if (c.kind == "positioning" or c.is_straightness) and (guided or (laser is not None and any(laser.offset))):
+    if c.kind == "positioning" or c.is_straightness:
         _add_arms(chain, own, r, laser or direct.Laser())
+        _add_other_axes(chain, own, r, laser or direct.Laser())
     middle = chain.travel[chain.axes.index(r.axis)].mean()
     metres = (r.position - middle) * 1e-3
     tag = f"{r.label} {r.component}".strip()
@@ -215,8 +222,7 @@ def _rows(chain: Chain, r: Record, laser, squares: Mapping[str, float], turns) -
     if _both_directions(r):
         columns.append((f"{tag}: reversal", BACKLASH, 0.5 * r.side))
         columns.append((f"{tag}: reversal per metre", PER_METRE, 0.5 * r.side * metres))
-    q = np.tile(chain.travel.mean(axis=1), (n, 1))
-    q[:, chain.axes.index(r.axis)] = r.position
+    q = _positions(chain, r)
     names, spread, values = zip(*columns, strict=True)
     return o.Observations(
         q,
@@ -232,6 +238,16 @@ def _rows(chain: Chain, r: Record, laser, squares: Mapping[str, float], turns) -
         0.0,
         own,
     )
+
+
+def _positions(chain: Chain, r: Record) -> np.ndarray:
+    """Positions of all axes at the readings; other axes at mid travel where they were not recorded."""
+    q = np.tile(chain.travel.mean(axis=1), (len(r.position), 1))
+    for axis, position in {**r.others, r.axis: r.position}.items():
+        if axis in chain.axes:
+            column = q[:, chain.axes.index(axis)]
+            column[:] = np.where(np.isfinite(position), position, column)
+    return q
 
 
 def _both_directions(r: Record) -> bool:
@@ -265,15 +281,31 @@ def sense(chain: Chain, component: str) -> float:
 
 def _add_arms(chain: Chain, own: np.ndarray, r: Record, laser: direct.Laser) -> None:
     """Add to `own` the Abbe arms, um per urad: the beam is offset from the point that a component is defined at."""
-    axis = chain.machine.axes[r.axis]
-    along = np.asarray(chain.machine.direction(r.axis))
-    arm = np.tile(-np.asarray(laser.offset, dtype=float), (len(r.position), 1))
-    if axis.reference_on == "guideway":
-        arm = arm + r.position[:, None] * along
+    arm = direct.arms(chain, r.axis, laser, r.position)
+    if not arm.any():
+        return
     reads = direct.direction_of(chain, r.component)
     for letter, about in ROTATIONS.items():
         name = f"E{letter}{r.axis}"
         own[:, chain.index(name)] += sense(chain, name) * (np.cross(about, arm) @ reads) * 1e-3
+
+
+def _add_other_axes(chain: Chain, own: np.ndarray, r: Record, laser: direct.Laser) -> None:
+    """Add to `own` the angles of the other axes at the line's place: they turn it, as a squareness would.
+
+    Only where the recording has their positions, and for a gauge at the tool.
+    """
+    at_tool = {"tool": "carriage", "workpiece": "guideway"}[chain.machine.moved_by(r.axis)]
+    if parse(r.component).is_straightness and laser.read_on != at_tool:
+        return
+    q = _positions(chain, r)
+    for axis, position in r.others.items():
+        rows = np.isfinite(position)
+        if axis not in chain.axes or not rows.any():
+            continue
+        turned = [chain.index(n) for n in chain.of_axis(axis) if parse(n).unit == "urad"]
+        shift = direct.direction_of(chain, r.component) @ synthesis.jacobian(chain, q)[:, :3]
+        own[np.ix_(rows, turned)] += shift[np.ix_(rows, turned)]
 
 
 def _slope_per_squareness(chain: Chain, square: str, component: str) -> float:

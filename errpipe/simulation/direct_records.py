@@ -13,6 +13,7 @@ import pandas as pd
 from errpipe.domain.components import parse
 from errpipe.domain.laser import Laser
 from errpipe.domain.recording import Column, Constant, Recording
+from errpipe.kinematics import direct
 from errpipe.kinematics.chain import LETTERS, Chain
 from errpipe.simulation.folder import of_one_table
 from errpipe.simulation.metrology import Values
@@ -118,9 +119,7 @@ class _Test:
             return true[name]
         along = np.asarray(self.chain.machine.direction(axis))
         reads = along if component.kind == "positioning" else np.asarray(LETTERS[component.direction])
-        arm = np.tile(-np.asarray(beam.offset, dtype=float), (len(p), 1))
-        if self.chain.machine.axes[axis].reference_on == "guideway":
-            arm = arm + p[:, None] * along
+        arm = direct.arms(self.chain, axis, beam, p)
         own = true[name] * (float(reads @ LETTERS[component.direction]) if component.kind == "positioning" else 1.0)
         turn = Rotation.from_rotvec(np.column_stack([true[f"E{d}{axis}"] for d in "ABC"]) * 1e-6)  # from urad
         moved = own + (turn.apply(arm) - arm) @ reads * 1e3

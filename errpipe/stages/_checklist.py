@@ -23,6 +23,10 @@ AS_MEASURED = (
     "the files and numbers hold for axes that were measured with the control's own compensation and backlash off, and "
     "take their place: what was on then must be added to them, or measured again with it off"
 )
+ZERO = (
+    "positions count from the axis' own zero (machine coordinates): of a test in workpiece coordinates such as G54, "
+    "the files act shifted by that offset; add it to the positions of the recording and export again"
+)
 ALONE = (
     "the files hold {0} alone: points, tables and files of another axis may have the same numbers and names, and would "
     "take their place. Axes of one machine are exported together: "
@@ -66,7 +70,8 @@ def checklist(
     if happens:
         lines += ["## What will happen", "", *(f"- {text}." for text in dict.fromkeys(happens)), ""]
     lines += ["## Switch it on", ""]
-    steps = (AS_MEASURED, *_axis_numbers(target, table), *_single_axis(target, table), *target.activation)
+    zero = [ZERO] if any(i.kind == "position" for i in table.inputs) else []
+    steps = (AS_MEASURED, *zero, *_axis_numbers(target, table), *_single_axis(target, table), *target.activation)
     lines += [f"{n}. {step}" for n, step in enumerate(steps, 1)]
     if numbers:
         lines += ["", "## Enter by hand", "", *(f"- {number.text}." for number in numbers)]

@@ -153,8 +153,11 @@ def _protocols() -> Iterator[str]:
     yield from ("## Tests of a machine", "")
     yield inspect.cleandoc("""
         `identify` reads laser and level records of error motions (columns of components EXX, EYX, EBX ... over the
-        axis' position) as they are. Any other recording names its test, and has `run`, a position for each axis that
-        moves, and the readings:
+        axis' position) as they are. Give the other axes' positions too, as constant columns: their angles turn the
+        line that is read. A straightness is taken at a point on the carriage; of a gauge in the spindle and a
+        straightedge on the moving table, state `lasers: {EYX: {read_on: guideway}}`, with the machine file's reference
+        of that axis at the tool (`reference_on: guideway`; for an axis on another one, where that one then stood). Any
+        other recording names its test, and has `run`, a position for each axis that moves, and the readings:
 
         ```yaml
         constants:

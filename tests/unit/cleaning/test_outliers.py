@@ -120,6 +120,19 @@ def test_the_last_target_of_a_stroke_may_lie_further_off_than_the_others():
     assert len(outlying(error, run, t, 6.0)) > 2  # as it was: the ends were taken for outliers
 
 
+def test_a_steep_end_that_every_pass_repeats_is_no_outlier_and_a_wrong_reading_there_is_one():
+    """A curve that rises by 40 um over its last targets, as an autocollimator or a worn screw shows."""
+    x = np.linspace(2.0, 598.0, 25)
+    there_and_back = np.r_[x, x[::-1]]
+    curve = 45.0 * ((there_and_back - 300.0) / 298.0) ** 8
+    error = np.r_[curve, curve] + noise(100, 3) * 0.3
+    run, t, position = np.repeat(np.arange(2), 50), np.arange(100.0), np.tile(there_and_back, 2)
+    assert outlying(error, run, t, 6.0).size > 2
+    assert outlying(error, run, t, 6.0, position=position).size == 0
+    error[24] += 40.0
+    assert list(outlying(error, run, t, 6.0, position=position)) == [24]
+
+
 def test_beside_a_twin_the_difference_is_judged():
     shape = 30 * np.sin(np.arange(600) * 1.3)  # so rough in time that the record itself shows nothing
     error = shape + noise(600)

@@ -111,6 +111,71 @@ def test_guideway_reference_reads_its_own_straightness():
     assert largest_gap(chain, values, solution, "EYX") < 0.15
 
 
+@pytest.mark.parametrize("axis", ["X", "X'"])
+@pytest.mark.parametrize("reference_on", ["carriage", "guideway"])
+@pytest.mark.parametrize("read_on", ["carriage", "guideway"])
+def test_a_straightness_is_that_of_the_tool_wherever_the_gauge_was(axis, reference_on, read_on):
+    """The gauge at the tool: it travels with an axis that moves the tool and stands beside one that moves the work."""
+    axes = {a: {"kind": "linear", "travel": [0, 500]} for a in "XYZ"}
+    axes["X"]["reference_on"] = reference_on
+    given = {"machine": 1, "name": "m", "chain": ["workpiece", axis, "bed", "Y", "Z", "tool"], "axes": axes}
+    if axis == "X":
+        given["chain"] = ["workpiece", "bed", "X", "Y", "Z", "tool"]
+    chain = compile_chain(Machine.model_validate(given | {"tool": {"length": 0}}))
+    x = np.linspace(0, 500, 21)
+    angle, straightness = 30.0 * np.sin(x / 90.0), 8.0 * np.cos(x / 70.0)
+    components = np.zeros((21, len(chain.components)))
+    components[:, chain.index("ECX")], components[:, chain.index("EYX")] = angle, straightness
+    q = np.column_stack([x, np.zeros(21), np.zeros(21)])
+    at_tool = synthesis.first_order(chain, q, components)[:, 1]
+    gauge_at_tool = "carriage" if axis == "X" else "guideway"
+    reading = at_tool if read_on == gauge_at_tool else at_tool - x * angle * 1e-3
+    columns = {
+        "x": Column(role="position", axis="X", unit="mm"),
+        "EYX": Column(role="error", component="EYX", unit="um"),
+        "ECX": Column(role="error", component="ECX", unit="urad"),
+    }
+    frame = pd.DataFrame({"x": x, "EYX": reading, "ECX": angle})
+    recording = Recording(Manifest(recording=1, tables=("t.csv",), columns=columns), frame)
+    solution = solve(chain, recording, lasers={"EYX": direct.Laser(read_on=read_on)})
+    found = synthesis.first_order(chain, q, solution.errors().at(q))[:, 1]
+    rest = found - at_tool
+    assert_allclose(rest - np.polyval(np.polyfit(x, rest, 1), x), 0.0, atol=0.4)
+
+
+@pytest.mark.parametrize("place, squareness", [(450.0, True), (None, False)])
+def test_the_angle_of_another_axis_where_a_line_was_read_is_no_squareness(place, squareness):
+    """Z read against the square at X = 450, where the carriage of X is turned by -19 urad: B0Z of 7 urad is found."""
+    axes = {a: {"kind": "linear", "travel": [0, 500]} for a in "XYZ"}
+    given = {"machine": 1, "name": "m", "chain": ["workpiece", "bed", "X", "Y", "Z", "tool"], "axes": axes}
+    chain = compile_chain(Machine.model_validate(given | {"tool": {"length": 0}}))
+    p = np.linspace(0, 500, 21)
+
+    def line(axis, **columns):
+        q = np.zeros((21, 3))
+        q[:, chain.axes.index(axis)] = p
+        if axis == "Z":
+            q[:, chain.axes.index("X")] = 450.0
+        components = np.zeros((21, len(chain.components)))
+        turned = 20.0 * np.cos(
+            np.pi * q[:, chain.axes.index("X")] / 500.0
+        )  # without a mean, as the levels' zero has it
+        components[:, chain.index("EBX")], components[:, chain.index("B0Z")] = turned, 7.0
+        deviation = synthesis.first_order(chain, q, components)
+        frame = pd.DataFrame({axis.lower(): p} | {n: deviation[:, k] for n, k in columns.items()})
+        kinds = {axis.lower(): Column(role="position", axis=axis, unit="mm")}
+        kinds |= {n: Column(role="error", component=n, unit="urad" if k > 2 else "um") for n, k in columns.items()}
+        if axis == "Z" and place is not None:
+            frame["x"], kinds["x"] = place, Column(role="position", axis="X", unit="mm")
+        return Recording(Manifest(recording=1, tables=("t.csv",), columns=kinds), frame)
+
+    tests = {"z": line("Z", EXZ=0), "x": line("X", EZX=2, EBX=4)}
+    without = tuple(n for n in chain.components if n not in ("EXZ", "EZX", "EBX", "B0Z"))
+    seen = records.observations(chain, tests, squares={"B0Z": 0.0})
+    found = identify.identify(identify.Parametrisation.of(chain, 12, without), seen).component("B0Z")[0][0]
+    assert (abs(found - 7.0) < 1.5) == squareness
+
+
 def test_readings_that_sat_out_are_left_with_the_noise():
     chain, _, recording = played_x(ABBE, noise=0.3, angle_noise=0.5)
     name, folds = direct_family.direct_folds(recording)

@@ -99,6 +99,7 @@ def test_the_unmeasured_part_of_a_turn_is_reported_everywhere(tmp_path, last, tr
     consequences = json.loads((tmp_path / "out" / "export" / "export.json").read_text())["consequences"]
     texts = [path.read_text() for path in (tmp_path / "out" / "export").rglob("CHECKLIST.md")]
     assert len(texts) == len(ROTARY)
+    assert all("of a test in workpiece coordinates such as G54, the files act shifted" in text for text in texts)
     for text in (*texts, "\n".join(consequences)):
         assert [sentence for sentence in (BRIDGED, HELD) if sentence in text] == ([said] if said else [])
 

@@ -107,6 +107,28 @@ def test_an_axis_without_error_is_left_alone(cloud):
     assert gate.pass_gate(document, [cloud[1]]) == ("X", "Y")
 
 
+def records(**figures):
+    """Judged records of single components, (before, after) each."""
+    out = {}
+    for name, values in figures.items():
+        pair = {f"rms_{k}": v for k, v in zip(("before", "after"), values, strict=True)}
+        out[name] = {"groups": [], "components": [name], "axes": {"X": pair} if any(values) else {}} | pair
+    return out
+
+
+def test_records_in_several_files_are_judged_by_their_sum(cloud):
+    """An angle without an arm cannot improve, and a component without error not by more than its noise."""
+    judged = records(EXX=(20.0, 1.0), EAX=(0.0, 0.0), EZX=(0.3, 0.31))
+    assert gate.pass_gate(cloud[0], [judged]) == ("X", "Y", "Z")
+    with pytest.raises(GateError, match=r"EXX, EAX, EZX: 1 -> 1 um"):
+        gate.pass_gate(cloud[0], [records(EXX=(1.0, 1.0), EAX=(0.0, 0.0), EZX=(0.1, 0.1))])
+
+
+def test_a_record_that_gets_much_worse_refuses_the_table(cloud):
+    with pytest.raises(GateError, match=r"EYX: 2 -> 4 um"):
+        gate.pass_gate(cloud[0], [records(EXX=(20.0, 1.0), EYX=(2.0, 4.0))])
+
+
 def test_readings_that_contradict_the_rest_are_worse_where_they_sit_out():
     """The second tool's readings have the wrong sign: what the first says of them doubles them."""
     chain, recording = measured("point_cloud")
