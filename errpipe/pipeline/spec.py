@@ -167,6 +167,8 @@ def assign(document: Document, text: str) -> None:
     names = _names(document)
     if steps[0] in names and len(steps) > 1:
         document.assign(("stages", names.index(str(steps[0])), *steps[1:]), value, origin)
+    elif steps[0] in names:
+        raise UsageError(f"{origin}: {left.strip()} is a stage: write {left.strip()}.key=value")
     elif steps[0] in ("title", "stages"):
         document.assign(tuple(steps), value, origin)
     else:
@@ -177,6 +179,8 @@ def assign(document: Document, text: str) -> None:
 def _value_of(text: str, origin: str) -> Any:
     if not text.strip():
         return ""
+    if text.strip() in ("null", "~"):
+        return None
     try:
         document = yamlfile.parse(text)
         document.raise_problems()
