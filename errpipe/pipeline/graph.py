@@ -62,29 +62,24 @@ def _behind(stage: Stage, slot: str, need: Need, before: Sequence[Stage], links:
         return (), f"{stage.kind} takes {_with_article(wanted)}, and no stage before it gives one"
     if not need.every:
         return tuple(fitting[-1:]), ""
-    return unreplaced(before, links, need.type), ""
-
-
-def unreplaced(stages: Sequence[Stage], links: Links, artefact: str) -> tuple[str, ...]:
-    """Names of the stages that give an artefact of a type, but for those whose one a later stage made another of."""
-    giving = [stage for stage in stages if artefact in stage.gives]
     replaced = {
         name
-        for stage in giving
-        for slot, need in stage.takes.items()
-        if need.type == artefact
-        for name in links[stage.label][slot]
+        for other in before
+        if need.type in other.gives
+        for own, need_of_other in other.takes.items()
+        if need_of_other.type == need.type
+        for name in links[other.label][own]
     }
-    return tuple(stage.label for stage in giving if stage.label not in replaced)
+    return tuple(name for name in fitting if name not in replaced), ""
 
 
 def models_of(stages: Sequence[Stage], links: Links) -> tuple[str, ...]:
     """Names of the stages whose error models make up the table: those that the last export reads, else all."""
-    for stage in reversed(stages):
-        for slot, need in stage.takes.items() if "table" in stage.gives else ():
-            if need.type == "error_model":
-                return links[stage.label][slot]
-    return unreplaced(stages, links, "error_model")
+    need = Need("error_model", optional=True, every=True)
+    exports = [
+        (s.label, slot) for s in stages if "table" in s.gives for slot, n in s.takes.items() if n.type == need.type
+    ]
+    return links[exports[-1][0]][exports[-1][1]] if exports else _behind(stages[-1], "", need, stages, links)[0]
 
 
 def _is_provided(stage: Stage, slot: str, before: Sequence[Stage]) -> bool:

@@ -167,8 +167,6 @@ def assign(document: Document, text: str) -> None:
     names = _names(document)
     if steps[0] in names and len(steps) > 1:
         document.assign(("stages", names.index(str(steps[0])), *steps[1:]), value, origin)
-    elif steps[0] in names:
-        raise UsageError(f"{origin}: {left.strip()} is a stage: write {left.strip()}.key=value")
     elif steps[0] in ("title", "stages"):
         document.assign(tuple(steps), value, origin)
     else:

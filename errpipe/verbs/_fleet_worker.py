@@ -17,11 +17,7 @@ MODULES = (  # what most pipelines come to import; what is missing here each wor
     "ruamel.yaml",
     "errpipe.drivers.evaluation",
     "errpipe.fitting.history",
-    "errpipe.formats",
-    "errpipe.pipeline.runner",
     "errpipe.verbs._fleet_machine",
-    "errpipe.validation.held_out",
-    "errpipe.validation.input_drift",
 )
 
 signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends this process and its copies; the caller says so

@@ -5,10 +5,9 @@ from __future__ import annotations
 import sqlite3
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 from errpipe.errors import DataError
-from errpipe.importing.sheet import Cell, DoorOptions, Sheet, affordable
+from errpipe.importing.sheet import DoorOptions, Sheet, affordable
 
 name = "SQLite"
 suffixes = (".db", ".sqlite", ".sqlite3")
@@ -46,8 +45,5 @@ def _table(database: sqlite3.Connection, table: str, path: Path) -> Sheet:
     cursor = database.execute(f"select * from {quoted}")
     header = [column[0] for column in cursor.description]
     affordable(rows * len(header), f"{path}: {table}")
-    return Sheet(table, [[_cell(value) for value in row] for row in cursor], header)
-
-
-def _cell(value: Any) -> Cell:
-    return float(value) if isinstance(value, int) else value if isinstance(value, float | str | None) else None
+    rows = [[float(v) if isinstance(v, int) else v if isinstance(v, float | str) else None for v in r] for r in cursor]
+    return Sheet(table, rows, header)

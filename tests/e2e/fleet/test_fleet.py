@@ -272,8 +272,8 @@ def test_ctrl_c_while_workers_import_is_answered_by_one_line(tmp_path: Path) -> 
     file = site(tmp_path, 2, days=2)
     command = [sys.executable, "-m", "errpipe", "fleet", str(file), "--out", str(tmp_path / "out")]
     child = subprocess.Popen(
-        command, cwd=Path(__file__).parents[3], start_new_session=True, stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT, text=True, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        command, cwd=Path(__file__).parents[3], start_new_session=True, stdout=subprocess.PIPE, text=True,
+        stderr=subprocess.STDOUT, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
     while not any(_is_fork_server_of(child.pid, entry) for entry in Path("/proc").glob("[0-9]*")):
         time.sleep(0.01)

@@ -67,7 +67,7 @@ def test_set_changes_a_key_of_a_stage(tmp_path: Path) -> None:
         ("scales.factor=1", "no stage 'scales' (stages: take, scale, thirds, sum). Did you mean scale?"),
         ("scale.factor", "not of the form STAGE.key=value"),
         ("=1", "not of the form STAGE.key=value"),
-        ("scale=1", "scale is a stage: write scale.key=value"),
+        ("scale=1", "no stage 'scale'"),
         ("scale.factor.x=1", "stages[1].factor is the number 2, not a mapping"),
     ],
 )
