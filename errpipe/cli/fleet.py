@@ -30,8 +30,6 @@ def command(
     from errpipe.cli.output import module_of, print_result
     from errpipe.cli.progress import ProgressReporter
 
-    if scheduler is None:
-        module_of("verbs.fleet_processes").start_imports()  # first of all: the longest of what is serial
     reporter = ProgressReporter(str(out))
     try:
         summary = module_of("verbs.fleet").fleet(fleet, out, jobs, scheduler, reporter.progress_of("fleet"))

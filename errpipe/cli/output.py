@@ -73,15 +73,12 @@ def _without_markdown_tables(lines: list[str]) -> Iterator[str]:
     while at < len(lines):
         if lines[at].startswith("| ") and at + 1 < len(lines) and re.fullmatch(r"\|( -+:? \|)+", lines[at + 1]):
             end = next((k for k in range(at, len(lines)) if not lines[k].startswith("| ")), len(lines))
-            yield from _aligned([_cells(line) for line in (lines[at], *lines[at + 2 : end])])
+            rows = [re.split(r"(?<!\\)\|", line)[1:-1] for line in (lines[at], *lines[at + 2 : end])]
+            yield from _aligned([[c.strip().replace("`", "").replace("\\|", "|") for c in row] for row in rows])
             at = end
         else:
             yield lines[at]
             at += 1
-
-
-def _cells(row: str) -> list[str]:
-    return [cell.strip().replace("`", "").replace("\\|", "|") for cell in re.split(r"(?<!\\)\|", row)[1:-1]]
 
 
 def _aligned(rows: list[list[str]]) -> Iterator[str]:

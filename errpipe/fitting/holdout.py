@@ -183,7 +183,8 @@ def _folds(recording: Recording, scheme: HoldOut) -> Iterator[Fold]:
         order = [(str(label), k) for k, label in enumerate(unique)]
         if scheme.scheme == "batches":
             batch = np.arange(len(unique)) * min(scheme.blocks, len(unique)) // len(unique)
-            codes, order = batch[codes], [(_batch(unique[batch == k]), k) for k in range(int(batch[-1]) + 1)]
+            ends = [(unique[batch == k][0], unique[batch == k][-1], k) for k in range(int(batch[-1]) + 1)]
+            codes, order = batch[codes], [(str(a) if a == b else f"{a} to {b}", k) for a, b, k in ends]
     if len(order) < 2:
         return
     for label, k in order:
@@ -210,11 +211,6 @@ def _halves(recording: Recording, gap: float) -> Iterator[Fold]:
             train = ~own & ~_near(recording, test, gap)
             if train.any() and test.any():
                 yield Fold(f"block {number * HALF_BLOCKS + k + 1} of {2 * HALF_BLOCKS}", train, test)
-
-
-def _batch(groups: np.ndarray) -> str:
-    """Label of a batch: its first and last group."""
-    return str(groups[0]) if len(groups) == 1 else f"{groups[0]} to {groups[-1]}"
 
 
 def _near(recording: Recording, test: np.ndarray, gap: float) -> np.ndarray:

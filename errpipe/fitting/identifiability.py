@@ -52,7 +52,8 @@ def check(
     level = [k for k, n in enumerate(names) if n.term in TERMS.tags and TERMS[n.term].is_level]
     size = np.sqrt(np.diag(gram))  # scaled: a strong penalty would make other columns look like rounding errors
     values, vectors = np.linalg.eigh(gram / np.outer(size, size))
-    spread = _spread(scaled) if level else np.ones(design.shape[1])
+    varying = np.sqrt(np.maximum(1.0 - scaled.shape[0] * scaled.mean(axis=0) ** 2, 1e-12))  # what is not the mean
+    spread = varying if level else np.ones(design.shape[1])
     if values[0] <= 1e-13 * values[-1]:
         direction = _without_level(vectors[:, 0] / size, level, scaled)
         raise NotIdentifiable(_words(direction, scaled, names, recording, component))
@@ -65,11 +66,6 @@ def check(
         direction[level] = 0.0
         raise NotIdentifiable(_words(direction, scaled, names, recording, component))
     return inflation
-
-
-def _spread(scaled: np.ndarray) -> np.ndarray:
-    """Share of each unit-length column that is not its mean."""
-    return np.sqrt(np.maximum(1.0 - scaled.shape[0] * scaled.mean(axis=0) ** 2, 1e-12))
 
 
 def _without_level(direction: np.ndarray, level: list[int], scaled: np.ndarray) -> np.ndarray:

@@ -221,15 +221,12 @@ def _wrong_cells(data: bytes, line: int, names: list[str], kinds: Kinds, label: 
             continue
         cells = next(csv.reader(io.StringIO(text)), [])
         if len(cells) != len(names):
-            yield f"{label}:{number}  {len(cells)} cells where the header has {len(names)}{_comma_hint(cells, names)}"
+            hint = " (a decimal comma? write 1.5, not 1,5)" if len(cells) > len(names) else ""
+            yield f"{label}:{number}  {len(cells)} cells where the header has {len(names)}{hint}"
             continue
         for name, cell in zip(names, cells, strict=True):
             if kinds.get(name) == "number" and (wrong := _wrong_number(cell)):
                 yield f"{label}:{number}  {name}: {wrong}"
-
-
-def _comma_hint(cells: list[str], names: list[str]) -> str:
-    return " (a decimal comma? write 1.5, not 1,5)" if len(cells) > len(names) else ""
 
 
 def _wrong_number(cell: str) -> str:
@@ -272,15 +269,11 @@ def _parquet_batches(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
         start = 0
         for batch in file.iter_batches(batch_size=131072, columns=wanted, use_threads=pa.cpu_count() > 1):
             table = pa.table({n: _plain(batch.column(n), kinds[n]) for n in wanted})
-            place = _row_place(label, start)
+            place = lambda row, start=start: f"{label} row {start + row + 1}"  # noqa: E731
             _refuse_infinite(table, place)
             start += table.num_rows
             if table.num_rows:
                 yield Block(table, place)
-
-
-def _row_place(label: str, start: int) -> Callable[[int], str]:
-    return lambda row: f"{label} row {start + row + 1}"
 
 
 def _check_type(field: pa.Field, kind: str, label: str) -> None:

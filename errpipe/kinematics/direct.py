@@ -113,7 +113,8 @@ def _curve(recording: Recording, component: str, laser: Laser | None, known, cha
         value[rows] = without_beam_errors(component, recording, p[rows], value[rows], laser, rows)
         turn = _turn(axis, p[rows], known)
         if turn is not None and any(laser.offset):
-            value[rows] += _abbe(turn, laser, direction_of(chain, component))
+            direction = np.asarray(direction_of(chain, component), dtype=float)
+            value[rows] += np.cross(turn, np.asarray(laser.offset)) @ direction * 1e-3
     side = side_of(recording, axis, p, rows)
     targets, number = targets_of(p[rows])
     up, down = (_means(number, value[rows], side == s, len(targets)) for s in (1, -1))
@@ -185,10 +186,6 @@ def arms(chain: Chain, axis: str, laser: Laser, position: np.ndarray) -> np.ndar
     sense = -travels if machine.moved_by(axis) == "workpiece" else travels
     along = np.asarray(machine.direction(axis), dtype=float)
     return sense * np.asarray(position)[:, None] * along - np.asarray(laser.offset, dtype=float)
-
-
-def _abbe(turn: np.ndarray, laser: Laser, direction: np.ndarray) -> np.ndarray:
-    return np.cross(turn, np.asarray(laser.offset)) @ np.asarray(direction, dtype=float) * 1e-3
 
 
 def _air_columns(recording: Recording) -> list[str | None]:

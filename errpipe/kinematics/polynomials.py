@@ -72,17 +72,13 @@ def jacobian(chain: Chain, frame: str = "axes") -> dict[tuple[str, str], Polynom
         arm = tips[f] - _constants(point[f])
         for t in range(entries[f], entries[f + 1]):
             v = _constants(-evec[t] if inverse[f] else evec[t])
-            parts = {0: _cross(v, arm) * k.UM, 3: v} if angle[t] else {0: v}
+            cross = np.roll(v, -1) * np.roll(arm, -2) - np.roll(v, -2) * np.roll(arm, -1)  # product of the two vectors
+            parts = {0: cross * k.UM, 3: v} if angle[t] else {0: v}
             for block, part in parts.items():
                 for m, j in np.ndindex(3, 3):
                     key = (block + m, int(comp[t]))
                     rows[key] = rows.get(key, Polynomial()) + turns[f][m, j] * part[j]
     return _named(chain, rows, frame)
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross product of vectors of three polynomials."""
-    return np.roll(a, -1) * np.roll(b, -2) - np.roll(a, -2) * np.roll(b, -1)
 
 
 def _tips(chain: Chain) -> list[np.ndarray]:

@@ -140,7 +140,8 @@ class ThermalFamily(Family):
 
         document = documents[COMPETITION]
         weights = {w["setting"]: w["weight"] for w in document["weights"]}
-        columns = {_pooled(name): left for name, left in document["rms_um"].items()}
+        pooled = {n: n if " or " in n else f"every {n.replace('_', ' ')}" for n in document["rms_um"]}
+        columns = {pooled[name]: left for name, left in document["rms_um"].items()}
         for left in document["rms_um_by_group"].values():
             columns |= dict(list(left.items())[:MOST_GROUPS])
         first = next(iter(document["rms_um"].values()))
@@ -226,10 +227,6 @@ def _noise_floor(recording: Recording, family: ThermalFamily, outcome: Outcome) 
     residual = _left(recording, family, outcome)
     rows = np.flatnonzero(np.isfinite(residual))
     return noise_floor(recording, rows, residual[rows])
-
-
-def _pooled(grouping: str) -> str:
-    return f"every {grouping.replace('_', ' ')}" if " or " not in grouping else grouping
 
 
 def _remark(name: str, weights: Mapping[str, float], chance: Mapping[str, float]) -> str:

@@ -177,6 +177,8 @@ def assign(document: Document, text: str) -> None:
 def _value_of(text: str, origin: str) -> Any:
     if not text.strip():
         return ""
+    if text.strip() in ("null", "~"):
+        return None
     try:
         document = yamlfile.parse(text)
         document.raise_problems()

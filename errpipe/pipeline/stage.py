@@ -35,12 +35,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from pydantic import AfterValidator, Field, ValidationInfo
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
 from errpipe import jsonfile
 from errpipe.errors import DataError
 from errpipe.files import inside
 from errpipe.yamlfile import Options
+
+
+def _named(path: object) -> object:
+    if path == "":
+        raise ValueError("is empty (the name of a file or folder is needed)")
+    return path
 
 
 def _from_root(path: Path, info: ValidationInfo) -> Path:
@@ -51,7 +57,7 @@ def _from_root(path: Path, info: ValidationInfo) -> Path:
 
 # A file or folder outside OUT. Relative to the pipeline's `root`; only its last part enters the lock file,
 # so that moving the data (or another machine) changes nothing.
-InputPath = Annotated[Path, AfterValidator(_from_root)]
+InputPath = Annotated[Path, BeforeValidator(_named), AfterValidator(_from_root)]
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,8 @@ def steps(file: Path, out: Path, sets: Sequence[str], callbacks: Callbacks) -> t
             records = read_lock(out)
             if not all(_is_fresh(name, paths, records, out) for name, paths in noted["stages"]):
                 return None
-            fresh = [_step(name, records[name]) for name, _ in noted["stages"]]
+            recorded = [(name, records[name]) for name, _ in noted["stages"]]
+            fresh = [Step(n, r.kind, "fresh", (), tuple(sorted(r.outputs)), (), r.summary) for n, r in recorded]
     except (ErrpipeError, OSError, KeyError, TypeError, ValueError):
         return None
     for step in fresh:
@@ -71,7 +72,3 @@ def _is_fresh(name: str, paths: Sequence[str], records: Mapping[str, Record], ou
         inputs |= {label: digest for label, digest in taken.items() if label in record.inputs}  # as `unread` of a stage
     outputs_kept = all(hash_file(out / name / file) == digest for file, digest in record.outputs.items())
     return inputs == record.inputs and outputs_kept and not (scratch(out) / f"{name}.json").exists()
-
-
-def _step(name: str, record: Record) -> Step:
-    return Step(name, record.kind, "fresh", (), tuple(sorted(record.outputs)), (), record.summary)

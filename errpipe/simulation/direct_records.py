@@ -144,11 +144,7 @@ class _Test:
             if second:
                 size = self.values.get(square, 0.0)
                 total += 0.0 if callable(size) else lean * size
-            if second or _is_datum_of(self.chain, square, name):
+            linear = self.chain.machine.linear_axes()  # a straightness of the axis that the squareness refers to?
+            if second or (name[2:] != square[2:] and name[2:] in linear and name[1] == square[2:]):
                 total -= lean * (self.turns[square] + (self.setup.squares.get(square, 0.0) if second else 0.0))
         return total
-
-
-def _is_datum_of(chain: Chain, square: str, name: str) -> bool:
-    """Whether a straightness is of the axis that a squareness refers to, in its plane."""
-    return name[2:] != square[2:] and name[2:] in chain.machine.linear_axes() and name[1] == square[2:]

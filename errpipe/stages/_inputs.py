@@ -69,7 +69,9 @@ def table_inputs(
     rates = {c.name: known.get(c.name) or _rate_of_step_input(c, model) for c in inputs}
     inputs = [c.model_copy(update={"fade_on_default": False}) if c.name in compared_only else c for c in inputs]
     inputs = [_limited(c, rates[c.name], silence.get(c.name, 0.0), healthy.get(c.name)) for c in inputs]
-    return [_fading(c) if healthy and c.kind == "sensor" and c.name not in healthy else c for c in inputs]
+    unguarded = [c for c in inputs if healthy and c.kind == "sensor" and c.name not in healthy]  # lost, the table fades
+    holds = {c.name: {"hold_s": (c.stale_after_s or 0.0) + FADE_S} for c in unguarded}
+    return [c.model_copy(update=holds.get(c.name, {})) for c in inputs]
 
 
 def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingRate], dict[str, float]]:
@@ -81,11 +83,6 @@ def _sensor_rates_and_silences(recording: Recording) -> tuple[dict[str, ReadingR
 
     names = [n for role in rates.ROLES for n in recording.names(role)]
     return rates.learn(short_gaps_held(recording, names)), longest_silence(recording, names)
-
-
-def _fading(channel: TableInput) -> TableInput:
-    """A sensor without a guard: if it is lost for good, the table fades."""
-    return channel.model_copy(update={"hold_s": (channel.stale_after_s or 0.0) + FADE_S})
 
 
 def _limited(channel: TableInput, rate: ReadingRate | None, silence: float, sensor: GuardedSensor | None) -> TableInput:

@@ -240,7 +240,9 @@ def _tested(
     chance = chance if best > 0.0 else 1.0
     if halves is None:
         return chance, runs, best if chance <= significance.LEVEL else 0.0
-    if not significance.helps_between_halves(chance, lambda: _share_left(halves()[component])):
+    if not significance.helps_between_halves(
+        chance, lambda: _pooled(h := halves()[component], 1.0) / max(_pooled(h, 0.0), 1e-30)
+    ):
         return chance, runs, 0.0
     return chance, runs, best if best == 1.0 else _between(folds, halves()[component])
 
@@ -266,11 +268,6 @@ def _between(halves: Sequence[HeldOut], blocks: Sequence[HeldOut]) -> float:
     far, a block lies between the rows that predict it: the next run is between the two.
     """
     return _smallest_tied_gain({f"{g:g}": float(np.sqrt(_pooled(halves, g) * _pooled(blocks, g))) for g in GAINS})
-
-
-def _share_left(folds: Sequence[HeldOut]) -> float:
-    """rms with the model over rms without it, all folds together."""
-    return _pooled(folds, 1.0) / max(_pooled(folds, 0.0), 1e-30)
 
 
 def _group(fold: HeldOut, coverage: float | None) -> dict[str, Any]:

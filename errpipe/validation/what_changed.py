@@ -64,7 +64,7 @@ def what_changed(
         chosen.append(min(good, key=lambda k: (bases[k].shape[1], -trials[k])))
         left -= trials[chosen[-1]]
     out = [
-        _term_change(component.terms[k], bases[k], steps)
+        _term_change(component, component.terms[k], bases[k], steps)
         for k, steps in zip(chosen, _steps(bases, chosen, r), strict=True)
     ]
     if left > 0.5 * beyond:
@@ -130,13 +130,16 @@ def _mean_square_residual(bases: Sequence[np.ndarray], chosen: Sequence[int], r:
     return float(np.mean((r - sum(bases[k] @ s for k, s in zip(chosen, steps, strict=True))) ** 2))
 
 
-def _term_change(fitted: FittedTerm, basis: np.ndarray, steps: np.ndarray) -> TermChange:
+def _term_change(component: ComponentModel, fitted: FittedTerm, basis: np.ndarray, steps: np.ndarray) -> TermChange:
     name, size = fitted.term["term"], float(np.sqrt(np.mean((basis @ steps) ** 2)))
+    bound = [value for key, value in fitted.term.items() if key != "term" and isinstance(value, str)]
+    twins = [other.term["term"] for other in component.terms].count(name) > 1
+    label = f"{name} of {', '.join(bound)}" if twins and bound else name
     parameters = {p.name: p for p in fitted.parameters}
     if len(steps) > SHOWN:
-        return TermChange(name, f"{name} by {size:.3g} um rms", size)
+        return TermChange(name, f"{label} by {size:.3g} um rms", size)
     moved = []
     for declared, step in zip(term_of(fitted).linear(), steps, strict=True):
         p = parameters[declared.name]
         moved.append(f"{p.name} {p.value:.3g} -> {p.value + step:.3g} {p.unit}")
-    return TermChange(name, f"{name}: {', '.join(moved)}", size)
+    return TermChange(name, f"{label}: {', '.join(moved)}", size)

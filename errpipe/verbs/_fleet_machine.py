@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from errpipe import jsonfile
+from errpipe.domain.error_model import ErrorModel, joined
 from errpipe.domain.recording import Recording
 from errpipe.errors import ErrpipeError, NotIdentifiable
 from errpipe.pipeline import runner
+from errpipe.pipeline.graph import models_of
 from errpipe.pipeline.lock import read_lock
 from errpipe.pipeline.spec import load_pipeline
 from errpipe.stages import STAGES, _artefacts
@@ -74,21 +76,26 @@ def facts(pipeline: Pipeline, out: Path) -> dict[str, Any]:
 
     OUT may be a folder of the machine that ran it, which no other machine can read.
     """
-    folders = {kind: out / stage.label for stage in pipeline.stages for kind in stage.gives}
+    validations = [out / stage.label for stage in pipeline.stages if "validation" in stage.gives]
+    fits = [out / name for name in models_of(pipeline.stages, pipeline.links)]
+    recordings = [out / stage.label for stage in pipeline.stages if "recording" in stage.gives]
     figures: dict[str, Any] = {"responses": {}, "drift": [], "model": "", "readings": "", "not_judged": []}
-    if "validation" in folders:
-        document = jsonfile.read(folders["validation"] / _artefacts.VALIDATION)
+    for folder in validations:
+        document = jsonfile.read(folder / _artefacts.VALIDATION)
         for c in document["components"]:
             keys = ("rms_before", "rms_after", "noise_floor", "unit")
             figures["responses"][c["component"]] = {key: c[key] for key in keys}
-        figures["not_judged"] = in_short(document.get("not_judged", ()))
-    if "error_model" in folders:
-        figures["model"] = f"{folders['error_model'].name}/{_artefacts.MODEL}"
-        figures["parameters"] = jsonfile.read(folders["error_model"] / _artefacts.MODEL)
-    if "recording" in folders:
-        recording = _artefacts.recording_in(folders["recording"])
-        figures["drift"] = [*_sensors(recording), *_residuals(recording, folders.get("validation"))]
-        record = read_lock(out).get(folders["recording"].name)
+        figures["not_judged"] += in_short(document.get("not_judged", ()))
+    if fits:
+        figures["model"] = ", ".join(f"{folder.name}/{_artefacts.MODEL}" for folder in fits)
+        models = {folder.name: jsonfile.read(folder / _artefacts.MODEL) for folder in fits}
+        figures["fits"] = {c["component"]: name for name, model in models.items() for c in model["components"]}
+        several = [ErrorModel.model_validate(model) for model in models.values()] if len(fits) > 1 else []
+        figures["parameters"] = _artefacts.model_json(joined(several)) if several else models[fits[0].name]
+    if recordings:
+        recording = _artefacts.recording_in(recordings[-1])
+        figures["drift"] = [*_sensors(recording), *_residuals(recording, validations)]
+        record = read_lock(out).get(recordings[-1].name)
         outputs = {} if record is None else record.outputs
         figures["readings"] = next((h for name, h in outputs.items() if name.endswith(".parquet")), "")
     return figures
@@ -104,13 +111,11 @@ def _sensors(recording: Recording) -> list[dict[str, Any]]:
     ]
 
 
-def _residuals(recording: Recording, validation: Path | None) -> list[dict[str, Any]]:
+def _residuals(recording: Recording, validations: Sequence[Path]) -> list[dict[str, Any]]:
     """Responses whose mean per run changed its level in the second half, each run predicted without itself."""
-    if validation is None:
-        return []
-    rows = pd.read_parquet(validation / HELD_OUT)
     run, labels, out = recording.run_codes(), recording.run_labels(), []
-    for component, part in rows.groupby("component", sort=False):
+    parts = [p for v in validations for p in pd.read_parquet(v / HELD_OUT).groupby("component", sort=False)]
+    for component, part in dict(parts).items():
         means = part.groupby(run[part["row"].to_numpy()])["after"].mean()
         half = (len(means) + 1) // 2
         drift = level_drift(means.iloc[:half].tolist(), means.iloc[half:].tolist())

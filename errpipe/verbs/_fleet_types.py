@@ -70,9 +70,11 @@ def borrowing(
         same_type = {n: m for n, kind in types.items() if kind == types[name] and (m := models[n]) is not None}
         known = responses(same_type, pooling.MIN_LENDERS) if name in undetermined else {}
         if known and all("mean" in response for response in known.values()):
-            stage = str(results[next(iter(same_type))]["model"]).partition("/")[0]
-            components = jsonfile.dumps([_component(n, r) for n, r in known.items()], indent=None).strip()
-            keys = [f"{stage}.components={components}", f"{stage}.most_inflation={UNLIMITED:g}"]
+            fits, keys = results[next(iter(same_type))]["fits"], []
+            for stage in dict.fromkeys(fits.values()):
+                of_stage = [_component(n, r) for n, r in known.items() if fits.get(n) == stage]
+                components = jsonfile.dumps(of_stage, indent=None).strip()
+                keys += [f"{stage}.components={components}", f"{stage}.most_inflation={UNLIMITED:g}"]
             out.append((pipeline, name, [*sets, *keys], folder))
     return out
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 from importlib import import_module
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # read as linear algebra is loaded
@@ -16,13 +17,12 @@ MODULES = (  # what most pipelines come to import; what is missing here each wor
     "ruamel.yaml",
     "errpipe.drivers.evaluation",
     "errpipe.fitting.history",
-    "errpipe.formats",
-    "errpipe.pipeline.runner",
     "errpipe.verbs._fleet_machine",
-    "errpipe.validation.held_out",
-    "errpipe.validation.input_drift",
 )
 
+signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends this process and its copies; the caller says so
+if hasattr(signal, "pthread_sigmask"):
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 gc.disable()  # looking for garbage among what is being imported, all of which stays, takes a fifth of the time
 os.environ.update(dict.fromkeys(THREADS, "1"))  # results and cores are then those of one machine each
 for _name in MODULES:

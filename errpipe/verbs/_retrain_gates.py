@@ -111,9 +111,9 @@ def coverage(pipeline: Pipeline, folder: Path) -> list[Gate]:
     names = [stage.label for stage in pipeline.stages if "validation" in stage.gives]
     if not names:
         return [Gate("validation", False, "the pipeline has no validate stage, so its held-out figures are unknown")]
-    validation = jsonfile.read(folder / names[-1] / _artefacts.VALIDATION)
-    out = [Gate("held-out runs", True, why) for why in in_short(validation.get("not_judged", ()))]
-    for component in validation["components"]:
+    read = [jsonfile.read(folder / name / _artefacts.VALIDATION) for name in names]
+    out = [Gate("held-out runs", True, why) for v in read for why in in_short(v.get("not_judged", ()))]
+    for component in {c["component"]: c for v in read for c in v["components"]}.values():
         covered = component["coverage90"]
         name = f"coverage of {component['component']}"
         if covered is None:

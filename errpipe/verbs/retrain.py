@@ -12,12 +12,13 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from errpipe import jsonfile
-from errpipe.domain.error_model import ErrorModel
+from errpipe.domain.error_model import ErrorModel, joined
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, ErrpipeError, GateError, MissingColumn, UsageError, VerifyError, first_problem
 from errpipe.fitting.validity import as_in_a_table, fading
 from errpipe.formats.manifest_folder import MANIFEST
 from errpipe.pipeline import runner
+from errpipe.pipeline.graph import models_of
 from errpipe.pipeline.lock import exclusive_lock
 from errpipe.pipeline.spec import Pipeline
 from errpipe.pipeline.step import NO_CALLBACKS, Callbacks
@@ -173,21 +174,20 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     if refused:
         gates.append(retraining.Gate("pipeline", False, refused))
     else:
-        model_folder = out / RUN / _last_stage_with(pipeline, "error_model")
-        path = model_folder / _artefacts.MODEL
-        model, challenger = _artefacts.read_model(path), jsonfile.fingerprint_bytes(path.read_bytes())
+        folders = [out / RUN / name for name in models_of(pipeline.stages, pipeline.links)]
+        model, challenger = _model_in(folders)
         lacking = [c.component for c in model.components if c.component not in prediction]
         if lacking:
             raise DataError(
                 f"the champion has no {', '.join(lacking)}, which the pipeline fits: of an older pipeline? Run the"
                 " pipeline into its folder anew."
             )
-        family = _artefacts.family_in(model_folder)
         already_scored = retraining.among(recording, (s.key for s in scores), (s.content for s in scores))
         held, left = as_in_a_table(recording, old_model.validity)
         in_its_table = {component: left * values for component, values in predictions(old_model, held).items()}
-        new = retraining.score_new_runs(recording, family, in_its_table, known, already_scored, old_model.validity)
-        scores += [s for s in new if s.run not in wrong]
+        for family in map(_artefacts.family_in, folders):
+            new = retraining.score_new_runs(recording, family, in_its_table, known, already_scored, old_model.validity)
+            scores += [s for s in new if s.run not in wrong]
         gates += _retrain_gates.names(retraining.reused_names(old_recording, recording), any_new=bool(scores))
         change = _change(old_model, model, recording)
         gates += _retrain_gates.change(change, limits)
@@ -219,23 +219,32 @@ def _last_stage_with(pipeline: Pipeline, artefact: str) -> str:
 
 
 def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, str]:
-    model = Path(folder) / _last_stage_with(pipeline, "error_model") / _artefacts.MODEL
+    _last_stage_with(pipeline, "error_model")
+    folders = [Path(folder) / name for name in models_of(pipeline.stages, pipeline.links)]
     recording = Path(folder) / _last_stage_with(pipeline, "recording")
-    for path in (model, recording / MANIFEST):
+    for path in (*(f / _artefacts.MODEL for f in folders), recording / MANIFEST):
         if not path.is_file():
             raise DataError(
                 f"{folder}: no champion here ({path.relative_to(folder)} is missing; run the pipeline first)"
             )
     hint = f"(a champion of another version? Run the pipeline into {folder} anew)"
     try:
-        pair, rows = _artefacts.read_model(model), _artefacts.recording_in(recording)
+        (model, fingerprint), rows = _model_in(folders), _artefacts.recording_in(recording)
     except (DataError, VerifyError) as why:
         raise type(why)(f"{why} {hint}") from None
     try:
-        predictions(pair, rows.take([0]))
+        predictions(model, rows.take([0]))
     except DataError as why:
-        raise DataError(f"{model}: {why} {hint}") from None
-    return pair, rows, jsonfile.fingerprint_bytes(model.read_bytes())
+        raise DataError(f"{', '.join(str(f / _artefacts.MODEL) for f in folders)}: {why} {hint}") from None
+    return model, rows, fingerprint
+
+
+def _model_in(folders: Sequence[Path]) -> tuple[ErrorModel, str]:
+    """The model of all fits together, as it is exported, and the fingerprint of its files."""
+    contents = [(folder / _artefacts.MODEL).read_bytes() for folder in folders]
+    model = joined([_artefacts.read_model(folder / _artefacts.MODEL) for folder in folders])
+    alone = contents[0] if len(contents) == 1 else "".join(map(jsonfile.fingerprint_bytes, contents)).encode()
+    return model, jsonfile.fingerprint_bytes(alone)
 
 
 def _same_machine(folder: Path, model: ErrorModel, old: Recording, new: Recording) -> None:

@@ -267,6 +267,31 @@ def test_a_machine_that_fails_says_what_an_earlier_run_left_in_its_folder(tmp_pa
     assert "earlier run made: fit, ingest, validate" in killed
 
 
+@pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="looks for processes as Linux lists them")
+def test_ctrl_c_while_workers_import_is_answered_by_one_line(tmp_path: Path) -> None:
+    file = site(tmp_path, 2, days=2)
+    command = [sys.executable, "-m", "errpipe", "fleet", str(file), "--out", str(tmp_path / "out")]
+    child = subprocess.Popen(
+        command, cwd=Path(__file__).parents[3], start_new_session=True, stdout=subprocess.PIPE, text=True,
+        stderr=subprocess.STDOUT, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    while not any(_is_fork_server_of(child.pid, entry) for entry in Path("/proc").glob("[0-9]*")):
+        time.sleep(0.01)
+        assert child.poll() is None
+    time.sleep(0.1)  # it reads its own code, then what workers need
+    os.killpg(child.pid, signal.SIGINT)
+    assert child.communicate()[0] == "interrupted; the same command continues from here\n"
+    assert child.returncode in (130, -signal.SIGINT)  # the latter where Python was in code made from text
+
+
+def _is_fork_server_of(parent: int, entry: Path) -> bool:
+    try:
+        line, stat = (entry / "cmdline").read_bytes(), (entry / "stat").read_text()
+    except OSError:  # it has ended
+        return False
+    return b"forkserver" in line and int(stat.rpartition(")")[2].split()[1]) == parent
+
+
 def test_the_largest_machine_is_begun_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Begun last, it would keep one worker when all others idle; the report stays in the order of names."""
     file, begun = site(tmp_path, 4), []

@@ -77,6 +77,15 @@ def test_a_set_that_names_nothing_is_refused(tmp_path: Path, text: str, message:
     assert str(caught.value).startswith(f"--set {text}: ") and message in str(caught.value)
 
 
+def test_a_set_value_may_be_nothing_and_a_path_may_not_be_empty(tmp_path: Path) -> None:
+    stages = "  - {kind: take, files: data}\n  - {kind: scale}\n"
+    assert sorted(refusal(tmp_path, stages, ["take.files=", "scale.factor=null", "scale.parts=~"])) == [
+        "--set scale.factor=null  stages[1].factor: found nothing (a number is needed)",
+        "--set scale.parts=~  stages[1].parts: found nothing (a whole number is needed)",
+        "--set take.files=  stages[0].files: is empty (the name of a file or folder is needed)",
+    ]
+
+
 def test_a_set_value_is_refused_under_its_own_name(tmp_path: Path) -> None:
     stages = "  - {kind: take, files: data}\n  - {kind: scale}\n"
     assert refusal(tmp_path, stages, ["scale.factor=-1", "scale.facto=2"]) == [

@@ -146,6 +146,31 @@ def test_what_changed_is_said_in_the_terms_of_the_model(offset: float, growth: f
     assert values == says
 
 
+def test_of_two_terms_of_one_kind_the_changed_one_is_named_by_its_sensor() -> None:
+    columns, error = machine(12)
+    model = ErrorModel.model_validate(
+        {
+            "error_model": 1,
+            "components": [
+                {
+                    "component": "EXX",
+                    "unit": "um",
+                    "terms": [
+                        {
+                            "term": {"term": "thermal_drift", "sensor": sensor},
+                            "parameters": [{"name": "gain", "value": 2.0, "unit": "um/K"}],
+                        }
+                        for sensor in ("T_screw", "T_air")
+                    ],
+                }
+            ],
+        }
+    )
+    residual = 3.0 * (columns["T_screw"] - 20.0) + np.random.default_rng(3).normal(0.0, 0.8, RUN.size)
+    (change,) = what_changed(model, model.components[0], recorded(columns, error), residual, 0.8)
+    assert change.says.startswith("thermal_drift of T_screw: gain 2 -> ") and change.term == "thermal_drift"
+
+
 def test_a_change_without_a_term_is_said_to_be_one() -> None:
     columns, error = machine(13)
     model = ErrorModel.model_validate(MODEL)
