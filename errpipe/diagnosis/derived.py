@@ -53,8 +53,7 @@ def with_motion(recording: Recording) -> tuple[Recording, dict[str, str]]:
     """The recording with the motion of axes that is not recorded beside positions; and the source of each added column.
 
     A direction if rows are single readings of one axis (with several axes, the order of rows does not show from where
-    each target was approached); velocity and acceleration if axes are recorded in motion (drives often log no
-    acceleration: it is then the derivative of the recorded velocity).
+    each target was approached); velocity and acceleration (of a recorded velocity) if axes are recorded in motion.
     """
     recording = at_targets(recording)
     moving = [*axes(recording), *axes(recording, "rotary")]
@@ -98,7 +97,8 @@ def _motion(recording: Recording, axis: str, name: str):
     length = "deg" if axis in axes(recording, "rotary") else "mm"
     speed = recording.name("velocity", axis=axis)
     yield "velocity", f"{length}/s", derivative(t, x, run)
-    yield "acceleration", f"{length}/s2", derivative(t, recording.array(speed), run) if speed else derivative(t, x, run, 2)
+    change = derivative(t, recording.array(speed), run) if speed else derivative(t, x, run, 2)
+    yield "acceleration", f"{length}/s2", change
 
 
 def named_by_source(diagnosis: Diagnosis, source: dict[str, str]) -> Diagnosis:
