@@ -30,9 +30,9 @@ class Remainder:
 
 
 def remainder(
-    search: Search, chosen: list[tuple[int, float]], shapes: list[Shape], index: list[np.ndarray]
+    search: Search, chosen: list[tuple[int, float]], shapes: list[Shape], index: list[np.ndarray], inputs: bool = False
 ) -> Remainder:
-    """Add shapes greedily to the chosen hypotheses. index: the shapes' columns in the library's table."""
+    """Add shapes (inputs: over inputs only) greedily to the chosen hypotheses. index: their columns in the table."""
     named = scene = search.scene(chosen)
     taken: list[int] = []
     gains: list[float] = []
@@ -40,7 +40,7 @@ def remainder(
     listed = Listed(index, [s.freedom for s in shapes], [i.size for i in index])
     for _ in range(MOST):
         gain, size, _core = scene.scores(listed)
-        gain[taken] = -np.inf
+        gain[taken + [k for k, s in enumerate(shapes) if inputs and not s.of_inputs]] = -np.inf
         k = int(np.argmax(gain)) if gain.size else -1
         if k < 0 or gain[k] < ENOUGH:
             break

@@ -50,10 +50,10 @@ def at_targets(recording: Recording) -> Recording:
 
 
 def with_motion(recording: Recording) -> tuple[Recording, dict[str, str]]:
-    """The recording with the motion of axes for which only positions are recorded; and the source of each added column.
+    """The recording with the motion of axes that is not recorded beside positions; and the source of each added column.
 
     A direction if rows are single readings of one axis (with several axes, the order of rows does not show from where
-    each target was approached); velocity and acceleration if axes are recorded in motion.
+    each target was approached); velocity and acceleration (of a recorded velocity) if axes are recorded in motion.
     """
     recording = at_targets(recording)
     moving = [*axes(recording), *axes(recording, "rotary")]
@@ -61,15 +61,15 @@ def with_motion(recording: Recording) -> tuple[Recording, dict[str, str]]:
     values: dict[str, np.ndarray] = {}
     source: dict[str, str] = {}
     for axis in moving:
-        known = recording.names("direction", axis=axis) or recording.names("velocity", axis=axis)
+        recorded = [r for r in ("direction", "velocity", "acceleration") if recording.names(r, axis=axis)]
         name = recording.name("command", axis=axis) or recording.name("position", axis=axis)
-        if known or name is None or not np.isfinite(recording.array(name)).all():
+        if "direction" in recorded or name is None or not np.isfinite(recording.array(name)).all():
             continue
         for role, unit, made in _motion(recording, axis, name):
-            if role != "direction" or len(moving) == 1:
+            if role not in recorded and (role != "direction" or (len(moving) == 1 and not recorded)):
                 label = f"{role} of {axis}"
                 columns[label], values[label] = Column(role=role, axis=axis, unit=unit), made
-                source[label] = name
+                source[label] = recording.name("velocity", axis=axis) or name
     if not columns:
         return recording, {}
     manifest = recording.manifest.model_copy(update={"columns": recording.manifest.columns | columns})
@@ -95,8 +95,10 @@ def _motion(recording: Recording, axis: str, name: str):
             yield "direction", None, side
         return
     length = "deg" if axis in axes(recording, "rotary") else "mm"
+    speed = recording.name("velocity", axis=axis)
     yield "velocity", f"{length}/s", derivative(t, x, run)
-    yield "acceleration", f"{length}/s2", derivative(t, x, run, 2)
+    change = derivative(t, recording.array(speed), run) if speed else derivative(t, x, run, 2)
+    yield "acceleration", f"{length}/s2", change
 
 
 def named_by_source(diagnosis: Diagnosis, source: dict[str, str]) -> Diagnosis:

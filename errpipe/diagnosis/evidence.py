@@ -43,8 +43,7 @@ class Table:
     """Whitened columns and their products, fold by fold; columns can be added, and are addressed by index.
 
     Blocks are read one at a time and need not exist at once; a column shared by several blocks is stored once.
-    places[i] are the indices of block i's columns. Storage is allocated generously: untouched memory
-    costs nothing.
+    places[i] are the indices of block i's columns. Storage is allocated generously: untouched memory is free.
     """
 
     def __init__(self, run: np.ndarray, blocks: Iterable[np.ndarray | Copied], fold: np.ndarray, room: int = 4096):
@@ -162,10 +161,7 @@ class Table:
 
 
 class Data:
-    """A signal to be explained: its products with the table's columns and with itself, by fold.
-
-    without: a held-out fold, or None.
-    """
+    """A signal to be explained: its products with the table's columns and itself, by fold (without: one held out)."""
 
     def __init__(self, table: Table, values: np.ndarray):
         self.table, self.y = table, whiten(values, table.run, table.colour)

@@ -77,7 +77,6 @@ def held_out(case: Case) -> HeldOut:
     if judged.session is not None:
         scheme += f"; the datum of each from its first {ZEROED} rows, which do not count"
     effects = [f.hypothesis.effect for f in case.explanation.accepted]
-    inputs = [k for k, shape in enumerate(case.free_shapes) if shape.of_inputs]
     in_part = any(finding.hypothesis.mask for finding in case.explanation.accepted)
     if not in_part:  # partial effects were selected on all rows: the fold's search excludes them
         search = copy.copy(search)
@@ -108,10 +107,8 @@ def held_out(case: Case) -> HeldOut:
         after.append(judged.left(part.data, ways[way][0], part.noise, ways[way][1], f))
         alone.append(judged.left(part.data, ways[by_name][0], part.noise, ways[by_name][1], f))
         named.append(judged.whitened(part.data, ways[by_name][0], part.noise, ways[by_name][1], f))
-        of_inputs = admit.remainder(
-            part, chosen, [case.free_shapes[k] for k in inputs], [case.places[k] for k in inputs]
-        )
-        columns = judged.columns(names, tuple(inputs[k] for k in of_inputs.taken))
+        of_inputs = admit.remainder(part, chosen, case.free_shapes, case.places, inputs=True)
+        columns = judged.columns(names, of_inputs.taken)
         with_inputs.append(judged.whitened(part.data, of_inputs.active, part.noise, columns, f))
         again = {library.hypotheses[i].effect for i in names}
         same.append([effect in again for effect in effects])

@@ -189,8 +189,7 @@ BLOCKS = 8  # stretches of the recording that make up one fold
 def folds(run: np.ndarray, session: np.ndarray | None = None) -> tuple[np.ndarray, str]:
     """Number of the fold that holds out each row, shape (rows,), and the scheme's name.
 
-    If the machine was restarted often enough (session of each row: see `drivers.sessions`), whole sessions are
-    held out.
+    If the machine was restarted often enough (session of each row: see `drivers.sessions`), sessions are held out.
     Else the recording is cut into FOLDS * BLOCKS stretches of neighbouring rows, so that each fold sees every run and
     thermal state, and no row is predicted only from its neighbours. FOLDS in a row go to one fold each, in an order
     drawn for each turn (of equal seed): in a fixed order, a circle of ten stretches would lose the same angles.

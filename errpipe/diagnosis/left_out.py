@@ -106,7 +106,6 @@ def datums(
     library with their freedom, the same before whitening, their meaning. None if there are too few starts.
 
     session: of each row; y: the mismatch, whose spread between sessions sets the freedom; few: two starts suffice.
-
     Runs that follow each other without a long pause share a datum: a step between them is physics.
     """
     codes, first, inside, count = np.unique(session, return_index=True, return_inverse=True, return_counts=True)
@@ -141,8 +140,7 @@ def zeroed_at_starts(error: np.ndarray, session: np.ndarray) -> bool:
 def supported_by_held_out(search: Search, chosen: list[tuple[int, float]], judged: LeftOut) -> list[tuple[int, float]]:
     """The leading findings, strongest first, that predict held-out sessions best; the first is always kept.
 
-    Only if sessions have their own datums: rows within a session are then strongly
-    correlated, and a further finding may only overfit them.
+    Only if sessions have their own datums: their rows are then strongly correlated, and overfitted by a further one.
     """
     if judged.session is None or len(chosen) < 2:
         return chosen

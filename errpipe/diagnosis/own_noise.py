@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from errpipe.diagnosis import coloured
+from errpipe.diagnosis import admit, coloured
 from errpipe.diagnosis.case import Case, SetUp, chosen_of, left_by, residual
-from errpipe.diagnosis.evidence import Data
+from errpipe.diagnosis.evidence import Data, Scene
 from errpipe.diagnosis.hypotheses import Block, Hypothesis, columns_of, scaled
-from errpipe.diagnosis.search import Explanation, Search, settled
+from errpipe.diagnosis.search import MISSING, Explanation, Search, settled
 from errpipe.fitting.noise_floor import beside_steps, rounding
 from errpipe.terms import search_of
 
@@ -49,27 +49,39 @@ def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> t
     if not dependent and not _is_weak(explanation):
         return search, explanation
     library, handicap = made.library, 0.0 if dependent else EXPLAINED
-    best = (likelihood(search, explanation) + handicap, library.table.colour, search, explanation)
+    shaped, unnamed = _shaped(made, search)
+    best = max(likelihood(search, chosen_of(explanation)), shaped) + handicap, library.table.colour, search, explanation
     wandering = -np.inf  # log evidence of noise alone
-    colours = [coloured.fitted(left_by(made, search, chosen), made.run) for chosen in ([], chosen_of(explanation))]
-    for colour in dict.fromkeys(colours):
+    left = [left_by(made, search, chosen) for chosen in ([], chosen_of(explanation))]
+    for colour in dict.fromkeys(coloured.fitted(rest, made.run) for rest in (*left, unnamed)):
         library.recolour(colour)
         made.data = Data(library.table, made.y)
-        zoom = zoomed(made, *settled(library, made.data, made.nuisance, made.prior, made.noise_estimate))
-        wandering = max(wandering, likelihood(zoom[0], replace(zoom[1], accepted=())))
-        best = max(best, (likelihood(*zoom), colour, *zoom), key=lambda t: t[0])
-    made.over_noise = best[0] - (handicap if best[2] is search else 0.0) - wandering
+        found, names = zoomed(made, *settled(library, made.data, made.nuisance, made.prior, made.noise_estimate))
+        wandering = max(wandering, likelihood(found, []))
+        worth = max(likelihood(found, chosen_of(names)), _shaped(made, found)[0])
+        best = max(best, (worth, colour, found, names), key=lambda t: t[0])
     _, colour, search, explanation = best
     if colour != library.table.colour:
         library.recolour(colour)
         search.data = Data(library.table, made.y)
+    made.over_noise = likelihood(search, chosen_of(explanation)) - wandering
     made.data, search.prior = search.data, made.prior
     return search, explanation
 
 
-def likelihood(search: Search, explanation: Explanation) -> float:
-    """Log evidence of an explanation in noise of its colour, minus the cost of findings and of an unusual colour."""
-    table, chosen = search.library.table, chosen_of(explanation)
+def _shaped(made: SetUp, search: Search) -> tuple[float, np.ndarray]:
+    """Log evidence of shapes over inputs instead of names, which count as one finding, and what they leave.
+
+    A slow mechanism without a name is not noise: noise of its colour would hide it.
+    """
+    r = admit.remainder(search, [], made.free_shapes, made.places, inputs=True)
+    left = made.y - made.judged().columns([], r.taken) @ Scene(search.data, r.active, search.noise).coefficients()
+    return likelihood(search, []) + sum(gain for _, gain in r.shapes) - MISSING, left
+
+
+def likelihood(search: Search, chosen: list[tuple[int, float]]) -> float:
+    """Log evidence of hypotheses in noise of its colour, minus the cost of findings and of an unusual colour."""
+    table = search.library.table
     gain = search.joint(chosen) if chosen else 0.0
     price = 0.0 if table.colour == coloured.USUAL else COLOUR_PRICE
     return search.evidence([]) + gain - price - coloured.scale(table.colour, table.run)

@@ -30,10 +30,7 @@ def impossible(case: Case) -> list[model.Modelled]:
 
 
 def doubtful(case: Case) -> list[model.Modelled]:
-    """Accepted findings whose size is not significant, or whose scale's interval reaches its limit.
-
-    Least certain first.
-    """
+    """Accepted findings whose size is not significant, or whose scale's interval reaches its limit; weakest first."""
     made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
     return sorted((m for m in made if no_size(m) or at_its_limit(case, m, np.inf)), key=lambda m: m.joint)
 

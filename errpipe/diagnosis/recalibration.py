@@ -151,10 +151,7 @@ def together(separate: tuple[parts.Part, ...]) -> list[parts.Part]:
 
 
 def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray:
-    """Log prior odds: lower for effects that the simulation already contains.
-
-    Also lower for a sensor error as the cause, if nothing in the simulation follows that sensor.
-    """
+    """Log prior odds: lower for effects in the simulation, and for errors of sensors that nothing in it follows."""
     held = np.std(np.sum([p.contribution for p in d.parts], axis=0)) if d.parts else 0.0
     present = {p.hypothesis.effect for p in d.parts if np.std(p.contribution) > 0.05 * held and p.certainty > SURE}
     same: dict[tuple, list[np.ndarray]] = {}

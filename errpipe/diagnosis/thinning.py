@@ -179,10 +179,7 @@ class Events:
 
 
 def events(mismatch: np.ndarray) -> Events | None:
-    """Outlying means over 1 to 1024 rows whose neighbours agree: a step is not an event.
-
-    The width with the largest ratio to the robust spread is reported.
-    """
+    """Outlying means over 1 to 1024 rows whose neighbours agree (a step is no event), of the most conspicuous width."""
     best: tuple[float, Events] | None = None
     for width in WIDTHS:
         count = mismatch.size // width

@@ -50,6 +50,23 @@ def test_a_return_to_the_start_of_another_pass_is_no_approach_from_the_other_sid
     assert bool(moved.names("direction")) is sided
 
 
+def test_a_log_with_speed_but_without_acceleration_gets_it_from_the_speed() -> None:
+    """Drives log position and speed: what follows the acceleration had no candidate there."""
+    t = 0.02 * np.arange(400)
+    names = {
+        "t": {"role": "time", "unit": "s"},
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "v": {"role": "velocity", "axis": "X", "unit": "mm/s"},
+        "a": {"role": "acceleration", "axis": "X", "unit": "mm/s2"},
+    }
+    every = {"t": t, "x": 20.0 * np.sin(t), "v": 20.0 * np.cos(t), "a": -20.0 * np.sin(t)}
+    without = recording({n: c for n, c in names.items() if n != "a"}, {n: v for n, v in every.items() if n != "a"})
+    log, source = derived.with_motion(without)
+    assert source == {"acceleration of X": "v"} and log.names("velocity") == ("v",) and not log.names("direction")
+    assert np.allclose(log.array("acceleration of X"), every["a"], atol=0.5)
+    assert derived.with_motion(recording(names, every))[1] == {}
+
+
 def test_a_drive_force_that_names_its_component_is_a_response() -> None:
     columns = {
         "x": {"role": "position", "axis": "X", "unit": "mm"},

@@ -98,6 +98,29 @@ def test_a_slow_lag_and_lost_motion_are_both_found_from_positions_alone():
     assert by_name["backlash"].drivers == ("x",)  # the column that the recording has
 
 
+@pytest.mark.parametrize(("size", "period"), [(60.0, 3100.0), (30.0, 1500.0)])
+def test_a_slow_mechanism_without_a_name_is_no_noise(size, period):
+    """Guideway film over the oil's pressure: as a random walk it was noise, and only gains were recalibrated."""
+    rng = np.random.default_rng(6)
+    t = 10.0 * np.arange(600)
+    x, scale = 500 + 480 * np.sin(2 * np.pi * t / 290), 20 + 1.5 * np.sin(2 * np.pi * t / 900 + 1)
+    oil = 120 - 25 * (1 - np.exp(-t / 5000)) + 6 * np.sin(2 * np.pi * t / period)
+    known = 0.012 * x * (scale - 20) + 2 * np.sin(x / 90)
+    error = 1.04 * known + size * ((120 / oil) ** (1 / 3) - 1) + 0.4 * rng.standard_normal(t.size)
+    columns = {"t": t, "x": x, "P": oil.round(1), "T": scale.round(2), "E": error.round(1), "S": known}
+    kinds = {
+        "t": {"role": "time", "unit": "s"},
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "P": {"role": "pressure", "unit": "bar", "location": "oil supply"},
+        "T": {"role": "temperature", "unit": "degC", "location": "scale"},
+        "E": {"role": "error", "component": "EXX", "unit": "um"},
+        "S": {"role": "simulated", "component": "EXX", "unit": "um"},
+    }
+    (response,) = diagnose(recording(columns, kinds))[0].responses
+    first = response.findings[0]
+    assert (first.effect, first.drivers) == ("unknown", ("P",)) and first.confidence >= 0.7
+
+
 def test_a_reversed_sign_is_a_recalibration_and_is_said():
     case, _ = noise.case(SEED, "spindle", "white", hidden=False)
     turned = type(case)(case.manifest, case.frame.assign(E=-case.frame["E"]))
