@@ -174,7 +174,7 @@ def test_a_table_without_room_has_a_smaller_guard_or_none(watched):
 
     def with_room(nodes: int) -> _guarded.TableGuard:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(_guarded.Judge, "room", lambda self: nodes)
+            patch.setattr(_guarded.Judge, "free_nodes", lambda self: nodes)
             return _guarded.choose_guard(judge, None)
 
     few, alone, none = map(with_room, (300, 100, 20))
