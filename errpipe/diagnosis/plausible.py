@@ -30,12 +30,12 @@ def impossible(case: Case) -> list[model.Modelled]:
 
 
 def doubtful(case: Case) -> list[model.Modelled]:
-    """Accepted findings whose size is not significant, or whose scale's interval reaches its limit.
-
-    Least certain first.
+    """Accepted findings without a significant size (of any shape: the textbook form is one of many), or whose scale's
+    interval reaches its limit. Least certain first.
     """
     made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
-    return sorted((m for m in made if no_size(m) or at_its_limit(case, m, np.inf)), key=lambda m: m.joint)
+    unsized = lambda m: m.hypothesis.terms[0].form != "any shape" and no_size(m)  # noqa: E731
+    return sorted((m for m in made if unsized(m) or at_its_limit(case, m, np.inf)), key=lambda m: m.joint)
 
 
 def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
