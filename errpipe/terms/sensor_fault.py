@@ -63,6 +63,7 @@ class SensorFault(Term):
     compensable = False
     artefact = "a sensor failed while it was recorded: repair it; the machine itself is not at fault"
     simulated_log_odds = NEVER
+    sample = {"sensor": "T_nut", "first": 60, "last": 120}
     misread = True
     in_part = "never"
     form = "any shape"  # what it would have read is drawn from the other sensors
@@ -75,9 +76,6 @@ class SensorFault(Term):
     def linear(self) -> tuple[Parameter, ...]:
         unit = "um/m/K" if self.axis else "um/K"
         return (Parameter("gain", unit, (0.5, 20.0), (-500.0, 500.0), "what the simulation makes of a kelvin"),)
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.sensor,)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[SensorFault]:
@@ -150,10 +148,7 @@ def _step_in(recording: Recording, sensor: str, first: int, last: int) -> float:
 
 
 def _switched(recording: Recording) -> np.ndarray:
-    """Do coolant or spindle start, stop or change beside a row, or two sensors jump at once? Then it is no failure.
-
-    Shape (rows,).
-    """
+    """Rows beside which coolant or spindle change, or two sensors jump at once: no failure. Shape (rows,)."""
     t, out = recording.time(), np.zeros(len(recording))
     for name in (*recording.names("coolant"), *recording.names("spindle_speed")):
         out += 2 * _beside_rows(np.flatnonzero(np.diff(recording.array(name))) + 1, out.size)
@@ -166,18 +161,13 @@ def _switched(recording: Recording) -> np.ndarray:
 
 def _beside_rows(rows: np.ndarray, n: int) -> np.ndarray:
     """1 at these rows and two on either side, else 0, shape (n,)."""
-    out = np.zeros(n)
-    for beside in range(-2, 3):
-        out[np.clip(rows + beside, 0, n - 1)] = 1
-    return out
+    return np.convolve(np.bincount(rows, minlength=n), np.ones(5), "same") > 0
 
 
-def steps(values: np.ndarray, t: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def steps(values: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows that are read, and the step before each of them, shapes (k,)."""
     finite = np.flatnonzero(np.isfinite(values))
-    clock = np.arange(values.size, dtype=float) if t is None else _running(t)
-    going = np.ones(finite.size, dtype=bool) if t is None else _going(t[finite])
-    return finite, _missed(clock[finite], values[finite], LINES[0], going)[0]
+    return finite, _missed(_running(t)[finite], values[finite], LINES[0], _going(t[finite]))[0]
 
 
 def step_between(finite: np.ndarray, step: np.ndarray, first: int, last: int, ratio: float = MAX_STEP_RATIO) -> float:
@@ -255,7 +245,8 @@ def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = 
     finite = np.isfinite(values)
     if finite.sum() < MIN_READINGS:
         return {}
-    out, long, filled = dict.fromkeys(silent(values), True), max(4 * MIN_STRETCH_ROWS, n // 30), _filled(values)
+    out = dict.fromkeys(_stretches(~finite, max(MIN_STRETCH_ROWS, n // 100)), True)
+    long, filled = max(4 * MIN_STRETCH_ROWS, n // 30), _filled(values)
     typical = np.median(np.abs(filled))
     if typical > 5.0:  # a dead channel reads zero
         out |= dict.fromkeys(_stretches(finite & (np.abs(values) < 0.05 * typical), MIN_STRETCH_ROWS), True)
@@ -324,9 +315,7 @@ def _still_from(read: np.ndarray, a: int, long: int) -> int:
 
 def jumps(filled: np.ndarray, t: np.ndarray, usable: np.ndarray) -> dict[int, float]:
     """Rows from which a reading is off at once, the surest, and by how much: straight lines through the readings on
-    either side miss each other halfway between them.
-
-    Zero next to unusable rows and pauses, in which bodies cool: these are ranked last.
+    either side miss each other halfway between them. Zero next to unusable rows and pauses, ranked last: bodies cool.
     """
     going = _going(t)
     (step, short), (_, long) = (_missed(_running(t), filled, k, going) for k in LINES)
@@ -386,11 +375,6 @@ def _missed(clock: np.ndarray, read: np.ndarray, k: int, going: np.ndarray) -> t
         return step, sure
     joined = _missed(clock, read - np.cumsum(np.where(going, 0.0, step)), k, np.ones(n, dtype=bool))
     return np.where(going, joined[0], step), np.where(going, joined[1], sure)
-
-
-def silent(values: np.ndarray) -> list[tuple[int, int]]:
-    """First and last row of stretches where a sensor reads nothing."""
-    return _stretches(~np.isfinite(values), max(MIN_STRETCH_ROWS, values.size // 100))
 
 
 def _stretches(flags: np.ndarray, least: int) -> list[tuple[int, int]]:

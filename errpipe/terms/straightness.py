@@ -22,18 +22,15 @@ from errpipe.yamlfile import quantity
 
 
 def bows(x: np.ndarray, low: float, high: float, order: int, line: float = 0.0) -> np.ndarray:
-    """Chebyshev polynomials of degree 2..order over low..high, held beyond both, shape (rows, order - 1).
-
-    Degree 3 is added to `line` times degree 1.
-    """
+    """Chebyshev polynomials of degree 2..order over low..high, held beyond, 3 with `line` of 1, (rows, order - 1)."""
     unit = (2 * np.clip(np.asarray(x, dtype=float), low, high) - low - high) / (high - low)
     curve = np.polynomial.chebyshev.chebvander(unit, order)
     curve[..., 3:4] += line * curve[..., 1:2]
     return curve[..., 2:]
 
 
-# Slopes of reference lines, over the amplitude of degree 3: through the ends, of least squares, along the middle
-LINES = (-1.0, 0.6, 3.0)
+# Slopes of reference lines over bow3: from that through the ends to that along the middle; of least squares 0.6
+LINES = (-1.0, -0.5, -0.2, 0.1, 0.3, 0.6, 1.0, 1.7, 3.0)
 
 
 class Straightness(Term):
@@ -60,10 +57,9 @@ class Straightness(Term):
     on_both_axes = False  # two guideways do not bend alike, and two cubic bows are the sine wave of a squareness
 
     def nonlinear(self) -> tuple[Parameter, ...]:
-        if not (self.across and self.any_line and self.order > 2):
-            return ()
-        limits, search = (min(LINES), max(LINES)), Listed(LINES)
-        return (Parameter("line", "1", limits, limits, "slope of the reference line over bow3", search=search),)
+        span = (min(LINES), max(LINES))
+        line = Parameter("line", "1", span, span, "slope of the reference line over bow3", search=Listed(LINES))
+        return (line,) if self.across and self.any_line and self.order > 2 else ()
 
     def linear(self) -> tuple[Parameter, ...]:
         return tuple(
