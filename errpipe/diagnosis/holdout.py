@@ -11,7 +11,7 @@ import numpy as np
 from errpipe.diagnosis import admit
 from errpipe.diagnosis.case import Case
 from errpipe.diagnosis.evidence import Active
-from errpipe.diagnosis.hypotheses import Library, folds
+from errpipe.diagnosis.hypotheses import folds
 from errpipe.diagnosis.left_out import ZEROED, LeftOut, supported_by_held_out
 from errpipe.diagnosis.search import Search
 from errpipe.drivers.sessions import sessions
@@ -80,7 +80,7 @@ def held_out(case: Case) -> HeldOut:
     in_part = any(finding.hypothesis.mask for finding in case.explanation.accepted)
     if not in_part:  # partial effects were selected on all rows: the fold's search excludes them
         search = copy.copy(search)
-        search.prior = np.where(_acts_in_part(library), NEVER, search.prior)
+        search.prior = np.where([bool(h.mask) for h in library.hypotheses], NEVER, search.prior)
     before, after, named, alone, with_inputs, same, shaped = [], [], [], [], [], [], 0
     bare, textbook, found = [], [], Counter[str]()
     for f, test in enumerate(library.table.rows):
@@ -123,10 +123,6 @@ def held_out(case: Case) -> HeldOut:
         rms(alone), rms(bare), rms(textbook),
         tuple(sorted(e for e, count in found.items() if count >= AGAIN * len(same))), not in_part,
     )  # fmt: skip
-
-
-def _acts_in_part(library: Library) -> list[bool]:
-    return [bool(h.mask) for h in library.hypotheses]
 
 
 def _without_fold(search: Search, fold: int) -> Search:

@@ -30,9 +30,15 @@ def impossible(case: Case) -> list[model.Modelled]:
 
 
 def doubtful(case: Case) -> list[model.Modelled]:
-    """Accepted findings whose size is not significant, or whose scale's interval reaches its limit; weakest first."""
+    """Accepted findings whose size is not significant, or whose scale's interval reaches its limit; weakest first.
+
+    Of an effect of any shape the textbook form is one of many: its size may be zero.
+    """
     made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
-    return sorted((m for m in made if no_size(m) or at_its_limit(case, m, np.inf)), key=lambda m: m.joint)
+    shaped = [m.hypothesis.terms[0].form == "any shape" for m in made]
+    unsized = [no_size(m) and not any_shape for m, any_shape in zip(made, shaped, strict=True)]
+    doubted = [m for m, u in zip(made, unsized, strict=True) if u or at_its_limit(case, m, np.inf)]
+    return sorted(doubted, key=lambda m: m.joint)
 
 
 def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:

@@ -24,7 +24,7 @@ from errpipe.terms._slack import Slack
 # the odds against each one of some twenty other effects
 LOG_ODDS_IF_VISIBLE = 3.0
 ROWS_EACH_SIDE = 5  # rows on either side of a jump whose medians give its step
-MAX_JUMPS, MAX_STRETCHES = 6, 16  # of a sensor, that are tried: seen ones first, those between natural jumps last
+MAX_JUMPS, MAX_STRETCHES = 8, 16  # of a sensor, that are tried: seen ones first, those between natural jumps last
 MIN_READINGS = 30  # of a sensor, in which failures are searched for
 MIN_STRETCH_ROWS = 8  # of a stretch; one without a change has four times as many, or a thirtieth of all
 MAX_STEP_RATIO = 2.0  # factor between a jump off and the jump back; if one of them may have another cause, at most
@@ -33,13 +33,12 @@ LINES = (8, 24)  # readings of the straight lines on either side of a jump,
 JUMP = 7.0  # and standard errors by which these must miss each other: bodies bend as they warm. Short ones at least by
 CHANCE = 4.5  # what chance exceeds in one of 100,000 rows
 # A sensor failed in a stretch of equal readings so many times as long as any other, and that ends with so many of the
-# display's steps (by judgement; true of none of 969 sound sensors, seeds 44511 to 44514)
-HELD, LEAVES = 4.0, 1.5
-RARELY = 0.05  # share of the other rows in which a reading does not change, below which that is no habit of it
+# display's steps (by judgement; true of none of 969 sound sensors, seeds 44511 to 44514), or where so few of all other
+# readings equal the one before: that is no habit of it
+HELD, LEAVES, RARELY = 4.0, 1.5, 0.05
 # Of the fault: prior standard deviation of what the reading drawn through the gap misses (chosen on 40 faults)
 DRAWN = 0.3
 BENDS, SEEN_BENDS = 4, 12  # half waves along the stretch, from which that may be made; if the readings show its ends
-WINDOW = 9  # readings, in which a sensor does not change
 STILL = 0.05  # of a jump, within which a reading is constant before it
 
 
@@ -64,6 +63,7 @@ class SensorFault(Term):
     compensable = False
     artefact = "a sensor failed while it was recorded: repair it; the machine itself is not at fault"
     simulated_log_odds = NEVER
+    sample = {"sensor": "T_nut", "first": 60, "last": 120}
     misread = True
     in_part = "never"
     form = "any shape"  # what it would have read is drawn from the other sensors
@@ -76,9 +76,6 @@ class SensorFault(Term):
     def linear(self) -> tuple[Parameter, ...]:
         unit = "um/m/K" if self.axis else "um/K"
         return (Parameter("gain", unit, (0.5, 20.0), (-500.0, 500.0), "what the simulation makes of a kelvin"),)
-
-    def drivers(self, recording: Recording) -> tuple[str, ...]:
-        return (self.sensor,)
 
     @classmethod
     def bind(cls, recording: Recording, component: str) -> Iterator[SensorFault]:
@@ -151,10 +148,7 @@ def _step_in(recording: Recording, sensor: str, first: int, last: int) -> float:
 
 
 def _switched(recording: Recording) -> np.ndarray:
-    """Do coolant or spindle start, stop or change beside a row, or two sensors jump at once? Then it is no failure.
-
-    Shape (rows,).
-    """
+    """Rows beside which coolant or spindle change, or two sensors jump at once: no failure. Shape (rows,)."""
     t, out = recording.time(), np.zeros(len(recording))
     for name in (*recording.names("coolant"), *recording.names("spindle_speed")):
         out += 2 * _beside_rows(np.flatnonzero(np.diff(recording.array(name))) + 1, out.size)
@@ -167,17 +161,13 @@ def _switched(recording: Recording) -> np.ndarray:
 
 def _beside_rows(rows: np.ndarray, n: int) -> np.ndarray:
     """1 at these rows and two on either side, else 0, shape (n,)."""
-    out = np.zeros(n)
-    for beside in range(-2, 3):
-        out[np.clip(rows + beside, 0, n - 1)] = 1
-    return out
+    return np.convolve(np.bincount(rows, minlength=n), np.ones(5), "same") > 0
 
 
-def steps(values: np.ndarray, t: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def steps(values: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows that are read, and the step before each of them, shapes (k,)."""
     finite = np.flatnonzero(np.isfinite(values))
-    clock = np.arange(values.size, dtype=float) if t is None else _running(t)
-    return finite, _missed(clock[finite], values[finite], LINES[0])[0]
+    return finite, _missed(_running(t)[finite], values[finite], LINES[0], _going(t[finite]))[0]
 
 
 def step_between(finite: np.ndarray, step: np.ndarray, first: int, last: int, ratio: float = MAX_STEP_RATIO) -> float:
@@ -255,7 +245,8 @@ def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = 
     finite = np.isfinite(values)
     if finite.sum() < MIN_READINGS:
         return {}
-    out, long, filled = dict.fromkeys(silent(values), True), max(4 * MIN_STRETCH_ROWS, n // 30), _filled(values)
+    out = dict.fromkeys(_stretches(~finite, max(MIN_STRETCH_ROWS, n // 100)), True)
+    long, filled = max(4 * MIN_STRETCH_ROWS, n // 30), _filled(values)
     typical = np.median(np.abs(filled))
     if typical > 5.0:  # a dead channel reads zero
         out |= dict.fromkeys(_stretches(finite & (np.abs(values) < 0.05 * typical), MIN_STRETCH_ROWS), True)
@@ -268,20 +259,13 @@ def suspicious(values: np.ndarray, t: np.ndarray, switched: np.ndarray | None = 
 
     edges, natural = sorted(step), set()
     for i, a in enumerate(edges):
-        for b in (b for b in [*edges[i + 1 :], n] if b - a >= MIN_STRETCH_ROWS):
+        ends = [*edges[i + 1 :], n] if step[a] or 2 * a >= n else edges[i + 1 :]  # from a pause on, it is the exception
+        for b in (b for b in ends if b - a >= MIN_STRETCH_ROWS):
             natural |= {(a, b - 1)} if not step[a] and not step.get(b) else set()
             ratio = MAX_STEP_RATIO if step[a] and step.get(b) else EQUAL_STEPS
             out[a, b - 1] = b < n and is_unexplained(a, b) and step_between(*known, a, b - 1, ratio) != 0.0
         start = _still_from(filled, a, long)
         out |= {(start, a - 1): is_unexplained(a) and start > 0} if a - start >= long else {}
-    ranges = _rolling_range(filled, WINDOW)
-    stuck = ranges <= 0.3 * np.median(ranges) + 1e-12
-    for a, b in _stretches(stuck & finite, long)[:3]:
-        still = a + np.flatnonzero(ranges[a : b + 1] <= 1e-12)  # the ends may show a reading before or after it
-        seen = np.mean(np.delete(stuck, slice(a, b + 1))) < RARELY and still.size >= b - a + 2 - WINDOW
-        ends = (int(still[0]), int(still[-1])) if seen else (a, b)
-        frozen = max(ends[0] - WINDOW // 2, 0), min(ends[1] + WINDOW // 2, n - 1)
-        out[frozen] = out.get(frozen, False) or bool(seen)
     if (held := _held(filled, finite)) and held[1] - held[0] >= long:
         out[held] = True
     return dict(sorted(sorted(out.items(), key=lambda one: (not one[1], one[0] in natural))[:MAX_STRETCHES]))
@@ -294,9 +278,8 @@ def _filled(values: np.ndarray) -> np.ndarray:
 
 
 def _held(read: np.ndarray, finite: np.ndarray) -> tuple[int, int] | None:
-    """First and last row of the longest stretch of equal readings, if far longer than any other and left by a jump.
-
-    A body that came to rest leaves its temperature by one step of the display.
+    """First and last row of the longest stretch of equal readings, if far longer than any other, and left by a jump or
+    the only one: a body that came to rest leaves its temperature by one step of the display.
     """
     edges = np.flatnonzero(np.abs(np.diff(read)) > 1e-9) + 1
     starts, ends = np.r_[0, edges], np.r_[edges, read.size]
@@ -305,7 +288,9 @@ def _held(read: np.ndarray, finite: np.ndarray) -> tuple[int, int] | None:
     if longest in (0, count.size - 1) or count[longest] < HELD * np.delete(count, longest).max():
         return None
     first, after, moves = int(starts[longest]), int(ends[longest]), np.abs(np.diff(read[finite]))
-    return (first, after - 1) if abs(read[after] - read[first]) > LEAVES * moves[moves > 1e-9].min() else None
+    rare = 1.0 - edges.size / max(read.size - count[longest], 1) < RARELY
+    jump = abs(read[after] - read[first]) > LEAVES * moves[moves > 1e-9].min()
+    return (first, after - 1) if jump or rare else None
 
 
 def _still_from(read: np.ndarray, a: int, long: int) -> int:
@@ -330,19 +315,23 @@ def _still_from(read: np.ndarray, a: int, long: int) -> int:
 
 def jumps(filled: np.ndarray, t: np.ndarray, usable: np.ndarray) -> dict[int, float]:
     """Rows from which a reading is off at once, the surest, and by how much: straight lines through the readings on
-    either side miss each other halfway between them.
-
-    Zero next to a pause, in which bodies cool, or next to unusable rows: these are ranked last.
+    either side miss each other halfway between them. Zero next to unusable rows and pauses, ranked last: bodies cool.
     """
-    clock, pause = _running(t), np.diff(t)
-    (step, short), (_, long) = (_missed(clock, filled, k) for k in LINES)
+    going = _going(t)
+    (step, short), (_, long) = (_missed(_running(t), filled, k, going) for k in LINES)
     sure = np.where(short > CHANCE, np.maximum(short, long), 0.0)  # residual of the long lines where the reading bends
-    highest = np.lib.stride_tricks.sliding_window_view(np.pad(sure, LINES[0] // 2), LINES[0] + 1).max(axis=1)
-    rows = np.flatnonzero((sure > JUMP) & (sure == highest))
-    going = (pause > 0) & (pause <= 2.0 * _longer_neighbour(pause))
-    plain = going[rows - 1] & usable[rows] & usable[rows - 1]
-    first = np.lexsort((-sure[rows], ~plain))[:MAX_JUMPS]
-    return {int(rows[k]): float(np.abs(step[rows[k]]) * plain[k]) for k in first}
+    ahead = np.where(going, sure, 0.0)  # a jump at a pause hides none beside it
+    highest = np.lib.stride_tricks.sliding_window_view(np.pad(ahead, LINES[0] // 2), LINES[0] + 1).max(axis=1)
+    rows = np.flatnonzero((sure > JUMP) & ((sure == highest) | ~going))
+    plain = going & usable & np.r_[True, usable[:-1]]
+    first = np.lexsort((-sure[rows], ~going[rows], ~plain[rows]))[:MAX_JUMPS]
+    return {int(row): float(np.abs(step[row]) * plain[row]) for row in rows[first]}
+
+
+def _going(t: np.ndarray) -> np.ndarray:
+    """Is there no pause before a row, in which bodies cool or heat? Shape (rows,)."""
+    pause = np.diff(t)
+    return np.r_[True, (pause > 0) & (pause <= 2.0 * _longer_neighbour(pause))]
 
 
 def _running(t: np.ndarray) -> np.ndarray:
@@ -357,10 +346,11 @@ def _longer_neighbour(pause: np.ndarray) -> np.ndarray:
     return np.maximum(np.r_[pause[1:], 0.0], np.r_[0.0, pause[:-1]])
 
 
-def _missed(clock: np.ndarray, read: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
+def _missed(clock: np.ndarray, read: np.ndarray, k: int, going: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """By how much lines through k readings on either side miss each other before each row, also in standard errors.
 
-    Shapes (rows,), nought where there are fewer readings on a side.
+    Shapes (rows,), nought where there are fewer readings on a side. Rows after a pause (not going) are joined to those
+    before it: lines through a jump there would hide others beside it.
     """
     step, sure, n = np.zeros(read.size), np.zeros(read.size), read.size
     if n < 2 * k:
@@ -381,19 +371,12 @@ def _missed(clock: np.ndarray, read: np.ndarray, k: int) -> tuple[np.ndarray, np
     noise = np.maximum((left[before] + left[after]) / 2, max(float(np.median(left)), coarse**2 / 12, 1e-18))
     leverage = 2 / k + back**2 / spread[before] + on**2 / spread[after]
     sure[inside] = np.abs(step[inside]) / np.sqrt(noise * leverage)
-    return step, sure
-
-
-def silent(values: np.ndarray) -> list[tuple[int, int]]:
-    """First and last row of stretches where a sensor reads nothing."""
-    return _stretches(~np.isfinite(values), max(MIN_STRETCH_ROWS, values.size // 100))
+    if going.all():
+        return step, sure
+    joined = _missed(clock, read - np.cumsum(np.where(going, 0.0, step)), k, np.ones(n, dtype=bool))
+    return np.where(going, joined[0], step), np.where(going, joined[1], sure)
 
 
 def _stretches(flags: np.ndarray, least: int) -> list[tuple[int, int]]:
     """First and last row of the stretches of True that have so many rows."""
     return [(int(a), int(b) - 1) for a, b in zip(*stretches(flags), strict=True) if b - a >= least]
-
-
-def _rolling_range(values: np.ndarray, width: int) -> np.ndarray:
-    window = np.lib.stride_tricks.sliding_window_view(np.pad(values, width // 2, mode="edge"), width)
-    return window.max(axis=1) - window.min(axis=1)

@@ -16,14 +16,21 @@ from errpipe.terms._base import Parameter, Term
 from errpipe.terms._fields import Axis
 from errpipe.terms._lines import at_targets
 from errpipe.terms._place import direction_of, is_radial, own_axis
+from errpipe.terms._search import Listed
 from errpipe.terms._slack import Slack, chebyshev
 from errpipe.yamlfile import quantity
 
 
-def bows(x: np.ndarray, low: float, high: float, order: int) -> np.ndarray:
-    """Chebyshev polynomials of degree 2..order over low..high, held beyond both, shape (rows, order - 1)."""
+def bows(x: np.ndarray, low: float, high: float, order: int, line: float = 0.0) -> np.ndarray:
+    """Chebyshev polynomials of degree 2..order over low..high, held beyond, 3 with `line` of 1, (rows, order - 1)."""
     unit = (2 * np.clip(np.asarray(x, dtype=float), low, high) - low - high) / (high - low)
-    return np.polynomial.chebyshev.chebvander(unit, order)[..., 2:]
+    curve = np.polynomial.chebyshev.chebvander(unit, order)
+    curve[..., 3:4] += line * curve[..., 1:2]
+    return curve[..., 2:]
+
+
+# Slopes of reference lines over bow3: from that through the ends to that along the middle; of least squares 0.6
+LINES = (-1.0, -0.5, -0.2, 0.1, 0.3, 0.6, 1.0, 1.7, 3.0)
 
 
 class Straightness(Term):
@@ -31,6 +38,7 @@ class Straightness(Term):
 
     Equation   deviation(x) = sum of b_k T_k(u), k = 2..order, u = position scaled to -1..1 over low..high
     Assumes    a smooth guideway; degree 1 belongs to squareness, degree 0 to the datum; ends held beyond low..high
+               (circle, any_line: degree 1 is `line` times degree 3, for the reference line of the profile is unknown)
     Typical    2..20 um
     Moves      positive bow: the ends of travel lie further in the positive direction than the middle
     Source     ISO 230-1 (straightness error motion); Ni 1997, geometric errors
@@ -42,9 +50,16 @@ class Straightness(Term):
     high: float = quantity("mm", "Upper end of the axis.")
     order: int = Field(4, ge=2, le=12, description="Highest degree.")
     across: str | None = Field(None, description="Circular test: the axis whose direction the deviation points in.")
+    any_line: bool = Field(False, description="Circular test: the slope of the reference line is solved for.")
     family = "geometric"
     rowwise = True
     form = "any shape"
+    on_both_axes = False  # two guideways do not bend alike, and two cubic bows are the sine wave of a squareness
+
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        span = (min(LINES), max(LINES))
+        line = Parameter("line", "1", span, span, "slope of the reference line over bow3", search=Listed(LINES))
+        return (line,) if self.across and self.any_line and self.order > 2 else ()
 
     def linear(self) -> tuple[Parameter, ...]:
         return tuple(
@@ -75,14 +90,19 @@ class Straightness(Term):
             if (degree := np.unique(at_targets(x[~np.isnan(x)])).size - 1) >= 2:  # what few places determine
                 yield cls(axis=axis, low=low, high=high, order=min(degree, 4))
 
+    @classmethod
+    def hypotheses(cls, recording: Recording, raw: Recording, component: str) -> Iterator[Straightness]:
+        """Of a circle also the reference line: a slope beyond it is a squareness, another effect."""
+        yield from (term.model_copy(update={"any_line": True}) for term in cls.bind(recording, component))
+
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
-        curve = bows(position(recording, self.axis), self.low, self.high, self.order)
+        curve = bows(position(recording, self.axis), self.low, self.high, self.order, *nonlinear)
         return curve * share(recording, self.across, True)[:, None] if self.across else curve
 
     def slack(self, recording: Recording, base: np.ndarray, *nonlinear: float) -> Slack:
         polynomials = chebyshev(position(recording, self.axis), 8)
         across = share(recording, self.across, True) if self.across else 1.0
-        for k in (0, 1):  # whichever line, and of a circle whichever centre, it is counted from
+        for k in (0, 1) if not self.across else (0,):  # whichever line, of a circle whichever centre, it counts from
             yield polynomials[:, k] * across, 0.4
         for k in range(self.order + 1, 9):
             yield polynomials[:, k] * across, 0.3

@@ -65,6 +65,16 @@ def test_a_size_whose_stated_interval_spans_zero_may_be_none(low, nothing):
     assert plausible.no_size(made) is nothing
 
 
+@pytest.mark.parametrize(("form", "in_doubt"), [("any shape", 0), ("textbook", 1)])
+def test_of_any_shape_the_textbook_form_may_have_no_size(monkeypatch, form, in_doubt):
+    term = SimpleNamespace(form=form, nonlinear=tuple)
+    made = SimpleNamespace(joint=0.1, cores=1, estimates=(SimpleNamespace(name="a", low=-1.0, high=9.0),))
+    made.hypothesis = SimpleNamespace(terms=(term,), nonlinear=((),))
+    monkeypatch.setattr(plausible.model, "modelled", lambda case, k: made)
+    case = SimpleNamespace(explanation=SimpleNamespace(accepted=[None]))
+    assert len(plausible.doubtful(case)) == in_doubt
+
+
 def test_friction_that_falls_up_to_the_highest_speed_is_at_its_limit():
     """Within 40 % of the highest speed it must have faded: beyond, dry friction looks the same."""
     case = trace(5, hidden=lambda c: 20.0 * np.sign(c["v"]))

@@ -71,8 +71,8 @@ def test_stretches_are_seen_under_a_display_that_jitters_and_from_a_pause_on():
     assert any(abs(a - 100) < 12 and b == 179 for a, b in suspicious(np.round(stuck, 1), t))
     stepped = np.round(read + np.where(np.arange(300) >= 200, 8.0, 0.0), 1)
     assert (200, 299) in suspicious(stepped, t)
-    assert step_between(*steps(np.r_[np.zeros(20), np.full(30, 3.0), np.zeros(20)], None), 20, 49) == 3.0
-    assert step_between(*steps(np.r_[np.zeros(20), np.full(30, 3.0), np.full(20, 6.0)], None), 20, 49) == 0.0
+    assert step_between(*steps(np.r_[np.zeros(20), np.full(30, 3.0), np.zeros(20)], t[:70]), 20, 49) == 3.0
+    assert step_between(*steps(np.r_[np.zeros(20), np.full(30, 3.0), np.full(20, 6.0)], t[:70]), 20, 49) == 0.0
 
 
 @pytest.mark.parametrize("seed", [1, 2])

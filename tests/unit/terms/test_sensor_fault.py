@@ -149,6 +149,23 @@ def test_readings_that_come_slower_and_pauses_are_no_jumps() -> None:
     assert not any(suspicious(cold, often + 50000.0 * (np.arange(400) >= 200)).values())
 
 
+def test_a_failure_that_ends_beside_a_pause_is_seen() -> None:
+    """A body that cooled in the pause jumps there, too: lines through that jump would miss the one beside it."""
+    rows, (t, read) = np.arange(400), _warming(400, 0.02)
+    warm = np.r_[read[:200], read[:200] - 1.0]
+    t = t + 50000.0 * (rows >= 200)
+    for first, last in ((120, 195), (204, 300), (120, 300)):
+        off = warm + 2.5 * ((rows >= first) & (rows <= last))
+        assert suspicious(off, t).get((first, last), False), (first, last)
+
+
+def test_from_a_pause_to_the_end_a_sensor_is_off_only_if_that_is_the_lesser_part() -> None:
+    rows, (t, read) = np.arange(400), _warming(400, 0.02)
+    for first in (120, 280):
+        at = t + 50000.0 * (rows >= first)
+        assert ((first, 399) in suspicious(read + 3.0 * (rows >= first), at)) == (first == 280)
+
+
 def test_a_sensor_that_stood_still_from_a_slow_time_on_is_seen_by_its_jump() -> None:
     rows, t, noise = np.arange(400), 60.0 * np.arange(400), np.random.default_rng(7).normal(0, 0.02, 400)
     stood = np.where((rows >= 180) & (rows < 330), 180, rows)
