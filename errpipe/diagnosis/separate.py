@@ -14,19 +14,11 @@ REVERSALS = (0.002, 0.005, 0.01, 0.03, 0.1, 0.3, 1.0)  # mm (deg)
 SPEEDS = (0.01, 0.03, 0.1, 0.3, 1.0)  # shares of the highest speed: friction differs most near standstill
 SURE = 3.0  # standard errors by which the predictions of two rivals must differ
 MOST_READINGS = 20000  # about one shift at one reading per second; a longer measurement is not proposed
+Fitted = tuple[Hypothesis, np.ndarray]  # a hypothesis and the coefficients of its core columns
 
 
-def would_separate(
-    recording: Recording,
-    first: tuple[Hypothesis, np.ndarray],
-    second: tuple[Hypothesis, np.ndarray],
-    noise: float,
-    unit: str,
-) -> str:
-    """A sentence: the additional measurement in which two fitted hypotheses differ most, and by how much.
-
-    first, second: each a hypothesis and the coefficients of its core columns.
-    """
+def would_separate(recording: Recording, first: Fitted, second: Fitted, noise: float, unit: str) -> str:
+    """A sentence: the additional measurement in which two fitted hypotheses differ most, and by how much."""
     best = (0.0, "")
     for what, trial in _hypothetical_recordings(recording, (*first[0].drivers, *second[0].drivers)):
         try:
@@ -45,7 +37,7 @@ def would_separate(
     return f"{best[1]}; the two then differ by {gap} {unit} ({enough} at a noise of {scatter} {unit})"
 
 
-def _predict(fitted: tuple[Hypothesis, np.ndarray], trial: Recording) -> np.ndarray:
+def _predict(fitted: Fitted, trial: Recording) -> np.ndarray:
     h, b = fitted
     columns = np.column_stack([t.basis(trial, *nl) for t, nl in zip(h.terms, h.nonlinear, strict=True)])
     return columns @ b
@@ -53,7 +45,10 @@ def _predict(fitted: tuple[Hypothesis, np.ndarray], trial: Recording) -> np.ndar
 
 def _hypothetical_recordings(recording: Recording, drivers: tuple[str, ...]):
     """Hypothetical recordings: one driver changes, the others are constant."""
-    names, columns, constant, t = dict.fromkeys(drivers), recording.manifest.columns, _rest(recording), recording.time()
+    names, columns, t = dict.fromkeys(drivers), recording.manifest.columns, recording.time()
+    labels = {*recording.names("run"), *recording.names("group")}
+    rest = {n: "1" if n in labels else float(np.nanmedian(recording.array(n))) for n in recording.frame.columns}
+    constant = pd.DataFrame(rest, index=range(STEPS))
     constant[recording.name("time") or "t"] = np.linspace(0.0, float(np.nanmax(t) - np.nanmin(t)) or 3600.0, STEPS)
     for name in names:
         kind = columns.get(name)
@@ -81,13 +76,6 @@ def _hypothetical_recordings(recording: Recording, drivers: tuple[str, ...]):
             listed = f"{', '.join(f'{r:g}' for r in REVERSALS[:-1])} and {REVERSALS[-1]:g} {columns[place].unit}"
             short = constant.assign(**_short_reversals(place, side, constant))
             yield f"approach the same target after reversals of {listed}", Recording(recording.manifest, short)
-
-
-def _rest(recording: Recording) -> pd.DataFrame:
-    """Every input constant at its median."""
-    labels = {*recording.names("run"), *recording.names("group")}
-    rest = {n: "1" if n in labels else float(np.nanmedian(recording.array(n))) for n in recording.frame.columns}
-    return pd.DataFrame(rest, index=range(STEPS))
 
 
 def _short_reversals(place: str, side: str, rest: pd.DataFrame) -> dict[str, np.ndarray]:
