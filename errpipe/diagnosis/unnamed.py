@@ -28,6 +28,7 @@ UNLIKELY_IN_PART = 0.5  # and of partial names, which are many (chosen on first 
 # 42104, 43101, 51101, 51102: false ones have 0.15 to 0.47, right ones 0.66 or more)
 WANDERING = 1.5  # threshold: rms of the residual over the noise between neighbours, from which it drifts,
 PREDICTED = 0.85  # and rms of its innovations over its own, below which earlier rows predict it (heavy tails do not)
+TELLING = 10.0  # and from which neighbours do not show the noise: equal, in coarse steps (a real probe: 100 to 300)
 FAR = 2.0  # and from which names that hardly reduce it explain nothing
 SLOW_SHARE = 1.2  # rms of noise with its slow share over second differences, which do not include that share
 UNREACHED = 0.25  # threshold: share of the variance beyond the noise between neighbours, and beyond that of the names,
@@ -121,6 +122,7 @@ def misfit(case: Case, indicators: list[confidence.Indicators]) -> str:
         return f"No effect of the vocabulary fits: a smooth shape over an input is likelier than {name}."
     beside = max([indicators[0].beside, *(g for s, g in case.remainder.shapes if s.of_inputs)])
     remains = beside > confidence.EARNED and unexplained_share(case) > NOTICEABLE
+    remains = remains and case.sigma < TELLING * case.noise_estimate
     return f"A smooth shape over an input remains beside {name}." if remains else ""
 
 
