@@ -18,7 +18,7 @@ PROVISIONAL = 0.4  # upper limit of the confidence of `unknown` below that thres
 NOISE = 0.2  # and if the residual is a linear Gaussian process
 TEXTBOOK = 0.8  # threshold: share of the names' held-out prediction that their textbook forms provide, and
 ALONE = 0.8  # of the first one's log Bayes factor that its textbook form reaches alone; if both are lower, the
-# form is another's (chosen on first 44201, 45302, 42xxx: of 77 right names none; the nearest 0.84 and 0.95)
+# form is another's (chosen on first 44201, 45302 and five older sets: of 77 right names none, the nearest 0.84, 0.95)
 UNSTABLE = -1.0  # a textbook form that harms held-out rows by more than names help was not fitted with the others
 DEPARTED = 0.7  # confidence of `unknown` in that case
 SMALLER = 0.75  # threshold: rms on held-out rows over that without names, from which names are unconfirmed
