@@ -60,7 +60,6 @@ class Case(SetUp):
     sigma: float = 0.0
     remainder: admit.Remainder = None  # type: ignore[assignment]
     held: Any = None  # figures of the hold-out (`holdout.HeldOut`), once computed
-    misfit: str = ""  # what contradicts the names, a sentence
 
     def chosen(self) -> list[tuple[int, float]]:
         """Accepted hypotheses with their sizes."""

@@ -48,9 +48,8 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     most = _most(case, made, indicators, after)
     findings = [unnamed.capped(f, limit) for f, limit in zip(findings, most, strict=True)]
     contribution = {m.hypothesis.effect: m.contribution for m in made}
-    case.misfit = unnamed.misfit(case, indicators)
     p_unknown = unnamed.chance(case, indicators, held)
-    nameless = bool(case.misfit) or unnamed.unexplained(case, held)
+    nameless = unnamed.unexplained(case, held)
     if findings and unnamed.confirmed_by_held_out(case, held) and unnamed.unlikely(case, findings):
         p_unknown, nameless = max(p_unknown, unnamed.PROVISIONAL), True
     findings, verdict = _verdict(case, findings, p_unknown, nameless)

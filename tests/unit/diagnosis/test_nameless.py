@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from errpipe.diagnosis import coloured, confidence, diagnose, empirical, own_noise, plausible, report, unnamed
+from errpipe.diagnosis import coloured, diagnose, empirical, own_noise, plausible, report, unnamed
 from errpipe.diagnosis.holdout import HeldOut
 from errpipe.diagnosis.shapes import shapes
 from errpipe.domain.diagnosis import Empirical, EmpiricalTerm, Finding
@@ -270,35 +270,6 @@ def test_what_shapes_must_predict_to_take_a_name_away(monkeypatch):
         case, held = left_by(white, 3.0, 0.8, again=again)
         case.remainder = SimpleNamespace(shapes=())
         assert unnamed.unexplained(case, held) == (again == 1.0)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("instead", "beside", "worth", "sigma", "form", "said"),
-    [
-        (-12.0, 0.0, 0.0, 1.0, "textbook", "is likelier than"),
-        (-8.0, 0.0, 0.0, 1.0, "textbook", ""),  # a right name on a real frame
-        (40.0, 12.0, 0.0, 3.0, "textbook", "remains beside"),
-        (40.0, 0.0, 12.0, 3.0, "textbook", "remains beside"),  # held-out rows confirm it, but for a small share
-        (40.0, 9.0, 9.0, 3.0, "textbook", ""),
-        (40.0, 12.0, 12.0, 1.0, "textbook", ""),  # within the noise between neighbours
-        (-12.0, 12.0, 12.0, 3.0, "any rate", ""),  # tools wear differently
-    ],
-)
-def test_a_shape_that_fits_better_than_a_name_or_beside_it_speaks_against_it(
-    monkeypatch, instead, beside, worth, sigma, form, said
-):
-    monkeypatch.setattr(unnamed, "residual", lambda case: case.residual)
-    case, held = left_by(np.random.default_rng(2).standard_normal(1000), sigma, worth=worth)
-    first = SimpleNamespace(effect="screw_windup", terms=(SimpleNamespace(form=form),), mask=None)
-    case.explanation = SimpleNamespace(accepted=(SimpleNamespace(gain=99.0, hypothesis=first),))
-    shown = confidence.Indicators(200.0, 50.0, 1.0, 0.0, 0.0, 0, 1.0, 1.0, 0, beside=beside, instead=instead)
-    case.misfit = unnamed.misfit(case, [shown])  # type: ignore[arg-type]
-    assert case.misfit.endswith(f"{said} screw windup.") if said else not case.misfit
-    for rule in ("rounded", "departs", "unnamed_structure", "unexplained", "wanders"):
-        monkeypatch.setattr(unnamed, rule, lambda *_: False)
-    assert unnamed.chance(case, [shown], held) == (unnamed.PROVISIONAL if said else pytest.approx(0.1, abs=0.1))
-    case.noise_estimate = 0.05  # coarse steps: most neighbours are equal
-    assert bool(unnamed.misfit(case, [shown])) is (instead < -10.0 and form == "textbook")  # type: ignore[arg-type]
 
 
 def test_a_rhythm_a_little_above_the_noise_is_said():

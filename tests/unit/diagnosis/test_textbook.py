@@ -24,7 +24,6 @@ def held(bare: float, textbook: float, named: float) -> HeldOut:
     [
         *((1.0, 0.2, False, False), (2.8, 0.2, False, True), (2.8, 0.9, False, False), (1.6, 0.2, False, False)),
         *((3.5, 0.2, False, True), (8.0, 0.2, False, False), (2.8, 0.9, True, True), (1.0, 0.9, True, False)),
-        *((2.0, 0.6, False, True), (1.75, 0.6, False, True), (1.75, 0.85, False, False)),
     ],
 )
 def test_a_form_that_the_textbook_does_not_carry_is_not_its_name(monkeypatch, textbook, alone, unsized, departs):
