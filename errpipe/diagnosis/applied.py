@@ -136,9 +136,8 @@ class _Block:
 
     def columns(self, recording: Recording) -> np.ndarray:
         """Design columns, shape (rows, linear parameters)."""
-        blocks = [
-            t.basis(recording, *(v[p.name] for p in t.nonlinear())) for t, v in zip(self.terms, self.inner, strict=True)
-        ]
+        each = zip(self.terms, self.inner, strict=True)
+        blocks = [t.basis(recording, *(v[p.name] for p in t.nonlinear())) for t, v in each]
         return np.column_stack(blocks) * self.inside[:, None]
 
     def spans(self, recording: Recording, response: str) -> dict[str, tuple[float, float, float]]:

@@ -82,11 +82,6 @@ class ByDirection:
         )
 
 
-def has_friction(findings: list[Finding]) -> bool:
-    """Is friction among the findings?"""
-    return bool({PARTS.get(f.effect) for f in findings} & {"dry", "viscous"})
-
-
 def by_direction(case: Case) -> ByDirection | None:
     """The law of each direction if they differ, from the recorded force; None if not, or if this is undecidable."""
     axis = case.pair.component[2:]
@@ -163,7 +158,6 @@ def with_directional_law(findings: list[Finding], law: ByDirection, held: set[st
                 parameters=law.damping(),
                 says=law.says(),
                 rms_um=f.rms_um,
-                rivals=(),
                 compensable=False,
                 would_separate=f"run {law.axis} both ways at three constant speeds and compare the forces",
                 term={"term": term.term, "axis": law.axis, "column": law.column},

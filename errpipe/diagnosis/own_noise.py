@@ -26,11 +26,8 @@ EXPLAINED = 20.0  # log Bayes factor by which another noise model must be likeli
 
 def needs_own_noise(made: SetUp, search: Search, explanation: Explanation) -> bool:
     """Is the residual autocorrelated, or a finding weak?"""
-    return _is_weak(explanation) or _dependence(made, search, explanation) > DEPENDENT
-
-
-def _is_weak(explanation: Explanation) -> bool:
-    return min((f.gain for f in explanation.accepted), default=np.inf) <= CERTAIN
+    weak = min((f.gain for f in explanation.accepted), default=np.inf) <= CERTAIN
+    return weak or _dependence(made, search, explanation) > DEPENDENT
 
 
 def _dependence(made: SetUp, search: Search, explanation: Explanation) -> float:
@@ -45,9 +42,9 @@ def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> t
     a slow drift is then no evidence for a slow effect, and a step in it becomes significant.
     """
     made.in_own_noise = True
-    dependent = _dependence(made, search, explanation) > DEPENDENT
-    if not dependent and not _is_weak(explanation):
+    if not needs_own_noise(made, search, explanation):
         return search, explanation
+    dependent = _dependence(made, search, explanation) > DEPENDENT
     library, handicap = made.library, 0.0 if dependent else EXPLAINED
     shaped, unnamed = _shaped(made, search)
     best = max(likelihood(search, chosen_of(explanation)), shaped) + handicap, library.table.colour, search, explanation

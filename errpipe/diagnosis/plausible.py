@@ -58,8 +58,12 @@ def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
 
 
 def no_size(m: model.Modelled) -> bool:
-    """Does no linear parameter differ significantly from 0, alone (the reported interval) or jointly?"""
-    spans_zero = m.cores == 1 and m.estimates[0].low <= 0.0 <= m.estimates[0].high
+    """Does no linear parameter differ significantly from 0, alone (the reported intervals) or jointly?
+
+    A wave has an amplitude, too; of the same term on two axes only the difference may be known.
+    """
+    own = m.estimates[:1] if m.cores == 1 else m.estimates
+    spans_zero = (m.cores == 1 or len(m.hypothesis.terms) == 1) and all(e.low <= 0.0 <= e.high for e in own)
     return spans_zero or m.joint < model.CHI2_95.get(m.cores, 2.0 * m.cores)
 
 

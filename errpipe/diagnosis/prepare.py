@@ -252,13 +252,10 @@ def motion(recording: Recording, columns: dict[str, np.ndarray]) -> dict[str, np
         source = recording.name("command", axis=axis) or recording.name("position", axis=axis)
         if source is None:
             continue
-        v = derivative(t, columns[source], run)
-        if _is_noisy_derivative(v, columns[name]):
-            out[name] = _without_edge_errors(v, columns[name])
-        for acc in recording.names("acceleration", axis=axis):
-            a = derivative(t, columns[source], run, 2)
-            if _is_noisy_derivative(a, columns[acc]):
-                out[acc] = _without_edge_errors(a, columns[acc])
+        for reading, order in ((name, 1), *((a, 2) for a in recording.names("acceleration", axis=axis))):
+            derived = derivative(t, columns[source], run, order)
+            if _is_noisy_derivative(derived, columns[reading]):
+                out[reading] = _without_edge_errors(derived, columns[reading])
     return out
 
 

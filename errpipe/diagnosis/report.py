@@ -61,7 +61,8 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     findings = [f.model_copy(update=_surrogate_test(case, f, chance)) for f in findings]
     if not unnamed.confirmed_by_held_out(case, held):
         findings = [unnamed.capped(f, UNPROVED) if f.p_search else f for f in findings]
-    law = friction.by_direction(case) if friction.has_friction(findings) else None
+    rubs = {friction.PARTS.get(f.effect) for f in findings} & {"dry", "viscous"}
+    law = friction.by_direction(case) if rubs else None
     effects_held = {p.hypothesis.effect for p in case.decomposition.parts}
     findings = friction.with_directional_law(findings, law, effects_held) if law else findings
     contribution = {name: values for name, values in contribution.items() if name in {f.effect for f in findings}}

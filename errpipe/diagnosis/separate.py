@@ -16,19 +16,11 @@ MOTION = ("position", "command", "velocity", "acceleration")  # roles that one m
 ROWS_PER_PERIOD = 4096  # rows of a sine: straight between them is within 3e-7 of its amplitude, far below a dead time
 SURE = 3.0  # standard errors by which the predictions of two rivals must differ
 MOST_READINGS = 20000  # about one shift at one reading per second; a longer measurement is not proposed
+Fitted = tuple[Hypothesis, np.ndarray]  # a hypothesis and the coefficients of its core columns
 
 
-def would_separate(
-    recording: Recording,
-    first: tuple[Hypothesis, np.ndarray],
-    second: tuple[Hypothesis, np.ndarray],
-    noise: float,
-    unit: str,
-) -> str:
-    """A sentence: the additional measurement in which two fitted hypotheses differ most, and by how much.
-
-    first, second: each a hypothesis and the coefficients of its core columns.
-    """
+def would_separate(recording: Recording, first: Fitted, second: Fitted, noise: float, unit: str) -> str:
+    """A sentence: the additional measurement in which two fitted hypotheses differ most, and by how much."""
     best = (0.0, "")
     for what, trial in _hypothetical_recordings(recording, (*first[0].drivers, *second[0].drivers)):
         try:
@@ -47,7 +39,7 @@ def would_separate(
     return f"{best[1]}; the two then differ by {gap} {unit} ({enough} at a noise of {scatter} {unit})"
 
 
-def _predict(fitted: tuple[Hypothesis, np.ndarray], trial: Recording) -> np.ndarray:
+def _predict(fitted: Fitted, trial: Recording) -> np.ndarray:
     h, b = fitted
     columns = np.column_stack([t.basis(trial, *nl) for t, nl in zip(h.terms, h.nonlinear, strict=True)])
     return columns @ b

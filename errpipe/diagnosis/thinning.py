@@ -228,14 +228,12 @@ def _without_motion(recording: Recording, mismatch: np.ndarray) -> np.ndarray:
     Reciprocating motion would otherwise add its own spectral lines.
     """
     known = np.isfinite(mismatch)
-    places, speeds = [], []
+    places, moving = [], (*recording.names("velocity"), *recording.names("acceleration"))
     for axis in (*axes(recording), *axes(recording, "rotary")):
         x = position(recording, axis)
         if np.isfinite(x).all() and np.ptp(x) > 0:
             side = direction(recording, axis, TURN * float(np.ptp(x))) > 0
             places.append(np.minimum((x - x.min()) / np.ptp(x) * PLACES, PLACES - 1).astype(int) + PLACES * side)
-    for name in (*recording.names("velocity"), *recording.names("acceleration")):
-        speeds.append(np.nan_to_num(recording.array(name)))
 
     def within(values: np.ndarray) -> np.ndarray:
         """Values minus their mean, and minus the mean of each bin."""
@@ -246,8 +244,8 @@ def _without_motion(recording: Recording, mismatch: np.ndarray) -> np.ndarray:
         return residual
 
     residual = within(mismatch)
-    if speeds:
-        columns = np.column_stack([within(v) for v in speeds])
+    if moving:
+        columns = np.column_stack([within(np.nan_to_num(recording.array(name))) for name in moving])
         residual = residual - columns @ np.linalg.lstsq(columns[known], residual[known], rcond=None)[0]
     return residual
 

@@ -75,6 +75,17 @@ def test_of_any_shape_the_textbook_form_may_have_no_size(monkeypatch, form, in_d
     assert len(plausible.doubtful(case)) == in_doubt
 
 
+@pytest.mark.parametrize(("low", "axes", "nothing"), [(-2.0, 1, True), (0.5, 1, False), (-2.0, 2, False)])
+def test_a_curve_of_which_no_coefficient_is_known_has_no_size(low, axes, nothing):
+    """Collinear polynomials over half an axis are significant together, and each of them may be zero.
+
+    Of one term on two axes only the difference may be known.
+    """
+    bows = tuple(SimpleNamespace(low=v, high=9.0) for v in (-8.0, low, -7.0))
+    hypothesis = SimpleNamespace(terms=(None,) * axes)
+    assert plausible.no_size(SimpleNamespace(joint=50.0, cores=3, estimates=bows, hypothesis=hypothesis)) is nothing
+
+
 def test_friction_that_falls_up_to_the_highest_speed_is_at_its_limit():
     """Within 40 % of the highest speed it must have faded: beyond, dry friction looks the same."""
     case = trace(5, hidden=lambda c: 20.0 * np.sign(c["v"]))
