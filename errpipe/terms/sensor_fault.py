@@ -24,7 +24,7 @@ from errpipe.terms._slack import Slack
 # the odds against each one of some twenty other effects
 LOG_ODDS_IF_VISIBLE = 3.0
 ROWS_EACH_SIDE = 5  # rows on either side of a jump whose medians give its step
-MAX_JUMPS, MAX_STRETCHES = 8, 16  # of a sensor, that are tried: seen ones first, those between natural jumps last
+MAX_JUMPS, MAX_STRETCHES = 6, 16  # of a sensor, that are tried: seen ones first, those between natural jumps last
 MIN_READINGS = 30  # of a sensor, in which failures are searched for
 MIN_STRETCH_ROWS = 8  # of a stretch; one without a change has four times as many, or a thirtieth of all
 MAX_STEP_RATIO = 2.0  # factor between a jump off and the jump back; if one of them may have another cause, at most
