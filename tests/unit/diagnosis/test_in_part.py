@@ -59,8 +59,8 @@ def test_of_two_runs_one_may_lack_an_effect(monkeypatch, departing, in_part):
     simulated, second = 20e-3 * columns["x"], columns["run"] == "1"
     monkeypatch.setattr(partial, "DEPARTING", departing)
     case = judged(columns, kinds, "EXX", simulated - 3.0 * columns["dir"] * second + 0.5 * noise, simulated)
-    assert names(case)[:1] == ["backlash"]
-    assert (case.explanation.accepted[0].hypothesis.mask == ("runs", ("1",))) == in_part
+    found = {(a.hypothesis.effect, a.hypothesis.mask) for a in case.explanation.accepted}
+    assert (("backlash", ("runs", ("1",))) in found) == in_part
 
 
 def test_indistinguishable_partial_names_share_the_confidence_of_their_class(monkeypatch):
@@ -76,7 +76,7 @@ def test_indistinguishable_partial_names_share_the_confidence_of_their_class(mon
         monkeypatch.setattr(report, "TIED", limit)
         said[what] = report.finding(case, 0, made, known)
     alone, shared = said["never"], said["always"]
-    assert alone.where and 0 <= alone.rivals[0].lost_by < report.CLOSE
+    assert alone.where and 0 <= alone.rivals[0].lost_by < alone.rivals[0].CLOSE
     share = 1 + sum(np.exp(-r.lost_by) for r in alone.rivals if r.lost_by >= 0)
     assert abs(shared.confidence - min(alone.confidence, alone.confidence_of_class / share)) < 0.01
     assert shared.confidence < alone.confidence - 0.02
