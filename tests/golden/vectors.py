@@ -19,7 +19,7 @@ from errpipe import jsonfile
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
 from errpipe.drivers.lowered import Lowered
-from errpipe.tables import ComponentSource, Limits, MonomialSource, OutputSource, compile_table, ect
+from errpipe.tables import ComponentSource, Limits, MonomialSource, OutputSource, compile_table, ect, with_limits
 from errpipe.tables.reference import Evaluator
 from tests.golden import edges, edges_of_outputs
 from tests.unit.tables.made import everything, modes, stimulus
@@ -212,21 +212,16 @@ def limits() -> Block:
     source = [
         ComponentSource(name, "um", (Lowered(d.ONE, "X", lambda x: 0.1 * x),)) for name in ("EXX", "EYX", "EZX")
     ] + [ComponentSource("EBX", "urad", (Lowered(d.ONE, "X", lambda x: 0.05 * x),))]
-    table = compile_table(
-        source,
-        inputs=[axis("X")],
-        travel={"X": (0.0, 1000.0)},
-        ramp_s=0.008,
-        limits={
-            "EXX": Limits(60.0, None, None),
-            "EYX": Limits(200.0, 4000.0, None),
-            "EZX": Limits(200.0, 4000.0, 4e5),
-            "EBX": Limits(200.0, None, 2e5),
-        },
-    )
+    table = compile_table(source, inputs=[axis("X")], travel={"X": (0.0, 1000.0)}, ramp_s=0.008)
+    limits = {
+        "EXX": Limits(60.0, None, None),
+        "EYX": Limits(200.0, 4000.0, None),
+        "EZX": Limits(200.0, 4000.0, 4e5),
+        "EBX": Limits(200.0, None, 2e5),
+    }
     way = [0.0] * 3 + [300.0] * 25 + [900.0] * 45 + [20.0 * k for k in range(45, 0, -1)] + [500.0] * 40
     enable = [1] * 130 + [0] * (len(way) - 130)
-    return block("limits", table, [{"x": x} for x in way], enable)
+    return block("limits", with_limits(table, limits), [{"x": x} for x in way], enable)
 
 
 def volumetric() -> Block:
@@ -291,8 +286,8 @@ def turning() -> Block:
         turning=("C",),
         ramp_s=0.0,
         error_bound=0.5,
-        limits={"EBB": Limits(magnitude=41.0)},
     )
+    table = with_limits(table, {"EBB": Limits(magnitude=41.0)})
     rows = [{"x": 12.5 * k, "b": 340.0 + k, "c": (350.0 + 0.75 * k) % 360.0} for k in range(42)]
     rows += [
         {"x": 501.0 - k, "b": -181.0 + 90.0 * k, "c": v} for k, v in enumerate((-0.0, 360.0, -30.0, 719.5, -3600.0))

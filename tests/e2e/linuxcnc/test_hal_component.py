@@ -65,17 +65,17 @@ def table() -> t.CompensationTable:
         ),
         tables.OutputSource("E_Y", (tables.MonomialSource(1.0, "EYY"),), "Y"),
     ]
-    return tables.compile_table(
+    table = tables.compile_table(
         components,
         inputs=inputs,
         outputs=outputs,
         travel={"X": (0, 500), "Y": (0, 400)},
-        limits={"E_X": tables.Limits(magnitude=12.0, slew=4000.0, acceleration=2e6)},
         position_cycle_s=PERIOD_NS * 1e-9,
         thermal_cycle_s=20 * PERIOD_NS * 1e-9,
         ramp_s=0.02,
         fade_s=0.01,
     )
+    return tables.with_limits(table, {"E_X": tables.Limits(magnitude=12.0, slew=4000.0, acceleration=2e6)})
 
 
 def stimulus() -> np.ndarray:

@@ -8,18 +8,18 @@ import pytest
 from errpipe.domain import driver as d
 from errpipe.domain import table as t
 from errpipe.drivers.lowered import Lowered
-from errpipe.tables import ComponentSource, Limits, compile_table
+from errpipe.tables import ComponentSource, Limits, compile_table, with_limits
 from errpipe.tables.reference import Evaluator
 from tests.unit.tables.made import position, sensor
 
 
-def thermal(channel, more=(), **options):
+def thermal(channel, more=(), limits=None, **options):
     """E_Z = 2 um/K above 20 degC, every cycle a thermal one of 0.1 s."""
     source = ComponentSource("E_Z", "um", (Lowered(d.Affine(weights=(2.0,), of=(d.above("T", 20.0),))),))
     spare = ComponentSource("E_X", "um", tuple(Lowered(d.Input(name=i.name)) for i in more))
     sources = [source, spare] if more else [source]
     options = {"position_cycle_s": 0.1, "thermal_cycle_s": 0.1, "ramp_s": 0.0, "fade_s": 0.0} | options
-    return Evaluator(compile_table(sources, inputs=[channel, *more], **options))
+    return Evaluator(with_limits(compile_table(sources, inputs=[channel, *more], **options), limits or {}))
 
 
 def z(evaluator, **inputs):

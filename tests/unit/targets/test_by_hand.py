@@ -225,7 +225,8 @@ def test_a_file_that_counts_axes_says_which_one_it_means(target):
     table = machines.warm() if "temperature" in target.holds and len(target.holds) == 1 else only_y()
     files = target.write(table)
     lines = checklist(target, target.read_back(files), [], table).splitlines()
-    (first,) = [x for x in lines if x.startswith("2. ")]  # behind what the axes were measured with
+    steps = [x for x in lines if x.startswith(("2. ", "3. "))]  # after how the axes were measured, and their zero
+    first = next(x for x in steps if "machine coordinates" not in x)
     letters = _sample.axes_of(table)
     for n, letter in enumerate(letters):
         assert f"{letter} is {target.numbering.format(n, n + 1)}" in first
