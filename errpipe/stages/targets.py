@@ -299,7 +299,7 @@ def in_words(lost: list[dict[str, Any]]) -> str:
     """Losses in words."""
     if not lost:
         return "nothing: no axis is moved"
-    units = [loss_unit(x["axis"]) for x in lost]
+    units = [loss_unit(x["axis"]) if x["assessed"] else "" for x in lost]
     last = [unit if following != unit else "" for unit, following in zip(units, [*units[1:], ""], strict=True)]
     figures = (f"{x['rms_um']:.3g} rms, at most {at_most(x['bound_um'])}" for x in lost)
     rows = [f"{x['axis']} {said if x['assessed'] else 'not assessed'}" for x, said in zip(lost, figures, strict=True)]

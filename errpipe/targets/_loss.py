@@ -106,13 +106,9 @@ def worse_than_none(table: CompensationTable, read: ReadBack) -> list[str]:
     for axis, (sensor, reading) in product(_sample.outputs_by_axis(table), ends):
         left, without = map(rms, _gap(table, read, axis, usual | {sensor: np.full(STATES, reading)}, side))
         if left - without > max(MUCH * without + LITTLE, worst.get(axis, (0.0, ""))[0]):
-            worst[axis] = (
-                left - without,
-                (
-                    f"{axis}: worse than without these files where {sensor} = {reading:.4g} degC: {left:.3g} instead of "
-                    f"{without:.3g} {loss_unit(axis)} rms; they hold the curve of one thermal state"
-                ),
-            )
+            where = f"worse than without these files where {sensor} = {reading:.4g} degC"
+            figures = f"{left:.3g} instead of {without:.3g} {loss_unit(axis)} rms"
+            worst[axis] = left - without, f"{axis}: {where}: {figures}; they hold the curve of one thermal state"
     return [said for _, said in worst.values()]
 
 
