@@ -170,7 +170,6 @@ def write_targets(
         kept, files, worse = _without_harm(table, [target, *chosen(others)])
         files = target.with_remarks(files, remarks)
         read, lost = target.read_back(files), losses(table, target, files)
-        worse += [] if others else [f"{target.name}: {said}" for said in _loss.worse_than_none(kept, read)]
         for name, text in files.items():
             jsonfile.write_text(inside(folder, f"{target.name}/{name}", GateError), text)
         steps = checklist(target, read, lost, kept, others)
@@ -200,17 +199,20 @@ def _without_harm(
     Raises GateError where the format has nothing left.
     """
     files, read = write_together(table, parts)
-    curves = _entered(table, parts, files)
-    harmed = {} if isinstance(read, WholeTable) else _loss.harmed(table, read + ReadBack(curves=curves))
-    if not harmed:
+    if isinstance(read, WholeTable):
         return table, files[0], []
+    read += ReadBack(curves=_entered(table, parts, files))
+    harmed, names = _loss.harmed(table, read), " and ".join(sorted(p.name for p in parts))
+    if not harmed:
+        return table, files[0], [f"{names}: {said}" for said in _loss.worse_than_none(table, read)]
     figures = (f"{a} {left:.3g} {loss_unit(a)} rms instead of {without:.3g}" for a, (left, without) in harmed.items())
-    said = f"{' and '.join(p.name for p in parts)}: worse with these files than without: {', '.join(figures)}"
+    said = f"{names}: worse with these files than without: {', '.join(figures)}"
     kept = table.model_copy(update={"outputs": tuple(o for o in table.outputs if o.axis not in harmed)})
     try:
-        return kept, write_together(kept, parts)[0][0], [f"{said}; left out of them. To correct it, {ANOTHER_FORMAT}"]
+        kept, first, more = _without_harm(kept, parts)
     except GateError:
         raise GateError(f"{said}: {ANOTHER_FORMAT}") from None
+    return kept, first, [f"{said}; left out of them. To correct it, {ANOTHER_FORMAT}", *more]
 
 
 def _entered(table: CompensationTable, parts: Sequence[Any], files: Sequence[dict[str, str]]) -> tuple[Curve, ...]:

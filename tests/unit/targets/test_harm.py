@@ -91,3 +91,11 @@ def test_a_control_with_too_few_tables_says_what_to_do():
     (cec,) = (t for t in TARGETS if t.name == "sinumerik_cec")
     with pytest.raises(GateError, match=r"tables are needed, 8 fit: correct fewer .* compare-targets"):
         cec.write(machine(thermal=False))
+
+
+def test_files_that_are_loaded_together_are_judged_together(tmp_path):
+    """The curves of one thermal state do harm alone; with the slope per kelvin beside them they do not."""
+    _artefacts.write_table(tmp_path, scale(24.0))
+    both = ["sinumerik_lec", "sinumerik_temperature"]
+    rows = stage.export(tmp_path / "table.ect", both, tmp_path / "out")["files"]
+    assert {r["file"].split("/")[0] for r in rows} == set(both) and not any("worse" in r for r in rows)
