@@ -37,7 +37,8 @@ def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Propos
     for other, stem in zip(parts[1:], stems[1:], strict=True):
         if other.entries.keys() != first.entries.keys():
             not_shared = ", ".join(sorted(other.entries.keys() ^ first.entries.keys()))
-            raise DataError(f"{stem}: its columns are not those of {stems[0]} (not in both: {not_shared})")
+            advice = "give a quantity one header in all files; where its sign is the other one, reverse its values, too"
+            raise DataError(f"{stem}: its columns are not those of {stems[0]} (not in both: {not_shared}): {advice}")
         _shift(other, _epoch(first), _epoch(other))
         for name, entry in first.entries.items():
             _refuse_another(name, (entry, other.entries[name]), (stems[0], stem))

@@ -14,7 +14,7 @@ from errpipe.guard.in_table import has_guard, has_substitutes
 from errpipe.stages import _artefacts, _plausible
 from errpipe.targets import _sample
 from errpipe.targets._base import TURN, ByHand, Curve, ReadBack, unit_of
-from errpipe.targets._loss import at_most, loss_unit, losses, worse_than_none
+from errpipe.targets._loss import at_most, loss_unit, losses
 from errpipe.targets._whole import WholeTable
 
 PUSH = 100.0  # N: the force of an example
@@ -91,25 +91,15 @@ def checklist(
     lines += [
         f"- {x['axis']}: {x['rms_um']:.3g} {loss_unit(x['axis'])} rms of {x['table_rms_um']:.3g}, "
         f"at most {at_most(x['bound_um'])} {loss_unit(x['axis'])}"
-        if x["table_rms_um"] or isinstance(read, WholeTable)
+        if x["assessed"]
         else f"- {x['axis']}: {NOT_ASSESSED}"
         for x in lost
     ]
-    lines += [] if others else _where_worse(table, read)
     lines += _with_numbers(table, read, numbers)
     if lost:
         seen = lost[0]["states"]
         lines += ["", f"At most: in any settled state inside travel and validity. Rms: of {seen} random ones."]
     return "\n".join([*lines, ""])
-
-
-def _where_worse(table: CompensationTable, read: Any) -> list[str]:
-    """Thermal states in which the files of a format without temperatures do harm."""
-    return [
-        f"- **{w.axis}: worse than without these files where {w.sensor} = {w.reading:.4g} degC: {w.with_files:.3g} "
-        f"instead of {w.without:.3g} {loss_unit(w.axis)} rms.** They hold the curve of one thermal state"
-        for w in worse_than_none(table, read)
-    ]
 
 
 def _sensor_monitoring(read: Any, table: CompensationTable) -> list[str]:

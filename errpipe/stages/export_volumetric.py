@@ -93,7 +93,9 @@ class ExportVolumetric(SignOptions, Stage):
             context.write_text(LATTICE, text)
         facts["sha256"] = checksums(context.folder, files, [_artefacts.TWIN, *([LATTICE] if self.lattice else [])])
         context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, **facts})
-        return {"table": _artefacts.TABLE, "largest_difference_um": proof[0]["largest_difference_um"]}
+        worse = ". ".join(dict.fromkeys(said for row in files for said in row.get("worse", ())))
+        figures = {"table": _artefacts.TABLE, "largest_difference_um": worst}
+        return {**figures, **({"worse": worse} if worse else {})}
 
     def _axes_that_gain(self, context: Context, document: Mapping[str, Any], chain: Any) -> tuple[str, ...]:
         """Linear axes that the table corrects. Raises GateError if the machine may get worse."""

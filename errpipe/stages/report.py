@@ -295,6 +295,7 @@ def _left_out(exported: Mapping[str, Mapping[str, Any]]) -> list[str]:
         out += [f"{document['ungated']}."] if document.get("ungated") else []
         out += [f"Sensors: {document['guard']['says']}."] if "guard" in document else []
         out += dict.fromkeys(row["sibling"] for row in document["files"] if row.get("sibling"))
+        out += dict.fromkeys(said for row in document["files"] for said in row.get("worse", ()))
     return out
 
 

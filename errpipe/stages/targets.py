@@ -20,11 +20,12 @@ from errpipe.stages._checklist import checklist
 from errpipe.stages._replace import replaced
 from errpipe.tables.joined import joined
 from errpipe.targets import TARGETS, _loss
-from errpipe.targets._base import NothingToAddError, ReadBack
+from errpipe.targets._base import ANOTHER_FORMAT, Curve, NothingToAddError, ReadBack
 from errpipe.targets._loss import at_most, loss_unit
+from errpipe.targets._whole import WholeTable
 
 CHECKLIST = "CHECKLIST.md"
-LARGE_SHARE, LARGE_UM = 0.1, 0.5  # of the table's rms and um: a loss for which another format is worth a look
+LARGE_SHARE, LARGE_UM = 0.1, 0.5  # of the table's rms and um: a loss worth another format, a constant worth naming
 DIGITS = 6  # of a loss in um: what lies below is rounding, which differs between machines and would fail `verify`
 
 
@@ -133,10 +134,9 @@ def export(
         document["consequences"] = consequences
         document["sha256"] = checksums(folder, rows, [_artefacts.TABLE, _artefacts.TWIN, *signed_too])
         jsonfile.write(folder / "export.json", document)
-    return {
-        "files": rows,
-        "says": [*(f"{Path(out) / r['file']}: {r['what']}, lost: {r['error']}" for r in rows), *consequences],
-    }
+    worse = dict.fromkeys(said for r in rows for said in r.get("worse", ()))
+    says = [*(f"{Path(out) / r['file']}: {r['what']}, lost: {r['error']}" for r in rows), *worse, *consequences]
+    return {"files": rows, "says": says}
 
 
 def _signed(table: Path, public_key: Path) -> tuple[CompensationTable, tuple[str, ...], str]:
@@ -167,13 +167,14 @@ def write_targets(
     remarks = (*_artefacts.warnings_in(table.title), *remarks)
     for target in targets:
         others = _sibling_names(target, targets)
-        files = target.with_remarks(target.write_with(table, others), remarks)
-        lost = losses(table, target, files)
+        kept, files, worse = _without_harm(table, [target, *chosen(others)])
+        files = target.with_remarks(files, remarks)
+        read, lost = target.read_back(files), losses(table, target, files)
         for name, text in files.items():
             jsonfile.write_text(inside(folder, f"{target.name}/{name}", GateError), text)
-        steps = checklist(target, target.read_back(files), lost, table, others)
-        hint = _with_companions(table, target, others) if others else sibling(table, target, lost)
-        steps += "".join(f"\n{said}\n" for said in (hint, note) if said)
+        steps = checklist(target, read, lost, kept, others)
+        hint = _with_companions(kept, target, others) if others else sibling(table, target, lost)
+        steps += "".join(f"\n{said}\n" for said in (*(f"**{x}.**" for x in worse), hint, note) if said)
         jsonfile.write_text(folder / target.name / CHECKLIST, steps)
         out += [
             {
@@ -183,10 +184,45 @@ def write_targets(
                 "read_back": "compared",
                 "losses": lost,
                 **({"sibling": hint} if hint else {}),
+                **({"worse": worse} if worse else {}),
             }
             for name in files
         ]
     return out
+
+
+def _without_harm(
+    table: CompensationTable, parts: Sequence[Any]
+) -> tuple[CompensationTable, dict[str, str], list[str]]:
+    """The table without axes that the files of these targets together leave worse off, files of the first, remarks.
+
+    Raises GateError where the format has nothing left.
+    """
+    files, read = write_together(table, parts)
+    if isinstance(read, WholeTable):
+        return table, files[0], []
+    read += ReadBack(curves=_entered(table, parts, files))
+    harmed, names = _loss.harmed(table, read), " and ".join(sorted(p.name for p in parts))
+    if not harmed:
+        return table, files[0], [f"{names}: {said}" for said in _loss.worse_than_none(table, read)]
+    figures = (f"{a} {left:.3g} {loss_unit(a)} rms instead of {without:.3g}" for a, (left, without) in harmed.items())
+    said = f"{names}: worse with these files than without: {', '.join(figures)}"
+    kept = table.model_copy(update={"outputs": tuple(o for o in table.outputs if o.axis not in harmed)})
+    try:
+        kept, first, more = _without_harm(kept, parts)
+    except GateError:
+        raise GateError(f"{said}: {ANOTHER_FORMAT}") from None
+    return kept, first, [f"{said}; left out of them. To correct it, {ANOTHER_FORMAT}", *more]
+
+
+def _entered(table: CompensationTable, parts: Sequence[Any], files: Sequence[dict[str, str]]) -> tuple[Curve, ...]:
+    """What numbers entered by hand add to the files of parts that are loaded together."""
+    return tuple(
+        number.curve
+        for part, own in zip(parts, files, strict=True)
+        for number in part.by_hand(table, part.read_back(own), [o.name for o in parts if o is not part])
+        if number.curve is not None
+    )
 
 
 def sibling(table: CompensationTable, target: Any, lost: list[dict[str, Any]]) -> str:
@@ -219,16 +255,11 @@ def _with_companions(table: CompensationTable, target: Any, others: Sequence[str
     """Which files must be loaded in addition, and the residual of all once the numbers are entered."""
     parts = [target, *chosen(others)]
     files, read = write_together(table, parts)
-    entered = [
-        number.curve
-        for part, own in zip(parts, files, strict=True)
-        for number in part.by_hand(table, part.read_back(own), [o.name for o in parts if o is not part])
-        if number.curve is not None
-    ]
+    entered = _entered(table, parts, files)
     numbers = "Together, with the numbers entered by hand," if entered else "Together"
     return (
         f"Load the files of {target.name} only together with those of {', '.join(others)}, whose part they leave out. "
-        f"{numbers} they lack {in_words(_loss_rows(table, read + ReadBack(curves=tuple(entered))))}."
+        f"{numbers} they lack {in_words(_loss_rows(table, read + ReadBack(curves=entered)))}."
     )
 
 
@@ -253,6 +284,8 @@ def _loss_rows(table: CompensationTable, read: Any) -> list[dict[str, Any]]:
             "largest_um": round(x.largest, DIGITS),
             "rms_um": round(x.rms, DIGITS),
             "table_rms_um": round(x.table_rms, DIGITS),
+            "constant_um": round(x.constant, DIGITS),
+            "assessed": x.table_rms > 0.0 or isinstance(read, WholeTable),
             "states": _loss.STATES,
         }
         for x in _loss.losses(table, read)
@@ -268,10 +301,13 @@ def in_words(lost: list[dict[str, Any]]) -> str:
     """Losses in words."""
     if not lost:
         return "nothing: no axis is moved"
-    units = [loss_unit(x["axis"]) for x in lost]
+    units = [loss_unit(x["axis"]) if x["assessed"] else "" for x in lost]
     last = [unit if following != unit else "" for unit, following in zip(units, [*units[1:], ""], strict=True)]
-    rows = [f"{x['axis']} {x['rms_um']:.3g} rms, at most {at_most(x['bound_um'])}" for x in lost]
-    return "; ".join(f"{row} {unit}".rstrip() for row, unit in zip(rows, last, strict=True))
+    figures = (f"{x['rms_um']:.3g} rms, at most {at_most(x['bound_um'])}" for x in lost)
+    rows = [f"{x['axis']} {said if x['assessed'] else 'not assessed'}" for x, said in zip(lost, figures, strict=True)]
+    words = "; ".join(f"{row} {unit}".rstrip() for row, unit in zip(rows, last, strict=True))
+    zeros = ", ".join(f"{x['axis']} {x['constant_um']:+.3g} um" for x in lost if abs(x["constant_um"]) > LARGE_UM)
+    return words + (f" (besides constants, which setting the zero removes: {zeros})" if zeros else "")
 
 
 def _line(row: dict[str, Any]) -> str:

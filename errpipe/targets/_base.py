@@ -40,6 +40,8 @@ HOMED_AT_ONCE = (
     "side, and a COMP_FILE may not act at all, until it moves"
 )
 
+# Advice where a format cannot take a table, or does harm.
+ANOTHER_FORMAT = "choose another format (`errpipe compare-targets TABLE` states what each loses)"
 REMARK = "errpipe remark: "  # prefix of the comment with a file's origin
 
 

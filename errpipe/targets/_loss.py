@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +23,7 @@ STATES = 2000  # random states for the rms
 AT_ENDS = 0.3  # share of them at an end of each range
 MUCH, LITTLE = 0.05, 0.5  # share, and um: files that are worse than none by less are not remarked (by judgement)
 UM = 1e3  # per mm (thousandths of a degree per degree)
+Mean = tuple[np.ndarray, float]  # values and a mean of others
 
 
 def loss_unit(axis: str) -> str:
@@ -36,7 +36,8 @@ class Loss:
     """Of one axis, um (or thousandths of a degree): between files and table, and of the table itself.
 
     bound: no settled state inside travel and validity, approached from either side, differs by more; largest, rms: on
-    STATES random ones; table_rms: what the table corrects on them.
+    STATES random ones; table_rms: what the table corrects on them. constant: mean difference over the travel, without
+    which these are stated where setting the zero of the axis takes it: of a linear axis that no sensor moves.
     """
 
     axis: str
@@ -44,52 +45,71 @@ class Loss:
     largest: float
     rms: float
     table_rms: float
+    constant: float = 0.0
 
 
 def losses(table: CompensationTable, read: ReadBack) -> list[Loss]:
     """Per axis, difference between the files as the controller reads them and the table."""
-    by_axis = bounds(table, read)
-    states, side = _states(table, np.random.default_rng(1))
-    names, start = _sample.positions_of(table), _sample.middle(table)
-    at = {axis: states[name] for axis, name in names.items()}
-    others = [i.name for i in table.inputs if i.name in start and i.name not in names.values()]
-    sensors = {name: states.get(name, np.full(STATES, start[name])) for name in others}
-    out = []
-    for axis in _sample.outputs_by_axis(table):
-        want = _sample.corrections(table, axis, states, side)
-        gap = UM * (read.correction(axis, at, side, sensors) - want)
-        out.append(Loss(axis, by_axis[axis].bound, float(np.abs(gap).max()), rms(gap), UM * rms(want)))
+    compared, out = list(_compared(table, read)), []
+    zeros = {axis: constant for axis, (_, constant), _, zero_is_set in compared if zero_is_set}
+    by_axis = bounds(table, read, zeros)
+    for axis, (gap, constant), (want, level), zero_is_set in compared:
+        if zero_is_set:
+            gap, want = gap - constant, want - level
+        largest = float(np.abs(gap).max())
+        out.append(Loss(axis, by_axis[axis].bound, largest, rms(gap), rms(want), zeros.get(axis, 0.0)))
     return out
 
 
-class Worse(NamedTuple):
-    """A reading of one sensor with which an axis is further off with the files than without them; um (deg/1000) rms."""
+def harmed(table: CompensationTable, read: ReadBack) -> dict[str, tuple[float, float]]:
+    """Axis -> rms with and without the files, um (deg/1000), where they do harm in the mean of all states.
 
-    axis: str
-    sensor: str
-    reading: float
-    without: float
-    with_files: float
+    Both without the constant that setting the zero in the middle state takes.
+    """
+    both = {a: (rms(gap - lost), rms(want - level)) for a, (gap, lost), (want, level), _ in _compared(table, read)}
+    return {axis: (left, without) for axis, (left, without) in both.items() if left > without + LITTLE}
 
 
-def worse_than_none(table: CompensationTable, read: ReadBack) -> list[Worse]:
+def _compared(table: CompensationTable, read: ReadBack) -> Iterator[tuple[str, Mean, Mean, bool]]:
+    """Axis, files minus table and table on random states with their means in the middle state; whether a zero is set.
+
+    That is so for a linear axis that positions alone move: setting it takes a constant. Thermal growth is none.
+    """
+    states, side = _states(table, np.random.default_rng(1))
+    names, start = _sample.positions_of(table).values(), _sample.middle(table)
+    usual = {name: states[name] if name in names else np.full(STATES, v) for name, v in start.items()}
+    for axis in _sample.outputs_by_axis(table):
+        (gap, want), (lost, level) = (_gap(table, read, axis, at, side) for at in (usual | states, usual))
+        by_positions = np.allclose(want, level, atol=1e-6) and np.ptp(want) > 0.0 and not is_rotary(axis)
+        yield axis, (gap, float(lost.mean())), (want, float(level.mean())), bool(by_positions)
+
+
+def _gap(
+    table: CompensationTable, read: ReadBack, axis: str, states: Mapping[str, np.ndarray], side: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Files minus table, and the table, um (deg/1000), in states of all inputs."""
+    at = {letter: states[name] for letter, name in _sample.positions_of(table).items()}
+    want = UM * _sample.corrections(table, axis, states, side)
+    return UM * read.correction(axis, at, side, states) - want, want
+
+
+def worse_than_none(table: CompensationTable, read: ReadBack) -> list[str]:
     """Per axis, the end of a sensor's validity at which the files harm most, over the travel, other sensors as usual.
 
     A file without temperatures has the curve of one thermal state, and in another it may act the wrong way.
     """
     names, start = _sample.positions_of(table), _sample.middle(table)
-    places = {a: np.tile(np.linspace(*ends, STATES // 2), 2) for a, ends in travel(table).items()}
-    side, worst = np.repeat([1.0, -1.0], STATES // 2), dict[str, Worse]()
+    places = {names[a]: np.tile(np.linspace(*ends, STATES // 2), 2) for a, ends in travel(table).items()}
+    usual = {n: np.full(STATES, v) for n, v in start.items()} | places
+    side, worst = np.repeat([1.0, -1.0], STATES // 2), dict[str, tuple[float, str]]()
     ends = [(i.name, v) for i in table.inputs if i.kind == "sensor" and not i.optional for v in i.valid or ()]
     for axis, (sensor, reading) in product(_sample.outputs_by_axis(table), ends):
-        usual = {n: v for n, v in start.items() if n not in names.values()} | {sensor: reading}
-        sensors = {n: np.full(STATES, v) for n, v in usual.items()}
-        want = UM * _sample.corrections(table, axis, {names[a]: x for a, x in places.items()} | sensors, side)
-        left = rms(UM * read.correction(axis, places, side, sensors) - want)
-        harm = left - rms(want) * (1.0 + MUCH) - LITTLE
-        if harm > 0 and (axis not in worst or left - rms(want) > worst[axis].with_files - worst[axis].without):
-            worst[axis] = Worse(axis, sensor, reading, rms(want), left)
-    return [*worst.values()]
+        left, without = map(rms, _gap(table, read, axis, usual | {sensor: np.full(STATES, reading)}, side))
+        if left - without > max(MUCH * without + LITTLE, worst.get(axis, (0.0, ""))[0]):
+            where = f"worse than without these files where {sensor} = {reading:.4g} degC"
+            figures = f"{left:.3g} instead of {without:.3g} {loss_unit(axis)} rms"
+            worst[axis] = left - without, f"{axis}: {where}: {figures}; they hold the curve of one thermal state"
+    return [said for _, said in worst.values()]
 
 
 def _states(table: CompensationTable, rng: np.random.Generator) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -120,8 +140,8 @@ def travel(table: CompensationTable) -> dict[str, tuple[float, float]]:
     return out
 
 
-def bounds(table: CompensationTable, read: ReadBack) -> dict[str, maximum.Largest]:
-    """Axis -> bound of the difference between files and table, um."""
+def bounds(table: CompensationTable, read: ReadBack, less: Mapping[str, float]) -> dict[str, maximum.Largest]:
+    """Axis -> bound of the difference between files and table, less a constant, um."""
     axes = _sample.outputs_by_axis(table)
     if isinstance(read, WholeTable) and read.table == table:
         return dict.fromkeys(axes, maximum.Largest(0.0, 0.0))
@@ -136,7 +156,8 @@ def bounds(table: CompensationTable, read: ReadBack) -> dict[str, maximum.Larges
     else:
         by_files = {axis: _read(expansion, table, read, axis) for axis in axes}
     for axis in axes:
-        gap = [*scaled(by_files.get(axis, []), UM), *scaled(by_table[axis], -UM)]
+        constant = Term(-less.get(axis, 0.0))
+        gap = [*scaled(by_files.get(axis, []), UM), *scaled(by_table[axis], -UM), constant]
         out[axis] = maximum.largest(collected(gap), expansion.knots)
     return out
 

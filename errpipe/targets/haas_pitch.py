@@ -19,7 +19,7 @@ from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, ByHand, Curve, ReadBack, expect, found
+from errpipe.targets._base import ANOTHER_FORMAT, CAUTION, ByHand, Curve, ReadBack, expect, found
 from errpipe.targets._screw_map import ScrewMap
 
 INCH = 25.4  # mm
@@ -62,7 +62,8 @@ class HaasPitch(ScrewMap):
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
         low, high = _sample.span(table, axis)
         if (needed := int(np.ceil((high - low) / STEP - 1e-9)) + 1) > cls.max_points:
-            raise GateError(f"{cls.name}: {axis}: {needed} values of half an inch are needed, {cls.max_points} fit")
+            said = f"{needed} values of half an inch are needed, {cls.max_points} fit: {ANOTHER_FORMAT}"
+            raise GateError(f"{cls.name}: {axis}: {said}")
         return high - STEP * np.arange(int(np.ceil((high - low) / STEP - 1e-9)), -1, -1)
 
     @classmethod

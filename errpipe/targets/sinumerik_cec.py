@@ -32,6 +32,7 @@ from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
 from errpipe.targets._base import (
+    ANOTHER_FORMAT,
     CAUTION,
     ByHand,
     Curve,
@@ -121,7 +122,8 @@ class SinumerikCec(Target):
         if not blocks:
             raise GateError("sinumerik_cec: no axis of the table is corrected over a position")
         if len(blocks) > MAX_TABLES:
-            raise GateError(f"sinumerik_cec: {len(blocks)} tables are needed, {MAX_TABLES} fit")
+            said = f"{len(blocks)} tables are needed, {MAX_TABLES} fit: correct fewer axes or components, or"
+            raise GateError(f"sinumerik_cec: {said} {ANOTHER_FORMAT}")
         remarks = ""
         max_products = (MAX_TABLES - len(blocks)) // PER_PRODUCT
         for factors in _products(table)[:max_products] if max_products else ():

@@ -218,7 +218,8 @@ stages:
         "Controller formats",
         """\
 For controls engineers. A correction is minus the deviation. Every format states its sign and is read back as \
-the controller reads it; what it cannot express is reported in um.
+the controller reads it; what it cannot express is reported in um, without a constant that setting the zero of a \
+linear axis removes. An axis that files leave further off than none, in the mean of valid states, is left out.
 
 ```yaml
 stages:

@@ -63,7 +63,7 @@ def verify(folder: Path) -> dict[str, Any]:
 def _listed(path: Path, document: Any) -> dict[str, Any]:
     """The document, whose files and checksums have the types that an export writes. Raises VerifyError."""
     rows, sums = (document.get("files"), document.get("sha256", {})) if isinstance(document, dict) else (None, None)
-    numbers = ("bound_um", "largest_um", "rms_um", "table_rms_um", "states")
+    numbers = ("bound_um", "largest_um", "rms_um", "table_rms_um", "constant_um", "states")
 
     def sound(row: Any) -> bool:
         if not isinstance(row, dict) or not all(isinstance(row.get(key), str) for key in ("file", "error")):
@@ -157,9 +157,9 @@ def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -
 
 
 def _comparable(lost: list[dict[str, Any]], row: dict[str, Any]) -> bool:
-    """Whether a loss was measured on the states of the export's."""
+    """Whether a loss was measured on the states of the export's, and without its constant."""
     exported = {x["axis"]: x for x in row.get("losses", lost)}
-    return all(x.get("states") == y["states"] for x in exported.values() for y in lost)
+    return all(x.get("states") == y["states"] and "constant_um" in x for x in exported.values() for y in lost)
 
 
 def _same(lost: list[dict[str, Any]], row: dict[str, Any]) -> bool:

@@ -85,6 +85,7 @@ def test_a_file_that_lacks_a_temperature_has_empty_cells(tmp_path: Path, capsys:
         assert np.array_equal(np.isnan(recording.array("T2")), own)
     other.write_text("\n".join(whole).replace("T2", "T9"))
     assert main(["import", *files, "--out", str(tmp_path / "rec"), "--yes", "--component", "E_Z"]) == 3
+    assert "give a quantity one header in all files" in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.parametrize("name", ["Tamb", "TRoom", "Troom", "Tbed", "room"])

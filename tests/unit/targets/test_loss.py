@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ from errpipe.errors import GateError
 from errpipe.tables import expansion, maximum
 from errpipe.tables.reference import Evaluator
 from errpipe.targets import TARGETS, _loss, _sample
-from errpipe.targets._base import ReadBack
+from errpipe.targets._base import Curve, ReadBack
 from tests.faults import sequences
 from tests.unit.tables.made import everything
 from tests.unit.targets import machines
@@ -84,7 +86,7 @@ def test_no_state_exceeds_the_bound_and_it_is_close(name, target):
         read = formats[target].read_back(formats[target].write(table)) if target in formats else ReadBack()
     except GateError:
         return  # a format that refuses the table loses nothing of it
-    for axis, match in _loss.bounds(table, read).items():
+    for axis, match in _loss.bounds(table, read, {}).items():
         worst = search(table, read, axis, seed=5)
         assert worst <= match.bound * (1 + 1e-9) + 1e-9
         assert match.reached <= match.bound
@@ -97,10 +99,11 @@ def test_a_narrow_peak_that_random_states_miss_is_in_the_bound():
         [tables.ComponentSource("EXX", "um", (peak,))], inputs=machines.INPUTS, travel=machines.AXES, error_bound=1.0
     )
     (seen,) = _loss.losses(table, ReadBack())
-    (values,) = _loss.bounds(table, ReadBack()).values()
+    (values,) = _loss.bounds(table, ReadBack(), {}).values()
     profile = table.profiles[0]
     highest = profile.scale * max(profile.values)
-    assert seen.largest < 0.98 * highest <= values.bound == seen.bound == pytest.approx(highest)
+    assert seen.largest < 0.98 * highest <= values.bound == pytest.approx(highest)
+    assert seen.bound == pytest.approx(highest - seen.constant)
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -160,23 +163,46 @@ def test_the_largest_of_an_expansion_is_that_of_all_its_corners(seed, monkeypatc
     assert exact <= maximum.largest(terms, knots).bound * (1 + 1e-12)
 
 
+def at_temperatures(table, default):
+    """The table of a model that has seen T from 16 to 32 degC."""
+    seen = {"valid": (16.0, 32.0), "margin": 1.0, "default": default}
+    inputs = (i.model_copy(update=seen) if i.name == "T" else i for i in table.inputs)
+    return table.model_copy(update={"inputs": tuple(inputs)})
+
+
 def test_a_curve_of_one_thermal_state_is_told_to_harm_in_another() -> None:
     """Expansion of a scale: the curve at 24 degC, the middle of the range, is the wrong way at 16 degC."""
     expansion_of_scale = Lowered(d.above("T", 20.0), "X", lambda x: 0.008 * x)
-    table = machines.compile_(("EXX", [expansion_of_scale]))
-    table = table.model_copy(
-        update={
-            "inputs": tuple(
-                i.model_copy(update={"valid": (16.0, 32.0), "margin": 1.0, "default": 24.0}) if i.name == "T" else i
-                for i in table.inputs
-            )
-        }
-    )
+    table = at_temperatures(machines.compile_(("EXX", [expansion_of_scale])), default=24.0)
     screw, temperature = (next(t for t in TARGETS if t.name == n) for n in ("sinumerik_lec", "sinumerik_temperature"))
-    (worst,) = _loss.worse_than_none(table, screw.read_back(screw.write(table)))
-    assert (worst.axis, worst.sensor, worst.reading) == ("X", "T", 16.0)
-    assert worst.with_files == pytest.approx(2 * worst.without, rel=0.02)  # 4 K the wrong way, beside 4 K
+    (said,) = _loss.worse_than_none(table, screw.read_back(screw.write(table)))
+    figures = re.fullmatch(r"X: worse .* where T = 16 degC: ([\d.]+) instead of ([\d.]+) um rms; .*", said)
+    assert figures and float(figures[1]) == pytest.approx(2 * float(figures[2]), rel=0.02)  # 4 K the wrong way
     parts = [screw, temperature]
     files = [p.write_with(table, [o.name for o in parts if o is not p]) for p in parts]
     first, second = (p.read_back(own) for p, own in zip(parts, files, strict=True))
     assert _loss.worse_than_none(table, first + second) == []
+
+
+@pytest.mark.parametrize("warm", [False, True])
+def test_a_constant_is_no_loss_where_setting_the_zero_takes_it(warm) -> None:
+    """Files 20 um beside the table: setting the zero takes that, where no temperature moves the axis."""
+    more = [machines.straight("X", 5.0, driver=d.above("T", 20.0))] if warm else []
+    table = machines.compile_(("EXX", [machines.straight("X", 10.0), *more]))
+    x = np.linspace(0.0, 500.0, 3)
+    correction = _sample.corrections(table, "X", {"x": x}, np.ones(3)) + 0.02
+    (lost,) = _loss.losses(table, ReadBack(curves=(Curve("X", "X", x, correction, correction),)))
+    if warm:
+        assert lost.constant == 0.0 and lost.rms > 15.0
+    else:
+        assert lost.constant == pytest.approx(20.0, abs=0.01) and max(lost.rms, lost.largest, lost.bound) < 0.01
+
+
+def test_growth_and_a_correction_that_is_nothing_but_a_constant_are_lost() -> None:
+    growth = Lowered(d.Affine(weights=(2.0,), of=(d.above("T", 22.0),)))
+    seven = Lowered(d.ONE, None, lambda x: np.full(np.shape(x), 7.0))
+    for pair, size in ((growth, 5.0), (seven, 6.9)):
+        table = machines.compile_(("EXX", [pair]))
+        (lost,) = _loss.losses(table, ReadBack())
+        assert lost.constant == 0.0 and lost.rms == lost.table_rms > size
+        assert _loss.harmed(table, ReadBack()) == {}  # no files do no harm
