@@ -48,7 +48,11 @@ class Axis(Frozen):
     reference: Vector = quantity(
         "mm", "point its errors are defined at; a rotary axis' line runs through it", (0.0, 0.0, 0.0)
     )
-    reference_on: Literal["carriage", "guideway"] = Field("carriage", description="whether that point travels along")
+    reference_on: Literal["carriage", "guideway"] | None = Field(
+        None,
+        description="whether that point travels along, and of a rotary axis the components' directions turn with it; "
+        "left out: carriage of a linear, guideway of a rotary axis (ISO 230-1, 230-7: its directions stand)",
+    )
     errors_of: Literal["tool_side", "carriage"] = Field(
         "tool_side", description="whose motion the six components are: the tool's side's, or the carriage's own"
     )
@@ -62,6 +66,11 @@ class Axis(Frozen):
         if not self.travel[0] < self.travel[1]:
             raise ValueError(f"travel {list(self.travel)} is not lowest then highest")
         return self
+
+    @property
+    def errors_travel(self) -> bool:
+        """Whether the point and the directions of the six components move with the axis."""
+        return (self.reference_on or ("carriage" if self.kind == "linear" else "guideway")) == "carriage"
 
     @property
     def zero(self) -> float:

@@ -11,6 +11,7 @@ constant rotation of a carriage is set-up, absorbed by the workpiece's or tool's
   further one rotates about both directions perpendicular to its own. C0Y = +1 urad: the +Y motion leans towards -X.
 * Straightness has neither offset nor slope over the travel (least squares): the slope is squareness.
 * Positioning is zero at the axis' datum position; its slope stays (scale). Angular motions have no offset.
+* Directions of error motions travel with a linear axis, and stand for a rotary one (ISO 230-1, 230-7).
 * Deviations are those of the tool's side relative to the workpiece's side, in the workpiece's frame.
 """
 
@@ -192,7 +193,7 @@ def _axis(b: _Builder, machine: Machine, name: str, column: int) -> None:
         b.error(point, motions, drive=column, inverse=inverse)
 
     steps = [lambda: b.error(point, drift, inverse=inverse), moving, errors]
-    if axis.reference_on == "guideway":
+    if not axis.errors_travel:
         steps = [steps[0], errors, moving]
     for step in reversed(steps) if work else steps:
         step()

@@ -185,8 +185,8 @@ def _lattice_bound(errors: MachineErrors, grids: tuple[np.ndarray, ...], tip: np
         chord = np.interp(fine, grids[a], np.interp(grids[a], grid, values))
         total += np.abs(curve - chord).max() * arms[:, c]
         axis = chain.axes[a]
-        apart = {"tool": "guideway", "workpiece": "carriage"}[chain.machine.moved_by(axis)]
-        if chain.angular[c] and chain.machine.axes[axis].reference_on == apart:
+        apart = chain.machine.axes[axis].errors_travel == (chain.machine.moved_by(axis) == "workpiece")
+        if chain.angular[c] and apart:
             step = grids[a][1] - grids[a][0]
             slope = np.abs(np.diff(values)).max() / (grid[1] - grid[0])
             total += 1e-3 * step**2 / 4 * slope

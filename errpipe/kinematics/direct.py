@@ -182,7 +182,7 @@ def arms(chain: Chain, axis: str, laser: Laser, position: np.ndarray) -> np.ndar
     against the direction of the axis.
     """
     machine = chain.machine
-    travels = int(laser.read_on == "carriage") - int(machine.axes[axis].reference_on == "carriage")
+    travels = int(laser.read_on == "carriage") - int(machine.axes[axis].errors_travel)
     sense = -travels if machine.moved_by(axis) == "workpiece" else travels
     along = np.asarray(machine.direction(axis), dtype=float)
     return sense * np.asarray(position)[:, None] * along - np.asarray(laser.offset, dtype=float)

@@ -87,19 +87,15 @@ class Parametrisation:
     def zeroed(self) -> np.ndarray:
         """True for functions of a positioning deviation, which is zero at its axis' datum."""
         kinds = [parse(self.chain.components[c]).kind for c in self.prior.component]
-        positioning = np.array([k in ("positioning", "angular positioning") for k in kinds])
-        return positioning & np.array(
-            [c < 0 or not self.bases[c].closed for c in self.chain.drives[self.prior.component]]
-        )
+        return np.array([k in ("positioning", "angular positioning") for k in kinds])
 
     def functions(self, q: np.ndarray) -> np.ndarray:
         """Value of each parameter's function at q, shape (n, parameters): d(component)/d(parameter)."""
         values = []
         for a, name in enumerate(self.chain.axes):
             values.append(self.bases[a](q[:, a]))
-            if not self.bases[a].closed:
-                zero = self.bases[a](np.array([self.chain.machine.axes[name].zero]))
-                values[-1] = np.concatenate([values[-1], values[-1] - zero], axis=1)
+            zero = self.bases[a](np.array([self.chain.machine.axes[name].zero]))
+            values[-1] = np.concatenate([values[-1], values[-1] - zero], axis=1)
         out = np.ones((len(q), len(self.prior.names)))
         for i, (c, j) in enumerate(zip(self.prior.component, self.prior.function, strict=True)):
             if j < 0:

@@ -149,6 +149,17 @@ def test_errors_on_the_guideway_do_not_travel_along():
     assert_allclose(deviation(fixed, [200, 0, 0], ECX=10.0)[:3], [0, 2.0, 0], atol=1e-12)
 
 
+@pytest.mark.parametrize(("reference_on", "seen"), [(None, -5.0), ("guideway", -5.0), ("carriage", 5.0)])
+def test_error_motions_of_a_rotary_axis_stand_in_the_machine(reference_on, seen):
+    """EXC = 5 um as a standing probe reads it (ISO 230-7): along the workpiece's -X once the table is half round."""
+    machine = ready("five-axis-table-table").machine
+    turned = machine.axes["C"].model_copy(update={"reference_on": reference_on})
+    chain = compile_chain(machine.model_copy(update={"axes": {**machine.axes, "C": turned}}))
+    q = np.zeros(5)
+    q[chain.axes.index("C")] = 180.0
+    assert_allclose(deviation(chain, q, EXC=5.0)[:3], [seen, 0, 0], atol=1e-9)
+
+
 def test_offset_of_a_rotary_table_appears_as_it_turns():
     """X0C = 5 um: the table's axis lies 5 um further along +X; the work comes to stand 10 um off after half a turn."""
     chain = ready("five-axis-table-table")

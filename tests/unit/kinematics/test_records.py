@@ -400,3 +400,17 @@ def test_an_axis_inclined_to_its_letter_is_not_measured_component_by_component()
     with pytest.raises(DataError, match=r"EYY: Y runs along 0, 0.866, 0.5, inclined to Y"):
         records.sense(chain, "EYY")
     assert records.sense(chain, "EXX") == 1.0
+
+
+@pytest.mark.parametrize("datum", [None, 90.0])
+def test_positioning_of_an_axis_that_turns_on_is_zero_at_its_datum(datum):
+    """A fork head's C that was aligned at its zero stays there, whatever the mean of its record over the turn."""
+    machine = ready("five-axis-head-head").machine
+    c = machine.axes["C"].model_copy(update={"datum": datum})
+    chain = compile_chain(machine.model_copy(update={"axes": {**machine.axes, "C": c}}))
+    model = identify.Parametrisation.of(chain, 8)
+    q = np.tile(chain.travel.mean(axis=1), (2, 1))
+    q[:, chain.axes.index("C")] = [datum or 0.0, 30.0]
+    functions = model.functions(q)[:, model.prior.component == chain.index("ECC")]
+    assert_allclose(functions[0], 0.0, atol=1e-12)
+    assert np.abs(functions[1]).max() > 0.1
