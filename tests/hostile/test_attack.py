@@ -103,7 +103,7 @@ NO_FILE = ("a pipe", "a link to a pipe", "a device", "a link to itself", "a fold
 
 
 @pytest.mark.slow
-def test_every_door_ends_with_a_message_where_there_is_no_file(tmp_path: Path) -> None:
+def test_every_file_ends_with_a_message_where_there_is_no_file(tmp_path: Path) -> None:
     """Every command of every file of the campaign; none waits, none reads without end."""
     from errpipe.cli.app import main
 
