@@ -9,6 +9,7 @@ from errpipe.domain import driver as d
 
 AT_ONCE = 1e-3  # s: far below any cycle
 NEVER = 1e15  # s: far above any session
+UNTIL_RESTART = -1.0  # lower level of a switch that no flag or square reaches
 UNREACHABLE_SQUARE = 1e12  # above any squared residual in thresholds
 
 

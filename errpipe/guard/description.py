@@ -11,10 +11,8 @@ Jones 1976; Gertler 1998). With x the readings and C the covariance of u for hea
                                                  every other s_j by |P_ij| / sqrt(P_ii P_jj) < 1, so it is the largest
     a2_j = the same with the sensor of the largest s excluded: a second failed sensor (two exchanged plugs).
                                                  A frozen sensor is excluded first: its held reading affects every s
-    frozen_i = lag((x_i - lag(x_i, freeze))^2, freeze) <= still_i: less activity than any healthy reading; at the start,
-                                                 where coarse readings may be constant, the root of usual_i still_i
-    jumped_i = 1 from the first |x_i - lag(x_i, freeze)| >= jump_i on: a faster change than any healthy one
-    fault_i = 1 from the first a_i, a2_i or jumped_i on, until the next start; or while frozen
+    own_i = 1 where a rule of `errpipe.guard.rules` flags the reading by itself: frozen, changed suddenly
+    fault_i = 1 from the first a_i or a2_i on, until the next start; or while own_i
 
 Replacement of a failed reading:
 
@@ -25,7 +23,7 @@ Replacement of a failed reading:
 
 The correction fades to zero (`trust`) if more than `most_failed` sensors have failed, or if one has whose
 replacement is too inaccurate (`errpipe.stages._guarded`). A guard without P (one sensor, one run) replaces nothing: a
-sensor that freezes or jumps fades the correction.
+sensor that a rule flags fades the correction.
 
 The guard consists of operations of `errpipe.domain.driver`, so it is compiled, exported and evaluated like any
 driver, causally. Missing, implausible and too fast readings are rejected before, by each input's own range, rate and
@@ -44,6 +42,7 @@ from typing import Literal
 from pydantic import Field
 
 from errpipe.domain.recording import Frozen
+from errpipe.guard.rules import AnyRule, Rule
 
 
 class GuardedSensor(Frozen):
@@ -56,22 +55,23 @@ class GuardedSensor(Frozen):
     precision: tuple[float, ...] = Field((), description="Row of P, 1/K2, sensors in the guard's order; none: no P.")
     estimate: tuple[float, ...] = Field(description="Weights v of the sensors in the guard's order; 0 for itself.")
     smallest: float | None = Field(None, gt=0, description="Smallest fault that reaches the threshold, K.")
-    jump: float = Field(gt=0, description="Largest distance of a healthy reading from its lag of `freeze`, K.")
     stands_in: bool = Field(True, description="Whether its estimate is accurate enough; else the correction fades.")
     reach: float = Field(gt=0, description="Largest residual r that is latched; twice that of healthy readings.")
     lively: float | None = Field(None, description="Threshold of the lagged square; healthy readings are mostly above.")
-    usual: float = Field(0.0, ge=0, description="Mean of the lagged square of healthy readings.")
-    still: float | None = Field(None, description="Threshold of the lagged square; None: constant when healthy.")
+    rules: tuple[AnyRule, ...] = Field((), description="Tests of its reading by itself, with their limits.")
+
+    def rule(self, kind: str) -> Rule | None:
+        """The rule of a kind; None if it is not applied to this sensor."""
+        return next((r for r in self.rules if r.rule == kind), None)
 
 
 class SensorGuard(Frozen):
-    """Format version 3. `false_alarms` is the rate for which the thresholds were set, on healthy sensors."""
+    """Format version 4. `false_alarms` is the rate for which the thresholds were set, on healthy sensors."""
 
-    sensor_guard: Literal[3] = 3
+    sensor_guard: Literal[4] = 4
     sensors: tuple[GuardedSensor, ...]
     threshold: float = Field(1.0, gt=0, description="Of the standardised residual; reached at the stated rate.")
     horizon_s: float = Field(gt=0, description="Time constant of the test's high-pass filter.")
-    freeze_s: float = Field(gt=0, description="Time constant of the activity.")
     settle_s: float = Field(gt=0, description="Time constant of the latched residual.")
     most_failed: int = Field(1, ge=0, description="Largest number of failed sensors; above it the correction fades.")
     false_alarms: float = Field(description="Expected per 1000 hours, all sensors together.")
@@ -79,13 +79,12 @@ class SensorGuard(Frozen):
     correlation: float = Field(0.0, description="Largest share of a fault that appears in another sensor's s.")
 
     def widened(self, times: float) -> SensorGuard:
-        """The guard with limits for residuals and jumps multiplied by `times`, and for activity divided by it."""
+        """The guard with thresholds that are `times` as far from healthy readings."""
         wider = tuple(
             s.model_copy(
                 update={
                     "smallest": s.smallest and times * s.smallest,
-                    "jump": times * s.jump,
-                    "still": s.still and s.still / times**2,
+                    "rules": tuple(r.widened(times) for r in s.rules),
                 }
             )
             for s in self.sensors

@@ -12,11 +12,10 @@ from functools import lru_cache
 from errpipe.domain import driver as d
 from errpipe.guard import composed as c
 from errpipe.guard.description import SensorGuard
+from errpipe.guard.rules import RULES
 
-REVIVED = 4.0  # times `still`: hysteresis, the activity from which a frozen sensor is accepted again (by judgement)
 QUIET_SHARE = 0.36  # of the squared threshold: above it residuals are not latched; 0.25 to 0.5 give equal results
 FROZEN_FIRST = 1e6  # squared thresholds: more than a failed sensor's residual
-UNTIL_RESTART = -1.0  # lower level of a switch that no flag or square reaches
 FADE_S = 600.0  # fade time of the correction when readings are not trusted: slower than a cut, faster than a body
 TIE_TOLERANCE = 1e-6  # relative: below the rounding of a sum in single precision, above that in double
 
@@ -80,58 +79,30 @@ def isolated(guard: SensorGuard) -> tuple[d.Driver, ...]:
     (top, most), (second, left) = _first(guard), _second(guard)
     judged = d.Product(of=(most, c.none_of(*_by_itself(guard))))
     over = d.Switch(of=judged, on=1.0, off=1.0 - TIE_TOLERANCE)
-    first_known = c.any_of(d.Switch(of=judged, on=1.0, off=UNTIL_RESTART), *_by_itself(guard))
+    first_known = c.any_of(d.Switch(of=judged, on=1.0, off=c.UNTIL_RESTART), *_by_itself(guard))
     over_too = d.Product(of=(first_known, d.Switch(of=left, on=1.0, off=1.0 - TIE_TOLERANCE)))
     out = []
     for one, other in zip(top, second, strict=True):
         now = (d.Product(of=(over, one)), d.Product(of=(over_too, other)))
-        out.append(d.Switch(of=d.Affine(weights=(1.0, 1.0), of=now), on=0.5, off=UNTIL_RESTART))
+        out.append(d.Switch(of=d.Affine(weights=(1.0, 1.0), of=now), on=0.5, off=c.UNTIL_RESTART))
     return tuple(out)
 
 
 @shared
-def activity(guard: SensorGuard, name: str) -> d.Driver:
-    """Activity of one reading: the lagged square of its high-pass filtered value, K2."""
-    return c.lag(_quick(guard, name), guard.freeze_s)
-
-
-@shared
-def _quick(guard: SensorGuard, name: str) -> d.Driver:
-    """Square of the change of one reading over the last minutes, K2."""
-    reading = d.Input(name=name)
-    return c.squared(d.Affine(weights=(1.0, -1.0), of=(reading, c.lag(reading, guard.freeze_s))))
-
-
-@shared
-def frozen(guard: SensorGuard) -> tuple[d.Driver, ...]:
-    """1 while a reading is constant for longer than any healthy one; else 0.
-
-    Activity is zero at the start, so what fades to `still` in half the time that `usual` does is added: a run has
-    one start, and a coarse reading rests a hundred times. `trials.thermal` 45011 to 45014, 256 sensors of 0.1 K: 1
-    healthy one is called frozen with half of the time, 3 with a third, 16 with a quarter.
-    """
-    fading = c.lag(c.none_of(d.lag(d.ONE, c.AT_ONCE)), guard.freeze_s)
-    out: list[d.Driver] = []
-    for s in guard.sensors:
-        if s.still is None:
-            out.append(d.Constant(value=0.0))
-            continue
-        at_start = max(math.sqrt(s.usual * s.still), 2.0 * REVIVED * s.still)
-        alive = d.Affine(weights=(-1.0, -at_start), of=(activity(guard, s.name), fading))
-        out.append(d.Switch(of=alive, on=-s.still, off=-REVIVED * s.still))
-    return tuple(out)
-
-
-@shared
-def jumped(guard: SensorGuard) -> tuple[d.Driver, ...]:
-    """1 from the first change that is faster than any healthy one on, until the next start; else 0."""
-    return tuple(d.Switch(of=_quick(guard, s.name), on=s.jump**2, off=UNTIL_RESTART) for s in guard.sensors)
+def flags(guard: SensorGuard, kind: str) -> tuple[d.Driver, ...]:
+    """Flags of one rule; 0 of a sensor to which it is not applied."""
+    rules = [s.rule(kind) for s in guard.sensors]
+    return tuple(
+        d.Constant(value=0.0) if rule is None else rule.flag(d.Input(name=s.name))
+        for s, rule in zip(guard.sensors, rules, strict=True)
+    )
 
 
 @shared
 def _by_itself(guard: SensorGuard) -> tuple[d.Driver, ...]:
     """Above 0 if a reading alone shows that it is wrong; else 0."""
-    return tuple(d.Affine(weights=(1.0, 1.0), of=pair) for pair in zip(frozen(guard), jumped(guard), strict=True))
+    by_rule = [flags(guard, kind) for kind in RULES.tags]
+    return tuple(d.Affine(weights=(1.0,) * len(of), of=of) for of in zip(*by_rule, strict=True))
 
 
 @shared

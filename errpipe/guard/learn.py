@@ -7,7 +7,7 @@ extrapolates far; `hours` states their number. The rate holds for conditions lik
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,38 +15,24 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.guard import description as g
-from errpipe.guard import rates
 from errpipe.guard.rows import Healthy, rows_of
+from errpipe.guard.rules import RULES, Rule, activity_of
 
 # Time constants, chosen on the turning centre with both seasons in view (examples/sensor-failure); largest ratio to
 # healthy in 60 failures: horizon 0.75 h 1.4, 1 h 1.38, 1.5 h 1.29, 2 h 2.1; settle 15 min 1.38, 30 min 1.29, 1 h 1.36.
 HORIZON_S = 5400.0
 SETTLE_S = 1800.0
-FREEZE_S = 300.0  # heaters and pumps switch every few minutes, so a healthy reading moves within this
 FALSE_ALARMS = 0.5  # expected per 1000 hours, all sensors together
 RIDGES = np.logspace(-5, 1, 13)  # times the mean square of the readings: steps of half a decade
 MAX_CORRELATION = 0.8  # largest share of a fault in another sensor's residual; above it, noise selects the wrong sensor
 SELECTION_MARGIN = 1.1  # factor: the lowest of many thresholds is biased low
-KINDS = 3  # of alarms: departed, frozen, jumped
 MAX_RATE = 3.0  # times the fastest change of a healthy reading
 # Margins beyond the range in the recording, share and K at least: readings outside are impossible. A shop spans 5 to
 # 35 degC over a year, and learning in winter must not make summer readings impossible: with 10 K a healthy machine
 # lost 65 % (`trials.thermal`, seed 102, machine 2).
 RANGE_SHARE, RANGE_K = 0.5, 25.0
-JUMP_MARGIN = 1.5  # factor: an opening door in another season is faster
-MIN_JUMP = 1.0  # K: a smaller jump does little harm, and noise of a slowly sampled sensor may look like one
-QUICKER = 2.0  # times the largest change in one run: a single run does not bound later ones
-# For a sensor without replacement, where a false alarm costs the whole correction: a healthy one always shows its own
-# noise, unless its resolution hides it; and the air of a hall changes by a kelvin a minute when a door opens.
-NOISE_SHARE, MOST_EQUAL = 0.1, 0.05  # least share of its variance in an active one; share of equal successive readings
 REACH = 2.0  # times the largest residual of healthy readings
 ACTIVE = 0.2  # quantile: share of the time in which a healthy reading is less active
-# Coarse readings repeat for as long as the temperature rests, which the longest of few hours does not bound: the time
-# until such a sensor counts as frozen is multiplied. Chosen on `trials.thermal` 45011 to 45014, 256 sensors of 0.1 K:
-# in the third season 11 healthy ones are called frozen with 1, 2 with 1.25, 1 with 1.5; 2 leaves a fifth untested.
-LONGER = 1.5
-MIN_ACTIVITY = 1e-12  # of the median activity: reached 2.3 h after a reading froze; the limit of single precision
-STILL_MORE = 20.0  # factor on the rate at which a healthy sensor may look frozen: it is accepted again when it changes
 MIN_HOURS = 10.0  # h of recording to learn from
 
 
@@ -65,11 +51,10 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
             f"a sensor guard needs two sensors, two groups and 10 hours of readings"
             f" (found: {len(names)}, {groups}, {hours:.1f})"
         )
-    per_hour = FALSE_ALARMS / 1000 / KINDS
+    per_hour = FALSE_ALARMS / 1000 / (1 + len(RULES))  # of each kind of alarm: the comparison, and the rules
     test = _test(rows, per_hour)
     weights, largest = _estimate(rows)
-    alive = _alive(rows)
-    usual = np.mean(alive, axis=0)
+    alive = activity_of(rows)
     diagonal = np.sqrt(np.diag(test.precision))
     return g.SensorGuard(
         sensors=tuple(
@@ -81,15 +66,12 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
                 estimate=tuple(map(float, weights[i])),
                 reach=float(max(REACH * largest[i], 1e-3)),
                 lively=float(np.quantile(alive[:, i], ACTIVE)) or None,
-                usual=float(usual[i]),
-                still=_still(rows, i, alive[:, i], usual[i], STILL_MORE * per_hour / len(names)),
-                jump=_jump(rows, i, per_hour / len(names)),
+                rules=_those(rule.learn(rows, i, per_hour / len(names)) for rule in RULES),
             )
             for i, name in enumerate(names)
         ),
         threshold=test.threshold,
         horizon_s=HORIZON_S,
-        freeze_s=FREEZE_S,
         settle_s=SETTLE_S,
         most_failed=min(2, len(names) - 1),
         false_alarms=FALSE_ALARMS,
@@ -180,24 +162,19 @@ def limits(recording: Recording, names: Sequence[str]) -> g.SensorGuard:
     rows = rows_of(recording, tuple(names))
     if not np.any(rows.rises()):
         raise DataError("the recording shows no temperature that changes within a run")
-    usual = np.mean(_alive(rows), axis=0)
-    none, slowest = (0.0,) * len(names), rates.ROLES["temperature"].slowest * FREEZE_S
     return g.SensorGuard(
         sensors=tuple(
             g.GuardedSensor(
                 name=name,
                 **_believable(rows, i),
-                estimate=none,
+                estimate=(0.0,) * len(names),
                 stands_in=False,
                 reach=float(max(REACH * np.abs(rows.rises()[:, i]).max(), 1e-3)),
-                usual=float(usual[i]),
-                still=_own_noise(rows, i),
-                jump=max(QUICKER * _jump(rows, i, 0.0), slowest),
+                rules=_those(rule.alone(rows, i) for rule in RULES),
             )
             for i, name in enumerate(names)
         ),
         horizon_s=HORIZON_S,
-        freeze_s=FREEZE_S,
         settle_s=SETTLE_S,
         most_failed=0,
         false_alarms=FALSE_ALARMS,
@@ -205,40 +182,12 @@ def limits(recording: Recording, names: Sequence[str]) -> g.SensorGuard:
     )
 
 
-def _own_noise(rows: Healthy, i: int) -> float | None:
-    """Activity below which one sensor has lost its own noise, K2; None if its resolution hides the noise.
-
-    A lag holds N = 2 / w - 1 readings, w the weight of one: the mean of N squares is below a share s of their variance
-    with a probability of at most (e s)^(N / 2) (Chernoff's bound), which is held at the stated rate of false alarms.
-    """
-    x, within = rows.x[:, i], rows.run[1:] == rows.run[:-1]
-    noise = rates.noise_of(x, rows.run)
-    if not within.any() or _coarse(rows, i) or noise <= 0.0:
-        return None
-    step = float(np.median(np.diff(rows.t)[within]))
-    new = -np.expm1(-step / FREEZE_S)  # weight of one reading
-    rare = (FALSE_ALARMS / 1000 * step / 3600) ** (2.0 * new / (2.0 - new)) / np.e
-    return float(min(NOISE_SHARE, rare)) * noise**2
+def _those(rules: Iterable[Rule | None]) -> tuple[Rule, ...]:
+    return tuple(rule for rule in rules if rule is not None)
 
 
 def _hours(rows: Healthy) -> float:
     return float(sum(np.ptp(rows.t[rows.run == r]) for r in np.unique(rows.run)) / 3600)
-
-
-def _alive(rows: Healthy) -> np.ndarray:
-    """Lagged squares of the high-pass filtered readings, K2, (rows, sensors)."""
-    return rows.lagged((rows.x - rows.lagged(rows.x, FREEZE_S)) ** 2, FREEZE_S)
-
-
-def _jump(rows: Healthy, i: int, per_hour: float) -> float:
-    """The fastest change of a healthy reading, K, exceeded at the stated rate.
-
-    Of a row's reading minus the lag before it: a controller, which samples faster, may see all of a row's change.
-    """
-    x, before = rows.x[:, [i]], rows.lagged(rows.x[:, [i]], FREEZE_S)
-    first = np.r_[True, rows.run[1:] != rows.run[:-1]]
-    quick = np.abs(x - np.where(first[:, None], x, np.roll(before, 1, axis=0)))[:, 0]
-    return float(max(JUMP_MARGIN * (rows.rare(quick, per_hour) if per_hour else quick.max()), MIN_JUMP))
 
 
 def _believable(rows: Healthy, i: int) -> dict[str, float]:
@@ -249,25 +198,3 @@ def _believable(rows: Healthy, i: int) -> dict[str, float]:
     same = (np.diff(rows.run) == 0) & (np.diff(rows.t) > 0)
     fastest = float(np.max(np.abs(np.diff(x)[same]) / np.diff(rows.t)[same], initial=1e-6))
     return {"low": low - margin, "high": high + margin, "max_rate": MAX_RATE * fastest}
-
-
-def _coarse(rows: Healthy, i: int) -> bool:
-    """Whether the resolution of a sensor hides its noise: successive readings are often equal."""
-    within = rows.run[1:] == rows.run[:-1]
-    return bool(within.any()) and float(np.mean((np.diff(rows.x[:, i]) == 0.0)[within])) > MOST_EQUAL
-
-
-def _still(rows: Healthy, i: int, alive: np.ndarray, usual: float, per_hour: float) -> float | None:
-    """Activity threshold of a healthy sensor at the stated false-alarm rate; None if it is constant when healthy.
-
-    alive, usual: its activity, (rows,), and its mean. Near 0 a square of noise follows a power law, and that of a
-    reading that rests fades exponentially, so minus its logarithm has Gumbel's tail.
-    """
-    first = np.r_[True, rows.run[1:] != rows.run[:-1]]
-    alive = alive + rows.lagged(usual * first[:, None], FREEZE_S)[:, 0]
-    if usual <= 0:
-        return None
-    level = float(np.exp(-rows.rare(-np.log(np.maximum(alive, np.finfo(float).tiny)), per_hour, max_shape=1e-6)))
-    if _coarse(rows, i):
-        level = usual * (level / usual) ** LONGER
-    return level if level > MIN_ACTIVITY * np.median(alive) else None

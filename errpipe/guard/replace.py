@@ -10,7 +10,8 @@ from collections.abc import Mapping
 from errpipe.domain import driver as d
 from errpipe.guard import composed as c
 from errpipe.guard.description import SensorGuard
-from errpipe.guard.detect import TIE_TOLERANCE, activity, all_quiet, faults, shared, trust
+from errpipe.guard.detect import TIE_TOLERANCE, all_quiet, faults, shared, trust
+from errpipe.guard.rules import activity
 
 LONGEST_S = 1e9  # time constant of the rising clock added to latched values: longer than any session
 
@@ -86,7 +87,9 @@ def _value_at_last_quiet(guard: SensorGuard, i: int, value: d.Driver) -> d.Drive
     sensor = guard.sensors[i]
     gate = all_quiet(guard)
     if sensor.lively is not None:
-        moving = d.Switch(of=activity(guard, sensor.name), on=sensor.lively, off=sensor.lively * (1.0 - TIE_TOLERANCE))
+        moving = d.Switch(
+            of=activity(d.Input(name=sensor.name)), on=sensor.lively, off=sensor.lively * (1.0 - TIE_TOLERANCE)
+        )
         gate = d.Product(of=(gate, moving))
     rising = d.Affine(weights=(1.0, 1.0), of=(value, _rising_clock(guard)))
     return d.Affine(weights=(1.0, -1.0), of=(c.held(rising, gate), c.held(_rising_clock(guard), gate)))

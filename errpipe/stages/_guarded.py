@@ -18,6 +18,7 @@ from errpipe.fitting.statistics import rms
 from errpipe.guard import learn
 from errpipe.guard.description import GuardedSensor, SensorGuard
 from errpipe.guard.rows import rows_of
+from errpipe.guard.rules import RULES
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages.predict import table_values
 from errpipe.thermal.arithmetic import short_gaps_held
@@ -28,8 +29,8 @@ if TYPE_CHECKING:
 
 MAX_COMPARED, MAX_INDIVIDUAL = 6, 15  # compared with each other; monitored individually
 # Nodes of a table: per compared sensor and for the rest of the guard, at most 400 (tests/unit/stages/test_guarded.py);
-# per sensor monitored individually.
-NODES_COMPARED, NODES_BESIDE, NODES_ALONE = 55, 17, 25
+# per sensor monitored individually; without those of the rules.
+NODES_COMPARED, NODES_BESIDE, NODES_ALONE = 48, 17, 18
 MAX_COST = 0.03  # relative increase of the held-out residual with healthy sensors
 # Ratio of the held-out residual with a replaced sensor to no compensation. Chosen on trials.thermal, seed 41401: with
 # 0.7, 4 instead of 2 of 115 frozen sensors exceed no compensation.
@@ -135,7 +136,7 @@ def choose_guard(judge: Judge, scheme: str | None) -> TableGuard:
     (one sensor, one run), each is monitored individually and the correction fades if one fails.
     """
     held = short_gaps_held(judge.recording)
-    max_count = min(MAX_COMPARED, (judge.free_nodes() - NODES_BESIDE) // NODES_COMPARED)
+    max_count = min(MAX_COMPARED, (judge.free_nodes() - NODES_BESIDE) // (NODES_COMPARED + _nodes_of_rules()))
     if max_count < 2:
         return _one_by_one(judge, held, "the table has too few free nodes for a comparison", scheme)
     names = _chosen(judge, held, max_count)
@@ -218,7 +219,8 @@ def _with_substitutes(judge: Judge, held: Recording, guard: SensorGuard, folds: 
 
 def _alone(sensor: GuardedSensor, limits: GuardedSensor) -> GuardedSensor:
     """A compared sensor whose estimate is too inaccurate, with the limits of one monitored individually."""
-    return sensor.model_copy(update={"stands_in": False, "still": limits.still, "jump": max(sensor.jump, limits.jump)})
+    rules = tuple(rule.not_below(sensor.rule(rule.rule)) for rule in limits.rules)
+    return sensor.model_copy(update={"stands_in": False, "rules": rules})
 
 
 def _shifts(guard: SensorGuard, held: Recording) -> Iterator[tuple[tuple[int, int], np.ndarray]]:
@@ -262,7 +264,7 @@ def _affordable(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequen
 
 def _one_by_one(judge: Judge, held: Recording, why: str, scheme: str | None) -> TableGuard:
     """Each sensor monitored individually; no guard if that costs too much with healthy sensors."""
-    max_count = min(MAX_INDIVIDUAL, judge.free_nodes() // NODES_ALONE)
+    max_count = min(MAX_INDIVIDUAL, judge.free_nodes() // (NODES_ALONE + _nodes_of_rules()))
     if max_count < 1:
         return no_guard(f"{why}; the table has no free nodes")
     names = _chosen(judge, held, max_count)
@@ -273,10 +275,13 @@ def _one_by_one(judge: Judge, held: Recording, why: str, scheme: str | None) -> 
     guard, cost = _affordable(judge, held, guard, folds)
     if cost > MAX_COST:
         return no_guard(f"{why}; individual monitoring would increase the residual by {100 * cost:.0f} %")
-    said = f"no temperature replaces another ({why}): one that jumps by several kelvin, or loses its own noise,"
-    return TableGuard(
-        guard, f"{said} fades the correction", {"watched": list(names), "stand_in": [], "cost": cost, "why": why}
-    )
+    symptoms = ", or ".join(rule.symptom for rule in RULES)
+    sentence = f"no temperature replaces another ({why}): one that {symptoms}, fades the correction"
+    return TableGuard(guard, sentence, {"watched": list(names), "stand_in": [], "cost": cost, "why": why})
+
+
+def _nodes_of_rules() -> int:
+    return sum(rule.nodes for rule in RULES)
 
 
 def no_guard(why: str) -> TableGuard:

@@ -1,6 +1,7 @@
 """The recipes of CONTRIBUTING.md, followed word for word on a copy of the project: what a newcomer does must work.
 
-A term with a time constant, a format, a target, a stage, a cleaning rule and a model family are added, each one file,
+A term with a time constant, a format, a target, a stage, a cleaning rule, a rule of the sensor guard and a model
+family are added, each one file,
 one registry entry and a sample.
 The commands of the text are run on the copy; then each new thing is used as the old ones are.
 """
@@ -81,7 +82,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return copy
 
 
-def test_the_text_has_six_recipes_of_one_file_and_one_registry_entry_each() -> None:
+def test_the_text_has_seven_recipes_of_one_file_and_one_registry_entry_each() -> None:
     files = [where for kind, where, _ in steps() if kind == "file"]
     registries = [where for kind, where, _ in steps() if kind == "registry"]
     assert [where.split("/")[1] for where in files if where.startswith("errpipe/")] == [
@@ -90,9 +91,10 @@ def test_the_text_has_six_recipes_of_one_file_and_one_registry_entry_each() -> N
         "targets",
         "stages",
         "cleaning",
+        "guard",
         "models",
     ]
-    assert len(registries) == 6
+    assert len(registries) == 7
 
 
 @pytest.mark.slow

@@ -49,7 +49,7 @@ LIBRARIES = {
 }
 
 # Folders of plug-ins: one file per thing, and no file leans on another one (`_shared.py` files apart).
-PLUG_INS = ("terms", "formats", "targets", "cleaning", "models")
+PLUG_INS = ("terms", "formats", "targets", "cleaning", "guard.rules", "models")
 
 
 def called(call: ast.Call) -> str:
@@ -91,7 +91,7 @@ def breaches(source: str, module: str) -> list[str]:
             continue
         other = parts[1] if len(parts) > 1 else ""
         if other == own:
-            if _is_plug_in(module, own) and _is_plug_in(".".join(parts[:3]), own):
+            if _plug_in_folder(module) == _plug_in_folder(name) != "":
                 out.append(f"{where} imports {name}: files of {own} do not lean on each other")
             continue
         private = any(part.startswith("_") and not part.startswith("__") for part in parts[2:])
@@ -109,10 +109,14 @@ def breaches(source: str, module: str) -> list[str]:
     return out
 
 
-def _is_plug_in(module: str, package: str) -> bool:
-    """Whether a module is one of the files of a plug-in folder (not the registry, not shared `_files`)."""
-    name = module.split(".")[-1]
-    return package in PLUG_INS and not name.startswith("_") and (TOP / package / f"{name}.py").is_file()
+def _plug_in_folder(name: str) -> str:
+    """The folder of plug-ins that a module, or a name in it, is of (not the registry, not shared `_files`)."""
+    for folder in PLUG_INS:
+        file = f"{name}.".removeprefix(f"errpipe.{folder}.").split(".")[0]
+        inside = name.startswith(f"errpipe.{folder}.") and not file.startswith("_")
+        if inside and (TOP / folder.replace(".", "/") / f"{file}.py").is_file():
+            return folder
+    return ""
 
 
 def modules() -> list[tuple[str, Path]]:

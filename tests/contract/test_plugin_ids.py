@@ -33,7 +33,7 @@ class Kind:
 
     def ids(self) -> set[str]:
         """Ids under which the registry's entries are asked for."""
-        entries = getattr(import_module(f"errpipe.{self.folder}"), self.registry)
+        entries = getattr(import_module(f"errpipe.{self.folder.replace('/', '.')}"), self.registry)
         return {name for entry in entries for name in ids_of(entry)} - set(self.everyday)
 
 
@@ -62,6 +62,7 @@ KINDS = (
     Kind("formats", "FORMATS", {}),
     Kind("targets", "TARGETS", {}),
     Kind("cleaning", "RULES", {}),
+    Kind("guard/rules", "RULES", {}),
     Kind(
         folder="models",
         registry="FAMILIES",

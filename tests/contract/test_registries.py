@@ -25,6 +25,7 @@ REGISTRIES = {
     "formats": "FORMATS",
     "targets": "TARGETS",
     "cleaning": "RULES",
+    "guard.rules": "RULES",
     "models": "FAMILIES",
     "stages": "STAGES",
 }
@@ -40,7 +41,7 @@ def home(entry: Any) -> str:
 
 @pytest.mark.parametrize("package", [name for name in REGISTRIES if name != "stages"])
 def test_every_file_is_registered_and_nothing_else(package: str) -> None:
-    files = {path.stem for path in (TOP / package).glob("*.py") if not path.stem.startswith("_")}
+    files = {path.stem for path in (TOP / package.replace(".", "/")).glob("*.py") if not path.stem.startswith("_")}
     registered = {home(entry) for entry in getattr(import_module(f"errpipe.{package}"), REGISTRIES[package])}
     registry = f"the registry in errpipe/{package}/__init__.py"
     assert files <= registered, f"not in {registry}: {sorted(files - registered)}"
@@ -81,7 +82,7 @@ def test_a_registry_has_no_doubles(package: str) -> None:
     assert isinstance(registered, tuple | Choice) and len(set(map(id, registered))) == len(registered) > 0
 
 
-@pytest.mark.parametrize("package", ["terms", "cleaning", "models", "stages"])
+@pytest.mark.parametrize("package", ["terms", "cleaning", "guard.rules", "models", "stages"])
 def test_a_tag_of_the_registry_is_what_the_file_says(package: str) -> None:
     registry = getattr(import_module(f"errpipe.{package}"), REGISTRIES[package])
     for tag in registry.tags:
@@ -89,7 +90,7 @@ def test_a_tag_of_the_registry_is_what_the_file_says(package: str) -> None:
         assert {tags_of(member, registry.key)[0] for member in members} == {tag}
 
 
-@pytest.mark.parametrize("package", ["terms", "cleaning", "models", "stages"])
+@pytest.mark.parametrize("package", ["terms", "cleaning", "guard.rules", "models", "stages"])
 def test_nothing_of_the_registry_is_left_to_write(package: str) -> None:
     registered = getattr(import_module(f"errpipe.{package}"), REGISTRIES[package])
     abstract = {f"{home(e)}: {', '.join(sorted(e.__abstractmethods__))}" for e in registered if inspect.isabstract(e)}

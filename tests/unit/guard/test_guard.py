@@ -20,6 +20,8 @@ from errpipe.drivers.shared import drive_all
 from errpipe.errors import DataError
 from errpipe.guard import description as g
 from errpipe.guard import detect, learn, replace, rows
+from errpipe.guard.rules import RULES, activity
+from errpipe.guard.rules._base import FREEZE_S
 from errpipe.tables import ComponentSource, batch, compile_table, limited
 from errpipe.thermal import arithmetic
 from errpipe.thermal import season as thermal_season
@@ -188,7 +190,7 @@ def test_a_healthy_reading_passes_bit_for_bit(guard):
 def test_shared_evaluation_is_drive(guard):
     """On parts of which plain evaluation, which shares nothing, is not yet too slow."""
     failed = trials.fail(simulated_sensors.machine(1, seed=7), "T_bed", "drift", drift=4.0)
-    parts = [*detect.residuals(guard), detect.activity(guard, "T_bed")]
+    parts = [*detect.residuals(guard), activity(d.Input(name="T_bed"))]
     expected = np.column_stack([drive(one, failed) for one in parts])
     np.testing.assert_array_equal(drive_all(parts, failed), expected)
 
@@ -327,9 +329,9 @@ def test_a_sensor_that_no_other_replaces_is_frozen_where_it_has_lost_its_own_noi
     manifest = Manifest(recording=1, tables=("r.csv",), columns=columns)
     frame = pd.DataFrame({"run": "1", "t": t, "fine": noisy, "coarse": np.round(noisy / 0.5) * 0.5})
     fine, coarse = learn.limits(Recording(manifest, frame), ("fine", "coarse")).sensors
-    assert fine.still == pytest.approx(0.036 * 0.02**2, rel=0.5)  # ten readings in the lag
-    assert coarse.still is None
-    assert min(fine.jump, coarse.jump) >= 5.0
+    assert fine.rule("frozen_reading").still == pytest.approx(0.036 * 0.02**2, rel=0.5)  # ten readings in the lag
+    assert coarse.rule("frozen_reading") is None
+    assert min(s.rule("sudden_change").jump for s in (fine, coarse)) >= 5.0
     settled = frame.assign(fine=28.0, coarse=28.0)
     with pytest.raises(DataError, match="changes within a run"):
         learn.limits(Recording(manifest, settled), ("fine", "coarse"))
@@ -342,12 +344,16 @@ def test_a_sensor_that_moves_from_the_start_on_is_never_frozen(guard):
     columns |= {n: Column(role="temperature", unit="degC") for n in guard.names()}
     ramp = 20.0 + t / 1200.0
     frame = pd.DataFrame({"run": "1", "t": t, **dict.fromkeys(guard.names(), ramp)})
-    still = (guard.freeze_s / 1200.0) ** 2 / 2.0
-    known = guard.model_copy(update={"sensors": tuple(s.model_copy(update={"still": still}) for s in guard.sensors)})
+    still = (FREEZE_S / 1200.0) ** 2 / 2.0
+    rules = (RULES["frozen_reading"](still=still, usual=2.0 * still),)
+    known = guard.model_copy(update={"sensors": tuple(s.model_copy(update={"rules": rules}) for s in guard.sensors)})
     recording = Recording(Manifest(recording=1, tables=("r.csv",), columns=columns), frame)
-    assert not np.any(drive_all(detect.frozen(known), recording))
+    assert not np.any(drive_all(detect.flags(known, "frozen_reading"), recording))
     stuck = recording.with_columns({guard.names()[0]: np.full(t.size, 20.0)}, {})
-    assert drive_all(detect.frozen(known), stuck)[-1].tolist() == [1.0, *[0.0] * (len(guard.names()) - 1)]
+    assert drive_all(detect.flags(known, "frozen_reading"), stuck)[-1].tolist() == [
+        1.0,
+        *[0.0] * (len(guard.names()) - 1),
+    ]
 
 
 def test_a_sensor_that_is_read_seldom_does_not_look_frozen():
@@ -358,23 +364,23 @@ def test_a_sensor_that_is_read_seldom_does_not_look_frozen():
     frame = pd.DataFrame({"run": "a", "t": 300.0 * np.arange(rows), "T": x})
     manifest = Manifest(recording=1, tables=("t.csv",), columns=columns)
     guard = learn.limits(Recording(manifest, frame), ("T",))
-    assert not drive_all(list(detect.frozen(guard)), Recording(manifest, frame)).any()
+    assert not drive_all(list(detect.flags(guard, "frozen_reading")), Recording(manifest, frame)).any()
     stuck = Recording(manifest, frame.assign(T=np.where(np.arange(rows) < 100, x, x[100])))
-    assert drive_all(list(detect.frozen(guard)), stuck)[-1].all()
+    assert drive_all(list(detect.flags(guard, "frozen_reading")), stuck)[-1].all()
 
 
 def test_a_coarse_sensor_that_rests_is_not_frozen_and_one_that_is_stuck_is():
     """Readings of 0.1 K repeat while a temperature rests; before, the column was frozen in 1 of 20 healthy runs."""
     coarse = learn.learn(simulated_sensors.machine(12, seed=1, noise=0.04, display=0.1))
-    assert all(s.still for s in coarse.sensors)
+    assert all(s.rule("frozen_reading") for s in coarse.sensors)
     healthy = simulated_sensors.machine(20, seed=5, noise=0.04, display=0.1)
-    assert not np.any(drive_all(detect.frozen(coarse), healthy))
+    assert not np.any(drive_all(detect.flags(coarse, "frozen_reading"), healthy))
 
     bed, since = healthy.array("T_bed").copy(), healthy.time() - healthy.time().min()
     run = healthy.run_codes()
     start = np.array([bed[run == r][0] for r in run])
     rests = healthy.with_columns({"T_bed": np.where(since < 1200.0, start, bed)}, {})
     stuck = healthy.with_columns({"T_bed": start}, {})
-    flags = detect.frozen(coarse)[NAMES.index("T_bed")]
+    flags = detect.flags(coarse, "frozen_reading")[NAMES.index("T_bed")]
     assert not np.any(drive(flags, rests))
     assert np.all(drive(flags, stuck)[since > 3 * 3600.0])

@@ -123,7 +123,7 @@ def test_a_jump_is_a_fault_and_the_quickest_sound_change_none(watched):
     guard = found.guard
     k = sensors.NAMES.index("T_bed")
     assert not drive_all(faults(guard), rows).any()
-    step = np.where(rows.time() > 7200.0, 2.0 * guard.sensors[k].jump, 0.0)
+    step = np.where(rows.time() > 7200.0, 2.0 * guard.sensors[k].rule("sudden_change").jump, 0.0)
     jumped = rows.with_columns({"T_bed": rows.array("T_bed") + step}, {})
     assert drive_all(faults(guard), jumped)[:, k].any()
 
@@ -150,7 +150,7 @@ def test_a_sensor_that_no_other_tells_fades_the_correction(watched):
     lost = _guarded.choose_guard(poor, None)
     assert not all(s.stands_in for s in lost.guard.sensors) and "fades if" in lost.sentence
     alone = [s for s in lost.guard.sensors if not s.stands_in]  # a false alarm would cost the whole correction
-    assert all(s.jump >= 5.0 for s in alone)
+    assert all(s.rule("sudden_change").jump >= 5.0 for s in alone)
 
 
 @pytest.mark.parametrize("guarded", [True, False])

@@ -1,0 +1,18 @@
+"""Rules of the sensor guard: tests of each reading by itself. A new one is one file here and one entry in RULES."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from errpipe.guard.rules._base import Rule, activity, activity_of
+from errpipe.yamlfile import Choice
+
+NAMES = ("frozen_reading", "sudden_change")
+RULES: Choice[type[Rule]] = Choice.of_files("errpipe.guard.rules", "rule", NAMES)
+
+__all__ = ["RULES", "AnyRule", "Rule", "activity", "activity_of"]
+
+if TYPE_CHECKING:
+    AnyRule = Rule
+else:
+    AnyRule = RULES
