@@ -76,7 +76,7 @@ def _check_pipeline(path: Path, data: bool) -> str:
 
 def _github(problem: Problem) -> str:
     """A problem as a GitHub workflow command."""
-    from errpipe.reporting.github import workflow_command
+    from errpipe.reporting.markup import workflow_command
 
     place = {"file": problem.file, "line": problem.line or 1, "col": problem.column or 1, "title": "errpipe"}
     return workflow_command("error", f"{problem.key}: {problem.message}" if problem.key else problem.message, **place)

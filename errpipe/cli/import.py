@@ -58,8 +58,8 @@ def command(
     work = module_of("verbs.import_files")
     from errpipe.importing.sheet import ReaderOptions
 
-    said = {"axis": axis, "component": component, "unit": unit, "sign": sign, "title": title, "machine": machine}
-    options = work.options_of(**said, resolution=resolution, torque_constant=torque_constant, sets=sets)
+    stated = {"axis": axis, "component": component, "unit": unit, "sign": sign, "title": title, "machine": machine}
+    options = work.options_of(**stated, resolution=resolution, torque_constant=torque_constant, sets=sets)
     reader = ReaderOptions(sheet, tuple(n.strip() for n in names.split(",")) if names else (), period)
     try:
         proposal, shown = work.prepare(files, reader, options)
@@ -78,13 +78,13 @@ def _again(question: str, context: typer.Context) -> str:
     answer = re.search(r"[Dd]eclare it(?: with|:) (--(?:axis|unit) [A-Za-z]\w*)", question)
     if answer is None:
         return ""
-    said = ["errpipe", *context.command_path.split()[1:], *map(str, context.params["files"])]
+    words = ["errpipe", *context.command_path.split()[1:], *map(str, context.params["files"])]
     for option in context.command.params:
         value = context.params.get(str(option.name))
         if option.opts[0].startswith("--") and value not in (None, "", False, [], ()):
             for each in value if isinstance(value, list | tuple) else (value,):
-                said += [option.opts[0], *([] if each is True else [str(each)])]
-    return f"\nagain, where it is {answer[1].split()[1]}: {shlex.join(said)} {answer[1]}"
+                words += [option.opts[0], *([] if each is True else [str(each)])]
+    return f"\nagain, where it is {answer[1].split()[1]}: {shlex.join(words)} {answer[1]}"
 
 
 def _confirm(lines: list[str], asked: bool) -> None:

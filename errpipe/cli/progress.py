@@ -37,7 +37,6 @@ class ProgressReporter:
         self._lock = Lock()
 
     def callbacks(self) -> Callbacks:
-        """The callbacks for the engine."""
         return Callbacks(waiting=self._waiting, started=self._started, progress=self._progress, finished=self._finished)
 
     def _waiting(self) -> None:

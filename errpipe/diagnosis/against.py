@@ -91,7 +91,6 @@ def against(recording: Recording, earlier: Diagnosis) -> list[Held]:
 
 
 def _response(read: Recording, r: ResponseDiagnosis, findings: list[Finding], level: float) -> list[Held]:
-    """The findings of one response."""
     error, twin = read.name("error", component=r.component), read.name("simulated", component=r.component)
     if error is None or twin is None:
         return [_not_judged(r, f, "the recording has no recorded or no simulated column for it") for f in findings]
@@ -216,7 +215,6 @@ def earlier_spread(f: Finding) -> float:
 
 
 def _sizes(f: Finding) -> list[FoundParameter]:
-    """The linear parameters of a finding."""
     inner = {p.name for t in terms_of(f) for p in t.nonlinear()}
     return [q for q in f.parameters if q.name not in inner]
 

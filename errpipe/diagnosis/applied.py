@@ -308,7 +308,6 @@ class _Solve:
 
 
 def _scaled(part: Part, gain: float) -> Part:
-    """A part multiplied by a gain."""
     (term,), (values,) = part.terms, part.values
     scaled = values | {p.name: gain * values[p.name] for p in term.linear()}
     return replace(part, values=(scaled,), contribution=gain * part.contribution)

@@ -64,15 +64,12 @@ class ByDirection:
         return FoundParameter(name=name, value=float(value), unit=unit, ci95=ends)
 
     def damping(self) -> tuple[FoundParameter, ...]:
-        """Damping of each direction."""
         return tuple(self._in_units(f"damping_{way}", k, "N s/m") for way, k in (("forward", 1), ("backward", 2)))
 
     def force(self) -> tuple[FoundParameter, ...]:
-        """Dry friction of each direction."""
         return tuple(self._in_units(f"force_{way}", k, "N") for way, k in (("forward", 3), ("backward", 4)))
 
     def says(self) -> str:
-        """One sentence."""
         both = (*self.damping(), *self.force())
         values = [f"{p.value:.3g} ({p.ci95[0]:.3g} to {p.ci95[1]:.3g}) {p.unit}" for p in both]
         return (

@@ -237,7 +237,6 @@ def rms_and_spread(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def enumerate_all(recording: Recording, component: str, raw: Recording, signals: Signals) -> Iterator[Hypothesis]:
-    """Every hypothesis for a response."""
     by_time = time_of_one_pass(recording)
     for kind in TERMS:
         bound = list(kind.hypotheses(recording, raw, component))

@@ -335,7 +335,6 @@ def _unusual(made: model.Modelled) -> str:
 
 
 def in_words(r: ResponseDiagnosis) -> str:
-    """The response in one sentence."""
     unit = r.unit
     if r.verdict == "no_mismatch":
         return f"{r.component}: recording and simulation agree within the noise ({said(r.noise_floor_um)} {unit} rms)."

@@ -165,7 +165,6 @@ class Machine(Frozen):
         )
 
     def rotary_axes(self) -> tuple[str, ...]:
-        """Rotary axes by letter."""
         return tuple(sorted(n for n, a in self.axes.items() if a.kind == "rotary"))
 
     def direction(self, name: str) -> Vector:

@@ -201,7 +201,7 @@ class Column(Frozen):
         if self.role in ("error", "simulated", "uncertainty") and self.component is None:
             raise ValueError(f"a column of role {self.role} needs a component, such as EXX or E_Z")
         if self.acts_on is not None and self.role != "error":
-            raise ValueError(f"acts_on is said of a column of role error (found {self.role})")
+            raise ValueError(f"acts_on belongs to a column of role error (found {self.role})")
         if (
             self.role in ("position", "command", "actual", "direction", "velocity", "acceleration")
             and self.axis is None
@@ -249,7 +249,6 @@ class Manifest(Frozen):
         )
 
     def axis(self, letter: str) -> Constant | None:
-        """The constants of one axis, or None."""
         column = self.constants.get(letter)
         return column if column is not None and column.role == "axis" else None
 

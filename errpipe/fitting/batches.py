@@ -48,7 +48,6 @@ class Source:
 
     @property
     def manifest(self) -> Manifest:
-        """The manifest of the recording."""
         return self.ends.manifest
 
 
@@ -63,7 +62,6 @@ class Layout:
 
     @cached_property
     def rows_of_runs(self) -> dict[str, int]:
-        """Rows of each run."""
         return dict(zip(self.runs, self.lengths.tolist(), strict=True))
 
 
@@ -149,7 +147,6 @@ class History:
         return np.ascontiguousarray(np.hstack(self.sampled).T)
 
     def sample(self, manifest: Manifest) -> Recording:
-        """The rows of the sample as a recording."""
         return Recording(manifest, joined(self.kept))
 
     def rows_of_recording(self) -> np.ndarray:

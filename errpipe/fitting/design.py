@@ -104,7 +104,6 @@ class Problem:
         return matrices
 
     def names(self) -> list[Named]:
-        """One name per design column."""
         out = []
         for slot in self.slots:
             drivers = slot.term.drivers(self.recording)

@@ -24,7 +24,7 @@ from errpipe.fitting.judging import HeldOut, calibrated
 from errpipe.fitting.model import without_interval
 from errpipe.fitting.spec import ModelSpec
 from errpipe.fitting.validity import GAP, box, distance, extended
-from errpipe.kernels import whitening
+from errpipe.kernels.noise import correlated
 
 CUT = "cell_group"  # name of the column of cells' groups
 
@@ -143,7 +143,7 @@ def _coloured(source: Source, history: History, noise: uncertainty.Noise, prepar
         rows = history.columns(batch)
         known = np.isfinite(rows.sum(axis=1))
         design = np.ascontiguousarray(rows[known, 1:-2])
-        total += design.T @ whitening.correlated(batch.run_codes()[known], design, noise.rho, noise.share)
+        total += design.T @ correlated(batch.run_codes()[known], design, noise.rho, noise.share)
     return total
 
 

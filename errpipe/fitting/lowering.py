@@ -27,7 +27,6 @@ def lower(model: ErrorModel) -> dict[str, list[Lowered]]:
 
 
 def _scaled(pair: Lowered, gain: float) -> Lowered:
-    """The pair times a gain."""
     if gain == 1.0:
         return pair
     return replace(pair, driver=d.Affine(weights=(gain,), of=(pair.driver,)))

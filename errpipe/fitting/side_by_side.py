@@ -84,7 +84,6 @@ class InTurn:
 
     @contextmanager
     def __call__(self) -> Iterator[None]:
-        """The turn of this thread."""
         with self._lock:
             token = _inside.set(False)
             try:
@@ -105,7 +104,6 @@ class WhileAnyInside:
 
     @contextmanager
     def __call__(self) -> Iterator[None]:
-        """The setting while inside."""
         with self._lock:
             if not self._inside:
                 self._undo = self._set_up()

@@ -21,7 +21,7 @@ from scipy.special import expit, logit
 from errpipe.fitting.simplex import minimum
 from errpipe.fitting.solve import one_thread
 from errpipe.fitting.statistics import chi2_quantile, student_quantile
-from errpipe.kernels import whitening
+from errpipe.kernels.noise import correlated, innovations
 
 RHO = (0.3, 0.6, 0.8, 0.9, 0.95, 0.98, 0.995)  # starting points of the search: correlation of neighbouring rows,
 SHARE = (0.1, 0.3, 0.6, 0.9, 0.999)  # and the share of the noise that is correlated
@@ -53,7 +53,7 @@ def noise_model(sequence: np.ndarray, jacobian: np.ndarray, residual: np.ndarray
     scaled = None if penalty is None else penalty / np.outer(_length(jacobian), _length(jacobian))
 
     def cost(rho: float, share: float) -> tuple[float, float]:
-        whitened, logdet = whitening.innovations(sequence, both, min(rho, 0.9999), min(share, 0.9999))
+        whitened, logdet = innovations(sequence, both, min(rho, 0.9999), min(share, 0.9999))
         return _restricted(whitened, logdet, scaled)
 
     with one_thread():
@@ -127,7 +127,7 @@ def covariance(
     of a smooth curve would be too narrow.
     """
     with one_thread():
-        spread = noise.sigma**2 * (jacobian.T @ whitening.correlated(sequence, jacobian, noise.rho, noise.share))
+        spread = noise.sigma**2 * (jacobian.T @ correlated(sequence, jacobian, noise.rho, noise.share))
         if penalty is not None:
             spread = spread + noise.sigma**2 * noise.inflation() * penalty
         modelled = inverse @ spread @ inverse

@@ -17,7 +17,6 @@ MOST_RUNS = 100_000  # largest number stored: some MB
 
 
 def known_runs(runs: Mapping[str, int], at: int, rows: int) -> Stretches:
-    """The runs of `rows` rows from row `at` on."""
     ends = np.cumsum(list(runs.values()))
     first, last = np.searchsorted(ends, [at, at + rows - 1], side="right")
     return Stretches(list(runs)[first : last + 1], np.r_[0, ends[first:last] - at], rows)

@@ -24,13 +24,11 @@ def since_start(of: d.Driver) -> d.Driver:
 
 
 def larger(one: d.Driver, other: d.Driver) -> d.Driver:
-    """The larger of two."""
     above = d.Clip(of=d.Affine(weights=(1.0, -1.0), of=(one, other)), low=0.0, high=UNREACHABLE_SQUARE)
     return d.Affine(weights=(1.0, 1.0), of=(other, above))
 
 
 def squared(of: d.Driver) -> d.Driver:
-    """The square of a driver."""
     return d.Product(of=(of, of))
 
 

@@ -97,5 +97,4 @@ class SensorGuard(Frozen):
         return bool(self.sensors[0].precision)
 
     def names(self) -> tuple[str, ...]:
-        """Names of the guarded sensors."""
         return tuple(s.name for s in self.sensors)

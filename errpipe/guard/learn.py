@@ -7,7 +7,7 @@ extrapolates far; `hours` states their number. The rate holds for conditions lik
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,13 +16,12 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.guard import description as g
 from errpipe.guard.rows import Healthy, rows_of
-from errpipe.guard.rules import RULES, Rule, activity_of
+from errpipe.guard.rules import FALSE_ALARMS, RULES, activity_of
 
 # Time constants, chosen on the turning centre with both seasons in view (examples/sensor-failure); largest ratio to
 # healthy in 60 failures: horizon 0.75 h 1.4, 1 h 1.38, 1.5 h 1.29, 2 h 2.1; settle 15 min 1.38, 30 min 1.29, 1 h 1.36.
 HORIZON_S = 5400.0
 SETTLE_S = 1800.0
-FALSE_ALARMS = 0.5  # expected per 1000 hours, all sensors together
 RIDGES = np.logspace(-5, 1, 13)  # times the mean square of the readings: steps of half a decade
 MAX_CORRELATION = 0.8  # largest share of a fault in another sensor's residual; above it, noise selects the wrong sensor
 SELECTION_MARGIN = 1.1  # factor: the lowest of many thresholds is biased low
@@ -66,7 +65,7 @@ def learn(recording: Recording, sensors: Sequence[str] | None = None) -> g.Senso
                 estimate=tuple(map(float, weights[i])),
                 reach=float(max(REACH * largest[i], 1e-3)),
                 lively=float(np.quantile(alive[:, i], ACTIVE)) or None,
-                rules=_those(rule.learn(rows, i, per_hour / len(names)) for rule in RULES),
+                rules=tuple(filter(None, (rule.learn(rows, i, per_hour / len(names)) for rule in RULES))),
             )
             for i, name in enumerate(names)
         ),
@@ -170,7 +169,7 @@ def limits(recording: Recording, names: Sequence[str]) -> g.SensorGuard:
                 estimate=(0.0,) * len(names),
                 stands_in=False,
                 reach=float(max(REACH * np.abs(rows.rises()[:, i]).max(), 1e-3)),
-                rules=_those(rule.alone(rows, i) for rule in RULES),
+                rules=tuple(filter(None, (rule.alone(rows, i) for rule in RULES))),
             )
             for i, name in enumerate(names)
         ),
@@ -180,10 +179,6 @@ def limits(recording: Recording, names: Sequence[str]) -> g.SensorGuard:
         false_alarms=FALSE_ALARMS,
         hours=_hours(rows),
     )
-
-
-def _those(rules: Iterable[Rule | None]) -> tuple[Rule, ...]:
-    return tuple(rule for rule in rules if rule is not None)
 
 
 def _hours(rows: Healthy) -> float:

@@ -282,7 +282,6 @@ def fill(program, plan, node_fixed, profile_fixed, buffers):
 
 @kernel
 def workspace(program, plan):
-    """Buffers for one table."""
     sums = np.zeros((plan.components + program.profiles.size, BLOCK))
     inputs, nodes = np.zeros((program.inputs.size, BLOCK)), np.zeros((program.nodes.size, BLOCK))
     profiles, intervals = sums[plan.components :], np.empty(BLOCK, dtype=np.int32)

@@ -34,7 +34,6 @@ class Unobserved:
     left: float
 
     def sentence(self) -> str:
-        """One sentence for the user."""
         if len(self.components) == 1:
             return f"{self.components[0]} ({describe(self.components[0])}) is not observed"
         return "only combinations are observed of " + ", ".join(self.components)

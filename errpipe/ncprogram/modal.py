@@ -82,7 +82,8 @@ class Motion:
 
 def advance(block: Block, state: State, setup: Setup) -> tuple[State, Motion | None]:
     """The state after a block and the motion it makes, if any. Raises DataError for what is not understood."""
-    _program_number(block, state)
+    if block.has("O") and (len(block.words) > 1 or state.motion):  # else it is the number of the program
+        raise block.refused("a subroutine or loop (O word) is not understood")
     for word in block.words:
         if word.letter not in KNOWN_LETTERS | {"O"}:
             raise block.refused(f"the word {word.text} is not understood")
@@ -119,12 +120,6 @@ def advance(block: Block, state: State, setup: Setup) -> tuple[State, Motion | N
     centre = _arc(block, state, end) if state.motion in ("G2", "G3") else None
     motion = Motion(state.motion, state.position, end, state.plane, centre, _turns(block))
     return replace(state, position=end), motion
-
-
-def _program_number(block: Block, state: State) -> None:
-    """Raises DataError for an O word that is more than the number of the program, above its first motion."""
-    if block.has("O") and (len(block.words) > 1 or state.motion):
-        raise block.refused("a subroutine or loop (O word) is not understood")
 
 
 def _leaving(block: Block, state: State) -> State:

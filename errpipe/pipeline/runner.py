@@ -232,7 +232,6 @@ class _Work:
         return replace(self.step(stage, "run", reasons), written=tuple(written))
 
     def step(self, stage: Stage, action: str, reasons: Sequence[str]) -> Step:
-        """A Step with what is recorded of the stage."""
         record = self.records.get(stage.label)
         outputs, summary = (tuple(sorted(record.outputs)), record.summary) if record else ((), {})
         return Step(stage.label, stage.kind, action, tuple(reasons), outputs, (), summary)

@@ -163,7 +163,7 @@ def assign(document: Document, text: str) -> None:
         raise UsageError(f"{origin}: not of the form STAGE.key=value")
     value = _value_of(right, origin)
     if not isinstance(document.value, dict):
-        return  # said better when the file is validated
+        return  # the validation of the file reports it better
     names = _names(document)
     if steps[0] in names and len(steps) > 1:
         document.assign(("stages", names.index(str(steps[0])), *steps[1:]), value, origin)

@@ -59,8 +59,8 @@ def _command(file: Path, sets: Sequence[str]) -> str:
     data = files.read(file, files.MAX_JSON_BYTES, DataError)
     named = sorted({name.decode() for name in _VARIABLE.findall(data + "\n".join(sets).encode())})
     values = [[name, os.environ.get(name)] for name in named]
-    said: list[Any] = [lock.package_code(), os.getcwd(), os.fspath(file), jsonfile.fingerprint_bytes(data)]
-    return jsonfile.fingerprint([*said, list(sets), values])
+    content: list[Any] = [lock.package_code(), os.getcwd(), os.fspath(file), jsonfile.fingerprint_bytes(data)]
+    return jsonfile.fingerprint([*content, list(sets), values])
 
 
 def _is_fresh(name: str, paths: Sequence[str], records: Mapping[str, Record], out: Path) -> bool:

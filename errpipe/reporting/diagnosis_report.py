@@ -47,7 +47,6 @@ class Trace:
         return dict(zip(self.contributions, itertools.cycle(FINDINGS), strict=False))
 
     def label(self, column: str) -> str:
-        """A column with its unit."""
         unit = self.units.get(column, "")
         return f"{column} in {unit}" if unit else column
 

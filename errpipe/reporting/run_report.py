@@ -108,7 +108,8 @@ def before_after(r: Response) -> str:
         axes.plot(x[rows], r.deviation[rows], ".", ms=3, color=svg.BEFORE, label="before", alpha=0.75)
         left = r.deviation - r.predicted
         axes.plot(x[rows], left[rows], ".", ms=3, color=svg.AFTER, label="after, held out", alpha=0.75)
-        _floor(axes, r.noise_floor)
+        if r.noise_floor:
+            axes.axhspan(-r.noise_floor, r.noise_floor, color=svg.FLOOR, alpha=0.18, lw=0, label="noise floor, ±1 rms")
         axes.set(xlabel=label, ylabel=f"{r.component} deviation in {r.unit}")
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, markerscale=3)
         return svg.to_svg(canvas, f"{r.component} before and after on held-out rows")
@@ -161,8 +162,3 @@ def _trend(axes: Any, x: np.ndarray, y: np.ndarray) -> None:
     order = np.argsort(x[good], kind="stable")
     parts = np.array_split(order, BINS)
     axes.plot([x[good][p].mean() for p in parts], [y[good][p].mean() for p in parts], color=svg.INK, lw=1.2)
-
-
-def _floor(axes: Any, noise_floor: float | None) -> None:
-    if noise_floor:
-        axes.axhspan(-noise_floor, noise_floor, color=svg.FLOOR, alpha=0.18, lw=0, label="noise floor, ±1 rms")

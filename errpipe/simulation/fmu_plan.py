@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,9 +12,32 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.sessions import sessions
 from errpipe.errors import DataError, did_you_mean
 from errpipe.simulation.fmu_process import FmuProcess
-from errpipe.simulation.fmu_units import SPELLINGS, convert
 from errpipe.simulation.responses import error_column
 from errpipe.simulation.twin_options import FmuInput, FmuOptions, FmuOutput
+from errpipe.yamlfile import UNITS
+
+# dimension -> {unit: (zero, factor)}: base = (value - zero) * factor; in an FMU all speeds of rotation are one
+TABLE = {name: {u: (float(zero), float(factor)) for u, (zero, factor) in of.items()} for name, of in UNITS.items()}
+ROTATION = {"rad/s": 1, "rpm": math.pi / 30, "1/s": 2 * math.pi, "deg/s": math.pi / 180, "deg/min": math.pi / 10800}
+TABLE["angular speed"] = {unit: (0.0, factor) for unit, factor in ROTATION.items()}
+RISE = "temperature rise"
+TABLE[RISE] = {"K": (0.0, 1.0), "degC": (0.0, 1.0), "degF": (0.0, 5 / 9)}
+for name in ("rotational speed", "temperature difference"):
+    del TABLE[name]
+WRITTEN_AS = {
+    "degC": ("C", "Cel", "celsius", "deg_C"),
+    "degF": ("F",),
+    "um": ("µm", "μm"),
+    "inch": ("in",),
+    "rpm": ("rev/min", "1/min", "r/min"),
+    "1/s": ("Hz",),
+    "m/s": ("m.s-1",),
+    "m/s2": ("m/s^2", "m.s-2"),
+    "mm/s2": ("mm/s^2",),
+    "rad/s": ("rad.s-1",),
+    "1": ("-", ""),
+}
+SPELLINGS = {spelling: unit for unit, spellings in WRITTEN_AS.items() for spelling in spellings}
 
 MAX_STEPS = 5_000_000  # communication steps of one session: about ten minutes of a light FMU
 STEPS_PER_ROW = 4  # communication steps between two rows if the FMU states none: an input is held during a step
@@ -80,9 +104,9 @@ class Plan:
             raise DataError(f"{self.name}: time does not advance in any run: state the communication step (`step`)")
         return float(np.median(forward)) / STEPS_PER_ROW
 
-    def _unit(self, name: str, said: str | None) -> str:
+    def _unit(self, name: str, stated: str | None) -> str:
         declared = self.variables[name]["unit"]
-        written = said if said is not None else declared
+        written = stated if stated is not None else declared
         if written is None:
             raise DataError(f"{self.name}: {name} has no declared unit: set it with `unit`")
         unit = SPELLINGS.get(written, written)
@@ -181,3 +205,16 @@ class Plan:
                 values = np.interp(at, table[:, 0], table[:, 1 + names.index(variable)])
                 out[component][rows] = sign * convert(values, own, unit, self.name)
         return out
+
+
+def convert(values: Any, own: str, unit: str, why: str, rise: bool = False) -> Any:
+    """Convert values from one unit to another. Raises DataError starting with `why` for different quantities."""
+    kinds = [k for k, units in TABLE.items() if own in units and unit in units]
+    kinds = [k for k in kinds if (k == RISE) == rise] if own in ("K", "degC", "degF") else kinds
+    if not kinds:
+        of = {u: next((k for k, known in TABLE.items() if u in known), "not a known unit") for u in (own, unit)}
+        raise DataError(f"{why}: {own} is {of[own]}, {unit} is {of[unit]}")
+    (zero, factor), (to_zero, to_factor) = TABLE[kinds[0]][own], TABLE[kinds[0]][unit]
+    if own == unit:
+        return values
+    return (values - zero) * factor / to_factor + to_zero

@@ -192,7 +192,7 @@ class FmuProcess:
         text = os.pread(self.printed.fileno(), 4 * TAIL_CHARACTERS, start).decode("utf-8", errors="replace").strip()
         text = "".join(c if c.isprintable() or c == "\n" else " " for c in text.replace(str(self.folder), "..."))
         lines = [line.strip() for line in text[-TAIL_CHARACTERS:].splitlines() if line.strip()]
-        return f". It said: {' | '.join(lines[-3:])}" if lines else ""
+        return f". Its output: {' | '.join(lines[-3:])}" if lines else ""
 
 
 def unprivileged_user() -> int:

@@ -50,7 +50,8 @@ def build(pieces: tuple[Piece, ...], recording: Recording) -> tuple[bytes, str]:
             "sources/equations.h": header.encode(),
         }
         if binary is not None:
-            members[f"binaries/{_platform()}/{NAME}{_suffix()}"] = binary
+            system = {"win32": "win", "darwin": "darwin"}.get(sys.platform, "linux")
+            members[f"binaries/{system}{'64' if sys.maxsize > 2**32 else '32'}/{NAME}{_suffix()}"] = binary
         for name, data in members.items():
             archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), data)
     return out.getvalue(), problem
@@ -81,12 +82,6 @@ def compiled(sources: dict[str, str]) -> tuple[bytes | None, str]:
         if done.returncode or not library.is_file():
             return None, "the C compiler rejected the sources: the FMU contains only them"
         return library.read_bytes(), ""
-
-
-def _platform() -> str:
-    bits = "64" if sys.maxsize > 2**32 else "32"
-    system = {"win32": "win", "darwin": "darwin"}.get(sys.platform, "linux")
-    return system + bits
 
 
 def _suffix() -> str:

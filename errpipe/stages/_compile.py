@@ -116,7 +116,7 @@ def _not_measured(model: ErrorModel, pairs: Sequence[Lowered], recording: Record
     """The interpolated part of a turn: where the measured ends are further apart than the targets."""
     from errpipe.stages import _inputs, _plausible
 
-    said = []
+    sentences = []
     curved = {p.axis for p in pairs if p.axis is not None and p.profile is not None and not p.period}
     for axis in sorted(_inputs.turning(model) & curved):
         low, high = _inputs.travel(model)[axis]
@@ -126,8 +126,8 @@ def _not_measured(model: ErrorModel, pairs: Sequence[Lowered], recording: Record
             places = np.unique(recording.array(column)) if column is not None else places
         usual = float(np.diff(places[(places >= low) & (places <= high)]).max(initial=0.0))
         if low + TURN - high > USUAL * usual:
-            said.append(_plausible.bridged(axis, high, low + TURN))
-    return said
+            sentences.append(_plausible.bridged(axis, high, low + TURN))
+    return sentences
 
 
 def travel_speeds(recording: Recording) -> dict[str, float]:

@@ -74,7 +74,6 @@ class Judge:
     before: Mapping[str, float]
 
     def compiled(self, guard: SensorGuard) -> CompensationTable:
-        """The table with a guard."""
         return compile_model(self.model, self.options, guard, self.recording)
 
     def free_nodes(self) -> int:
@@ -124,7 +123,6 @@ def _fewer_rows(recording: Recording) -> Recording:
 
 
 def sensors_read(plain: CompensationTable, recording: Recording) -> list[str]:
-    """Temperatures of the recording that a table reads."""
     read = {i.name for i in plain.inputs}
     return [n for n in recording.names("temperature") if n in read]
 
@@ -154,11 +152,11 @@ def choose_guard(judge: Judge, scheme: str | None) -> TableGuard:
         )
     document = {"watched": list(names), "stand_in": [s.name for s in guard.sensors if s.stands_in], "cost": cost}
     fading = [s.name for s in guard.sensors if not s.stands_in]
-    said = f"{len(names)} temperatures are monitored against each other, and replace one that fails"
+    sentence = f"{len(names)} temperatures are monitored against each other, and replace one that fails"
     others = [n for n in sensors_read(judge.plain, held) if n not in names]
-    said += f"; {len(others)} of less influence are not; the correction fades if one is lost" if others else ""
-    said += f"; the correction fades if {' or '.join(fading)} fails, which no other replaces" if fading else ""
-    return TableGuard(guard, said, document)
+    sentence += f"; {len(others)} of less influence are not; the correction fades if one is lost" if others else ""
+    sentence += f"; the correction fades if {' or '.join(fading)} fails, which no other replaces" if fading else ""
+    return TableGuard(guard, sentence, document)
 
 
 def _chosen(judge: Judge, held: Recording, max_count: int) -> tuple[str, ...]:
@@ -285,7 +283,6 @@ def _nodes_of_rules() -> int:
 
 
 def no_guard(why: str) -> TableGuard:
-    """No guard, with the reason."""
     return TableGuard(
         None, f"temperatures are not monitored ({why}): a failed one is followed", {"watched": [], "why": why}
     )

@@ -85,7 +85,7 @@ def remarks(proof: Sequence[Mapping[str, Any]], passed: Passed) -> list[str]:
     Raises VerifyError if the table without guards differs from the model by more than its bound, and GateError
     if the guards cancel the gain of the model on held-out rows: the table may do harm.
     """
-    said = []
+    sentences = []
     for p in proof:
         name, unit, off = p["component"], p["unit"], p["rms_difference_um"]
         if not p["unguarded_difference_um"] <= p["bound_um"] + ROUNDING_UM:
@@ -105,5 +105,5 @@ def remarks(proof: Sequence[Mapping[str, Any]], passed: Passed) -> list[str]:
         if off >= gain > 0.0:
             raise GateError(f"export: {words}. The model gains {gain:.3g} {unit}. Nothing was exported.")
         if p["rows_held_back"]:
-            said.append(words)
-    return said
+            sentences.append(words)
+    return sentences

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from errpipe import __version__, jsonfile
@@ -19,9 +20,14 @@ from errpipe.formats import manifest_folder
 from errpipe.formats.manifest_folder import MANIFEST
 from errpipe.reporting.diagnosis_report import Trace, render
 from errpipe.simulation import external
-from errpipe.stages import _apply_findings, _artefacts, _twin_sign_and_unit
+from errpipe.stages import _apply_findings, _artefacts
 from errpipe.stages._docstrings import equation
 from errpipe.terms import TERMS
+
+ROWS = 20  # with fewer rows no warning is given
+MIN_CORRELATION = 0.8  # correlation from which on the two are one curve
+MIRRORED = (0.8, 1.25)  # minus the slope of measured on simulated of a sign alone; missing physics gives any slope
+UNIT = 300.0  # factor between the two from which on a unit is likelier than a simulation so far off (um and mm: 1000)
 
 
 def diagnose(
@@ -55,7 +61,7 @@ def diagnose(
         raise UsageError(str(err)) from None
     jsonfile.write(Path(out) / "diagnosis.json", document)
     jsonfile.write_text(Path(out) / "report.html", page)
-    lines = [*_twin_sign_and_unit.warnings(read), *(r.says for r in diagnosis.responses)]
+    lines = [*sign_and_unit_warnings(read), *(r.says for r in diagnosis.responses)]
     summary = {"says": lines, "verdicts": {r.component: r.verdict for r in diagnosis.responses}}
     if apply is not None:
         later = lambda share, text: progress(0.5 + 0.5 * share, f"once more: {text}")  # noqa: E731
@@ -91,7 +97,7 @@ def against(recording: Path, findings: Path, out: Path, simulation: Path | None 
     jsonfile.write(Path(out) / "against.json", document)
     changed = [f"{h.effect} ({h.component})" for h in held if h.changed]
     return {
-        "says": [*_twin_sign_and_unit.warnings(read), *(h.says for h in held), *earlier_findings.more_left(held)],
+        "says": [*sign_and_unit_warnings(read), *(h.says for h in held), *earlier_findings.more_left(held)],
         "changed": changed,
         **document,
     }
@@ -105,9 +111,7 @@ def judged(
     notes: reported before all else.
     """
     diagnosis, rows = judge(recording, progress)
-    diagnosis = diagnosis.model_copy(
-        update={"notes": (*_twin_sign_and_unit.warnings(recording), *notes, *diagnosis.notes)}
-    )
+    diagnosis = diagnosis.model_copy(update={"notes": (*sign_and_unit_warnings(recording), *notes, *diagnosis.notes)})
     clock = recording.name("time") or ""
     units = {name: c.unit for name, c in recording.manifest.columns.items() if c.unit}
     traces = [Trace(r.before, r.after, r.run, r.contribution, r.inputs, clock, units) for r in rows]
@@ -138,3 +142,28 @@ def with_simulation(
         if p["value"] != p["start"]
     ]
     return read, tuple(notes), list(figures.get("parameters", ()))
+
+
+def sign_and_unit_warnings(recording: Recording) -> tuple[str, ...]:
+    """One sentence for each response whose twin looks like that. Slope and correlation are over all rows with both."""
+    out = []
+    for component in recording.components():
+        names = [recording.name(role, component=component) for role in ("error", "simulated")]
+        if None in names:
+            continue
+        measured, simulated = (recording.array(str(name)) for name in names)
+        both = np.isfinite(measured) & np.isfinite(simulated)
+        y, s = measured[both], simulated[both]
+        if y.size < ROWS or not (np.std(y) > 0.0 and np.std(s) > 0.0):
+            continue
+        correlation = float(np.corrcoef(y, s)[0, 1])
+        slope = correlation * float(np.std(y) / np.std(s))
+        if correlation < -MIN_CORRELATION and MIRRORED[0] < -slope < MIRRORED[1]:
+            why = "one of them has the other sign (deviation = actual - commanded)"
+        elif abs(correlation) > MIN_CORRELATION and not 1.0 / UNIT < abs(slope) < UNIT:
+            unit = recording.manifest.columns[str(names[1])].unit
+            why = f"one of them is probably not in {unit}"
+        else:
+            continue
+        out.append(f"{component}: measured is {slope:.3g} of simulated (correlation {correlation:.2f}): {why}")
+    return tuple(out)

@@ -100,7 +100,7 @@ class Export(CompileOptions, SignOptions, Stage):
         worst = max((p["largest_difference_um"] for p in proof), default=0.0)
         summary = {"table": _artefacts.TABLE, "largest_difference_from_the_model_um": worst}
         summary |= {"guard": chosen.sentence} if chosen is not None else {}
-        worse = ". ".join(dict.fromkeys(said for row in files for said in row.get("worse", ())))
+        worse = ". ".join(dict.fromkeys(sentence for row in files for sentence in row.get("worse", ())))
         summary |= {"worse": worse} if worse else {}
         held = {p["component"]: p["rows_held_back"] for p in proof if p["rows_held_back"]}
         return summary | ({"rows_held_back": ", ".join(f"{n} {rows}" for n, rows in held.items())} if held else {})

@@ -93,7 +93,7 @@ class ExportVolumetric(SignOptions, Stage):
             context.write_text(LATTICE, text)
         facts["sha256"] = checksums(context.folder, files, [_artefacts.TWIN, *([LATTICE] if self.lattice else [])])
         context.write_json("export.json", {"export": 1, "inputs": context.fingerprint, **facts})
-        worse = ". ".join(dict.fromkeys(said for row in files for said in row.get("worse", ())))
+        worse = ". ".join(dict.fromkeys(sentence for row in files for sentence in row.get("worse", ())))
         figures = {"table": _artefacts.TABLE, "largest_difference_um": worst}
         return {**figures, **({"worse": worse} if worse else {})}
 

@@ -68,10 +68,10 @@ class Ingest(Stage):
         """Write the runs that are kept, as without the table that was on. Returns the rows, and what was added."""
         from errpipe.formats import manifest_folder
 
-        recording, said = formats.read(path, self.format, self.options), None
+        recording, compensated = formats.read(path, self.format, self.options), None
         if self.compensated_by is not None:
-            recording, said = _uncompensated(recording, self.compensated_by, self.compensated_since)
-        return manifest_folder.write(self._kept(recording), context.folder), said
+            recording, compensated = _uncompensated(recording, self.compensated_by, self.compensated_since)
+        return manifest_folder.write(self._kept(recording), context.folder), compensated
 
     def _kept(self, recording: Recording) -> Recording:
         """The requested runs. Raises DataError if none remains; an excluded run need not exist."""
@@ -134,10 +134,10 @@ def _uncompensated(recording: Recording, path: Path, since: str | None) -> tuple
     except DataError as err:
         raise DataError(f"{path}: {err}") from None
     machine = {measured[c]: recording.array(measured[c]) + np.where(rows, taken[c], 0.0) for c in shared}
-    said = {
+    compensated = {
         "table": ect.fingerprint(table),
         "rows": int(rows.sum()),
         "since": since,
         "rms_um": {c: float(np.sqrt(np.nanmean(taken[c][rows] ** 2))) for c in shared},
     }
-    return recording.with_columns(machine, {}), said
+    return recording.with_columns(machine, {}), compensated

@@ -23,10 +23,11 @@ from errpipe.fitting.components import evaluate, from_run_start
 from errpipe.formats import manifest_folder
 from errpipe.stages import _artefacts, _readings
 from errpipe.stages._compile import CompileOptions, compile_model
-from errpipe.stages._same_inputs import refuse_others
 from errpipe.tables import batch, by_component
 from errpipe.validation import predict as rows
 from errpipe.validation.predict import Begin, Evaluate, Predictor, of_evaluator
+
+PLACES = {"position": ("position", "command", "actual"), "direction": ("direction",)}  # input of a table -> roles
 
 SILENT = (
     "no reading for too long in {} of {} rows: the last one is held there, without an interval unless the model widens "
@@ -52,18 +53,18 @@ def predict(source: Path, recording: Path, out: Path, readings: Path | None = No
     source_of = (
         _of_model(compensation) if isinstance(compensation, ErrorModel) else _of_table(compensation, Path(source))
     )
-    said: dict[str, Any] = {}
+    summary: dict[str, Any] = {}
     silent: dict[str, int] = {}
     if readings is not None:
         read = _artefacts.recording_in(Path(recording))
         plain = rows.predict(source_of, read, silent)
-        frame, said = _with_readings(compensation, source_of, read, plain, Path(readings))
+        frame, summary = _with_readings(compensation, source_of, read, plain, Path(readings))
         frames = iter([frame])
     elif source_of.in_parts:
         frames = rows.predict_parts(source_of, manifest_folder.iter_chunks(Path(recording)), silent)
     else:
         frames = iter([rows.predict(source_of, _artefacts.recording_in(Path(recording)), silent)])
-    answer = {"written": str(out)} | _write_rows(Path(out), frames) | said
+    answer = {"written": str(out)} | _write_rows(Path(out), frames) | summary
     if silent:
         answer["silent"] = {name: SILENT.format(count, answer["rows"]) for name, count in silent.items()}
     without = [c for c in source_of.components if c not in source_of.half_width90]
@@ -120,7 +121,7 @@ def _with_readings(
     table = _compiled(compensation) if isinstance(compensation, ErrorModel) else compensation
     channels = {i.name: i for i in table.inputs} if table is not None else {}
     read = _readings.read(path, recording, source.components)
-    inputs, added, said = {}, {}, {}
+    inputs, added, notes = {}, {}, {}
     for component in (c for c in source.components if c in read.columns):
         name = recording.name("error", component=component) or component
         channel = channels.get(f"datum_{component}")
@@ -132,7 +133,7 @@ def _with_readings(
             raise DataError(
                 f"{path}: no reading of {component} is both accepted and within a run of the recording{away}"
             )
-        said[component] = {"used": used, "not_believed": wild, "by": channel.name if channel else ADDED_TO_PREDICTION}
+        notes[component] = {"used": used, "not_believed": wild, "by": channel.name if channel else ADDED_TO_PREDICTION}
         if channel is not None:
             inputs[channel.name] = difference
         else:
@@ -142,7 +143,7 @@ def _with_readings(
     for name, difference in added.items():
         for ending in ("predicted", "lower", "upper"):
             frame[f"{name}_{ending}"] += difference
-    return frame, {"readings": said}
+    return frame, {"readings": notes}
 
 
 def _why_empty(source: ErrorModel | CompensationTable, without: list[str]) -> str:
@@ -227,3 +228,39 @@ def table_values(table: CompensationTable, model: ErrorModel, recording: Recordi
     if model.datum == "run_start":
         return {name: from_run_start(recording, values) for name, values in replay.deviation.items()}
     return replay.deviation
+
+
+def refuse_others(source: ErrorModel | CompensationTable, manifest: Manifest) -> None:
+    """Raises DataError if a column has the name of an input, but another axis, role or unit: X in place of Y, say.
+
+    What lacks a column is not looked at, nor what states neither.
+    """
+    means = dict(_inputs_of_model(source) if isinstance(source, ErrorModel) else _inputs_of_table(source))
+    for name, (roles, axis, unit) in means.items():
+        column = manifest.columns.get(name)
+        if column is None:
+            continue
+        wrong = [
+            f"{found} here, {' or '.join(allowed)} there"
+            for found, allowed in ((column.role, roles), (f"axis {column.axis}", axis), (f"in {column.unit}", unit))
+            if allowed and found not in allowed
+        ]
+        if wrong:
+            raise DataError(f"column {name} is not what the compensation was made for ({'; '.join(wrong)})")
+
+
+Means = Iterator[tuple[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]]]
+
+
+def _inputs_of_model(model: ErrorModel) -> Means:
+    for name, facts in model.columns.items():
+        axis, unit, role = facts.get("axis"), facts.get("unit"), facts["role"]
+        roles = PLACES["position"] if role in PLACES["position"] else (role,)
+        yield name, (roles, (f"axis {axis}",) if axis else (), (f"in {unit}",) if unit else ())
+
+
+def _inputs_of_table(table: CompensationTable) -> Means:
+    for i in table.inputs:
+        moves = i.kind in PLACES
+        axis = (f"axis {i.axis}",) if moves and i.axis else ()
+        yield i.name, (PLACES.get(i.kind, ()), axis, (f"in {i.unit}",) if i.unit else ())

@@ -230,8 +230,8 @@ def _bound_to(term: Any) -> str:
     from errpipe.terms import plain
 
     bound = plain(term) | ({"reference": term.reference} if hasattr(term, "reference") else {})
-    said = {key: f"{v:g}" if isinstance(v, float) else v for key, v in bound.items() if key != "term"}
-    return ", ".join(f"{key.replace('_', ' ')} {v}" for key, v in said.items() if isinstance(v, str))
+    stated = {key: f"{v:g}" if isinstance(v, float) else v for key, v in bound.items() if key != "term"}
+    return ", ".join(f"{key.replace('_', ' ')} {v}" for key, v in stated.items() if isinstance(v, str))
 
 
 def _group(figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -295,7 +295,7 @@ def _left_out(exported: Mapping[str, Mapping[str, Any]]) -> list[str]:
         out += [f"{document['ungated']}."] if document.get("ungated") else []
         out += [f"Sensors: {document['guard']['says']}."] if "guard" in document else []
         out += dict.fromkeys(row["sibling"] for row in document["files"] if row.get("sibling"))
-        out += dict.fromkeys(said for row in document["files"] for said in row.get("worse", ()))
+        out += dict.fromkeys(sentence for row in document["files"] for sentence in row.get("worse", ()))
     return out
 
 

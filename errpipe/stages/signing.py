@@ -161,8 +161,8 @@ def rollback(
     with files.whole(out) if out is not None else BytesIO() as stream:  # it cannot be written: nothing is on record
         stream.write(data)
         entry = store.append(machine, "rollback", data, _why(why), when, key, len(past), to)
-    said = f"machine {machine}: entry {entry.number} is again the table of entry {to}"
-    return _row(entry, store) | _with_remark(said, when)
+    sentence = f"machine {machine}: entry {entry.number} is again the table of entry {to}"
+    return _row(entry, store) | _with_remark(sentence, when)
 
 
 def _before(past: Sequence[Entry]) -> list[Entry]:
@@ -242,16 +242,16 @@ def _time_after(past: Sequence[Entry], text: str | None) -> str:
     return time
 
 
-def _with_remark(said: str, when: str) -> dict[str, Any]:
+def _with_remark(sentence: str, when: str) -> dict[str, Any]:
     """What is printed of a new entry, with a remark on a time that has not come: a slip (2062 for 2026) stays for good.
 
     It is no error: a host's clock may be the wrong one.
     """
     now = _time(None)
     if when <= now:
-        return {"says": [said]}
+        return {"says": [sentence]}
     remark = f"{when} is later than this host's clock ({now}): `log --at` knows the table from then on only"
-    return {"says": [said, remark], "remark": remark}
+    return {"says": [sentence, remark], "remark": remark}
 
 
 def _time(text: str | None) -> str:

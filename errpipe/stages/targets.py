@@ -134,7 +134,7 @@ def export(
         document["consequences"] = consequences
         document["sha256"] = checksums(folder, rows, [_artefacts.TABLE, _artefacts.TWIN, *signed_too])
         jsonfile.write(folder / "export.json", document)
-    worse = dict.fromkeys(said for r in rows for said in r.get("worse", ()))
+    worse = dict.fromkeys(sentence for r in rows for sentence in r.get("worse", ()))
     says = [*(f"{Path(out) / r['file']}: {r['what']}, lost: {r['error']}" for r in rows), *worse, *consequences]
     return {"files": rows, "says": says}
 
@@ -174,7 +174,7 @@ def write_targets(
             jsonfile.write_text(inside(folder, f"{target.name}/{name}", GateError), text)
         steps = checklist(target, read, lost, kept, others)
         hint = _with_companions(kept, target, others) if others else sibling(table, target, lost)
-        steps += "".join(f"\n{said}\n" for said in (*(f"**{x}.**" for x in worse), hint, note) if said)
+        steps += "".join(f"\n{sentence}\n" for sentence in (*(f"**{x}.**" for x in worse), hint, note) if sentence)
         jsonfile.write_text(folder / target.name / CHECKLIST, steps)
         out += [
             {
@@ -204,15 +204,15 @@ def _without_harm(
     read += ReadBack(curves=_entered(table, parts, files))
     harmed, names = _loss.harmed(table, read), " and ".join(sorted(p.name for p in parts))
     if not harmed:
-        return table, files[0], [f"{names}: {said}" for said in _loss.worse_than_none(table, read)]
+        return table, files[0], [f"{names}: {sentence}" for sentence in _loss.worse_than_none(table, read)]
     figures = (f"{a} {left:.3g} {loss_unit(a)} rms instead of {without:.3g}" for a, (left, without) in harmed.items())
-    said = f"{names}: worse with these files than without: {', '.join(figures)}"
+    sentence = f"{names}: worse with these files than without: {', '.join(figures)}"
     kept = table.model_copy(update={"outputs": tuple(o for o in table.outputs if o.axis not in harmed)})
     try:
         kept, first, more = _without_harm(kept, parts)
     except GateError:
-        raise GateError(f"{said}: {ANOTHER_FORMAT}") from None
-    return kept, first, [f"{said}; left out of them. To correct it, {ANOTHER_FORMAT}", *more]
+        raise GateError(f"{sentence}: {ANOTHER_FORMAT}") from None
+    return kept, first, [f"{sentence}; left out of them. To correct it, {ANOTHER_FORMAT}", *more]
 
 
 def _entered(table: CompensationTable, parts: Sequence[Any], files: Sequence[dict[str, str]]) -> tuple[Curve, ...]:
@@ -298,13 +298,12 @@ def losses(table: CompensationTable, target: Any, files: dict[str, str]) -> list
 
 
 def in_words(lost: list[dict[str, Any]]) -> str:
-    """Losses in words."""
     if not lost:
         return "nothing: no axis is moved"
     units = [loss_unit(x["axis"]) if x["assessed"] else "" for x in lost]
     last = [unit if following != unit else "" for unit, following in zip(units, [*units[1:], ""], strict=True)]
     figures = (f"{x['rms_um']:.3g} rms, at most {at_most(x['bound_um'])}" for x in lost)
-    rows = [f"{x['axis']} {said if x['assessed'] else 'not assessed'}" for x, said in zip(lost, figures, strict=True)]
+    rows = [f"{x['axis']} {text if x['assessed'] else 'not assessed'}" for x, text in zip(lost, figures, strict=True)]
     words = "; ".join(f"{row} {unit}".rstrip() for row, unit in zip(rows, last, strict=True))
     zeros = ", ".join(f"{x['axis']} {x['constant_um']:+.3g} um" for x in lost if abs(x["constant_um"]) > LARGE_UM)
     return words + (f" (besides constants, which setting the zero removes: {zeros})" if zeros else "")

@@ -16,7 +16,6 @@ from errpipe.tables import layout as lay
 
 
 def dumps(table: t.CompensationTable) -> bytes:
-    """The bytes of the file."""
     sections = _sections(table)
     at = lay.HEADER_SIZE
     index, body = b"", b""

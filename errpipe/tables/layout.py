@@ -88,5 +88,5 @@ def records(version: int) -> dict[int, tuple[str, struct.Struct]]:
 def input_flags(i: t.TableInput) -> int:
     """The flags of an input's record."""
     has = {HAS_VALID: i.valid, HAS_MAX_RATE: i.max_rate, HAS_STALE: i.stale_after_s, HAS_HOLD: i.hold_s}
-    said = OPTIONAL * i.optional | FADE_ON_DEFAULT * i.fade_on_default
-    return said | sum(flag for flag, value in has.items() if value is not None)
+    flags = OPTIONAL * i.optional | FADE_ON_DEFAULT * i.fade_on_default
+    return flags | sum(flag for flag, value in has.items() if value is not None)

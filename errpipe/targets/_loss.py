@@ -109,7 +109,7 @@ def worse_than_none(table: CompensationTable, read: ReadBack) -> list[str]:
             where = f"worse than without these files where {sensor} = {reading:.4g} degC"
             figures = f"{left:.3g} instead of {without:.3g} {loss_unit(axis)} rms"
             worst[axis] = left - without, f"{axis}: {where}: {figures}; they hold the curve of one thermal state"
-    return [said for _, said in worst.values()]
+    return [sentence for _, sentence in worst.values()]
 
 
 def _states(table: CompensationTable, rng: np.random.Generator) -> tuple[dict[str, np.ndarray], np.ndarray]:

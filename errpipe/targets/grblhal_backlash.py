@@ -3,7 +3,7 @@
 Value     lost motion in mm, at least 0.0001: at each reversal the motor is moved so much further in the new direction
           (motion_control.c, ENABLE_BACKLASH_COMPENSATION). Against each other, the direction upwards is pushed by it.
 Limits    one number an axis, the mean over its travel; axes X Y Z A B C U V; the firmware must have been built with
-          ENABLE_BACKLASH_COMPENSATION; an axis that is pushed too far at reversals already cannot be said.
+          ENABLE_BACKLASH_COMPENSATION; an axis that overshoots at reversals cannot be corrected.
 """
 
 from __future__ import annotations

@@ -62,8 +62,8 @@ class HaasPitch(ScrewMap):
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
         low, high = _sample.span(table, axis)
         if (needed := int(np.ceil((high - low) / STEP - 1e-9)) + 1) > cls.max_points:
-            said = f"{needed} values of half an inch are needed, {cls.max_points} fit: {ANOTHER_FORMAT}"
-            raise GateError(f"{cls.name}: {axis}: {said}")
+            needs = f"{needed} values of half an inch are needed, {cls.max_points} fit: {ANOTHER_FORMAT}"
+            raise GateError(f"{cls.name}: {axis}: {needs}")
         return high - STEP * np.arange(int(np.ceil((high - low) / STEP - 1e-9)), -1, -1)
 
     @classmethod

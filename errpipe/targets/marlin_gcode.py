@@ -5,7 +5,7 @@ Mesh      the bed's height in mm at grid point I (X), J (Y): Z is lifted by it, 
           every height, else the firmware lets the mesh fade out over its first 10 mm (DEFAULT_LEVELING_FADE_HEIGHT).
 Value     of M425: lost motion in mm; steps are added to the first segments after a reversal (feature/backlash.cpp),
           so against each other the direction upwards is pushed by it; F1 takes all of it.
-Limits    Z over X and Y, lost motion; no screw errors, no temperature; what is negative at a reversal cannot be said.
+Limits    Z over X and Y, lost motion; no screw errors, no temperature; a negative reversal error cannot be expressed.
 """
 
 from __future__ import annotations

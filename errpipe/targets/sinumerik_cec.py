@@ -122,8 +122,8 @@ class SinumerikCec(Target):
         if not blocks:
             raise GateError("sinumerik_cec: no axis of the table is corrected over a position")
         if len(blocks) > MAX_TABLES:
-            said = f"{len(blocks)} tables are needed, {MAX_TABLES} fit: correct fewer axes or components, or"
-            raise GateError(f"sinumerik_cec: {said} {ANOTHER_FORMAT}")
+            needs = f"{len(blocks)} tables are needed, {MAX_TABLES} fit: correct fewer axes or components, or"
+            raise GateError(f"sinumerik_cec: {needs} {ANOTHER_FORMAT}")
         remarks = ""
         max_products = (MAX_TABLES - len(blocks)) // PER_PRODUCT
         for factors in _products(table)[:max_products] if max_products else ():

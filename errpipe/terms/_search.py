@@ -83,7 +83,6 @@ class Listed:
     bounded: ClassVar[bool] = True  # False: the recording sets the limits, not the parameter's bounds
 
     def values(self, term: Any, name: str, recording: Recording, signals: Signals) -> tuple[float, ...]:
-        """Values to try."""
         return self.listed
 
     def neighbours(self, value: float, term: Any, recording: Recording) -> np.ndarray:

@@ -213,7 +213,7 @@ def zero_within_run(r: Response) -> Finding | None:
     least = max(NEW_ZERO * 1.4826 * float(np.median(np.abs(local[within]))), MIN_ZERO_SHIFT_UM)
     within &= (np.abs(local) > least) & (np.abs(np.diff(rest)[rows - 1]) > SHARP * np.abs(local))
     steps = rows[within & (r.side()[rows] == r.side()[rows - 1])]
-    said = []
+    shifted = []
     for k in dict.fromkeys(run[steps].tolist()):
         own, at = np.flatnonzero(run == k), steps[run[steps] == k]
         if np.diff(at).min(initial=run.size) < 2 * NEAR:  # a gauge that stuck or was touched, and returned
@@ -224,15 +224,15 @@ def zero_within_run(r: Response) -> Finding | None:
             where = [
                 f"{s:+.3g} {r.component.unit} after row {r.rows[i - 1] + 1}" for i, s in zip(at, size[2:], strict=True)
             ]
-            said.append(f"run {r.recording.run_labels()[int(k)]}: {', '.join(where)}")
-    if not said:
+            shifted.append(f"run {r.recording.run_labels()[int(k)]}: {', '.join(where)}")
+    if not shifted:
         return None
     meant = (
         "the zero of the instrument was changed: subtract each step from the readings that follow it in its run, and "
         "from the runs after it that did not return"
     )
     return Finding(
-        "new-zero", r.column, f"within a run all readings shift at once ({'; '.join(said[:3])})", meant, "ask"
+        "new-zero", r.column, f"within a run all readings shift at once ({'; '.join(shifted[:3])})", meant, "ask"
     )
 
 

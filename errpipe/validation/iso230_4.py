@@ -132,11 +132,6 @@ def _plane(runs: list[Circle]) -> CircularTest:
     return CircularTest(figures, effects, noise)
 
 
-def _arc(circle: Circle) -> float:
-    turned = np.unwrap(circle.angle)
-    return float(np.degrees(np.ptp(turned))) + 360.0 / max(len(turned), 1)
-
-
 def minimum_zone(angle: np.ndarray, deviation: np.ndarray, radius: float) -> float:
     """Circular deviation G: width of the narrowest ring around the path, centre free, um.
 
@@ -186,7 +181,8 @@ def centred(circle: Circle) -> np.ndarray:
 
 def is_full(circle: Circle) -> bool:
     """Whether a run covers enough of the circle for circle figures."""
-    return _arc(circle) >= FULL_CIRCLE
+    arc = float(np.degrees(np.ptp(np.unwrap(circle.angle))))
+    return arc + 360.0 / max(len(circle.angle), 1) >= FULL_CIRCLE
 
 
 def _hysteresis(runs: list[Circle]) -> float | None:

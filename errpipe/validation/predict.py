@@ -65,7 +65,6 @@ class Predictor:
 
 
 def of_model(model: ErrorModel) -> Predictor:
-    """The predictor of a fitted model."""
     from errpipe.fitting.components import evaluate  # a table needs no solver
 
     return of_evaluator(lambda recording: evaluate(model, recording), model)

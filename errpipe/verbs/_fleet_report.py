@@ -9,7 +9,7 @@ from typing import Any
 
 from errpipe import jsonfile
 from errpipe.domain.error_model import ErrorModel
-from errpipe.reporting.markdown import plain_text
+from errpipe.reporting.markup import plain_text
 from errpipe.stages import _artefacts
 from errpipe.verbs import _fleet_types
 
@@ -99,7 +99,6 @@ def _type(
 
 
 def lines(document: Mapping[str, Any]) -> list[str]:
-    """The report as Markdown."""
     rows = document["machines"]
     states = [r["state"] for r in rows]
     out = [f"# {plain_text(document['title'] or 'Fleet')}: {len(rows)} machines", ""]

@@ -28,7 +28,7 @@ os.environ.update(dict.fromkeys(THREADS, "1"))  # results and cores are then tho
 for _name in MODULES:
     import_module(_name)
 # Numba is imported, and compiled code read from its cache, at a kernel's first call.
-_np, _whitening = import_module("numpy"), import_module("errpipe.kernels.whitening")
-_whitening.innovations(_np.zeros(2, dtype=_np.int64), _np.zeros((2, 1)), 0.5, 0.5)
+_np, _noise = import_module("numpy"), import_module("errpipe.kernels.noise")
+_noise.innovations(_np.zeros(2, dtype=_np.int64), _np.zeros((2, 1)), 0.5, 0.5)
 gc.freeze()  # a collection would write to every page, and the copies would no longer share them
 gc.enable()

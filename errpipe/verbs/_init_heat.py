@@ -85,8 +85,8 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
         return written(()), []
     what = holdout.name(heat.scheme)
     why = f"terms of heat: {what} leaves {heat.after:.3g} um with them, {heat.before:.3g} um without temperatures"
-    said = f"{flow(heat.scheme.model_dump(exclude_defaults=True))}   # {why}"
-    return re.sub(r"(?m)^( +holdout: ).*", lambda found: found[1] + said, written(heat.terms)), [why]
+    text = f"{flow(heat.scheme.model_dump(exclude_defaults=True))}   # {why}"
+    return re.sub(r"(?m)^( +holdout: ).*", lambda found: found[1] + text, written(heat.terms)), [why]
 
 
 def moving(recording: Recording) -> list[str]:

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from errpipe import jsonfile
-from errpipe.reporting.github import workflow_command
-from errpipe.reporting.markdown import plain_text
+from errpipe.reporting.markup import plain_text, workflow_command
 from errpipe.validation.retraining import EVIDENCE
 
 MARKDOWN, JUNIT, GITLAB, FIGURE = "retrain.md", "retrain.junit.xml", "retrain.codequality.json", "retrain.svg"
@@ -66,7 +65,6 @@ def markdown(document: Mapping[str, Any]) -> str:
 
 
 def _next_step(document: Mapping[str, Any]) -> str:
-    """The next step for the reader of the page."""
     if document["decision"] == "promote":
         return "put `run` beside this page in the place of the champion's folder, and its table on the machine."
     if all(g["passed"] or _waits(g) for g in document["gates"]):

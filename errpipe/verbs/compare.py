@@ -318,7 +318,7 @@ def _run_folders(old: Path, new: Path) -> Comparison:
 
 
 def _without_files(record: Record) -> Record:
-    """A record with its own inputs alone: what other stages wrote is said of those stages."""
+    """A record with its own inputs alone: what other stages wrote is compared under those stages."""
     return replace(record, inputs={name: value for name, value in record.inputs.items() if "/" not in name})
 
 

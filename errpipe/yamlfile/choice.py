@@ -115,9 +115,9 @@ def _from_file(package: str, file: str, key: str, tag: str) -> Any:
     if member is None:
         raise UsageError(f"{path} holds no class {name}: the class of a file is named after it")
     field = getattr(member, "model_fields", {}).get(key)
-    said = get_args(field.annotation) if field is not None else (getattr(member, key, tag),)
-    if tag not in said:
-        raise UsageError(f"{path}: {name}.{key} says {' or '.join(map(repr, said))}, its registry {tag!r}")
+    tags = get_args(field.annotation) if field is not None else (getattr(member, key, tag),)
+    if tag not in tags:
+        raise UsageError(f"{path}: {name}.{key} says {' or '.join(map(repr, tags))}, its registry {tag!r}")
     return member
 
 

@@ -98,9 +98,9 @@ class Misplaced(ValueError):
         super().__init__(message)
 
 
-def is_unit(said: Any) -> TypeGuard[str]:
+def is_unit(value: Any) -> TypeGuard[str]:
     """Whether what a field says of its unit is one: `of the input` points at another field or file instead."""
-    return isinstance(said, str) and not said.startswith("of ")
+    return isinstance(value, str) and not value.startswith("of ")
 
 
 def convert_quantities(model: Any, data: Any, place: Place = ()) -> tuple[Any, list[tuple[Place, str]]]:

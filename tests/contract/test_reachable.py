@@ -30,7 +30,7 @@ KNOWN = {
     **{f"importing.readers.markup.handle_{event}": "HTMLParser calls it" for event in ("starttag", "endtag", "data")},
 }
 LOADED_BY_NAME = (
-    *("api", "cleaning", "cli", "formats", "importing.readers"),
+    *("api", "cleaning", "cli", "formats", "guard.rules", "importing.readers"),
     *("models", "simulation", "stages", "targets", "terms", "verbs"),
 )
 # Modules that no other module of errpipe imports, entry points apart.

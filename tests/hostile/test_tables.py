@@ -67,11 +67,11 @@ def test_a_title_with_a_zero_byte_is_refused_where_it_stands(tmp_path: Path) -> 
         manifest_folder.read(folder)
 
 
-def test_ten_thousand_columns_are_refused(tmp_path: Path) -> None:
+def test_two_thousand_columns_are_refused(tmp_path: Path) -> None:
     folder = recording_folder(tmp_path / "rec")
-    more = "".join(f"  T{n}: {{role: temperature, unit: degC}}\n" for n in range(10_000))
+    more = "".join(f"  T{n}: {{role: temperature, unit: degC}}\n" for n in range(2_000))
     (folder / "recording.yaml").write_text(MANIFEST + more)
-    with pytest.raises(ConfigError, match="10004 columns"):
+    with pytest.raises(ConfigError, match="2004 columns"):
         manifest_folder.read(folder)
 
 

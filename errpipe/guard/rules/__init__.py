@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from errpipe.guard.rules._base import Rule, activity, activity_of
+from errpipe.guard.rules._base import FALSE_ALARMS, Rule, activity, activity_of
 from errpipe.yamlfile import Choice
 
 NAMES = ("frozen_reading", "sudden_change")
 RULES: Choice[type[Rule]] = Choice.of_files("errpipe.guard.rules", "rule", NAMES)
 
-__all__ = ["RULES", "AnyRule", "Rule", "activity", "activity_of"]
+__all__ = ["FALSE_ALARMS", "RULES", "AnyRule", "Rule", "activity", "activity_of"]
 
 if TYPE_CHECKING:
     AnyRule = Rule

@@ -13,6 +13,7 @@ from errpipe.domain.recording import Frozen
 from errpipe.guard import composed as c
 from errpipe.guard.rows import Healthy
 
+FALSE_ALARMS = 0.5  # expected per 1000 hours, all sensors together, or of one that no other replaces
 FREEZE_S = 300.0  # heaters and pumps switch every few minutes, so a healthy reading moves within this
 
 

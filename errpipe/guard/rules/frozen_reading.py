@@ -12,13 +12,12 @@ from errpipe.domain import driver as d
 from errpipe.guard import composed as c
 from errpipe.guard import rates
 from errpipe.guard.rows import Healthy
-from errpipe.guard.rules._base import FREEZE_S, Rule, activity, activity_of
+from errpipe.guard.rules._base import FALSE_ALARMS, FREEZE_S, Rule, activity, activity_of
 
 REVIVED = 4.0  # times `still`: hysteresis, the activity from which a frozen sensor is accepted again (by judgement)
 # For a sensor without replacement, where a false alarm costs the whole correction: a healthy one always shows its own
 # noise, unless its resolution hides it; and the air of a hall changes by a kelvin a minute when a door opens.
 NOISE_SHARE, MOST_EQUAL = 0.1, 0.05  # least share of its variance in an active one; share of equal successive readings
-FALSE_ALARMS = 0.5  # expected per 1000 hours of such a sensor
 # Coarse readings repeat for as long as the temperature rests, which the longest of few hours does not bound: the time
 # until such a sensor counts as frozen is multiplied. Chosen on `trials.thermal` 45011 to 45014, 256 sensors of 0.1 K:
 # in the third season 11 healthy ones are called frozen with 1, 2 with 1.25, 1 with 1.5; 2 leaves a fifth untested.

@@ -4,7 +4,7 @@ from numpy.testing import assert_allclose
 
 from errpipe.fitting import uncertainty as u
 from errpipe.fitting.solve import least_squares
-from errpipe.kernels import whitening
+from errpipe.kernels.noise import correlated, innovations
 
 
 def sequence_of(lengths):
@@ -24,10 +24,10 @@ def test_filter_and_product_agree_with_the_matrix_written_out(rho, share):
     sequence = sequence_of([5, 1, 12, 7])
     columns = np.random.default_rng(0).normal(size=(25, 3))
     covariance = dense(sequence, rho, share)
-    whitened, logdet = whitening.innovations(sequence, columns, rho, share)
+    whitened, logdet = innovations(sequence, columns, rho, share)
     assert_allclose(whitened.T @ whitened, columns.T @ np.linalg.solve(covariance, columns), rtol=1e-9)
     assert_allclose(logdet, np.linalg.slogdet(covariance)[1], atol=1e-9)
-    assert_allclose(whitening.correlated(sequence, columns, rho, share), covariance @ columns, rtol=1e-9)
+    assert_allclose(correlated(sequence, columns, rho, share), covariance @ columns, rtol=1e-9)
 
 
 def draw(rng, sequence, rho, share, sigma=1.0):

@@ -53,7 +53,7 @@ def test_the_recording_may_say_it_and_the_export_wins():
     assert _acts_on({}, recording, ["E_D"]) == {"E_D": ("X", 0.5)}
     assert _acts_on({"E_D": ActsOn(axis="U", factor=-0.5)}, recording, ["E_D"]) == {"E_D": ("U", -0.5)}
     assert _acts_on({}, recording, ["EXX"]) == {}
-    with pytest.raises(ValueError, match="acts_on is said of a column of role error"):
+    with pytest.raises(ValueError, match="acts_on belongs to a column of role error"):
         Column(role="temperature", unit="degC", acts_on=ActsOn(axis="X"))
 
 

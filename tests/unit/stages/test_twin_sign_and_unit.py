@@ -14,7 +14,7 @@ from errpipe.domain.diagnosis import Diagnosis
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.formats import manifest_folder
 from errpipe.stages import diagnose as stage
-from errpipe.stages._twin_sign_and_unit import warnings
+from errpipe.stages.diagnose import sign_and_unit_warnings
 
 
 def recording(factor: float) -> Recording:
@@ -37,14 +37,14 @@ def recording(factor: float) -> Recording:
     [(1.0, ""), (-1.0, "one of them has the other sign"), (1e-3, "one of them is probably not in um"), (0.0, "")],
 )
 def test_a_reversed_sign_and_another_unit_are_reported(factor: float, output: str) -> None:
-    said = warnings(recording(factor))
+    said = sign_and_unit_warnings(recording(factor))
     assert [output in s for s in said] == ([True] if output else [])
 
 
 def test_what_is_missing_may_have_the_other_sign_than_what_is_simulated() -> None:
     """Physics that is missing outweighs what is simulated: no sign can be told from that."""
     one = recording(1.0)
-    assert warnings(one.with_columns({"E": one.array("E") - 0.2 * one.array("x")}, {})) == ()
+    assert sign_and_unit_warnings(one.with_columns({"E": one.array("E") - 0.2 * one.array("x")}, {})) == ()
 
 
 def test_the_doubt_stands_first_in_the_answer_and_in_the_report(

@@ -1,6 +1,11 @@
-"""Workflow commands of GitHub Actions: a line that marks a place in a file, or the run, with a message."""
+"""Text from outside in a page of Markdown, and in a workflow command of GitHub Actions."""
 
 from __future__ import annotations
+
+
+def plain_text(text: object) -> str:
+    """Text with Markdown markup escaped: labels come from the recording."""
+    return "".join(f"\\{c}" if c in "\\`*_{}[]<>#|!" else c for c in " ".join(str(text).split()))
 
 
 def workflow_command(kind: str, message: object, **properties: object) -> str:
