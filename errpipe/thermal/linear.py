@@ -95,7 +95,7 @@ class LinearProblem:
     coolant, on the same lags; values: (rows, drivers), K, counted from the first rows of each run as the response is;
     response: deviation since the start of the run, um; group: run of each row; rows: mask of usable rows; datum_rows:
     first rows of a run whose mean is its zero. own: number of the recording's rows, after which the same rows may
-    be repeated from later starts (`thermal.starts`); run_count: number of independent runs.
+    be repeated from later starts (`started`); run_count: number of independent runs.
     """
 
     recording: Recording
