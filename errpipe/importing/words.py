@@ -27,7 +27,7 @@ _TO_20_DEGREES = re.compile(
 # In controllers: command minus actual position (LinuxCNC: pos-cmd less pos-fb; TwinCAT: SetPos less ActPos;
 # a control deviation is w - x, DIN IEC 60050-351).
 FOLLOWING = (
-    r"(schlepp(fehler|abstand)|following ?(err|dist)|lag ?(err|dist)|pos(ition)? ?(diff|lag)|\bf[ -]?error"
+    r"(schlepp(fehler|abstand)|follow(ing)? ?(err|dist)|lag ?(err|dist)|^[xyzabcuvw]\d? lag\b|pos(ition)? ?(diff|lag)|\bf[ -]?error"
     r"|regel(abweichung|differenz)|control ?(deviation|error)|restweg|distance to go|remaining ?(distance|way))"
 )
 

@@ -63,7 +63,7 @@ def test_a_packed_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
         prepared([tmp_path / "twice.gz"])
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
         archive.writestr("x.txt", "no table\n")
-    with pytest.raises(DataError, match=r"a\.zip: x: no row with two numbers"):
+    with pytest.raises(DataError, match=r"a\.zip, x\.txt: x: no row with two numbers"):
         prepared([tmp_path / "a.zip"])
 
 
