@@ -10,7 +10,6 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
-from typing import IO
 
 from errpipe.errors import DataError
 from errpipe.importing.readers import MOST_BYTES, READERS
@@ -64,7 +63,7 @@ def _members(path: Path, head: bytes) -> Iterator[tuple[str, bytes]]:
                 left -= len(data)
                 yield info.filename, data
         return
-    data = _read(path, gzip.open(path) if head.startswith(_GZIP) else path.open("rb"), MOST_BYTES)
+    data = _read(path, gzip.GzipFile(path) if head.startswith(_GZIP) else path.open("rb"), MOST_BYTES)
     if data[_TAR] != b"ustar":
         yield path.stem, data
         return
@@ -86,7 +85,7 @@ def _affordable(path: Path, members: int, size: int) -> int:
     return MOST_BYTES
 
 
-def _read(path: Path, stream: IO[bytes], most: int) -> bytes:
+def _read(path: Path, stream: gzip.GzipFile | io.BufferedReader | zipfile.ZipExtFile, most: int) -> bytes:
     with stream:
         data = stream.read(most + 1)
     _affordable(path, 1, MOST_BYTES + 1 if len(data) > most else 0)

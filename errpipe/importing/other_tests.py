@@ -35,7 +35,7 @@ TESTS: tuple[tuple[str, str, str, str], ...] = (
         rf"{_GRID}|^\W*[xyz]( \W?mm\W?)?\W+[xyz]( \W?mm\W?)?$",
         "the log of a grid encoder, where two axes move together",
         f"{_WRITE} protocol point_cloud, the commanded positions of both axes, and measured minus commanded as E_X, "
-        "E_Y; a file with commanded and measured positions below a line that names the grid encoder is imported as it is",
+        "E_Y; commanded and measured positions below a line that names the grid encoder are imported as they are",
     ),
     (
         "status reports",

@@ -21,11 +21,11 @@ from errpipe.importing.words import plain
 OF_A_MACHINE = ("command", "position", "actual")
 MAX_SHEETS_NAMED = 6  # sheets named in a message
 OF_BOTH = (*OF_A_MACHINE, "spindle_speed", "velocity", "feed")  # what two devices may both record
-LARGEST_SHIFT = 900.0  # s: clocks that are set by hand differ by minutes
-MOST_COMPARED = 2000  # rows, and shifts, of a comparison of two clocks
+LARGEST_SHIFT = 900.0  # s, by judgement: clocks that are set by hand differ by minutes; an hour is a time zone
+MOST_COMPARED = 2000  # rows, and shifts, of a comparison of two clocks; by judgement
 SAME_MISFIT = 0.01  # of the range: differences that noise explains; by judgement
 CLOCK_RATIO = 3.0  # of mean differences now and at the best shift; by judgement, tried on logs shifted by -240 to 180 s
-STALE_STEPS = 10.0  # steps of a log: an older reading is not used for the row
+STALE_STEPS = 10.0  # steps of a log, by judgement: an older reading is not used for the row
 
 
 def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Proposal:
@@ -221,8 +221,8 @@ def _refuse_another_sign(parts: Sequence[Proposal], stems: Sequence[str]) -> Non
             if silent is not None:
                 raise DataError(
                     f"{stem}: {name!r} is commanded minus actual ({part.guesses.get(name, '').split('; ')[-1]}), and "
-                    f"{silent} does not say so: if it holds for all, use --sign commanded-minus-actual; else import them "
-                    "separately"
+                    f"{silent} does not say so: if it holds for all, use --sign commanded-minus-actual; else import "
+                    "them separately"
                 )
 
 

@@ -238,7 +238,7 @@ def unpivot(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray
 
 
 def _runs_of_blocks(layout: Wide, rows: np.ndarray, side: np.ndarray, names: list[str]) -> list[str]:
-    """The names with the number of the block of each row if the targets start again below; OF_COLUMN stands for a column's run."""
+    """The names, with a number per block of rows if the targets start again; OF_COLUMN: the run of a column."""
     known = side[rows] if np.isfinite(side[rows]).all() else None
     blocks = of_rows.sweeps(layout.target.values[rows], known)
     several = len({run for _, run, _ in layout.readings}) > 1

@@ -142,7 +142,7 @@ def test_a_sign_that_one_of_the_files_states_asks_for_the_option(tmp_path: Path)
         (tmp_path / f"X_{run}.csv").write_text(line + of_run(run))
     files = [tmp_path / f"X_{r}.csv" for r in ("1", "2", "3")]
     with pytest.raises(
-        DataError, match="X_1: 'deviation' is commanded minus actual .*X_2 does not.*--sign commanded-min"
+        DataError, match=r"X_1: 'deviation' is commanded minus actual .*X_2 does not.*--sign commanded-min"
     ):
         prepared(files)
     recording = imported(tmp_path, files, sign="commanded-minus-actual")
