@@ -10,6 +10,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
+from typing import IO
 
 from errpipe.errors import DataError
 from errpipe.importing.readers import MOST_BYTES, READERS
@@ -85,7 +86,7 @@ def _affordable(path: Path, members: int, size: int) -> int:
     return MOST_BYTES
 
 
-def _read(path: Path, stream: gzip.GzipFile | io.BufferedReader | zipfile.ZipExtFile, most: int) -> bytes:
+def _read(path: Path, stream: IO[bytes] | gzip.GzipFile, most: int) -> bytes:
     with stream:
         data = stream.read(most + 1)
     _affordable(path, 1, MOST_BYTES + 1 if len(data) > most else 0)

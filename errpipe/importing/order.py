@@ -193,8 +193,8 @@ def sides_of_falling_runs(p: Proposal) -> None:
         p.put("direction", side, why, role="direction", axis=axis)
 
 
-LONGEST_PAUSE = 3600.0  # s, by judgement: after a longer pause in a drift the machine has cooled, and its zero may differ
-PAUSE_OF_STEPS = 5.0  # times the 90th percentile of the steps: by judgement: a longer step is a pause, not a slow logger
+LONGEST_PAUSE = 3600.0  # s, by judgement: after a longer one in a drift the machine has cooled, and its zero may differ
+PAUSE_OF_STEPS = 5.0  # times the 90th percentile of the steps, by judgement: longer is a pause, not a slow logger
 
 
 def _runs_by_gaps(p: Proposal) -> None:

@@ -199,3 +199,15 @@ def test_runs_of_a_nested_document(tmp_path: Path) -> None:
     (tmp_path / "x.yaml").write_text("\n".join(lines) + "\n")
     recording = imported(tmp_path, tmp_path / "x.yaml")
     assert len(set(recording.frame["run"])) == 3 and len(recording) == len(long_rows())
+
+
+def test_a_query_of_a_cloud_has_a_row_per_value(tmp_path: Path) -> None:
+    """As Timestream answers: the type behind the name of the values."""
+    lines = ["machine,measure_name,time,measure_value::double"]
+    for k in range(12):
+        time = f"2023-03-12 11:{k:02d}:00.000000000"
+        lines += [f"m4,z_displacement_um,{time},{k / 4}", f"m4,spindle_temperature_degC,{time},{20 + k}"]
+    (tmp_path / "q.csv").write_text("\n".join(lines) + "\n")
+    recording = imported(tmp_path, tmp_path / "q.csv", component="E_Z")
+    assert recording.array(*recording.names("error", component="E_Z")) == pytest.approx(np.arange(12) / 4)
+    assert recording.array(*recording.names("temperature")) == pytest.approx(20.0 + np.arange(12))
