@@ -7,20 +7,19 @@ import io
 import re
 import tarfile
 import zipfile
-import zlib
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
-from typing import IO
 
 from errpipe.errors import DataError
 from errpipe.importing.readers import MOST_BYTES, READERS
+from errpipe.importing.sheet import readable
 
 MOST_MEMBERS = 256  # files of one archive; by judgement: more are not the runs of one test
-_GZIP, _ZIP = b"\x1f\x8b", b"PK\x03\x04"
-_TAR = slice(257, 262)  # bytes `ustar` of the header of the first file, POSIX.1-1988
+_GZIP, _ZIP, _TAR = b"\x1f\x8b", b"PK\x03\x04", b"ustar"
+_HEAD = 262  # bytes: `ustar` ends there in the header of the first file (POSIX.1-1988)
 _OF_A_SYSTEM = re.compile(r"(?:^|/)(?:\.(?!\.)|__MACOSX/|thumbs\.db$|desktop\.ini$)|/$", re.IGNORECASE)
 _PROSE = re.compile(  # what accompanies measurements in an archive
-    r"(?:read_?me|liesmich|lisez-?moi|leggimi|leame|licen[sc]e)[^/]*|[^/]*\.(?:pdf|docx?|md|png|jpe?g|gif|svg|bmp)",
+    r"(?:.*/)?(?:read_?me|liesmich|lisez-?moi|leggimi|leame|licen[sc]e)[^/]*|.*\.(?:pdf|docx?|md|png|jpe?g|gif|svg|bmp)",
     re.IGNORECASE,
 )
 
@@ -30,75 +29,67 @@ def unpacked(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
 
     Raises DataError for an archive that cannot be read, is too large, or names a place outside its folder.
     """
-    if not path.is_file() or not 0 < path.stat().st_size <= MOST_BYTES:
+    if not path.is_file() or path.stat().st_size > MOST_BYTES:
         return [path], []
     with path.open("rb") as stream:
-        head = stream.read(1 << 16)
-    tar = head[_TAR] == b"ustar"
-    if not (tar or head.startswith(_GZIP)) and (not head.startswith(_ZIP) or any(r.sniff(path, head) for r in READERS)):
+        head = stream.read(_HEAD)
+    zipped = head.startswith(_ZIP) and not any(reader.sniff(path, head) for reader in READERS)
+    if not zipped and not head.startswith(_GZIP) and not head.endswith(_TAR):
         return [path], []
-    try:
-        found = sorted(_members(path, head), key=lambda member: _in_order(member[0]))
-    except (OSError, EOFError, RuntimeError, zlib.error, zipfile.BadZipFile, tarfile.TarError) as err:
-        raise DataError(f"{path}: an archive that cannot be read here ({err}): extract it first") from None
-    prose = [name for name, _ in found if len(found) > 1 and _PROSE.fullmatch(PurePosixPath(name).name)]
-    files = [_written(path, name, data, folder) for name, data in found if name not in prose]
+    with readable(path, "an archive", "extract it first"):
+        members = [m for m in (_zipped(path) if zipped else _tarred(path)) if not _OF_A_SYSTEM.search(m[0])]
+        prose = [name for name, _ in members if len(members) > 1 and _PROSE.fullmatch(name)]
+        files = [_written(path, name, data, folder) for name, data in members if name not in prose]
     if not files:
         raise DataError(f"{path}: an archive without a file of measurements")
-    return files, [f"{path.name}: excluded, as no measurements: {', '.join(prose)}"] if prose else []
+    return sorted(files, key=_in_order), [f"{path.name}: excluded, as no measurements: {', '.join(prose)}"] * bool(
+        prose
+    )
 
 
-def _in_order(name: str) -> list[tuple[int, str]]:
+def _in_order(file: Path) -> list[tuple[str, int]]:
     """The key by which `run 10` follows `run 9`."""
-    return [(int(part or 0), text) for text, part in re.findall(r"(\D*)(\d{0,18})", name.lower())]
+    return [(text, int(figures or 0)) for text, figures in re.findall(r"(\D*)(\d{0,18})", str(file).lower())]
 
 
-def _members(path: Path, head: bytes) -> Iterator[tuple[str, bytes]]:
-    """Name and bytes of every file, at most MOST_BYTES together. Raises DataError."""
-    if head.startswith(_ZIP):
-        with zipfile.ZipFile(path) as archive:
-            infos = [info for info in archive.infolist() if not _OF_A_SYSTEM.search(info.filename)]
-            left = _affordable(path, len(infos), sum(info.file_size for info in infos))
-            for info in infos:
-                data = _read(path, archive.open(info), left)
-                left -= len(data)
-                yield info.filename, data
-        return
-    data = _read(path, gzip.GzipFile(path) if head.startswith(_GZIP) else path.open("rb"), MOST_BYTES)
-    if data[_TAR] != b"ustar":
+def _zipped(path: Path) -> Iterator[tuple[str, bytes]]:
+    with zipfile.ZipFile(path) as archive:
+        _affordable(path, len(archive.infolist()), sum(info.file_size for info in archive.infolist()))
+        for info in archive.infolist():
+            yield info.filename, archive.read(info)  # zipfile stops at the stated size
+
+
+def _tarred(path: Path) -> Iterator[tuple[str, bytes]]:
+    with gzip.open(path) if path.read_bytes()[:2] == _GZIP else path.open("rb") as stream:
+        data = stream.read(MOST_BYTES + 1)
+    _affordable(path, 1, len(data))
+    if not data[:_HEAD].endswith(_TAR):
         yield path.stem, data
         return
     with tarfile.open(fileobj=io.BytesIO(data), mode="r:") as archive:
-        members = [m for m in archive.getmembers() if not (m.isdir() or _OF_A_SYSTEM.search(m.name))]
-        _affordable(path, len(members), 0)
-        for member in members:
-            stream = archive.extractfile(member) if member.isreg() else None
-            if stream is None:
+        _affordable(path, len(archive.getmembers()), len(data))
+        for member in (m for m in archive.getmembers() if not m.isdir()):
+            content = archive.extractfile(member) if member.isreg() else None
+            if content is None:
                 raise DataError(f"{path}: {member.name} is a link or a device (allowed: files)")
-            yield member.name, stream.read()
+            yield member.name, content.read()
 
 
-def _affordable(path: Path, members: int, size: int) -> int:
+def _affordable(path: Path, members: int, size: int) -> None:
     if members > MOST_MEMBERS:
         raise DataError(f"{path}: an archive of {members} files (at most {MOST_MEMBERS}): extract those that are meant")
     if size > MOST_BYTES:
-        raise DataError(f"{path}: {size >> 20} MB unpacked (at most {MOST_BYTES >> 20} MB are imported)")
-    return MOST_BYTES
-
-
-def _read(path: Path, stream: IO[bytes] | gzip.GzipFile, most: int) -> bytes:
-    with stream:
-        data = stream.read(most + 1)
-    _affordable(path, 1, MOST_BYTES + 1 if len(data) > most else 0)
-    return data
+        raise DataError(f"{path}: more than {MOST_BYTES >> 20} MB unpacked (at most so many are imported)")
 
 
 def _written(path: Path, name: str, data: bytes, folder: Path) -> Path:
     """A file of an archive, written below a folder. Raises DataError for a name that points elsewhere."""
     place = PurePosixPath(name.replace("\\", "/"))
-    if place.is_absolute() or ".." in place.parts or ":" in place.parts[0]:
+    if place.is_absolute() or ".." in place.parts or ":" in name[:2]:
         raise DataError(f"{path}: {name!r} is a place outside the archive (allowed: names below its own folder)")
     file = folder.joinpath(*(re.sub(r"[^\w. +=()-]", "_", part)[-100:] for part in place.parts))
+    if file.exists():
+        raise DataError(f"{path}: {name!r} is in it twice (a run is imported once): extract the one that is meant")
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_bytes(data)
     return file

@@ -23,7 +23,7 @@ from errpipe.importing.sheet import ReaderOptions, Sheet
 
 _NAMES = (
     *("excel", "tdms", "hdf5", "matlab", "numpy_arrays", "sqlite", "mtconnect", "markup"),
-    *("halscope", "halsampler", "records", "camonitor", "dmis", "ini", "delimited"),
+    *("halscope", "halsampler", "records", "camonitor", "dmis", "delimited"),
 )
 READERS = tuple(import_module(f"{__name__}.{name}") for name in _NAMES)  # in the order in which they are tried
 

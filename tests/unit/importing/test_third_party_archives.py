@@ -73,6 +73,10 @@ def test_a_link_in_an_archive_and_too_many_files_are_refused(tmp_path: Path, mon
         archive.addfile(link)
     with pytest.raises(DataError, match=r"l\.tar: x\.csv is a link"):
         prepared([tmp_path / "l.tar"])
+    with pytest.raises(DataError, match=r"'run\?1\.csv' is in it twice"):
+        prepared([zipped(tmp_path / "t.zip", {"run_1.csv": of_run("1"), "run?1.csv": of_run("2")})])
+    with pytest.raises(DataError, match="not an archive that can be read"):
+        prepared([zipped(tmp_path / "o.zip", {"a": "x", "a/b": "y"})])
     monkeypatch.setattr(archives, "MOST_MEMBERS", 2)
     for path in (zipped(tmp_path / "m.zip", RUNS), tarred(tmp_path / "m.tgz", RUNS)):
         with pytest.raises(DataError, match="an archive of 3 files"):

@@ -56,7 +56,7 @@ def test_a_packed_table_is_unpacked(tmp_path: Path) -> None:
 
 def test_a_packed_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     (tmp_path / "cut.csv.gz").write_bytes(gzip.compress(table().encode())[:-9])
-    with pytest.raises(DataError, match=r"cut\.csv\.gz: an archive that cannot be read here"):
+    with pytest.raises(DataError, match=r"cut\.csv\.gz: not an archive that can be read"):
         prepared([tmp_path / "cut.csv.gz"])
     (tmp_path / "twice.gz").write_bytes(gzip.compress(gzip.compress(table().encode())))
     with pytest.raises(DataError, match="a compressed archive: extract it first"):
