@@ -47,7 +47,8 @@ _BEFORE = (
 )
 _BEHIND = r"axis|achse|pos|cmd|act|soll|ist|abw|fehler|(?:err(?:or)?|dev|drift|target|nom)(?![a-z])"  # Xerr
 _AXIS = re.compile(
-    rf"(?:^|[\s_.\-(/<:]|(?<=i[bmw])\[)(?:{_BEFORE})?{AXIS_LETTER}(?:\d|[\s_.\-)/\[\]]|$|{_BEHIND})", re.IGNORECASE
+    rf"(?:^|[\s_.\-(/<:]|(?<=i[bmw])\[|(?<=pos)\[)(?:{_BEFORE})?{AXIS_LETTER}(?:\d|[\s_.\-)/\[\]]|$|{_BEHIND})",
+    re.IGNORECASE,
 )
 _WORDS = re.compile(
     r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|(?<=[\u3040-\ud7af])(?=[A-Za-z])|(?<=[A-Za-z])(?=[\u3040-\ud7af])"

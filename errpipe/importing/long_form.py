@@ -17,11 +17,12 @@ MOST_SIGNALS = 60  # distinct names in one column; with more it contains comment
 MOST_COLUMNS = 12  # signal, time, value, unit, quality, and additions of a database
 FEWEST_VALUES = 3  # of each signal
 _SIGNAL = re.compile(
-    r"(signal|serie|series|tag|var|topic|channel|kanal|name|variable|sensor|field|point|measurement|messstelle|item|path|node"
+    r"(signal|serie|series|tag|var|topic|channel|kanal|name|variable|sensor|field|point|measure(?:ment)?|messstelle|item|path|node"
     r"|data ?item|metric|symbol|display|entity|(sub ?)?type)( ?(name|id))?"
 )
 _VALUE = re.compile(
-    r"(?:var ?)?(value|state|payload|wert|reading|messwert|valeur|valore|valor)( ?\(?(float|double|num(ber|eric)?)\)?)?"
+    r"(?:var ?|measure )?(value|state|payload|wert|reading|messwert|valeur|valore|valor)"
+    r"( ?\(?(float|double|num(ber|eric)?)\)?|::(double|bigint))?"
 )
 _DATA_ITEM = re.compile(r"data ?item ?(id)?")  # of MTConnect: an identifier beside the name, such as `x2`
 _NODE = re.compile(r"^ns=\d+;[sigb]=")  # of an OPC UA server, before the name
@@ -97,7 +98,7 @@ def _by_time(rows: Rows) -> Rows:
 
 
 def _is_header(rows: Rows) -> bool:
-    figures = re.compile(r"[\d.,:]")
+    figures = re.compile(r"[\d.,]|(?<!:):(?!:)")  # `measure_value::double` is a name
     return len(rows) > 1 and not any(figures.search(label(c)) for c in rows[0]) and not all(map(is_word, rows[1]))
 
 

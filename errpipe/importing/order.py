@@ -19,7 +19,7 @@ DENSE_ROWS = 500  # rows: a log, not a positioning test
 FEWEST_VISITS = 6  # readings; fewer do not show which positions are targets
 DENSE_PLACES = 100  # distinct commands: a log, not a positioning test
 FEWEST_SAMPLES = 20  # rows: fewer do not show a motion
-FASTEST_TARGETS = 0.1  # s between rows: no axis stops at a target and is read in less
+FASTEST_TARGETS = 0.1  # s between rows, by judgement: no axis stops at a target and is read in less
 
 SHARED = 3  # visits with the same digits that make a position a target
 
@@ -193,8 +193,8 @@ def sides_of_falling_runs(p: Proposal) -> None:
         p.put("direction", side, why, role="direction", axis=axis)
 
 
-LONGEST_PAUSE = 3600.0  # s: after a longer pause in a drift measurement the machine has cooled, and its zero may differ
-PAUSE_OF_STEPS = 5.0  # times the 90th percentile of the steps: a longer step is a pause, not a slow logger
+LONGEST_PAUSE = 3600.0  # s, by judgement: after a longer one in a drift the machine has cooled, and its zero may differ
+PAUSE_OF_STEPS = 5.0  # times the 90th percentile of the steps, by judgement: longer is a pause, not a slow logger
 
 
 def _runs_by_gaps(p: Proposal) -> None:

@@ -10,6 +10,7 @@ from errpipe.importing.sheet import Cell, Sheet, filled_cells
 from errpipe.importing.words import plain
 
 LINES, WIDTH = 40, 300  # lines of a file, and characters per line, searched for the name of a test
+_GRID = r"\bkgm ?\d*\b|\bgrid ?encoder\b|\bkreuzgitter"
 _WRITE = "write a recording (docs/recordings.md, Tests of a machine) for the stage identify:"
 # Name; pattern of a line (as `plain` writes it); description; what reads it.
 TESTS: tuple[tuple[str, str, str, str], ...] = (
@@ -31,10 +32,10 @@ TESTS: tuple[tuple[str, str, str, str], ...] = (
     ),
     (
         "grid encoder",
-        r"\bkgm ?\d*\b|\bgrid ?encoder\b|\bkreuzgitter|^\W*[xyz]( \W?mm\W?)?\W+[xyz]( \W?mm\W?)?$",
+        rf"{_GRID}|^\W*[xyz]( \W?mm\W?)?\W+[xyz]( \W?mm\W?)?$",
         "the log of a grid encoder, where two axes move together",
         f"{_WRITE} protocol point_cloud, the commanded positions of both axes, and measured minus commanded as E_X, "
-        "E_Y; if the file contains commanded and measured positions, --axis X imports only X",
+        "E_Y; commanded and measured positions below a line that names the grid encoder are imported as they are",
     ),
     (
         "status reports",
@@ -60,6 +61,11 @@ TESTS: tuple[tuple[str, str, str, str], ...] = (
 )
 
 OF_XML = " Targets and readings in separate lists of XML are not joined: export a CSV with a row per reading"
+
+
+def names_a_grid_encoder(lines: Iterable[str]) -> bool:
+    """Whether a line above a table names a grid encoder, which reads two axes against the table of the machine."""
+    return any(re.search(_GRID, plain(line)) for line in lines)
 
 
 def named(sheets: Iterable[Sheet], kind: str) -> str:

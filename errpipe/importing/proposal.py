@@ -84,7 +84,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         proposal.notes.append(f"the axis is {axis_above([said])}, from {said[:60]!r} (to change it: --axis)")
     wide_layout = wide.find(layout, guesses)
     guesses = guesses if wide_layout else _of_stated_axis(layout, guesses, options.axis)  # `V1`, `R1` are runs
-    axis = options.axis or _axis(layout, guesses, wide_layout)
+    axis = options.axis or _axis(layout, guesses, wide_layout, options.component)
     if axis is None:
         angles = [c for c in layout.columns if c.unit in ("deg", "rad") and guesses[c.header].kind in resolve.PLACES]
         if angles and any(guessing.is_radius(c.header) for c in layout.columns):
@@ -137,7 +137,7 @@ def _of_stated_axis(layout: Layout, guesses: guessing.Guesses, axis: str | None)
     )
 
 
-def _axis(layout: Layout, guesses: guessing.Guesses, unfolded: wide.Wide | None) -> str | None:
+def _axis(layout: Layout, guesses: guessing.Guesses, unfolded: wide.Wide | None, component: str | None) -> str | None:
     motion = ("command", "position", "actual", "counts", "error")
     runs = {c.header for c in [*unfolded.statistics, *(r for r, _, _ in unfolded.readings)]} if unfolded else set()
     named = [
@@ -147,6 +147,8 @@ def _axis(layout: Layout, guesses: guessing.Guesses, unfolded: wide.Wide | None)
         if unfolded is None or header == unfolded.target.header or not wide.is_figure(header)
     ]
     above = axis_above(layout.above)
+    if component is not None and component[-1] in named:  # --component E_Z: the column of Z is meant
+        return component[-1]
     if named and above is not None and above not in named:
         raise DataError(
             f"a line above the table, its sheet or file names the axis {above}, a column {named[0]}: declare it "
@@ -187,14 +189,16 @@ def _wide(
 ) -> None:
     """A row per target becomes one row per reading."""
     index, run, sides, values = wide.unpivot(table)
-    unit, why = table.target.unit, "the column of targets"
+    unit, of_target = table.target.unit, "the column of targets"
     if unit is None:
         unit = "deg" if axis[0] in "ABC" else "mm"
-        why += f"; no unit is stated, taken as {unit}"
+        of_target += f"; no unit is stated, taken as {unit}"
     columns, targets = len(table.readings), len(np.unique(table.target.values[index]))
     p.notes.append(f"wide layout: {columns} columns of readings, {len(set(run))} runs, {targets} targets")
-    p.put("run", run, "from the headers of the columns", role="run")
-    p.put(table.target.header, table.target.values[index], why, role="position", axis=axis, unit=unit)
+    of_headers = {*run} <= {of_column for _, of_column, _ in table.readings}
+    why = "from the headers of the columns" if of_headers else "a new run each time the targets start again"
+    p.put("run", run, why if table.run is None else f"from the column {table.run.header!r}", role="run")
+    p.put(table.target.header, table.target.values[index], of_target, role="position", axis=axis, unit=unit)
     if np.isfinite(sides).all():
         why = "from the headers of the columns" if table.way is None else f"from the column {table.way.header!r}"
         p.put("direction", sides, why, role="direction", axis=axis)

@@ -140,8 +140,11 @@ def _within_half_a_turn(p: Proposal, command: str, actual: str) -> None:
         p.guesses[actual] = why.strip("; ")
 
 
-def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
-    """error = actual - commanded, if both are recorded and no error column is."""
+def derive_error(p: Proposal, axis: str, options: ImportOptions, plane: bool) -> None:
+    """error = actual - commanded, if both are recorded and no error column is.
+
+    plane: whether a grid encoder read them: of the tool point where two axes move together.
+    """
     if any(e["role"] == "error" for e in p.entries.values()):
         return
     for name, keys in options.sets.items():  # also for a column created from a wide layout: `actual_Y`
@@ -153,6 +156,9 @@ def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
         letters = [options.axis]
     elif len(moving) == 1:  # the others are constant: `Nominal Y` of a tracker along X
         letters = [a for a in letters if a in moving or p.first("command", a) not in p.data]
+    elif len(moving) > 1 and plane and options.component is None:
+        p.facts["protocol"] = "point_cloud"
+        p.notes.append(f"a grid encoder read {', '.join(moving)} at once: deviations of the tool point, for `identify`")
     elif len(moving) > 1 and p.rows < order.DENSE_ROWS:
         raise DataError(
             f"axes {', '.join(moving)} move together, and there are no deviations: a cloud of points is a recording "
@@ -175,7 +181,7 @@ def derive_error(p: Proposal, axis: str, options: ImportOptions) -> None:
                 f"--set {command}.role=actual instead"
             )
         _within_half_a_turn(p, command, actual)
-        component = options.component or components.positioning(letter)
+        component = options.component or (f"E_{letter}" if p.facts.get("protocol") else components.positioning(letter))
         unit = components.unit(component)
         minus = {"minus": [actual, command]}
         name = p.put(component, None, role="error", component=component, unit=unit, derived=minus)

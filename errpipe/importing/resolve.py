@@ -13,7 +13,7 @@ import numpy as np
 
 from errpipe.domain import components
 from errpipe.errors import DataError
-from errpipe.importing import ambiguities, dates, order, readings, signs, simulated, speeds
+from errpipe.importing import ambiguities, dates, order, other_tests, readings, signs, simulated, speeds
 from errpipe.importing import columns as guessing
 from errpipe.importing.layout import EMPTY, Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
@@ -229,7 +229,7 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     signs.ignore_corrections(p)
     signs.change(p, layout, options)
     readings.readings_as_errors(p, axis)
-    readings.derive_error(p, axis, options)
+    readings.derive_error(p, axis, options, other_tests.names_a_grid_encoder(layout.above))
     speeds.units_by_positions(p)
     simulated.forces_as_responses(p)
     simulated.of_the_only_response(p)
@@ -270,7 +270,8 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
             p.guesses[name] = (
                 f"{p.guesses.get(name, '')}; E_{letter}, because no position of {letter} is recorded".strip("; ")
             )
-    order.resolve_order(p, axis)
+    if p.facts.get("protocol") is None:
+        order.resolve_order(p, axis)
     p.entries = dict(sorted(p.entries.items(), key=lambda item: item[1]["role"] not in ("run", "time")))
 
 

@@ -21,11 +21,11 @@ from errpipe.importing.words import plain
 OF_A_MACHINE = ("command", "position", "actual")
 MAX_SHEETS_NAMED = 6  # sheets named in a message
 OF_BOTH = (*OF_A_MACHINE, "spindle_speed", "velocity", "feed")  # what two devices may both record
-LARGEST_SHIFT = 900.0  # s: clocks that are set by hand differ by minutes
-MOST_COMPARED = 2000  # rows, and shifts, of a comparison of two clocks
+LARGEST_SHIFT = 900.0  # s, by judgement: clocks that are set by hand differ by minutes; an hour is a time zone
+MOST_COMPARED = 2000  # rows, and shifts, of a comparison of two clocks; by judgement
 SAME_MISFIT = 0.01  # of the range: differences that noise explains; by judgement
 CLOCK_RATIO = 3.0  # of mean differences now and at the best shift; by judgement, tried on logs shifted by -240 to 180 s
-STALE_STEPS = 10.0  # steps of a log: an older reading is not used for the row
+STALE_STEPS = 10.0  # steps of a log, by judgement: an older reading is not used for the row
 
 
 def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Proposal:
@@ -34,6 +34,7 @@ def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Propos
         return parts[0]
     first = parts[0]
     lacking = _without_sensor(parts, stems)
+    _refuse_another_sign(parts, stems)
     for other, stem in zip(parts[1:], stems[1:], strict=True):
         if other.entries.keys() != first.entries.keys():
             not_shared = ", ".join(sorted(other.entries.keys() ^ first.entries.keys()))
@@ -120,7 +121,7 @@ def _lacking(whole: Proposal, part: Proposal) -> list[str] | None:
     return None if other else missing
 
 
-_RUN_WORD = r"(?:run|lauf|durchlauf|messung|messreihe|cycle|zyklus|pass|trial|essai|passe|prova|ensayo|pasada)"
+_RUN_WORD = r"(?:runs?|lauf|durchlauf|messung|messreihe|cycle|zyklus|pass|trial|essai|passe|prova|ensayo|pasada)"
 
 
 def are_runs(names: Sequence[str]) -> bool:
@@ -165,6 +166,8 @@ def runs_of_sheets(sheets: list[tuple[Proposal, str]]) -> list[tuple[Proposal, s
 
     Raises DataError if columns are equal and the names are not those of runs: two years, or a corrected copy.
     """
+    named = [sheet for sheet in sheets if are_runs([sheets[0][1], sheet[1]]) or sheet is sheets[0]]
+    _refuse_another_sign([part for part, _ in named], [name for _, name in named])
     alike = [(part, name) for part, name in sheets if of_one_test(part, sheets[0][0])]
     parts, names = [part for part, _ in alike], [name for _, name in alike]
     if len(parts) < 2:
@@ -207,6 +210,20 @@ def _refuse_another(name: str, entries: tuple[dict[str, Any], ...], stems: tuple
         here, there = (entry.get(key) for entry in entries)
         if here != there:
             raise DataError(f"{stems[1]}: {key} of {name!r} is {there}, in {stems[0]} {here}: import them separately")
+
+
+def _refuse_another_sign(parts: Sequence[Proposal], stems: Sequence[str]) -> None:
+    """Raise DataError if some parts state that their deviations are commanded minus actual, and others do not."""
+    for part, stem in zip(parts, stems, strict=True):
+        for name in [n for n, e in part.entries.items() if e["role"] == "error" and e.get("derived", {}).get("of")]:
+            others = [(o.entries.get(name, {}), s) for o, s in zip(parts, stems, strict=True)]
+            silent = next((s for e, s in others if e.get("role") == "error" and "derived" not in e), None)
+            if silent is not None:
+                raise DataError(
+                    f"{stem}: {name!r} is commanded minus actual ({part.guesses.get(name, '').split('; ')[-1]}), and "
+                    f"{silent} does not say so: if it holds for all, use --sign commanded-minus-actual; else import "
+                    "them separately"
+                )
 
 
 def _in_one_unit(parts: Sequence[Proposal], stems: Sequence[str]) -> None:

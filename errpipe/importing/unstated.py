@@ -16,7 +16,7 @@ from errpipe.importing.units import split_header
 
 FEWEST_APART = 2  # temperatures of a file: a single one may be of a part that was warm in one run alone
 COLDEST_K = 200.0  # K: below any machine
-LONGEST_STEP = 0.5  # s: longer steps are rare in a log of a moving axis; in ms they are usual
+LONGEST_STEP = 0.5  # s, by judgement: longer steps are rare in a log of a moving axis; in ms they are usual
 PLACES = ("command", "position", "actual")
 
 

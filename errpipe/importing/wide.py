@@ -10,6 +10,7 @@ import numpy as np
 
 from errpipe.errors import DataError
 from errpipe.importing import columns as guessing
+from errpipe.importing import order as of_rows
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.sheet import label, number
 from errpipe.importing.units_above import UNITS_OF_READINGS, unit_above
@@ -21,6 +22,7 @@ _LETTER_AND_RUN = re.compile(r"[a-z] ?\d+|\d+ ?[a-z]")
 _DATE_WITHIN = re.compile(r"\b\d{1,4}([./-])\d{1,2}\1\d{2,4}(T[\d:.]+)?")  # of a run named by its date
 _NO_NAME = re.compile(r"column \d+'*")  # of a column without a header
 _INSTRUMENT = re.compile(r"\b(laser|sensor|enc|encoder|probe|gauge|dial|channel|ch|kanal|taster|uhr|messuhr|t)\W?\d+\b")
+OF_COLUMN = "\0"  # in the name of a run: the run that a column's header names
 ARROWS = "↑↓→←"
 _STATISTIC = re.compile(
     r"\b(mittel\w*|mw|mean|average|avg|median|sigma|std\w*|stabw\w*|streuung|umkehrspanne|reversal|hysteres[ei]s?|range|spanne"
@@ -214,6 +216,8 @@ def unpivot(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray
         raise DataError("no row contains a target and a reading")
     of_row = np.full(target.size, np.nan) if layout.way is None else guessing.sides(layout.way)
     refuse_there_and_back([c.header for c in readings], target[rows])
+    if layout.run is None:
+        names = _runs_of_blocks(layout, rows, of_row, names)
     order, run, side, value = [], [], [], []
     for name in dict.fromkeys(names[i] for i in rows):
         block = np.array([i for i in rows if names[i] == name])
@@ -227,10 +231,20 @@ def unpivot(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray
             rising = own.size > 1 and target[own[-1]] > target[own[0]]
             own = own if way is None or rising == (way > 0) else own[::-1]
             order.append(own)
-            run += [name or number_of_run] * own.size
+            run += [name.replace(OF_COLUMN, number_of_run) or number_of_run] * own.size
             side += [np.nan if way is None else way] * own.size
             value.append(c.values[own])
     return np.concatenate(order), run, np.array(side), np.concatenate(value)
+
+
+def _runs_of_blocks(layout: Wide, rows: np.ndarray, side: np.ndarray, names: list[str]) -> list[str]:
+    """The names, with a number per block of rows if the targets start again; OF_COLUMN: the run of a column."""
+    known = side[rows] if np.isfinite(side[rows]).all() else None
+    blocks = of_rows.sweeps(layout.target.values[rows], known)
+    several = len({run for _, run, _ in layout.readings}) > 1
+    for row, block in zip(rows.tolist(), blocks, strict=True) if len({*blocks}) > 1 else ():
+        names[row] = f"{block}-{OF_COLUMN}" if several else block
+    return names
 
 
 def _by_side(rows: np.ndarray, side: np.ndarray) -> list[tuple[float | None, np.ndarray]]:

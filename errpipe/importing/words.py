@@ -27,8 +27,9 @@ _TO_20_DEGREES = re.compile(
 # In controllers: command minus actual position (LinuxCNC: pos-cmd less pos-fb; TwinCAT: SetPos less ActPos;
 # a control deviation is w - x, DIN IEC 60050-351).
 FOLLOWING = (
-    r"(schlepp(fehler|abstand)|following ?(err|dist)|lag ?(err|dist)|pos(ition)? ?(diff|lag)|\bf[ -]?error"
-    r"|regel(abweichung|differenz)|control ?(deviation|error)|restweg|distance to go|remaining ?(distance|way))"
+    r"(schlepp(fehler|abstand)|follow(ing)? ?(err|dist)|lag ?(err|dist)|^[xyzabcuvw]\d? lag\b|pos(ition)? ?(diff|lag)"
+    r"|\bf[ -]?error|regel(abweichung|differenz)|control ?(deviation|error)|restweg|distance to go"
+    r"|remaining ?(distance|way))"
 )
 
 _STATE_OF_A_COMPENSATION = r"\b(after|before|with|without|nach|vor|mit|ohne|apres|avant|sans|avec|on|off|ein|aus)\b"

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
+import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -19,6 +21,7 @@ from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.files import missing
 from errpipe.formats import _derived, manifest_folder
 from errpipe.importing import (
+    archives,
     features,
     named_values,
     order,
@@ -53,8 +56,24 @@ MAX_SHEETS = 64  # with measurements, of one file; the rest is not opened
 def prepare(files: Sequence[Path], reader: ReaderOptions, options: ImportOptions) -> tuple[Proposal, dict[str, Any]]:
     """The proposed recording of some files, and what is to be shown before it is confirmed.
 
-    Raises DataError for a file that cannot be read, UsageError for an option that does not fit.
+    A file in an archive is one of them. Raises DataError for a file that cannot be read, UsageError for an option that
+    does not fit.
     """
+    with tempfile.TemporaryDirectory(prefix="errpipe-") as folder:
+        inside = {Path(folder) / str(n): Path(file) for n, file in enumerate(files)}
+        try:
+            opened = [archives.unpacked(file, place) for place, file in inside.items()]
+            out = _prepared([file for of, _ in opened for file in of], reader, options)
+        except (DataError, UsageError) as err:
+            said = str(err)
+            for place, file in inside.items():
+                said = said.replace(f"{place}{os.sep}", f"{file}, ")
+            raise type(err)(said) from None
+    out[0].notes[:0] = [note for _, notes in opened for note in notes]
+    return out
+
+
+def _prepared(files: Sequence[Path], reader: ReaderOptions, options: ImportOptions) -> tuple[Proposal, dict[str, Any]]:
     parts, sources = {}, []
     _refuse_twice(files)
     _refuse_several_axes(files, options)

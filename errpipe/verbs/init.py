@@ -62,6 +62,11 @@ def init(folder: Path, name: str, recording: Path | None = None, targets: Sequen
     template, folder = TEMPLATES[name], Path(folder)
     if recording is not None and template.sample is None and template.own is None:
         raise UsageError(f"template {name} simulates its recording; replace that stage in {PIPELINE} (no --recording)")
+    if folder.is_file():
+        raise UsageError(
+            f"{folder}: is a file (DIR is the folder to write). Measurements become a recording first: errpipe import "
+            f"{folder} --out recording --yes, then errpipe init {folder.stem or 'axis'} --recording recording"
+        )
     texts, why = _texts(name, template, folder, recording, targets)
     existing = [n for n in texts if (folder / n).exists()]
     if existing:

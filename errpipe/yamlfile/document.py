@@ -20,6 +20,7 @@ from errpipe.yamlfile.quantities import convert_quantities
 
 T = TypeVar("T")
 
+MEASURED = (".csv", ".tsv", ".xlsx", ".xls", ".h5", ".hdf5", ".mat", ".tdms", ".parquet", ".feather", ".zip", ".gz")
 MAX_BYTES = 4_000_000  # a configuration is written by hand
 
 
@@ -113,6 +114,9 @@ def text_of(path: Path) -> str:
         inside = path / "pipeline.yaml"
         beside = f": {inside}" if inside.is_file() else ""
         raise ConfigError([Problem(name, 0, 0, "", f"is a folder (a YAML file is needed{beside})")])
+    if path.is_file() and path.suffix.lower() in MEASURED:
+        needed = f"a YAML file is needed; measurements are read by errpipe import {name} --out recording"
+        raise ConfigError([Problem(name, 0, 0, "", f"is a file of measurements by its name ({needed})")])
     try:
         with files.open_regular(path) as stream:
             data, size = stream.read(MAX_BYTES + 1), os.fstat(stream.fileno()).st_size

@@ -10,13 +10,9 @@ A reader module has
 
 from __future__ import annotations
 
-import gzip
 import os
 import re
 import sys
-import tempfile
-import zipfile
-import zlib
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -37,11 +33,8 @@ MOST_MEMORY = 3 << 30  # bytes in addition to those in use: 256 MB of packed num
 MOST_SECONDS = 120  # s
 
 
-def open_file(path: Path, options: ReaderOptions, unpacked: bool = False) -> tuple[str, list[Sheet]]:
-    """Name of the reader that reads a file, and its sheets. Raises DataError.
-
-    A gzip file, or a zip file with one file in it, is unpacked first; not one that was unpacked itself.
-    """
+def open_file(path: Path, options: ReaderOptions) -> tuple[str, list[Sheet]]:
+    """Name of the reader that reads a file, and its sheets. Raises DataError."""
     if not path.is_file():
         raise DataError(f"{path}: no such file")
     size = path.stat().st_size
@@ -54,8 +47,6 @@ def open_file(path: Path, options: ReaderOptions, unpacked: bool = False) -> tup
         )
     with path.open("rb") as stream:
         head = stream.read(HEAD_BYTES)
-    if not unpacked and head.startswith(b"\x1f\x8b"):
-        return _open_packed(path, options, zipped=False)
     _refuse_known(path, head)
     for reader in READERS:
         if reader.sniff(path, head):
@@ -65,35 +56,8 @@ def open_file(path: Path, options: ReaderOptions, unpacked: bool = False) -> tup
             if not any(sheet.rows for sheet in sheets):
                 raise DataError(f"{path}: no rows ({reader.name})")
             return reader.name, sheets
-    if head.startswith(b"PK\x03\x04") and not unpacked:
-        return _open_packed(path, options, zipped=True)
     kinds = ", ".join(reader.name for reader in READERS)
     raise DataError(f"{path}: neither text nor any other kind of file that is imported (allowed: {kinds})")
-
-
-def _open_packed(path: Path, options: ReaderOptions, zipped: bool) -> tuple[str, list[Sheet]]:
-    """As `open_file`, of the only file in a gzip or zip file, through a temporary folder. Raises DataError."""
-    name = path.stem
-    try:
-        if zipped:
-            with zipfile.ZipFile(path) as archive:
-                names = [n for n in archive.namelist() if not re.search(r"(?:^|/)(?:\.|__MACOSX/)|/$", n)]
-                if len(names) != 1:
-                    raise DataError(f"{path}: an archive of {len(names)} files: extract it first, and name its files")
-                data, name = archive.open(names[0]).read(MOST_BYTES + 1), names[0].rpartition("/")[2]
-        else:
-            with gzip.open(path) as stream:
-                data = stream.read(MOST_BYTES + 1)
-    except (OSError, EOFError, RuntimeError, zlib.error, zipfile.BadZipFile) as err:
-        raise DataError(f"{path}: an archive that cannot be read here ({err}): extract it first") from None
-    with tempfile.TemporaryDirectory() as folder:
-        inner = Path(folder) / re.sub(r"[^\w. +=-]", "_", name)[-100:]
-        inner.write_bytes(data)
-        try:
-            kind, sheets = open_file(inner, options, unpacked=True)
-        except (DataError, UsageError) as err:
-            raise type(err)(str(err).replace(str(inner), f"{path}, {name}")) from None
-    return f"{kind}, packed", sheets
 
 
 def _refuse_known(path: Path, head: bytes) -> None:

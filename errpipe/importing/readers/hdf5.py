@@ -82,7 +82,7 @@ def sheets_of(datasets: list[tuple[str, Any, str]], stem: str) -> list[Sheet]:
     sheets = [Sheet(f"{g}/{n}".strip("/"), np.asarray(a, dtype=float).tolist()) for g, n, a, _ in matrices]
     for (group, length), parts in groups.items():
         parts += [part for g, n, a, u in matrices if g == group for part in columns_of(n, a, u, length)]
-    for (group, length), parts in groups.items():
+    for (group, length), parts in reversed(groups.items()):
         header = [f"{n} [{u}]" if u else n for n, _, u in parts]
         columns = [_cells(a) for _, a, _ in parts]
         sheets.insert(0, Sheet(group or stem, [[c[i] for c in columns] for i in range(length)], header))

@@ -1,7 +1,8 @@
-"""Parquet and Feather (by pyarrow), JSON or YAML: a record per line, a list of records or rows, a list per column."""
+"""Parquet and Feather (by pyarrow), JSON, YAML or INI: a record per line, a list of records or rows, or per column."""
 
 from __future__ import annotations
 
+import configparser
 import json
 import re
 from collections.abc import Iterable, Iterator
@@ -27,6 +28,8 @@ FEWEST_SECONDS, MOST_SECONDS = 5e8, 1e10  # Unix times in s, 1985 to 2286; large
 _LOGGED = re.compile(
     r"([^\s{}]{1,40}\d[^\s{}]*)\s+([^{}\n]{0,200}?)\s*(\{\".*\})\s*(?:\n|$)"
 )  # `2026-11-27T09:00:00Z mill/x {"x": 1}`
+_SECTION = re.compile(r"(?:\s*[;#].*\n)*\s*\[[^\W\d][^\[\]=]*\]\s*\n")  # the first of an INI file
+_BETWEEN = re.compile(r"\s*[;|\t]\s*|,\s+|\s+")  # values of a list; a comma without a blank may be a decimal one
 _OF_PYTHON = re.compile(r"'|\b(?:None|True|False|nan)\b")
 _JSON = {"None": "null", "True": "true", "False": "false", "nan": "NaN"}
 _NAMES = ("columns", "fields", "header")  # keys of column names stored with rows
@@ -36,7 +39,8 @@ def sniff(path: Path, head: bytes) -> bool:
     """A Parquet or Feather file, or text that starts like JSON records; a line `[1] Circle` does not match."""
     begin = "".join(head[:64].decode("utf-8-sig", "replace").split()).replace("'", '"')
     records = begin.startswith(('{"', '[{"', "[{}", "[[")) or _LOGGED.match(head.decode("utf-8-sig", "replace"))
-    return head.startswith((_PARQUET, _ARROW)) or bool(records) or path.suffix.lower() in _YAML
+    ini = _ini(head.decode("utf-8-sig", "replace").rpartition("\n")[0])
+    return head.startswith((_PARQUET, _ARROW)) or bool(records or ini) or path.suffix.lower() in _YAML
 
 
 def read(path: Path, options: ReaderOptions) -> list[Sheet]:
@@ -86,7 +90,7 @@ def _json(path: Path) -> list[Sheet]:
     if re.match(r"[\[\s]*\{\s*'", text):  # dictionaries as Python prints them
         text = _OF_PYTHON.sub(lambda m: _JSON.get(m[0], '"'), text)
     try:
-        document = _yaml(path, text) if path.suffix.lower() in _YAML else json.loads(text)
+        document = _yaml(path, text) if path.suffix.lower() in _YAML else _ini(text) or json.loads(text)
     except ValueError:
         document = _of_one_time(_line(path, n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip())
     except RecursionError:
@@ -111,6 +115,34 @@ def _json(path: Path) -> list[Sheet]:
     above = [f"{k}: {v}" for k, v in facts if isinstance(v, str) and len(v) <= LONGEST_TEXT]  # `Axis: X`
     named = [(at if len(alike) > 1 and at else path.stem, t) for at, t in alike]
     return [_sheet(n, {k: [*map(cell_of, of)] for k, of in t.items()}, [*notes], above) for n, t in named]
+
+
+def _ini(text: str) -> dict[str, Any]:
+    """An INI file as a document: a section per reading, a section per column, or lists of values; {} for other text."""
+    if not _SECTION.match(text):
+        return {}
+    parser = configparser.ConfigParser(delimiters=("=",), interpolation=None, default_section="")
+    parser.optionxform = str  # type: ignore[assignment,method-assign]
+    try:
+        parser.read_string(text)
+    except configparser.Error:
+        return {}
+    alike: dict[tuple[str, ...], dict[str, dict[str, str]]] = {}
+    document, lists = dict[str, Any](), dict[str, Any]()
+    for title in parser.sections():
+        alike.setdefault(tuple(parser[title]), {})[title] = dict(parser[title])
+    for keys, sections in alike.items():
+        if len(keys) > 1 and len(sections) >= max(FEWEST_ROWS, len(keys)):
+            lists[" ".join(keys)] = [*sections.values()]
+        elif len(sections) > 1 and len(keys) >= FEWEST_ROWS:
+            lists |= {title: [*of.values()] for title, of in sections.items()}
+        else:
+            document |= {k: v for of in sections.values() for k, v in of.items()}
+    apart = {k: _BETWEEN.split(v.strip()) for k, v in document.items()}
+    lists |= {
+        k: v for k, v in apart.items() if len(v) >= FEWEST_ROWS and all(number(x, "," in x) is not None for x in v)
+    }
+    return document | lists if lists else {}
 
 
 def _yaml(path: Path, text: str) -> Any:

@@ -56,14 +56,14 @@ def test_a_packed_table_is_unpacked(tmp_path: Path) -> None:
 
 def test_a_packed_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     (tmp_path / "cut.csv.gz").write_bytes(gzip.compress(table().encode())[:-9])
-    with pytest.raises(DataError, match=r"cut\.csv\.gz: an archive that cannot be read here"):
+    with pytest.raises(DataError, match=r"cut\.csv\.gz: not an archive that can be read"):
         prepared([tmp_path / "cut.csv.gz"])
     (tmp_path / "twice.gz").write_bytes(gzip.compress(gzip.compress(table().encode())))
     with pytest.raises(DataError, match="a compressed archive: extract it first"):
         prepared([tmp_path / "twice.gz"])
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
         archive.writestr("x.txt", "no table\n")
-    with pytest.raises(DataError, match=r"a\.zip: x: no row with two numbers"):
+    with pytest.raises(DataError, match=r"a\.zip, x\.txt: x: no row with two numbers"):
         prepared([tmp_path / "a.zip"])
 
 
