@@ -53,7 +53,8 @@ def unplaced(chain: Chain, tests: Mapping[str, Recording], squares: Mapping[str,
         for axis in (a for a in chain.axes if a != r.axis and a not in r.others):
             angles = [chain.index(n) for n in chain.of_axis(axis) if parse(n).unit == "urad"]
             q = np.tile(ends[0], (WHOLE, 1))
-            q[:, chain.axes.index(axis)] = np.linspace(*chain.travel[chain.axes.index(axis)], WHOLE)
+            low, high = chain.travel[chain.axes.index(axis)]
+            q[:, chain.axes.index(axis)] = np.linspace(low, high, WHOLE)
             most = 0.5 * float(np.ptp(found.at(q)[:, angles] @ along[angles]))
             if most > LEAST_TURN:
                 said.append(f"{square} by up to {most:.3g} urad, as {r.component} has no position of {axis}")
