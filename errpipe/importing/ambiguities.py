@@ -8,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from errpipe.domain import components
+from errpipe.domain.recording import ROLE_UNITS
+from errpipe.domain.units import conversion
 from errpipe.errors import DataError
 from errpipe.importing import columns, words
-from errpipe.importing.layout import COMPONENT, Layout
+from errpipe.importing.layout import COMPONENT, Layout, RawColumn
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
 
 FEWEST_ROWS = 3  # rows with readings: a straight line fits any two
@@ -188,6 +190,59 @@ def refuse_diameters(layout: Layout, guesses: columns.Guesses, options: ImportOp
         f"{'a line above' if line else 'a header'} says diameters ({line or place.header!r}): write positions and "
         f"readings as radii (half of a diameter), or, if they are radii, use --set '{place.header}.role=position'"
     )
+
+
+_OF_THE_MACHINE = re.compile(r"\b(machine|maschinen?\w*|macchina|maquina|mcs|mks|g53)\b")
+SAME_PLACE, LEAST_SHIFT = 0.05, 0.5  # mm, deg: spread of the distance of two columns of one position; less is no zero
+SHORTEST = 5.0  # mm, deg: of a travel
+
+
+def machine_positions(
+    layout: Layout, guesses: columns.Guesses, options: ImportOptions, in_columns: bool
+) -> columns.Guesses:
+    """The guesses, with the machine's own positions instead of those that count from the zero of a part (G54).
+
+    A table acts over the former. in_columns: whether runs are in columns; without a deviation one of the positions may
+    be the reading. Raises DataError if two columns are a constant apart and neither names the machine.
+    """
+    read = in_columns or any(g.kind == "error" for g in guesses.values())
+    if not read or any("role" in keys for keys in options.sets.values()):
+        return guesses
+    many = [c for c in layout.columns if c.numeric and (c.unit is None or c.unit in ROLE_UNITS["position"])]
+    own = [c for c in many if _OF_THE_MACHINE.search(words.plain(c.header))]
+    places = [c for c in many if guesses[c.header].kind in PLACES[:2] and c not in own]
+    if not places and len(own) == 1 and own[0].unit and guesses[own[0].header].kind == "ignore":
+        axis = columns.axis_in(own[0].header) or options.axis
+        return {**guesses, own[0].header: columns.ColumnGuess("position", axis, f"its name ({own[0].header!r})")}
+    for place, c in ((place, c) for place in places for c in many if c is not place):
+        letters = {columns.axis_in(x.header) for x in (place, c)} - {None}
+        usable = ("group", *PLACES, "ignore") if c in own else (*PLACES[:2], "ignore") if c.unit else ()
+        shift = _shift(place, c) if len(letters) < 2 and guesses[c.header].kind in usable else None
+        if shift is None:
+            continue
+        if c not in own:
+            raise DataError(
+                f"{c.header!r} is {place.header!r} {shift:+.6g} in every row: which counts from the machine's zero (a "
+                f"table acts there), which from that of a part (G54)? Use --set '{c.header}.role=command' --set "
+                f"'{place.header}.role=ignore', or --set '{c.header}.role=ignore'"
+            )
+        why = f"its name ({c.header!r}): {place.header!r} counts from another zero, {-shift:+.6g} off"
+        guesses = guesses | {
+            c.header: columns.ColumnGuess("command", next(iter(letters), None), why),
+            place.header: columns.ColumnGuess("ignore", None, f"not used: {c.header!r} has the machine's positions"),
+        }
+    return guesses
+
+
+def _shift(place: RawColumn, other: RawColumn) -> float | None:
+    """What a column has more than another in every row, mm or deg; None if that is nothing, or not the same."""
+    x, y = (np.asarray(conversion("position", c.unit or "mm")(c.values)) for c in (place, other))  # type: ignore[misc]
+    apart = (y - x)[np.isfinite(y - x)]
+    short = apart.size < 3 or np.ptp(x[np.isfinite(y - x)]) < SHORTEST
+    if short or np.ptp(apart) > SAME_PLACE or abs(apart.mean()) < LEAST_SHIFT:
+        return None
+    counted = np.unique(other.values)
+    return None if np.array_equal(counted, np.arange(1, counted.size + 1)) else float(np.median(apart))
 
 
 def component_above(layout: Layout, guesses: columns.Guesses, options: ImportOptions, p: Proposal) -> ImportOptions:

@@ -68,7 +68,7 @@ def _refuse_radians(p: Proposal) -> None:
         if np.max(np.abs(angles), initial=0.0) <= 2.0 * np.pi + 0.01 and np.any(2.0 * angles % 1.0):
             raise DataError(
                 f"no unit is stated for {name!r}, which stays within {np.max(np.abs(angles)):.3g}: rad, or deg? "
-                f"Declare it with --set {name}.unit=rad (or deg)"
+                f"Declare it with --set {name}.unit=rad (or deg); turns must be written in deg first (times 360)"
             )
 
 

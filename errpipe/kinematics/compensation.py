@@ -19,20 +19,43 @@ from errpipe.kinematics import polynomials, synthesis
 from errpipe.kinematics.chain import Chain, combinations
 from errpipe.kinematics.errors import MachineErrors
 
+PARALLEL = 1e-9  # of a cosine
 SINE_STEP = 0.5  # deg; linear interpolation is then within 1e-5 of the sine: 0.01 um of a 1 mm deviation
 
 
-def outputs(chain: Chain, used: tuple[str, ...] | None = None) -> tuple[OutputSource, ...]:
+def outputs(
+    chain: Chain, used: tuple[str, ...] | None = None, axes: tuple[str, ...] | None = None
+) -> tuple[OutputSource, ...]:
     """One output per linear axis: the deviation that this axis can correct (correction = minus it).
 
-    used: components to keep. Its drivers read axes by their letters and the tool's dimensions. Coordinates are those
-    the machine file counts in, tool length and offset from the spindle nose, mm.
+    Of parallel axes (Z and W) each corrects its own components whole, and the first all others: a curve over the axis
+    alone holds no half of them. used: components to keep; axes: those that correct, default all. Its drivers read axes
+    by their letters and the tool's dimensions, in the machine file's coordinates, from the spindle nose, mm.
     """
     terms_by_axis: dict[str, list[MonomialSource]] = {}
+    machine = chain.machine
+    correcting = machine.linear_axes() if axes is None else axes
     for (axis, component), letters in polynomials.jacobian(chain, "axes").items():
-        if used is None or component in used:
+        same = [a for a in machine.linear_axes() if _parallel(chain, a, axis)]
+        own = [a for a in same if a in correcting]
+        drive = int(chain.drives[chain.index(component)])
+        if len(same) > 1 and own:
+            if axis != (chain.axes[drive] if drive >= 0 and chain.axes[drive] in own else own[0]):
+                continue
+            letters = polynomials.Polynomial(
+                {key: len(same) * v for key, v in letters.items()}
+            )  # the jacobian divides it among all
+        if axis in correcting and (used is None or component in used):
             terms_by_axis.setdefault(axis, []).append(_term(chain, component, letters))
     return tuple(OutputSource(f"E_{axis}", tuple(t), axis) for axis, t in terms_by_axis.items())
+
+
+def _parallel(chain: Chain, one: str, other: str) -> bool:
+    """Whether two axes move the tool in one direction at every pose: no rotary axis lies between them."""
+    machine, links = chain.machine, [link.rstrip("'") for link in chain.machine.chain]
+    first, last = sorted((links.index(one), links.index(other)))
+    turned = set(links[first:last]) & set(machine.rotary_axes())
+    return not turned and abs(np.dot(machine.direction(one), machine.direction(other))) > 1 - PARALLEL
 
 
 def _term(chain: Chain, component: str, letters: polynomials.Polynomial) -> MonomialSource:

@@ -25,6 +25,7 @@ from errpipe.kinematics.air import UNMEASURED_HUMIDITY, index_change, index_unce
 from errpipe.kinematics.chain import Chain
 
 SAME_PLACE = 1e-3  # mm or deg: readings closer than this belong to one target
+PLACE_MATTERS = 1.0  # um: range by which a straightness may depend on where it was read, unstated (by judgement)
 
 
 def corrected(
@@ -186,6 +187,34 @@ def arms(chain: Chain, axis: str, laser: Laser, position: np.ndarray) -> np.ndar
     sense = -travels if machine.moved_by(axis) == "workpiece" else travels
     along = np.asarray(machine.direction(axis), dtype=float)
     return sense * np.asarray(position)[:, None] * along - np.asarray(laser.offset, dtype=float)
+
+
+def refuse_unstated_places(chain: Chain, recordings: Mapping[str, Recording], lasers: Mapping[str, Laser]) -> None:
+    """Raise DataError for a straightness of an axis that carries the work, read on the table or at the tool: unknown.
+
+    The angle of the axis times its position, which was recorded too, is the difference; it may turn the curve over.
+    """
+    tests = [r for r in recordings.values() if any(map(is_error_motion, r.components()))]
+    known = {name: curve for r in tests for name, curve in curves(r, chain, {}).items()}
+    for name, curve in known.items():
+        axis, stated = axis_of(name), lasers.get(name, Laser()).model_fields_set
+        turn = _turn(axis, curve.position, known)
+        if (
+            turn is None
+            or not parse(name).is_straightness
+            or "read_on" in stated
+            or chain.machine.moved_by(axis) == "tool"
+        ):
+            continue
+        way = np.asarray(chain.machine.direction(axis), dtype=float)
+        apart = np.cross(turn, curve.position[:, None] * way) @ direction_of(chain, name) * 1e-3
+        apart = float(np.ptp(apart - np.polyval(np.polyfit(curve.position, apart, 1), curve.position)))
+        if apart > PLACE_MATTERS:
+            raise DataError(
+                f"{name}: {axis} carries the work, and turns: read at a point of the table (a reflector on it), or at "
+                f"the tool (a gauge in the spindle, a straightedge on the table), its curve differs by {apart:.3g} um. "
+                f"State which: lasers: {{{name}: {{read_on: carriage}}}} or {{read_on: guideway}}"
+            )
 
 
 def _air_columns(recording: Recording) -> list[str | None]:

@@ -21,6 +21,7 @@ from errpipe.kinematics.observations import Observations
 UNOBSERVED = 0.5  # threshold: eigenvalue of the scaled posterior covariance (share of the prior variance)
 NAMED = 0.3  # weight in an unobserved eigenvector from which a component is named
 NEARLY, HELPS = 1e-3, 0.05  # weight of variance removed short of UNOBSERVED; smallest gain of a proposed measurement
+PARALLEL = 0.9  # cosine of two axes, such as Z and W, that make no circle
 MIN_BAR_LENGTH = 1.0  # mm: below it a bar has no direction; real ones are 50 mm and longer
 MAX_EXTRA = 12  # measurements proposed: more than a day's work
 BENDS = 2  # modes per curve: line and first bends; finer detail only needs more points
@@ -137,7 +138,7 @@ def candidates(chain: Chain, obs: Observations) -> dict[str, Observations]:
     for i, first in enumerate(chain.axes):
         for j, second in enumerate(chain.axes):
             both = {machine.axes[first].kind, machine.axes[second].kind} == {"linear"}
-            if j <= i or not both:
+            if j <= i or not both or abs(np.dot(machine.direction(first), machine.direction(second))) > PARALLEL:
                 continue
             angle = np.arange(24) * 2 * np.pi / 24
             radius = 0.3 * min(high[i] - low[i], high[j] - low[j])

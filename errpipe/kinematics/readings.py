@@ -6,15 +6,17 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from errpipe.domain.components import is_error_motion
+from errpipe.domain.components import is_error_motion, parse
 from errpipe.domain.recording import Recording
-from errpipe.kinematics import direct, protocols, records
+from errpipe.kinematics import direct, protocols, records, synthesis
 from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import Chain
 from errpipe.kinematics.direct import Laser
+from errpipe.kinematics.errors import MachineErrors
 
 # Waves of a curve: of tests at the tool; of records, smallest and largest number. `curve_misfit` is the lack of fit.
 AT_THE_TOOL, FEWEST, MOST = 12, 20, 48
+WHOLE, LEAST_TURN = 65, 1.0  # points of a travel; urad: half the range of a turn worth a remark (by judgement)
 MIN_MISSED = 0.05  # um, urad: smaller values are no shape
 
 
@@ -35,6 +37,28 @@ def of_tests(
     if single:
         every.append(records.observations(chain, single, lasers=lasers, squares=squares))
     return o.concatenate(every), counts
+
+
+def unplaced(chain: Chain, tests: Mapping[str, Recording], squares: Mapping[str, float], found: MachineErrors) -> str:
+    """By how much a squareness may be wrong as a line's place along an axis that turns it is not recorded; or ''."""
+    single = {name: r for name, r in tests.items() if records.is_direct(r)}
+    said = []
+    for square, r in ((s, r) for s in squares for r in records.read(chain, single) if s in chain.components):
+        if r.component not in (records.lines_of(chain, square) or ()):
+            continue
+        ends = np.tile(chain.travel.mean(axis=1), (2, 1))
+        ends[:, chain.axes.index(r.axis)] = chain.travel[chain.axes.index(r.axis)]
+        along = np.diff(direct.direction_of(chain, r.component) @ synthesis.jacobian(chain, ends)[:, :3], axis=0)[0]
+        along *= 1e3 / np.ptp(ends[:, chain.axes.index(r.axis)])
+        for axis in (a for a in chain.axes if a != r.axis and a not in r.others):
+            angles = [chain.index(n) for n in chain.of_axis(axis) if parse(n).unit == "urad"]
+            q = np.tile(ends[0], (WHOLE, 1))
+            low, high = chain.travel[chain.axes.index(axis)]
+            q[:, chain.axes.index(axis)] = np.linspace(low, high, WHOLE)
+            most = 0.5 * float(np.ptp(found.at(q)[:, angles] @ along[angles]))
+            if most > LEAST_TURN:
+                said.append(f"{square} by up to {most:.3g} urad, as {r.component} has no position of {axis}")
+    return f"may be wrong: {'; '.join(said)}: add it as a column, constant where it stood" if said else ""
 
 
 def modes(tests: Mapping[str, Recording]) -> int:

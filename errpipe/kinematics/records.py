@@ -323,7 +323,7 @@ def _squares_of(chain: Chain, component: str) -> list[str]:
     return [n for n in of_axis if abs(_slope_per_squareness(chain, n, component)) > 1e-9]
 
 
-def _pair(chain: Chain, square: str) -> tuple[str, str] | None:
+def lines_of(chain: Chain, square: str) -> tuple[str, str] | None:
     """The two straightness components that a square in the plane of a squareness is held against."""
     second = square[2:]
     machine = chain.machine
@@ -341,7 +341,7 @@ def _square_columns(chain: Chain, records: list[Record], squares: Mapping[str, f
     out: dict[str, tuple[str, str]] = {}
     recorded = {r.component for r in records}
     for square in squares:
-        pair = _pair(chain, square) if square in chain.components else None
+        pair = lines_of(chain, square) if square in chain.components else None
         if pair is None:
             near = did_you_mean(square, [n for n in chain.components if n[1] == "0" and n[0] in ROTATIONS])
             raise DataError(f"squares.{square}: {chain.machine.name} has no such squareness of two linear axes.{near}")

@@ -41,6 +41,9 @@ def solve(stage: Any, context: Context) -> Solved:
     single = {name: r for name, r in tests.items() if records.is_direct(r)}
     if not single and (stage.lasers or stage.squares):
         raise UsageError(f"{stage.label}: lasers and squares are of records such as EXX; no recording holds one")
+    true = _truth(chain, context)
+    if true is None:
+        direct.refuse_unstated_places(chain, single, stage.lasers)
     seen, _ = readings.of_tests(chain, tests, stage.lasers, stage.squares)
     context.progress(0.3, f"{len(chain.components)} components from {len(seen)} readings")
     modes = readings.modes(tests) if stage.modes is None else stage.modes
@@ -59,8 +62,9 @@ def solve(stage: Any, context: Context) -> Solved:
             "records": _records(chain, single, stage),
             "noise_of": {n: s for n, s in noise.items() if n in chain.components},
         }
+    if places := readings.unplaced(chain, single, stage.squares, identified.errors()):
+        document["places"] = places
     residual = None
-    true = _truth(chain, context)
     if true is not None:
         residual = remaining.of_truth(chain, true, identified.errors())
         document["simulated_truth"] = residual.figures

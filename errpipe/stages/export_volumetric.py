@@ -198,7 +198,7 @@ def compile_machine(
     from errpipe.kinematics import compensation
 
     pairs = compensation.lowered(errors, turning)
-    outputs = [o for o in compensation.outputs(chain, used=tuple(pairs)) if o.axis in axes]
+    outputs = list(compensation.outputs(chain, tuple(pairs), axes))
     table = tables.compile_table(
         [tables.ComponentSource(name, chain.unit(name), pair) for name, pair in pairs.items()],
         inputs=_inputs(chain),

@@ -67,6 +67,7 @@ class Identify(Stage):
             "expected_after_um": volumetric["left_rms_um"],
             "unseen": len(document["unseen"]),
         }
+        out |= {"places": document["places"]} if "places" in document else {}
         truth = document.get("simulated_truth")
         return out | ({"true_residual_rms_um": truth["after_rms_um"]} if truth else {})
 

@@ -7,8 +7,11 @@ import pytest
 from machines import corrected, ready
 from numpy.testing import assert_allclose
 
+from errpipe.domain.machine import Machine
 from errpipe.domain.table import TableInput
-from errpipe.kinematics import compensation, synthesis
+from errpipe.kinematics import compensation, observability, synthesis
+from errpipe.kinematics import observations as o
+from errpipe.kinematics.chain import compile_chain
 from errpipe.kinematics.errors import MachineErrors
 from errpipe.simulation import metrology
 from errpipe.tables.compile import ComponentSource, compile_table
@@ -129,3 +132,27 @@ def test_profiles_that_are_off_move_the_tool_no_further_than_their_bound():
     size = np.array([off.get(n, 0.0) for n in chain.components])
     worst = np.linalg.norm(np.abs(synthesis.jacobian(chain, q)[:, :3]) @ size, axis=1).max()
     assert 0.6 * bound < worst <= bound
+
+
+@pytest.mark.parametrize("way", [(0, 0, 1), (0, 0, -1)])
+def test_each_of_two_parallel_axes_corrects_its_own_error_whole(way):
+    """A quill W along Z: halves on both would be half a correction in files over the axis itself. +10 um at the end."""
+    axes = {a: {"kind": "linear", "travel": [0, 500]} for a in "XYZW"}
+    axes["W"]["direction"] = way
+    machine = {"machine": 1, "name": "m", "chain": ["workpiece", "bed", "X", "Y", "Z", "W", "tool"], "axes": axes}
+    chain = compile_chain(Machine.model_validate(machine))
+    both = compensation.outputs(chain, ("EZZ", "EZW", "EZX"))
+    weights = {out.axis: {t.component: t.weight for t in out.terms} for out in both}
+    assert weights["Z"] == pytest.approx({"EZZ": 1.0, "EZX": 1.0}) and weights["W"] == pytest.approx({"EZW": way[2]})
+    (alone,) = compensation.outputs(chain, ("EZZ", "EZW"), ("W",))
+    assert {t.component: t.weight for t in alone.terms} == pytest.approx({"EZZ": way[2], "EZW": way[2]})
+
+
+def test_no_circle_of_parallel_axes_is_proposed():
+    axes = {a: {"kind": "linear", "travel": [0, 500]} for a in "XYZW"}
+    machine = {"machine": 1, "name": "m", "chain": ["workpiece", "bed", "X", "Y", "Z", "W", "tool"], "axes": axes}
+    chain = compile_chain(Machine.model_validate(machine))
+    seen = o.along(chain, np.linspace([0.0] * 4, [500.0, 0, 0, 0], 9), chain.tip(), (1, 0, 0))
+    offered = observability.candidates(chain, seen)
+    assert "ball-bar circle XZ (24 readings)" in offered and "ball-bar circle ZW (24 readings)" not in offered
+    assert all(np.isfinite(test.weights).all() for test in offered.values())

@@ -172,8 +172,37 @@ def test_the_angle_of_another_axis_where_a_line_was_read_is_no_squareness(place,
     tests = {"z": line("Z", EXZ=0), "x": line("X", EZX=2, EBX=4)}
     without = tuple(n for n in chain.components if n not in ("EXZ", "EZX", "EBX", "B0Z"))
     seen = records.observations(chain, tests, squares={"B0Z": 0.0})
-    found = identify.identify(identify.Parametrisation.of(chain, 12, without), seen).component("B0Z")[0][0]
+    solved = identify.identify(identify.Parametrisation.of(chain, 12, without), seen)
+    found = solved.component("B0Z")[0][0]
     assert (abs(found - 7.0) < 1.5) == squareness
+    says = readings.unplaced(chain, tests, {"B0Z": 0.0}, solved.errors())
+    assert ("B0Z by up to 20" in says and "EXZ has no position of X" in says) != squareness
+
+
+@pytest.mark.parametrize(("chain", "asked"), [("workpiece X' bed Y Z tool", True), ("workpiece bed X Y Z tool", False)])
+def test_where_a_straightness_of_a_table_was_read_is_asked_if_it_matters(chain, asked):
+    axes = {a: {"kind": "linear", "travel": [0, 500]} for a in "XYZ"}
+    machine = Machine.model_validate({"machine": 1, "name": "m", "chain": chain.split(), "axes": axes})
+    x = np.linspace(0, 500, 21)
+    columns = {
+        "x": Column(role="position", axis="X", unit="mm"),
+        "EYX": Column(role="error", component="EYX", unit="um"),
+        "ECX": Column(role="error", component="ECX", unit="urad"),
+    }
+
+    def ask(size, **said):
+        frame = pd.DataFrame({"x": x, "EYX": 0.0 * x, "ECX": size * np.sin(x / 90.0)})
+        test = {"t": Recording(Manifest(recording=1, tables=("t.csv",), columns=columns), frame)}
+        direct.refuse_unstated_places(compile_chain(machine), test, {"EYX": direct.Laser(**said)} if said else {})
+
+    for stated in ({"read_on": "carriage"}, {"read_on": "guideway"}):
+        ask(30.0, **stated)
+    ask(0.5)
+    if not asked:
+        return ask(30.0)
+    for said in ({}, {"offset": (0.0, 0.0, 10.0)}):
+        with pytest.raises(DataError, match=r"EYX: X carries the work, and turns.*differs by 11.8 um"):
+            ask(30.0, **said)
 
 
 def test_readings_that_sat_out_are_left_with_the_noise():
