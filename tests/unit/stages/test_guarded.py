@@ -151,7 +151,9 @@ def test_a_group_whose_states_go_on_from_the_group_before_it_makes_no_guard_cost
     late = rows_of(rows, ("T_bearing",))
     shaft = 3.0 * late.lagged(late.x, 5400.0)[:, 0] + rows.array("E_Z") / 100.0  # um, at 3 um/K
     rows = rows.with_columns({"E_Z": shaft}, {})
-    halves = [f"{day} {'late' if t > 7200.0 else 'early'}" for day, t in zip(rows.run_codes(), rows.time(), strict=True)]
+    halves = [
+        f"{day} {'late' if t > 7200.0 else 'early'}" for day, t in zip(rows.run_codes(), rows.time(), strict=True)
+    ]
     rows = rows.with_columns({"run": np.array(halves)}, {"run": Column(role="run")})
     model = Lagged.model_validate({"family": "lagged", "component": "E_Z"}).fit(rows).model
     judge = judged(rows, model)
