@@ -71,6 +71,6 @@ def in_words(figures: Mapping[str, Any], before: str = "") -> str:
     places = (f"{s['step']:+.3g} {unit} in run {s['run']} at t = {s['t']:.8g} s (row {s['row']})" for s in found)
     words = (
         f"{before}{figures['component']} steps by {', '.join(places)}, which no input of the model explains (false "
-        f"alarms: {FALSE_ALARMS:g} in 1000 h): was a probe moved or its zero set? Measure that run again, or end it there"
+        f"alarms: {FALSE_ALARMS:g} in 1000 h): was a probe moved or its zero set? Measure that run again, or end it"
     )
     return words if found else ""
