@@ -59,7 +59,7 @@ def judged(
     def blocks() -> dict[str, list[HeldOut]]:
         return _left_out(recording, family, family.folds(recording, BLOCKS)[1], progress)[0]
 
-    document = {
+    document: dict[str, Any] = {
         "validation": VERSION,
         "scheme": label,
         "method": family.method_name,
