@@ -236,16 +236,20 @@ def _shifts(guard: SensorGuard, held: Recording) -> Iterator[tuple[tuple[int, in
 
 
 def _cost(judge: Judge, held: Recording, guard: SensorGuard, folds: Sequence[Fold]) -> float:
-    """Relative increase of the residual by a guard with healthy sensors: larger one of held-out and fitted groups."""
-    predicted, by_fold = dict(judge.predicted(judge.plain, held)), dict(judge.predicted(judge.compiled(guard), held))
+    """Relative increase of the residual by a guard with healthy sensors: larger one of held-out and fitted groups.
+
+    Rows of a group are evaluated without those before them, where states start anew; so are those of the plain table.
+    """
+    predicted, by_fold = judge.predicted(judge.plain, held), dict(judge.predicted(judge.compiled(guard), held))
     own = judge.cost(judge.rms_difference(by_fold, predicted))
     for rows, fold in folds:
         sensors = tuple(o if s.stands_in else _alone(o, s) for o, s in zip(fold.sensors, guard.sensors, strict=True))
         same = fold.model_copy(update={"sensors": sensors, "most_failed": guard.most_failed})
-        part = judge.predicted(judge.compiled(same), held.take(rows))
-        for name, values in part.items():
+        group = held.take(rows)
+        plain = judge.predicted(judge.plain, group)
+        for name, values in judge.predicted(judge.compiled(same), group).items():
             by_fold[name] = by_fold[name].copy()
-            by_fold[name][rows] = values
+            by_fold[name][rows] = predicted[name][rows] + values - plain[name]
     return max(own, judge.cost(judge.rms_difference(by_fold, predicted)))
 
 

@@ -107,6 +107,8 @@ class Export(CompileOptions, SignOptions, Stage):
 
 
 def _no_axis(names: Sequence[str]) -> str:
+    if all(components.unit(name) == "urad" for name in names):
+        return f"{' and '.join(names)}: no axis corrects an angle at the tool (targets: [] exports the table alone)"
     stated = f"acts_on: {{{names[0]}: {{axis: X, factor: 0.5}}}}"
     return f"no axis corrects {' and '.join(names)}: state the axis, such as {stated}"
 

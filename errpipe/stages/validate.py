@@ -44,12 +44,13 @@ class Validate(Stage):
         summary: dict[str, Any] = {}
         folder = context.maybe("error_model")
         if folder is not None:
-            from errpipe.validation import held_out
+            from errpipe.validation import held_out, steps
 
             document |= self._of_model(context, folder)
             remark = MORE_RUNS if document["scheme"] == HALVES else ""
             remark += "".join(f"; {why}" for why in held_out.in_short(document.get("not_judged", ())))
-            summary |= {c["component"]: headline(c) + remark for c in document["components"]}
+            stepped = {c["component"]: steps.in_words(c, "; ") for c in document["components"]}
+            summary |= {c["component"]: headline(c) + stepped[c["component"]] + remark for c in document["components"]}
         machine = context.maybe("identified_machine")
         if machine is not None:
             document["machine"] = _of_machine(context, machine)

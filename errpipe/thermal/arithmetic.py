@@ -29,6 +29,8 @@ MUCH_BY_PLACE = 0.3  # of the squared residual explained by a straight line over
 FEWEST_PASSES = (
     4  # of a run through the middle of its places; with fewer a drift looks like a profile (both by judgement)
 )
+# Roles that a thermal model reads. In a merged log of several devices each is empty in the rows of the others.
+READ_BY_A_TABLE = ("temperature", "spindle_speed", "coolant")
 SEEN_BEYOND = 0.25  # of the span; with more a failed sensor cost over 1.3 of healthy on a turning centre
 
 
@@ -54,13 +56,13 @@ def held_readings(recording: Recording) -> Recording:
 def short_gaps_held(
     recording: Recording, names: Iterable[str] | None = None, longest: int | None = LONGEST_HELD
 ) -> Recording:
-    """The recording with sensors (default: temperatures) as a controller has them: held between readings.
+    """The recording with inputs (default: `READ_BY_A_TABLE`) as a controller has them: held between readings.
 
     Readings missing at the start of a run take its first one. Gaps of more than `longest` readings, at the rate at
     which the sensor is logged, stay empty (None: no gap does).
     """
     held = {}
-    for name in recording.names("temperature") if names is None else names:
+    for name in [n for role in READ_BY_A_TABLE for n in recording.names(role)] if names is None else names:
         values = recording.frame[name]
         if values.count() in (0, len(values)):
             continue

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from errpipe.domain import components
 from errpipe.domain import driver as d
 from errpipe.domain.driver import inputs
 from errpipe.domain.error_model import ComponentModel, ErrorModel, Validity
@@ -68,9 +69,11 @@ class ThermalModel:
 
     def component_model(self) -> ComponentModel:
         """As an error model's component: one term per driver, with the figures of the report."""
-        terms = tuple(fitted_term(ProfileDriver(driver=(node,)), [gain], "um") for gain, node in self.terms)
+        unit = components.unit(self.component)  # of an angle at the tool urad: no axis turns by it
+        terms = tuple(fitted_term(ProfileDriver(driver=(node,)), [gain], unit) for gain, node in self.terms)
         return ComponentModel(
             component=self.component,
+            unit=unit,
             terms=terms,
             rows=self.report["rows"],
             rms_before=self.report["rms_before"],
@@ -85,10 +88,10 @@ class ThermalModel:
     def error_model(self, recording: Recording) -> ErrorModel:
         """As an error model of one component; `recording` gives machine, title and the columns' entries."""
         read = (name for _, node in self.terms for name in inputs(node))  # a spindle's state reads its speed
-        names = dict.fromkeys([*self.validity.ranges, *sorted(read)])
+        names, unit = dict.fromkeys([*self.validity.ranges, *sorted(read)]), components.unit(self.component)
         notes = (
             "counts from the start of each run: temperatures do not show where the probe was zeroed "
-            f"(zeros seen: {self.datum[0]:.1f} um, standard deviation {self.datum[1]:.1f} um)",
+            f"(zeros seen: {self.datum[0]:.1f} {unit}, standard deviation {self.datum[1]:.1f} {unit})",
         )
         return ErrorModel.of(
             recording.manifest,

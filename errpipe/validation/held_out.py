@@ -24,6 +24,7 @@ from errpipe.fitting.judging import HeldOut, every_judged, half_width90, half_wi
 from errpipe.fitting.noise_floor import noise_floor
 from errpipe.models import Family
 from errpipe.validation import seasons, significance
+from errpipe.validation.steps import unexplained_steps
 
 GAINS = (0.0, 0.25, 0.5, 0.75, 1.0)  # competing shares of a model, 0 = no compensation
 # Factor on the half width from halves of one run: covers 93, 90 and 87 % of later logs after one of 1, 3 and 8 days
@@ -58,7 +59,7 @@ def judged(
     def blocks() -> dict[str, list[HeldOut]]:
         return _left_out(recording, family, family.folds(recording, BLOCKS)[1], progress)[0]
 
-    document = {
+    document: dict[str, Any] = {
         "validation": VERSION,
         "scheme": label,
         "method": family.method_name,
@@ -75,6 +76,8 @@ def judged(
     }
     if empty:
         document["not_judged"] = empty
+    for component in document["components"]:
+        component["steps"] = unexplained_steps(recording, component["component"], by_component[component["component"]])
     if label == holdout.HALVES:
         _of_one_run(document)
     if family.seasonal:

@@ -12,8 +12,10 @@ from errpipe.domain.recording import ActsOn, Column, Manifest, Recording
 from errpipe.domain.table import TableInput
 from errpipe.drivers.lowered import Lowered
 from errpipe.errors import GateError, UsageError
+from errpipe.models.rises import Rises
+from errpipe.simulation import spindle_drift
 from errpipe.stages import targets as stage
-from errpipe.stages._compile import _acts_on
+from errpipe.stages._compile import CompileOptions, _acts_on, compile_model
 from errpipe.targets import TARGETS, _sample
 
 SENSOR = TableInput(name="T", kind="sensor", unit="degC", low=-40, high=100, default=20, valid=(15, 35), margin=5)
@@ -77,3 +79,13 @@ def test_what_the_table_says_of_the_diameter_stays_the_diameter():
     columns, time = {"T": np.array([20.0, 25.0])}, np.array([0.0, 1.0])
     said = batch.evaluate(tables.by_component(table), columns, time, np.zeros(2, dtype=int)).deviation
     assert said["E_D"][1] == pytest.approx(10.0, abs=1e-6)
+
+
+def test_the_drift_of_an_angle_at_the_tool_is_in_urad_and_turns_no_axis():
+    """Under the unit of a length, a rotary axis A would get it as thousandths of a degree: 17 times too much."""
+    recording, _ = spindle_drift.simulate(2)
+    angle = {"E_A": Column(role="error", component="E_A", unit="urad")}
+    recording = recording.with_columns({"E_A": recording.array("E_Z")}, angle)
+    model = Rises.model_validate({"family": "rises", "component": "E_A"}).fit(recording).model
+    (output,) = compile_model(model, CompileOptions(), recording=recording).outputs
+    assert (model.components[0].unit, output.unit, output.correction_unit, output.axis) == ("urad", "urad", "urad", "")

@@ -9,6 +9,8 @@ from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.drivers.shared import drive_all
 from errpipe.guard import in_table, learn
 from errpipe.guard.detect import faults
+from errpipe.guard.rows import rows_of
+from errpipe.models.lagged import Lagged
 from errpipe.models.terms import Terms
 from errpipe.stages import _guarded
 from errpipe.stages._checklist import _sensor_monitoring
@@ -141,6 +143,24 @@ def test_a_guard_that_costs_sound_sensors_too_much_is_left_out_and_said(watched)
         patch.setattr(learn, "learn", jumpy)
         found = _guarded.choose_guard(judge, None)
     assert not found.guard.compares and "with healthy sensors it would cost" in found.sentence
+
+
+def test_a_group_whose_states_go_on_from_the_group_before_it_makes_no_guard_costly():
+    """Days of two runs each, the second without a pause: evaluated alone, its lags start in another state."""
+    rows = measured(4, 9)
+    late = rows_of(rows, ("T_bearing",))
+    shaft = 3.0 * late.lagged(late.x, 5400.0)[:, 0] + rows.array("E_Z") / 100.0  # um, at 3 um/K
+    rows = rows.with_columns({"E_Z": shaft}, {})
+    halves = [
+        f"{day} {'late' if t > 7200.0 else 'early'}" for day, t in zip(rows.run_codes(), rows.time(), strict=True)
+    ]
+    rows = rows.with_columns({"run": np.array(halves)}, {"run": Column(role="run")})
+    model = Lagged.model_validate({"family": "lagged", "component": "E_Z"}).fit(rows).model
+    judge = judged(rows, model)
+    by_group = [judge.predicted(judge.plain, rows.take(rows.run_codes() == k))["E_Z"] for k in range(8)]
+    assert np.abs(np.concatenate(by_group) - judge.predicted(judge.plain, rows)["E_Z"]).max() > 0.3
+    found = _guarded.choose_guard(judge, "leave-one-run-out")
+    assert found.guard.compares and found.document["cost"] <= _guarded.MAX_COST, found.sentence
 
 
 def test_a_sensor_that_no_other_tells_fades_the_correction(watched):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from errpipe.cli.app import main
-from errpipe.domain.recording import Recording
+from errpipe.domain.recording import Column, Recording
 from errpipe.errors import GateError, VerifyError
 from errpipe.formats import manifest_folder
 from errpipe.models.rises import Rises
@@ -158,3 +158,21 @@ def test_an_hour_without_one_of_two_sensors_of_a_lag_is_no_error_of_the_table():
     proof = _proof.compare(compile_model(model, CompileOptions(), recording=recording), model, recording)
     assert proof[0]["unguarded_difference_um"] < 1e-6
     assert _proof.remarks(proof, Passed(None, (), ())) is not None
+
+
+def test_a_switched_coolant_logged_in_other_rows_than_the_temperatures_is_no_error_of_the_table():
+    """Logs of two devices, merged: where one has a row, the flow and the speed of the other are empty.
+
+    The heat that a flow removes is a product under a lag, which without a reading would be held as a whole.
+    """
+    from errpipe.models.lagged import Lagged
+
+    recording, _ = spindle_drift.simulate(5, days=DAYS)
+    row = np.arange(len(recording))
+    flow = np.where(row % 2 == 0, (row // 60) % 2, np.nan)
+    recording = recording.with_columns({"flow": flow}, {"flow": Column(role="coolant")})
+    model = Lagged.model_validate({"family": "lagged", "component": "E_Z"}).fit(recording).model
+    table = compile_model(model, CompileOptions(), recording=recording)
+    assert "flow" in {i.name for i in table.inputs}
+    (proof,) = _proof.compare(table, model, recording)
+    assert proof["unguarded_difference_um"] < 1e-6 and proof["largest_difference_um"] < 1e-6
