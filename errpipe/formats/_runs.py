@@ -16,11 +16,17 @@ RUNS = "errpipe.runs"  # key of the list of a table's runs: [[label, rows], ...]
 MOST_RUNS = 100_000  # largest number stored: some MB
 
 
-def known_runs(runs: Mapping[str, int], at: int, rows: int) -> Stretches:
-    """The runs of `rows` rows from row `at` on."""
-    ends = np.cumsum(list(runs.values()))
-    first, last = np.searchsorted(ends, [at, at + rows - 1], side="right")
-    return Stretches(list(runs)[first : last + 1], np.r_[0, ends[first:last] - at], rows)
+class KnownRuns:
+    """Runs whose rows are known. runs: label -> rows, in the order of the table."""
+
+    def __init__(self, runs: Mapping[str, int]):
+        self.labels, self.ends = list(runs), np.cumsum(list(runs.values()))
+
+    def of(self, at: int, rows: int) -> Stretches:
+        """The runs of `rows` rows from row `at` on."""
+        first, last = self.ends.searchsorted([at, at + rows - 1], side="right").tolist()
+        starts = self.ends[first:last] - at
+        return Stretches(self.labels[first : last + 1], np.concatenate(([0], starts)), rows)
 
 
 def runs_stated(facts: pq.FileMetaData) -> dict[str, int] | None:
