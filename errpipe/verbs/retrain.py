@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
@@ -174,7 +175,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     if refused:
         gates.append(retraining.Gate("pipeline", False, refused))
     else:
-        folders = [out / RUN / name for name in models_of(pipeline.stages, pipeline.links)]
+        folders = [out / RUN / name for name in models_of(pipeline.stages, pipeline.links, every=True)]
         model, challenger = _model_in(folders)
         lacking = [c.component for c in model.components if c.component not in prediction]
         if lacking:
@@ -220,7 +221,7 @@ def _last_stage_with(pipeline: Pipeline, artefact: str) -> str:
 
 def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, str]:
     _last_stage_with(pipeline, "error_model")
-    folders = [Path(folder) / name for name in models_of(pipeline.stages, pipeline.links)]
+    folders = [Path(folder) / name for name in models_of(pipeline.stages, pipeline.links, every=True)]
     recording = Path(folder) / _last_stage_with(pipeline, "recording")
     for path in (*(f / _artefacts.MODEL for f in folders), recording / MANIFEST):
         if not path.is_file():
@@ -242,7 +243,11 @@ def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, 
 def _model_in(folders: Sequence[Path]) -> tuple[ErrorModel, str]:
     """The model of all fits together, as it is exported, and the fingerprint of its files."""
     contents = [(folder / _artefacts.MODEL).read_bytes() for folder in folders]
-    model = joined([_artefacts.read_model(folder / _artefacts.MODEL) for folder in folders])
+    models = [_artefacts.read_model(folder / _artefacts.MODEL) for folder in folders]
+    try:
+        model = joined(models)
+    except (DataError, UsageError) as why:
+        raise UsageError(f"{why}; to retrain them, give each a pipeline and a champion of its own") from None
     alone = contents[0] if len(contents) == 1 else "".join(map(jsonfile.fingerprint_bytes, contents)).encode()
     return model, jsonfile.fingerprint_bytes(alone)
 
@@ -297,8 +302,9 @@ def _change(old: ErrorModel, new: ErrorModel, recording: Recording) -> dict[str,
         difference = after[component] - before[component]
         out[component] = {"largest_um": float(np.max(np.abs(difference))), "rms_um": float(np.std(difference))}
         out[component]["largest_um_per_k"] = 0.0
-    for name in recording.names("temperature"):
-        warmer = recording.with_columns({name: recording.array(name) + 1.0}, {})
+    later = np.diff(recording.run_codes(), prepend=-1) == 0  # from the start of a run, a constant rise is none
+    for name, rise in itertools.product(recording.names("temperature"), (np.ones(len(recording)), later)):
+        warmer = recording.with_columns({name: recording.array(name) + rise}, {})
         old_warm, new_warm = predictions(old, warmer), predictions(new, warmer)
         for component, figures in out.items():
             slope = (new_warm[component] - after[component]) - (old_warm[component] - before[component])
