@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,17 +15,10 @@ RUNS = "errpipe.runs"  # key of the list of a table's runs: [[label, rows], ...]
 MOST_RUNS = 100_000  # largest number stored: some MB
 
 
-class KnownRuns:
-    """Runs whose rows are known. runs: label -> rows, in the order of the table."""
-
-    def __init__(self, runs: Mapping[str, int]):
-        self.labels, self.ends = list(runs), np.cumsum(list(runs.values()))
-
-    def of(self, at: int, rows: int) -> Stretches:
-        """The runs of `rows` rows from row `at` on."""
-        first, last = self.ends.searchsorted([at, at + rows - 1], side="right").tolist()
-        starts = self.ends[first:last] - at
-        return Stretches(self.labels[first : last + 1], np.concatenate(([0], starts)), rows)
+def known_runs(labels: list[str], ends: np.ndarray, at: int, rows: int) -> Stretches:
+    """The runs of `rows` rows from row `at` on. ends: row after the last of each run of the table, in order."""
+    first, last = ends.searchsorted([at, at + rows - 1], side="right").tolist()
+    return Stretches(labels[first : last + 1], np.concatenate(([0], ends[first:last] - at)), rows)
 
 
 def runs_stated(facts: pq.FileMetaData) -> dict[str, int] | None:

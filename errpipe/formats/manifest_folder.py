@@ -29,7 +29,7 @@ from errpipe.domain.written_manifest import WrittenManifest
 from errpipe.errors import ConfigError, DataError
 from errpipe.formats import _derived, _tables
 from errpipe.formats._magnitude import refuse_impossible, refuse_reverse_flow
-from errpipe.formats._runs import KnownRuns, Runs, runs_stated
+from errpipe.formats._runs import Runs, known_runs, runs_stated
 
 name = "manifest"
 MANIFEST = "recording.yaml"
@@ -142,12 +142,14 @@ def iter_batches(
     read = [n for n in kept if not (runs and manifest.columns[n].role == "run")]
     labels = [n for n in read if manifest.columns[n].role in LABELS]
     timed = any(manifest.columns[n].role == "time" for n in kept)
-    past, at, known = Past(), 0, KnownRuns(runs or {})
+    past, at, ends = Past(), 0, np.cumsum(list((runs or {}).values()))
     try:
         table = pq.ParquetFile(Path(folder) / TABLE, read_dictionary=labels, pre_buffer=False)
         for part in table.iter_batches(batch_size=rows, columns=read, use_threads=False):
             there = {n: part[n] if n in labels else part[n].to_numpy(zero_copy_only=False) for n in read}
-            columns = {n: there[n] if n in there else known.of(at, part.num_rows) for n in kept}
+            columns = {
+                n: there[n] if n in there else known_runs(list(runs or {}), ends, at, part.num_rows) for n in kept
+            }
             batch = Batch(manifest, columns, part.num_rows, past)
             yield batch
             last = batch.run_stretches[0][-1]

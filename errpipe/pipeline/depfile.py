@@ -54,8 +54,11 @@ def _escape(name: str, *, target: bool = False) -> str:
     return name.replace("=", f"$({_EQUALS})")
 
 
-def touch(stamp: Path) -> None:
-    """Touch the stamp, always: an old stamp would make `make` run the rule every time."""
+def touch(stamp: Path, begun: int) -> None:
+    """Give the stamp the time when the run began, ns: an input that changed after it was read is newer, and runs again.
+
+    Always, also if nothing ran: an old stamp would make `make` run the rule every time.
+    """
     if not stamp.exists():
         jsonfile.write_text(stamp, "")
-    os.utime(stamp)
+    os.utime(stamp, ns=(begun, begun))

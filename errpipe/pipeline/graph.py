@@ -74,8 +74,7 @@ def _behind(stage: Stage, slot: str, need: Need, before: Sequence[Stage], links:
 
 
 def models_of(stages: Sequence[Stage], links: Links, every: bool = False) -> tuple[str, ...]:
-    """Names of the stages whose error models make up the table: those that the last export (every: any export) reads,
-    else all."""
+    """Names of the stages whose error models make up the table: what the last export (every: any) reads, else all."""
     need = Need("error_model", optional=True, every=True)
     exports = [
         (s.label, slot) for s in stages if "table" in s.gives for slot, n in s.takes.items() if n.type == need.type

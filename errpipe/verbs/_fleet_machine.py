@@ -24,7 +24,7 @@ from errpipe.stages.validate import HELD_OUT
 from errpipe.validation.cusum import level_drift
 from errpipe.validation.held_out import in_short
 from errpipe.validation.input_drift import sensor_drift
-from errpipe.verbs._fleet_earlier import MACHINES, of_earlier
+from errpipe.verbs.fleet_processes import MACHINES, of_earlier
 
 if TYPE_CHECKING:
     from errpipe.pipeline.spec import Pipeline

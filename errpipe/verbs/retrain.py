@@ -36,6 +36,7 @@ VERSION = 1  # of the document's layout
 MIN_RUNS_SINCE = 5  # runs since a change of the machine, from which a challenger is fitted on these alone
 RUN = "run"  # folder of the challenger's pipeline run, below OUT
 DOCUMENT = "retrain.json"
+Limits = tuple[float | None, float | None]  # largest change of the correction, um and um/K; None for none
 
 
 def retrain(
@@ -68,20 +69,14 @@ def retrain(
 
 
 def _decided(
-    pipeline: Pipeline,
-    champion: Path,
-    out: Path,
-    alpha: float,
-    limits: tuple[float | None, float | None],
-    allowed: Sequence[str],
-    callbacks: Callbacks,
+    pipeline: Pipeline, champion: Path, out: Path, alpha: float, limits: Limits, allowed: Sequence[str], how: Callbacks
 ) -> dict[str, Any]:
     old_model, old_recording, fingerprint = _champion(pipeline, champion)
     earlier = _earlier_document(out / DOCUMENT)
     kept_from, dates = _since(earlier, fingerprint)
     cleaned = out / RUN / _last_stage_with(pipeline, "recording")
     try:
-        refused, since, on_all = _run(_also_valid(pipeline, old_model, old_recording), out, dates, callbacks)
+        refused, since, on_all = _run(_also_valid(pipeline, old_model, old_recording), out, dates, how)
     except MissingColumn:  # of the champion's `also_valid`: a recording of another machine
         _same_machine(champion, old_model, old_recording, _artefacts.recording_in(cleaned))
         raise
@@ -89,17 +84,8 @@ def _decided(
     _same_machine(champion, old_model, old_recording, recording)
     if on_all and _no_longer_kept(dates[0], old_recording, recording):
         on_all = ""
-    document = _judged(
-        pipeline,
-        out,
-        recording,
-        (old_model, old_recording, fingerprint),
-        _scores_of(earlier, out / DOCUMENT, fingerprint),
-        refused,
-        alpha=alpha,
-        limits=limits,
-        allowed=allowed,
-    )
+    old, scores = (old_model, old_recording, fingerprint), _scores_of(earlier, out / DOCUMENT, fingerprint)
+    document = _judged(pipeline, out, recording, old, scores, refused, alpha=alpha, limits=limits, allowed=allowed)
     document |= {"kept_from": kept_from, "fitted_since": since, "fitted_on_all": on_all}
     jsonfile.write(out / DOCUMENT, document)
     write_pages(document, out)
@@ -243,9 +229,8 @@ def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, 
 def _model_in(folders: Sequence[Path]) -> tuple[ErrorModel, str]:
     """The model of all fits together, as it is exported, and the fingerprint of its files."""
     contents = [(folder / _artefacts.MODEL).read_bytes() for folder in folders]
-    models = [_artefacts.read_model(folder / _artefacts.MODEL) for folder in folders]
     try:
-        model = joined(models)
+        model = joined([_artefacts.read_model(folder / _artefacts.MODEL) for folder in folders])
     except (DataError, UsageError) as why:
         raise UsageError(f"{why}; to retrain them, give each a pipeline and a champion of its own") from None
     alone = contents[0] if len(contents) == 1 else "".join(map(jsonfile.fingerprint_bytes, contents)).encode()
