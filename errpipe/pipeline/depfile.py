@@ -55,10 +55,7 @@ def _escape(name: str, *, target: bool = False) -> str:
 
 
 def touch(stamp: Path, begun: int) -> None:
-    """Give the stamp the time when the run began, ns: an input that changed after it was read is newer, and runs again.
-
-    Always, also if nothing ran: an old stamp would make `make` run the rule every time.
-    """
+    """Give the stamp the time when the run began, ns, also if nothing ran: an input that changed since is newer."""
     if not stamp.exists():
         jsonfile.write_text(stamp, "")
     os.utime(stamp, ns=(begun, begun))

@@ -183,7 +183,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     decision = retraining.decide(scores, gates, alpha=alpha)
     return {
         "retrain": VERSION,
-        "title": pipeline.title,
+        "title": pipeline.title or "Retraining",
         "champion": fingerprint,
         "challenger": "" if refused else challenger,
         "decision": "promote" if decision.promote else "keep the champion",
