@@ -78,8 +78,9 @@ class Stretches:
 
     def take(self, rows: Any) -> Any:
         """The labels of some rows, as a dictionary array."""
-        index = np.repeat(np.arange(len(self.starts), dtype=np.int32), np.diff(self.starts, append=self.rows))
-        return pa.DictionaryArray.from_arrays(index[rows], self.dictionary, safe=False)
+        rows = np.arange(self.rows)[rows] if isinstance(rows, slice) else rows
+        index = np.searchsorted(self.starts, rows, side="right") - 1
+        return pa.DictionaryArray.from_arrays(index.astype(np.int32), self.dictionary, safe=False)
 
     def to_pandas(self) -> pd.Series:
         """The labels of all rows, as categories."""

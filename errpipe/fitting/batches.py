@@ -140,7 +140,7 @@ class History:
             sums, count = _products(rows[first:end], self.varying)
             self.sums[k] += sums
             self.counts[k] += count
-        self.cells.append(np.repeat(numbers, np.diff(part.starts, append=len(part.batch)))[kept])
+        self.cells.append(np.array(numbers)[np.searchsorted(part.starts, kept, side="right") - 1])
         self.places.append(kept + part.at)
         self.kept.append(part.batch.take(kept))
 
@@ -281,10 +281,10 @@ def parts(source: Source, layout: Layout, names: Sequence[str], prepare: Prepare
             begins = np.union1d(starts, np.flatnonzero(groups[1:] != groups[:-1]) + 1)
             of = np.searchsorted(starts, begins, side="right") - 1
             keys, starts = [(runs[k], str(groups[s])) for k, s in zip(of, begins, strict=True)], begins
-        sampled = [np.arange(0)]
+        sampled = []
         for label, first, end in stretches(batch):
             in_run = in_run if label == last else 0
-            sampled += [first + rows for rows in _sampled(layout, numbers[label], in_run, end - first)]
+            sampled.append(first + _sampled(layout, numbers[label], in_run, end - first))
             in_run, last = in_run + end - first, label
         yield Part(batch, keys, starts, np.concatenate(sampled), at)
         at += len(batch)
@@ -352,13 +352,13 @@ def _groups(batch: Recording, layout: Layout, at: int) -> np.ndarray | None:
     return holdout.labels(holdout.with_calendar(batch, of), of)
 
 
-def _sampled(layout: Layout, run: int, begin: int, count: int) -> list[np.ndarray]:
-    """Rows of a part of a run that are in the sample, ascending, by stretch. begin: rows of the run before the part."""
+def _sampled(layout: Layout, run: int, begin: int, count: int) -> np.ndarray:
+    """Rows of a part of a run that are in the sample, ascending. begin: rows of the run before the part."""
     every = -(-layout.rows // SAMPLE_ROWS)
     stretch = max(SHORTEST, min(STRETCH, SAMPLE_ROWS // len(layout.runs)))
     period = every * stretch
     buffer = max(1, min(int(layout.lengths[run]), period) - stretch + 1)
     first = (run * 2_654_435_761) % buffer  # Knuth's multiplicative hash: a different offset in every run
     starts = first - begin + period * np.arange((begin - first) // period, (begin + count - first) // period + 1)
-    ends = np.minimum(starts + stretch, count).tolist()
-    return [np.arange(max(s, 0), e) for s, e in zip(starts.tolist(), ends, strict=True)]
+    rows = (starts[:, None] + np.arange(stretch)).ravel()
+    return rows[(rows >= 0) & (rows < count)]
