@@ -9,7 +9,7 @@ import importlib
 import multiprocessing
 import os
 import signal
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -28,25 +28,12 @@ def run_machine(*task: Any) -> dict[str, Any]:
 
 
 def failed_result(task: Sequence[Any], attempts: int) -> dict[str, Any]:
+    from errpipe.pipeline.lock import of_earlier
+
     message = f"its worker was killed {attempts} times (out of memory?)"
     message += of_earlier(Path(task[3]) / MACHINES / task[1], ())
     nothing = {"responses": {}, "drift": [], "model": "", "seconds": 0.0, "peak_mb": 0.0}
     return nothing | {"name": task[1], "state": "failed", "message": message, "attempts": attempts}
-
-
-def of_earlier(folder: Path, brought_up_to_date: Container[str]) -> str:
-    """In words, which outputs in a machine's folder an earlier run made; '' where there are none.
-
-    A machine that fails keeps them: whoever reads its folder alone would take its old table for today's.
-    """
-    from errpipe.errors import ErrpipeError
-    from errpipe.pipeline.lock import read_lock
-
-    try:
-        earlier = [name for name in read_lock(folder) if name not in brought_up_to_date and (folder / name).is_dir()]
-    except (ErrpipeError, OSError):
-        return ""
-    return f"; {MACHINES}/{folder.name} holds what an earlier run made: {', '.join(earlier)}" if earlier else ""
 
 
 def in_processes(tasks: Sequence[Task], jobs: int) -> Iterator[dict[str, Any]]:
