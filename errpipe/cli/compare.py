@@ -11,7 +11,7 @@ from errpipe.cli.output import module_of, print_result
 
 
 def command(
-    old: Path = typer.Argument(metavar="OLD", help="Table, model, recording, diagnosis or run folder."),
+    old: Path = typer.Argument(metavar="OLD", help="Table, model, recording, diagnosis, run folder or fleet."),
     new: Path = typer.Argument(metavar="NEW", help="Another one of that kind."),
     max_um: float | None = typer.Option(
         None, "--max-um", min=0.0, metavar="UM", help="Largest difference allowed; beyond it exit 4."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,7 +35,7 @@ def command(
         None, "--depfile-target", metavar="NAME", help="Target of that rule; default: the stamp, else the lock file."
     ),
     stamp: Path | None = typer.Option(
-        None, "--stamp", metavar="FILE", help="Touch this file at the end, also if nothing ran."
+        None, "--stamp", metavar="FILE", help="At the end touch this file, with the time when the run began."
     ),
     json: bool = Json,
 ) -> None:
@@ -50,7 +51,7 @@ def command(
     from errpipe.cli.progress import ProgressReporter
     from errpipe.pipeline import unchanged
 
-    folder = output_folder(pipeline, out)
+    folder, begun = output_folder(pipeline, out), time.time_ns()
     reporter = ProgressReporter(str(folder))
     whole = to is None and not force and depfile is None
     known = unchanged.steps(pipeline, folder, sets, reporter.callbacks()) if whole else None
@@ -63,7 +64,7 @@ def command(
     if stamp is not None:
         from errpipe.pipeline.depfile import touch
 
-        touch(stamp)
+        touch(stamp, begun)
     title, steps = known
     result = {"title": title, "out": str(folder), "stages": [_plain(step) for step in steps]}
     lines = [

@@ -84,7 +84,6 @@ class Stretches:
 
     def to_pandas(self) -> pd.Series:
         """The labels of all rows, as categories."""
-
         return self.take(slice(None)).to_pandas()
 
 

@@ -167,13 +167,14 @@ def joined(models: Sequence[ErrorModel]) -> ErrorModel:
     if twice := sorted({n for n in names if names.count(n) > 1}):
         raise UsageError(f"several fits have {', '.join(twice)}: name the one that counts, from: {{error_model: NAME}}")
     columns = {name: entry for m in models for name, entry in m.columns.items()}
+    constants = {name: entry for m in models for name, entry in m.constants.items()}  # a model has those of its axes
     validity = _common([m.validity for m in models])
     for other in others:
         agree = {
             "machine": other.machine == first.machine,
             "zero": other.datum == first.datum,
             "columns": all(columns[name] == entry for m in models for name, entry in m.columns.items()),
-            "constants": other.constants == first.constants,
+            "constants": all(constants[name] == entry for m in models for name, entry in m.constants.items()),
             "fading": other.validity.fades == first.validity.fades,
             "validity": all(low <= high for low, high in validity.ranges.values()),
         }
@@ -184,6 +185,7 @@ def joined(models: Sequence[ErrorModel]) -> ErrorModel:
         update={
             "inputs": {f"{what} of {m.components[0].component}": f for m in models for what, f in m.inputs.items()},
             "columns": columns,
+            "constants": constants,
             "components": tuple(c for m in models for c in m.components),
             "validity": validity,
             "notes": tuple(f"{m.components[0].component}: {note}" for m in models for note in m.notes),

@@ -3,7 +3,7 @@
 A batch is reduced to one matrix of sums of products (Gram) of [1 | design | fixed part | response] per cell, a cell
 being the rows of one run, group and block. Matrices of cells add up: that of any set of cells, such as all runs but
 one, is their sum. Columns count from the mean of their first rows, so that a large mean costs no digits, and the
-is the triangular factor of the scaled sum (Golub and Van Loan, Matrix Computations, 4th edition, section 5.3: normal
+factor of the scaled sum is triangular (Golub and Van Loan, Matrix Computations, 4th edition, section 5.3: normal
 equations square the condition number of the scaled columns; collinearity is rejected long before). In addition a
 sample of whole stretches of every run is kept for what needs single rows; up to `SAMPLE_ROWS` rows it is all of them.
 """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,10 +15,10 @@ RUNS = "errpipe.runs"  # key of the list of a table's runs: [[label, rows], ...]
 MOST_RUNS = 100_000  # largest number stored: some MB
 
 
-def known_runs(runs: Mapping[str, int], at: int, rows: int) -> Stretches:
-    ends = np.cumsum(list(runs.values()))
-    first, last = np.searchsorted(ends, [at, at + rows - 1], side="right")
-    return Stretches(list(runs)[first : last + 1], np.r_[0, ends[first:last] - at], rows)
+def known_runs(labels: list[str], ends: np.ndarray, at: int, rows: int) -> Stretches:
+    """The runs of `rows` rows from row `at` on. ends: row after the last of each run of the table, in order."""
+    first, last = ends.searchsorted([at, at + rows - 1], side="right").tolist()
+    return Stretches(labels[first : last + 1], np.concatenate(([0], ends[first:last] - at)), rows)
 
 
 def runs_stated(facts: pq.FileMetaData) -> dict[str, int] | None:

@@ -142,12 +142,14 @@ def iter_batches(
     read = [n for n in kept if not (runs and manifest.columns[n].role == "run")]
     labels = [n for n in read if manifest.columns[n].role in LABELS]
     timed = any(manifest.columns[n].role == "time" for n in kept)
-    past, at = Past(), 0
+    past, at, ends = Past(), 0, np.cumsum(list((runs or {}).values()))
     try:
         table = pq.ParquetFile(Path(folder) / TABLE, read_dictionary=labels, pre_buffer=False)
         for part in table.iter_batches(batch_size=rows, columns=read, use_threads=False):
             there = {n: part[n] if n in labels else part[n].to_numpy(zero_copy_only=False) for n in read}
-            columns = {n: there[n] if n in there else known_runs(runs or {}, at, part.num_rows) for n in kept}
+            columns = {
+                n: there[n] if n in there else known_runs(list(runs or {}), ends, at, part.num_rows) for n in kept
+            }
             batch = Batch(manifest, columns, part.num_rows, past)
             yield batch
             last = batch.run_stretches[0][-1]
@@ -157,32 +159,27 @@ def iter_batches(
         raise DataError(f"{Path(folder) / TABLE}: not a Parquet file, or a damaged one") from None
 
 
-def runs_written(folder: Path) -> dict[str, int] | None:
-    """Rows of each run of such a folder, in order; None if they have to be read."""
-    rows = pq.read_metadata(Path(folder) / TABLE)
-    return runs_stated(rows) if load_manifest(folder).names("run") else {"1": int(rows.num_rows)}
-
-
-def extremes(folder: Path) -> tuple[Recording, frozenset[str]]:
-    """Of such a folder, from the file's statistics: two rows, the smallest and the largest value of every column; and
-    the columns in which no value is missing.
+def facts_written(folder: Path) -> tuple[Recording, frozenset[str], dict[str, int] | None]:
+    """Of such a folder, from the file's statistics: two rows, the smallest and the largest value of every column; the
+    columns in which no value is missing; and the rows of each run, in order (None if they have to be read).
     """
     manifest = canonical(load_manifest(folder))
     facts = pq.read_metadata(Path(folder) / TABLE)
     ends: dict[str, list[Any]] = {}
     incomplete = set()
-    for group in range(facts.num_row_groups):
-        for index in range(facts.num_columns):
-            column = facts.row_group(group).column(index)
-            statistics = column.statistics
+    for group in map(facts.row_group, range(facts.num_row_groups)):
+        for column in map(group.column, range(facts.num_columns)):
+            name, statistics = column.path_in_schema, column.statistics
             if statistics is None or statistics.null_count:
-                incomplete.add(column.path_in_schema)
+                incomplete.add(name)
             if statistics is not None and statistics.has_min_max:
-                known = ends.setdefault(column.path_in_schema, [statistics.min, statistics.max])
-                known[:] = min(known[0], statistics.min), max(known[1], statistics.max)
+                least, most = statistics.min, statistics.max
+                known = ends.setdefault(name, [least, most])
+                known[:] = min(known[0], least), max(known[1], most)
     kept = [n for n, c in manifest.columns.items() if c.role != "ignore"]
     frame = pd.DataFrame({n: ends.get(n, [np.nan, np.nan]) for n in kept})
-    return Recording(manifest, frame), frozenset(kept) - incomplete
+    runs = runs_stated(facts) if manifest.names("run") else {"1": int(facts.num_rows)}
+    return Recording(manifest, frame), frozenset(kept) - incomplete, runs
 
 
 def canonical(manifest: Manifest) -> Manifest:

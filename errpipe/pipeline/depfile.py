@@ -54,8 +54,8 @@ def _escape(name: str, *, target: bool = False) -> str:
     return name.replace("=", f"$({_EQUALS})")
 
 
-def touch(stamp: Path) -> None:
-    """Touch the stamp, always: an old stamp would make `make` run the rule every time."""
+def touch(stamp: Path, begun: int) -> None:
+    """Give the stamp the time when the run began, ns, also if nothing ran: an input that changed since is newer."""
     if not stamp.exists():
         jsonfile.write_text(stamp, "")
-    os.utime(stamp)
+    os.utime(stamp, ns=(begun, begun))

@@ -73,13 +73,14 @@ def _behind(stage: Stage, slot: str, need: Need, before: Sequence[Stage], links:
     return tuple(name for name in fitting if name not in replaced), ""
 
 
-def models_of(stages: Sequence[Stage], links: Links) -> tuple[str, ...]:
-    """Names of the stages whose error models make up the table: those that the last export reads, else all."""
+def models_of(stages: Sequence[Stage], links: Links, every: bool = False) -> tuple[str, ...]:
+    """Names of the stages whose error models make up the table: what the last export (every: any) reads, else all."""
     need = Need("error_model", optional=True, every=True)
     exports = [
         (s.label, slot) for s in stages if "table" in s.gives for slot, n in s.takes.items() if n.type == need.type
     ]
-    return links[exports[-1][0]][exports[-1][1]] if exports else _behind(stages[-1], "", need, stages, links)[0]
+    read = [name for label, slot in exports[0 if every else -1 :] for name in links[label][slot]]
+    return tuple(dict.fromkeys(read)) if exports else _behind(stages[-1], "", need, stages, links)[0]
 
 
 def _is_provided(stage: Stage, slot: str, before: Sequence[Stage]) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import errpipe
 from errpipe import files, jsonfile
-from errpipe.errors import DataError, VerifyError
+from errpipe.errors import DataError, ErrpipeError, VerifyError
 
 if TYPE_CHECKING:
     from errpipe.pipeline.stage import Stage
@@ -65,6 +65,19 @@ def read_lock(out: Path) -> dict[str, Record]:
         for file in (name, *record.outputs):
             refuse_outside(path, file)
     return records
+
+
+def of_earlier(folder: Path, brought_up_to_date: Container[str]) -> str:
+    """In words, which outputs in a folder an earlier run made; '' where there are none.
+
+    A machine that fails keeps them: whoever reads its folder alone would take its old table for today's.
+    """
+    try:
+        earlier = [name for name in read_lock(folder) if name not in brought_up_to_date and (folder / name).is_dir()]
+    except (ErrpipeError, OSError):
+        return ""
+    made = f"; {folder.parent.name}/{folder.name} holds what an earlier run made: {', '.join(earlier)}"
+    return made if earlier else ""
 
 
 def _record(plain: Mapping[str, Any]) -> Record:

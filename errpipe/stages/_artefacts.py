@@ -89,9 +89,8 @@ def source_in(folder: Path) -> Source | None:
     rows = manifest_folder.rows_written(folder)
     if not rows:
         return None
-    ends, complete = manifest_folder.extremes(folder)
-    batches, runs = partial(manifest_folder.iter_batches, folder), manifest_folder.runs_written(folder)
-    return Source(rows, ends, batches, complete, runs)
+    ends, complete, runs = manifest_folder.facts_written(folder)
+    return Source(rows, ends, partial(manifest_folder.iter_batches, folder), complete, runs)
 
 
 def recordings_in(context: Context) -> dict[str, Recording]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -75,6 +76,26 @@ class Change:
     share: float
     by_bin: Bins
     settled: float = 0.0
+
+
+@dataclass
+class Comparison:
+    """kind: of what. lines: sentences. parts: plain data. largest, rms: um (urad, N), None without a figure.
+
+    changes, findings: what is drawn; of a finding its name, its size before and after, um rms.
+    """
+
+    kind: str
+    lines: list[str] = field(default_factory=list)
+    parts: dict[str, Any] = field(default_factory=dict)
+    largest: float | None = None
+    rms: float | None = None
+    changes: list[tuple[str, Change]] = field(default_factory=list)
+    findings: list[tuple[str, float, float]] = field(default_factory=list)
+
+    def widen(self, largest: float, rms: float) -> None:
+        """Widen the figures by those of one part."""
+        self.largest, self.rms = max(self.largest or 0.0, largest), max(self.rms or 0.0, rms)
 
 
 def of_model(model: ErrorModel) -> Compensation:

@@ -17,14 +17,13 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import ErrpipeError, NotIdentifiable
 from errpipe.pipeline import runner
 from errpipe.pipeline.graph import models_of
-from errpipe.pipeline.lock import read_lock
+from errpipe.pipeline.lock import of_earlier, read_lock
 from errpipe.pipeline.spec import load_pipeline
 from errpipe.stages import STAGES, _artefacts
 from errpipe.stages.validate import HELD_OUT
 from errpipe.validation.cusum import level_drift
 from errpipe.validation.held_out import in_short
 from errpipe.validation.input_drift import sensor_drift
-from errpipe.verbs._fleet_earlier import MACHINES, of_earlier
 
 if TYPE_CHECKING:
     from errpipe.pipeline.spec import Pipeline
@@ -37,7 +36,7 @@ def run_machine(pipeline: str, name: str, sets: Sequence[str], out: str) -> dict
     """
     begin, state, message = time.perf_counter(), "done", ""
     figures: dict[str, Any] = {"responses": {}, "drift": [], "model": "", "undetermined": False}
-    folder, brought_up_to_date = Path(out) / MACHINES / name, set()
+    folder, brought_up_to_date = Path(out) / "machines" / name, set()
     callbacks = runner.Callbacks(finished=lambda step: brought_up_to_date.add(step.name))
     with suppress(OSError):  # the peak of this process' memory counts from now (Linux)
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")

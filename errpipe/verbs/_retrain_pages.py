@@ -32,18 +32,19 @@ def write_failure(title: str, why: str, out: Path) -> None:
     """
     for page in (MARKDOWN, JUNIT, GITLAB, FIGURE):
         (out / page).unlink(missing_ok=True)
-    heading = f"# {plain_text(title or 'Retraining')}: not judged"
-    case = f'  <testcase classname="retrain" name="judged"><error message="{escape(why)}"/></testcase>'
-    jsonfile.write_text(out / MARKDOWN, f"{heading}\n\n{plain_text(why)}\n\nThe champion is kept.\n")
+    title = title or "Retraining"
+    case = f'  <testcase classname="{escape(title)}" name="judged"><error message="{escape(why)}"/></testcase>'
+    text = f"# {plain_text(title)}: not judged\n\n{plain_text(why)}\n\nThe champion is kept.\n"
+    jsonfile.write_text(out / MARKDOWN, text)
     jsonfile.write_text(out / JUNIT, _test_suite({"tests": 1, "failures": 0, "errors": 1, "skipped": 0}, [case]))
-    jsonfile.write(out / GITLAB, [_quality("not judged", why, "blocker")])
+    jsonfile.write(out / GITLAB, [_quality(title, "not judged", why, "blocker")])
 
 
 def markdown(document: Mapping[str, Any]) -> str:
     """The page for a pull request."""
     promoted = document["decision"] == "promote"
     lines = [
-        f"# {plain_text(document['title'] or 'Retraining')}: {document['decision']}",
+        f"# {plain_text(document['title'])}: {document['decision']}",
         "",
         f"Evidence for the challenger: e-value {document['e_value']:.3g}, {document['e_value_needed']:.3g} needed. "
         + ("Every gate holds." if promoted else "What failed is listed first."),
@@ -99,9 +100,10 @@ def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
         f"{d['before_um']:.3g} um before."
         for d in drift["rms"]
     ]
+    wrong = [f", or {d['column']} reads wrong" for d in drift["inputs"] if d["suspected"]]
     said += [
         f"{d['component']} is {d['factor']:.2g} times what the champion predicts since run {d['since']}: "
-        f"{d['meaning'] or 'the machine changed'}."
+        f"{d['meaning'] or 'the machine changed' + ''.join(wrong)}."
         for d in drift["sizes"]
     ]
     return [*lines, *(f"- {plain_text(sentence)}" for sentence in (*said, *_sentences(drift)))]
@@ -144,12 +146,11 @@ def _sentences(drift: Mapping[str, Any]) -> list[str]:
 def junit(document: Mapping[str, Any]) -> str:
     """One test case per gate, as CI systems read them; insufficient evidence is skipped, not failed."""
     gates = document["gates"]
-    waiting = sum(_waits(g) for g in gates)
+    waiting, lines = sum(_waits(g) for g in gates), []
     failed = sum(not g["passed"] for g in gates) - waiting
-    lines = []
     for gate in gates:
         name, says, kind = escape(gate["name"]), escape(gate["says"]), "skipped" if _waits(gate) else "failure"
-        lines.append(f'  <testcase classname="retrain" name="{name}">')
+        lines.append(f'  <testcase classname="{escape(document["title"])}" name="{name}">')
         lines += [] if gate["passed"] else [f'    <{kind} message="{says}">{says}</{kind}>']
         lines.append("  </testcase>")
     return _test_suite({"tests": len(gates), "failures": failed, "errors": 0, "skipped": waiting}, lines)
@@ -170,14 +171,14 @@ def _waits(gate: Mapping[str, Any]) -> bool:
 def code_quality(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Failed gates as GitLab's code quality report."""
     failed = [g for g in document["gates"] if not g["passed"]]
-    return [_quality(g["name"], g["says"], "info" if _waits(g) else "major") for g in failed]
+    return [_quality(document["title"], g["name"], g["says"], "info" if _waits(g) else "major") for g in failed]
 
 
-def _quality(name: str, says: str, severity: str) -> dict[str, Any]:
+def _quality(title: str, name: str, says: str, severity: str) -> dict[str, Any]:
     return {
-        "description": f"{name}: {says}",
+        "description": f"{title}, {name}: {says}",
         "check_name": "errpipe retrain",
-        "fingerprint": jsonfile.fingerprint([name, says])[:32],
+        "fingerprint": jsonfile.fingerprint([title, name, says])[:32],  # findings of one fingerprint are one to GitLab
         "severity": severity,
         "location": {"path": MARKDOWN, "lines": {"begin": 1}},
     }
@@ -186,7 +187,7 @@ def _quality(name: str, says: str, severity: str) -> dict[str, Any]:
 def github_annotations(document: Mapping[str, Any]) -> list[str]:
     """Workflow commands, a line for each failed gate and all that drifted."""
     failed = [g for g in document["gates"] if not g["passed"]]
-    warnings = [("sensor drift", f"{d['column']} since run {d['since']}") for d in document["drift"]["inputs"]]
+    warnings = [("sensor", f"{d['column']} {_word(d)} since run {d['since']}") for d in document["drift"]["inputs"]]
     warnings += [("narrower validity", says) for says in document["narrower"]]
     warnings += [("drift", sentence) for sentence in _sentences(document["drift"])]
     return [

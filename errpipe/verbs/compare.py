@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ from errpipe.errors import DataError, UsageError, VerifyError, first_problem
 from errpipe.stages import _artefacts
 from errpipe.tables import by_component, ect
 from errpipe.validation import changes
-from errpipe.validation.changes import Change, Compensation
+from errpipe.validation.changes import Change, Comparison, Compensation
 
 if TYPE_CHECKING:
     from errpipe.pipeline.lock import Record
@@ -28,26 +28,6 @@ SETTLED = 0.5  # of the largest difference: less than that once settled is worth
 MAX_LISTED = 12  # lines of one kind in a text; the JSON document has all
 
 
-@dataclass
-class Comparison:
-    """kind: of what. lines: sentences. parts: plain data. largest, rms: um (urad, N), None without a figure.
-
-    changes, findings: what is drawn; of a finding its name, its size before and after, um rms.
-    """
-
-    kind: str
-    lines: list[str] = field(default_factory=list)
-    parts: dict[str, Any] = field(default_factory=dict)
-    largest: float | None = None
-    rms: float | None = None
-    changes: list[tuple[str, Change]] = field(default_factory=list)
-    findings: list[tuple[str, float, float]] = field(default_factory=list)
-
-    def widen(self, largest: float, rms: float) -> None:
-        """Widen the figures by those of one part."""
-        self.largest, self.rms = max(self.largest or 0.0, largest), max(self.rms or 0.0, rms)
-
-
 def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | None = None) -> dict[str, Any]:
     """The document of `errpipe compare`: kind, what changed, largest_um, rms_um, within (None without a limit).
 
@@ -55,11 +35,14 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
     """
     if figure is not None and Path(figure).suffix.lower() != ".svg":
         raise UsageError(f"--figure {figure}: is drawn as SVG (a name that ends in .svg)")
-    kinds = kind_of(Path(old)), kind_of(Path(new))
+    old, new = (
+        p / "run" if (p / "retrain.json").is_file() else p for p in (Path(old), Path(new))
+    )  # of retrain: its run
+    kinds = kind_of(old), kind_of(new)
     correcting = {"table", "model"}
     if kinds[0] != kinds[1] and not set(kinds) <= correcting:
         raise DataError(f"{old} is a {kinds[0]} and {new} is a {kinds[1]}: two of one kind can be compared")
-    result = HOW[kinds[0] if kinds[0] == kinds[1] else "model"](Path(old), Path(new))
+    result = HOW[kinds[0] if kinds[0] == kinds[1] else "model"](old, new)
     result.lines = result.lines or ["nothing changed"]
     within = None
     if max_um is not None:
@@ -76,13 +59,12 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
 
 
 def kind_of(path: Path) -> str:
-    """table, model, recording, diagnosis or run folder. Raises DataError for anything else."""
+    """table, model, recording, diagnosis, run folder or fleet. Raises DataError for anything else."""
     if path.is_dir():
-        if (path / "errpipe.lock").is_file():
-            return "run folder"
-        if (path / "recording.yaml").is_file():
-            return "recording"
-        raise DataError(f"{path}: a folder with neither errpipe.lock (a run) nor recording.yaml (a recording)")
+        marks = {"errpipe.lock": "run folder", "recording.yaml": "recording", "fleet.json": "fleet"}
+        if kinds := [kind for name, kind in marks.items() if (path / name).is_file()]:
+            return kinds[0]
+        raise DataError(f"{path}: a folder without {', '.join(marks)} or retrain.json: nothing to compare")
     if not path.is_file():
         raise DataError(f"{path}: there is no such file or folder")
     if path.name == "recording.yaml":
@@ -317,6 +299,22 @@ def _run_folders(old: Path, new: Path) -> Comparison:
     return out
 
 
+def _fleets(old: Path, new: Path) -> Comparison:
+    """The run of every machine that both fleets ran, those that differ most first."""
+    sides = [{p.parent.name: p.parent for p in sorted(f.glob("machines/*/errpipe.lock"))} for f in (old, new)]
+    out = Comparison("fleet", parts={"machines": {}})
+    _keys(out, "machine", *sides)
+    each = [(name, _run_folders(a, b)) for name, a, b in _shared(*sides)]
+    for place, (name, run) in enumerate(sorted(each, key=lambda pair: -(pair[1].largest or 0.0))):
+        out.parts["machines"][name] = {"largest_um": run.largest, "rms_um": run.rms, "says": run.lines}
+        if run.largest is not None:
+            out.widen(run.largest, run.rms or 0.0)
+        if run.largest and place < MAX_LISTED:
+            out.lines.append(f"{name}: differs by at most {run.largest:.4g} um ({run.rms:.4g} rms)")
+        out.changes += [(f"{name}, {what}", change) for what, change in run.changes if change.largest]
+    return out
+
+
 def _without_files(record: Record) -> Record:
     """A record with its own inputs alone: what other stages wrote is compared under those stages."""
     return replace(record, inputs={name: value for name, value in record.inputs.items() if "/" not in name})
@@ -361,6 +359,7 @@ HOW: Mapping[str, Callable[[Path, Path], Comparison]] = {
     "recording": _recordings,
     "diagnosis": _diagnoses,
     "run folder": _run_folders,
+    "fleet": _fleets,
 }
 
 

@@ -18,8 +18,7 @@ from pydantic import Field, model_validator
 from errpipe import jsonfile, yamlfile
 from errpipe.errors import ErrpipeError, UsageError, did_you_mean
 from errpipe.verbs import fleet_processes
-from errpipe.verbs._fleet_earlier import MACHINES
-from errpipe.verbs.fleet_processes import ATTEMPTS, Task
+from errpipe.verbs.fleet_processes import ATTEMPTS, MACHINES, Task
 from errpipe.yamlfile import Options
 
 TIMES = "times.csv"

@@ -15,8 +15,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
-from errpipe.verbs._fleet_earlier import MACHINES, of_earlier
-
+MACHINES = "machines"  # folder of the machines' outputs, below OUT
 WORKER = "errpipe.verbs._fleet_worker"
 ATTEMPTS = 3  # of a machine whose worker dies; the last one alone in its pool, so that no other can be the cause
 Task = tuple[str, str, list[str], str]  # pipeline, machine, its keys of the pipeline, OUT
@@ -29,6 +28,8 @@ def run_machine(*task: Any) -> dict[str, Any]:
 
 
 def failed_result(task: Sequence[Any], attempts: int) -> dict[str, Any]:
+    from errpipe.pipeline.lock import of_earlier
+
     message = f"its worker was killed {attempts} times (out of memory?)"
     message += of_earlier(Path(task[3]) / MACHINES / task[1], ())
     nothing = {"responses": {}, "drift": [], "model": "", "seconds": 0.0, "peak_mb": 0.0}

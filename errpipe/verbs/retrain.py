@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
@@ -35,6 +36,7 @@ VERSION = 1  # of the document's layout
 MIN_RUNS_SINCE = 5  # runs since a change of the machine, from which a challenger is fitted on these alone
 RUN = "run"  # folder of the challenger's pipeline run, below OUT
 DOCUMENT = "retrain.json"
+Limits = tuple[float | None, float | None]  # largest change of the correction, um and um/K; None for none
 
 
 def retrain(
@@ -67,20 +69,14 @@ def retrain(
 
 
 def _decided(
-    pipeline: Pipeline,
-    champion: Path,
-    out: Path,
-    alpha: float,
-    limits: tuple[float | None, float | None],
-    allowed: Sequence[str],
-    callbacks: Callbacks,
+    pipeline: Pipeline, champion: Path, out: Path, alpha: float, limits: Limits, allowed: Sequence[str], how: Callbacks
 ) -> dict[str, Any]:
     old_model, old_recording, fingerprint = _champion(pipeline, champion)
     earlier = _earlier_document(out / DOCUMENT)
     kept_from, dates = _since(earlier, fingerprint)
     cleaned = out / RUN / _last_stage_with(pipeline, "recording")
     try:
-        refused, since, on_all = _run(_also_valid(pipeline, old_model, old_recording), out, dates, callbacks)
+        refused, since, on_all = _run(_also_valid(pipeline, old_model, old_recording), out, dates, how)
     except MissingColumn:  # of the champion's `also_valid`: a recording of another machine
         _same_machine(champion, old_model, old_recording, _artefacts.recording_in(cleaned))
         raise
@@ -88,17 +84,8 @@ def _decided(
     _same_machine(champion, old_model, old_recording, recording)
     if on_all and _no_longer_kept(dates[0], old_recording, recording):
         on_all = ""
-    document = _judged(
-        pipeline,
-        out,
-        recording,
-        (old_model, old_recording, fingerprint),
-        _scores_of(earlier, out / DOCUMENT, fingerprint),
-        refused,
-        alpha=alpha,
-        limits=limits,
-        allowed=allowed,
-    )
+    old, scores = (old_model, old_recording, fingerprint), _scores_of(earlier, out / DOCUMENT, fingerprint)
+    document = _judged(pipeline, out, recording, old, scores, refused, alpha=alpha, limits=limits, allowed=allowed)
     document |= {"kept_from": kept_from, "fitted_since": since, "fitted_on_all": on_all}
     jsonfile.write(out / DOCUMENT, document)
     write_pages(document, out)
@@ -174,7 +161,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     if refused:
         gates.append(retraining.Gate("pipeline", False, refused))
     else:
-        folders = [out / RUN / name for name in models_of(pipeline.stages, pipeline.links)]
+        folders = [out / RUN / name for name in models_of(pipeline.stages, pipeline.links, every=True)]
         model, challenger = _model_in(folders)
         lacking = [c.component for c in model.components if c.component not in prediction]
         if lacking:
@@ -196,7 +183,7 @@ def _judged(pipeline, out, recording, champion, earlier, refused, *, alpha, limi
     decision = retraining.decide(scores, gates, alpha=alpha)
     return {
         "retrain": VERSION,
-        "title": pipeline.title,
+        "title": pipeline.title or "Retraining",
         "champion": fingerprint,
         "challenger": "" if refused else challenger,
         "decision": "promote" if decision.promote else "keep the champion",
@@ -220,7 +207,7 @@ def _last_stage_with(pipeline: Pipeline, artefact: str) -> str:
 
 def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, str]:
     _last_stage_with(pipeline, "error_model")
-    folders = [Path(folder) / name for name in models_of(pipeline.stages, pipeline.links)]
+    folders = [Path(folder) / name for name in models_of(pipeline.stages, pipeline.links, every=True)]
     recording = Path(folder) / _last_stage_with(pipeline, "recording")
     for path in (*(f / _artefacts.MODEL for f in folders), recording / MANIFEST):
         if not path.is_file():
@@ -242,7 +229,10 @@ def _champion(pipeline: Pipeline, folder: Path) -> tuple[ErrorModel, Recording, 
 def _model_in(folders: Sequence[Path]) -> tuple[ErrorModel, str]:
     """The model of all fits together, as it is exported, and the fingerprint of its files."""
     contents = [(folder / _artefacts.MODEL).read_bytes() for folder in folders]
-    model = joined([_artefacts.read_model(folder / _artefacts.MODEL) for folder in folders])
+    try:
+        model = joined([_artefacts.read_model(folder / _artefacts.MODEL) for folder in folders])
+    except (DataError, UsageError) as why:
+        raise UsageError(f"{why}; to retrain them, give each a pipeline and a champion of its own") from None
     alone = contents[0] if len(contents) == 1 else "".join(map(jsonfile.fingerprint_bytes, contents)).encode()
     return model, jsonfile.fingerprint_bytes(alone)
 
@@ -297,8 +287,9 @@ def _change(old: ErrorModel, new: ErrorModel, recording: Recording) -> dict[str,
         difference = after[component] - before[component]
         out[component] = {"largest_um": float(np.max(np.abs(difference))), "rms_um": float(np.std(difference))}
         out[component]["largest_um_per_k"] = 0.0
-    for name in recording.names("temperature"):
-        warmer = recording.with_columns({name: recording.array(name) + 1.0}, {})
+    later = np.diff(recording.run_codes(), prepend=-1) == 0  # from the start of a run, a constant rise is none
+    for name, rise in itertools.product(recording.names("temperature"), (np.ones(len(recording)), later)):
+        warmer = recording.with_columns({name: recording.array(name) + rise}, {})
         old_warm, new_warm = predictions(old, warmer), predictions(new, warmer)
         for component, figures in out.items():
             slope = (new_warm[component] - after[component]) - (old_warm[component] - before[component])

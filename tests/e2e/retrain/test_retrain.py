@@ -319,7 +319,7 @@ def test_a_sensor_that_drifts_is_named_beside_the_decision(site: Path, capsys: p
     code, document = retrain(site, "--annotations", "github")
     blamed = [d["column"] for d in document["drift"]["inputs"] if d["blamed"]]
     assert blamed == ["T_nut"] and code == 4 and "sensors" in failed(document)
-    assert "::warning title=sensor drift::T_nut" in capsys.readouterr().out
+    assert "::warning title=sensor::T_nut drifts since run" in capsys.readouterr().out
 
 
 def test_readings_are_not_called_compensated_where_the_sensor_drifts_that_predicts_them(site: Path) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -78,3 +79,53 @@ def test_a_fleet_reports_every_fit_and_pools_and_borrows_for_each(tmp_path: Path
     for k in range(5):
         pooled = ErrorModel.model_validate_json((tmp_path / f"out/pooled/m{k}/error_model.json").read_text())
         assert [c.component for c in pooled.components] == ["EYX", "EXX"]
+
+
+DRIFT = """
+  - kind: fit
+    name: fit_EYX
+    components: [{component: EYX, terms: [{term: offset}, {term: thermal_drift, sensor: T_nut}]}]
+    holdout: {scheme: batches, blocks: 4}
+  - {kind: validate, name: validate_EYX}"""
+EXPORT = "\n  - {{kind: export, name: export_{0}, from: {{error_model: fit_{0}}}, ungated: true}}"
+
+
+def straight(rows: pd.DataFrame) -> pd.Series:
+    """A straightness error that follows the nut, and from night 12 on by half as much again."""
+    growth = 1.0 + 0.5 * (rows["t"] >= 86400 * 12)
+    return 2.0 * (rows["T_nut"] - 20.0) * growth + np.sin(7.3 * rows.index)
+
+
+def with_champion(folder: Path, *parts: str) -> Path:
+    """A pipeline, and its champion of twelve nights."""
+    (folder / "axis.yaml").write_text("".join([PIPELINE, *parts, "\n"]), encoding="utf-8")
+    recorded(folder / "recording", 12, straight)
+    assert main(["run", str(folder / "axis.yaml"), "--out", str(folder / "champion")]) == 0
+    return folder / "axis.yaml"
+
+
+def test_fits_with_an_export_each_are_all_judged_and_their_evidence_is_kept_from_night_to_night(tmp_path: Path) -> None:
+    """One of the fits reads the axis, the other does not; neither export reads both."""
+    both = FIT.format("EXX"), EXPORT.format("EXX"), DRIFT, EXPORT.format("EYX")
+    pipeline, looks = with_champion(tmp_path, *both), []
+    for nights in (14, 14, 16):
+        recorded(tmp_path / "recording", nights, straight)
+        main(["retrain", str(pipeline), "--champion", str(tmp_path / "champion"), "--out", str(tmp_path / "out")])
+        looks.append(json.loads((tmp_path / "out/retrain.json").read_text(encoding="utf-8")))
+    first, again, last = ([(s["component"], s["run"], s["challenger"]) for s in look["runs"]] for look in looks)
+    assert {component for component, *_ in first} == {"EXX", "EYX"} and len(first) == 4
+    assert again == first and looks[1]["e_value"] == looks[0]["e_value"]
+    assert last[:4] == first and len(last) == 8
+
+
+def test_fits_that_make_no_common_table_are_refused_with_what_to_do(tmp_path: Path, capsys: Any) -> None:
+    from_start = (
+        FIT.format("EYX")
+        .replace("          - {term: offset}\n", "")
+        .replace("fit_EYX", "fit_EYX\n    datum: run_start")
+    )
+    pipeline = with_champion(tmp_path, FIT.format("EXX"), from_start)
+    capsys.readouterr()
+    code = main(["retrain", str(pipeline), "--champion", str(tmp_path / "champion"), "--out", str(tmp_path / "out")])
+    says = " ".join(capsys.readouterr().err.split())
+    assert code == 2 and "differ in zero" in says and "a pipeline and a champion of its own" in says

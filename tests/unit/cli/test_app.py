@@ -199,6 +199,8 @@ def test_stamp_and_depfile(where: Path) -> None:
     times = (where / "o" / "run.d").stat().st_mtime_ns
     assert main(line) == 0
     assert (where / "o" / "run.stamp").stat().st_mtime > 1.5e9
+    assert main([*line, "--set", "scale.factor=3"]) == 0  # an input that changes while the last stage runs is newer
+    assert (where / "o" / "run.stamp").stat().st_mtime_ns <= (where / "o" / "errpipe.lock").stat().st_mtime_ns
     assert (where / "o" / "run.d").stat().st_mtime_ns == times
     assert main([*line, "--depfile-target", "all of it"]) == 0
     assert (where / "o" / "run.d").read_text().startswith("all\\ of\\ it :")

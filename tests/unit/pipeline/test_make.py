@@ -116,6 +116,10 @@ def test_a_day_with_make(tmp_path: Path) -> None:
     assert make(tmp_path) == (0, ["install a", "run a"])
     assert (tmp_path / "out/a/installed").read_text() == "5\n"
 
+    # a pipeline whose name make would take apart is named, not looked for in parts
+    (tmp_path / "my axis.yaml").write_text("pipeline: 1\n")
+    assert make(tmp_path)[0] == 2 and "a space in its name" in (tmp_path / "make.log").read_text()
+
 
 def test_a_template_under_make(tmp_path: Path) -> None:
     """The folder that `errpipe init` writes, its recording under a name that make would take apart."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -218,3 +219,22 @@ def test_two_runs_of_a_pipeline_and_two_kinds(tmp_path: Path, capsys: pytest.Cap
     assert asked(tmp_path / "old", tmp_path / "old", "--max-um", "0", capsys=capsys)[0] == 0
     assert main(["compare", str(tmp_path / "old"), str(tmp_path / "recording")]) == 3
     assert "is a run folder and" in capsys.readouterr().err
+
+
+def test_two_retrainings_and_two_fleets_are_compared_by_their_runs(tmp_path: Path, capsys: Any) -> None:
+    (tmp_path / "axis.yaml").write_text(PIPELINE, encoding="utf-8")
+    for name, changed in (("old", None), ("new", 0)):
+        record(tmp_path / "recording", 12, changed_from=changed)
+        assert main(["run", str(tmp_path / "axis.yaml"), "--out", str(tmp_path / name / "run")]) == 0
+        (tmp_path / name / "retrain.json").write_text("{}", encoding="utf-8")
+        for machine in ("m1", "m2") if name == "old" else ("m2", "m3"):
+            shutil.copytree(tmp_path / name / "run", tmp_path / name / "fleet/machines" / machine)
+        (tmp_path / name / "fleet/fleet.json").write_text("{}", encoding="utf-8")
+    whole = asked(tmp_path / "old/run", tmp_path / "new/run", capsys=capsys)
+    assert asked(tmp_path / "old", tmp_path / "new", capsys=capsys) == whole
+    code, answer = asked(tmp_path / "old/fleet", tmp_path / "new/fleet", "--max-um", "5", capsys=capsys)
+    assert code == 4 and answer["kind"] == "fleet" and answer["largest_um"] == whole[1]["largest_um"]
+    assert answer["only_in_old"]["machine"] == ["m1"] and answer["only_in_new"]["machine"] == ["m3"]
+    assert list(answer["machines"]) == ["m2"] and answer["machines"]["m2"]["largest_um"] == whole[1]["largest_um"]
+    assert main(["compare", str(tmp_path), str(tmp_path)]) == 3
+    assert "without errpipe.lock, recording.yaml, fleet.json or retrain.json" in capsys.readouterr().err

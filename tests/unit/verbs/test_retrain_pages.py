@@ -20,7 +20,7 @@ EMPTY: dict[str, list[Any]] = {key: [] for key in ("inputs", "residuals", "rms",
 
 def document(*gates: tuple[str, bool], **drift: list[Any]) -> dict[str, Any]:
     judged = [{"name": n, "passed": p, "says": f"{n} says"} for n, p in gates]
-    return {"gates": judged, "drift": EMPTY | drift, "narrower": []}
+    return {"title": "lathe 2", "gates": judged, "drift": EMPTY | drift, "narrower": []}
 
 
 def test_a_quiet_night_is_no_failure() -> None:
@@ -37,6 +37,34 @@ def test_a_quiet_night_is_no_failure() -> None:
     worse = document(("evidence", False), ("inputs", False))
     assert ElementTree.fromstring(pages.junit(worse)).attrib["failures"] == "1"
     assert [q["severity"] for q in pages.code_quality(worse)] == ["info", "major"]
+
+
+def test_pages_of_two_machines_are_told_apart() -> None:
+    """In one report of GitLab findings of one fingerprint are one, and so are test cases of one class and name."""
+    one = document(("inputs", False))
+    other = one | {"title": "mill & lathe"}
+    assert pages.code_quality(one)[0]["fingerprint"] != pages.code_quality(other)[0]["fingerprint"]
+    assert [ElementTree.fromstring(pages.junit(d))[0].attrib["classname"] for d in (one, other)] == [
+        "lathe 2",
+        "mill & lathe",
+    ]
+
+
+def sensor(column: str, suspected: bool) -> dict[str, Any]:
+    facts = {"suspected": suspected, "blamed": suspected, "cleared": False}
+    return {"column": column, "since": "day 22", "size": 1.8, **facts}
+
+
+def test_only_the_sensor_that_drifts_is_called_so() -> None:
+    """The others leave it as it leaves them; and what is predicted by it is no sure sign of a changed machine."""
+    size = {"component": "EXX", "since": "day 23", "factor": 0.5, "meaning": ""}
+    seen = document(("sensors", False), inputs=[sensor("T_nut", True), sensor("T_bed", False)], sizes=[size])
+    assert pages.github_annotations(seen)[1:] == [
+        "::warning title=sensor::T_nut drifts since run day 22",
+        "::warning title=sensor::T_bed disagrees with the others since run day 22",
+    ]
+    page = "\n".join(pages._drift_lines(seen["drift"]))
+    assert "since run day 23: the machine changed, or T\\_nut reads wrong." in page
 
 
 def test_an_odd_run_is_annotated() -> None:
