@@ -1,8 +1,9 @@
 """Implausible findings: they are ruled out whatever their evidence, and the search is repeated.
 
 no size        no linear parameter differs significantly from 0, alone or jointly
-cancelling     a finding far larger than the mismatch that another finding almost cancels
+cancelling     a finding far larger than the mismatch that another finding, or the gain of its own part, nearly cancels
 no such size   a linear parameter that is a constant of nature, outside its bounds
+second shift   a signal is late or early, not both: two shifts of one signal imitate a smoothed one
 at its limit   a scale at the end of what the recording resolves: a lag as long as the session is a drift
 """
 
@@ -26,7 +27,9 @@ BETTER_WAVE = 1.1  # threshold: variance explained by a wave over the rows, over
 def impossible(case: Case) -> list[model.Modelled]:
     """Implausible accepted findings: at a limit of what the recording resolves, or cancelled by another one."""
     made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
-    return [m for m in made if at_its_limit(case, m) or not_in_full(m) or no_such_size(m)] or cancelling(case, made)
+    out = [m for m in made if at_its_limit(case, m) or no_such_size(m)] or cancelling(case, made)
+    shifted = [getattr(t, "column", "") for m in made for t in m.hypothesis.terms if t.only_estimated and t.gain_sd]
+    return out or (made[1:] if len(set(shifted)) < len(shifted) else [])
 
 
 def doubtful(case: Case) -> list[model.Modelled]:
@@ -35,8 +38,7 @@ def doubtful(case: Case) -> list[model.Modelled]:
     Of an effect of any shape the textbook form is one of many: its size may be zero.
     """
     made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
-    shaped = [m.hypothesis.terms[0].form == "any shape" for m in made]
-    unsized = [no_size(m) and not any_shape for m, any_shape in zip(made, shaped, strict=True)]
+    unsized = [no_size(m) and m.hypothesis.terms[0].form != "any shape" for m in made]
     doubted = [m for m, u in zip(made, unsized, strict=True) if u or at_its_limit(case, m, np.inf)]
     return sorted(doubted, key=lambda m: m.joint)
 
@@ -44,13 +46,17 @@ def doubtful(case: Case) -> list[model.Modelled]:
 def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
     """The weaker one of two findings that cancel: both far larger than the mismatch, or equivalent but for gains.
 
-    If a simulation was fitted without the missing effect, gain and effect are both far larger, and both are real.
+    Both are real if a simulation was fitted without what is missing: if it holds it, its gain cancels another form.
     """
     spread, out = float(np.std(case.y)), []
     every = [m.contribution for m in made]
     projected = [c - case.recal @ np.linalg.lstsq(case.recal, c, rcond=None)[0] for c in every]
+    gains = case.recal @ case.search.scene(case.chosen()).coefficients()[: case.recal.shape[1]]
+    held = {(p.hypothesis.effect, p.hypothesis.drivers) for p in case.decomposition.parts}
     for k, m in enumerate(made):
-        for one, other, least in [(c[j], c[k], f) for c, f in ((every, min), (projected, max)) for j in range(k)]:
+        pairs = [(c[j], c[k], f) for c, f in ((every, min), (projected, max)) for j in range(k)]
+        pairs += [(gains, every[k], min)] if (m.hypothesis.effect, m.hypothesis.drivers) in held else []
+        for one, other, least in pairs:
             sizes = float(np.std(one)), float(np.std(other))
             if least(sizes) > TOO_LARGE * spread and min(sizes) > 0 and np.corrcoef(one, other)[0, 1] < CANCELLING:
                 out.append(m)
@@ -67,15 +73,11 @@ def no_size(m: model.Modelled) -> bool:
     return spans_zero or m.joint < model.CHI2_95.get(m.cores, 2.0 * m.cores)
 
 
-def not_in_full(m: model.Modelled) -> bool:
-    """Is a linear parameter far from 1 that must be 1? A time shift acts fully or not at all."""
-    sd = m.hypothesis.terms[0].gain_sd
-    return sd is not None and abs(m.estimates[0].value - 1.0) > 3.0 * sd
-
-
 def no_such_size(m: model.Modelled) -> bool:
-    """Is the interval of a constant of nature outside its bounds?"""
+    """Is a size that must be 1 far from it (a time shift acts fully or not at all), or a natural constant too large?"""
     term, spans = m.hypothesis.terms[0], {e.name: e for e in m.estimates}
+    if term.gain_sd is not None and abs(m.estimates[0].value - 1.0) > 3.0 * term.gain_sd:
+        return True
     return term.physical_constant and any(
         spans[p.name].low > p.bounds[1] or spans[p.name].high < p.bounds[0] for p in term.linear()
     )

@@ -253,21 +253,16 @@ def motion(recording: Recording, columns: dict[str, np.ndarray]) -> dict[str, np
         if source is None:
             continue
         for reading, order in ((name, 1), *((a, 2) for a in recording.names("acceleration", axis=axis))):
-            derived = derivative(t, columns[source], run, order)
-            if _is_noisy_derivative(derived, columns[reading]):
-                out[reading] = _without_edge_errors(derived, columns[reading])
+            out[reading] = _less_noisy(derivative(t, columns[source], run, order), columns[reading])
     return out
 
 
-def _without_edge_errors(derived: np.ndarray, recorded: np.ndarray) -> np.ndarray:
-    """The derivative; where the two differ by more than the reading's noise (edges of a short push), the reading."""
+def _less_noisy(derived: np.ndarray, recorded: np.ndarray) -> np.ndarray:
+    """The derivative; at edges of a short push, beyond the noise, the reading; all of it if it has another meaning."""
+    if min(np.ptp(derived), np.ptp(recorded)) <= 0 or np.corrcoef(derived, recorded)[0, 1] <= 0.98:
+        return recorded
     difference = np.abs(derived - recorded)
     return np.where(difference > 4.0 * 1.4826 * np.median(difference), recorded, derived)
-
-
-def _is_noisy_derivative(derived: np.ndarray, recorded: np.ndarray) -> bool:
-    """Is the reading the derivative plus noise? Otherwise the column means something else and is kept."""
-    return bool(min(np.ptp(derived), np.ptp(recorded)) > 0 and np.corrcoef(derived, recorded)[0, 1] > 0.98)
 
 
 def derivative(t: np.ndarray, x: np.ndarray, run: np.ndarray, order: int = 1) -> np.ndarray:

@@ -363,9 +363,11 @@ def _came_or_went(header: str, cell: object) -> float | None:
 
 def _side(column: RawColumn) -> np.ndarray | None:
     """The column as +1 and -1, if every filled cell is a direction and both occur."""
-    filled = [c for c in column.cells if c not in (None, "")]
-    signs = [_came_or_went(column.header, c) for c in filled]
-    return np.array(signs, dtype=float) if filled and None not in signs and len(set(signs)) == 2 else None
+    filled, ways = [c for c in column.cells if c not in (None, "")], dict[object, float | None]()
+    for cell in filled:  # a long column of numbers is none at its first cell
+        if cell not in ways and ways.setdefault(cell, _came_or_went(column.header, cell)) is None:
+            return None
+    return np.array([ways[c] for c in filled], dtype=float) if len(set(ways.values())) == 2 else None
 
 
 def sides(column: RawColumn) -> np.ndarray:

@@ -24,8 +24,8 @@ def component_of_force(header: str, unit: str | None, axis: str) -> str | None:
 
 
 def as_a_load(p: Proposal, axis: str) -> str:
-    """Hint how to diagnose a recorded force or torque; empty if there is none."""
-    found = p.first("torque") or p.first("force")
+    """Hint how to diagnose a recorded force, torque or current; empty if there is none."""
+    found = p.first("torque") or p.first("force") or p.first("current")
     hint = f"; the load of a drive is one with --set {found}.role=error --set {found}.component=F_{axis}"
     return hint if found else ""
 

@@ -34,8 +34,8 @@ def read_switches(layout: Layout) -> None:
     said = {number(m[1], comma=False) for line in layout.above for m in _SPEED.finditer(plain(line))} - {None}
     for c in layout.columns:
         spindle = _SWITCHED.match(plain(c.header)) is not None
-        words = {plain(label(x)) for x in c.cells if x not in (None, "")}
-        if c.numeric or not words or not words <= {*_ON, *_OFF} or not (spindle or kind_by_name(c.header) == "coolant"):
+        words = set() if c.numeric else {plain(label(x)) for x in c.cells if x not in (None, "")}
+        if not words or not words <= {*_ON, *_OFF} or not (spindle or kind_by_name(c.header) == "coolant"):
             continue
         if spindle and len(said) != 1:
             layout.notes.append(

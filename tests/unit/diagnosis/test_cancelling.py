@@ -7,13 +7,23 @@ import pytest
 
 from errpipe.diagnosis import gains, plausible, report
 from errpipe.terms import search_of
+from errpipe.terms.clock_offset import ClockOffset
+from errpipe.terms.dead_time import DeadTime
 from errpipe.terms.stribeck_friction import StribeckFriction
 
 from .machines import trace
 
 
-def found(contribution: np.ndarray) -> SimpleNamespace:
-    return SimpleNamespace(contribution=contribution)
+def found(contribution: np.ndarray, effect: str = "thermal_drift") -> SimpleNamespace:
+    return SimpleNamespace(contribution=contribution, hypothesis=SimpleNamespace(effect=effect, drivers=("T",)))
+
+
+def response(y: np.ndarray, recal: np.ndarray, gain: float = 0.0) -> SimpleNamespace:
+    """A response whose simulation holds a thermal lag; `gain` of every column of its recalibration."""
+    part = SimpleNamespace(hypothesis=SimpleNamespace(effect="thermal_lag", drivers=("T",)))
+    scene = SimpleNamespace(coefficients=lambda: np.full(recal.shape[1], gain))
+    search, held = SimpleNamespace(scene=lambda _: scene), SimpleNamespace(parts=(part,))
+    return SimpleNamespace(y=y, recal=recal, search=search, decomposition=held, chosen=list)
 
 
 @pytest.mark.parametrize(("size", "cancel"), [(3.0, True), (1.2, False)])
@@ -21,7 +31,7 @@ def test_two_findings_far_larger_than_the_mismatch_cancel(size, cancel):
     """Also where a gain of the simulation plays most of either: a step less a slower step is a spike."""
     rng = np.random.default_rng(3)
     step, spike, left = rng.standard_normal((3, 900))
-    case = SimpleNamespace(y=spike, recal=np.column_stack([np.ones(900), step + 0.3 * left]))
+    case = response(spike, np.column_stack([np.ones(900), step + 0.3 * left]))
     made = [found(size * step), found(spike - size * step)]
     assert plausible.cancelling(case, made) == (made[1:] if cancel else [])
 
@@ -29,8 +39,31 @@ def test_two_findings_far_larger_than_the_mismatch_cancel(size, cancel):
 def test_a_finding_that_a_gain_cancels_stays_beside_another():
     rng = np.random.default_rng(4)
     large, other = rng.standard_normal((2, 900))
-    case = SimpleNamespace(y=other, recal=large[:, None])
+    case = response(other, large[:, None], -5.0)
     assert plausible.cancelling(case, [found(5.0 * large), found(other)]) == []
+
+
+@pytest.mark.parametrize(
+    ("size", "effect", "cancel"),
+    [(3.0, "thermal_lag", True), (1.2, "thermal_lag", False), (3.0, "thermal_drift", False)],
+)
+def test_an_effect_of_the_simulation_is_not_taken_out_by_its_gain_and_added_in_another_form(size, effect, cancel):
+    """A simulated signal that was smoothed: its dry friction got a gain of 0, and dry friction was missing."""
+    part, left = np.random.default_rng(5).standard_normal((2, 900))
+    name = found(size * part + left, effect)
+    assert plausible.cancelling(response(left, part[:, None], -size), [name]) == ([name] if cancel else [])
+
+
+@pytest.mark.parametrize(("late", "second"), [({"column": "F_sim"}, True), ({"axis": "X"}, False)])
+def test_a_signal_is_late_or_early_and_not_both(monkeypatch, late, second):
+    """Two shifts of a smoothed signal imitate its bends; an axis may be late beside it."""
+    terms = DeadTime(**late), ClockOffset(column="F_sim")
+    made = [SimpleNamespace(hypothesis=SimpleNamespace(terms=(t,))) for t in terms]
+    for rule in ("at_its_limit", "no_such_size", "cancelling"):
+        monkeypatch.setattr(plausible, rule, lambda *_: [])
+    monkeypatch.setattr(plausible.model, "modelled", lambda case, k: made[k])
+    case = SimpleNamespace(explanation=SimpleNamespace(accepted=[None, None]))
+    assert plausible.impossible(case) == (made[1:] if second else [])  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

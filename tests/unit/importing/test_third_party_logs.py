@@ -128,15 +128,16 @@ def test_an_input_is_not_in_inches(tmp_path: Path) -> None:
     assert "EXX" in entries
 
 
-def test_the_load_of_a_drive(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["torque", "Iq"])
+def test_the_load_of_a_drive(tmp_path: Path, name: str) -> None:
     """A load in % of the rated torque was taken as N m, asked for the sign of a following error."""
-    path = log(tmp_path, **{"time [s]": T, "X pos [mm]": X, "torque": V})
-    with pytest.raises(DataError, match=r"--set torque.role=error --set torque.component=F_X"):
+    path = log(tmp_path, **{"time [s]": T, "X pos [mm]": X, name: V})
+    with pytest.raises(DataError, match=f"--set {name}.role=error --set {name}.component=F_X"):
         prepared(path)
     load = {"role": "error", "component": "F_X"}
     with pytest.raises(DataError, match="no unit is stated for F_X"):
-        prepared(path, sets={"torque": load})
-    assert roles(path, sets={"torque": {**load, "unit": "N"}})["torque"]["unit"] == "N"
+        prepared(path, sets={name: load})
+    assert roles(path, sets={name: {**load, "unit": "N"}})[name]["unit"] == "N"
 
 
 def test_a_component_that_is_none_is_a_wrong_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
