@@ -114,8 +114,8 @@ def judged_in_batches(
 ) -> tuple[dict[str, Any], dict[str, list[HeldOut]]]:
     """`judged` for a recording that is read batch by batch.
 
-    rms, mean, scatter and largest deviation are those of all rows; coverage, noise floor and the test over runs are
-    those of a sample of stretches of every run, which is returned second.
+    rms, mean, scatter and largest deviation are those of all rows; coverage, noise floor, steps and the test over runs
+    are those of a sample of stretches of every run, which is returned second.
     """
     done = family.judge_batches(source, scheme)
     components, rows = [], {}
@@ -132,6 +132,8 @@ def judged_in_batches(
             "scatter": float(np.sqrt(np.mean([g["scatter_after"] ** 2 for g in groups]))),
             "groups": groups,
         }
+        steps = unexplained_steps(sample, name, [f.held_out for f in folds])
+        figures["steps"] = [step | {"row": int(places[step["row"]])} for step in steps]
         components.append(figures)
         rows[name] = [replace(f.held_out, rows=places[f.held_out.rows]) for f in folds]
     document = {"validation": VERSION, "scheme": done.scheme, "method": family.method_name, "components": components}
