@@ -51,8 +51,7 @@ class Modelled:
 def modelled(case: Case, k: int) -> Modelled:
     """Parameters of finding k given the others."""
     f = case.explanation.accepted[k]
-    others = [(g.index, g.size) for j, g in enumerate(case.explanation.accepted) if j != k]
-    scene = case.search.scene(others)
+    scene = case.search.scene([(g.index, g.size) for j, g in enumerate(case.explanation.accepted) if j != k])
     hypothesis, spans = _refine(case, scene, f.hypothesis)
     curved = None
     if len(hypothesis.terms[0].linear()) > 1 and len(hypothesis.terms[0].free()) > 1:
@@ -312,5 +311,4 @@ def _moved(h: Hypothesis, logarithms: np.ndarray) -> Hypothesis:
 
 
 def _at(h: Hypothesis, j: int, value: float) -> Hypothesis:
-    values = tuple((*nl[:j], value, *nl[j + 1 :]) for nl in h.nonlinear)
-    return replace(h, nonlinear=values)
+    return replace(h, nonlinear=tuple((*nl[:j], value, *nl[j + 1 :]) for nl in h.nonlinear))

@@ -112,8 +112,7 @@ def _repeated(recording: Recording, rows: np.ndarray) -> np.ndarray:
     """Rows equal to the previous row in every cell."""
     frame = recording.frame.iloc[rows]
     cells, gaps = frame.to_numpy(), frame.isna().to_numpy()
-    same = (cells[1:] == cells[:-1]) | (gaps[1:] & gaps[:-1])
-    return np.r_[False, same.all(axis=1)]
+    return np.r_[False, ((cells[1:] == cells[:-1]) | (gaps[1:] & gaps[:-1])).all(axis=1)]
 
 
 def spikes(values: np.ndarray, times: float = 6.0) -> np.ndarray:
@@ -165,8 +164,7 @@ def condition(recording: Recording) -> Recording:
                 continue
             columns[name] = hold(values, session) if role in STEPWISE else fill(t, values, session)
     columns |= motion(recording, columns)
-    frame = recording.frame.assign(**columns).drop(columns=dropped)
-    return Recording(recording.manifest, frame, between="inferred")
+    return Recording(recording.manifest, recording.frame.assign(**columns).drop(columns=dropped), between="inferred")
 
 
 def followed(recording: Recording, conditioned: Recording, pair: Pair) -> Recording:
@@ -176,16 +174,16 @@ def followed(recording: Recording, conditioned: Recording, pair: Pair) -> Record
     """
     run, rows = recording.run_codes()[pair.rows], pair.rows
     same = (run[2:] == run[1:-1]) & (run[1:-1] == run[:-2])
-    bend = lambda v: np.diff(v, 2)[same] - np.mean(np.diff(v, 2)[same])  # noqa: E731
     if same.sum() < LEAST_ROWS:
         return conditioned
-    y, kept = bend(pair.mismatch), {}
+    y, kept = np.diff(pair.mismatch, 2)[same], {}
+    y -= y.mean()
     for name in (n for role in SLOW_ROLES for n in conditioned.names(role)):
         if name not in conditioned.frame.columns:
             continue
         read = fill(recording.time(), recording.array(name), sessions(recording))
-        noise = bend((read - conditioned.array(name))[rows])
-        size = float(np.sqrt((noise @ noise) * (y @ y)))
+        noise = np.diff((read - conditioned.array(name))[rows], 2)[same]
+        size = float(np.sqrt(np.var(noise) * noise.size * (y @ y)))
         if size > 0 and abs(noise @ y) / size > FOLLOWED / np.sqrt(same.sum() / 3.0):  # second differences overlap
             kept[name] = read
     return Recording(recording.manifest, conditioned.frame.assign(**kept), between="inferred") if kept else conditioned
@@ -254,20 +252,16 @@ def motion(recording: Recording, columns: dict[str, np.ndarray]) -> dict[str, np
             continue
         for reading, order in ((name, 1), *((a, 2) for a in recording.names("acceleration", axis=axis))):
             derived = derivative(t, columns[source], run, order)
-            if _is_noisy_derivative(derived, columns[reading]):
-                out[reading] = _without_edge_errors(derived, columns[reading])
+            out[reading] = _without_noise(columns[reading], derived)
     return out
 
 
-def _without_edge_errors(derived: np.ndarray, recorded: np.ndarray) -> np.ndarray:
-    """The derivative; where the two differ by more than the reading's noise (edges of a short push), the reading."""
+def _without_noise(recorded: np.ndarray, derived: np.ndarray) -> np.ndarray:
+    """The derivative if the reading is that plus noise; at edges of a short push, which differ by more, the reading."""
+    if min(np.ptp(derived), np.ptp(recorded)) <= 0 or np.corrcoef(derived, recorded)[0, 1] <= 0.98:
+        return recorded
     difference = np.abs(derived - recorded)
     return np.where(difference > 4.0 * 1.4826 * np.median(difference), recorded, derived)
-
-
-def _is_noisy_derivative(derived: np.ndarray, recorded: np.ndarray) -> bool:
-    """Is the reading the derivative plus noise? Otherwise the column means something else and is kept."""
-    return bool(min(np.ptp(derived), np.ptp(recorded)) > 0 and np.corrcoef(derived, recorded)[0, 1] > 0.98)
 
 
 def derivative(t: np.ndarray, x: np.ndarray, run: np.ndarray, order: int = 1) -> np.ndarray:

@@ -223,9 +223,20 @@ def test_a_body_that_acts_for_a_while_is_counted_from_any_temperature():
     for effect, fits in (("thermal_drift", True), ("scale_expansion", False)):  # which has its reference along x
         whole = next(h for h in case.library.hypotheses if h.effect == effect)
         core, slack, _ = columns_of(replace(whole, mask=("range", "t", low, high)), case.recording)
-        form = np.column_stack([core, slack[:, -1]])
+        form = np.column_stack([core, slack[:, 0]])
         left = signal - form @ np.linalg.lstsq(form, signal, rcond=None)[0]
         assert (np.std(left) < 1e-6 * np.std(signal)) == fits
+
+
+def test_the_temperature_from_which_a_part_counts_is_no_other_mechanism():
+    """Its level there belongs to its form, on held-out rows as well."""
+    columns, kinds, noise = positioning(runs=3)
+    inside = (columns["t"] >= np.quantile(columns["t"], 0.3)) & (columns["t"] <= np.quantile(columns["t"], 0.7))
+    hidden = 1.5 * (columns["T"] - np.mean(columns["T"]) - 6.0) * inside
+    case = judged(columns, kinds, "EXX", 20e-3 * columns["x"] + hidden + 0.5 * noise, 20e-3 * columns["x"])
+    assert names(case) == ["thermal_drift"] and case.explanation.accepted[0].hypothesis.mask[0] == "range"
+    held = holdout.held_out(case)
+    assert held.textbook_share() > 0.9 and not unnamed.departs(case, held)
 
 
 def test_tools_of_which_few_wear_are_no_other_mechanism():
