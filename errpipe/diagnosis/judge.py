@@ -141,8 +141,7 @@ def _isolated_outliers(left: np.ndarray) -> np.ndarray:
     """Isolated outliers: rows beyond the threshold whose neighbours are not."""
     size = np.abs(left) / (1.4826 * np.median(np.abs(left)) + 1e-300)
     out = size > -ndtri(ndtr(-OUTLIER) * min(OUTLIER_ROWS / left.size, 1.0))
-    beside = np.r_[0.0, size[:-1]] + np.r_[size[1:], 0.0]
-    return out & (beside < size)
+    return out & (np.r_[0.0, size[:-1]] + np.r_[size[1:], 0.0] < size)
 
 
 def _possible(made: SetUp, search: Search, *explanations: Explanation) -> Case:

@@ -102,8 +102,7 @@ def _judged_rows(recording: Recording, rows: np.ndarray) -> np.ndarray:
     if rows.size <= most:
         return np.arange(rows.size)
     if fast:
-        stretch = np.arange(rows.size) * STRETCHES // rows.size
-        first = np.searchsorted(stretch, np.arange(STRETCHES))
+        first = np.searchsorted(np.arange(rows.size) * STRETCHES // rows.size, np.arange(STRETCHES))
         return np.concatenate([np.arange(a, a + most // STRETCHES) for a in first])
     return np.sort(np.random.default_rng(0).choice(rows.size, most, replace=False))
 
@@ -199,8 +198,7 @@ def segments(values: np.ndarray, run: np.ndarray, held: np.ndarray) -> np.ndarra
 
 def usable(values: np.ndarray) -> bool:
     """Does a sensor have enough different finite values?"""
-    finite = np.isfinite(values)
-    return finite.mean() >= 1 - MOST_MISSING and np.nanmax(values) > np.nanmin(values)
+    return np.isfinite(values).mean() >= 1 - MOST_MISSING and np.nanmax(values) > np.nanmin(values)
 
 
 def fill(t: np.ndarray, values: np.ndarray, session: np.ndarray) -> np.ndarray:

@@ -101,6 +101,21 @@ def test_no_sensor_misleads_a_simulation_that_reads_none():
         assert odds and (max(odds) < 0.5 * NEVER) == excluded
 
 
+def test_a_part_must_exceed_a_failure_that_the_readings_show():
+    columns, kinds, noise = positioning()
+    simulated = 20e-3 * columns["x"] + 12e-3 * columns["x"] * (columns["T"] - 20)
+    columns["T"][200:280] = np.nan
+    inside = (columns["t"] > np.quantile(columns["t"], 0.36)) & (columns["t"] < np.quantile(columns["t"], 0.79))
+    case = judged(columns, kinds, "EXX", simulated - 3.0 * columns["dir"] * inside + 0.5 * noise, simulated)
+    search, every = case.search, case.library.hypotheses
+    gain = np.where([bool(h.mask) for h in every], 0.0, search.score([]).gain)
+    shown = [h.effect == "sensor_fault" and h.terms[0].log_prior_odds() > 0 for h in every]
+    assert any(shown)
+    for brought, added in ((1e4, False), (0.0, True)):
+        alone = np.where(shown, brought, gain) + search.prior
+        assert partial.add_parts(search, case.recording, case.pair.rows, alone) == added
+
+
 def test_an_axis_that_cycles_between_readings_is_heated_by_its_feed():
     rng = np.random.default_rng(3)
     n, dt = 600, 15.0
