@@ -46,8 +46,7 @@ def remainder(
             break
         taken.append(k)
         gains.append(float(gain[k]))
-        sd = 2.0 * max(size[k], 1.0) * search.sigma * shapes[k].freedom
-        active = active.plus(index[k], sd)
+        active = active.plus(index[k], 2.0 * max(size[k], 1.0) * search.sigma * shapes[k].freedom)
         scene = Scene(search.data, active, search.noise)
     everything = max(search.scene([]).rms() ** 2 - scene.rms() ** 2, 1e-12)
     share = float(np.clip((named.rms() ** 2 - scene.rms() ** 2) / everything, 0, 1))

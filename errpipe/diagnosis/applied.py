@@ -94,8 +94,7 @@ def causal(recording: Recording) -> Recording:
             values = recording.array(name)
             if not np.isfinite(values).all() and np.isfinite(values).any():
                 held = hold(session, values)
-                back = hold(session[::-1], held[::-1])[::-1]
-                columns[name] = np.where(np.isfinite(held), held, back)
+                columns[name] = np.where(np.isfinite(held), held, hold(session[::-1], held[::-1])[::-1])
     return replace(recording, frame=recording.frame.assign(**columns), between="inferred")
 
 
@@ -252,8 +251,7 @@ class _Solve:
                 names = [p.name for p in term.linear()]
                 values.append(dict(zip(names, gains[at : at + len(names)].tolist(), strict=True)) | inner)
                 at += len(names)
-            contribution = block.columns(self.read) @ gains[first:at]
-            out.append(Part(block.finding, block.terms, tuple(values), contribution))
+            out.append(Part(block.finding, block.terms, tuple(values), block.columns(self.read) @ gains[first:at]))
         return out
 
     def _refine(self, rows: np.ndarray, beside: np.ndarray) -> None:

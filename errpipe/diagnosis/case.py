@@ -63,12 +63,7 @@ class Case(SetUp):
 
     def chosen(self) -> list[tuple[int, float]]:
         """Accepted hypotheses with their sizes."""
-        return chosen_of(self.explanation)
-
-
-def chosen_of(explanation: Explanation) -> list[tuple[int, float]]:
-    """Accepted hypotheses of an explanation with their sizes."""
-    return [(f.index, f.size) for f in explanation.accepted]
+        return self.explanation.chosen()
 
 
 def residual(case: Case, chosen: list[tuple[int, float]] | None = None) -> np.ndarray:
@@ -96,8 +91,7 @@ def needs_recalibration(case: Case) -> bool:
     full = case.search.active(case.chosen())
     kept = np.ones(full.index.size, dtype=bool)
     kept[: len(case.nuisances)] = [n.kind == "noise" for n in case.nuisances]
-    without = Active(full.index[kept], full.sd[kept])
-    scene = Scene(case.search.data, without, case.search.noise)
+    scene = Scene(case.search.data, Active(full.index[kept], full.sd[kept]), case.search.noise)
     datum, gains = (case.nuisance.index[own] for own in np.array([(n.is_datum, n.is_gain) for n in case.nuisances]).T)
     sets = [datum, gains[:1], np.r_[datum, gains[:1]], np.r_[datum, gains]]
     sets += [np.r_[datum, g] for g in gains[1:]]

@@ -138,8 +138,7 @@ def autoregression(left: np.ndarray, run: np.ndarray) -> Autoregression:
 def copies(values: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """Surrogate data (Theiler et al. 1992): series of the same spectrum with random phases, shape (count, rows)."""
     size = np.abs(np.fft.rfft(np.r_[values, values[::-1]]))  # mirrored, so that the ends do not form a step
-    turned = np.exp(2j * np.pi * rng.random((count, size.size)))
-    return np.fft.irfft(size * turned, 2 * values.size)[:, : values.size]
+    return np.fft.irfft(size * np.exp(2j * np.pi * rng.random((count, size.size))), 2 * values.size)[:, : values.size]
 
 
 def is_nonlinear(left: np.ndarray, run: np.ndarray) -> bool:

@@ -184,9 +184,8 @@ class _Work:
                 states = [self._tuned([*kept, (k, 1.0)]) for k in own]
                 ways.append(max(((self._worth(state), state) for state in states), key=lambda w: w[0]))
         matches = [self._result(state, worth) for worth, state in self._different(sorted(ways, key=lambda w: -w[0]))]
-        least = LEAST_PART * self.spread
-        holds = lambda p: p.index in own and np.std(p.core) > least and p.certainty > EARNED  # noqa: E731
-        return [f for f in matches if f.leftover < NO_SUM and any(map(holds, f.parts))]
+        sums = [(d, [p for p in d.parts if p.index in own and p.certainty > EARNED]) for d in matches]
+        return [d for d, h in sums if d.leftover < NO_SUM and any(np.std(p.core) > LEAST_PART * self.spread for p in h)]
 
     def _different(self, beam: list[tuple[float, Chosen]]) -> list[tuple[float, Chosen]]:
         """The best state of each set of effects that is not far below the best."""

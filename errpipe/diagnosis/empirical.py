@@ -259,8 +259,7 @@ def unit_over(response: str, unit: tuple[tuple[str, int], ...]) -> str:
 
 def _fitted(chosen: list[Candidate], y, session, unit: str, share: float, p: float, scheme: str) -> Empirical:
     """The equation on all rows, with cluster-robust 95 % intervals."""
-    design = np.column_stack([*(c.values for c in chosen), np.ones(y.size)])
-    b, sd, _ = clustered(design, y, session)
+    b, sd, _ = clustered(np.column_stack([*(c.values for c in chosen), np.ones(y.size)]), y, session)
     terms = tuple(
         EmpiricalTerm(
             column=c.name,

@@ -244,8 +244,7 @@ class Listed:
             made = []
             for first, last in itertools.pairwise(self.starts):
                 free = self.freedom[first:last]
-                of_one = data.table.among(self.columns[first:last], data.without) * free[:, None] * free
-                made.append(of_one.ravel())
+                made.append((data.table.among(self.columns[first:last], data.without) * free[:, None] * free).ravel())
             self._blocks[data.without] = np.concatenate([np.zeros(0), *made])
         return self._blocks[data.without]
 

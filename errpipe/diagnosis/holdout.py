@@ -15,6 +15,7 @@ from errpipe.diagnosis.hypotheses import folds
 from errpipe.diagnosis.left_out import ZEROED, LeftOut, supported_by_held_out
 from errpipe.diagnosis.search import Search
 from errpipe.drivers.sessions import sessions
+from errpipe.fitting.statistics import rms
 from errpipe.terms import NEVER
 
 AGAIN = 0.5  # share of the folds in which a weak name, or one that competes with shapes, must be selected again
@@ -114,13 +115,13 @@ def held_out(case: Case) -> HeldOut:
         same.append([effect in again for effect in effects])
         found.update(again)
         del part  # frees its products before those of the next fold are formed
-    rms = lambda parts: float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))  # noqa: E731
+    whole = np.concatenate
     if case.remainder.shapes and shaped:
         drivers = dict.fromkeys(d for shape, _ in case.remainder.shapes for d in shape.drivers)
         scheme += f"; with a data-driven remainder in {', '.join(drivers)}"
     return HeldOut(
-        scheme, rms(before), rms(after), tuple(np.mean(same, axis=0).tolist()), rms(named), rms(with_inputs),
-        rms(alone), rms(bare), rms(textbook),
+        scheme, rms(whole(before)), rms(whole(after)), tuple(np.mean(same, axis=0).tolist()), rms(whole(named)),
+        rms(whole(with_inputs)), rms(whole(alone)), rms(whole(bare)), rms(whole(textbook)),
         tuple(sorted(e for e, count in found.items() if count >= AGAIN * len(same))), not in_part,
     )  # fmt: skip
 

@@ -131,10 +131,12 @@ class Library:
         return made[0]
 
     def textbook(self, i: int) -> int:
-        """Number of its columns that are its own form, with references, rises and initial states."""
+        """Number of its columns that are its own form, with levels of parts, references, rises and initial states."""
+        h = self.hypotheses[i]
         starts = {"any reference": 1, "any reference and end": 2, "any rise": 3, "any start": self.starts}
         starts |= {"any start and end": self.starts + 1, "any shape": self.places[i].size}
-        return min(self.cores[i] * (1 + starts.get(self.hypotheses[i].terms[0].form, 0)), self.places[i].size)
+        level = int(bool(h.mask) and has_level(h, h.mask[0]))
+        return min(self.cores[i] * (1 + starts.get(h.terms[0].form, 0)) + level, self.places[i].size)
 
     def family(self, i: int) -> list[int]:
         """The hypotheses that differ from it only in non-linear parameters."""
@@ -316,8 +318,7 @@ def columns_of(h: Hypothesis, recording: Recording) -> tuple[np.ndarray, np.ndar
         core = core * inside[:, None]
         slack = [s * inside for s in slack]
         if has_level(h, h.mask[0]):
-            slack.append(inside)
-            rel.append(LEVEL)
+            slack, rel = [inside, *slack], [LEVEL, *rel]
     return core, np.column_stack(slack) if slack else np.zeros((len(recording), 0)), np.array(rel)
 
 
@@ -329,7 +330,6 @@ def has_level(h: Hypothesis, kind: str) -> bool:
 def mask_of(mask: tuple, recording: Recording) -> np.ndarray:
     """1 where a partial effect acts, else 0."""
     if mask[0] == "runs":
-        labels = np.array(recording.run_labels())
-        return np.isin(labels[recording.run_codes()], mask[1]).astype(float)
+        return np.isin(np.array(recording.run_labels())[recording.run_codes()], mask[1]).astype(float)
     values = recording.array(mask[1])
     return ((values >= mask[2]) & (values <= mask[3])).astype(float)

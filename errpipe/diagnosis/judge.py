@@ -11,7 +11,7 @@ from scipy.special import ndtr, ndtri
 
 from errpipe.diagnosis import admit, gains, holdout, hypotheses, model, partial, plausible, recalibration, unnamed
 from errpipe.diagnosis import decompose as parts
-from errpipe.diagnosis.case import Case, SetUp, chosen_of, residual
+from errpipe.diagnosis.case import Case, SetUp, residual
 from errpipe.diagnosis.coloured import USUAL, correlation_time
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.left_out import datums, predicts_held_out, supported_by_held_out, zeroed_at_starts
@@ -44,7 +44,7 @@ SESSION_DATUM_PRICE = 10.0  # threshold: log Bayes factor for a datum of each se
 def _with_parts(search: Search, explanation: Explanation, conditioned, rows) -> Explanation:
     """The explanation with partial effects added to the library."""
     if partial.add_parts(search, conditioned, rows, explanation.alone) and (in_part := search.explain()).accepted:
-        search.sigma = max(search.scene(chosen_of(in_part)).rms(), 1e-9)
+        search.sigma = max(search.scene(in_part.chosen()).rms(), 1e-9)
         return in_part
     return explanation
 
@@ -52,7 +52,7 @@ def _with_parts(search: Search, explanation: Explanation, conditioned, rows) -> 
 def _explains_share(search: Search, explanation: Explanation, noise_estimate: float, share: float = 0.88) -> bool:
     """Does the explanation reach this share of the variance that is neither noise nor recalibration?"""
     noise, base = 1.2 * noise_estimate, search.scene([]).rms()
-    residual_rms = search.scene(chosen_of(explanation)).rms()
+    residual_rms = search.scene(explanation.chosen()).rms()
     return bool(explanation.accepted) and residual_rms**2 - noise**2 < (1 - share) * (base**2 - noise**2)
 
 
@@ -60,8 +60,7 @@ def worth_naming(search: Search, explanation: Explanation, conditioned, rows, he
     """The explanation without findings below the size thresholds, which only correct the form of another effect."""
     kept = list(explanation.accepted)
     while kept:
-        scene = search.scene([(f.index, f.size) for f in kept])
-        b, first = scene.coefficients(), search.nuisance.index.size
+        b, first = search.scene([(f.index, f.size) for f in kept]).coefficients(), search.nuisance.index.size
         sizes = []
         for f in kept:
             block = search.library.block(f.index, conditioned, rows)
@@ -142,8 +141,7 @@ def _isolated_outliers(left: np.ndarray) -> np.ndarray:
     """Isolated outliers: rows beyond the threshold whose neighbours are not."""
     size = np.abs(left) / (1.4826 * np.median(np.abs(left)) + 1e-300)
     out = size > -ndtri(ndtr(-OUTLIER) * min(OUTLIER_ROWS / left.size, 1.0))
-    beside = np.r_[0.0, size[:-1]] + np.r_[size[1:], 0.0]
-    return out & (beside < size)
+    return out & (np.r_[0.0, size[:-1]] + np.r_[size[1:], 0.0] < size)
 
 
 def _possible(made: SetUp, search: Search, *explanations: Explanation) -> Case:
@@ -270,7 +268,7 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
         tried = [zoomed(made, copy.copy(search), e) for e in explanations]
         for one, _ in tried:
             one.prior = made.prior
-        search, explanation = max(tried, key=lambda t: t[0].joint(chosen_of(t[1])))
+        search, explanation = max(tried, key=lambda t: t[0].joint(t[1].chosen()))
     if not made.in_own_noise and not made.plain:
         search, explanation = in_its_own_noise(made, search, explanation)
     search, explanation, nuisance = _with_dependent_rows(made, search, explanation)
@@ -281,12 +279,12 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
         (search, explanation, _), nuisance, held = exact, exact[0].nuisance, replace(held, parts=())
     most, explanation = len(explanation.accepted), worth_naming(search, explanation, made.recording, rows, held)
     if 0 < len(explanation.accepted) < most:  # another name may be likelier on its own
-        explanation = replace(explanation, accepted=search.accepted(search.exchanged(chosen_of(explanation))))
-    kept = supported_by_held_out(search, chosen_of(explanation), judged)
+        explanation = replace(explanation, accepted=search.accepted(search.exchanged(explanation.chosen())))
+    kept = supported_by_held_out(search, explanation.chosen(), judged)
     if len(kept) < len(explanation.accepted):
         explanation = replace(explanation, accepted=search.accepted(kept))
     explanation = replace(explanation, accepted=search.simplest(explanation.accepted))
-    chosen = chosen_of(explanation)
+    chosen = explanation.chosen()
     search.sigma = sigma = max(search.scene(chosen).rms(), 1e-9)
     remainder = admit.remainder(search, chosen, made.free_shapes, made.places)
     if made.session is not None and not predicts_held_out(search, chosen, remainder, judged):
@@ -302,18 +300,18 @@ def _with_dependent_rows(made: SetUp, search: Search, explanation: Explanation) 
     The effective number comes from the best single effect's residual: two effects may overfit.
     """
     library, nuisance, run, noise = made.library, made.nuisance, made.run, made.noise_estimate
-    time = correlation_time(search.scene(chosen_of(explanation)).residual(), run)
+    time = correlation_time(search.scene(explanation.chosen()).residual(), run)
     if time <= DEPENDENT:
         return search, explanation, nuisance
     worth = max(run.size / time, 30.0)
     single, one = settled(library, made.data, nuisance, search.prior, noise, worth, most=1)
-    left = single.scene(chosen_of(one)).residual()
+    left = single.scene(one.chosen()).residual()
     if not (_explains_share(search, explanation, noise) and not _explains_share(single, one, noise, 0.75)):
         worth = max(run.size / max(time, correlation_time(left, run)), 30.0)
         search, explanation = settled(library, made.data, nuisance, search.prior, noise, worth)
     wide = Active(nuisance.index, nuisance.sd * np.where([n.is_gain for n in made.nuisances], WIDE, 1.0))
     other, wide_gains = settled(library, made.data, wide, search.prior, noise, worth, weighed=False)
-    chosen = [chosen_of(e) for e in (explanation, wide_gains)]
+    chosen = [e.chosen() for e in (explanation, wide_gains)]
     if search.rows:
         narrow, proved = (made.judged().of_explanation(*way) for way in ((search, chosen[0]), (other, chosen[1])))
         price = WIDE_PRICE + MORE * gains.far_off(other.scene(chosen[1]), made.nuisances, made.sizes)
@@ -332,7 +330,7 @@ def favours_session_datums(
     """
     nuisances = [nuisance.plus(each_datum.index, each_datum.sd), nuisance]
     both = [settled(library, data, n, prior, noise_estimate) for n in nuisances]
-    scenes = [s.scene(chosen_of(e)) for s, e in both]
+    scenes = [s.scene(e.chosen()) for s, e in both]
     worth = max(run.size / correlation_time(scenes[0].residual(), run), 30.0)
     with_each, with_one = (
         scene.evidence(worth) + sum(float(prior[f.index]) - MORE for f in e.accepted)

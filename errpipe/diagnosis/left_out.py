@@ -78,8 +78,7 @@ class LeftOut:
     def mean_square(self, data: Data, active: Active, sigma: float, columns: np.ndarray) -> float:
         """Mean square of the cross-validation residual over the folds of `data`."""
         folds = [f for f, rows in enumerate(self.library.table.rows) if f != data.without and rows.size]
-        residuals = [self.whitened(data, active, sigma, columns, f) for f in folds]
-        return float(np.mean(np.concatenate(residuals) ** 2))
+        return float(np.mean(np.concatenate([self.whitened(data, active, sigma, columns, f) for f in folds]) ** 2))
 
     def of_explanation(self, search: Search, chosen: list[tuple[int, float]]) -> float:
         """The same of chosen hypotheses in a search."""
@@ -150,5 +149,4 @@ def supported_by_held_out(search: Search, chosen: list[tuple[int, float]], judge
 def predicts_held_out(search: Search, chosen: list[tuple[int, float]], rest: Remainder, judged: LeftOut) -> bool:
     """Do unnamed shapes predict held-out rows? What differs from session to session is not the shape of a mechanism."""
     columns = judged.columns([i for i, _ in chosen], rest.taken)
-    with_shapes = judged.mean_square(search.data, rest.active, search.noise, columns)
-    return with_shapes < judged.of_explanation(search, chosen)
+    return judged.mean_square(search.data, rest.active, search.noise, columns) < judged.of_explanation(search, chosen)

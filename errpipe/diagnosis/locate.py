@@ -94,8 +94,7 @@ def _segments(values: np.ndarray) -> list[tuple[int, float, float]]:
         fresh = sorted([*cuts, best[1]])
         residual = np.concatenate([values[a:b] - values[a:b].mean() for a, b in itertools.pairwise(fresh)])
         rho = float(np.clip(residual[1:] @ residual[:-1] / max(residual @ residual, 1e-300), 0.0, 0.95))
-        independent = (1 - rho) / (1 + rho)
-        if best[0] * independent < CHANGE * float(residual @ residual) / max(values.size - len(fresh), 1):
+        if best[0] * (1 - rho) / (1 + rho) < CHANGE * float(residual @ residual) / max(values.size - len(fresh), 1):
             break
         cuts = fresh
     means = [float(values[a:b].mean()) for a, b in itertools.pairwise(cuts)]

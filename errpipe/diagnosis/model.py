@@ -10,7 +10,7 @@ import numpy as np
 from errpipe.diagnosis import units
 from errpipe.diagnosis.case import Case
 from errpipe.diagnosis.coloured import whiten
-from errpipe.diagnosis.evidence import Scene, averaged
+from errpipe.diagnosis.evidence import Scene, averaged, with_known_size
 from errpipe.diagnosis.hypotheses import Hypothesis, columns_of, scaled
 from errpipe.terms import search_of
 
@@ -51,8 +51,7 @@ class Modelled:
 def modelled(case: Case, k: int) -> Modelled:
     """Parameters of finding k given the others."""
     f = case.explanation.accepted[k]
-    others = [(g.index, g.size) for j, g in enumerate(case.explanation.accepted) if j != k]
-    scene = case.search.scene(others)
+    scene = case.search.scene([(g.index, g.size) for j, g in enumerate(case.explanation.accepted) if j != k])
     hypothesis, spans = _refine(case, scene, f.hypothesis)
     curved = None
     if len(hypothesis.terms[0].linear()) > 1 and len(hypothesis.terms[0].free()) > 1:
@@ -129,11 +128,13 @@ def _projected(scene: Scene, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 def _gain(case: Case, scene: Scene, h: Hypothesis) -> float:
     try:
-        block, freedom, _, _ = _columns(case, h)
+        block, freedom, scale, _ = _columns(case, h)
     except ValueError:
         return -np.inf
     S, s = _projected(scene, block)
-    rows = case.search.rows or scene.n  # effective number of rows if correlated
+    rows, known = case.search.rows or scene.n, h.terms[0].gain_sd  # effective number of rows if correlated
+    if known is not None:
+        return float(with_known_size(S[0, 0], s[0], scale[0], known * scale[0] / scene.sigma, scene.Q, rows))
     own = (S * freedom[:, None] * freedom)[None]
     return float(averaged(own, (freedom * s)[None, :, None], np.array([scene.Q]), rows)[0, 0])
 
@@ -310,5 +311,4 @@ def _moved(h: Hypothesis, logarithms: np.ndarray) -> Hypothesis:
 
 
 def _at(h: Hypothesis, j: int, value: float) -> Hypothesis:
-    values = tuple((*nl[:j], value, *nl[j + 1 :]) for nl in h.nonlinear)
-    return replace(h, nonlinear=values)
+    return replace(h, nonlinear=tuple((*nl[:j], value, *nl[j + 1 :]) for nl in h.nonlinear))

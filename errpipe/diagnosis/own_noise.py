@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from errpipe.diagnosis import admit, coloured
-from errpipe.diagnosis.case import Case, SetUp, chosen_of, left_by, residual
+from errpipe.diagnosis.case import Case, SetUp, left_by, residual
 from errpipe.diagnosis.evidence import Data, Scene
 from errpipe.diagnosis.hypotheses import Block, Hypothesis, columns_of, scaled
 from errpipe.diagnosis.search import MISSING, Explanation, Search, settled
@@ -32,7 +32,7 @@ def needs_own_noise(made: SetUp, search: Search, explanation: Explanation) -> bo
 
 def _dependence(made: SetUp, search: Search, explanation: Explanation) -> float:
     """Rows per independent row of the residual."""
-    return coloured.correlation_time(search.scene(chosen_of(explanation)).residual(), made.run)
+    return coloured.correlation_time(search.scene(explanation.chosen()).residual(), made.run)
 
 
 def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation]:
@@ -47,21 +47,21 @@ def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> t
     dependent = _dependence(made, search, explanation) > DEPENDENT
     library, handicap = made.library, 0.0 if dependent else EXPLAINED
     shaped, unnamed = _shaped(made, search)
-    best = max(likelihood(search, chosen_of(explanation)), shaped) + handicap, library.table.colour, search, explanation
+    best = max(likelihood(search, explanation.chosen()), shaped) + handicap, library.table.colour, search, explanation
     wandering = -np.inf  # log evidence of noise alone
-    left = [left_by(made, search, chosen) for chosen in ([], chosen_of(explanation))]
+    left = [left_by(made, search, chosen) for chosen in ([], explanation.chosen())]
     for colour in dict.fromkeys(coloured.fitted(rest, made.run) for rest in (*left, unnamed)):
         library.recolour(colour)
         made.data = Data(library.table, made.y)
         found, names = zoomed(made, *settled(library, made.data, made.nuisance, made.prior, made.noise_estimate))
         wandering = max(wandering, likelihood(found, []))
-        worth = max(likelihood(found, chosen_of(names)), _shaped(made, found)[0])
+        worth = max(likelihood(found, names.chosen()), _shaped(made, found)[0])
         best = max(best, (worth, colour, found, names), key=lambda t: t[0])
     _, colour, search, explanation = best
     if colour != library.table.colour:
         library.recolour(colour)
         search.data = Data(library.table, made.y)
-    made.over_noise = likelihood(search, chosen_of(explanation)) - wandering
+    made.over_noise = likelihood(search, explanation.chosen()) - wandering
     made.data, search.prior = search.data, made.prior
     return search, explanation
 
@@ -94,7 +94,7 @@ def zoomed(made: SetUp, search: Search, explanation: Explanation) -> tuple[Searc
         return search, explanation
     made.library.extend([near[1:] for near in fresh])
     search.prior = made.prior = np.r_[made.prior, made.prior[[near[0] for near in fresh]]]
-    chosen = search.tune(chosen_of(explanation))
+    chosen = search.tune(explanation.chosen())
     search.sigma = max(search.scene(chosen).rms(), 1e-9)
     alone = search.score([]).gain + search.prior
     return search, replace(explanation, accepted=search.accepted(chosen), alone=alone)

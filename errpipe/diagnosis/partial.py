@@ -151,10 +151,13 @@ def add_parts(search: Search, recording: Recording, rows: np.ndarray, alone: np.
     Every effect is also tried in place of the best one: within one run or stretch many effects are collinear.
     """
     library, clock = search.library, recording.name("time")
-    everywhere = np.array([not h.terms[0].misread for h in library.hypotheses]) & (search.prior > 0.5 * NEVER)
+    possible = search.prior > 0.5 * NEVER
+    everywhere = np.array([not h.terms[0].misread for h in library.hypotheses]) & possible
     whole = np.where(everywhere, alone - search.prior, 0.0)
     own = {library.hypotheses[i].effect: whole[i] for i in search.best_of_each(whole, whole.size, "effect")}
-    least = {e: max(12.0, (1 + DEPARTING) * whole.max(), (1 + MENDING) * gain + BETTER) for e, gain in own.items()}
+    shown = [h.terms[0].misread and h.terms[0].log_prior_odds() > 0 for h in library.hypotheses]  # by the readings
+    seen = (alone - search.prior).max(initial=0.0, where=possible & shown)
+    least = {e: max(12.0, (1 + DEPARTING) * whole.max(), (1 + MENDING) * max(g, seen) + BETTER) for e, g in own.items()}
     scene = search.scene([])
     basis = np.linalg.solve(scene.chol, library.table.W.T[scene.active.index]).T.copy()  # (rows, m): projector's root
     parts: list[Part] = []

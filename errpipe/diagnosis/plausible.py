@@ -110,8 +110,7 @@ def gain_of_a_part(case: Case, m: model.Modelled) -> bool:
         expansion = float(np.std(p.reference) + np.std(p.core - p.reference))
         for held, most in ((p.contribution, HALF * np.std(p.contribution)), (p.reference, TWO_GAINS * expansion)):
             centred = held - held.mean()
-            alike = (own @ centred) ** 2 > ALIKE * (own @ own) * (centred @ centred)
-            if alike and np.std(own) < most:
+            if np.std(own) < most and (own @ centred) ** 2 > ALIKE * (own @ own) * (centred @ centred):
                 return True
     return False
 

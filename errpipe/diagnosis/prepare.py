@@ -102,8 +102,7 @@ def _judged_rows(recording: Recording, rows: np.ndarray) -> np.ndarray:
     if rows.size <= most:
         return np.arange(rows.size)
     if fast:
-        stretch = np.arange(rows.size) * STRETCHES // rows.size
-        first = np.searchsorted(stretch, np.arange(STRETCHES))
+        first = np.searchsorted(np.arange(rows.size) * STRETCHES // rows.size, np.arange(STRETCHES))
         return np.concatenate([np.arange(a, a + most // STRETCHES) for a in first])
     return np.sort(np.random.default_rng(0).choice(rows.size, most, replace=False))
 
@@ -112,8 +111,7 @@ def _repeated(recording: Recording, rows: np.ndarray) -> np.ndarray:
     """Rows equal to the previous row in every cell."""
     frame = recording.frame.iloc[rows]
     cells, gaps = frame.to_numpy(), frame.isna().to_numpy()
-    same = (cells[1:] == cells[:-1]) | (gaps[1:] & gaps[:-1])
-    return np.r_[False, same.all(axis=1)]
+    return np.r_[False, ((cells[1:] == cells[:-1]) | (gaps[1:] & gaps[:-1])).all(axis=1)]
 
 
 def spikes(values: np.ndarray, times: float = 6.0) -> np.ndarray:
@@ -165,8 +163,7 @@ def condition(recording: Recording) -> Recording:
                 continue
             columns[name] = hold(values, session) if role in STEPWISE else fill(t, values, session)
     columns |= motion(recording, columns)
-    frame = recording.frame.assign(**columns).drop(columns=dropped)
-    return Recording(recording.manifest, frame, between="inferred")
+    return Recording(recording.manifest, recording.frame.assign(**columns).drop(columns=dropped), between="inferred")
 
 
 def followed(recording: Recording, conditioned: Recording, pair: Pair) -> Recording:
@@ -176,16 +173,16 @@ def followed(recording: Recording, conditioned: Recording, pair: Pair) -> Record
     """
     run, rows = recording.run_codes()[pair.rows], pair.rows
     same = (run[2:] == run[1:-1]) & (run[1:-1] == run[:-2])
-    bend = lambda v: np.diff(v, 2)[same] - np.mean(np.diff(v, 2)[same])  # noqa: E731
     if same.sum() < LEAST_ROWS:
         return conditioned
-    y, kept = bend(pair.mismatch), {}
+    y, kept = np.diff(pair.mismatch, 2)[same], {}
+    y -= y.mean()
     for name in (n for role in SLOW_ROLES for n in conditioned.names(role)):
         if name not in conditioned.frame.columns:
             continue
         read = fill(recording.time(), recording.array(name), sessions(recording))
-        noise = bend((read - conditioned.array(name))[rows])
-        size = float(np.sqrt((noise @ noise) * (y @ y)))
+        noise = np.diff((read - conditioned.array(name))[rows], 2)[same]
+        size = float(np.sqrt(np.var(noise) * noise.size * (y @ y)))
         if size > 0 and abs(noise @ y) / size > FOLLOWED / np.sqrt(same.sum() / 3.0):  # second differences overlap
             kept[name] = read
     return Recording(recording.manifest, conditioned.frame.assign(**kept), between="inferred") if kept else conditioned
@@ -201,8 +198,7 @@ def segments(values: np.ndarray, run: np.ndarray, held: np.ndarray) -> np.ndarra
 
 def usable(values: np.ndarray) -> bool:
     """Does a sensor have enough different finite values?"""
-    finite = np.isfinite(values)
-    return finite.mean() >= 1 - MOST_MISSING and np.nanmax(values) > np.nanmin(values)
+    return np.isfinite(values).mean() >= 1 - MOST_MISSING and np.nanmax(values) > np.nanmin(values)
 
 
 def fill(t: np.ndarray, values: np.ndarray, session: np.ndarray) -> np.ndarray:

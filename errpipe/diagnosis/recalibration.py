@@ -45,8 +45,7 @@ def no_gain(
     beyond the limits may imitate another effect: without that gain something is missing, and held-out rows confirm it.
     """
     held, rows = gains.totals(nuisances, sizes)
-    chosen = lambda e: [(f.index, f.size) for f in e.accepted]  # noqa: E731
-    scene = search.scene(chosen(explanation))
+    scene = search.scene(now := explanation.chosen())
     at = rows @ scene.coefficients()[: rows.shape[1]]
     variance = np.diag(rows @ scene.covariance()[: rows.shape[1], : rows.shape[1]] @ rows.T)
     odds = 0.5 * (np.log1p(GAIN_SD**2 / variance) - at**2 / variance + at**2 / (GAIN_SD**2 + variance))
@@ -69,17 +68,17 @@ def no_gain(
     known = (noise, search.rows)
     other, named = settled(search.library, search.data, exact, prior, *known)
     before = {f.hypothesis.effect for f in explanation.accepted}
-    left = lambda s, e: judged.of_explanation(s, chosen(e))  # noqa: E731
-    if named.accepted and other.evidence(chosen(named)) > search.evidence(chosen(explanation)):
+    if named.accepted and other.evidence(named.chosen()) > search.evidence(now):
         again = {f.hypothesis.effect for f in named.accepted} <= before
         if every:
-            return (other, named, not again) if other.joint(chosen(named)) > TWIN else None
-        return (other, named, False) if one or left(other, named) < left(search, explanation) else None
+            return (other, named, not again) if other.joint(named.chosen()) > TWIN else None
+        as_good = one or judged.of_explanation(other, named.chosen()) < judged.of_explanation(search, now)
+        return (other, named, False) if as_good else None
     if not one or before:
         return None
     other, named = settled(search.library, search.data, exact, np.where(own, prior, NEVER), *known)
-    as_well = named.accepted and left(other, named) < AS_WELL * left(search, explanation)
-    return (other, named, True) if as_well else None
+    left = judged.of_explanation(other, named.chosen()), judged.of_explanation(search, now)
+    return (other, named, True) if named.accepted and left[0] < AS_WELL * left[1] else None
 
 
 def likeliest(
@@ -94,10 +93,9 @@ def likeliest(
     def scored(d: parts.Decomposition):
         nuisance, kinds, columns, sizes = recalibration(simulated, d, library)
         search, e = settled(library, data, nuisance, log_prior(library, d), noise)
-        chosen = [(f.index, f.size) for f in e.accepted]
-        too_far = gains.excess(search.scene(chosen), gains.totals(kinds, sizes)[1], search.rows)[0]
-        cost = MISSING * len(chosen) + min(too_far, MAX_GAIN_PENALTY)
-        return TRUST * d.worth + search.evidence(chosen) - cost, (d, (nuisance, kinds, columns, sizes)), e.accepted
+        too_far = gains.excess(search.scene(e.chosen()), gains.totals(kinds, sizes)[1], search.rows)[0]
+        cost = MISSING * len(e.accepted) + min(too_far, MAX_GAIN_PENALTY)
+        return TRUST * d.worth + search.evidence(e.chosen()) - cost, (d, (nuisance, kinds, columns, sizes)), e.accepted
 
     if holding is None and len(alternatives) == 1:
         return alternatives[0], recalibration(simulated, alternatives[0], library)

@@ -18,6 +18,7 @@ from errpipe.diagnosis.separate import would_separate
 from errpipe.diagnosis.units import said
 from errpipe.diagnosis.whiteness import whiteness
 from errpipe.domain.diagnosis import Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis, Rival, Significance
+from errpipe.fitting.statistics import rms
 
 TIED = 1.1  # log Bayes factor (3 as a ratio) below which names in part share the confidence of their class
 ALIKE = 0.97  # or share of the contribution that the rival's textbook form explains, above which it is listed, too
@@ -66,7 +67,7 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
     effects_held = {p.hypothesis.effect for p in case.decomposition.parts}
     findings = friction.with_directional_law(findings, law, effects_held) if law else findings
     contribution = {name: values for name, values in contribution.items() if name in {f.effect for f in findings}}
-    at_first = _rms(before) if case.pair.reversed else held.before
+    at_first = rms(before) if case.pair.reversed else held.before
     known_as = {"p": chance.p, "gain": chance.gain, "limit95": chance.limit, "scheme": chance.scheme}
     surrogates = Significance(**known_as, effective_rows=chance.rows, rows=int(case.run.size))
     figures = HoldOutFigures(scheme=held.scheme, rms_before_um=at_first, rms_after_um=held.after)
@@ -74,8 +75,8 @@ def response(case: Case) -> tuple[ResponseDiagnosis, dict[str, np.ndarray], np.n
         component=case.pair.component,
         unit=case.pair.unit,
         verdict=verdict,
-        rms_before_um=_rms(before),
-        rms_after_um=_rms(after),
+        rms_before_um=rms(before),
+        rms_after_um=rms(after),
         noise_floor_um=floor,
         holdout=figures,
         findings=tuple(findings),
@@ -118,10 +119,10 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
 def _datums(case: Case) -> str:
     """Sentence on the datums of single runs and their spread; '' if all runs share one, or nearly so."""
     values = own_datums(case, case.chosen())
-    if values is None or _rms(values) < AS_GOOD_AS_ONE * case.sigma:
+    if values is None or rms(values) < AS_GOOD_AS_ONE * case.sigma:
         return ""
     return (
-        f" Each run has a separate datum, {_rms(values):.3g} {case.pair.unit} rms from run to run, as an "
+        f" Each run has a separate datum, {rms(values):.3g} {case.pair.unit} rms from run to run, as an "
         "instrument has that is zeroed for each run; it is removed first and is not part of the findings."
     )
 
@@ -144,10 +145,6 @@ def _surrogate_test(case: Case, f: Finding, whole: significance.Chance) -> dict[
     what = "none" if chance.p * (significance.SURROGATES + 1) < 1.5 else f"{chance.p:.0%}"
     says = f" Of {significance.SURROGATES} searches where nothing was hidden, {what} came as far (p = {chance.p:.2g})."
     return {"p_search": chance.p, "says": f.says + says}
-
-
-def _rms(v: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(v))))
 
 
 def indicators_of(case: Case, k: int, held: holdout.HeldOut) -> confidence.Indicators:

@@ -48,6 +48,10 @@ class Explanation:
     accepted: tuple[Accepted, ...]
     alone: np.ndarray
 
+    def chosen(self) -> list[tuple[int, float]]:
+        """Index and size of each accepted hypothesis."""
+        return [(f.index, f.size) for f in self.accepted]
+
 
 class Search:
     """The search on one response with its nuisances and a noise level."""
@@ -186,8 +190,7 @@ class Search:
         """Nuisances and chosen hypotheses with their sizes."""
         active = self.nuisance
         for i, size in chosen:
-            sd = 2.0 * max(size, 3.0) * self.sigma * self.library.freedoms[i]
-            active = active.plus(self.library.places[i], sd)
+            active = active.plus(self.library.places[i], 2.0 * max(size, 3.0) * self.sigma * self.library.freedoms[i])
         return active
 
     @property
@@ -261,7 +264,7 @@ def settled(
         search = Search(library, data, nuisance, sigma, prior, MISSING, MORE, rows)
         search.most, search.weighed = most, weighed
         explanation = search.explain()
-        residual_rms = search.scene([(f.index, f.size) for f in explanation.accepted]).rms()
+        residual_rms = search.scene(explanation.chosen()).rms()
         if abs(residual_rms / sigma - 1) < 0.03:
             break
         sigma = max(residual_rms, 1e-9)

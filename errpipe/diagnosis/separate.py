@@ -41,8 +41,7 @@ def would_separate(recording: Recording, first: Fitted, second: Fitted, noise: f
 
 def _predict(fitted: Fitted, trial: Recording) -> np.ndarray:
     h, b = fitted
-    columns = np.column_stack([t.basis(trial, *nl) for t, nl in zip(h.terms, h.nonlinear, strict=True)])
-    return columns @ b
+    return np.column_stack([t.basis(trial, *nl) for t, nl in zip(h.terms, h.nonlinear, strict=True)]) @ b
 
 
 def _hypothetical_recordings(recording: Recording, drivers: tuple[str, ...]):

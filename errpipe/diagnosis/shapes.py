@@ -123,8 +123,7 @@ def _all_columns(recording: Recording, component: str, rows: np.ndarray) -> Iter
         rings = np.column_stack([np.cos(angle[:, None] * k), np.sin(angle[:, None] * k)])
         free = np.r_[1.0 / k**0.5, 1.0 / k**0.5]
         yield "angle", names, rings, free
-        turn = np.sign(np.gradient(np.unwrap(angle)))
-        yield "angle and sense", names, rings * turn[:, None], free
+        yield "angle and sense", names, rings * np.sign(np.gradient(np.unwrap(angle)))[:, None], free
         return
     for axis in letters:
         name = position_name(recording, axis)

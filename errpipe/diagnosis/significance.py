@@ -98,8 +98,7 @@ def best_gains(case: Case, scene: Scene, signals: np.ndarray) -> np.ndarray:
         columns = np.stack([library.places[i][: width or 1] for i in members])
         cross = np.linalg.solve(scene.chol, scene.with_active(columns.ravel()))
         cross = cross.reshape(active.size, *columns.shape).transpose(1, 2, 0)  # (members, width, active)
-        own = np.stack([table.among(c, scene.data.without) for c in columns])
-        S = own - cross @ cross.transpose(0, 2, 1)
+        S = np.stack([table.among(c, scene.data.without) for c in columns]) - cross @ cross.transpose(0, 2, 1)
         s = products[columns] - cross @ half
         prior = case.search.prior[members][:, None]
         if width == 0:

@@ -80,8 +80,7 @@ def _judged(n: int, fast: bool, turns: np.ndarray, rng: np.random.Generator) -> 
     """Mask of the selected rows: stratified over the log, and around reversals."""
     length, count = (STRETCH, JUDGED_FAST) if fast else (1, JUDGED_SLOW)
     around = min(turns.size, count // (2 * length)) if fast else 0
-    stretches = count // length - around
-    edges = np.linspace(0, n - length, stretches + 1).astype(int)
+    edges = np.linspace(0, n - length, count // length - around + 1).astype(int)
     first = rng.integers(edges[:-1], np.maximum(edges[1:] - length, edges[:-1] + 1))
     if around:
         at = np.sort(rng.choice(turns, around, replace=False))

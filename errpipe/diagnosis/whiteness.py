@@ -30,8 +30,7 @@ ORDER = "order of the rows"
 
 def whiteness(case: Case) -> Whiteness:
     """All tests of a response's residual, and the sentence that summarises them."""
-    unexplained = residual(case)
-    share = slow_share(unexplained, case.run)
+    share = slow_share(residual(case), case.run)
     used = _whiten(case.judged().columns([i for i, _ in case.chosen()]), case.run, share)
     frame = Frame(_whiten(case.y, case.run, share), used, case.run, share)
     made = [frame.test(name, how, columns) for name, how, columns in _asked(case.recording, case.pair.rows)]
@@ -126,8 +125,7 @@ def _asked(recording: Recording, rows: np.ndarray) -> Iterator[tuple[str, str, n
             slope = (u - u.mean()) / u.std()
             yield name, "by run", np.column_stack([(run == r) * (slope - slope[run == r].mean()) for r in runs])
         for axis, side in sides.items():
-            how = "by direction" if len(sides) == 1 else f"by direction of {axis}"
-            yield name, how, bins * side[:, None]
+            yield name, "by direction" if len(sides) == 1 else f"by direction of {axis}", bins * side[:, None]
 
 
 def both_ways(recording: Recording, rows: np.ndarray) -> dict[str, np.ndarray]:
@@ -154,10 +152,10 @@ def structured(tests: Sequence[WhitenessTest]) -> list[WhitenessTest]:
 
 def _says(tests: list[WhitenessTest], p: float) -> str:
     alarming = structured(tests)
-    description = lambda t: t.against if t.how == "level" else f"{t.against}, {t.how}"  # noqa: E731
+    t = alarming[0] if alarming else min(tests, key=lambda t: t.p)
+    where = t.against if t.how == "level" else f"{t.against}, {t.how}"
     if not alarming:
-        worst = description(min(tests, key=lambda t: t.p))
-        return f"The residual is noise: the strongest of {len(tests)} tests ({worst}) has an adjusted p = {p:.2g}."
-    where = description(alarming[0]) + (f" (and {len(alarming) - 1} more)" if len(alarming) > 1 else "")
+        return f"The residual is noise: the strongest of {len(tests)} tests ({where}) has an adjusted p = {p:.2g}."
+    where += f" (and {len(alarming) - 1} more)" if len(alarming) > 1 else ""
     small = f"= {p:.1g}" if p > 1e-16 else "< 1e-16"
     return f"The residual is not only noise: it correlates with {where}; adjusted p {small} of {len(tests)} tests."

@@ -39,6 +39,23 @@ class Ringing:
         return self.gain * self.state(recording)[:, 0]
 
 
+def between(t: np.ndarray, u: np.ndarray, when: np.ndarray) -> np.ndarray:
+    """u at other times by its natural cubic spline, shape of `when`; held before the first row and after the last.
+
+    Straight lines would take a curvature of u (a mass, for a velocity) for a delay of part of a row.
+    """
+    h, steep = np.diff(t), np.diff(u) / np.diff(t)
+    before, after, steep = np.r_[0.0, h], np.r_[h, 0.0], np.r_[steep[0], steep, steep[-1]]
+    wanted, slope = 3.0 * (after * steep[:-1] + before * steep[1:]), np.gradient(u, t)
+    for _ in range(20):  # Jacobi: each halves the error of the slopes
+        beside = np.r_[slope[1], slope, slope[-2]]
+        slope = (wanted - after * beside[:-2] - before * beside[2:]) / (2.0 * (before + after))
+    k = np.clip(np.searchsorted(t, when, side="right") - 1, 0, t.size - 2)
+    s = np.clip((when - t[k]) / h[k], 0.0, 1.0)
+    left, right = (h[k] * (slope[k + i] - steep[k + 1]) for i in (0, 1))
+    return u[k] + s * h[k] * steep[k + 1] + s * (1.0 - s) * ((1.0 - s) * left - s * right)
+
+
 @dataclass(frozen=True)
 class Late:
     """gain * (u(t - delay) - u(t)), u the column `name` or the path of `axis` in um (urad); delay in s."""
@@ -60,14 +77,14 @@ class Late:
         return recording.array(name) * factor
 
     def value(self, recording: Recording) -> np.ndarray:
-        """On every row, shape (rows,); straight between rows, held before the first of a session; NaN where u is."""
+        """On every row, shape (rows,); held before the first of a session; NaN where u is."""
         t, session, u = recording.time(), sessions(recording), self.signal(recording)
         before, known = np.full(u.shape, np.nan), np.flatnonzero(np.isfinite(u))
         edges = np.r_[0, np.flatnonzero(np.diff(session[known])) + 1, known.size]
         for first_row, last_row in itertools.pairwise(edges):
             inside = known[first_row:last_row]
-            if inside.size > 1:
-                own, values = t[inside], u[inside]
-                at, first = (own, slice(None)) if np.all(own[1:] > own[:-1]) else np.unique(own, return_index=True)
-                before[inside] = np.interp(own - self.delay, at, values[first])
+            own, values = t[inside], u[inside]
+            at, first = (own, slice(None)) if np.all(own[1:] > own[:-1]) else np.unique(own, return_index=True)
+            if at.size > 1:
+                before[inside] = between(at, values[first], own - self.delay)
         return self.gain * (before - u)

@@ -17,6 +17,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import IO
 
@@ -269,11 +270,15 @@ def _parquet_batches(path: Path, kinds: Kinds, label: str) -> Iterator[Block]:
         start = 0
         for batch in file.iter_batches(batch_size=131072, columns=wanted, use_threads=pa.cpu_count() > 1):
             table = pa.table({n: _plain(batch.column(n), kinds[n]) for n in wanted})
-            place = lambda row, start=start: f"{label} row {start + row + 1}"  # noqa: E731
+            place = partial(_place, label, start + 1)
             _refuse_infinite(table, place)
             start += table.num_rows
             if table.num_rows:
                 yield Block(table, place)
+
+
+def _place(label: str, first: int, row: int) -> str:
+    return f"{label} row {first + row}"
 
 
 def _check_type(field: pa.Field, kind: str, label: str) -> None:

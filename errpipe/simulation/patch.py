@@ -7,6 +7,7 @@ Each finding is a sum of profile(position) times driver(state) (`drivers.lowered
 
 from __future__ import annotations
 
+import inspect
 import textwrap
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -18,7 +19,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive, runs_on
 from errpipe.drivers.lowered import Lowered
 from errpipe.drivers.motion import position, position_name
-from errpipe.drivers.simulated import Late, Ringing
+from errpipe.drivers.simulated import Late, Ringing, between
 
 CURVE_ERROR = 1e-4  # of a profile's largest value: error bound of linear interpolation between its points
 MAX_POINTS = 65536  # of a profile: 2048 waves of 32 points
@@ -273,15 +274,17 @@ def ringing(session, t, u, frequency, damping, pause):
         y[k] = q
     return y
 ''',
-    "late": '''
+    "late": f"\n{inspect.getsource(between)}"
+    + '''
+
 def late(session, t, u, delay):
-    """u a time `delay` ago, straight between rows; before a session begins its first value."""
+    """u a time `delay` ago; before a session begins its first value."""
     y = np.full(len(u), np.nan)
     for s in np.unique(session):
         known = (session == s) & np.isfinite(u)
         if known.any():
             at, first = np.unique(t[known], return_index=True)
-            y[known] = np.interp(t[known] - delay, at, u[known][first])
+            y[known] = between(at, u[known][first], t[known] - delay) if at.size > 1 else u[known]
     return y
 ''',
 }

@@ -64,7 +64,10 @@ def diagnose(
     lines = [*sign_and_unit_warnings(read), *(r.says for r in diagnosis.responses)]
     summary = {"says": lines, "verdicts": {r.component: r.verdict for r in diagnosis.responses}}
     if apply is not None:
-        later = lambda share, text: progress(0.5 + 0.5 * share, f"once more: {text}")  # noqa: E731
+
+        def later(share: float, text: str) -> None:
+            progress(0.5 + 0.5 * share, f"once more: {text}")
+
         applied = _apply_findings.apply_findings(read, diagnosis, Path(apply), held, parameters, later)
         lines += [*_apply_findings.in_words(applied), *(str(f) for f in sorted(Path(apply).iterdir()))]
         summary |= {"apply": applied}

@@ -38,6 +38,7 @@ CHANCE = 4.5  # what chance exceeds in one of 100,000 rows
 HELD, LEAVES, RARELY = 4.0, 1.5, 0.05
 # Of the fault: prior standard deviation of what the reading drawn through the gap misses (chosen on 40 faults)
 DRAWN = 0.3
+REPLACED = 3.0  # and of the level, if nothing is read: what the simulation takes instead is not recorded (by judgement)
 BENDS, SEEN_BENDS = 4, 12  # half waves along the stretch, from which that may be made; if the readings show its ends
 STILL = 0.05  # of a jump, within which a reading is constant before it
 
@@ -69,6 +70,7 @@ class SensorFault(Term):
     form = "any shape"  # what it would have read is drawn from the other sensors
     prior_log_odds = -3.0
     _seen: bool = PrivateAttr(False)  # do the readings alone show that it failed, and when? Then that is no choice
+    _blank: bool = PrivateAttr(False)  # does it read nothing there?
 
     def log_prior_odds(self) -> float:
         return LOG_ODDS_IF_VISIBLE if self._seen else self.prior_log_odds
@@ -82,10 +84,11 @@ class SensorFault(Term):
         if is_deviation(component):
             for sensor in recording.names("temperature"):
                 for (first, last), seen in _failures(recording, sensor).items():
+                    blank = not np.isfinite(recording.array(sensor)[first : last + 1]).any()
                     stepped = (False, True) if _step_in(recording, sensor, first, last) else (False,)
                     for axis, how in itertools.product((None, *linear_axes_acting(recording, component)), stepped):
                         term = cls(sensor=sensor, first=first, last=last, axis=axis, stepped=how)
-                        term._seen = seen
+                        term._seen, term._blank = seen, blank
                         yield term
 
     def basis(self, recording: Recording, *nonlinear: float) -> np.ndarray:
@@ -111,7 +114,7 @@ class SensorFault(Term):
         if self.stepped:
             yield inside * along, DRAWN
             return
-        yield inside, DRAWN
+        yield inside, REPLACED if self._blank else DRAWN
         yield inside * along, DRAWN
         run = sessions(recording)
         if run[max(self.first - 1, 0)] != run[self.first]:
@@ -218,7 +221,7 @@ def _together(others: np.ndarray, read: np.ndarray, good: np.ndarray) -> np.ndar
 
 
 def _regressors(recording: Recording, sensor: str) -> np.ndarray:
-    """A constant, the other temperatures and spindle speeds, each now and late, shape (rows, k)."""
+    """A constant, the other temperatures, each now and late, and spindle speeds and coolant late, shape (rows, k)."""
     run, t = sessions(recording), recording.time()
     columns = [np.ones(len(recording))]
     for name in sensors(recording):
@@ -227,7 +230,7 @@ def _regressors(recording: Recording, sensor: str) -> np.ndarray:
             continue
         columns += [other - other.mean()]
         columns += [lag(run, t, other - other.mean(), tau, tau, True) for tau in (1000.0, 5000.0)]
-    for name in recording.names("spindle_speed"):
+    for name in (*recording.names("spindle_speed"), *recording.names("coolant")):
         speed = recording.array(name)
         if np.isfinite(speed).all():
             columns += [lag(run, t, speed / max(speed.max(), 1.0), tau, tau, True) for tau in (800.0, 4000.0)]

@@ -100,3 +100,21 @@ def test_one_coefficient_off_in_a_simulation_that_is_right_elsewhere_is_named(of
         first = response.findings[0]
         assert first.effect == "viscous_friction" and first.confidence <= 0.45  # it may be the gain
         assert first.parameters[0].ci95[0] <= 24.0 <= first.parameters[0].ci95[1]
+
+
+@pytest.mark.parametrize(("quick", "noise"), [(0.0, 0.01), (1.0, 0.2)])
+def test_a_dead_time_of_part_of_a_sampling_step_is_named_with_its_size(quick: float, noise: float) -> None:
+    """0.3 steps: for straight lines between rows, the curvature would be another effect, such as a mass."""
+    known, delay = trace(1), 0.0015
+    t, rng = known.frame.t.to_numpy(), np.random.default_rng(5)
+
+    def force(at):
+        waves = 15 * np.sin(40 * at) + 10 * np.sin(97 * at + 1)
+        return -16.224 * np.sin(1.3 * at) - 23.064 * np.sin(3.1 * at) + quick * waves
+
+    changed = known.frame.assign(F_X=force(t - delay) + noise * rng.standard_normal(t.size), F_X_sim=force(t))
+    response = diagnose(type(known)(known.manifest, changed))[0].responses[0]
+    first = response.findings[0]
+    assert first.effect == "dead_time" and first.confidence > 0.8 and response.rms_after_um < 1.05 * noise
+    share, late = first.parameters
+    assert share.value == pytest.approx(1.0, abs=0.15) and late.ci95[0] <= delay <= late.ci95[1]

@@ -101,6 +101,21 @@ def test_no_sensor_misleads_a_simulation_that_reads_none():
         assert odds and (max(odds) < 0.5 * NEVER) == excluded
 
 
+def test_a_part_must_exceed_a_failure_that_the_readings_show():
+    columns, kinds, noise = positioning()
+    simulated = 20e-3 * columns["x"] + 12e-3 * columns["x"] * (columns["T"] - 20)
+    columns["T"][200:280] = np.nan
+    inside = (columns["t"] > np.quantile(columns["t"], 0.36)) & (columns["t"] < np.quantile(columns["t"], 0.79))
+    case = judged(columns, kinds, "EXX", simulated - 3.0 * columns["dir"] * inside + 0.5 * noise, simulated)
+    search, every = case.search, case.library.hypotheses
+    gain = np.where([bool(h.mask) for h in every], 0.0, search.score([]).gain)
+    shown = [h.effect == "sensor_fault" and h.terms[0].log_prior_odds() > 0 for h in every]
+    assert any(shown)
+    for brought, added in ((1e4, False), (0.0, True)):
+        alone = np.where(shown, brought, gain) + search.prior
+        assert partial.add_parts(search, case.recording, case.pair.rows, alone) == added
+
+
 def test_an_axis_that_cycles_between_readings_is_heated_by_its_feed():
     rng = np.random.default_rng(3)
     n, dt = 600, 15.0
@@ -223,9 +238,20 @@ def test_a_body_that_acts_for_a_while_is_counted_from_any_temperature():
     for effect, fits in (("thermal_drift", True), ("scale_expansion", False)):  # which has its reference along x
         whole = next(h for h in case.library.hypotheses if h.effect == effect)
         core, slack, _ = columns_of(replace(whole, mask=("range", "t", low, high)), case.recording)
-        form = np.column_stack([core, slack[:, -1]])
+        form = np.column_stack([core, slack[:, 0]])
         left = signal - form @ np.linalg.lstsq(form, signal, rcond=None)[0]
         assert (np.std(left) < 1e-6 * np.std(signal)) == fits
+
+
+def test_the_temperature_from_which_a_part_counts_is_no_other_mechanism():
+    """Its level there belongs to its form, on held-out rows as well."""
+    columns, kinds, noise = positioning(runs=3)
+    inside = (columns["t"] >= np.quantile(columns["t"], 0.3)) & (columns["t"] <= np.quantile(columns["t"], 0.7))
+    hidden = 1.5 * (columns["T"] - np.mean(columns["T"]) - 6.0) * inside
+    case = judged(columns, kinds, "EXX", 20e-3 * columns["x"] + hidden + 0.5 * noise, 20e-3 * columns["x"])
+    assert names(case) == ["thermal_drift"] and case.explanation.accepted[0].hypothesis.mask[0] == "range"
+    held = holdout.held_out(case)
+    assert held.textbook_share() > 0.9 and not unnamed.departs(case, held)
 
 
 def test_tools_of_which_few_wear_are_no_other_mechanism():

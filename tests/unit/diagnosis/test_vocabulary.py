@@ -110,12 +110,14 @@ def mode() -> Case:
 
 
 def delay() -> Case:
-    """A drive force that comes 3 ms late."""
+    """A smooth drive force that comes three quarters of a row late: three of the ms of which every fourth is read."""
     rng = np.random.default_rng(24)
-    data, columns = under_way(rng, 250.0, 16.0)
-    force = 60e-3 * data["a"] + 20 * np.tanh(data["v"] / 3)
-    seen = np.interp(data["t"] - 0.003, data["t"], force) + 2 * rng.normal(size=force.size)
-    return sheet(data, columns, "F_X", "N", force, seen, AXIS), "dead_time", {"delay": 0.003}
+    data, columns = under_way(rng, 1000.0, 16.0)
+    force = np.convolve(60e-3 * data["a"] + 20 * np.tanh(data["v"] / 3), np.hanning(80) / 39.5, "same")
+    late = np.r_[np.full(3, force[0]), force[:-3]]
+    data = {name: values[::4] for name, values in data.items()}
+    seen = late[::4] + 0.5 * rng.normal(size=data["t"].size)
+    return sheet(data, columns, "F_X", "N", force[::4], seen, AXIS), "dead_time", {"delay": 0.003}
 
 
 def two_bodies() -> Case:
@@ -147,7 +149,7 @@ def five_tools() -> Case:
     return sheet(data, columns, "E_D", "um", model, seen), "tool_wear", {"exponent": 0.7}
 
 
-NOISE = {"cogging": 2.0, "slots": 0.3, "belt": 5.0, "mode": 0.4, "delay": 2.0, "two_bodies": 0.4, "five_tools": 0.6}
+NOISE = {"cogging": 2.0, "slots": 0.3, "belt": 5.0, "mode": 0.4, "delay": 0.5, "two_bodies": 0.4, "five_tools": 0.6}
 CASES = {make.__name__: make for make in (cogging, slots, belt, mode, delay, two_bodies, five_tools)}
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from errpipe.diagnosis import hypotheses
 from errpipe.domain.recording import Recording
+from errpipe.kernels.responses import lag
 from errpipe.terms import sensor_fault
 from errpipe.terms.sensor_fault import LOG_ODDS_IF_VISIBLE, SensorFault, reconstructed, step_between, steps, suspicious
 from tests.unit.diagnosis.machines import recording
@@ -201,3 +202,25 @@ def test_what_goes_with_the_spindle_is_not_seen_to_be_a_failure() -> None:
         made = recording(columns | {"n": columns["n"]}, kinds | {"n": role})
         odds = {(h.first, h.last): h.log_prior_odds() for h in SensorFault.bind(made, "EXX") if h.sensor == "a"}
         assert (odds[60, 119] == LOG_ODDS_IF_VISIBLE) == seen
+
+
+def test_what_the_simulation_takes_for_a_missing_reading_is_open() -> None:
+    """The last value, the first one after a pause, or a default: an unknown level; a value that is read is known."""
+    made = _with_failures()
+    (missing,) = [f for f in SensorFault.bind(made, "E_Z") if (f.sensor, f.first, f.last) == ("b", 81, 139)]
+    known = SensorFault(sensor="b", first=81, last=139)
+    base = np.zeros((ROWS, 1))
+    (_, unknown_level), (_, slope), *_ = missing.slack(made, base)
+    (_, level), *_ = known.slack(made, base)
+    assert unknown_level >= 1.0 and level == slope == sensor_fault.DRAWN
+
+
+def test_what_coolant_cools_is_drawn_from_its_valve() -> None:
+    t = np.arange(ROWS) * 60.0
+    valve = (np.arange(ROWS) // 23 % 2).astype(float)
+    cooled = 25 - 4 * lag(np.zeros(ROWS, dtype=int), t, valve, 900.0, 900.0, True)
+    kinds = {n: {"role": "temperature", "unit": "degC"} for n in "ab"} | {"t": {"role": "time", "unit": "s"}}
+    made = recording(
+        {"t": t, "a": cooled, "b": 20 + np.sin(t / 5000), "valve": valve}, kinds | {"valve": {"role": "coolant"}}
+    )
+    assert np.abs(reconstructed(made, "a", 80, 140) - cooled)[80:141].max() < 0.25 * np.ptp(cooled)
