@@ -206,15 +206,17 @@ def machine_positions(
     be the reading. Raises DataError if two columns are a constant apart and neither names the machine.
     """
     read = in_columns or any(g.kind == "error" for g in guesses.values())
-    if not read or any("role" in keys for keys in options.sets.values()):
+    if not read:
         return guesses
+    stated = {name for name, keys in options.sets.items() if "role" in keys}
     many = [c for c in layout.columns if c.numeric and (c.unit is None or c.unit in ROLE_UNITS["position"])]
-    own = [c for c in many if _OF_THE_MACHINE.search(words.plain(c.header))]
+    free = [c for c in many if not {c.header, slug(c.header)} & stated]
+    own = [c for c in free if _OF_THE_MACHINE.search(words.plain(c.header))]
     places = [c for c in many if guesses[c.header].kind in PLACES[:2] and c not in own]
     if not places and len(own) == 1 and own[0].unit and guesses[own[0].header].kind == "ignore":
         axis = columns.axis_in(own[0].header) or options.axis
         return {**guesses, own[0].header: columns.ColumnGuess("position", axis, f"its name ({own[0].header!r})")}
-    for place, c in ((place, c) for place in places for c in many if c is not place):
+    for place, c in ((place, c) for place in places for c in free if place in free and c is not place):
         letters = {columns.axis_in(x.header) for x in (place, c)} - {None}
         usable = ("group", *PLACES, "ignore") if c in own else (*PLACES[:2], "ignore") if c.unit else ()
         shift = _shift(place, c) if len(letters) < 2 and guesses[c.header].kind in usable else None
