@@ -240,6 +240,8 @@ def _shift(place: RawColumn, other: RawColumn) -> float | None:
     """What a column has more than another in every row, mm or deg; None if that is nothing, or not the same."""
     x, y = (np.asarray(conversion("position", c.unit or "mm")(c.values)) for c in (place, other))  # type: ignore[misc]
     apart = (y - x)[np.isfinite(y - x)]
+    if apart.size and "deg" in (place.unit, other.unit):  # one of them may count from 0 to 360 deg
+        apart = apart[0] + (apart - apart[0] + 180.0) % 360.0 - 180.0
     short = apart.size < 3 or np.ptp(x[np.isfinite(y - x)]) < SHORTEST
     if short or np.ptp(apart) > SAME_PLACE or abs(apart.mean()) < LEAST_SHIFT:
         return None
