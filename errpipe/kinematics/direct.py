@@ -219,7 +219,7 @@ def refuse_unstated_places(chain: Chain, recordings: Mapping[str, Recording], la
         answer = ", ".join(f"{name}: {{read_on: carriage}}" for name in unstated)
         axes = " and ".join(dict.fromkeys(map(axis_of, unstated)))
         raise DataError(
-            f"{', '.join(unstated)}: {axes} carries the work, and turns: "
+            f"{', '.join(unstated)}: the work travels on {axes}, which turns it: "
             "read at a point of the table (a reflector on it), or at the tool (a gauge in the spindle, a straightedge "
             f"on the table), a curve differs by {max(unstated.values()):.3g} um. State it in the stage: lasers: "
             f"{{{answer}}} for the table, read_on: guideway for the tool"

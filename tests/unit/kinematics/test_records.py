@@ -202,7 +202,7 @@ def test_where_a_straightness_of_a_table_was_read_is_asked_if_it_matters(chain, 
     if not asked:
         return ask(30.0)
     for said in ({}, {"offset": (0.0, 0.0, 10.0)}):
-        with pytest.raises(DataError, match=r"EYX: X carries the work, and turns.*differs by 11.8 um"):
+        with pytest.raises(DataError, match=r"EYX: the work travels on X, which turns it.*differs by 11.8 um"):
             ask(30.0, **said)
 
 
@@ -223,7 +223,8 @@ def test_every_straightness_of_the_table_is_asked_at_once_and_the_answer_is_take
     turns = {"EBX": 30.0 * np.sin(x / 90.0), "ECX": 30.0 * np.sin(x / 90.0)}
     chain, test = table_of_x(EYX=0 * x, EZX=0 * x, **turns)
     with pytest.raises(
-        DataError, match=r"^EYX, EZX: X carries.*EYX: \{read_on: carriage\}, EZX: \{read_on: carriage"
+        DataError,
+        match=r"^EYX, EZX: the work travels on X, which turns it.*EYX: \{read_on: carriage\}, EZX: \{read_on: carriage",
     ) as e:
         direct.refuse_unstated_places(chain, test, {})
     answer = yaml.safe_load(str(e.value).partition("stage: ")[2].partition(" for the table")[0])["lasers"]
