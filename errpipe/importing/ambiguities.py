@@ -206,15 +206,17 @@ def machine_positions(
     be the reading. Raises DataError if two columns are a constant apart and neither names the machine.
     """
     read = in_columns or any(g.kind == "error" for g in guesses.values())
-    if not read or any("role" in keys for keys in options.sets.values()):
+    if not read:
         return guesses
+    stated = {name for name, keys in options.sets.items() if "role" in keys}
     many = [c for c in layout.columns if c.numeric and (c.unit is None or c.unit in ROLE_UNITS["position"])]
-    own = [c for c in many if _OF_THE_MACHINE.search(words.plain(c.header))]
+    free = [c for c in many if not {c.header, slug(c.header)} & stated]
+    own = [c for c in free if _OF_THE_MACHINE.search(words.plain(c.header))]
     places = [c for c in many if guesses[c.header].kind in PLACES[:2] and c not in own]
     if not places and len(own) == 1 and own[0].unit and guesses[own[0].header].kind == "ignore":
         axis = columns.axis_in(own[0].header) or options.axis
         return {**guesses, own[0].header: columns.ColumnGuess("position", axis, f"its name ({own[0].header!r})")}
-    for place, c in ((place, c) for place in places for c in many if c is not place):
+    for place, c in ((place, c) for place in places for c in free if place in free and c is not place):
         letters = {columns.axis_in(x.header) for x in (place, c)} - {None}
         usable = ("group", *PLACES, "ignore") if c in own else (*PLACES[:2], "ignore") if c.unit else ()
         shift = _shift(place, c) if len(letters) < 2 and guesses[c.header].kind in usable else None
@@ -238,6 +240,8 @@ def _shift(place: RawColumn, other: RawColumn) -> float | None:
     """What a column has more than another in every row, mm or deg; None if that is nothing, or not the same."""
     x, y = (np.asarray(conversion("position", c.unit or "mm")(c.values)) for c in (place, other))  # type: ignore[misc]
     apart = (y - x)[np.isfinite(y - x)]
+    if apart.size and "deg" in (place.unit, other.unit):  # one of them may count from 0 to 360 deg
+        apart = apart[0] + (apart - apart[0] + 180.0) % 360.0 - 180.0
     short = apart.size < 3 or np.ptp(x[np.isfinite(y - x)]) < SHORTEST
     if short or np.ptp(apart) > SAME_PLACE or abs(apart.mean()) < LEAST_SHIFT:
         return None

@@ -15,9 +15,11 @@ from errpipe.importing.readers import MOST_BYTES, READERS
 from errpipe.importing.sheet import readable
 
 MOST_MEMBERS = 256  # files of one archive; by judgement: more are not the runs of one test
+ENCRYPTED = 1  # bit of a member's flags (PKWARE APPNOTE 4.4.4)
 _GZIP, _ZIP, _TAR = b"\x1f\x8b", b"PK\x03\x04", b"ustar"
 _HEAD = 262  # bytes: `ustar` ends there in the header of the first file (POSIX.1-1988)
-_OF_A_SYSTEM = re.compile(r"(?:^|/)(?:\.(?!\.)|__MACOSX/|thumbs\.db$|desktop\.ini$)|/$", re.IGNORECASE)
+_OF_A_SYSTEM = re.compile(r"(?:^|/)(?:\.(?![./])|__MACOSX/|thumbs\.db$|desktop\.ini$)|/$", re.IGNORECASE)
+_OF_ONE_DOCUMENT = {"[Content_Types].xml", "mimetype", "modelDescription.xml"}  # Office Open XML, OpenDocument, FMI
 _PROSE = re.compile(  # what accompanies measurements in an archive
     r"(?:.*/)?(?:read_?me|liesmich|lisez-?moi|leggimi|leame|licen[sc]e)[^/]*|.*\.(?:pdf|docx?|md|png|jpe?g|gif|svg|bmp)",
     re.IGNORECASE,
@@ -37,6 +39,8 @@ def unpacked(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
     if not zipped and not head.startswith(_GZIP) and not head.endswith(_TAR):
         return [path], []
     with readable(path, "an archive", "extract it first"):
+        if zipped and _OF_ONE_DOCUMENT & {*zipfile.ZipFile(path).namelist()}:
+            return [path], []
         members = [m for m in (_zipped(path) if zipped else _tarred(path)) if not _OF_A_SYSTEM.search(m[0])]
         prose = [name for name, _ in members if len(members) > 1 and _PROSE.fullmatch(name)]
         files = [_written(path, name, data, folder) for name, data in members if name not in prose]
@@ -56,6 +60,8 @@ def _zipped(path: Path) -> Iterator[tuple[str, bytes]]:
     with zipfile.ZipFile(path) as archive:
         _affordable(path, len(archive.infolist()), sum(info.file_size for info in archive.infolist()))
         for info in archive.infolist():
+            if info.flag_bits & ENCRYPTED:
+                raise DataError(f"{path}: {info.filename} is encrypted: extract it with its password first")
             yield info.filename, archive.read(info)  # zipfile stops at the stated size
 
 
@@ -67,7 +73,7 @@ def _tarred(path: Path) -> Iterator[tuple[str, bytes]]:
         yield path.stem, data
         return
     with tarfile.open(fileobj=io.BytesIO(data), mode="r:") as archive:
-        _affordable(path, len(archive.getmembers()), len(data))
+        _affordable(path, len(archive.getmembers()), sum(m.size for m in archive.getmembers()))  # some may be sparse
         for member in (m for m in archive.getmembers() if not m.isdir()):
             content = archive.extractfile(member) if member.isreg() else None
             if content is None:

@@ -239,8 +239,10 @@ def unpivot(layout: Wide) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray
 
 def _runs_of_blocks(layout: Wide, rows: np.ndarray, side: np.ndarray, names: list[str]) -> list[str]:
     """The names, with a number per block of rows if the targets start again; OF_COLUMN: the run of a column."""
-    known = side[rows] if np.isfinite(side[rows]).all() else None
-    blocks = of_rows.sweeps(layout.target.values[rows], known)
+    x, known = np.round(layout.target.values[rows], 6), bool(np.isfinite(side[rows]).all())
+    if np.unique(x).size == x.size:  # listed in any order, once each
+        return names
+    blocks = of_rows.visits(x, side[rows]) if known else of_rows.sweeps(x, None)
     several = len({run for _, run, _ in layout.readings}) > 1
     for row, block in zip(rows.tolist(), blocks, strict=True) if len({*blocks}) > 1 else ():
         names[row] = f"{block}-{OF_COLUMN}" if several else block

@@ -25,6 +25,7 @@ from errpipe.kinematics.air import UNMEASURED_HUMIDITY, index_change, index_unce
 from errpipe.kinematics.chain import Chain
 
 SAME_PLACE = 1e-3  # mm or deg: readings closer than this belong to one target
+FEWEST_READINGS = 3  # of a curve: two have no shape
 PLACE_MATTERS = 1.0  # um: range by which a straightness may depend on where it was read, unstated (by judgement)
 
 
@@ -100,15 +101,20 @@ def position_of(recording: Recording, component: str) -> str:
     return name
 
 
-def _curve(recording: Recording, component: str, laser: Laser | None, known, chain) -> Curve:
-    axis, name = axis_of(component), position_of(recording, component)
+def _readings(recording: Recording, component: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions and values of a component, and the mask of the rows with both."""
     measured = recording.name("error", component=component)
     if measured is None:
         raise DataError(f"{component}: the recording has no error column of it")
-    p, value = recording.array(name), recording.array(measured)
-    rows = np.isfinite(p) & np.isfinite(value)
-    if rows.sum() < 3:
-        raise DataError(f"{component}: at least 3 readings are needed (found {int(rows.sum())})")
+    p, value = recording.array(position_of(recording, component)), recording.array(measured)
+    return p, value, np.isfinite(p) & np.isfinite(value)
+
+
+def _curve(recording: Recording, component: str, laser: Laser | None, known, chain) -> Curve:
+    axis = axis_of(component)
+    p, value, rows = _readings(recording, component)
+    if rows.sum() < FEWEST_READINGS:
+        raise DataError(f"{component}: at least {FEWEST_READINGS} readings are needed (found {int(rows.sum())})")
     if laser is not None:
         value = value.copy()
         value[rows] = without_beam_errors(component, recording, p[rows], value[rows], laser, rows)
@@ -190,31 +196,34 @@ def arms(chain: Chain, axis: str, laser: Laser, position: np.ndarray) -> np.ndar
 
 
 def refuse_unstated_places(chain: Chain, recordings: Mapping[str, Recording], lasers: Mapping[str, Laser]) -> None:
-    """Raise DataError for a straightness of an axis that carries the work, read on the table or at the tool: unknown.
+    """Raise DataError for straightnesses of axes that carry the work, read on the table or at the tool: unknown.
 
     The angle of the axis times its position, which was recorded too, is the difference; it may turn the curve over.
     """
-    tests = [r for r in recordings.values() if any(map(is_error_motion, r.components()))]
-    known = {name: curve for r in tests for name, curve in curves(r, chain, {}).items()}
+    known: dict[str, Curve] = {}
+    for r in recordings.values():
+        motions = [c for c in r.components() if is_error_motion(c) and c in chain.components]
+        known |= {c: _curve(r, c, None, {}, chain) for c in motions if _readings(r, c)[2].sum() >= FEWEST_READINGS}
+    unstated: dict[str, float] = {}
     for name, curve in known.items():
         axis, stated = axis_of(name), lasers.get(name, Laser()).model_fields_set
         turn = _turn(axis, curve.position, known)
-        if (
-            turn is None
-            or not parse(name).is_straightness
-            or "read_on" in stated
-            or chain.machine.moved_by(axis) == "tool"
-        ):
+        of_table = parse(name).is_straightness and chain.machine.moved_by(axis) != "tool"
+        if turn is None or not of_table or "read_on" in stated:
             continue
         way = np.asarray(chain.machine.direction(axis), dtype=float)
         apart = np.cross(turn, curve.position[:, None] * way) @ direction_of(chain, name) * 1e-3
         apart = float(np.ptp(apart - np.polyval(np.polyfit(curve.position, apart, 1), curve.position)))
-        if apart > PLACE_MATTERS:
-            raise DataError(
-                f"{name}: {axis} carries the work, and turns: read at a point of the table (a reflector on it), or at "
-                f"the tool (a gauge in the spindle, a straightedge on the table), its curve differs by {apart:.3g} um. "
-                f"State which: lasers: {{{name}: {{read_on: carriage}}}} or {{read_on: guideway}}"
-            )
+        unstated |= {name: apart} if apart > PLACE_MATTERS else {}
+    if unstated:
+        answer = ", ".join(f"{name}: {{read_on: carriage}}" for name in unstated)
+        axes = " and ".join(dict.fromkeys(map(axis_of, unstated)))
+        raise DataError(
+            f"{', '.join(unstated)}: the work travels on {axes}, which turns it: "
+            "read at a point of the table (a reflector on it), or at the tool (a gauge in the spindle, a straightedge "
+            f"on the table), a curve differs by {max(unstated.values()):.3g} um. State it in the stage: lasers: "
+            f"{{{answer}}} for the table, read_on: guideway for the tool"
+        )
 
 
 def _air_columns(recording: Recording) -> list[str | None]:

@@ -148,7 +148,10 @@ def with_simulation(
 
 
 def sign_and_unit_warnings(recording: Recording) -> tuple[str, ...]:
-    """One sentence for each response whose twin looks like that. Slope and correlation are over all rows with both."""
+    """A sentence for each response whose simulated column seems to have another sign or unit.
+
+    Slope and correlation are over all rows with both.
+    """
     out = []
     for component in recording.components():
         names = [recording.name(role, component=component) for role in ("error", "simulated")]

@@ -157,6 +157,7 @@ def _protocols() -> Iterator[str]:
         line that is read. A straightness is taken at a point on the carriage; of a gauge in the spindle and a
         straightedge on the moving table, state `lasers: {EYX: {read_on: guideway}}`, with the machine file's reference
         of that axis at the tool (`reference_on: guideway`; for an axis on another one, where that one then stood).
+        Of an axis that carries the work, `read_on` must be stated if its angles make more than 1 um of difference.
         Error motions of a rotary axis count in directions that stand, as ISO 230-7 reads them; if those of the machine
         file turn with the axis, state `reference_on: carriage` there. Any other recording names its test, and has
         `run`, a position for each axis that moves, and the readings:

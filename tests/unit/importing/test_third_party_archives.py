@@ -215,3 +215,47 @@ def test_a_query_of_a_cloud_has_a_row_per_value(tmp_path: Path) -> None:
     recording = imported(tmp_path, tmp_path / "q.csv", component="E_Z")
     assert recording.array(*recording.names("error", component="E_Z")) == pytest.approx(np.arange(12) / 4)
     assert recording.array(*recording.names("temperature")) == pytest.approx(20.0 + np.arange(12))
+
+
+def test_both_sides_of_a_target_in_rows_below_each_other_are_one_run(tmp_path: Path) -> None:
+    """Each target once from below, once from above, with a column per run: each target became a run of its own."""
+    lines = ["Target [mm];Direction;Run 1 [um];Run 2 [um];Run 3 [um]"]
+    for i, x in enumerate(TARGETS):
+        lines += [f"{x};{s:+g};" + ";".join(str(deviation(r, s)[i]) for r in (1, 2, 3)) for s in (1.0, -1.0)]
+    (tmp_path / "x.csv").write_text("\n".join(lines) + "\n")
+    recording = imported(tmp_path, tmp_path / "x.csv")
+    holds_the_truth(recording)
+    assert len(set(recording.frame["run"])) == 3
+
+
+def test_targets_in_any_order_are_one_run(tmp_path: Path) -> None:
+    targets = [300, 50, 450, 0, 150, 500, 200, 400, 100, 350, 250]
+    lines = ["Target X [mm];Up [um];Down [um]", *(f"{x};{x / 50};{x / 50 + 3}" for x in targets)]
+    (tmp_path / "x.csv").write_text("\n".join(lines) + "\n")
+    assert len(set(imported(tmp_path, tmp_path / "x.csv").frame["run"])) == 1
+
+
+def test_a_folder_packed_with_its_dot_is_an_archive(tmp_path: Path) -> None:
+    path = tarred(tmp_path / "d.tgz", {f"./{name}": text for name, text in RUNS.items()} | {"./.hidden": "x"})
+    assert len(set(imported(tmp_path, path).frame["run"])) == 3
+
+
+def test_a_sparse_file_an_encrypted_one_and_documents_are_refused(tmp_path: Path) -> None:
+    head = tarfile.TarInfo("s.csv")
+    head.type, head.size = tarfile.GNUTYPE_SPARSE, 512
+    block = bytearray(head.tobuf(tarfile.GNU_FORMAT))
+    block[386:410] = b"%011o\0%011o\0" % (0, 512)  # its only data
+    block[483:495] = b"%011o\0" % (3 << 30)  # bytes unpacked
+    block[148:156] = b"%06o\0 " % (256 + sum(block[:148]) + sum(block[156:]))
+    (tmp_path / "s.tar").write_bytes(bytes(block) + b"1,2\n" * 128 + bytes(1024))
+    with pytest.raises(DataError, match=r"s\.tar: more than 256 MB unpacked"):
+        prepared([tmp_path / "s.tar"])
+    whole = bytearray(zipped(tmp_path / "e.zip", {"run.csv": of_run("1")}).read_bytes())
+    for at in (6, whole.rindex(b"PK\x01\x02") + 8):  # the flags, in both headers
+        whole[at] |= archives.ENCRYPTED
+    (tmp_path / "e.zip").write_bytes(whole)
+    with pytest.raises(DataError, match=r"e\.zip: run\.csv is encrypted"):
+        prepared([tmp_path / "e.zip"])
+    for name, inside in (("a.docx", "[Content_Types].xml"), ("a.odt", "mimetype"), ("a.fmu", "modelDescription.xml")):
+        with pytest.raises(DataError, match=rf"{name}: neither text nor any other kind"):
+            prepared([zipped(tmp_path / name, {inside: "<a/>", "b.csv": of_run("1")})])

@@ -64,3 +64,19 @@ def test_a_laser_that_was_zeroed_at_the_first_target_is_no_zero_of_a_part(tmp_pa
     (tmp_path / "f.csv").write_text("\n".join(["Run,Direction,Target X (mm),Laser (mm)", *rows]))
     recording = imported(tmp_path, tmp_path / "f.csv")
     assert recording.array(str(recording.name("command"))).min() == pytest.approx(ZERO)
+
+
+def test_the_role_of_another_column_leaves_the_machine_s_positions(tmp_path: Path) -> None:
+    file = long_file(tmp_path, "Target X (mm)", "Machine X (mm)")
+    for said in ("Run.role=run", "Direction.role=direction"):
+        recording = imported(tmp_path, file, sets=[said])
+        assert recording.array(str(recording.name("position"))).min() == pytest.approx(ZERO)
+    recording = imported(tmp_path, file, sets=["Target X.role=position", "Machine X.role=ignore"])
+    assert recording.array(str(recording.name("position"))).min() == pytest.approx(0.0)
+
+
+def test_the_machine_s_angle_starts_again_at_a_whole_turn(tmp_path: Path) -> None:
+    rows = [f"{a},{(a + 90) % 360},{np.sin(a / 60):.3f}" for a in range(0, 361, 10)]
+    (tmp_path / "c.csv").write_text("\n".join(["C [deg],Machine C [deg],Deviation [arcsec]", *rows]))
+    recording = imported(tmp_path, tmp_path / "c.csv")
+    assert recording.array(str(recording.name("position")))[:3] == pytest.approx([90.0, 100.0, 110.0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from machines import corrected, ready, volume_points
 from numpy.testing import assert_allclose
 from records_played import ABBE, AIR, COSINE, WAVELENGTH, largest_gap, of_axis, played_x, solve
@@ -201,8 +202,43 @@ def test_where_a_straightness_of_a_table_was_read_is_asked_if_it_matters(chain, 
     if not asked:
         return ask(30.0)
     for said in ({}, {"offset": (0.0, 0.0, 10.0)}):
-        with pytest.raises(DataError, match=r"EYX: X carries the work, and turns.*differs by 11.8 um"):
+        with pytest.raises(DataError, match=r"EYX: the work travels on X, which turns it.*differs by 11.8 um"):
             ask(30.0, **said)
+
+
+def table_of_x(**values):
+    """A machine whose table is X, and a recording along X of components by name."""
+    axes = {a: {"kind": "linear", "travel": [0, 500]} for a in "XYZ"}
+    given = {"machine": 1, "name": "m", "chain": ["workpiece", "X'", "bed", "Y", "Z", "tool"], "axes": axes}
+    units = {n: "um" if n[1] in "XYZ" else "urad" for n in values}
+    columns = {n: Column(role="error", component=n, unit=unit) for n, unit in units.items()}
+    columns["x"] = Column(role="position", axis="X", unit="mm")
+    frame = pd.DataFrame({"x": np.linspace(0, 500, 21)} | values)
+    recording = Recording(Manifest(recording=1, tables=("t.csv",), columns=columns), frame)
+    return compile_chain(Machine.model_validate(given)), {"t": recording}
+
+
+def test_every_straightness_of_the_table_is_asked_at_once_and_the_answer_is_taken():
+    x = np.linspace(0, 500, 21)
+    turns = {"EBX": 30.0 * np.sin(x / 90.0), "ECX": 30.0 * np.sin(x / 90.0)}
+    chain, test = table_of_x(EYX=0 * x, EZX=0 * x, **turns)
+    with pytest.raises(
+        DataError,
+        match=r"^EYX, EZX: the work travels on X, which turns it.*EYX: \{read_on: carriage\}, EZX: \{read_on: carriage",
+    ) as e:
+        direct.refuse_unstated_places(chain, test, {})
+    answer = yaml.safe_load(str(e.value).partition("stage: ")[2].partition(" for the table")[0])["lasers"]
+    direct.refuse_unstated_places(chain, test, {n: direct.Laser(**said) for n, said in answer.items()})
+
+
+def test_a_column_with_two_readings_or_of_an_unknown_axis_does_not_ask_where_it_was_read():
+    x = np.linspace(0, 500, 21)
+    chain, test = table_of_x(EXX=np.where(x < 30, 1.0, np.nan), EYX=0 * x, ECX=0 * x)
+    direct.refuse_unstated_places(chain, test, {})
+    assert len(records.read(chain, test)) == 3
+    columns = {"w": Column(role="position", axis="W", unit="mm"), "e": Column(role="error", component="EYW", unit="um")}
+    manifest = Manifest(recording=1, tables=("t.csv",), columns=columns)
+    direct.refuse_unstated_places(chain, {"w": Recording(manifest, pd.DataFrame({"w": x, "e": x}))}, {})
 
 
 def test_readings_that_sat_out_are_left_with_the_noise():
