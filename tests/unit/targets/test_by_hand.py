@@ -257,6 +257,15 @@ def test_x_of_a_lathe_is_checked_at_twice_the_listed_position(axis, stated):
     assert ("counts X in diameters (a lathe) displays twice the positions below" in text) is stated
 
 
+def test_a_cross_row_is_reached_from_both_sides_with_all_axes():
+    """Y over X has Y's lost motion between its columns: with X alone from above nothing of it is seen."""
+    (target,) = [t for t in TARGETS if t.name == "heidenhain_com"]
+    text = checklist(target, target.read_back(target.write(only_y())), [], only_y())
+    up, down = re.findall(r"[-+]\d+\.\d+", re.search(r"\| Y \| X \|.*", text)[0])[-2:]
+    assert float(down) - float(up) == pytest.approx(-6.0, abs=0.1)
+    assert "with all axes from below, then with all from above" in text
+
+
 @pytest.mark.parametrize("target", [t for t in TARGETS if t.numbering], ids=lambda t: t.name)
 def test_no_text_names_a_step_by_number(target):
     """The checklist numbers a target's steps behind its own, as many as the table needs: step 3 was another one."""
