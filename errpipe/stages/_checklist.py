@@ -83,7 +83,7 @@ def checklist(
     lines += ["", "## Three-point check", ""]
     if moves := _moves(read):
         lines += [
-            "Go there with all axes from below, then with all from above, others to mid travel; expect this correction.",
+            "Go there with all axes from below, then all from above, others to mid travel; expect this correction.",
             _reference_state(table),
         ]
         unit = "um, deg/1000" if any(map(components.is_rotary, read.axes())) else "um"
