@@ -67,8 +67,8 @@ def checklist(
         *target.by_hand(table, read, others),
         *_zero_shifts(target, read, table, others),
         *_one_turn(read, table),
+        *_from_the_start(read, table),
     )
-    numbers += tuple(_from_the_start(read, table))
     read = _within_travel(read, table)
     happens = (*_plausible.of_files(read), *_plausible.not_measured(table), *_at_the_axis(table), *_of_force(table))
     if happens:
