@@ -186,9 +186,11 @@ def refuse_diameters(layout: Layout, guesses: columns.Guesses, options: ImportOp
     said = {} if place is None else options.sets.get(place.header) or options.sets.get(slug(place.header)) or {}
     if place is None or "role" in said:
         return
+    read = any(guesses[c.header].kind == "actual" for c in layout.columns)
+    role = guesses[place.header].kind if read else "position"
     raise DataError(
         f"{'a line above' if line else 'a header'} says diameters ({line or place.header!r}): write positions and "
-        f"readings as radii (half of a diameter), or, if they are radii, use --set '{place.header}.role=position'"
+        f"readings as radii (half of a diameter), or, if they are radii, use --set '{place.header}.role={role}'"
     )
 
 

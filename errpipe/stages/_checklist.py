@@ -27,6 +27,10 @@ ZERO = (
     "positions count from the axis' own zero (machine coordinates): of a test in workpiece coordinates such as G54, "
     "the files act shifted by that offset; add it to the positions of the recording and export again"
 )
+RADII = (
+    "positions and corrections of X are its travel: a control that counts X in diameters (a lathe) displays twice the "
+    "positions below. Whether its tables count radii, as these do, or diameters is in its manual; three points show it"
+)
 ALONE = (
     "the files hold {0} alone: points, tables and files of another axis may have the same numbers and names, and would "
     "take their place. Axes of one machine are exported together: "
@@ -63,14 +67,15 @@ def checklist(
         *target.by_hand(table, read, others),
         *_zero_shifts(target, read, table, others),
         *_one_turn(read, table),
+        *_from_the_start(read, table),
     )
-    numbers += tuple(_from_the_start(read, table))
     read = _within_travel(read, table)
     happens = (*_plausible.of_files(read), *_plausible.not_measured(table), *_at_the_axis(table), *_of_force(table))
     if happens:
         lines += ["## What will happen", "", *(f"- {text}." for text in dict.fromkeys(happens)), ""]
     lines += ["## Switch it on", ""]
-    zero = [ZERO] if any(i.kind == "position" for i in table.inputs) else []
+    over = {i.axis for i in table.inputs if i.kind == "position"}
+    zero = [*([ZERO] if over else []), *([RADII] if "X" in over else [])]
     steps = (AS_MEASURED, *zero, *_axis_numbers(target, table), *_single_axis(target, table), *target.activation)
     lines += [f"{n}. {step}" for n, step in enumerate(steps, 1)]
     if numbers:
@@ -78,7 +83,7 @@ def checklist(
     lines += ["", "## Three-point check", ""]
     if moves := _moves(read):
         lines += [
-            "Go there from below, then from above, other axes at mid travel; expect this correction.",
+            "Go there with all axes from below, then all from above, others to mid travel; expect this correction.",
             _reference_state(table),
         ]
         unit = "um, deg/1000" if any(map(components.is_rotary, read.axes())) else "um"

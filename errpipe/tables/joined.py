@@ -20,12 +20,18 @@ SHARED = ("table", "position_cycle_s", "slow_every", "ramp_s", "fade_s")
 def joined(tables: Sequence[CompensationTable]) -> CompensationTable:
     """One table that moves the axes of all of them; inputs of one name get their axis behind it, each stays its own.
 
-    Raises UsageError if two move or read the same axis, run in different cycles, or have inputs of one long name.
+    Raises UsageError if two move or read the same axis, are of different machines, run in different cycles, or have
+    inputs of one long name.
     """
     first = tables[0]
     if len(tables) == 1:
         return first
     _refuse_same_axis(tables)
+    if len(machines := {table.machine for table in tables if table.machine}) > 1:
+        raise UsageError(
+            f"tables of different machines ({', '.join(sorted(machines))}): of one machine, write one name as "
+            "`machine` of their recordings and run again"
+        )
     for fact in SHARED:
         if len(values := {getattr(table, fact) for table in tables}) > 1:
             raise UsageError(f"tables of different {fact} ({', '.join(map(str, sorted(values)))}) do not run as one")
@@ -38,11 +44,10 @@ def joined(tables: Sequence[CompensationTable]) -> CompensationTable:
             parts[key] += behind
     if twice := [name for name, n in Counter(i.name for i in parts["inputs"]).items() if n > 1]:
         raise UsageError(f"inputs of several tables would be called {', '.join(twice)}: give them shorter names")
-    machines = {table.machine for table in tables}
     return CompensationTable.model_validate(
         {
             **{fact: getattr(first, fact) for fact in (*SHARED, "version")},
-            "machine": first.machine if len(machines) == 1 else "",
+            "machine": max(table.machine for table in tables),
             "title": _title([*dict.fromkeys(table.title for table in tables)]),
             "fingerprint": hashlib.sha256("".join(t.fingerprint for t in tables).encode()).hexdigest(),
             **parts,
@@ -69,7 +74,10 @@ def _refuse_same_axis(tables: Sequence[CompensationTable]) -> None:
     for what, of in checks:
         twice = [axis for axis, n in Counter(a for table in tables for a in of(table)).items() if n > 1]
         if twice:
-            raise UsageError(f"two of the tables {what} {', '.join(twice)} (allowed: tables of different axes)")
+            raise UsageError(
+                f"two of the tables {what} {', '.join(twice)} (allowed: tables of different axes; fits of one pipeline "
+                "are summed by its `export`, also those of several recordings)"
+            )
 
 
 def _renamed(name: str, axis: str) -> str:

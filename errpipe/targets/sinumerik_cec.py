@@ -4,8 +4,8 @@ Value     the ERROR of the output axis in mm: a positive value is taken to move 
           Derived, not proved. For it: the manual draws one figure for both tables, in which the values are points of
           the error curve (p. 237), and of the leadscrew table it says that positive moves minus. A public program
           wrote minus the deviation in one version, and in a longer one the deviation. No sentence of the manual and
-          no control was found that settles it: turn the weight on at a dial gauge before cutting (step 3 below, two
-          minutes). The base axis counts by its set point; outside MIN..MAX the end values hold (828D manual of
+          no control was found that settles it: turn the weight on at a dial gauge before cutting ("prove the sign"
+          below). The base axis counts by its set point; outside MIN..MAX the end values hold (828D manual of
           08/2018, p. 299).
 Direction table DIRECTION 1 acts in plus, -1 in minus, 0 in both: a screw error in two directions is two tables.
 Products  a correction that is a curve over one axis times a curve over another (an axis that tilts along its way times
@@ -64,7 +64,7 @@ class SinumerikCec(Target):
     name = "sinumerik_cec"
     controller = "SINUMERIK 840D sl, 828D"
     confidence = "experimental"
-    sign = "a positive value moves the output axis in minus (as the leadscrew table: derived, not proved; see step 3)"
+    sign = "a positive value moves the output axis in minus (as the leadscrew table; derived: prove it on the machine)"
     limits = "8 tables of 200 points, equidistant; sums of curves and (4 tables each) products; no temperature"
     holds = ("screw", "both directions", "cross")
     remark = {"": "; {}"}
@@ -134,9 +134,7 @@ class SinumerikCec(Target):
             )
             blocks += _cancelling_pairs(len(blocks), axes, factors)
         named = "".join(f"; AX{n} = {letter}\n" for n, letter in enumerate(axes, 1))
-        sign = (
-            "; sign: value = deviation, taken to move the axis by minus the value; not proved (CHECKLIST.md, step 3)\n"
-        )
+        sign = "; sign: value = deviation, taken to move the axis by minus the value; not proved (see CHECKLIST.md)\n"
         return {
             FILE: f"%_N_NC_CEC_INI\n; {CAUTION}\n"
             + sign

@@ -1,6 +1,6 @@
 """TwinCAT NC PTP position compensation: arrays for `MC_TableBasedPositionCompensation` (Tc2_MC2).
 
-Value     an additive correction in mm: set point + value (minus the deviation).
+Value     an additive correction in mm (deg): set point + value (minus the deviation).
 Order     equidistant, ascending; one function block per direction (WorkDirectionPositive, WorkDirectionNegative). The
           calls stand below the arrays: inputs by the manual's page of the block; not run here, no TwinCAT.
 Turns     Modulo is TRUE for an axis that turns on: from 0 to 360 deg, equal at both ends.
@@ -13,7 +13,7 @@ import re
 
 import numpy as np
 
-from errpipe.targets._base import Curve, every_turn, expect, found
+from errpipe.targets._base import Curve, every_turn, expect, found, unit_of
 from errpipe.targets._screw_map import ScrewMap
 
 RAMP = 1.0  # mm/s: 1 um/ms, as corrections of a table move at most (`tables/limits.py`)
@@ -67,7 +67,7 @@ def _text(axis: str, curve: Curve) -> str:
     turns = "TRUE" if curve.turns else "FALSE"
     lines = ["VAR_GLOBAL"]
     for side, value in (("Up", curve.up), ("Down", curve.down)):
-        lines.append(f"    (* {axis}, {SIDES[side]}: mm, added to the set point *)")
+        lines.append(f"    (* {axis}, {SIDES[side]}: {unit_of(axis)}, added to the set point *)")
         lines.append(f"    aCompensation{axis}{side} : ARRAY[0..{last}] OF ST_PositionCompensationTableElement := [")
         rows = [
             f"        (Position := {literal(x)}, Compensation := {literal(v)})"

@@ -110,6 +110,17 @@ def test_diameters_beside_japanese_signs_are_asked_about(tmp_path: Path) -> None
         prepared([file], sets=["指令値X(直径mm).unit=mm", "測定値(直径mm).unit=mm"])
 
 
+def test_what_a_refusal_of_diameters_proposes_is_accepted(tmp_path: Path) -> None:
+    """A commanded position beside a reading stays the command: as plain position nothing would hold a deviation."""
+    way = [*range(0, 160, 10), *range(150, -10, -10)]
+    for name, read, role in (("X reading [mm]", lambda x: x + 1e-4 * x, "command"), ("dev [um]", abs, "position")):
+        lines = [f"X commanded diameter [mm],{name}", *(f"{x},{read(x):.4f}" for x in way)]
+        file = written(tmp_path / "lathe.csv", lines)
+        with pytest.raises(DataError, match=f"use --set 'X commanded diameter.role={role}'"):
+            prepared([file])
+        prepared([file], sets=[f"X commanded diameter.role={role}"])
+
+
 def test_a_column_that_a_person_left_out_is_not_asked_about_again(tmp_path: Path) -> None:
     lines = [
         "min,X1 (µm),X2 (µm),T nose (°C)",

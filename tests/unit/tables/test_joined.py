@@ -15,7 +15,7 @@ from errpipe.targets import _sample
 from errpipe.targets.fanuc_pitch import FanucPitch
 
 
-def table(axis: str, um: float, **more: float) -> CompensationTable:
+def table(axis: str, um: float, machine: str = "m", **more: float) -> CompensationTable:
     """One axis of 500 mm, 2 um of lost motion, a screw that warms; inputs called as for every other axis."""
     travel = {axis: (0.0, 500.0)}
     inputs = [
@@ -25,7 +25,7 @@ def table(axis: str, um: float, **more: float) -> CompensationTable:
     warm = Lowered(d.above("screw", 20.0), axis, lambda x: 1e-3 * um * x)
     gap = Lowered(d.Direction(axis=axis), None, lambda x: np.full(np.shape(x), -1.0))
     parts = [tables.ComponentSource(f"E{axis}{axis}", "um", (Lowered(d.ONE, axis, lambda x: um * x / 500), warm, gap))]
-    return tables.compile_table(parts, inputs=inputs, travel=travel, error_bound=0.002, machine="m", **more)
+    return tables.compile_table(parts, inputs=inputs, travel=travel, error_bound=0.002, machine=machine, **more)
 
 
 def test_each_axis_is_corrected_as_alone_by_its_own_sensor() -> None:
@@ -50,11 +50,19 @@ def test_no_point_of_a_control_is_taken_by_two_axes() -> None:
 def test_what_does_not_join_is_refused() -> None:
     with pytest.raises(UsageError, match="two of the tables move X"):
         joined([table("X", 10.0), table("X", 3.0)])
+    with pytest.raises(
+        UsageError, match=r"tables of different machines \(lathe, mill\): of one machine, write one name"
+    ):
+        joined([table("X", 10.0, machine="lathe"), table("Y", 3.0, machine="mill")])
     with pytest.raises(UsageError, match="position_cycle_s"):
         joined([table("X", 10.0), table("Y", 3.0, position_cycle_s=0.002)])
     long = {"place": "p" * 30 + "1", "screw": "p" * 30 + "2"}
     with pytest.raises(UsageError, match="shorter names"):
         joined([_called(table("X", 10.0), long), _called(table("Y", 3.0), long)])
+
+
+def test_a_table_that_names_no_machine_takes_the_name_of_the_others() -> None:
+    assert joined([table("X", 10.0, machine=""), table("Y", 3.0, machine="lathe")]).machine == "lathe"
 
 
 def _called(made: CompensationTable, names: dict[str, str]) -> CompensationTable:

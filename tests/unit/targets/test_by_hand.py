@@ -225,8 +225,8 @@ def test_a_file_that_counts_axes_says_which_one_it_means(target):
     table = machines.warm() if "temperature" in target.holds and len(target.holds) == 1 else only_y()
     files = target.write(table)
     lines = checklist(target, target.read_back(files), [], table).splitlines()
-    steps = [x for x in lines if x.startswith(("2. ", "3. "))]  # after how the axes were measured, and their zero
-    first = next(x for x in steps if "machine coordinates" not in x)
+    steps = [x for x in lines if x.startswith(("2. ", "3. ", "4. "))]  # after how the axes were measured
+    first = next(x for x in steps if "machine coordinates" not in x and "diameters" not in x)
     letters = _sample.axes_of(table)
     for n, letter in enumerate(letters):
         assert f"{letter} is {target.numbering.format(n, n + 1)}" in first
@@ -244,6 +244,41 @@ def test_a_file_that_counts_axes_says_which_one_it_means(target):
             "sinumerik_lec": "$AA_ENC_COMP[0,0,AX2]",
         }
         assert called[target.name] in text
+
+
+@pytest.mark.parametrize(("axis", "stated"), [("X", True), ("Z", False)])
+def test_x_of_a_lathe_is_checked_at_twice_the_listed_position(axis, stated):
+    """A lathe displays diameters: the listed 100 mm is its X200, and going to X100 compares another point."""
+    inputs = [TableInput(name="p", kind="position", axis=axis, low=-50, high=550, default=0)]
+    sources = [tables.ComponentSource(f"E{axis}{axis}", "um", (Lowered(d.ONE, axis, lambda v: 0.02 * v),))]
+    table = tables.compile_table(sources, inputs=inputs, travel={axis: (0, 300)})
+    (target,) = [t for t in TARGETS if t.name == "sinumerik_lec"]
+    text = checklist(target, target.read_back(target.write(table)), [], table)
+    assert ("counts X in diameters (a lathe) displays twice the positions below" in text) is stated
+
+
+def test_a_cross_row_is_reached_from_both_sides_with_all_axes():
+    """Y over X has Y's lost motion between its columns: with X alone from above nothing of it is seen."""
+    (target,) = [t for t in TARGETS if t.name == "heidenhain_com"]
+    text = checklist(target, target.read_back(target.write(only_y())), [], only_y())
+    up, down = re.findall(r"[-+]\d+\.\d+", re.search(r"\| Y \| X \|.*", text)[0])[-2:]
+    assert float(down) - float(up) == pytest.approx(-6.0, abs=0.1)
+    assert "with all axes from below, then all from above" in text
+
+
+@pytest.mark.parametrize("target", [t for t in TARGETS if t.numbering], ids=lambda t: t.name)
+def test_no_text_names_a_step_by_number(target):
+    """The checklist numbers a target's steps behind its own, as many as the table needs: step 3 was another one."""
+    table = machines.warm() if "temperature" in target.holds and len(target.holds) == 1 else only_y()
+    files = target.write(table)
+    text = checklist(target, target.read_back(files), [], table) + "".join(files.values())
+    assert not re.search(r"\bsteps? \d", text)
+
+
+def test_a_rotary_array_states_degrees():
+    (target,) = [t for t in TARGETS if t.name == "twincat_nc_table"]
+    (text,) = target.write(table_of("rotary axis 0 to 360")).values()
+    assert "WorkDirectionPositive: deg, added" in text and " mm" not in text
 
 
 @pytest.mark.parametrize(
