@@ -16,7 +16,7 @@ SEED = 5
 NULLS = [("axis", "AR(1) 0.99"), ("axis", "jumps"), ("spindle", "random walk"), ("spindle", "1/f")]
 NULLS += [("spindle", "AR(1) 0.999"), ("axis", "Student t, 2 dof"), ("axis", noise.COARSE), ("trace", "AR(1) 0.99")]
 EFFECTS = [("axis", "random walk"), ("axis", "AR(1) 0.9"), ("spindle", "AR(1) 0.99"), ("spindle", "Student t, 2 dof")]
-EFFECTS += [("trace", "random walk"), ("spindle", noise.COARSE)]
+EFFECTS += [pytest.param("trace", "random walk", marks=pytest.mark.slow), ("spindle", noise.COARSE)]
 
 
 @pytest.mark.parametrize(("machine", "kind"), NULLS)
@@ -89,6 +89,7 @@ def log(lost_motion: float, sign: float = 1.0):
     return recording(columns, kinds)
 
 
+@pytest.mark.slow
 def test_a_slow_lag_and_lost_motion_are_both_found_from_positions_alone():
     (response,) = diagnose(log(2.0))[0].responses
     by_name = {f.effect: f for f in response.findings if f.effect != "recalibration"}
@@ -175,6 +176,7 @@ def test_what_opens_and_closes_late_is_no_linear_process(size, late):
     assert not coloured.is_nonlinear(np.random.default_rng(0).standard_normal(9000), np.repeat(np.arange(4500), 2))
 
 
+@pytest.mark.slow
 def test_a_wave_of_noise_whose_spectrum_is_high_there_is_no_finding():
     rng = np.random.default_rng(11)
     i = np.arange(1500)

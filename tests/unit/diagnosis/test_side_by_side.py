@@ -13,6 +13,7 @@ from errpipe.diagnosis.evidence import Table
 from . import long
 
 
+@pytest.mark.slow
 def test_responses_side_by_side_are_judged_as_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three: the first has both cores to itself, its columns made ahead and its products formed in two threads."""
     monkeypatch.setattr(long, "ROWS", 1200)
