@@ -66,6 +66,21 @@ def test_a_fahrenheit_column_is_named_and_set_aside(name):
     assert clean(slipped, (UnitSlips(trust=(name,)),))[0].frame.equals(slipped.frame)
 
 
+@pytest.mark.parametrize(("unit", "factor", "offset"), [("degF", 1.8, 32.0), ("K", 1.0, 273.15)])
+def test_runs_in_another_unit_are_blanked_and_the_others_stay(unit, factor, offset):
+    """Before: the median over three and more runs hid it."""
+    source = warm_up(runs=6)
+    second, values = np.isin(source.run_codes(), (1, 2)), source.array("T_bearing")
+    slipped = changed(source, T_bearing=np.where(second, factor * values + offset, values))
+    cleaned, report = clean(slipped, (UnitSlips(),))
+    (done,) = report.rules[0].done
+    assert (done.column, done.what) == ("T_bearing", "blank cells")
+    assert done.reason.startswith("run 2 starts at") and f"taken as {unit}" in done.reason and "; run 3" in done.reason
+    assert np.array_equal(np.isnan(cleaned.array("T_bearing")), second)
+    hot = np.where(second, values + 50.0 * np.exp(-source.time() / 3600), values)  # restarted while hot
+    assert clean(changed(source, T_bearing=hot), (UnitSlips(),))[1].rules[0].done == ()
+
+
 def test_kelvin_pressure_and_humidity_slips_are_named():
     source = warm_up()
     source = source.with_columns(
