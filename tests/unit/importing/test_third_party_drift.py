@@ -88,6 +88,30 @@ def test_a_file_that_lacks_a_temperature_has_empty_cells(tmp_path: Path, capsys:
     assert "give a quantity one header in all files" in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.parametrize("clock", ["2025-07-0{day}T{h:02d}:{m:02d}:00", "2025-07-0{day};{h:02d}:{m:02d}:00"])
+def test_a_log_of_a_dead_sensor_is_left_out_and_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], clock: str
+) -> None:
+    """Before: refused for a lack of a header."""
+    zeit = "Datum;Uhrzeit" if ";" in clock else "Zeit"
+
+    def written(name: str, head: str, day: int, cell: str) -> str:
+        rows = [clock.format(day=day, h=6 + q // 4, m=q % 4 * 15) + ";" + cell.format(q) for q in range(16)]
+        (tmp_path / name).write_text("\n".join([f"{zeit};{head}", *rows]))
+        return str(tmp_path / name)
+
+    files = [written(f"probe_{d}.csv", "E_Z Ist - Soll [um]", d, "{}.5") for d in (1, 2)]
+    files += [written(f"spindle_{d}.csv", "Lager [°C]", d, "2{}.1") for d in (1, 2)]
+    files += [written("room_1.csv", "Raum [°C]", 1, "21.{}"), written("room_2.csv", "Raum [°C]", 2, "")]
+    assert main(["import", *files, "--out", str(tmp_path / "rec"), "--yes"]) == 0
+    assert "room_2.csv: " in (said := " ".join(capsys.readouterr().out.split())) and "this file is left out" in said
+    recording = manifest_folder.read(tmp_path / "rec")
+    day = np.char.startswith(np.array(recording.run_labels())[recording.run_codes()], "probe_2")
+    assert [np.isfinite(recording.array("Raum"))[d].sum() for d in (day, ~day)] == [0, 16]
+    assert [np.isfinite(recording.array("Lager"))[d].sum() for d in (day, ~day)] == [16, 16]
+    assert main(["import", files[-1], "--out", str(tmp_path / "alone"), "--yes"]) == 3
+
+
 @pytest.mark.parametrize("name", ["Tamb", "TRoom", "Troom", "Tbed", "room"])
 def test_a_sensor_by_t_and_its_place_is_a_temperature(tmp_path: Path, name: str) -> None:
     """Before: `Tamb` was ignored."""
