@@ -112,6 +112,28 @@ def test_a_log_of_a_dead_sensor_is_left_out_and_said(
     assert main(["import", files[-1], "--out", str(tmp_path / "alone"), "--yes"]) == 3
 
 
+@pytest.mark.parametrize(("hour", "said"), [(6, False), (5, True), (7, True)])
+def test_a_log_of_winter_time_in_summer_is_hinted_at(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], hour: int, said: bool
+) -> None:
+    """Both ends an hour off; a log that is stopped late, or goes on over night, is none."""
+
+    def written(name: str, head: str, begin: str, minutes: int) -> str:
+        clock = np.datetime64(f"2025-{begin}:00") + np.arange(minutes).astype("timedelta64[m]")
+        (tmp_path / name).write_text("\n".join([f"Zeit;{head}", *(f"{t};2{q % 9}.1" for q, t in enumerate(clock))]))
+        return str(tmp_path / name)
+
+    probes = [written(f"probe_{d}.csv", "E_Z Ist - Soll [um]", f"{d}T06:01", 240) for d in ("01-14", "07-08")]
+    files = [written("spindle_1.csv", "Lager [°C]", "01-14T06:00", 300)]
+    files.append(written("spindle_2.csv", "Lager [°C]", f"07-08T0{hour}:00", 241))
+    files.append(written("room.csv", "Raum [°C]", "07-08T00:00", 1440))
+    assert main(["import", *probes, *files, "--out", str(tmp_path / "rec"), "--yes"]) == 0
+    notes = " ".join(capsys.readouterr().out.split())
+    way = "later" if hour > 6 else "earlier"
+    assert notes.count("its rows begin and end") == said
+    assert (f"spindle_1: its rows begin and end 1 h {way} than the deviations of probe_07-08: day" in notes) == said
+
+
 @pytest.mark.parametrize("name", ["Tamb", "TRoom", "Troom", "Tbed", "room"])
 def test_a_sensor_by_t_and_its_place_is_a_temperature(tmp_path: Path, name: str) -> None:
     """Before: `Tamb` was ignored."""
