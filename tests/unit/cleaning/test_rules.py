@@ -7,6 +7,7 @@ from errpipe import jsonfile
 from errpipe.cleaning import RULES, WHOLE_RUN, clean
 from errpipe.cleaning._base import resolution
 from errpipe.cleaning.gaps import Gaps
+from errpipe.cleaning.outliers import Outliers
 from errpipe.cleaning.quantisation import Quantisation
 from errpipe.cleaning.repeated_rows import RepeatedRows
 from errpipe.cleaning.time_order import TimeOrder
@@ -216,3 +217,16 @@ def test_a_rule_that_is_not_by_default_waits_to_be_named(monkeypatch: pytest.Mon
     monkeypatch.setattr(cleaning.RULES["gaps"], "by_default", False)
     waiting = {rule.rule for rule in cleaning.DEFAULT} - {rule.rule for rule in cleaning.by_default()}
     assert waiting == {"gaps"}
+
+
+def test_a_refusal_names_sensors_whose_plugs_were_exchanged_in_a_run():
+    source, rows = warm_up(runs=4), [30, 90, 150, 210]
+    spoilt = source.array("T_bearing").copy()
+    spoilt[rows] += 30.0
+    second = source.run_codes() == 1
+    for exchanged in (False, True):
+        pair = [spoilt, source.array("T_column")]
+        own, other = (np.where(second & exchanged, b, a) for a, b in (pair, pair[::-1]))
+        with pytest.raises(DataError, match="the first at row 30 ") as refusal:
+            clean(changed(source, T_bearing=own, T_column=other), (Outliers(most=0.001),))
+        assert ("T_bearing and T_column seem to be exchanged in run 2 (" in str(refusal.value)) == exchanged
