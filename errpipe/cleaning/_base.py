@@ -6,6 +6,7 @@ A rule never changes a recording itself, so nothing can be removed without its r
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import ceil
 from typing import ClassVar, Literal
@@ -47,15 +48,17 @@ class Rule(Options, ABC):
     def find(self, recording: Recording) -> list[Action]:
         """The actions of the rule. Raises DataError if it would remove more than its stated share."""
 
-    def refuse_beyond(self, most: float, rows: np.ndarray, of: int, what: str, recording: Recording) -> None:
-        """Raises DataError if `rows` are more than the share `most` of `of` cells or rows."""
+    def refuse_beyond(
+        self, most: float, rows: np.ndarray, of: int, what: str, recording: Recording, why: Callable[[], str] = str
+    ) -> None:
+        """Raises DataError if `rows` are more than the share `most` of `of` cells or rows. why: a cause, if known."""
         if rows.size > most * of:
             first, share = place(recording, int(rows[0])), 100 * rows.size / of
             raise DataError(
                 f"clean, {self.rule}: would {self.does} {rows.size} of {of} {what} ({share:.1f} %), more than its "
-                f"share of {100 * most:g} %; the first at {first}. Look at the data, or raise `most` of the stage "
-                f"clean: rules: [..., {{rule: {self.rule}, most: {ceil(share + 1) / 100:g}}}] (rules that are named "
-                "take the place of the usual ones)."
+                f"share of {100 * most:g} %; the first at {first}.{why()} Look at the data, or raise `most` of the "
+                f"stage clean: rules: [..., {{rule: {self.rule}, most: {ceil(share + 1) / 100:g}}}] (rules that are "
+                "named take the place of the usual ones)."
             )
 
 

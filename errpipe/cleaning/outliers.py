@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from errpipe.cleaning._base import SENSORS, Action, Rule, resolution, rows_of_runs
+from errpipe.cleaning._exchanged import partner
 from errpipe.domain import components
 from errpipe.domain.recording import Recording
 from errpipe.kernels.events import stretches
@@ -65,7 +66,8 @@ class Outliers(Rule):
         if not rows.size:
             return None
         if rows.size > 1:  # one of twenty readings is 5 %, and no more than one
-            self.refuse_beyond(self.most, rows, int(np.isfinite(values).sum()), f"cells of {name}", recording)
+            cells, why = int(np.isfinite(values).sum()), lambda: partner(recording, name)
+            self.refuse_beyond(self.most, rows, cells, f"cells of {name}", recording, why)
         reason = f"more than {self.threshold:g} times the run's scatter off the readings before and after it{beside}"
         return Action("blank cells", reason, column=name, rows=rows)
 

@@ -1,7 +1,7 @@
 """Columns whose numbers are in another unit than the manifest states: named with the evidence, never converted.
 
-A sensor is set aside until its manifest is corrected. A response, a position or a speed that carries such a slip
-makes the whole recording worthless, and is refused.
+A sensor is set aside until its manifest is corrected; where only one of its runs slips, that run is blanked. A
+response, a position or a speed that carries such a slip makes the whole recording worthless, and is refused.
 """
 
 from __future__ import annotations
@@ -42,10 +42,15 @@ class UnitSlips(Rule):
         self._refuse_slipped(recording)
         actions = []
         run, names = recording.run_codes(), recording.names("temperature")
-        starts = {n: float(np.median(c)) for n in names if (c := _first_readings(recording.array(n), run)).size}
+        first = {n: c for n in names if np.isfinite(c := _first_readings(recording.array(n), run)).any()}
+        starts = {n: float(np.nanmedian(c)) for n, c in first.items()}
         for name in names:
-            if name not in self.trust and (evidence := _temperature(recording, name, starts)):
+            if name in self.trust:
+                continue
+            if evidence := _temperature(recording, name, starts):
                 actions.append(Action("set column aside", evidence, column=name))
+            else:
+                actions += _slipped_runs(recording, name, first)
         for role, judge in (("pressure", _pressure), ("humidity", _humidity)):
             for name in recording.names(role):
                 in_air = recording.manifest.columns[name].location is None
@@ -64,10 +69,35 @@ class UnitSlips(Rule):
 
 
 def _first_readings(values: np.ndarray, run: np.ndarray) -> np.ndarray:
-    """First finite reading of each run, shape (runs with one,)."""
-    finite = np.isfinite(values)
-    _, first = np.unique(run[finite], return_index=True)
-    return values[finite][first]
+    """First finite reading of each run, shape (runs,); NaN of a run without one. run: codes 0, 1, ..."""
+    finite = np.flatnonzero(np.isfinite(values))
+    codes, at = np.unique(run[finite], return_index=True)
+    first = np.full(run.max() + 1, np.nan)
+    first[codes] = values[finite[at]]
+    return first
+
+
+def _slipped_runs(recording: Recording, name: str, first: Mapping[str, np.ndarray]) -> list[Action]:
+    """Runs of a temperature in another unit than its other runs: cold by the other sensors, above all that those read.
+
+    first: sensor -> first readings, shape (runs,). A bearing that is hot at the start of a run cools down in it.
+    """
+    run, values, slipped = recording.run_codes(), recording.array(name), dict[int, str]()
+    for code in np.flatnonzero(np.isfinite(first.get(name, np.zeros(0)))):
+        others = [c[code] for n, c in first.items() if n != name and np.isfinite(c[code])]
+        cold, room = first[name][code], float(np.median(others)) if others else np.nan
+        for unit, converted in (("degF", (cold - 32.0) / 1.8), ("K", cold - 273.15)):
+            if cold - room > MIN_SLIP and abs(converted - room) < NEAR and ROOM[0] < room < ROOM[1]:
+                slipped[int(code)] = (
+                    f"run {recording.run_labels()[code]} starts at {cold:.4g} where the other sensors start at "
+                    f"{room:.4g}; taken as {unit} that is {converted:.4g} degC: {unit}, not degC"
+                )
+    own = np.isin(run, [*slipped])
+    elsewhere = values[~own & np.isfinite(values)]
+    if not slipped or not elsewhere.size or np.nanmin(values[own]) <= elsewhere.max():
+        return []
+    reason = f"{'; '.join(slipped.values())} (convert these files, and import them again)"
+    return [Action("blank cells", reason, column=name, rows=np.flatnonzero(own))]
 
 
 def _temperature(recording: Recording, name: str, starts: Mapping[str, float]) -> str:

@@ -53,6 +53,10 @@ _LENGTHS = re.compile(r"(l(ä|ae)nge|length|samples|anzahl|no\. of values)", re.
 _RULE = re.compile(r"[-=_+:~*|]{2,}")
 
 
+class NoReadingError(DataError):
+    """A table of times, as of a logger whose sensor was dead: it says nothing, and spoils no other file."""
+
+
 @dataclass
 class RawColumn:
     """One column: its header without the unit, the unit in canonical spelling, its cells, and their numbers."""
@@ -216,6 +220,8 @@ def _first_data_row(name: str, rows: Rows, numbers: Numbers) -> int:
         fact |= _LENGTHS.fullmatch(str(rows[r][0]).strip(" :")) is not None
         if full and not fact and not is_header(rows[r], numbers, r):
             return r
+    if width == 1 and not counts[0] and len(filled_cells(rows[0])) > 1:
+        raise NoReadingError(f"{name}: no value below {', '.join(map(repr, filled_cells(rows[0])[1:]))}")
     raise DataError(f"{name}: no block of numbers below a header in the first {DEEPEST_HEADER} lines ({NEEDED})")
 
 

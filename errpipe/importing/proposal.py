@@ -32,7 +32,7 @@ from errpipe.importing import (
 )
 from errpipe.importing import columns as guessing
 from errpipe.importing.header import facts
-from errpipe.importing.layout import Layout, RawColumn
+from errpipe.importing.layout import Layout, NoReadingError, RawColumn
 from errpipe.importing.proposed import AXIS_ASSUMED, ImportOptions, Proposal, slug
 from errpipe.importing.sheet import label
 from errpipe.importing.temperatures import with_temperatures
@@ -165,7 +165,7 @@ def _long(
     """One row of the file becomes one row of the recording."""
     keep = kept_rows.readings(layout, guesses, p)
     if not keep.any():
-        raise DataError("no row contains a reading")
+        raise NoReadingError("no row contains a reading")
     parts = [c.take(np.flatnonzero(keep)) for c in layout.columns]
     of_errors = [c for c in parts if guesses[c.header].kind == "error"]
     if len(of_errors) == 1 and of_errors[0].unit is None:

@@ -23,7 +23,7 @@ from errpipe.fitting.history import Fold
 from errpipe.fitting.judging import HeldOut, every_judged, half_width90, half_widths90_without_each, widening90
 from errpipe.fitting.noise_floor import noise_floor
 from errpipe.models import Family
-from errpipe.validation import seasons, significance
+from errpipe.validation import clocks, seasons, significance
 from errpipe.validation.steps import unexplained_steps
 
 GAINS = (0.0, 0.25, 0.5, 0.75, 1.0)  # competing shares of a model, 0 = no compensation
@@ -77,7 +77,9 @@ def judged(
     if empty:
         document["not_judged"] = empty
     for component in document["components"]:
-        component["steps"] = unexplained_steps(recording, component["component"], by_component[component["component"]])
+        left = by_component[component["component"]]
+        component["clocks"] = clocks.apart(recording, left)  # by which a model leaves steps, too
+        component["steps"] = [] if component["clocks"] else unexplained_steps(recording, component["component"], left)
     if label == holdout.HALVES:
         _of_one_run(document)
     if family.seasonal:

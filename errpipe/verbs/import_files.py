@@ -35,7 +35,7 @@ from errpipe.importing import (
 from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.header import is_legend, with_legend
-from errpipe.importing.layout import lay_out
+from errpipe.importing.layout import NoReadingError, lay_out
 from errpipe.importing.long_form import unstacked
 from errpipe.importing.pairs import paired
 from errpipe.importing.proposal import propose
@@ -74,15 +74,19 @@ def prepare(files: Sequence[Path], reader: ReaderOptions, options: ImportOptions
 
 
 def _prepared(files: Sequence[Path], reader: ReaderOptions, options: ImportOptions) -> tuple[Proposal, dict[str, Any]]:
-    parts, sources = {}, []
+    parts, sources, empty = {}, [], []
     _refuse_twice(files)
     _refuse_several_axes(files, options)
     legends = _legends(files, reader)
     named = [sheet for sheets in legends.values() for sheet in sheets]
     for file in [f for f in map(Path, files) if f not in legends]:
         proposal, source = _of_known_format(file, reader, options), "a format with a reader of its own"
-        if proposal is None:
-            proposal, source = _of_any_sheet(file, reader, options, len(files) > 1, named)
+        try:
+            if proposal is None:
+                proposal, source = _of_any_sheet(file, reader, options, len(files) > 1, named)
+        except NoReadingError as err:
+            empty.append(f"{file.name}: {err}: this file is left out")
+            continue
         parts[file] = proposal
         sources.append({"file": file.name, "kind": source, "rows": proposal.rows})
     for file, sheets in legends.items():
@@ -94,6 +98,8 @@ def _prepared(files: Sequence[Path], reader: ReaderOptions, options: ImportOptio
     unstated.refuse_another_scale(
         dict(zip(names, parts.values(), strict=True)), {*options.sets, *map(slug, options.sets)}
     )
+    if not parts:
+        raise DataError("\n".join(empty))
     logs = [file for file, part in parts.items() if part.first("error") is None]
     if len(logs) == len(parts):
         _of_any_sheet(logs[0], reader, options)  # raises: what the file lacks
@@ -106,6 +112,7 @@ def _prepared(files: Sequence[Path], reader: ReaderOptions, options: ImportOptio
     for same_layout in together.of_one_log({file: parts[file] for file in logs}):
         names = together.names_of_files(same_layout)
         together.add_log(complete, together.one_after_another([parts[file] for file in same_layout], names), names)
+    complete.notes += empty
     shown = _shown(complete, sources)
     return complete, {**shown, "checks": _plausible(complete, options)}
 
@@ -186,6 +193,8 @@ def _of_any_sheet(
         try:
             out.append((_of_sheet(sheet, reader, options, may_be_log), sheet.name))
         except DataError as err:
+            if isinstance(err, NoReadingError) and may_be_log and len(sheets) == 1:
+                raise
             reason = str(err).removeprefix(f"{sheet.name}: ") if len(sheets) > 1 else str(err)
             problems.setdefault(reason, []).append(sheet.name)
             question = "--" in reason and not reason.startswith(resolve.NO_DEVIATION)

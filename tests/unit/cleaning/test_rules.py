@@ -7,6 +7,7 @@ from errpipe import jsonfile
 from errpipe.cleaning import RULES, WHOLE_RUN, clean
 from errpipe.cleaning._base import resolution
 from errpipe.cleaning.gaps import Gaps
+from errpipe.cleaning.outliers import Outliers
 from errpipe.cleaning.quantisation import Quantisation
 from errpipe.cleaning.repeated_rows import RepeatedRows
 from errpipe.cleaning.time_order import TimeOrder
@@ -64,6 +65,21 @@ def test_a_fahrenheit_column_is_named_and_set_aside(name):
     assert done.column == name and done.what == "set column aside" and "degF, not degC" in done.reason
     assert name not in cleaned.frame
     assert clean(slipped, (UnitSlips(trust=(name,)),))[0].frame.equals(slipped.frame)
+
+
+@pytest.mark.parametrize(("unit", "factor", "offset"), [("degF", 1.8, 32.0), ("K", 1.0, 273.15)])
+def test_runs_in_another_unit_are_blanked_and_the_others_stay(unit, factor, offset):
+    """Before: the median over three and more runs hid it."""
+    source = warm_up(runs=6)
+    second, values = np.isin(source.run_codes(), (1, 2)), source.array("T_bearing")
+    slipped = changed(source, T_bearing=np.where(second, factor * values + offset, values))
+    cleaned, report = clean(slipped, (UnitSlips(),))
+    (done,) = report.rules[0].done
+    assert (done.column, done.what) == ("T_bearing", "blank cells")
+    assert done.reason.startswith("run 2 starts at") and f"taken as {unit}" in done.reason and "; run 3" in done.reason
+    assert np.array_equal(np.isnan(cleaned.array("T_bearing")), second)
+    hot = np.where(second, values + 50.0 * np.exp(-source.time() / 3600), values)  # restarted while hot
+    assert clean(changed(source, T_bearing=hot), (UnitSlips(),))[1].rules[0].done == ()
 
 
 def test_kelvin_pressure_and_humidity_slips_are_named():
@@ -201,3 +217,16 @@ def test_a_rule_that_is_not_by_default_waits_to_be_named(monkeypatch: pytest.Mon
     monkeypatch.setattr(cleaning.RULES["gaps"], "by_default", False)
     waiting = {rule.rule for rule in cleaning.DEFAULT} - {rule.rule for rule in cleaning.by_default()}
     assert waiting == {"gaps"}
+
+
+def test_a_refusal_names_sensors_whose_plugs_were_exchanged_in_a_run():
+    source, rows = warm_up(runs=4), [30, 90, 150, 210]
+    spoilt = source.array("T_bearing").copy()
+    spoilt[rows] += 30.0
+    second = source.run_codes() == 1
+    for exchanged in (False, True):
+        pair = [spoilt, source.array("T_column")]
+        own, other = (np.where(second & exchanged, b, a) for a, b in (pair, pair[::-1]))
+        with pytest.raises(DataError, match="the first at row 30 ") as refusal:
+            clean(changed(source, T_bearing=own, T_column=other), (Outliers(most=0.001),))
+        assert ("T_bearing and T_column seem to be exchanged in run 2 (" in str(refusal.value)) == exchanged

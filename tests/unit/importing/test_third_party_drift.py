@@ -88,6 +88,52 @@ def test_a_file_that_lacks_a_temperature_has_empty_cells(tmp_path: Path, capsys:
     assert "give a quantity one header in all files" in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.parametrize("clock", ["2025-07-0{day}T{h:02d}:{m:02d}:00", "2025-07-0{day};{h:02d}:{m:02d}:00"])
+def test_a_log_of_a_dead_sensor_is_left_out_and_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], clock: str
+) -> None:
+    """Before: refused for a lack of a header."""
+    zeit = "Datum;Uhrzeit" if ";" in clock else "Zeit"
+
+    def written(name: str, head: str, day: int, cell: str) -> str:
+        rows = [clock.format(day=day, h=6 + q // 4, m=q % 4 * 15) + ";" + cell.format(q) for q in range(16)]
+        (tmp_path / name).write_text("\n".join([f"{zeit};{head}", *rows]))
+        return str(tmp_path / name)
+
+    files = [written(f"probe_{d}.csv", "E_Z Ist - Soll [um]", d, "{}.5") for d in (1, 2)]
+    files += [written(f"spindle_{d}.csv", "Lager [°C]", d, "2{}.1") for d in (1, 2)]
+    files += [written("room_1.csv", "Raum [°C]", 1, "21.{}"), written("room_2.csv", "Raum [°C]", 2, "")]
+    assert main(["import", *files, "--out", str(tmp_path / "rec"), "--yes"]) == 0
+    assert "room_2.csv: " in (said := " ".join(capsys.readouterr().out.split())) and "this file is left out" in said
+    recording = manifest_folder.read(tmp_path / "rec")
+    day = np.char.startswith(np.array(recording.run_labels())[recording.run_codes()], "probe_2")
+    assert [np.isfinite(recording.array("Raum"))[d].sum() for d in (day, ~day)] == [0, 16]
+    assert [np.isfinite(recording.array("Lager"))[d].sum() for d in (day, ~day)] == [16, 16]
+    assert main(["import", files[-1], "--out", str(tmp_path / "alone"), "--yes"]) == 3
+
+
+@pytest.mark.parametrize(("hour", "said"), [(6, False), (5, True), (7, True)])
+def test_a_log_of_winter_time_in_summer_is_hinted_at(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], hour: int, said: bool
+) -> None:
+    """Both ends an hour off; a log that is stopped late, or goes on over night, is none."""
+
+    def written(name: str, head: str, begin: str, minutes: int) -> str:
+        clock = np.datetime64(f"2025-{begin}:00") + np.arange(minutes).astype("timedelta64[m]")
+        (tmp_path / name).write_text("\n".join([f"Zeit;{head}", *(f"{t};2{q % 9}.1" for q, t in enumerate(clock))]))
+        return str(tmp_path / name)
+
+    probes = [written(f"probe_{d}.csv", "E_Z Ist - Soll [um]", f"{d}T06:01", 240) for d in ("01-14", "07-08")]
+    files = [written("spindle_1.csv", "Lager [°C]", "01-14T06:00", 300)]
+    files.append(written("spindle_2.csv", "Lager [°C]", f"07-08T0{hour}:00", 241))
+    files.append(written("room.csv", "Raum [°C]", "07-08T00:00", 1440))
+    assert main(["import", *probes, *files, "--out", str(tmp_path / "rec"), "--yes"]) == 0
+    notes = " ".join(capsys.readouterr().out.split())
+    way = "later" if hour > 6 else "earlier"
+    assert notes.count("its rows begin and end") == said
+    assert (f"spindle_1: its rows begin and end 1 h {way} than the deviations of probe_07-08: day" in notes) == said
+
+
 @pytest.mark.parametrize("name", ["Tamb", "TRoom", "Troom", "Tbed", "room"])
 def test_a_sensor_by_t_and_its_place_is_a_temperature(tmp_path: Path, name: str) -> None:
     """Before: `Tamb` was ignored."""

@@ -60,7 +60,7 @@ def test_the_pipeline_of_a_drift_looks_for_sensors_that_stand_still(tmp_path: Pa
     """A sensor stuck from 60 % of the rows on and ever after: 2.9 um left of the next season, now 1.8; healthy 1.1."""
     recording_folder.write(tmp_path / "recording", sample_recordings.gantry())
     init(tmp_path / "work", "spindle-drift", tmp_path / "recording")
-    assert "{rule: stuck_sensors}" in (tmp_path / "work" / "pipeline.yaml").read_text()
+    assert "{rule: unit_slips}, {rule: stuck_sensors}" in (tmp_path / "work" / "pipeline.yaml").read_text()
 
 
 def test_a_sensor_that_cleaning_set_aside_is_named_with_the_reason(tmp_path: Path, capsys) -> None:
