@@ -77,9 +77,7 @@ def judged(
     if empty:
         document["not_judged"] = empty
     for component in document["components"]:
-        left = by_component[component["component"]]
-        component["clocks"] = clocks.apart(recording, left)  # by which a model leaves steps, too
-        component["steps"] = [] if component["clocks"] else unexplained_steps(recording, component["component"], left)
+        component |= _disturbed(recording, component["component"], by_component[component["component"]])
     if label == holdout.HALVES:
         _of_one_run(document)
     if family.seasonal:
@@ -88,6 +86,13 @@ def judged(
             _cover(document, tables["seasons"])
         document |= tables
     return document, by_component
+
+
+def _disturbed(recording: Recording, name: str, folds: Sequence[HeldOut], whole: bool = True) -> dict[str, Any]:
+    """What no input explains in a component. whole: no row is missing between others, as shifts in time need it."""
+    shifted = clocks.apart(recording, folds) if whole else []
+    steps = [] if shifted else unexplained_steps(recording, name, folds)  # a model of wrong times leaves steps, too
+    return {"clocks": shifted, "steps": steps}
 
 
 def _left_out(
@@ -117,7 +122,7 @@ def judged_in_batches(
     """`judged` for a recording that is read batch by batch.
 
     rms, mean, scatter and largest deviation are those of all rows; coverage, noise floor, steps and the test over runs
-    are those of a sample of stretches of every run, which is returned second.
+    are those of a sample of stretches of every run, which is returned second; clocks are judged if it is all rows.
     """
     done = family.judge_batches(source, scheme)
     components, rows = [], {}
@@ -134,8 +139,8 @@ def judged_in_batches(
             "scatter": float(np.sqrt(np.mean([g["scatter_after"] ** 2 for g in groups]))),
             "groups": groups,
         }
-        steps = unexplained_steps(sample, name, [f.held_out for f in folds])
-        figures["steps"] = [step | {"row": int(places[step["row"]])} for step in steps]
+        figures |= _disturbed(sample, name, [f.held_out for f in folds], whole=len(sample) == source.rows)
+        figures["steps"] = [step | {"row": int(places[step["row"]])} for step in figures["steps"]]
         components.append(figures)
         rows[name] = [replace(f.held_out, rows=places[f.held_out.rows]) for f in folds]
     document = {"validation": VERSION, "scheme": done.scheme, "method": family.method_name, "components": components}
