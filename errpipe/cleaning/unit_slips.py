@@ -83,15 +83,17 @@ def _slipped_runs(recording: Recording, name: str, first: Mapping[str, np.ndarra
     first: sensor -> first readings, shape (runs,). A bearing that is hot at the start of a run cools down in it.
     """
     run, values, slipped = recording.run_codes(), recording.array(name), dict[int, str]()
-    for code in np.flatnonzero(np.isfinite(first.get(name, np.zeros(0)))):
-        others = [c[code] for n, c in first.items() if n != name and np.isfinite(c[code])]
-        cold, room = first[name][code], float(np.median(others)) if others else np.nan
-        for unit, converted in (("degF", (cold - 32.0) / 1.8), ("K", cold - 273.15)):
-            if cold - room > MIN_SLIP and abs(converted - room) < NEAR and ROOM[0] < room < ROOM[1]:
-                slipped[int(code)] = (
-                    f"run {recording.run_labels()[code]} starts at {cold:.4g} where the other sensors start at "
-                    f"{room:.4g}; taken as {unit} that is {converted:.4g} degC: {unit}, not degC"
-                )
+    others = [c for n, c in first.items() if n != name]
+    if name not in first or not others:
+        return []
+    level = np.ma.median(np.ma.masked_invalid(others), axis=0).filled(np.nan)
+    for unit, converted in (("degF", (first[name] - 32.0) / 1.8), ("K", first[name] - 273.15)):
+        in_hall = (level > ROOM[0]) & (level < ROOM[1])
+        for code in np.flatnonzero((first[name] - level > MIN_SLIP) & (abs(converted - level) < NEAR) & in_hall):
+            slipped[int(code)] = (
+                f"run {recording.run_labels()[code]} starts at {first[name][code]:.4g} where the other sensors start "
+                f"at {level[code]:.4g}; taken as {unit} that is {converted[code]:.4g} degC: {unit}, not degC"
+            )
     own = np.isin(run, [*slipped])
     elsewhere = values[~own & np.isfinite(values)]
     if not slipped or not elsewhere.size or np.nanmin(values[own]) <= elsewhere.max():
