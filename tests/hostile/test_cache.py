@@ -78,6 +78,7 @@ def test_where_there_is_no_temporary_folder_nothing_is_kept(where: Path, monkeyp
     assert kernels._cache_folder() is None
 
 
+@pytest.mark.slow
 def test_a_planted_index_runs_in_no_process(tmp_path: Path) -> None:
     """End to end: read from a folder that is ours alone the planted index runs; from one that others write, never."""
     temporary, ran = tmp_path / "tmp", tmp_path / "ran"

@@ -316,6 +316,7 @@ def test_a_clock_that_starts_anew_with_each_run_tells_nothing_of_the_time_betwee
     assert not coloured.levels_jump(left, run, 5.0 * np.tile(np.arange(100.0), 10))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", [0.0, 0.9])
 def test_noise_of_few_rows_has_a_rhythm_by_chance_only(memory: float) -> None:
     """Of 200 draws of 248 rows: 18 of white noise had one where single slow frequencies were judged."""

@@ -171,6 +171,7 @@ def test_named_with_its_sizes_and_nothing_else(name: str, tmp_path: Path) -> Non
     )
 
 
+@pytest.mark.slow
 def test_the_command_writes_it_down(tmp_path: Path) -> None:
     from typer.testing import CliRunner
 
