@@ -15,7 +15,7 @@ FEWEST_COPIED = 8  # rows: fewer may be equal by chance on a coarse gauge
 AGAIN = 0.5  # of the targets of a stretch measured before from the same side: one or two targets are a repeated reading
 
 
-def told_apart(p: Proposal) -> None:
+def separate(p: Proposal) -> None:
     """Give a run another label if its targets are measured again, from the same side, after other runs."""
     run = p.first("run")
     names = [n for role in ("command", "position") for n, e in p.entries.items() if e["role"] == role and n in p.data]

@@ -23,7 +23,7 @@ MIN_ROWS = 30  # judged rows of a run, at least as far from its ends as the long
 SHIFTS = np.arange(-LONGEST, LONGEST + STEP, STEP)
 
 
-def apart(recording: Recording, folds: Sequence[HeldOut]) -> list[dict[str, Any]]:
+def shifted_runs(recording: Recording, folds: Sequence[HeldOut]) -> list[dict[str, Any]]:
     """Runs whose inputs are shifted against their deviations: run, shift in s (positive: inputs late), share left.
 
     Empty for deviations over a position, without times, and for a single run.

@@ -90,7 +90,7 @@ def judged(
 
 def _disturbed(recording: Recording, name: str, folds: Sequence[HeldOut], whole: bool = True) -> dict[str, Any]:
     """What no input explains in a component. whole: no row is missing between others, as shifts in time need it."""
-    shifted = clocks.apart(recording, folds) if whole else []
+    shifted = clocks.shifted_runs(recording, folds) if whole else []
     steps = [] if shifted else unexplained_steps(recording, name, folds)  # a model of wrong times leaves steps, too
     return {"clocks": shifted, "steps": steps}
 

@@ -108,7 +108,7 @@ def _prepared(files: Sequence[Path], reader: ReaderOptions, options: ImportOptio
     runs = together.sides_of_names([*measured.values()], together.names_of_files([*measured]))
     complete = together.one_after_another([*measured.values()], runs)
     order.sides_of_falling_runs(complete)
-    repeated_runs.told_apart(complete)
+    repeated_runs.separate(complete)
     for same_layout in together.of_one_log({file: parts[file] for file in logs}):
         names = together.names_of_files(same_layout)
         together.add_log(complete, together.one_after_another([parts[file] for file in same_layout], names), names)

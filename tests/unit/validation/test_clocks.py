@@ -35,7 +35,7 @@ def found(predicted: np.ndarray, seed: int = 0, late: int = 0, **position: np.nd
     recording = Recording(Manifest(recording=1, tables=("t.csv",), columns=columns), frame.assign(**position))
     left = truth - np.roll(predicted, late, axis=1)
     folds = [HeldOut(str(k), np.flatnonzero(run == k), e, left[k], np.zeros(ROWS), 0.0) for k, e in enumerate(truth)]
-    return clocks.apart(recording, folds)
+    return clocks.shifted_runs(recording, folds)
 
 
 @pytest.mark.parametrize("minutes", [60, -60, 90])
