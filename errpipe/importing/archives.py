@@ -39,21 +39,25 @@ def unpacked(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
     if not zipped and not head.startswith(_GZIP) and not head.endswith(_TAR):
         return [path], []
     with readable(path, "an archive", "extract it first"):
-        if zipped and _OF_ONE_DOCUMENT & {*zipfile.ZipFile(path).namelist()}:
+        if zipped and _is_document(path):
             return [path], []
         members = [m for m in (_zipped(path) if zipped else _tarred(path)) if not _OF_A_SYSTEM.search(m[0])]
         prose = [name for name, _ in members if len(members) > 1 and _PROSE.fullmatch(name)]
         files = [_written(path, name, data, folder) for name, data in members if name not in prose]
     if not files:
         raise DataError(f"{path}: an archive without a file of measurements")
-    return sorted(files, key=_in_order), [f"{path.name}: excluded, as no measurements: {', '.join(prose)}"] * bool(
-        prose
-    )
+    notes = [f"{path.name}: excluded, as no measurements: {', '.join(prose)}"] if prose else []
+    return sorted(files, key=_in_order), notes
 
 
 def _in_order(file: Path) -> list[tuple[str, int]]:
     """The key by which `run 10` follows `run 9`."""
     return [(text, int(figures or 0)) for text, figures in re.findall(r"(\D*)(\d{0,18})", str(file).lower())]
+
+
+def _is_document(path: Path) -> bool:
+    with zipfile.ZipFile(path) as archive:
+        return not _OF_ONE_DOCUMENT.isdisjoint(archive.namelist())
 
 
 def _zipped(path: Path) -> Iterator[tuple[str, bytes]]:
