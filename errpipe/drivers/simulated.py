@@ -43,6 +43,7 @@ def between(t: np.ndarray, u: np.ndarray, when: np.ndarray) -> np.ndarray:
     """u at other times by its natural cubic spline, shape of `when`; held before the first row and after the last.
 
     Straight lines would take a curvature of u (a mass, for a velocity) for a delay of part of a row.
+    Numpy alone, as its source is printed into the patches of `diagnose --apply`, which need no other package.
     """
     h, steep = np.diff(t), np.diff(u) / np.diff(t)
     before, after, steep = np.r_[0.0, h], np.r_[h, 0.0], np.r_[steep[0], steep, steep[-1]]

@@ -42,9 +42,8 @@ def outputs(
         if len(same) > 1 and own:
             if axis != (chain.axes[drive] if drive >= 0 and chain.axes[drive] in own else own[0]):
                 continue
-            letters = polynomials.Polynomial(
-                {key: len(same) * v for key, v in letters.items()}
-            )  # the jacobian divides it among all
+            # The jacobian divides a correction among all parallel axes.
+            letters = polynomials.Polynomial({key: len(same) * v for key, v in letters.items()})
         if axis in correcting and (used is None or component in used):
             terms_by_axis.setdefault(axis, []).append(_term(chain, component, letters))
     return tuple(OutputSource(f"E_{axis}", tuple(t), axis) for axis, t in terms_by_axis.items())
