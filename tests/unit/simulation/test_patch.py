@@ -10,10 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
+from scipy.interpolate import CubicSpline
 from scipy.signal import TransferFunction, lsim
 
 from errpipe.domain.recording import Manifest, Recording
-from errpipe.drivers.simulated import Late, Ringing
+from errpipe.drivers.simulated import Late, Ringing, between
 from errpipe.simulation import external, patch, patch_fmu
 
 STEP, HERTZ, DAMPING, DELAY = 0.002, 23.0, 0.05, 0.0331
@@ -85,3 +86,11 @@ def test_fmu(tmp_path: Path) -> None:
     for twin in twins:
         wanted = closed_forms(made)[twin.component]
         assert np.nanmax(np.abs(both.array(twin.column) - wanted)) < 0.02 * np.abs(wanted).max(), twin.component
+
+
+def test_values_between_rows_are_those_of_scipy_s_natural_spline():
+    rng = np.random.default_rng(4)
+    t = np.cumsum(rng.uniform(0.5, 2.0, 200))
+    u, when = np.sin(t / 3.0) + 0.1 * rng.normal(size=200), rng.uniform(t[0], t[-1], 500)
+    assert_allclose(between(t, u, when), CubicSpline(t, u, bc_type="natural")(when), atol=1e-6)
+    assert_allclose(between(t, u, np.array([t[0] - 5.0, t[-1] + 5.0])), u[[0, -1]])
