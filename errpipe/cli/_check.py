@@ -17,7 +17,7 @@ def check(files: list[Path], data: bool, style: str, as_json: bool) -> int:
     checked = []
     for file in files:
         inside = [file / name for name in ("recording.yaml", "pipeline.yaml")] if file.is_dir() else [file]
-        path = next((p for p in inside if p.is_file()), inside[0])
+        path = next((p for p in inside if p.is_file()), file)
         try:
             checked.append({"file": str(path), "what": _check(path, data)})
         except ConfigError as err:

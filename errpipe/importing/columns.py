@@ -30,6 +30,7 @@ KIND_OF_UNIT = {
     "kg": "load",
     **dict.fromkeys(("s", "ms", "h"), "time"),
     **dict.fromkeys(("um", "urad", "arcsec", "mrad", "um/m", "mm/m", "nm", "mdeg", "arcmin"), "error"),
+    **dict.fromkeys(("0.001 inch", "0.0001 inch", "microinch"), "error"),
 }
 SMALL_ANGLES = ("arcsec", "arcmin", "urad", "mrad", "mdeg", "um/m", "mm/m")  # of a rotary or tilting axis
 # Units that an angle may be written in; " and ' are read as inch and min.

@@ -49,6 +49,9 @@ _AXIS_OF_SHEET = re.compile(
     r"^([XYZ])\d?$|\b(?:axis|achse|axe|asse|eje)[ -]?([XYZABCUVW])\b|\b([XYZABCUVW])[ -]?(?:axis|achse|axe|asse)\b",
     re.IGNORECASE,
 )
+_PIVOT = re.compile(  # how Excel heads the rows of a pivot table
+    r"Row Labels|Zeilenbeschriftungen|[ÉE]tiquettes de lignes|Etichette di riga|Etiquetas de fila|行标签|行ラベル"
+)
 _LENGTHS = re.compile(r"(l(ä|ae)nge|length|samples|anzahl|no\. of values)", re.IGNORECASE)  # of columns, above them
 _RULE = re.compile(r"[-=_+:~*|]{2,}")
 
@@ -105,6 +108,7 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     if len(rows) > 4 and rows[0][:1] == ["TOA5"]:  # of a data logger: names, units, and how values were sampled
         units_below = [f" [{u}]" if u not in ("", None, "TS", "RN") else "" for u in rows[2]]
         rows = [[f"{n}{u}" for n, u in zip(rows[1], units_below, strict=False)], *rows[4:]]
+    rows = _of_a_pivot(rows)
     rows, unit_in_cells = _without_units(rows)
     comma = decimal_comma(rows)
     notes = list(sheet.notes) + (["decimal commas"] if comma else [])
@@ -141,6 +145,14 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     laid = _layout(sheet, names, units, rows, comma, [a for a in above if a], notes)
     laid.below = below
     return laid
+
+
+def _of_a_pivot(rows: Rows) -> Rows:
+    """The rows with the title of a pivot table, `Average of Deviation (um)`, above it: not a name of its targets."""
+    for r in range(1, min(len(rows), DEEPEST_HEADER)):
+        if _PIVOT.fullmatch(str(rows[r][0]).strip()) and isinstance(rows[r - 1][0], str):
+            return [*rows[: r - 1], rows[r - 1][:1], [None, *rows[r - 1][1:]], ["target", *rows[r][1:]], *rows[r + 1 :]]
+    return rows
 
 
 def _merged(names: list[str], numbers: Numbers) -> list[str]:

@@ -253,13 +253,13 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
         letter, _ = entry.pop("_axis", None), entry.pop("_headers", None)
         ambiguities.refuse_second_probe(p, name, letter, options)
         alone = letter is not None and p.first("position", letter) is None and p.first("command", letter) is None
+        if alone and unknown and letter in "XYZUVW" and components.parse(entry["component"]).axis == letter:
+            header = unknown[0].header
+            raise DataError(
+                f"column {header!r} ({unknown[0].unit}) is unknown, and no position is recorded: use "
+                f"--set '{header}.role=position', or --set '{header}.role=ignore'"
+            )
         if alone and entry["component"] == components.positioning(letter) and letter in "XYZUVW":
-            if unknown:
-                header = unknown[0].header
-                raise DataError(
-                    f"column {header!r} ({unknown[0].unit}) is unknown, and no position is recorded: use "
-                    f"--set '{header}.role=position', or --set '{header}.role=ignore'"
-                )
             if p.assumed_axis:
                 raise DataError(
                     f"no axis is named and no position recorded: along which axis is {name!r}? Declare it with --axis"

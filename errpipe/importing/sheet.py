@@ -16,6 +16,9 @@ Cell = str | float | None
 Rows = list[list[Cell]]
 Numbers = list[list[float | None]]  # of the cells of rows
 MOST_CELLS = 12_000_000  # cells: about 1 GB of Python objects of 80 bytes each
+INVISIBLE = re.compile(
+    "[\u200b\u200e\u200f\u202a-\u202e\u2066-\u2069\ufeff]"
+)  # marks of the writing direction, of no width
 MINUS = str.maketrans(
     {"−": "-", "–": "-", "－": "-", "＋": "+", "．": ".", "，": ",", "\u00a0": "", "\u202f": "", "\u2009": ""}
 )
@@ -81,8 +84,10 @@ def affordable(cells: int, name: object) -> None:
 
 def cell_of(value: Any) -> Cell:
     """A value of a file's library as a cell: a number, a date in ISO 8601, a duration in s, or text."""
-    if value is None or isinstance(value, str | float):
-        return None if value == "" else value
+    if isinstance(value, str):
+        return INVISIBLE.sub("", value) or None
+    if value is None or isinstance(value, float):
+        return value
     if isinstance(value, int):
         return float(value)
     if isinstance(value, datetime.timedelta):

@@ -131,8 +131,7 @@ def _starts(columns: Sequence[RawColumn], guesses: Guesses) -> np.ndarray:
     for c in columns:
         if guesses[c.header].kind in ("run", "group"):
             begins[1:] |= np.array([a != b for a, b in zip(c.cells, c.cells[1:], strict=False)], dtype=bool)
-        elif guesses[c.header].kind == "time" and c.numeric and rows > 2:
-            step = np.diff(c.values)
+        elif guesses[c.header].kind == "time" and c.numeric and np.isfinite(step := np.diff(c.values)).any():
             begins[1:] |= (step < 0) | (step > 5.0 * np.nanmedian(step))
     return begins
 

@@ -100,6 +100,8 @@ def find(layout: Layout, guesses: guessing.Guesses) -> Wide | None:
         of_targets = any(c is t for t in (targets[0], *repeated))
         if of_targets or guesses[c.header].kind not in KINDS or (run is None and side is None):
             continue
+        if kind_by_name(c.header) == "ignore":  # `Tol+`, `Tol-`
+            continue
         words = re.sub(r"\b[^\W\d_]\b", " ", c.header)  # `B 1` beside `F 1`: backwards
         lettered = run in runs and not statistic(words)
         if statistic(c.header) and not lettered:

@@ -61,7 +61,10 @@ GROUP = rf"^({'|'.join(GROUPS.values())})[ -]?(no\.?|nr\.?|id|name|number|nummer
 # Patterns of headers -> their role. The first match applies.
 WORDS: tuple[tuple[str, str], ...] = (
     (SIMULATED, "simulated"),
-    (r"\b(limite?|grenz(e|wert)|toleran(ce|z)|[lu]sl|uncertainty|\w*unsicherheit|incertitude)\b|\bu ?\(k", "ignore"),
+    (
+        r"\b(limite?|grenz(e|wert)|[ou]?tol|toleran(ce|z)|[lu]sl|uncertainty|\w*unsicherheit|incertitude)\b|\bu ?\(k",
+        "ignore",
+    ),
     (r"^(freq(uency|uenz|uence)?|hz)\b", "ignore"),
     (GROUP, "group"),
     (
@@ -133,13 +136,14 @@ WORDS: tuple[tuple[str, str], ...] = (
     (
         r"(actual|\bas ?-?built"
         r"|\b[xyzabcuvw]?\d?ist\b|ist(wert|mass)|\bprobed\b|\bangetastet|\bfbk\b|measured|\bmeas\b|gemessen|messwert|reading|anzeige|feedback|\bfb\b|\bactl?\b|encoder"
-        r"|laser|dial|indicator|uhr|\bmesure|releve|misurat|\bmedid|display|read ?out|\bdro\b|\bgemeten|\bwerkelijk"
+        r"|^gauge$|laser|dial|indicator|uhr"
+        r"|\bmesure|releve|misurat|\bmedid|display|read ?out|\bdro\b|\bgemeten|\bwerkelijk"
         r"|aervaerd|arvard|uppmaett|zmierzon|rzeczywist|skutecn|namer|oelcuelen|olculen|\bgercek|\bmert\b|tenyleg|\breale?\b|\breelle\b|\bmisura\b|lectura|leitura|lettura|実測|实测|測定値|测量|测定|实际"
         r"|измерен|фактич|действит|측정|실제)",
         "actual",
     ),
     (
-        r"(position|\bpos|^[xyzabcuvw]\d?$|^[pxyz] ?i$|weg"
+        r"(position|\bpos|^dist(ance|anz|anza|ancia)?$|^[xyzabcuvw]\d?$|^[pxyz] ?i$|weg"
         r"|^[xyz] ?(axis|achse|-achse)|\b(angle|(dreh|schwenk)?winkel)\b"
         r"|posizione|posicion|\bquota\b|\bcotas?\b|\bcotes?\b|\bpozyc|\bpozic|\bposicao|位置|позици|положени|координат)",
         "position",

@@ -6,8 +6,10 @@ import hashlib
 import os
 import re
 import tempfile
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ from errpipe import formats
 from errpipe.domain import components, units
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, UsageError, did_you_mean
-from errpipe.files import missing
+from errpipe.files import MOST_NEIGHBOURS, missing
 from errpipe.formats import _derived, manifest_folder
 from errpipe.importing import (
     archives,
@@ -225,7 +227,7 @@ def _of_known_format(file: Path, reader: ReaderOptions, options: ImportOptions) 
     if not file.exists():
         raise DataError(f"{file}: {missing(file)}")
     if file.is_dir():
-        raise DataError(f"{file}: a folder (allowed: files)")
+        raise DataError(f"{file}: a folder (allowed: files{_inside(file)})")
     if not any(f.sniff(file) for f in formats.FORMATS):
         return None
     known = formats.detect(file)
@@ -243,6 +245,14 @@ def _of_known_format(file: Path, reader: ReaderOptions, options: ImportOptions) 
             values: Any = recording.frame[name].astype(str).tolist() if text else np.asarray(recording.array(name))
             proposal.put(name, values, **column.model_dump(exclude_none=True))
     return proposal
+
+
+def _inside(folder: Path) -> str:
+    """How to go on with a folder: a recording is ready; else the files of its most frequent kind."""
+    if (folder / "recording.yaml").is_file():
+        return f"; it is a recording: errpipe init axis --recording {folder}"
+    held = Counter(p.suffix for p in islice(folder.iterdir(), MOST_NEIGHBOURS) if p.is_file() and p.suffix)
+    return f", such as {folder}/*{held.most_common(1)[0][0]}" if held else "; this one is empty"
 
 
 def _refuse_idle_options(file: Path, name: str, given: dict[str, Any]) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from errpipe.errors import DataError, UsageError, did_you_mean
+from errpipe.files import missing
 
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
@@ -55,7 +56,7 @@ def init(folder: Path, name: str, recording: Path | None = None, targets: Sequen
 
     recording: a recording folder of the user's own, for which the pipeline is written; targets: instead of the usual.
     """
-    from errpipe import jsonfile
+    from errpipe import jsonfile, yamlfile
 
     if name not in TEMPLATES:
         raise UsageError(f"no template {name!r} (templates: {', '.join(TEMPLATES)}).{did_you_mean(name, TEMPLATES)}")
@@ -67,6 +68,8 @@ def init(folder: Path, name: str, recording: Path | None = None, targets: Sequen
             f"{folder}: is a file (DIR is the folder to write). Measurements become a recording first: errpipe import "
             f"{folder} --out recording --yes, then errpipe init {folder.stem or 'axis'} --recording recording"
         )
+    if not folder.exists() and folder.suffix.lower() in yamlfile.MEASURED:
+        raise UsageError(f"{folder}: {missing(folder)} (DIR is the folder to write; its name ends like that of a file)")
     texts, why = _texts(name, template, folder, recording, targets)
     existing = [n for n in texts if (folder / n).exists()]
     if existing:

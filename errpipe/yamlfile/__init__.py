@@ -15,12 +15,13 @@ tuples and texts paths, but '5' is no number. (A `before` validator sees Python'
 """
 
 from errpipe.yamlfile.choice import Choice
-from errpipe.yamlfile.document import Document, load, parse, read, text_of
+from errpipe.yamlfile.document import MEASURED, Document, load, parse, read, text_of
 from errpipe.yamlfile.events import plain
 from errpipe.yamlfile.places import Place, describe, dotted
 from errpipe.yamlfile.quantities import UNITS, Misplaced, Options, convert, is_unit, quantity
 
 __all__ = [
+    "MEASURED",
     "UNITS",
     "Choice",
     "Document",

@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,6 +23,7 @@ T = TypeVar("T")
 
 MEASURED = (".csv", ".tsv", ".xlsx", ".xls", ".h5", ".hdf5", ".mat", ".tdms", ".parquet", ".feather", ".zip", ".gz")
 MAX_BYTES = 4_000_000  # a configuration is written by hand
+MOST_NAMED = 3  # files of a folder in a message
 
 
 @dataclass
@@ -107,13 +109,21 @@ def read(path: Path, *, environment: Mapping[str, str] | None = None) -> Documen
     return parse(text_of(path), str(path), environment=environment)
 
 
+def _inside(folder: Path) -> str:
+    """`: pipeline.yaml`, the first YAML files of a folder; else how its first file of measurements is read."""
+    held = sorted(islice((p for p in folder.iterdir() if p.is_file()), files.MOST_NEIGHBOURS))
+    yaml = [str(p) for p in held if p.suffix in (".yaml", ".yml")]
+    measured = [p for p in held if p.suffix.lower() in MEASURED]
+    if yaml or not measured:
+        return f": {', '.join(yaml[:MOST_NAMED])}" if yaml else ""
+    return f"; measurements are read by errpipe import {measured[0]} --out recording"
+
+
 def text_of(path: Path) -> str:
     """The text of a YAML file. Raises ConfigError if it cannot be read."""
     path, name = Path(path), str(path)
     if path.is_dir():
-        inside = path / "pipeline.yaml"
-        beside = f": {inside}" if inside.is_file() else ""
-        raise ConfigError([Problem(name, 0, 0, "", f"is a folder (a YAML file is needed{beside})")])
+        raise ConfigError([Problem(name, 0, 0, "", f"is a folder (a YAML file is needed{_inside(path)})")])
     if path.is_file() and path.suffix.lower() in MEASURED:
         needed = f"a YAML file is needed; measurements are read by errpipe import {name} --out recording"
         raise ConfigError([Problem(name, 0, 0, "", f"is a file of measurements by its name ({needed})")])

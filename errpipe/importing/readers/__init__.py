@@ -72,6 +72,10 @@ def _refuse_known(path: Path, head: bytes) -> None:
         raise DataError(f"{path}: a compressed archive: extract it first")
     if re.match(rb"\x80[\x02-\x05]", head) or path.suffix in (".pkl", ".pickle"):
         raise DataError(f"{path}: a pickle, which can execute code when opened: write it as CSV or Parquet")
+    if re.match(rb"CDF[\x01\x02\x05]", head):
+        raise DataError(
+            f"{path}: netCDF 3, of which only version 4 is read: nccopy -k nc4 {path.name} {path.stem}_4.nc"
+        )
     if re.match(rb"K0100\b", head):
         raise DataError(f"{path}: a Q-DAS file: export its values as CSV, each with its commanded position")
 

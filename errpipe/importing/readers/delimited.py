@@ -15,7 +15,7 @@ from pathlib import Path
 
 from errpipe.errors import DataError, UsageError
 from errpipe.importing.header import is_word
-from errpipe.importing.sheet import Cell, ReaderOptions, Rows, Sheet, affordable, number
+from errpipe.importing.sheet import INVISIBLE, Cell, ReaderOptions, Rows, Sheet, affordable, number
 from errpipe.importing.units import unit_of
 
 name = "delimited text"
@@ -33,6 +33,7 @@ ENCODINGS = {
 MOST_LINES_OF_A_CELL = 20  # with more, its quote is a sign of inches
 _QUOTED = r'(?:(?<=^)|(?<=[;,\t|]))\s?"(?:[^"]|"")*"(?=\s*(?:[;,\t|]|$))'
 _OPEN = re.compile(rf'^((?:{_QUOTED}|[^"])*(?:(?<=^)|(?<=[;,\t|]))\s?)"((?:[^"]|"")*)$')
+_STAMP = re.compile(r'(?<=,)"?(\d\d?/\d\d?/\d{4});(\d\d?:\d\d:\d\d);(\d{3})"?(?=,)')  # of a Rockwell trend
 _METRICS = ("HELP", "TYPE", "UNIT")  # comments of Prometheus on a metric
 SAMPLE_LINES = 400  # lines from which the dialect is inferred
 
@@ -70,6 +71,7 @@ def read(path: Path, options: ReaderOptions) -> list[Sheet]:
     data = _without_padding(whole)
     affordable(data.count(b"\n") + data.count(b"\r"), path)
     encoding, text = _decode(path, data)
+    text = _STAMP.sub(r"\1 \2.\3", INVISIBLE.sub("", text))
     lines = _whole_lines(text.splitlines())
     if any(len(line) > LONGEST_LINE for line in lines[:SAMPLE_LINES]):
         raise DataError(f"{path}: a line of more than {LONGEST_LINE} characters (no table of measurements)")

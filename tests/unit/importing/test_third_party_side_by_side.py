@@ -1,0 +1,124 @@
+"""First imports of third-party files: lists side by side, pivot tables, tolerances, marks of the writing direction."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from errpipe.cli.app import main
+from errpipe.errors import DataError
+from tests.unit.importing.known_test import imported
+
+X = np.arange(0.0, 500.0, 50.0)
+ERROR = np.round(0.02 * X + 3.0 * np.sin(X / 70.0), 2)
+
+
+def written(folder: Path, *lines: str, name: str = "lab.csv") -> Path:
+    """A text file of these lines."""
+    (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder / name
+
+
+def unequal_lists(folder: Path) -> Path:
+    """Ten targets of X, seven of Y."""
+    rows = [
+        f"{x:g},{e:g}," + (f"{x:g},{-e:g}" if k < 7 else ",") for k, (x, e) in enumerate(zip(X, ERROR, strict=True))
+    ]
+    return written(folder, "X target (mm),X dev (um),Y target (mm),Y dev (um)", *rows)
+
+
+def test_lists_of_several_axes_of_unequal_length_are_a_question(tmp_path: Path) -> None:
+    """The rows that only the longer list has were excluded as comments."""
+    with pytest.raises(DataError, match=r"side by side \(rows: X 10, Y 7\): select one with --axis X"):
+        imported(tmp_path, unequal_lists(tmp_path))
+
+
+@pytest.mark.parametrize(("axis", "sign", "count"), [("X", 1.0, 10), ("Y", -1.0, 7)])
+def test_the_list_of_the_stated_axis_is_whole(tmp_path: Path, axis: str, sign: float, count: int) -> None:
+    recording = imported(tmp_path, unequal_lists(tmp_path), axis=axis)
+    assert np.allclose(recording.array(f"{axis}_target"), X[:count])
+    assert np.allclose(recording.array(f"{axis}_dev"), sign * ERROR[:count])
+    assert len(recording.manifest.columns) == 2 + ("direction" in recording.manifest.columns)
+
+
+def test_the_title_of_a_pivot_table_is_no_unit_of_its_targets(tmp_path: Path) -> None:
+    """`Average of Deviation (um)` stands above `Row Labels`: targets of 50 mm were read as 50 um."""
+    rows = [f"{x:g},{e:g},{e + 0.4:g},{e + 0.2:g}" for x, e in zip(X, ERROR, strict=True)]
+    total = "Grand Total,1.5,1.9,1.7"
+    file = written(tmp_path, "Average of Deviation (um),Column Labels", "Row Labels,1,2,Grand Total", *rows, total)
+    recording = imported(tmp_path, file, axis="X")
+    assert np.allclose(recording.array("target"), np.tile(X, 2))
+    assert np.allclose(recording.array("EXX"), [*ERROR, *(ERROR + 0.4)])
+
+
+def test_tolerances_with_signs_are_no_readings_of_two_sides(tmp_path: Path) -> None:
+    rows = [f"{x:.3f},{x + e / 1000:.5f},{e / 1000:.5f},0.005,-0.005,PASS" for x, e in zip(X, ERROR, strict=True)]
+    recording = imported(tmp_path, written(tmp_path, "Nominal X,Actual X,Dev,Tol+,Tol-,P/F", "mm,mm,mm,mm,mm,-", *rows))
+    assert np.allclose(recording.array("Dev"), ERROR)
+
+
+def test_marks_of_the_writing_direction_are_no_part_of_a_number(tmp_path: Path) -> None:
+    rows = [f"\u200e{x:g}\u200f;\u200e{e:g}\u200f" for x, e in zip(X, ERROR, strict=True)]
+    file = written(tmp_path, "\u200ePosition X (mm)\u200f;\u200eDeviation (um)\u200f", *rows)
+    assert np.allclose(imported(tmp_path, file).array("Deviation"), ERROR)
+
+
+def test_a_stamp_of_three_parts_between_commas_is_one_cell(tmp_path: Path) -> None:
+    """A trend of Rockwell: `Data,05/12/2024;14:30:00;010,...`; the semicolons were taken for separators."""
+    rows = [
+        f"Data,05/12/2024;14:30:00;{10 * k:03d},{x:.3f},{x + e / 1000:.5f}"
+        for k, (x, e) in enumerate(zip(X, ERROR, strict=True))
+    ]
+    recording = imported(tmp_path, written(tmp_path, "Header:,Time,X.CmdPos (mm),X.ActPos (mm)", *rows))
+    assert np.allclose(recording.array("t"), 0.01 * np.arange(X.size))
+
+
+def test_a_straightness_next_to_an_unknown_length_asks_for_the_position(tmp_path: Path) -> None:
+    """It was recorded as a drift, without any position."""
+    rows = [f"{x:g},{e:g}" for x, e in zip(X, ERROR, strict=True)]
+    file = written(tmp_path, "Straightness, axis X", "Station (mm),Vert (um)", *rows)
+    with pytest.raises(DataError, match=r"'Station' .* is unknown, and no position is recorded"):
+        imported(tmp_path, file, component="EZX", sign="actual-minus-commanded")
+
+
+def test_thousandths_of_an_inch_are_readings(tmp_path: Path) -> None:
+    rows = [f"{x / 25.4:.4f},{e:g}" for x, e in zip(X, ERROR, strict=True)]
+    file = written(tmp_path, "Dist (in),Vert (thou)", *rows)
+    recording = imported(tmp_path, file, axis="X", component="EZX", sign="actual-minus-commanded")
+    assert np.allclose(recording.array("Vert"), 25.4 * ERROR)
+    assert np.allclose(recording.array("Dist"), X, atol=0.002)
+
+
+def test_a_gauge_beside_a_position_is_a_reading(tmp_path: Path) -> None:
+    rows = [f"{x:g},{e / 1000:g},mm" for x, e in zip(X, ERROR, strict=True)]
+    assert np.allclose(imported(tmp_path, written(tmp_path, "X,Gauge,Unit", *rows)).array("Gauge"), ERROR)
+
+
+def test_netcdf_3_is_refused_with_its_conversion(tmp_path: Path) -> None:
+    (tmp_path / "lab.nc").write_bytes(b"CDF\x01" + bytes(60))
+    with pytest.raises(DataError, match=r"nccopy -k nc4 lab\.nc lab_4\.nc"):
+        imported(tmp_path, tmp_path / "lab.nc")
+
+
+def test_a_folder_names_what_is_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "day"
+    folder.mkdir()
+    assert main(["import", str(folder), "--out", str(tmp_path / "r"), "--yes"]) == 3
+    assert "this one is empty" in capsys.readouterr().err
+    written(folder, "X,Gauge", name="a.csv")
+    assert main(["import", str(folder), "--out", str(tmp_path / "r"), "--yes"]) == 3
+    assert f"such as {folder}/*.csv" in capsys.readouterr().err
+    assert main(["check", str(folder)]) == 2
+    assert f"errpipe import {folder / 'a.csv'} --out recording" in capsys.readouterr().err
+    written(folder, "recording: 1", name="recording.yaml")
+    assert main(["import", str(folder), "--out", str(tmp_path / "r"), "--yes"]) == 3
+    assert f"errpipe init axis --recording {folder}" in capsys.readouterr().err
+
+
+def test_init_of_a_misspelt_file_makes_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    written(tmp_path, "X,Gauge", name="positions.csv")
+    assert main(["init", str(tmp_path / "positons.csv")]) == 2
+    assert f"Did you mean {tmp_path / 'positions.csv'}?" in capsys.readouterr().err
+    assert not (tmp_path / "positons.csv").exists()
