@@ -51,6 +51,7 @@ EPOCHS = ((1e9, 4.2e9, 1.0), (1e12, 4.2e12, 1e-3), (1e15, 4.2e15, 1e-6), (1.1e17
 # Days of the years 2000 to 2099: spreadsheet (or modified Julian), MATLAB's datenum, Julian.
 SPREADSHEET_ZERO = datetime(1899, 12, 30)  # of the day count of Excel and similar programs
 DAY = 86400.0  # s
+_JULIAN = re.compile(r"\b(?:(m)?jd|(modified )?julian)\b", re.IGNORECASE)
 SERIAL_DAYS = ((36526.0, 73050.0), (730486.0, 767010.0), (2451544.5, 2488069.5))
 
 SHORT = {"us": 1e-6, "ns": 1e-9}  # units of time that the manifest does not have, in s
@@ -86,6 +87,10 @@ def numbered(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str,
     if tick is not None and (unit not in ROLE_UNITS["time"] or {"s": 1.0, "ms": 1e-3}.get(unit or "") == tick):
         return (c.values - first) * tick, "s", f"{why}; ticks of {tick:g} s since an epoch, by their magnitude", epoch
     days = any(low <= first <= last < high for low, high in SERIAL_DAYS)
+    if days and (julian := _JULIAN.search(c.header)) is not None:
+        of_1970 = 40587.0 if any(julian.groups()) else 2440587.5
+        start = datetime.fromtimestamp((first - of_1970) * DAY, UTC).isoformat(timespec="seconds")
+        return (c.values - first) * DAY, "s", f"{why}; Julian days converted to s", start
     dated = re.search(r"\b(date|datum|fecha|data|zeitstempel|time ?stamp)\b", c.header, re.IGNORECASE)
     if days and first < 1e5 and (unit == "d" or (unit is None and dated)):
         start = (SPREADSHEET_ZERO + timedelta(days=first)).isoformat(timespec="seconds")

@@ -132,6 +132,10 @@ def names_of(rows: Rows, head: list[int], width: int) -> tuple[list[str], list[s
         of_units = next((k for k in range(len(texts) - 1, 0, -1) if _are_units(texts[k][:width])), None)
         if of_units is not None:
             units = [unit_of(t.strip("[]() ")) if t else None for t in texts.pop(of_units)[:width]]
+    whole = [len({*t[:width]}) == width and all(split_header(n)[1] for n in t[:width]) for t in texts]
+    if sum(whole) == 1 and not whole[-1] and not any(units):  # rows below are of devices and starting times
+        used -= whole.index(True)
+        texts = [texts[whole.index(True)]]
     if len(texts) > 2:  # more than a group row above the names: the rest is a preamble
         used -= len(texts) - 2
         texts = texts[-2:]

@@ -21,7 +21,7 @@ from errpipe.importing.units import PER_LENGTH, plain_unit
 from errpipe.importing.unstated import PLACES, resolve_units
 from errpipe.importing.words import axis_above
 
-MOST_NAMED = 12  # columns in a message
+MOST_NAMED = 6  # columns in a message, those with a role first
 NO_DEVIATION = "no column holds a deviation"
 
 
@@ -235,7 +235,8 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     simulated.of_the_only_response(p)
     simulated.change_signs(p, simulated.positions_as_deviations(p))
     if not any(e["role"] == "error" for e in p.entries.values()):
-        have = ", ".join(_found(p, n) for n in [*p.entries][:MOST_NAMED])
+        known = sorted(p.entries, key=lambda n: p.entries[n]["role"] == "ignore")
+        have = ", ".join(_found(p, n) for n in known[:MOST_NAMED])
         have += f", and {len(p.entries) - MOST_NAMED} more" if len(p.entries) > MOST_NAMED else ""
         raise DataError(
             f"{NO_DEVIATION}, and no two contain an actual and a commanded position (found: {have}). "

@@ -44,22 +44,22 @@ def of_one_axis(layout: Layout, guesses: guessing.Guesses, options: ImportOption
     lists: dict[str, np.ndarray] = {}
     for axis in sorted({str(g.axis) for g in guesses.values() if g.axis}):
         of = [c for c in layout.columns if guesses[c.header].axis == axis and c.numeric]
-        kinds = {guesses[c.header].kind for c in of}
-        if kinds & {"command", "position"} and "error" in kinds:
-            lists[axis] = np.all([np.isfinite(c.values) for c in of], axis=0)
+        places = [np.isfinite(c.values) for c in of if guesses[c.header].kind in ("command", "position")]
+        if places and any(guesses[c.header].kind == "error" for c in of):
+            lists[axis] = np.all(places, axis=0)
     whole = np.all([*lists.values()], axis=0) if lists else np.zeros(0)
     timed = any(g.kind == "time" for g in guesses.values())
     if timed or len(lists) < 2 or all(int(rows.sum()) == int(whole.sum()) for rows in lists.values()):
         return layout
-    axis = options.axis or options.component
-    if axis is None or (axis := axis[-1:] if axis not in lists else axis) not in lists:
+    stated = options.axis or (options.component or "")[-1:]
+    if stated not in lists:
         lengths = ", ".join(f"{name} {int(rows.sum())}" for name, rows in lists.items())
         raise DataError(
             f"positions and readings of several axes stand side by side (rows: {lengths}): select one with "
             f"--axis {next(iter(lists))}; one recording for each"
         )
-    own = [c for c in layout.columns if guesses[c.header].axis in (None, axis)]
-    note = f"columns of other axes than {axis} were excluded: their lists stand side by side"
+    own = [c for c in layout.columns if guesses[c.header].axis in (None, stated)]
+    note = f"columns of other axes than {stated} were excluded: their lists stand side by side"
     return Layout(own, [*layout.above], [*layout.notes, note], layout.below)
 
 

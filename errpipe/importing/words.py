@@ -68,7 +68,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"^(freq(uency|uenz|uence)?|hz)\b", "ignore"),
     (GROUP, "group"),
     (
-        r"(zeit|time|datum|date|stamp|\bunix\b|(?<!mess)uhr|horodat|heure|\bora\b|\bfecha\b|\bhora\b|elapsed|duration|\bdauer\b|時刻|時間|时间|日時)",
+        r"(zeit|time|datum|date|stamp|\bunix\b|(?<!mess)uhr|horodat|\bm?jd\b|julian|heure|\bora\b|\bfecha\b|\bhora\b|elapsed|duration|\bdauer\b|時刻|時間|时间|日時)",
         "time",
     ),
     (
@@ -136,8 +136,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (
         r"(actual|\bas ?-?built"
         r"|\b[xyzabcuvw]?\d?ist\b|ist(wert|mass)|\bprobed\b|\bangetastet|\bfbk\b|measured|\bmeas\b|gemessen|messwert|reading|anzeige|feedback|\bfb\b|\bactl?\b|encoder"
-        r"|^gauge$|laser|dial|indicator|uhr"
-        r"|\bmesure|releve|misurat|\bmedid|display|read ?out|\bdro\b|\bgemeten|\bwerkelijk"
+        r"|laser|dial|indicator|uhr|\bmesure|releve|misurat|\bmedid|display|read ?out|\bdro\b|\bgemeten|\bwerkelijk"
         r"|aervaerd|arvard|uppmaett|zmierzon|rzeczywist|skutecn|namer|oelcuelen|olculen|\bgercek|\bmert\b|tenyleg|\breale?\b|\breelle\b|\bmisura\b|lectura|leitura|lettura|実測|实测|測定値|测量|测定|实际"
         r"|измерен|фактич|действит|측정|실제)",
         "actual",

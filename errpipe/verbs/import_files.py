@@ -168,9 +168,10 @@ def _refuse_several_axes(files: Sequence[Path], options: ImportOptions) -> None:
     """Raise DataError if the names of files end in several axes: they would become runs of one."""
     letters = {m[1] for f in files if (m := re.search(r"(?:^|[\s_-])([XYZABC])$", Path(f).stem))}
     if len(letters) > 1 and options.axis is None:
+        alone = f"errpipe import {files[0]} --out recording-{Path(files[0]).stem[-1]}"
         raise DataError(
             f"{', '.join(Path(f).name for f in files)}: of the axes {', '.join(sorted(letters))}? Import each by "
-            "itself (or use --axis if they are runs of one)"
+            f"itself ({alone}), or use --axis if they are runs of one"
         )
 
 

@@ -112,7 +112,8 @@ def read(path: Path, *, environment: Mapping[str, str] | None = None) -> Documen
 def _inside(folder: Path) -> str:
     """`: pipeline.yaml`, the first YAML files of a folder; else how its first file of measurements is read."""
     held = sorted(islice((p for p in folder.iterdir() if p.is_file()), files.MOST_NEIGHBOURS))
-    yaml = [str(p) for p in held if p.suffix in (".yaml", ".yml")]
+    yaml = [str(p) for p in held if p.suffix in (".yaml", ".yml") and p.name != "recording.yaml"]
+    yaml = [name for name in yaml if Path(name).name == "pipeline.yaml"] or yaml
     measured = [p for p in held if p.suffix.lower() in MEASURED]
     if yaml or not measured:
         return f": {', '.join(yaml[:MOST_NAMED])}" if yaml else ""

@@ -91,11 +91,6 @@ def test_thousandths_of_an_inch_are_readings(tmp_path: Path) -> None:
     assert np.allclose(recording.array("Dist"), X, atol=0.002)
 
 
-def test_a_gauge_beside_a_position_is_a_reading(tmp_path: Path) -> None:
-    rows = [f"{x:g},{e / 1000:g},mm" for x, e in zip(X, ERROR, strict=True)]
-    assert np.allclose(imported(tmp_path, written(tmp_path, "X,Gauge,Unit", *rows)).array("Gauge"), ERROR)
-
-
 def test_netcdf_3_is_refused_with_its_conversion(tmp_path: Path) -> None:
     (tmp_path / "lab.nc").write_bytes(b"CDF\x01" + bytes(60))
     with pytest.raises(DataError, match=r"nccopy -k nc4 lab\.nc lab_4\.nc"):
@@ -122,3 +117,34 @@ def test_init_of_a_misspelt_file_makes_no_folder(tmp_path: Path, capsys: pytest.
     assert main(["init", str(tmp_path / "positons.csv")]) == 2
     assert f"Did you mean {tmp_path / 'positions.csv'}?" in capsys.readouterr().err
     assert not (tmp_path / "positons.csv").exists()
+
+
+def test_a_point_without_one_reading_keeps_the_columns_of_all_axes(tmp_path: Path) -> None:
+    """The positions of a cloud of points are complete: its axes are no lists of their own."""
+    rows = [
+        f"{x:g},{e:g},{x / 2:g}," + ("" if k == 4 else f"{-e:g}") for k, (x, e) in enumerate(zip(X, ERROR, strict=True))
+    ]
+    file = written(tmp_path, "X pos (mm),E_X (um),Y pos (mm),E_Y (um)", *rows)
+    assert {"E_X", "E_Y"} <= {*imported(tmp_path, file, axis="X").names("error")}
+
+
+@pytest.mark.parametrize(("header", "first"), [("JD", 2460433.875), ("MJD (d)", 60433.375)])
+def test_julian_days_are_times(tmp_path: Path, header: str, first: float) -> None:
+    """Days of a spreadsheet begin in 1899, modified Julian days in 1858; 2024-05-03 09:00 UTC is both of these."""
+    rows = [f"{first + k / 96:.6f},{e:g},{20 + k}" for k, e in enumerate(ERROR)]
+    recording = imported(tmp_path, written(tmp_path, f"{header},Z drift (um),Bed (degC)", *rows))
+    (time,) = recording.names("time")
+    assert np.allclose(recording.array(time), 900.0 * np.arange(X.size), atol=0.1)
+    assert str(recording.manifest.columns[time].epoch).startswith("2024-05-03T09:00")
+
+
+def test_rows_of_devices_below_complete_names_are_no_names(tmp_path: Path) -> None:
+    """An export of catman: names with units, then the amplifier and the starting time of each channel."""
+    rows = [f"{k / 2:.3f}\t{20 + k}\t{e:g}" for k, e in enumerate(ERROR)]
+    head = [
+        "Zeit [s]\tT_Bett [degC]\tE_Z [um]",
+        "MX840B\tKanal 1\tKanal 2",
+        "Startzeit\t03.05.2024 09:00:00\t03.05.2024 09:00:00",
+    ]
+    recording = imported(tmp_path, written(tmp_path, "EXPORTED AS: ASCII", *head, *rows), sign="actual-minus-commanded")
+    assert np.allclose(recording.array("E_Z"), ERROR) and recording.names("temperature") == ("T_Bett",)

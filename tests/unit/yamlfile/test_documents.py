@@ -203,7 +203,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         "latin.yaml": "latin.yaml:2:7  not UTF-8 text (byte 0xe9)",
         "none.yaml": "none.yaml  no such file",
         "big.yaml": "big.yaml  has 4000002 bytes (at most 4000000 are read)",
-        "": "  is a folder (a YAML file is needed)",
+        "": f"is needed: {tmp_path / 'big.yaml'}, {tmp_path / 'bom.yaml'}, {tmp_path / 'latin.yaml'})",
     }.items():
         with pytest.raises(ConfigError) as caught:
             load(tmp_path / name, Model)
