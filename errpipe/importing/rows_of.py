@@ -36,7 +36,7 @@ def one_axis(layout: Layout, options: ImportOptions) -> Layout:
     return layout
 
 
-def of_one_axis(layout: Layout, guesses: guessing.Guesses, options: ImportOptions) -> Layout:
+def of_one_axis(layout: Layout, guesses: guessing.Guesses, options: ImportOptions) -> tuple[Layout, guessing.Guesses]:
     """Columns of one axis if the positions and readings of several stand side by side, in lists of unequal length.
 
     Raises DataError if no option states the axis: a row of such a table is no state of the machine.
@@ -50,7 +50,7 @@ def of_one_axis(layout: Layout, guesses: guessing.Guesses, options: ImportOption
     whole = np.all([*lists.values()], axis=0) if lists else np.zeros(0)
     timed = any(g.kind == "time" for g in guesses.values())
     if timed or len(lists) < 2 or all(int(rows.sum()) == int(whole.sum()) for rows in lists.values()):
-        return layout
+        return layout, guesses
     stated = options.axis or (options.component or "")[-1:]
     if stated not in lists:
         lengths = ", ".join(f"{name} {int(rows.sum())}" for name, rows in lists.items())
@@ -60,7 +60,8 @@ def of_one_axis(layout: Layout, guesses: guessing.Guesses, options: ImportOption
         )
     own = [c for c in layout.columns if guesses[c.header].axis in (None, stated)]
     note = f"columns of other axes than {stated} were excluded: their lists stand side by side"
-    return Layout(own, [*layout.above], [*layout.notes, note], layout.below)
+    kept = Layout(own, [*layout.above], [*layout.notes, note], layout.below)
+    return kept, {c.header: guesses[c.header] for c in own}
 
 
 def _rows(layout: Layout, by: RawColumn, keep: np.ndarray, value: str) -> Layout:
