@@ -10,7 +10,7 @@ sample of whole stretches of every run is kept for what needs single rows; up to
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -75,43 +75,53 @@ class History:
     width: int
     names: tuple[str, ...]
     layout: Layout
+    constants: np.ndarray  # value of each column that does not vary from row to row, else 0, (k,)
     keys: dict[tuple[str, str], int] = field(default_factory=dict)
     sums: list[np.ndarray] = field(default_factory=list)
     counts: list[int] = field(default_factory=list)
-    sampled: list[np.ndarray] = field(default_factory=list)  # columns of the sample's rows, (k, rows), batch by batch
+    sampled: list[np.ndarray] = field(default_factory=list)  # varying columns of the sample before the response
     cells: list[np.ndarray] = field(default_factory=list)  # of the sample: number of the cell
     places: list[np.ndarray] = field(default_factory=list)  # of the sample: row of the recording
     centre: np.ndarray | None = None  # reference subtracted from the columns of `sums`, (k,)
     kept: list[Recording] = field(default_factory=list)  # rows of the sample
-    buffer: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # of the columns of a batch, (k, rows)
+    buffer: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # [1 | varying less centre], (columns, rows)
+    whole: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # of all columns of a batch, (k, rows)
 
     def columns(self, batch: Recording) -> np.ndarray:
         """[1 | design | fixed part | response] of a batch, (rows, k = width + 3); NaN for missing values.
 
         The memory of the previous batch is reused: allocating it again costs as much as the sums.
         """
-        if self.buffer.shape[1] < len(batch):
-            self.buffer = np.zeros((self.width + 3, len(batch)))
-            self._fill(batch, self.buffer.T, [s for s in self.slots if s not in self.moving])
-            self.buffer[0] = 1.0
-        out = self.buffer[:, : len(batch)].T  # columns contiguous in memory
-        self._fill(batch, out, self.moving)
-        if self.fixes:
-            out[:, -2] = fixed_part(batch, 0, self.slots)
-        out[:, -1] = batch.array(response_name(batch, self.component))
-        return out
+        if self.whole.shape[1] < len(batch):
+            self.whole = np.repeat(self.constants[:, None], len(batch), axis=1)
+        out = self.whole[:, : len(batch)]
+        for k, values in self._varying(batch):
+            out[k] = values
+        return out.T  # columns contiguous in memory
 
-    def _fill(self, batch: Recording, out: np.ndarray, slots: Iterable[Slot]) -> None:
+    def _varying(self, batch: Recording) -> Iterator[tuple[int, np.ndarray]]:
+        """(number, values) of the columns of a batch that vary from row to row, in the order of `varying`."""
+        for slot in self.moving:
+            yield from zip(range(1 + slot.columns.start, 1 + slot.columns.stop), self.basis(batch, slot), strict=True)
+        if self.fixes:
+            yield self.width + 1, fixed_part(batch, 0, self.slots)
+        yield self.width + 2, batch.array(response_name(batch, self.component))
+
+    def basis(self, batch: Recording, slot: Slot) -> np.ndarray:
+        """Design columns of a slot, (columns, rows)."""
         empty = np.zeros(0)
         problem = Problem(batch, (self.component,), (), empty, empty, self.slots, self.width, ())
-        inside = out[:, 1:-2]
-        for slot in slots:
-            inside[:, slot.columns] = problem.basis_of(slot, 0, empty)
+        return problem.basis_of(slot, 0, empty).T
 
     @cached_property
     def fixes(self) -> bool:
         """Whether a linear parameter is fixed."""
         return any(p.name in s.term.fixed for s in self.slots for p in s.term.linear())
+
+    @cached_property
+    def cross(self) -> tuple[np.ndarray, ...]:
+        """Index of the sums of the columns that vary from row to row."""
+        return np.ix_(self.varying, self.varying)
 
     @cached_property
     def varying(self) -> list[int]:
@@ -121,30 +131,38 @@ class History:
 
     def add(self, part: Part) -> None:
         """Add the rows of a batch."""
-        rows, kept = self.columns(part.batch), part.sampled
-        self.sampled.append(rows.T.take(kept, axis=1))
+        batch, kept = part.batch, part.sampled
         if self.centre is None:
-            self.centre = np.nan_to_num(np.nanmean(rows[:FIRST_ROWS], axis=0))
+            self.centre = np.nan_to_num(np.nanmean(self.columns(batch.take(slice(FIRST_ROWS))), axis=0))
             self.centre[0] = 0.0
-        for k in self.varying[1:]:
-            rows[:, k] -= self.centre[k]
+        if self.buffer.shape[1] < len(batch):
+            self.buffer = np.ones((len(self.varying), len(batch)))
+        sampled = np.empty((len(self.varying) - 2, len(kept)))
+        for row, (k, values) in enumerate(self._varying(batch)):
+            np.subtract(values, self.centre[k], out=self.buffer[1 + row, : len(batch)])
+            if row < len(sampled):
+                sampled[row] = values[kept]
+        self.sampled.append(sampled)
         numbers = []
         for key, first, end in part_stretches(part):
             k = self.keys.setdefault(key, len(self.sums))
             if k == len(self.sums):
-                self.sums.append(np.zeros((rows.shape[1], rows.shape[1])))
+                self.sums.append(np.zeros((self.width + 3, self.width + 3)))
                 self.counts.append(0)
             numbers.append(k)
-            sums, count = _products(rows[first:end], self.varying)
-            self.sums[k] += sums
+            sums, count = _products(self.buffer[:, first:end])
+            self.sums[k][self.cross] += sums
             self.counts[k] += count
-        self.cells.append(np.array(numbers)[np.searchsorted(part.starts, kept, side="right") - 1])
+        self.cells.append(np.repeat(numbers, np.diff(np.searchsorted(kept, part.starts), append=len(kept))))
         self.places.append(kept + part.at)
         self.kept.append(part.batch.take(kept))
 
     def rows(self) -> np.ndarray:
         """[1 | design | fixed part | response] of the sample, (rows, k); NaN where something is missing."""
-        return np.ascontiguousarray(np.hstack(self.sampled).T)
+        out = np.repeat(self.constants[None], sum(map(len, self.kept)), axis=0)
+        out[:, self.varying[1:-1]] = np.hstack(self.sampled).T
+        out[:, -1] = np.concatenate([part.array(response_name(part, self.component)) for part in self.kept])
+        return out
 
     def sample(self, manifest: Manifest) -> Recording:
         return Recording(manifest, joined(self.kept))
@@ -181,24 +199,20 @@ class History:
         return np.r_[0.0, -coefficients, -1.0, 1.0]
 
 
-def _products(rows: np.ndarray, varying: Sequence[int]) -> tuple[np.ndarray, int]:
-    """Sums of products of the complete rows of (n, k), (k, k), and their number; constant columns are 0."""
-    sums = _gram(rows.T, varying)
+def _products(columns: np.ndarray) -> tuple[np.ndarray, int]:
+    """Sums of products of the complete rows of columns (k, n): (k, k), and the number of these rows."""
+    sums = _gram(columns)
     if not np.isfinite(sums).all():
-        rows = rows[np.isfinite(rows.sum(axis=1))]
-        sums = _gram(rows.T, varying)
-    return sums, rows.shape[0]
+        columns = columns[:, np.isfinite(columns.sum(axis=0))]
+        sums = _gram(columns)
+    return sums, columns.shape[1]
 
 
-def _gram(columns: np.ndarray, varying: Sequence[int]) -> np.ndarray:
-    """columns @ columns.T; of few long columns twice as fast, one after the other, as by one product."""
-    sums, wanted = np.zeros((columns.shape[0], columns.shape[0])), np.zeros(columns.shape[0], dtype=bool)
-    wanted[varying] = True
-    for k in varying:
-        np.matmul(columns[: k + 1], columns[k], out=sums[k, : k + 1])
-        sums[k, : k + 1][~wanted[: k + 1]] = 0.0
-    sums += sums.T
-    sums.flat[:: sums.shape[0] + 1] *= 0.5
+def _gram(columns: np.ndarray) -> np.ndarray:
+    """columns @ columns.T; of few long columns three times as fast, one after the other, as by one product."""
+    sums = np.zeros((columns.shape[0], columns.shape[0]))
+    for k in range(columns.shape[0]):
+        sums[k, : k + 1] = sums[: k + 1, k] = columns[: k + 1] @ columns[k]
     return sums
 
 
@@ -305,7 +319,9 @@ def _new_history(ends: Recording, component: ComponentSpec, layout: Layout, prep
     watched = _ReadColumns(ends.manifest, prepare(ends).frame)
     slots, width, _ = slots_of(watched, [(component.component, component.terms)])
     moving = tuple(s for s in slots if s.term.drivers(watched) or not s.term.rowwise)
-    history = History(component.component, slots, moving, width, (), layout)
+    history = History(component.component, slots, moving, width, (), layout, np.r_[1.0, np.zeros(width + 2)])
+    for slot in (s for s in slots if s not in moving):
+        history.constants[1:-2][slot.columns] = history.basis(watched, slot)[:, 0]
     history.columns(watched)
     roles = {"run", "command", "position", "direction"}
     roles |= set() if layout.scheme.scheme == "leave-one-run-out" else {"group"}
