@@ -6,13 +6,17 @@ one, is their sum. Columns count from the mean of their first rows, so that a la
 factor of the scaled sum is triangular (Golub and Van Loan, Matrix Computations, 4th edition, section 5.3: normal
 equations square the condition number of the scaled columns; collinearity is rejected long before). In addition a
 sample of whole stretches of every run is kept for what needs single rows; up to `SAMPLE_ROWS` rows it is all of them.
+
+A recording may lie in parts of whole runs (`Source.over`): a pass is then one pass over each, and what they give is
+joined in their order, whoever made it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -37,7 +41,8 @@ class Source:
 
     ends: two rows, the smallest and the largest value of every column. batches: names of columns -> its rows in order,
     batch by batch, each with the state after the rows before it; `runs=` gives the rows of each run if known.
-    complete: columns without a missing value. runs: rows of each run, if the file states them.
+    complete: columns without a missing value. runs: rows of each run, if the file states them. at: row of the whole
+    recording at which it begins, where it is a part of one.
     """
 
     rows: int
@@ -45,10 +50,19 @@ class Source:
     batches: Callable[..., Iterator[Recording]]
     complete: frozenset[str] = frozenset()
     runs: Mapping[str, int] | None = None
+    at: int = 0
 
     @property
     def manifest(self) -> Manifest:
         return self.ends.manifest
+
+    def over(self, function: Callable[..., Any], *arguments: Any) -> list[Any]:
+        """What a function of a source and further arguments gives for each part, in their order."""
+        return [function(self, *arguments)]
+
+    def mapped(self, change: Callable[[Source], Source]) -> Source:
+        """The source with a change to each part."""
+        return change(self)
 
 
 @dataclass(frozen=True)
@@ -63,6 +77,13 @@ class Layout:
     @cached_property
     def rows_of_runs(self) -> dict[str, int]:
         return dict(zip(self.runs, self.lengths.tolist(), strict=True))
+
+    def runs_of(self, source: Source) -> Mapping[str, int]:
+        """Rows of each run of a part, in order."""
+        if source.rows == self.rows:
+            return self.rows_of_runs
+        first, last = np.cumsum(self.lengths).searchsorted([source.at, source.at + source.rows - 1], side="right")
+        return {run: self.rows_of_runs[run] for run in self.runs[first : last + 1]}
 
 
 @dataclass
@@ -133,8 +154,9 @@ class History:
         """Add the rows of a batch."""
         batch, kept = part.batch, part.sampled
         if self.centre is None:
-            self.centre = np.nan_to_num(np.nanmean(self.columns(batch.take(slice(FIRST_ROWS))), axis=0))
-            self.centre[0] = 0.0
+            first = self.columns(batch.take(slice(FIRST_ROWS)))[:, self.varying[1:]]
+            self.centre = np.r_[0.0, self.constants[1:]]
+            self.centre[self.varying[1:]] = np.nan_to_num(np.nanmean(first, axis=0))
         if self.buffer.shape[1] < len(batch):
             self.buffer = np.ones((len(self.varying), len(batch)))
         sampled = np.empty((len(self.varying) - 2, len(kept)))
@@ -156,6 +178,24 @@ class History:
         self.cells.append(np.repeat(numbers, np.diff(np.searchsorted(kept, part.starts), append=len(kept))))
         self.places.append(kept + part.at)
         self.kept.append(part.batch.take(kept))
+
+    def join(self, following: History) -> None:
+        """Add the rows of the next part, which has runs of its own."""
+        shift, begin = np.eye(self.width + 3), len(self.sums)
+        if self.centre is not None and following.centre is not None:
+            shift[0] += following.centre - self.centre
+        self.keys |= {key: begin + k for key, k in following.keys.items()}
+        self.sums += [shift.T @ sums @ shift for sums in following.sums]
+        self.counts += following.counts
+        self.sampled += following.sampled
+        self.cells += [begin + cells for cells in following.cells]
+        self.places += following.places
+        self.kept += following.kept
+
+    def without_rows(self) -> History:
+        """What evaluates the columns of a batch, and the numbers of the cells, alone."""
+        nothing: Any = {name: [] for name in ("sums", "counts", "sampled", "cells", "places", "kept")}
+        return replace(self, **nothing, buffer=np.empty((0, 0)), whole=np.empty((0, 0)))
 
     def rows(self) -> np.ndarray:
         """[1 | design | fixed part | response] of the sample, (rows, k); NaN where something is missing."""
@@ -240,18 +280,11 @@ def survey(source: Source, spec: ModelSpec, scheme: holdout.HoldOut | str | None
     names = [*manifest.names("run"), *([] if all_measured else responses)] or responses[:1]
     lengths: dict[str, int] = dict(source.runs or {}) if all_measured else {}
     measured: set[str] = set(lengths)
-    last = ""
-    for batch in () if lengths else source.batches(names):
-        seen = None if all_measured else holdout.measured(batch)
-        for label, first, end in stretches(batch):
-            if label in lengths and label != last:
-                raise DataError(
-                    f"run {label} appears again after run {last}: in batches the rows of a run must be contiguous"
-                )
-            lengths[label] = lengths.get(label, 0) + int(end - first)
-            last = label
-            if seen is None or seen[first:end].any():
-                measured.add(label)
+    for part in () if lengths else source.over(_surveyed, names, all_measured):
+        for label in part[0]:
+            if label in lengths:
+                raise DataError(f"run {label} has rows in two parts: the rows of a run must be in one")
+        lengths, measured = lengths | part[0], measured | part[1]
     few = Recording(
         Manifest(recording=1, tables=("-",), columns={"run": Column(role="run")}),
         pd.DataFrame({"run": sorted(measured)}),
@@ -262,6 +295,25 @@ def survey(source: Source, spec: ModelSpec, scheme: holdout.HoldOut | str | None
             "hold-out: a gap around the judged rows cannot be kept in batches (gap: 0, or raise rows_in_memory)"
         )
     return Layout(tuple(lengths), np.array(list(lengths.values())), chosen, source.rows)
+
+
+def _surveyed(source: Source, names: Sequence[str], all_measured: bool) -> tuple[dict[str, int], set[str]]:
+    """Rows of each run of a part, in order, and the runs with a response. Raises DataError if runs are mixed."""
+    lengths: dict[str, int] = {}
+    measured: set[str] = set()
+    last = ""
+    for batch in source.batches(names):
+        seen = None if all_measured else holdout.measured(batch)
+        for label, first, end in stretches(batch):
+            if label in lengths and label != last:
+                raise DataError(
+                    f"run {label} appears again after run {last}: in batches the rows of a run must be contiguous"
+                )
+            lengths[label] = lengths.get(label, 0) + int(end - first)
+            last = label
+            if seen is None or seen[first:end].any():
+                measured.add(label)
+    return lengths, measured
 
 
 @dataclass(frozen=True)
@@ -283,8 +335,8 @@ Prepare = Callable[[Recording], Recording]
 def parts(source: Source, layout: Layout, names: Sequence[str], prepare: Prepare) -> Iterator[Part]:
     """The batches of a recording, each cut where the run or the group changes. prepare: applied to each first."""
     numbers = {label: k for k, label in enumerate(layout.runs)}
-    at, in_run, last = 0, 0, ""
-    for batch in map(prepare, source.batches(names, runs=layout.rows_of_runs)):
+    at, in_run, last = source.at, 0, ""
+    for batch in map(prepare, source.batches(names, runs=layout.runs_of(source))):
         groups = _groups(batch, layout, at)
         runs, starts = batch.run_stretches
         keys = [(run, "") for run in runs]
@@ -303,6 +355,17 @@ def parts(source: Source, layout: Layout, names: Sequence[str], prepare: Prepare
 
 def gather(source: Source, spec: ModelSpec, layout: Layout, prepare: Prepare) -> list[History]:
     """One pass over the recording: a history per component. Raises DataError if a component has no row."""
+    histories, *others = source.over(_gathered, spec, layout, prepare)
+    for other in others:
+        for history, following in zip(histories, other, strict=True):
+            history.join(following)
+    for history in histories:
+        if not sum(history.counts):
+            raise DataError(f"fit: no row has both {history.component} and everything its terms need")
+    return list(histories)
+
+
+def _gathered(source: Source, spec: ModelSpec, layout: Layout, prepare: Prepare) -> list[History]:
     histories = [_new_history(source.ends, component, layout, prepare) for component in spec.components]
     names = sorted({n for h in histories for n in h.names})
     with solve.one_thread():
@@ -310,8 +373,7 @@ def gather(source: Source, spec: ModelSpec, layout: Layout, prepare: Prepare) ->
             for history in histories:
                 history.add(part)
     for history in histories:
-        if not sum(history.counts):
-            raise DataError(f"fit: no row has both {history.component} and everything its terms need")
+        history.buffer = history.whole = np.empty((0, 0))
     return histories
 
 

@@ -138,8 +138,13 @@ def _estimate(source, history: History, problem: Problem, rows, solution: solve.
 
 def _coloured(source: Source, history: History, noise: uncertainty.Noise, prepare) -> np.ndarray:
     """design' C design with the noise's correlation C, from a second pass, (width, width); C ends with each batch."""
+    total: np.ndarray = sum(source.over(_coloured_part, history.without_rows(), noise, prepare))
+    return total
+
+
+def _coloured_part(source: Source, history: History, noise: uncertainty.Noise, prepare: Prepare) -> np.ndarray:
     total = np.zeros((history.width, history.width))
-    for batch in map(prepare, source.batches(history.names, runs=history.layout.rows_of_runs)):
+    for batch in map(prepare, source.batches(history.names, runs=history.layout.runs_of(source))):
         rows = history.columns(batch)
         known = np.isfinite(rows.sum(axis=1))
         design = np.ascontiguousarray(rows[known, 1:-2])
@@ -204,15 +209,22 @@ def largest_deviations(
 ) -> list[np.ndarray]:
     """Per history the largest deviation of each fold before and after the model, (folds, 2), from one more pass."""
     of_cell = [{k: i for i, f in enumerate(fs) for k in np.flatnonzero(f.cells).tolist()} for fs in folds]
-    sums = [np.zeros((len(fs), 2)) for fs in folds]
+    weights = [np.array([f.weights for f in fs]) for fs in folds]
+    bare = [h.without_rows() for h in histories]
+    parts = source.over(_largest_of_part, bare, of_cell, weights, prepare)
+    return [np.maximum.reduce(of_component) for of_component in zip(*parts, strict=True)]
+
+
+def _largest_of_part(source: Source, histories: list[History], of_cell, weights, prepare: Prepare) -> list[np.ndarray]:
+    sums = [np.zeros((len(w), 2)) for w in weights]
     names = sorted({n for h in histories for n in h.names})
     for part in batches.parts(source, histories[0].layout, names, prepare):
-        for history, own, fs, out in zip(histories, of_cell, folds, sums, strict=True):
+        for history, own, of_fold, out in zip(histories, of_cell, weights, sums, strict=True):
             rows = history.columns(part.batch)
             rows = np.where(np.isfinite(rows.sum(axis=1))[:, None], rows, 0.0)
             for key, first, end in batches.part_stretches(part):
                 if (i := own.get(history.keys[key])) is not None:
                     here = rows[first:end]
-                    left = (np.abs(here[:, -1]).max(), np.abs(here @ fs[i].weights).max())
+                    left = (np.abs(here[:, -1]).max(), np.abs(here @ of_fold[i]).max())
                     out[i] = np.maximum(out[i], left)
     return sums
