@@ -160,8 +160,8 @@ class History:
         if self.buffer.shape[1] < len(batch):
             self.buffer = np.ones((len(self.varying), len(batch)))
         sampled = np.empty((len(self.varying) - 2, len(kept)))
-        for row, (k, values) in enumerate(self._varying(batch)):
-            np.subtract(values, self.centre[k], out=self.buffer[1 + row, : len(batch)])
+        for row, (number, values) in enumerate(self._varying(batch)):
+            np.subtract(values, self.centre[number], out=self.buffer[1 + row, : len(batch)])
             if row < len(sampled):
                 sampled[row] = values[kept]
         self.sampled.append(sampled)

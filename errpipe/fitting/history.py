@@ -144,11 +144,12 @@ def _coloured(source: Source, history: History, noise: uncertainty.Noise, prepar
 
 def _coloured_part(source: Source, history: History, noise: uncertainty.Noise, prepare: Prepare) -> np.ndarray:
     total = np.zeros((history.width, history.width))
-    for batch in map(prepare, source.batches(history.names, runs=history.layout.runs_of(source))):
-        rows = history.columns(batch)
-        known = np.isfinite(rows.sum(axis=1))
-        design = np.ascontiguousarray(rows[known, 1:-2])
-        total += design.T @ correlated(batch.run_codes()[known], design, noise.rho, noise.share)
+    with solve.one_thread():  # the sums are then the same on machines with other numbers of cores
+        for batch in map(prepare, source.batches(history.names, runs=history.layout.runs_of(source))):
+            rows = history.columns(batch)
+            known = np.isfinite(rows.sum(axis=1))
+            design = np.ascontiguousarray(rows[known, 1:-2])
+            total += design.T @ correlated(batch.run_codes()[known], design, noise.rho, noise.share)
     return total
 
 

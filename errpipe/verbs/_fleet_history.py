@@ -6,6 +6,7 @@ the fleet file, so that the result does not depend on how many workers there are
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -133,11 +134,9 @@ def in_processes(tasks: Sequence[Task], stage: str, jobs: int) -> Map:
     def mapped(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[tuple[str, Any]]:
         results: dict[int, tuple[str, Any]] = {}
         for _ in range(ATTEMPTS):
+            pool_of = (jobs or None, fleet_processes.start_imports(), fleet_processes.prepare, (dict(os.environ),))
             missing = [k for k in range(len(tasks)) if k not in results]
-            with (
-                suppress(BrokenProcessPool),
-                ProcessPoolExecutor(jobs or None, fleet_processes.start_imports()) as pool,
-            ):
+            with suppress(BrokenProcessPool), ProcessPoolExecutor(*pool_of) as pool:
                 running = {k: pool.submit(_attempted, function, tasks[k], stage, *arguments[k]) for k in missing}
                 for k, future in running.items():
                     results[k] = future.result()
