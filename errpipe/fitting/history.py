@@ -16,12 +16,13 @@ from errpipe.domain.error_model import ComponentModel, ErrorModel
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError
 from errpipe.fitting import batches, holdout, identifiability, solve, uncertainty
-from errpipe.fitting.batches import History, Prepare, Source
+from errpipe.fitting.batches import History, Prepare
 from errpipe.fitting.components import component_model, whole_model
 from errpipe.fitting.design import Problem
 from errpipe.fitting.estimate import Estimate, without_columns
 from errpipe.fitting.judging import HeldOut, calibrated
 from errpipe.fitting.model import without_interval
+from errpipe.fitting.source import Source, survey
 from errpipe.fitting.spec import ModelSpec
 from errpipe.fitting.validity import GAP, box, distance, extended
 from errpipe.kernels.noise import correlated
@@ -69,7 +70,7 @@ def unsupported_in_batches(spec: ModelSpec, recording: Recording) -> list[str]:
 
 def fitted(source: Source, spec: ModelSpec, prepare: Prepare) -> ErrorModel:
     """`model.fit` of a specification for which `unsupported_in_batches` is empty. Raises DataError, NotIdentifiable."""
-    layout = batches.survey(source, spec)
+    layout = survey(source, spec)
     histories = batches.gather(source, spec, layout, prepare)
     models, sample = [_component(source, h, spec, prepare) for h in histories], histories[0].sample(source.manifest)
     model = whole_model(sample, spec, np.ones(len(sample), dtype=bool), models)

@@ -16,7 +16,7 @@ import numpy as np
 
 from errpipe.domain.batch import Batch
 from errpipe.domain.recording import Recording
-from errpipe.fitting.batches import Source, stretches
+from errpipe.fitting.source import Source, stretches
 from errpipe.fitting.validity import LONGEST_HELD
 
 

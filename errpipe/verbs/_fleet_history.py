@@ -22,7 +22,7 @@ import pandas as pd
 from errpipe import jsonfile
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, ErrpipeError, UsageError
-from errpipe.fitting.batches import Source
+from errpipe.fitting.source import Source
 from errpipe.formats import manifest_folder
 from errpipe.pipeline import runner
 from errpipe.pipeline.graph import ancestors

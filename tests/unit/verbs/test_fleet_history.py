@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError
-from errpipe.fitting.batches import Source
+from errpipe.fitting.source import Source
 from errpipe.verbs import _fleet_history
 from errpipe.verbs.fleet import Fleet
 
