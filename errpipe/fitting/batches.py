@@ -103,9 +103,9 @@ class History:
         """Add the rows of a batch."""
         batch, kept = part.batch, part.sampled
         if self.centre is None:
-            first = self.columns(batch.take(slice(FIRST_ROWS)))[:, self.varying[1:]]
+            opening = self.columns(batch.take(slice(FIRST_ROWS)))[:, self.varying[1:]]
             self.centre = np.r_[0.0, self.constants[1:]]
-            self.centre[self.varying[1:]] = np.nan_to_num(np.nanmean(first, axis=0))
+            self.centre[self.varying[1:]] = np.nan_to_num(np.nanmean(opening, axis=0))
         if self.buffer.shape[1] < len(batch):
             self.buffer = np.ones((len(self.varying), len(batch)))
         sampled = np.empty((len(self.varying) - 2, len(kept)))
