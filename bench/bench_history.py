@@ -96,12 +96,13 @@ def by_dask(folder: Path) -> np.ndarray:
 def linear_part(folder: Path) -> np.ndarray:
     """The pass that leaves the triangular factors, and the parameters from them."""
     from errpipe.fitting import batches, solve
+    from errpipe.fitting.source import survey
     from errpipe.models.terms import Terms
     from errpipe.stages._artefacts import source_in
 
     source = source_in(folder)
     family = Terms(components=[{"component": "EXX", "terms": TERMS}])
-    (history,) = batches.gather(source, family, batches.survey(source, family), lambda recording: recording)
+    (history,) = batches.gather(source, family, survey(source, family), lambda recording: recording)
     rows = batches.equivalent_rows(history.factor())
     return solve.least_squares(rows[:, 1:-2], rows[:, -1]).coefficients
 

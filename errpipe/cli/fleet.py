@@ -35,6 +35,10 @@ def command(
         summary = module_of("verbs.fleet").fleet(fleet, out, jobs, scheduler, reporter.progress_of("fleet"))
     finally:
         reporter.clear()
+    if "parts" in summary:  # of one machine's history
+        lines = [f"{s}: {c}: {text}" for s, texts in summary["whole"].items() for c, text in texts.items()]
+        print_result("fleet", summary, [*lines, str(out / "whole")], as_json=json)
+        return
     rows = summary["machines"]
     bad = [r for r in rows if r["state"] != "done"]
     lines = [f"{r['name']}: {r['state']}: {r['message']}" for r in bad]

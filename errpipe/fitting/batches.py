@@ -6,22 +6,26 @@ one, is their sum. Columns count from the mean of their first rows, so that a la
 factor of the scaled sum is triangular (Golub and Van Loan, Matrix Computations, 4th edition, section 5.3: normal
 equations square the condition number of the scaled columns; collinearity is rejected long before). In addition a
 sample of whole stretches of every run is kept for what needs single rows; up to `SAMPLE_ROWS` rows it is all of them.
+
+A recording may lie in parts of whole runs (`Source.over`): a pass is then one pass over each, and what they give is
+joined in their order, whoever made it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from errpipe.domain.batch import joined
-from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout, solve
 from errpipe.fitting.design import Problem, Slot, fixed_part, response_name, slots_of
+from errpipe.fitting.source import Layout, Source, stretches
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
 
 SAMPLE_ROWS = 200_000  # a 90 % quantile of so many independent rows is known to 0.2 % of the rows
@@ -29,40 +33,6 @@ STRETCH = 2000  # consecutive rows in the sample: ten times the memory of noise 
 FIRST_ROWS = 10_000  # rows whose mean is subtracted before the sums of products
 SHORTEST = 20  # rows of a run in the sample, however many runs there are
 ROUNDING = 1e-15  # of the scaled sum of products, per column: smaller eigenvalues are zero
-
-
-@dataclass(frozen=True)
-class Source:
-    """A recording on disk.
-
-    ends: two rows, the smallest and the largest value of every column. batches: names of columns -> its rows in order,
-    batch by batch, each with the state after the rows before it; `runs=` gives the rows of each run if known.
-    complete: columns without a missing value. runs: rows of each run, if the file states them.
-    """
-
-    rows: int
-    ends: Recording
-    batches: Callable[..., Iterator[Recording]]
-    complete: frozenset[str] = frozenset()
-    runs: Mapping[str, int] | None = None
-
-    @property
-    def manifest(self) -> Manifest:
-        return self.ends.manifest
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Runs in order with their rows, the hold-out for them, and the column that groups are read from."""
-
-    runs: tuple[str, ...]
-    lengths: np.ndarray
-    scheme: holdout.HoldOut
-    rows: int
-
-    @cached_property
-    def rows_of_runs(self) -> dict[str, int]:
-        return dict(zip(self.runs, self.lengths.tolist(), strict=True))
 
 
 @dataclass
@@ -75,43 +45,53 @@ class History:
     width: int
     names: tuple[str, ...]
     layout: Layout
+    constants: np.ndarray  # value of each column that does not vary from row to row, else 0, (k,)
     keys: dict[tuple[str, str], int] = field(default_factory=dict)
     sums: list[np.ndarray] = field(default_factory=list)
     counts: list[int] = field(default_factory=list)
-    sampled: list[np.ndarray] = field(default_factory=list)  # columns of the sample's rows, (k, rows), batch by batch
+    sampled: list[np.ndarray] = field(default_factory=list)  # varying columns of the sample before the response
     cells: list[np.ndarray] = field(default_factory=list)  # of the sample: number of the cell
     places: list[np.ndarray] = field(default_factory=list)  # of the sample: row of the recording
     centre: np.ndarray | None = None  # reference subtracted from the columns of `sums`, (k,)
     kept: list[Recording] = field(default_factory=list)  # rows of the sample
-    buffer: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # of the columns of a batch, (k, rows)
+    buffer: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # [1 | varying less centre], (columns, rows)
+    whole: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # of all columns of a batch, (k, rows)
 
     def columns(self, batch: Recording) -> np.ndarray:
         """[1 | design | fixed part | response] of a batch, (rows, k = width + 3); NaN for missing values.
 
         The memory of the previous batch is reused: allocating it again costs as much as the sums.
         """
-        if self.buffer.shape[1] < len(batch):
-            self.buffer = np.zeros((self.width + 3, len(batch)))
-            self._fill(batch, self.buffer.T, [s for s in self.slots if s not in self.moving])
-            self.buffer[0] = 1.0
-        out = self.buffer[:, : len(batch)].T  # columns contiguous in memory
-        self._fill(batch, out, self.moving)
-        if self.fixes:
-            out[:, -2] = fixed_part(batch, 0, self.slots)
-        out[:, -1] = batch.array(response_name(batch, self.component))
-        return out
+        if self.whole.shape[1] < len(batch):
+            self.whole = np.repeat(self.constants[:, None], len(batch), axis=1)
+        out = self.whole[:, : len(batch)]
+        for k, values in self._varying(batch):
+            out[k] = values
+        return out.T  # columns contiguous in memory
 
-    def _fill(self, batch: Recording, out: np.ndarray, slots: Iterable[Slot]) -> None:
+    def _varying(self, batch: Recording) -> Iterator[tuple[int, np.ndarray]]:
+        """(number, values) of the columns of a batch that vary from row to row, in the order of `varying`."""
+        for slot in self.moving:
+            yield from zip(range(1 + slot.columns.start, 1 + slot.columns.stop), self.basis(batch, slot), strict=True)
+        if self.fixes:
+            yield self.width + 1, fixed_part(batch, 0, self.slots)
+        yield self.width + 2, batch.array(response_name(batch, self.component))
+
+    def basis(self, batch: Recording, slot: Slot) -> np.ndarray:
+        """Design columns of a slot, (columns, rows)."""
         empty = np.zeros(0)
         problem = Problem(batch, (self.component,), (), empty, empty, self.slots, self.width, ())
-        inside = out[:, 1:-2]
-        for slot in slots:
-            inside[:, slot.columns] = problem.basis_of(slot, 0, empty)
+        return problem.basis_of(slot, 0, empty).T
 
     @cached_property
     def fixes(self) -> bool:
         """Whether a linear parameter is fixed."""
         return any(p.name in s.term.fixed for s in self.slots for p in s.term.linear())
+
+    @cached_property
+    def cross(self) -> tuple[np.ndarray, ...]:
+        """Index of the sums of the columns that vary from row to row."""
+        return np.ix_(self.varying, self.varying)
 
     @cached_property
     def varying(self) -> list[int]:
@@ -121,30 +101,57 @@ class History:
 
     def add(self, part: Part) -> None:
         """Add the rows of a batch."""
-        rows, kept = self.columns(part.batch), part.sampled
-        self.sampled.append(rows.T.take(kept, axis=1))
+        batch, kept = part.batch, part.sampled
         if self.centre is None:
-            self.centre = np.nan_to_num(np.nanmean(rows[:FIRST_ROWS], axis=0))
-            self.centre[0] = 0.0
-        for k in self.varying[1:]:
-            rows[:, k] -= self.centre[k]
+            opening = self.columns(batch.take(slice(FIRST_ROWS)))[:, self.varying[1:]]
+            self.centre = np.r_[0.0, self.constants[1:]]
+            self.centre[self.varying[1:]] = np.nan_to_num(np.nanmean(opening, axis=0))
+        if self.buffer.shape[1] < len(batch):
+            self.buffer = np.ones((len(self.varying), len(batch)))
+        sampled = np.empty((len(self.varying) - 2, len(kept)))
+        for row, (number, values) in enumerate(self._varying(batch)):
+            np.subtract(values, self.centre[number], out=self.buffer[1 + row, : len(batch)])
+            if row < len(sampled):
+                sampled[row] = values[kept]
+        self.sampled.append(sampled)
         numbers = []
         for key, first, end in part_stretches(part):
             k = self.keys.setdefault(key, len(self.sums))
             if k == len(self.sums):
-                self.sums.append(np.zeros((rows.shape[1], rows.shape[1])))
+                self.sums.append(np.zeros((self.width + 3, self.width + 3)))
                 self.counts.append(0)
             numbers.append(k)
-            sums, count = _products(rows[first:end], self.varying)
-            self.sums[k] += sums
+            sums, count = _products(self.buffer[:, first:end])
+            self.sums[k][self.cross] += sums
             self.counts[k] += count
-        self.cells.append(np.array(numbers)[np.searchsorted(part.starts, kept, side="right") - 1])
+        self.cells.append(np.repeat(numbers, np.diff(np.searchsorted(kept, part.starts), append=len(kept))))
         self.places.append(kept + part.at)
         self.kept.append(part.batch.take(kept))
 
+    def join(self, following: History) -> None:
+        """Add the rows of the next part, which has runs of its own."""
+        shift, begin = np.eye(self.width + 3), len(self.sums)
+        if self.centre is not None and following.centre is not None:
+            shift[0] += following.centre - self.centre
+        self.keys |= {key: begin + k for key, k in following.keys.items()}
+        self.sums += [shift.T @ sums @ shift for sums in following.sums]
+        self.counts += following.counts
+        self.sampled += following.sampled
+        self.cells += [begin + cells for cells in following.cells]
+        self.places += following.places
+        self.kept += following.kept
+
+    def without_rows(self) -> History:
+        """What evaluates the columns of a batch, and the numbers of the cells, alone."""
+        nothing: Any = {name: [] for name in ("sums", "counts", "sampled", "cells", "places", "kept")}
+        return replace(self, **nothing, buffer=np.empty((0, 0)), whole=np.empty((0, 0)))
+
     def rows(self) -> np.ndarray:
         """[1 | design | fixed part | response] of the sample, (rows, k); NaN where something is missing."""
-        return np.ascontiguousarray(np.hstack(self.sampled).T)
+        out = np.repeat(self.constants[None], sum(map(len, self.kept)), axis=0)
+        out[:, self.varying[1:-1]] = np.hstack(self.sampled).T
+        out[:, -1] = np.concatenate([part.array(response_name(part, self.component)) for part in self.kept])
+        return out
 
     def sample(self, manifest: Manifest) -> Recording:
         return Recording(manifest, joined(self.kept))
@@ -181,24 +188,20 @@ class History:
         return np.r_[0.0, -coefficients, -1.0, 1.0]
 
 
-def _products(rows: np.ndarray, varying: Sequence[int]) -> tuple[np.ndarray, int]:
-    """Sums of products of the complete rows of (n, k), (k, k), and their number; constant columns are 0."""
-    sums = _gram(rows.T, varying)
+def _products(columns: np.ndarray) -> tuple[np.ndarray, int]:
+    """Sums of products of the complete rows of columns (k, n): (k, k), and the number of these rows."""
+    sums = _gram(columns)
     if not np.isfinite(sums).all():
-        rows = rows[np.isfinite(rows.sum(axis=1))]
-        sums = _gram(rows.T, varying)
-    return sums, rows.shape[0]
+        columns = columns[:, np.isfinite(columns.sum(axis=0))]
+        sums = _gram(columns)
+    return sums, columns.shape[1]
 
 
-def _gram(columns: np.ndarray, varying: Sequence[int]) -> np.ndarray:
-    """columns @ columns.T; of few long columns twice as fast, one after the other, as by one product."""
-    sums, wanted = np.zeros((columns.shape[0], columns.shape[0])), np.zeros(columns.shape[0], dtype=bool)
-    wanted[varying] = True
-    for k in varying:
-        np.matmul(columns[: k + 1], columns[k], out=sums[k, : k + 1])
-        sums[k, : k + 1][~wanted[: k + 1]] = 0.0
-    sums += sums.T
-    sums.flat[:: sums.shape[0] + 1] *= 0.5
+def _gram(columns: np.ndarray) -> np.ndarray:
+    """columns @ columns.T; of few long columns three times as fast, one after the other, as by one product."""
+    sums = np.zeros((columns.shape[0], columns.shape[0]))
+    for k in range(columns.shape[0]):
+        sums[k, : k + 1] = sums[: k + 1, k] = columns[: k + 1] @ columns[k]
     return sums
 
 
@@ -216,38 +219,6 @@ def equivalent_rows(factor: np.ndarray) -> np.ndarray:
     k = factor.shape[0]
     basis = np.linalg.qr(np.column_stack([np.ones(k + 1), np.eye(k + 1)[:, : k - 1]]))[0]
     return basis @ factor
-
-
-def survey(source: Source, spec: ModelSpec, scheme: holdout.HoldOut | str | None = None) -> Layout:
-    """Runs and hold-out of a recording, from its labels and responses alone. Raises DataError if runs are mixed."""
-    manifest, asked = source.manifest, spec.holdout if scheme is None else scheme
-    responses = [n for n, c in manifest.columns.items() if c.role == "error"]
-    all_measured = not source.complete.isdisjoint(responses)
-    names = [*manifest.names("run"), *([] if all_measured else responses)] or responses[:1]
-    lengths: dict[str, int] = dict(source.runs or {}) if all_measured else {}
-    measured: set[str] = set(lengths)
-    last = ""
-    for batch in () if lengths else source.batches(names):
-        seen = None if all_measured else holdout.measured(batch)
-        for label, first, end in stretches(batch):
-            if label in lengths and label != last:
-                raise DataError(
-                    f"run {label} appears again after run {last}: in batches the rows of a run must be contiguous"
-                )
-            lengths[label] = lengths.get(label, 0) + int(end - first)
-            last = label
-            if seen is None or seen[first:end].any():
-                measured.add(label)
-    few = Recording(
-        Manifest(recording=1, tables=("-",), columns={"run": Column(role="run")}),
-        pd.DataFrame({"run": sorted(measured)}),
-    )
-    chosen = holdout.resolved(few, asked)
-    if chosen.gap > 0:
-        raise DataError(
-            "hold-out: a gap around the judged rows cannot be kept in batches (gap: 0, or raise rows_in_memory)"
-        )
-    return Layout(tuple(lengths), np.array(list(lengths.values())), chosen, source.rows)
 
 
 @dataclass(frozen=True)
@@ -269,8 +240,8 @@ Prepare = Callable[[Recording], Recording]
 def parts(source: Source, layout: Layout, names: Sequence[str], prepare: Prepare) -> Iterator[Part]:
     """The batches of a recording, each cut where the run or the group changes. prepare: applied to each first."""
     numbers = {label: k for k, label in enumerate(layout.runs)}
-    at, in_run, last = 0, 0, ""
-    for batch in map(prepare, source.batches(names, runs=layout.rows_of_runs)):
+    at, in_run, last = source.at, 0, ""
+    for batch in map(prepare, source.batches(names, runs=layout.runs_of(source))):
         groups = _groups(batch, layout, at)
         runs, starts = batch.run_stretches
         keys = [(run, "") for run in runs]
@@ -289,6 +260,17 @@ def parts(source: Source, layout: Layout, names: Sequence[str], prepare: Prepare
 
 def gather(source: Source, spec: ModelSpec, layout: Layout, prepare: Prepare) -> list[History]:
     """One pass over the recording: a history per component. Raises DataError if a component has no row."""
+    histories, *others = source.over(_gathered, spec, layout, prepare)
+    for other in others:
+        for history, following in zip(histories, other, strict=True):
+            history.join(following)
+    for history in histories:
+        if not sum(history.counts):
+            raise DataError(f"fit: no row has both {history.component} and everything its terms need")
+    return list(histories)
+
+
+def _gathered(source: Source, spec: ModelSpec, layout: Layout, prepare: Prepare) -> list[History]:
     histories = [_new_history(source.ends, component, layout, prepare) for component in spec.components]
     names = sorted({n for h in histories for n in h.names})
     with solve.one_thread():
@@ -296,8 +278,7 @@ def gather(source: Source, spec: ModelSpec, layout: Layout, prepare: Prepare) ->
             for history in histories:
                 history.add(part)
     for history in histories:
-        if not sum(history.counts):
-            raise DataError(f"fit: no row has both {history.component} and everything its terms need")
+        history.buffer = history.whole = np.empty((0, 0))
     return histories
 
 
@@ -305,7 +286,9 @@ def _new_history(ends: Recording, component: ComponentSpec, layout: Layout, prep
     watched = _ReadColumns(ends.manifest, prepare(ends).frame)
     slots, width, _ = slots_of(watched, [(component.component, component.terms)])
     moving = tuple(s for s in slots if s.term.drivers(watched) or not s.term.rowwise)
-    history = History(component.component, slots, moving, width, (), layout)
+    history = History(component.component, slots, moving, width, (), layout, np.r_[1.0, np.zeros(width + 2)])
+    for slot in (s for s in slots if s not in moving):
+        history.constants[1:-2][slot.columns] = history.basis(watched, slot)[:, 0]
     history.columns(watched)
     roles = {"run", "command", "position", "direction"}
     roles |= set() if layout.scheme.scheme == "leave-one-run-out" else {"group"}
@@ -327,12 +310,6 @@ class _ReadColumns(Recording):
     def array(self, name: str) -> np.ndarray:
         self.seen.add(name)
         return super().array(name)
-
-
-def stretches(batch: Recording) -> Iterator[tuple[str, int, int]]:
-    """(run, first row, row after the last) of each stretch of a batch."""
-    runs, starts = batch.run_stretches
-    return zip(runs, starts.tolist(), [*starts[1:].tolist(), len(batch)], strict=True)
 
 
 def _groups(batch: Recording, layout: Layout, at: int) -> np.ndarray | None:

@@ -16,12 +16,13 @@ from errpipe.domain.error_model import ComponentModel, ErrorModel
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.errors import DataError
 from errpipe.fitting import batches, holdout, identifiability, solve, uncertainty
-from errpipe.fitting.batches import History, Prepare, Source
+from errpipe.fitting.batches import History, Prepare
 from errpipe.fitting.components import component_model, whole_model
 from errpipe.fitting.design import Problem
 from errpipe.fitting.estimate import Estimate, without_columns
 from errpipe.fitting.judging import HeldOut, calibrated
 from errpipe.fitting.model import without_interval
+from errpipe.fitting.source import Source, survey
 from errpipe.fitting.spec import ModelSpec
 from errpipe.fitting.validity import GAP, box, distance, extended
 from errpipe.kernels.noise import correlated
@@ -69,7 +70,7 @@ def unsupported_in_batches(spec: ModelSpec, recording: Recording) -> list[str]:
 
 def fitted(source: Source, spec: ModelSpec, prepare: Prepare) -> ErrorModel:
     """`model.fit` of a specification for which `unsupported_in_batches` is empty. Raises DataError, NotIdentifiable."""
-    layout = batches.survey(source, spec)
+    layout = survey(source, spec)
     histories = batches.gather(source, spec, layout, prepare)
     models, sample = [_component(source, h, spec, prepare) for h in histories], histories[0].sample(source.manifest)
     model = whole_model(sample, spec, np.ones(len(sample), dtype=bool), models)
@@ -138,12 +139,18 @@ def _estimate(source, history: History, problem: Problem, rows, solution: solve.
 
 def _coloured(source: Source, history: History, noise: uncertainty.Noise, prepare) -> np.ndarray:
     """design' C design with the noise's correlation C, from a second pass, (width, width); C ends with each batch."""
+    total: np.ndarray = sum(source.over(_coloured_part, history.without_rows(), noise, prepare))
+    return total
+
+
+def _coloured_part(source: Source, history: History, noise: uncertainty.Noise, prepare: Prepare) -> np.ndarray:
     total = np.zeros((history.width, history.width))
-    for batch in map(prepare, source.batches(history.names, runs=history.layout.rows_of_runs)):
-        rows = history.columns(batch)
-        known = np.isfinite(rows.sum(axis=1))
-        design = np.ascontiguousarray(rows[known, 1:-2])
-        total += design.T @ correlated(batch.run_codes()[known], design, noise.rho, noise.share)
+    with solve.one_thread():  # the sums are then the same on machines with other numbers of cores
+        for batch in map(prepare, source.batches(history.names, runs=history.layout.runs_of(source))):
+            rows = history.columns(batch)
+            known = np.isfinite(rows.sum(axis=1))
+            design = np.ascontiguousarray(rows[known, 1:-2])
+            total += design.T @ correlated(batch.run_codes()[known], design, noise.rho, noise.share)
     return total
 
 
@@ -204,15 +211,22 @@ def largest_deviations(
 ) -> list[np.ndarray]:
     """Per history the largest deviation of each fold before and after the model, (folds, 2), from one more pass."""
     of_cell = [{k: i for i, f in enumerate(fs) for k in np.flatnonzero(f.cells).tolist()} for fs in folds]
-    sums = [np.zeros((len(fs), 2)) for fs in folds]
+    weights = [np.array([f.weights for f in fs]) for fs in folds]
+    bare = [h.without_rows() for h in histories]
+    parts = source.over(_largest_of_part, bare, of_cell, weights, prepare)
+    return [np.maximum.reduce(of_component) for of_component in zip(*parts, strict=True)]
+
+
+def _largest_of_part(source: Source, histories: list[History], of_cell, weights, prepare: Prepare) -> list[np.ndarray]:
+    sums = [np.zeros((len(w), 2)) for w in weights]
     names = sorted({n for h in histories for n in h.names})
     for part in batches.parts(source, histories[0].layout, names, prepare):
-        for history, own, fs, out in zip(histories, of_cell, folds, sums, strict=True):
+        for history, own, of_fold, out in zip(histories, of_cell, weights, sums, strict=True):
             rows = history.columns(part.batch)
             rows = np.where(np.isfinite(rows.sum(axis=1))[:, None], rows, 0.0)
             for key, first, end in batches.part_stretches(part):
                 if (i := own.get(history.keys[key])) is not None:
                     here = rows[first:end]
-                    left = (np.abs(here[:, -1]).max(), np.abs(here @ fs[i].weights).max())
+                    left = (np.abs(here[:, -1]).max(), np.abs(here @ of_fold[i]).max())
                     out[i] = np.maximum(out[i], left)
     return sums

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from errpipe.domain.batch import Batch
 from errpipe.domain.recording import Recording
-from errpipe.fitting.batches import Source, stretches
+from errpipe.fitting.source import Source, stretches
 from errpipe.fitting.validity import LONGEST_HELD
 
 
@@ -41,10 +42,25 @@ class _Sensor:
 
 def held(source: Source) -> Source:
     """The source with multirate temperatures held as `thermal.arithmetic.short_gaps_held` holds them in memory."""
-    sensors = _surveyed(source, [n for n in source.ends.names("temperature") if n not in source.complete])
+    sensors = _joined(source, [n for n in source.ends.names("temperature") if n not in source.complete])
     limits = {n: LONGEST_HELD * s.rows_between() for n, s in sensors.items() if s.rows_between() > 1}
     if not limits:
         return source
+    return source.mapped(partial(_holding, {n: sensors[n] for n in limits}, limits))
+
+
+def _joined(source: Source, names: Sequence[str]) -> dict[str, _Sensor]:
+    """Result of one pass for each sensor: of all parts."""
+    sensors = {n: _Sensor() for n in names}
+    for part in source.over(_surveyed, names) if names else ():
+        for name, sensor in part.items():
+            sensors[name].steps.update(sensor.steps)
+            sensors[name].first.update(sensor.first)
+    return sensors
+
+
+def _holding(sensors: dict[str, _Sensor], limits: dict[str, int], source: Source) -> Source:
+    """A part with the readings of some sensors held for at most a given number of rows."""
 
     def batches(names: Sequence[str] | None = None, **options: Any) -> Iterator[Recording]:
         kept = [n for n in limits if names is None or n in names]
@@ -58,7 +74,7 @@ def _surveyed(source: Source, names: Sequence[str]) -> dict[str, _Sensor]:
     """Result of one pass for each sensor."""
     sensors = {n: _Sensor() for n in names}
     at, begin, current = 0, 0, None
-    for batch in source.batches([*source.manifest.names("run"), *names]) if names else ():
+    for batch in source.batches([*source.manifest.names("run"), *names]):
         known = {n: np.flatnonzero(~np.isnan(batch.array(n))) for n in names}
         for run, first, end in stretches(batch):
             if run != current:

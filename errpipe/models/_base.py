@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
     from errpipe.fitting import history
-    from errpipe.fitting.batches import Source
     from errpipe.fitting.holdout import Fold, HoldOut
     from errpipe.fitting.judging import HeldOut
+    from errpipe.fitting.source import Source
     from errpipe.thermal.competition import Entrant
     from errpipe.thermal.linear import LinearProblem
 

@@ -14,9 +14,9 @@ from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
-    from errpipe.fitting.batches import Source
     from errpipe.fitting.holdout import Fold, HoldOut
     from errpipe.fitting.judging import HeldOut
+    from errpipe.fitting.source import Source
 
 ROWS_IN_MEMORY = 1_000_000  # with ten columns and ten parameters least squares takes 0.6 GB
 
@@ -95,9 +95,10 @@ class Terms(ModelSpec, Family):
     def judge_batches(self, source: Source, scheme: HoldOut | None) -> Judged:
         """Every fold of a recording that is read batch by batch."""
         from errpipe.fitting import batches, history, holdout, multirate
+        from errpipe.fitting.source import survey
 
         source = multirate.held(source)
-        layout = batches.survey(source, self, scheme)
+        layout = survey(source, self, scheme)
         gathered = batches.gather(source, self, layout, self._response)
         folds = history.all_left_out(gathered, source.manifest)
         worst = history.largest_deviations(source, gathered, folds, self._response)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from errpipe.domain.error_model import ErrorModel
     from errpipe.domain.recording import Recording
     from errpipe.domain.table import CompensationTable
-    from errpipe.fitting.batches import Source
+    from errpipe.fitting.source import Source
     from errpipe.models import Family
 
 TRUTH = "truth.json"
@@ -83,7 +83,7 @@ def set_aside(folder: Path, missing: MissingColumn) -> MissingColumn:
 
 def source_in(folder: Path) -> Source | None:
     """The recording a stage left in a folder, to be read batch by batch; None where a person put it there."""
-    from errpipe.fitting.batches import Source
+    from errpipe.fitting.source import Source
     from errpipe.formats import manifest_folder
 
     rows = manifest_folder.rows_written(folder)

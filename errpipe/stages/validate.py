@@ -68,7 +68,7 @@ class Validate(Stage):
             if self.iso230_2:
                 raise DataError("validate: the figures of ISO 230-2 need the whole recording (raise rows_in_memory)")
             document, rows = held_out.judged_in_batches(source, family, self.holdout)
-            _write_rows(context.folder / HELD_OUT, rows)
+            write_rows(context.folder / HELD_OUT, rows)
             return document | {"model": _artefacts.fingerprint_of(model)}
         recording = _artefacts.recording_in(at)
         document, rows = held_out.judged(recording, family, self.holdout, progress=context.progress)
@@ -81,7 +81,7 @@ class Validate(Stage):
                 raise DataError(
                     f"{err}. With iso230_2: false, validate judges the model without these figures"
                 ) from None
-        _write_rows(context.folder / HELD_OUT, rows)
+        write_rows(context.folder / HELD_OUT, rows)
         return document | {"model": _artefacts.fingerprint_of(model)}
 
 
@@ -112,7 +112,7 @@ def headline(component: Mapping[str, Any]) -> str:
     )
 
 
-def _write_rows(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
+def write_rows(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
     """One line per held-out row and component: the deviation, and the residual of the model."""
     parts = [
         pd.DataFrame({"component": name, "group": f.label, "row": f.rows, "before": f.before, "after": f.after})

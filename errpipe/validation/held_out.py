@@ -18,10 +18,10 @@ import numpy as np
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout, recalibration
-from errpipe.fitting.batches import Source
 from errpipe.fitting.history import Fold
 from errpipe.fitting.judging import HeldOut, every_judged, half_width90, half_widths90_without_each, widening90
 from errpipe.fitting.noise_floor import noise_floor
+from errpipe.fitting.source import Source
 from errpipe.models import Family
 from errpipe.validation import clocks, seasons, significance
 from errpipe.validation.steps import unexplained_steps

@@ -10,8 +10,9 @@ import importlib
 import re
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -20,6 +21,9 @@ from errpipe.errors import ErrpipeError, UsageError, did_you_mean
 from errpipe.verbs import fleet_processes
 from errpipe.verbs.fleet_processes import ATTEMPTS, MACHINES, Task
 from errpipe.yamlfile import Options
+
+if TYPE_CHECKING:
+    from errpipe.pipeline.spec import Pipeline
 
 TIMES = "times.csv"
 CONNECTS = 5  # s in which a scheduler answers
@@ -48,11 +52,16 @@ class Fleet(Options):
     stage: str = Field("ingest", description="Stage that reads a machine's recording.")
     machines: tuple[FleetMachine, ...] = Field((), description="Machines that need their own keys or a type.")
     pool: bool = Field(False, description="Draw the parameters of each machine towards those of its type.")
+    one_machine: bool = Field(
+        False, description="The recordings are parts of one machine's history, each of whole runs: one fit to all."
+    )
 
     @model_validator(mode="after")
     def _some(self) -> Fleet:
         if self.recordings is None and not self.machines:
             raise ValueError("`recordings` or `machines` is needed")
+        if self.pool and self.one_machine:
+            raise ValueError("`pool` needs several machines, and `one_machine` is one")
         names = [m.name.lower() for m in self.machines]
         if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
             raise ValueError(f"two machines have one name: {', '.join(twice)} (small and capital letters are one)")
@@ -79,6 +88,8 @@ def fleet(
     if spec.recordings is not None:
         _refuse_stage(Path(file), pipeline, spec.stage)
     _refuse_for_all(lambda sets: load_pipeline(pipeline, STAGES, sets=sets), [task[2] for task in tasks])
+    if spec.one_machine:
+        return _history(tasks, load_pipeline(pipeline, STAGES, sets=tasks[0][2]), jobs, scheduler, progress)
     types = {m.name: m.type for m in machines_of(spec, root)}
     results: dict[str, dict[str, Any]] = {}
     models: dict[str, Future[Any]] = {}
@@ -114,6 +125,18 @@ def fleet(
     rows = [f"{r['name']},{r['seconds']:.2f},{r['peak_mb']:.0f},{r['attempts']}" for r in ordered]
     jsonfile.write_text(Path(out) / TIMES, "\n".join(["machine,seconds,peak_mb,attempts", *rows, ""]))
     return document | {"times": {r["name"]: {k: r[k] for k in ("seconds", "peak_mb", "attempts")} for r in ordered}}
+
+
+def _history(
+    tasks: Sequence[Task], pipeline: Pipeline, jobs: int, scheduler: str | None, progress: Progress
+) -> dict[str, Any]:
+    """One fit to all recordings. Raises DataError with the name of the part that failed."""
+    history = importlib.import_module("errpipe.verbs._fleet_history")
+    _, stage = history.fitted_stages(pipeline)
+    with _client(scheduler) if scheduler is not None else nullcontext() as client:
+        passes = history.on_cluster(tasks, stage, client) if client else history.in_processes(tasks, stage, jobs)
+        result: dict[str, Any] = history.fit_together(tasks, pipeline, passes, progress)
+    return result
 
 
 def _largest_first(tasks: Sequence[Task], recordings: Path) -> list[Task]:
@@ -181,13 +204,13 @@ def machines_of(spec: Fleet, root: Path) -> list[FleetMachine]:
     return out
 
 
-def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[dict[str, Any]]:
-    """The same through a running Dask cluster, which itself tries again what a dead worker held."""
+@contextmanager
+def _client(address: str) -> Iterator[Any]:
+    """A client of a running Dask cluster. Raises UsageError without Dask, or where no scheduler answers."""
     try:
         import asyncio
 
         from distributed import Client
-        from distributed import as_completed as finished
     except ImportError:
         raise UsageError("--scheduler needs Dask: pip install 'errpipe[dask]'") from None
     try:
@@ -195,6 +218,14 @@ def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[dict[str, Any]]
     except (OSError, ValueError, OverflowError) as err:
         raise UsageError(f"--scheduler {address}: no Dask scheduler answers ({err})") from None
     with Client(address, timeout=20, set_as_default=False) as client:
+        yield client
+
+
+def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[dict[str, Any]]:
+    """The same through a running Dask cluster, which itself tries again what a dead worker held."""
+    with _client(address) as client:
+        from distributed import as_completed as finished
+
         futures = {
             client.submit(fleet_processes.run_machine, *task, pure=False, retries=ATTEMPTS - 1): task for task in tasks
         }

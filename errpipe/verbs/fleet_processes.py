@@ -57,7 +57,7 @@ def in_processes(tasks: Sequence[Task], jobs: int) -> Iterator[dict[str, Any]]:
 
 def _one_pool(tasks: Sequence[Task], count: int, attempts: dict[str, int]) -> Iterator[tuple[Task, dict[str, Any]]]:
     """Results of one pool of processes until it is through or one of its workers dies; `attempts` is counted up."""
-    with ProcessPoolExecutor(count, start_imports(), _prepare, (dict(os.environ),)) as pool:
+    with ProcessPoolExecutor(count, start_imports(), prepare, (dict(os.environ),)) as pool:
         waiting = list(reversed(tasks))
         running: dict[Future[dict[str, Any]], Task] = {}
         try:
@@ -96,7 +96,7 @@ def start_imports() -> Any:
     return context
 
 
-def _prepare(environment: dict[str, str]) -> None:
+def prepare(environment: dict[str, str]) -> None:
     """Before a worker's first machine: the caller's environment, which may be another than the fork server's."""
     os.environ.update(environment)
     importlib.import_module(WORKER)

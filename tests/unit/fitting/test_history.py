@@ -18,7 +18,8 @@ from errpipe import jsonfile
 from errpipe.domain.manifest_text import manifest_text
 from errpipe.domain.recording import Column, Constant, Manifest, Recording
 from errpipe.errors import DataError
-from errpipe.fitting.batches import Source, equivalent_rows, survey
+from errpipe.fitting.batches import equivalent_rows
+from errpipe.fitting.source import Source, survey
 from errpipe.formats import manifest_folder
 from errpipe.models.terms import Terms
 from errpipe.terms import TERMS, example_of
