@@ -34,7 +34,7 @@ def too_large_for_a_deviation(column: RawColumn) -> bool:
 
 
 def travels_beside(small: RawColumn, read: RawColumn) -> bool:
-    """Whether a small length is the travel of a nano-stage: its range is many times that of the deviations beside it."""
+    """Whether a small length is the travel of a nano-stage: far longer than the range of the deviations beside it."""
     um = {"um": 1.0, "nm": 1e-3}
     ranges = [um.get(c.unit or "", np.nan) * float(np.ptp(known(c))) for c in (small, read) if known(c).size]
     return len(ranges) == 2 and ranges[0] > LEAST_OVER_DEVIATIONS * ranges[1]
