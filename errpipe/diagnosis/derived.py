@@ -9,9 +9,8 @@ import numpy as np
 from errpipe.diagnosis.prepare import derivative
 from errpipe.domain.diagnosis import Diagnosis, ResponseDiagnosis
 from errpipe.domain.recording import Column, Recording
-from errpipe.drivers.motion import axes
+from errpipe.drivers.motion import axes, sides
 from errpipe.drivers.sessions import sessions
-from errpipe.kernels import responses
 
 FAST = 0.1  # s between rows, below which the axis is recorded in motion
 STILL = 4.0  # times the scatter of a position, from which it has moved
@@ -85,7 +84,7 @@ def _motion(recording: Recording, axis: str, name: str):
     fast = recording.name("time") is not None and step.size > 50 and bool(under_way)
     bend = np.abs(np.diff(x, 2)[same]) if fast else np.zeros(1)
     scatter = 1.4826 * float(np.median(bend)) / np.sqrt(6.0) if bend.size else 0.0
-    side = responses.direction_of_travel(sessions(recording), x, max(STILL * scatter, LEAST_MOVE), 1)
+    side = sides(sessions(recording), x, max(STILL * scatter, LEAST_MOVE))
     if min(np.mean(side > 0), np.mean(side < 0)) < BOTH_WAYS:
         return
     if not fast:

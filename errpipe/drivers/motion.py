@@ -60,7 +60,22 @@ def direction(recording: Recording, axis: str, threshold: float = 0.001, start: 
         way = moving(recording, name)
         held = hold(recording.run_codes(), np.where(way == 0, np.nan, way))
         return np.where(np.isnan(held), float(start), held)
-    return responses.direction_of_travel(sessions(recording), position(recording, axis), threshold, start)
+    return sides(sessions(recording), position(recording, axis), threshold, start)
+
+
+def sides(session: np.ndarray, x: np.ndarray, threshold: float, start: int = 1) -> np.ndarray:
+    """Side that the axis was last moved from, +1 or -1, shape (rows,): from the order of its positions.
+
+    Twice the usual readings in succession where the axis turns are two visits: a bidirectional test overruns the last
+    target and approaches it again, from the other side (ISO 230-2, standard test cycle).
+    """
+    side = responses.direction_of_travel(session, x, threshold, start)
+    first = np.flatnonzero(np.r_[True, ~(np.abs(np.diff(x)) <= threshold)])
+    readings = np.diff(np.r_[first, x.size])
+    for i in np.flatnonzero(readings[:-1] == 2 * np.median(readings)):
+        if i and side[first[i] - 1] != side[first[i + 1]] and side[first[i]] != side[first[i + 1]]:
+            side[first[i] + readings[i] // 2 : first[i + 1]] = side[first[i + 1]]
+    return side
 
 
 def moving(recording: Recording, column: str) -> np.ndarray:

@@ -40,6 +40,7 @@ OF_DEVIATIONS = ("um", "urad", "nm", "arcsec", "mrad")
 UNKNOWN = "neither its name, its unit nor its values identify it"
 _SHARES = r"load|last|torque|moment|override|duty|power|leistung|utili"  # in %, not a humidity
 PLACE = ("command", "position", "actual", "counts")
+TOO_SMALL = ": too small for a position)"  # of a column that its name calls one
 PLACES = ("error", "counts")  # kinds of units in which a position may also be logged: um, arcsec, counts
 # Physical symbols that are also axis letters: `v [mm/s]` is not the velocity of axis V.
 SYMBOLS = {"velocity": "V", "feed": "V", "acceleration": "A", "temperature": "C", "pressure": "B"}
@@ -124,6 +125,11 @@ def with_place(columns: list[RawColumn], guesses: Guesses, stated: str | None) -
     """
     if any(g.kind in PLACE for g in guesses.values()):
         return guesses
+    small = [c for c in columns if guesses[c.header].why.endswith(TOO_SMALL)]
+    read = [c for c in columns if guesses[c.header].kind == "error" and c not in small]
+    if len(small) == len(read) == 1 and values.travels_beside(small[0], read[0]):
+        why = f"its name ({small[0].header!r}): the small travel beside {read[0].header!r}"
+        return {**guesses, small[0].header: ColumnGuess("position", guesses[small[0].header].axis, why)}
     turns = stated is not None and stated[0] in "ABC"
     units = ("deg", "rad") if turns else ("mm", "m", "inch")
     ignored = [c for c in columns if guesses[c.header].kind == "ignore" and c.unit in units and c.numeric]
@@ -149,11 +155,11 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
     if kind == "time" and plain(column.header) in ("min", "h") and not values.rises_evenly(column):
         return "ignore", UNKNOWN  # the smallest of the runs
     if kind == "position" and unit in OF_SMALL_LENGTHS and not values.too_large_for_a_deviation(column):
-        return "error", f"its unit ({unit}: too small for a position)"
+        return "error", f"its unit ({unit}{TOO_SMALL}"
     if kind == "actual" and unit in SMALL_ANGLES:
         return "error", f"its unit ({unit})"
     if kind == "command" and unit in ("um", "nm") and not values.too_large_for_a_deviation(column):
-        return "error", f"its unit ({unit}: too small for a position)"
+        return "error", f"its unit ({unit}{TOO_SMALL}"
     if kind == "actual" and unit in OF_DEVIATIONS and component_in(column.header):
         return "error", f"its name ({component_in(column.header)}, a component of ISO 230-1)"
     if kind in ("temperature",) and unit is not None and KIND_OF_UNIT.get(unit) not in ("temperature", None):

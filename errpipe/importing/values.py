@@ -10,6 +10,7 @@ from errpipe.importing.layout import RawColumn
 from errpipe.importing.words import plain
 
 COLDEST, HOTTEST = -40.0, 250.0  # degC: usual range of sensors in shops and machines
+LEAST_OVER_DEVIATIONS = 20.0  # by judgement: deviations of 5 % of the travel are no positioning test
 FARTHEST_UM = 1e4  # um: threshold: no deviation of an axis reaches a centimetre
 
 SCATTER = "a measure of scatter by its name and its non-negative values: not a reading"
@@ -30,6 +31,13 @@ def too_large_for_a_deviation(column: RawColumn) -> bool:
     """Whether values in um exceed the range of any deviation: positions logged in um."""
     numbers = known(column)
     return column.unit == "um" and numbers.size > 0 and float(np.ptp(numbers)) > FARTHEST_UM
+
+
+def travels_beside(small: RawColumn, read: RawColumn) -> bool:
+    """Whether a small length is the travel of a nano-stage: far longer than the range of the deviations beside it."""
+    um = {"um": 1.0, "nm": 1e-3}
+    ranges = [um.get(c.unit or "", np.nan) * float(np.ptp(known(c))) for c in (small, read) if known(c).size]
+    return len(ranges) == 2 and ranges[0] > LEAST_OVER_DEVIATIONS * ranges[1]
 
 
 def like_degrees(column: RawColumn) -> bool:

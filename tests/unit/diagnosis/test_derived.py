@@ -8,6 +8,7 @@ import pytest
 
 from errpipe.diagnosis import derived, prepare
 from errpipe.domain.recording import Manifest, Recording
+from errpipe.drivers import motion
 
 X = np.tile(np.r_[np.linspace(0.0, 500.0, 13), np.linspace(500.0, 0.0, 13)], 4)
 ERROR = 8.0 * np.sin(X / 80.0) + np.random.default_rng(1).normal(0.0, 2.0, X.size)  # um
@@ -48,6 +49,22 @@ def test_a_return_to_the_start_of_another_pass_is_no_approach_from_the_other_sid
     values = {"x": targets, "t": 9.0 * np.arange(targets.size), "EXX": targets / 80.0}
     moved, _ = derived.with_motion(recording(columns, values))
     assert bool(moved.names("direction")) is sided
+
+
+@pytest.mark.parametrize("readings", [1, 3])
+def test_the_last_target_read_twice_is_approached_from_either_side(readings) -> None:
+    """A bidirectional test without a column of directions: one reading in eleven was taken for the other side's."""
+    columns = {
+        "x": {"role": "position", "axis": "X", "unit": "mm"},
+        "t": {"role": "time", "unit": "s"},
+        "EXX": {"role": "error", "component": "EXX", "unit": "um"},
+    }
+    targets = np.repeat(np.tile([0.0, 90.0, 160.0, 250.0, 250.0, 160.0, 90.0, 0.0], 3), readings)
+    values = {"x": targets, "t": 9.0 * np.arange(targets.size), "EXX": targets / 80.0}
+    moved, _ = derived.with_motion(recording(columns, values))
+    side = np.repeat(np.tile(np.repeat([1.0, -1.0], 4), 3), readings)
+    assert np.array_equal(moved.array("direction of X"), side)
+    assert np.array_equal(motion.direction(recording(columns, values), "X"), side)
 
 
 def test_a_log_with_speed_but_without_acceleration_gets_it_from_the_speed() -> None:

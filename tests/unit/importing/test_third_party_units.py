@@ -213,3 +213,12 @@ def test_symbols_of_physics_are_no_axes(tmp_path: Path) -> None:
     for role in ("velocity", "acceleration"):
         (name,) = recording.names(role)
         assert recording.manifest.columns[name].axis == "X"
+
+
+def test_the_travel_of_a_nano_stage_in_um_stands_beside_its_deviations(tmp_path: Path) -> None:
+    """Positions of less than a centimetre in um were taken for a second column of deviations, and asked about."""
+    x, e = read(tmp_path, table("Run;X (µm);Deviation (nm)", "{r};{x};{e}"))
+    assert x == pytest.approx(np.array(TARGETS * 2) / 1000.0)
+    assert e == pytest.approx([um(x, r) / 1000.0 for r in (1, 2) for x in TARGETS])
+    with pytest.raises(DataError, match="both deviations of EXX"):
+        read(tmp_path, table("Run;X (µm);Deviation (µm)", "{r};{e};{e}"))
