@@ -112,8 +112,8 @@ def text_of(path: Path) -> str:
     path, name = Path(path), str(path)
     if path.is_dir():
         inside = path / "pipeline.yaml"
-        beside = f": {inside}" if inside.is_file() else ""
-        raise ConfigError([Problem(name, 0, 0, "", f"is a folder (a YAML file is needed{beside})")])
+        hint = f": {inside}" if inside.is_file() else ""
+        raise ConfigError([Problem(name, 0, 0, "", f"is a folder (a YAML file is needed{hint})")])
     if path.is_file() and path.suffix.lower() in MEASURED:
         needed = f"a YAML file is needed; measurements are read by errpipe import {name} --out recording"
         raise ConfigError([Problem(name, 0, 0, "", f"is a file of measurements by its name ({needed})")])
