@@ -34,7 +34,7 @@ demo: $(SETUP) ## run the main job on a simulated machine
 	@$(BIN)/errpipe demo
 
 test: $(SETUP) ## the fast tests
-	@$(PYTEST) -m 'not slow' $(or $(ARGS),-n 2)
+	@$(PYTEST) -m 'not slow' $(or $(ARGS),-n 2 --dist worksteal)
 
 test-slow: $(SETUP) ## only the slow tests
 	@$(PYTEST) -m slow $(ARGS)

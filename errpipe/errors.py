@@ -89,14 +89,14 @@ class VerifyError(ErrpipeError):
 
 
 # Words of the field -> the word of a recording's columns that means it.
-MEANT = {"deviation": "error", "reading": "actual", "target": "command", "dir": "direction", "temp": "temperature"}
+SYNONYMS = {"deviation": "error", "reading": "actual", "target": "command", "dir": "direction", "temp": "temperature"}
 
 
 def did_you_mean(word: str, allowed: Iterable[str]) -> str:
     """' Did you mean X?' for the nearest allowed word, or '' where none is near."""
     words = list(allowed)
-    if (meant := MEANT.get(word)) in words:
-        return f" Did you mean {meant}?"
+    if (synonym := SYNONYMS.get(word)) in words:
+        return f" Did you mean {synonym}?"
     near = difflib.get_close_matches(word, words, n=1, cutoff=0.6)
     begun = [w for w in words if len(word) > 2 and w.startswith(word)]  # `laser` of laser-iso230
     near = near or (begun if len(begun) == 1 else [])

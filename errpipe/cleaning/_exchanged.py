@@ -20,7 +20,7 @@ def partner(recording: Recording, name: str) -> str:
     if len(names) < 4 or name not in names:
         return ""
     held = pd.DataFrame({n: recording.array(n) for n in names}).groupby(run).ffill().assign(one=1.0)
-    whole, best, said = held.notna().all(axis=1).to_numpy(), LEFT, ""
+    whole, best, hint = held.notna().all(axis=1).to_numpy(), LEFT, ""
     for other in [n for n in names if n != name]:
         rest = held.drop(columns=[name, other]).to_numpy()
         pair = held[[name, other]].to_numpy()
@@ -32,8 +32,8 @@ def partner(recording: Recording, name: str) -> str:
             predicted = rest[own] @ np.linalg.lstsq(rest[some], pair[some], rcond=None)[0]
             as_is, back = (float(np.abs(p - predicted).mean()) for p in (pair[own], pair[own][:, ::-1]))
             if back < best * as_is:
-                best, said = (
+                best, hint = (
                     back / as_is,
                     f"{name} and {other} seem to be exchanged in run {recording.run_labels()[code]}",
                 )
-    return said and f" {said} (exchanged back, both follow the other sensors {1 / best:.3g} times as closely)."
+    return hint and f" {hint} (exchanged back, both follow the other sensors {1 / best:.3g} times as closely)."

@@ -57,7 +57,7 @@ class Outliers(Rule):
 
     def _column(self, recording: Recording, name: str, role: str, protected: np.ndarray) -> Action | None:
         values = recording.array(name)
-        judged, beside = _mismatch(recording, name, values) if role == "error" else (values, "")
+        judged, note = _mismatch(recording, name, values) if role == "error" else (values, "")
         step = max(resolution(values), _usual_step(judged))
         position = _own_position(recording, name) if role == "error" else None
         rows = outlying(judged, recording.run_codes(), recording.time(), self.threshold, step, position)
@@ -68,7 +68,7 @@ class Outliers(Rule):
         if rows.size > 1:  # one of twenty readings is 5 %, and no more than one
             cells, why = int(np.isfinite(values).sum()), lambda: partner(recording, name)
             self.refuse_beyond(self.most, rows, cells, f"cells of {name}", recording, why)
-        reason = f"more than {self.threshold:g} times the run's scatter off the readings before and after it{beside}"
+        reason = f"more than {self.threshold:g} times the run's scatter off the readings before and after it{note}"
         return Action("blank cells", reason, column=name, rows=rows)
 
 
@@ -227,8 +227,8 @@ def _larger_steps_elsewhere(y: np.ndarray, base: np.ndarray, part: np.ndarray, s
 
 def _neighbour_departs_too(y: np.ndarray, base: np.ndarray, start: int, end: int) -> bool:
     """True where a reading beside the stretch departs the same way: a spike that builds up or decays."""
-    for edge, beside in ((start, start - 1), (end - 1, end)):
-        if 0 <= beside < y.size and (y[beside] - base[edge]) / (y[edge] - base[edge]) > NEIGHBOUR_SHARE:
+    for edge, neighbour in ((start, start - 1), (end - 1, end)):
+        if 0 <= neighbour < y.size and (y[neighbour] - base[edge]) / (y[edge] - base[edge]) > NEIGHBOUR_SHARE:
             return True
     return False
 

@@ -102,8 +102,8 @@ def _is_lasting_step(values: np.ndarray, recording: Recording, row: int, usual: 
     if min(left.size, right.size) < SIDE:
         return False
     step = right[0] - left[-1]
-    beside = max(abs(right[1] - right[0]), abs(left[-1] - left[-2]))
+    neighbouring_step = max(abs(right[1] - right[0]), abs(left[-1] - left[-2]))
     return bool(
         (np.median(right) - np.median(left)) / step >= MIN_LASTING_SHARE
-        and beside <= max(MAX_FURTHER_SHARE * abs(step), usual)
+        and neighbouring_step <= max(MAX_FURTHER_SHARE * abs(step), usual)
     )

@@ -68,7 +68,7 @@ def _check_pipeline(path: Path, data: bool) -> str:
     from errpipe.cli.output import module_of
 
     check, pipeline = module_of("verbs.check"), load_pipeline_file(path, [])
-    problems = sorted({*check.problems(pipeline, data), *check.unjudged(pipeline)})
+    problems = sorted({*check.problems(pipeline, data), *check.ungated_exports(pipeline)})
     if problems:
         raise ConfigError(problems)
     return "pipeline"

@@ -12,7 +12,7 @@ from errpipe.diagnosis.case import Case, SetUp, left_by, residual
 from errpipe.diagnosis.evidence import Data, Scene
 from errpipe.diagnosis.hypotheses import Block, Hypothesis, columns_of, scaled
 from errpipe.diagnosis.search import MISSING, Explanation, Search, settled
-from errpipe.fitting.noise_floor import beside_steps, rounding
+from errpipe.fitting.noise_floor import rounding, with_steps
 from errpipe.terms import search_of
 
 DEPENDENT = 1.8  # rows per independent row of the residual, above which rows are treated as correlated
@@ -153,7 +153,7 @@ def only_steps(case: Case) -> bool:
     names = _gain_of_names(case, coloured.autoregression(residual(case, []), case.run))
     for chosen, least in ([], names), (case.chosen(), JUMPS):
         noise = coloured.autoregression(residual(case, chosen), case.run)
-        left = enumerate(beside_steps(case.y, case.judged().columns([i for i, _ in chosen]), MOST_STEPS), 1)
+        left = enumerate(with_steps(case.y, case.judged().columns([i for i, _ in chosen]), MOST_STEPS), 1)
         if max(linear_gain(case, noise, rest, 2.0 * count) for count, rest in left) <= least:
             return False
     return True

@@ -28,8 +28,8 @@ def text_problem(value: str, longest: int, signs: tuple[re.Pattern[str], str] = 
         return f"{value!r} is not text"
     if size > longest:
         return f"{value!r} is longer than {longest} bytes"
-    odd = allowed.match(value).end()  # type: ignore[union-attr]  # it matches the empty text too
-    return f"{value!r} holds {value[odd]!r} ({says})" if odd < len(value) else ""
+    first_invalid = allowed.match(value).end()  # type: ignore[union-attr]  # it matches the empty text too
+    return f"{value!r} holds {value[first_invalid]!r} ({says})" if first_invalid < len(value) else ""
 
 
 def text(longest: int, signs: tuple[re.Pattern[str], str] = NAME) -> AfterValidator:

@@ -49,8 +49,8 @@ def between(t: np.ndarray, u: np.ndarray, when: np.ndarray) -> np.ndarray:
     before, after, steep = np.r_[0.0, h], np.r_[h, 0.0], np.r_[steep[0], steep, steep[-1]]
     wanted, slope = 3.0 * (after * steep[:-1] + before * steep[1:]), np.gradient(u, t)
     for _ in range(20):  # Jacobi: each halves the error of the slopes
-        beside = np.r_[slope[1], slope, slope[-2]]
-        slope = (wanted - after * beside[:-2] - before * beside[2:]) / (2.0 * (before + after))
+        padded = np.r_[slope[1], slope, slope[-2]]
+        slope = (wanted - after * padded[:-2] - before * padded[2:]) / (2.0 * (before + after))
     k = np.clip(np.searchsorted(t, when, side="right") - 1, 0, t.size - 2)
     s = np.clip((when - t[k]) / h[k], 0.0, 1.0)
     left, right = (h[k] * (slope[k + i] - steep[k + 1]) for i in (0, 1))

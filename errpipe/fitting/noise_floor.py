@@ -58,7 +58,7 @@ def rounding(readings: np.ndarray) -> float:
     return float(steps.min() / np.sqrt(12.0)) if np.abs(counts - np.round(counts)).max() < OFF_STEP else 0.0
 
 
-def beside_steps(y: np.ndarray, columns: np.ndarray, most: int) -> Iterator[np.ndarray]:
+def with_steps(y: np.ndarray, columns: np.ndarray, most: int) -> Iterator[np.ndarray]:
     """Residuals of y (rows,) after columns (rows, k) and 1, 2, ... `most` steps at a row, selected one by one."""
     basis, rows = np.linalg.qr(columns)[0], y.size
     for _ in range(most):

@@ -71,19 +71,19 @@ def _signs_in_a_column(p: Proposal, layout: Layout, options: ImportOptions) -> N
 def _artefact(p: Proposal, layout: Layout, options: ImportOptions) -> None:
     """Lengths of a gauge measured by the machine's own probe: reading minus gauge length is minus the deviation."""
     texts = [*layout.above, *(c.header for c in layout.columns)]
-    said = next((x for x in texts if _ARTEFACT.search(words.plain(x))), None)
-    if said is None or options.sign is not None or any("role" in keys for keys in options.sets.values()):
+    stated = next((x for x in texts if _ARTEFACT.search(words.plain(x))), None)
+    if stated is None or options.sign is not None or any("role" in keys for keys in options.sets.values()):
         return
     error = next((n for n, e in p.entries.items() if e["role"] == "error"), "")
     pair = p.entries.get(error, {}).get("derived", {}).get("minus")
     if pair:
         raise DataError(
-            f"{said[:60]!r}: who read {pair[0]!r}? The machine's own probe on a gauge: --set {pair[0]}.role=command "
+            f"{stated[:60]!r}: who read {pair[0]!r}? The machine's own probe on a gauge: --set {pair[0]}.role=command "
             f"--set {pair[1]}.role=actual; a laser or gauge beside the machine: --set {pair[0]}.role=actual "
             f"--set {pair[1]}.role=command"
         )
     raise DataError(
-        f"{said[:60]!r}: is {error!r} the reading of the machine minus the length of the gauge? Then use --sign "
+        f"{stated[:60]!r}: is {error!r} the reading of the machine minus the length of the gauge? Then use --sign "
         "commanded-minus-actual; if it is positive when the axis moves too far, use --sign actual-minus-commanded"
     )
 
@@ -183,8 +183,8 @@ def refuse_diameters(layout: Layout, guesses: columns.Guesses, options: ImportOp
     place = next((c for c in places if (columns.axis_in(c.header) or above) and columns.is_diameter(c.header)), None)
     line = next((x for x in layout.above if _DIAMETERS.search(words.plain(x)) and places), None)
     place = place or (places[0] if line is not None else None)
-    said = {} if place is None else options.sets.get(place.header) or options.sets.get(slug(place.header)) or {}
-    if place is None or "role" in said:
+    stated = {} if place is None else options.sets.get(place.header) or options.sets.get(slug(place.header)) or {}
+    if place is None or "role" in stated:
         return
     read = any(guesses[c.header].kind == "actual" for c in layout.columns)
     role = guesses[place.header].kind if read else "position"
@@ -279,7 +279,7 @@ def component_above(layout: Layout, guesses: columns.Guesses, options: ImportOpt
 
 def _turn_above(layout: Layout, moved: str) -> str | None:
     """EBX from a line `Pitch` above angles along X, if lines name one of roll, pitch and yaw; or None."""
-    found = {name for line in layout.above for said, name in columns.TURNS if re.search(said, words.plain(line))}
+    found = {name for line in layout.above for pattern, name in columns.TURNS if re.search(pattern, words.plain(line))}
     about = columns.ANGLES.get(moved[0], {}).get(next(iter(found), ""))
     units = {c.unit for c in layout.columns}
     angles = units & {*columns.SMALL_ANGLES} or {"mm", "inch"} <= units  # `"` is used for inch and for arcsec

@@ -81,8 +81,8 @@ def sections(names: list[str], rows: Rows, first: str, notes: list[str]) -> tupl
     side.
     """
     last = max((r for r, row in enumerate(rows) if len(filled_cells(row)) > 1), default=0)  # remarks stand below it
-    lone = {r: str(cells[0]) for r, row in enumerate(rows[:last]) if len(cells := filled_cells(row)) == 1}
-    titles = {r: text for r, text in lone.items() if len(text) <= LONGEST_TITLE and len(way_in(text) or "") > 1}
+    single = {r: str(cells[0]) for r, row in enumerate(rows[:last]) if len(cells := filled_cells(row)) == 1}
+    titles = {r: text for r, text in single.items() if len(text) <= LONGEST_TITLE and len(way_in(text) or "") > 1}
     if not titles or any(kind_by_name(name) == "direction" or way_of(name) is not None for name in names):
         return names, rows
     if way_in(first) is None and min(titles) > 0:
@@ -90,12 +90,12 @@ def sections(names: list[str], rows: Rows, first: str, notes: list[str]) -> tupl
             f"a line states {titles[min(titles)]!r}, but none states from which side the rows above it were "
             "approached: write the direction of every row in a column"
         )
-    said, out, numbered = first, [], all(re.search(r"\d", t) for t in titles.values())
+    title, out, numbered = first, [], all(re.search(r"\d", t) for t in titles.values())
     numbered = numbered and not any(kind_by_name(name) == "run" for name in names)
     for r, row in enumerate(rows):
-        said = titles.get(r, said)
-        run = re.search(r"\d+", said)
-        own: list[Cell] = [way_in(said), *([run.group() if run else "1"] if numbered else [])]
+        title = titles.get(r, title)
+        run = re.search(r"\d+", title)
+        own: list[Cell] = [way_in(title), *([run.group() if run else "1"] if numbered else [])]
         if r not in titles:
             out.append([*row, *[None] * (len(names) - len(row)), *own])
     notes.append(

@@ -46,8 +46,8 @@ def proposal(layout: Layout, options: ImportOptions) -> Proposal | None:
     angle = next((c for c in layout.columns if c.numeric and _ANGLE.search(plain(c.header))), None)
     if angle is None or angle.unit not in (None, "deg", "rad") or not any(map(_NAMED.search, texts)):
         return None
-    if angle.unit is None and (odd := in_brackets(angle.header)) is not None:
-        raise DataError(f"column {angle.header!r}: {odd!r} is not a unit of angle (allowed: deg, rad)")
+    if angle.unit is None and (unknown_unit := in_brackets(angle.header)) is not None:
+        raise DataError(f"column {angle.header!r}: {unknown_unit!r} is not a unit of angle (allowed: deg, rad)")
     radius, first, second = _radius(texts), *_plane(texts)
     runs = _runs(layout, angle, first + second)
     if not runs:
@@ -136,19 +136,19 @@ def _runs(layout: Layout, angle: RawColumn, plane: str) -> list[tuple[str, np.nd
         if len(read) > 1 and way is None:
             raise DataError(f"column {c.header!r}: clockwise or counterclockwise? Write CW or CCW into its header")
         of_rows = [_way(label(x)) for x in ways.cells] if ways is not None and way is None else [way] * turn.size
-        for group, said in dict.fromkeys(zip(groups, of_rows, strict=True)):
-            rows = np.array([pair == (group, said) for pair in zip(groups, of_rows, strict=True)])
+        for group, stated in dict.fromkeys(zip(groups, of_rows, strict=True)):
+            rows = np.array([pair == (group, stated) for pair in zip(groups, of_rows, strict=True)])
             rows &= np.isfinite(turn) & np.isfinite(c.values)
             if rows.sum() < FEWEST or np.ptp(turn[rows]) < np.pi:
                 continue
-            way_round, angles, values = _in_order(said, turn[rows], c.values[rows], way is not None and len(read) > 1)
+            way_round, angles, values = _in_order(stated, turn[rows], c.values[rows], way is not None and len(read) > 1)
             text = " ".join(filter(None, (plane, way_round, group, str(k // 2 + 1) if len(read) > 2 else "")))
             found.append((text, angles, values))
     return found
 
 
 def _in_order(
-    said: str | None, angles: np.ndarray, values: np.ndarray, beside_another: bool
+    stated: str | None, angles: np.ndarray, values: np.ndarray, beside_another: bool
 ) -> tuple[str, np.ndarray, np.ndarray]:
     """Direction of rotation, and angles and readings in the order of motion; derived from the rows if not stated.
 
@@ -156,7 +156,7 @@ def _in_order(
     order of motion run in the other direction.
     """
     rises = bool(np.sum(np.diff(np.unwrap(angles))) > 0)
-    way = said or ("ccw" if rises else "cw")
+    way = stated or ("ccw" if rises else "cw")
     if rises == (way == "ccw"):
         return way, angles, values
     if not beside_another:

@@ -70,8 +70,8 @@ def controller_file_kind(path: Path, head: bytes) -> str | None:
     kinds += [k for k in _BY_NAME if re.fullmatch(k[0], path.name, re.IGNORECASE)]
     if not kinds:
         return None
-    _, what, *said = kinds[0]
-    off = said[0] if said else "as the manual of the control describes"
+    _, what, *more = kinds[0]
+    off = more[0] if more else "as the manual of the control describes"
     return (
         f"{what}: what the control adds or subtracts, not a measurement. Import the deviations measured with it "
         f"switched off ({off}); if it was active, they are only its "

@@ -128,8 +128,8 @@ def _units(rows: list[list[Cell]]) -> tuple[set[str], str | None]:
         texts = [c for c in row if isinstance(c, str) and _has_letters(c)]
         stated = [split_header(text)[1] for text in texts if _kind(text) == DEVIATION]
         of_deviation = next((u for u in stated if u in ("um", "mm", "inch")), of_deviation)
-        said = re.findall(r"(?<![a-z\d])(mm|inch(?:es)?|in)(?![a-z])", " ".join(texts).lower()) if texts else []
-        found |= {"mm" if s == "mm" else "inch" for s in said if s != "in" or re.search(r"unit", " ".join(texts), re.I)}
+        unit = re.findall(r"(?<![a-z\d])(mm|inch(?:es)?|in)(?![a-z])", " ".join(texts).lower()) if texts else []
+        found |= {"mm" if u == "mm" else "inch" for u in unit if u != "in" or re.search(r"unit", " ".join(texts), re.I)}
     return found, of_deviation
 
 
@@ -245,14 +245,14 @@ def _beside_words(cells: list[Cell], comma: bool) -> list[tuple[str, dict[str, f
     If such a word starts the row, it precedes all coordinates: `NOM X50.0 Y40.0 ACT X50.1 Y40.0`; otherwise
     a row has one coordinate.
     """
-    axis, kind, said, found = None, None, None, dict[str, dict[str, float]]()
+    axis, kind, pending, found = None, None, None, dict[str, dict[str, float]]()
     for cell in filled_cells(cells):
         value = number(cell, comma)
         if value is None:
             named, kind = _axis(cell), _kind(cell)
-            said = kind if kind is not None and (axis is None or said is not None) and named is None else said
-            if named is not None and (said is not None or axis in (None, named)):
-                axis, kind = named, kind or said or NOMINAL
+            pending = kind if kind is not None and (axis is None or pending is not None) and named is None else pending
+            if named is not None and (pending is not None or axis in (None, named)):
+                axis, kind = named, kind or pending or NOMINAL
         elif axis is not None and kind is not None:
             found.setdefault(axis, {}).setdefault(kind, value)
             kind = None

@@ -188,10 +188,10 @@ def named_above(names: list[str], above: Rows) -> list[str]:
 
 def _called(rows: Rows) -> dict[str, str]:
     """The names, with their units, that rows give to channels: `CH1 | Bearing | degC`."""
-    said = [[label(c) for c in filled_cells(row)] for row in rows]
+    labels = [[label(c) for c in filled_cells(row)] for row in rows]
     return {
         row[0]: row[1] + (f" [{row[2]}]" if len(row) > 2 and unit_of(row[2]) else "")
-        for row in said
+        for row in labels
         if len(row) > 1 and _CHANNEL.fullmatch(row[0]) and is_word(row[1])
     }
 

@@ -46,8 +46,8 @@ def blank(layout: Layout) -> None:
             raise DataError(
                 f"column {c.header!r}: {doubtful!r}: negative, or doubtful? (write -1.5, or leave it empty)"
             )
-        if odd := next((x for x in texts if _MARKED.fullmatch(x) and not is_date(x)), None):
-            raise DataError(f"column {c.header!r}: {odd!r} is not a number like the others (correct or empty it)")
+        if other := next((x for x in texts if _MARKED.fullmatch(x) and not is_date(x)), None):
+            raise DataError(f"column {c.header!r}: {other!r} is not a number like the others (correct or empty it)")
         beyond = (np.abs(c.values) > LARGEST) | _of_no_machine(c)
         filled = np.isin(np.abs(c.values), FILLED_IN)
         others = np.abs(c.values[np.isfinite(c.values) & ~filled & ~beyond])

@@ -73,7 +73,7 @@ def named(sheets: Iterable[Sheet], kind: str) -> str:
     for sheet in sheets:
         rows: list[list[Cell]] = [[*sheet.above[:LINES]], [*(sheet.header or [])], *sheet.rows[:LINES]]
         lines = [plain(" ".join(map(str, filled_cells(row)))[:WIDTH]) for row in rows]
-        for _, said, what, reads in TESTS:
-            if any(re.search(said, line) for line in lines):
+        for _, pattern, what, reads in TESTS:
+            if any(re.search(pattern, line) for line in lines):
                 return f" It may be {what}: {reads}."
     return OF_XML if kind == markup.name else ""

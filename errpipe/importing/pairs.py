@@ -25,8 +25,8 @@ def paired(sheet: Sheet) -> Sheet:
     if sheet.header is not None or len(labelled) < 2:
         return sheet
     start = max(labelled) + 1
-    said = {plain(split_header(label(row[0]))[0]): row for _, row in sorted(labelled.items(), reverse=True)}
-    named = next((row for text, row in said.items() if _NAME.fullmatch(text)), None)
+    by_label = {plain(split_header(label(row[0]))[0]): row for _, row in sorted(labelled.items(), reverse=True)}
+    named = next((row for text, row in by_label.items() if _NAME.fullmatch(text)), None)
     comma = decimal_comma(rows[start:])
     data = [row for row in rows[start:] if number(row[0], comma) is not None]
     if named is None or len(data) < 3:
@@ -37,8 +37,8 @@ def paired(sheet: Sheet) -> Sheet:
             raise DataError(
                 f"{sheet.name}: {label(named[k])!r} has different times from {label(named[1])!r}: export the same times"
             )
-    units = next((row for text, row in said.items() if _UNIT.fullmatch(text)), [])
-    sample = next((label(row[0]) for text, row in said.items() if _SAMPLE.fullmatch(text)), "")
+    units = next((row for text, row in by_label.items() if _UNIT.fullmatch(text)), [])
+    sample = next((label(row[0]) for text, row in by_label.items() if _SAMPLE.fullmatch(text)), "")
     ticks = split_header(sample)[1] or "s"
     header = [f"time [{ticks}]"]
     for k in channels:

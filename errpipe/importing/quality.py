@@ -66,9 +66,9 @@ def blank(layout: Layout) -> None:
             continue
         out = bad(c.cells, c.header)
         words = [plain(label(cell)) for cell in c.cells if cell not in (None, "")]
-        odd = [w for w in words if not (_GOOD_WORDS.fullmatch(w) or _BAD_WORDS.fullmatch(w) or w.isdecimal())]
-        if 0 < len(odd) < MOST_OTHERS * len(words):
-            says = f"{len(odd)} rows have {odd[0]!r} in {c.header!r}: kept (if they are no readings, empty them)"
+        others = [w for w in words if not (_GOOD_WORDS.fullmatch(w) or _BAD_WORDS.fullmatch(w) or w.isdecimal())]
+        if 0 < len(others) < MOST_OTHERS * len(words):
+            says = f"{len(others)} rows have {others[0]!r} in {c.header!r}: kept (if they are no readings, empty them)"
             layout.notes.append(says)
         for of in layout.columns[begin:k] if out.any() else []:
             if of.numeric and kind_by_name(of.header) not in _KEPT and np.isfinite(of.values[out]).any():

@@ -247,8 +247,8 @@ def finish(p: Proposal, layout: Layout, axis: str, options: ImportOptions) -> No
     ambiguities.refuse(p, layout, options)
     _refuse_one_of_several_axes(p, layout, options)
     resolve_units(p, layout)
-    said = {header for name in options.sets for header in (name, slug(name))}
-    unknown = [c for c in layout.columns if not {c.header, slug(c.header)} & said and _may_be_a_place(p, c)]
+    stated_names = {header for name in options.sets for header in (name, slug(name))}
+    unknown = [c for c in layout.columns if not {c.header, slug(c.header)} & stated_names and _may_be_a_place(p, c)]
     ambiguities.refuse_without_position(p, bool(unknown))
     for name, entry in p.entries.items():
         letter, _ = entry.pop("_axis", None), entry.pop("_headers", None)

@@ -114,7 +114,7 @@ def change(p: Proposal, layout: Layout, options: ImportOptions) -> None:
     Priority: option, both positions, the column's header, the lines around the table.
     """
     for name in [n for n, e in p.entries.items() if e["role"] == "error" and "derived" not in e]:
-        turned, reason = _stated(p, name, options) or _said(p, name, layout)
+        turned, reason = _stated(p, name, options) or _stated_in_file(p, name, layout)
         if reason:
             p.guesses[name] = f"{p.guesses.get(name, '')}; {reason}".strip("; ")
         if turned:
@@ -137,8 +137,8 @@ def _titles_corrections(line: str) -> bool:
 
 def _may_title_corrections(line: str) -> bool:
     """Whether a line above readings with uninformative headers may do so: `Correction`, `Type: following error`."""
-    said = re.split("[:=：]", line)[-1]
-    of_a_control = words.is_correction(said) or words.is_following_error(said)
+    stated = re.split("[:=：]", line)[-1]
+    of_a_control = words.is_correction(stated) or words.is_following_error(stated)
     text = words.plain(line)
     return of_a_control and not _A_SETTING.search(text) and not _OF_THE_AIR.search(text)
 
@@ -163,7 +163,7 @@ def _stated(p: Proposal, name: str, options: ImportOptions) -> tuple[bool, str] 
     return None
 
 
-def _said(p: Proposal, name: str, layout: Layout) -> tuple[bool, str]:
+def _stated_in_file(p: Proposal, name: str, layout: Layout) -> tuple[bool, str]:
     """Whether the file's statements reverse a sign, with the reason."""
     headers = p.entries[name].get("_headers", (name,))
     if any(map(words.is_correction, headers)) or any(map(_titles_corrections, layout.above)):
@@ -171,14 +171,14 @@ def _said(p: Proposal, name: str, layout: Layout) -> tuple[bool, str]:
     if any(map(words.is_following_error, headers)):
         return True, "a following error is commanded minus actual: the sign is changed"
     around = " | ".join([name, *(c.header for c in layout.columns), *layout.above, *layout.below])
-    said = words.difference(" | ".join(headers)) or words.difference(around)
-    if said is not None and said[0] == 0:
+    stated = words.difference(" | ".join(headers)) or words.difference(around)
+    if stated is not None and stated[0] == 0:
         raise DataError(
-            f"{said[1]!r}: is the reference the set point, or an instrument that shows where the axis is? Say --sign "
+            f"{stated[1]!r}: is the reference the set point, or an instrument that shows where the axis is? Say --sign "
             "actual-minus-commanded (the readings rise where the axis goes too far), or --sign commanded-minus-actual"
         )
-    if said is not None:
-        return said[0] < 0, f"the file states {said[1]!r}" + (": the sign is changed" if said[0] < 0 else "")
+    if stated is not None:
+        return stated[0] < 0, f"the file states {stated[1]!r}" + (": the sign is changed" if stated[0] < 0 else "")
     if components.parse(p.entries[name]["component"]).kind == "force":
         return False, "a load of the drive: its sign is taken as recorded"
     _ask(headers, layout, p.guesses.get(name, ""))
@@ -207,8 +207,8 @@ def _doubtful(header: str, why: str) -> bool:
 def _is_on_the_sign(text: str) -> bool:
     """Whether a line around the table states the sign of readings; one on the approach states a side."""
     means = _SIGN_MEANS.search(text)
-    said = means is not None and bool(re.search(r"[^\W\d]{3}", means[1])) and not _A_WAY.search(means[1])
-    return said or _ON_THE_SIGN.search(text) is not None
+    stated = means is not None and bool(re.search(r"[^\W\d]{3}", means[1])) and not _A_WAY.search(means[1])
+    return stated or _ON_THE_SIGN.search(text) is not None
 
 
 def _ask(headers: tuple[str, ...], layout: Layout, why: str) -> None:

@@ -106,9 +106,9 @@ def change_signs(p: Proposal, known: Sequence[str]) -> None:
     for name in [n for n, e in p.entries.items() if e["role"] == "simulated" and n in p.data and n not in known]:
         component = p.entries[name]["component"]
         says = plain(" ".join(p.entries[name].get("_headers", (name,))))
-        said = difference(says)
-        reason = f"its header states {says!r}" if said is not None and said[0] < 0 else ""
-        if said is None:
+        difference_stated = difference(says)
+        reason = f"its header states {says!r}" if difference_stated is not None and difference_stated[0] < 0 else ""
+        if difference_stated is None:
             reason = _sign_of_recorded(p, name, component)
         if reason:
             entry = p.entries[name]

@@ -31,19 +31,19 @@ def read_switches(layout: Layout) -> None:
 
     If no line states the spindle's speed, or several do, a note asks for it.
     """
-    said = {number(m[1], comma=False) for line in layout.above for m in _SPEED.finditer(plain(line))} - {None}
+    stated_speeds = {number(m[1], comma=False) for line in layout.above for m in _SPEED.finditer(plain(line))} - {None}
     for c in layout.columns:
         spindle = _SWITCHED.match(plain(c.header)) is not None
         words = set() if c.numeric else {plain(label(x)) for x in c.cells if x not in (None, "")}
         if not words or not words <= {*_ON, *_OFF} or not (spindle or kind_by_name(c.header) == "coolant"):
             continue
-        if spindle and len(said) != 1:
+        if spindle and len(stated_speeds) != 1:
             layout.notes.append(
                 f"{c.header}: on and off, but no line above states one speed: write `Spindle speed: 8000 rpm` there, "
                 "or a column of the speed"
             )
             continue
-        speed = said.copy().pop() if spindle else 1.0
+        speed = stated_speeds.copy().pop() if spindle else 1.0
         c.cells = [None if x in (None, "") else (speed if plain(label(x)) in _ON else 0.0) for x in c.cells]
         c.values = np.array([np.nan if x is None else x for x in c.cells])
         c.unit = "rpm" if spindle else c.unit
@@ -63,10 +63,10 @@ def units_by_positions(p: Proposal) -> None:
             continue
         usual = p.entries[name]["unit"]
         if found is None or found[1] is None:
-            said = f"; {found[0]:.3g} for 1 {usual} of the position" if found else ""
+            stated_speeds = f"; {found[0]:.3g} for 1 {usual} of the position" if found else ""
             p.entries[name] = {"role": "ignore"}
             hint = f"declare it with --set {name}.unit=... (mm/s, deg/s, ...)"
-            p.guesses[name] = f"a velocity{said} without a unit: {hint}"
+            p.guesses[name] = f"a velocity{stated_speeds} without a unit: {hint}"
             continue
         unit = found[1]
         if unit != usual:

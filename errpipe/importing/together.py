@@ -146,8 +146,8 @@ _STATES = re.compile(
 
 def refuse_states(names: Sequence[str], what: str, answer: str) -> None:
     """Raise DataError if names state several states of one machine, such as before and after a compensation."""
-    said = [tuple(m[0] for m in _STATES.finditer(plain(name))) for name in names]
-    if len(set(said)) > 1:
+    of_names = [tuple(m[0] for m in _STATES.finditer(plain(name))) for name in names]
+    if len(set(of_names)) > 1:
         raise DataError(
             f"{what} {', '.join(names)}: several states of the machine? Runs of one test share one state: {answer} "
             "(if the state is the same, rename them)"
@@ -189,19 +189,19 @@ def sides_of_names(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]
 
     The file names if their columns state the sides, or if not every name does.
     """
-    said = [[w for w in re.findall(r"[^\W\d_]{2,}", stem) if side(w) is not None] for stem in stems]
-    shared = set(said[0]).intersection(*said) if said else set()  # `pos` of `pos_X_up` and `pos_X_down`
-    said = [[w for w in of_stem if w not in shared] for of_stem in said]
-    ways = {side(words[0]) for words in said if len(words) == 1}
+    of_names = [[w for w in re.findall(r"[^\W\d_]{2,}", stem) if side(w) is not None] for stem in stems]
+    shared = set(of_names[0]).intersection(*of_names) if of_names else set()  # `pos` of `pos_X_up` and `pos_X_down`
+    of_names = [[w for w in of_stem if w not in shared] for of_stem in of_names]
+    ways = {side(words[0]) for words in of_names if len(words) == 1}
     stated = any(part.first("direction") is not None for part in parts)
-    if stated or ways != {1.0, -1.0} or any(len(words) != 1 for words in said):
+    if stated or ways != {1.0, -1.0} or any(len(words) != 1 for words in of_names):
         return [*stems]
-    for part, stem, (word,) in zip(parts, stems, said, strict=True):
+    for part, stem, (word,) in zip(parts, stems, of_names, strict=True):
         axis = next((e["axis"] for e in part.entries.values() if e["role"] in OF_A_MACHINE), None)
         if axis is not None:
             set_side(part, axis, word, f"the name of the file {stem!r} states {word!r}")
             part.guesses[part.first("direction") or ""] = "from the names of the files"
-    bare = [re.sub(rf"[\W_]*{word}(?![^\W\d_])", "", stem) for stem, (word,) in zip(stems, said, strict=True)]
+    bare = [re.sub(rf"[\W_]*{word}(?![^\W\d_])", "", stem) for stem, (word,) in zip(stems, of_names, strict=True)]
     return [text.strip(" _-") or "1" for text in bare]
 
 

@@ -244,22 +244,22 @@ def in_role(
 
     None if the file states a unit of another quantity, such as a torque in %.
     """
-    allowed, said = ROLE_UNITS[role], unit or in_brackets(header)
-    if said is None or not allowed:
+    allowed, spelling = ROLE_UNITS[role], unit or in_brackets(header)
+    if spelling is None or not allowed:
         return values, None, why
-    word = _one_spelling(said)
+    word = _one_spelling(spelling)
     own = next((u for u in allowed if _one_spelling(u) == word), None)
     if own is not None:
         return values, own, why
     for key in (f"{word} {role.partition('_')[0]}", word):
         of, factor = OTHER_UNITS.get(key, ("", 1.0))
         if of in allowed:
-            return values * factor, of, f"{why}; {said} converted to {of}".strip("; ")
+            return values * factor, of, f"{why}; {spelling} converted to {of}".strip("; ")
         if of == "m" and "mm" in allowed:
-            return values * factor * 1e3, "mm", f"{why}; {said} converted to mm"
+            return values * factor * 1e3, "mm", f"{why}; {spelling} converted to mm"
         if of == "mm" and "m" in allowed:
-            return values * factor * 1e-3, "m", f"{why}; {said} converted to m"
-    if unit is None and word not in (*OTHER_UNITS, *_OF_A_SENSOR) and not re.search(r"[/%°\d]", said):
+            return values * factor * 1e-3, "m", f"{why}; {spelling} converted to m"
+    if unit is None and word not in (*OTHER_UNITS, *_OF_A_SENSOR) and not re.search(r"[/%°\d]", spelling):
         return values, None, why  # a word in brackets: `force (filtered)`
     return None
 

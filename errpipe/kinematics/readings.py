@@ -42,7 +42,7 @@ def of_tests(
 def unplaced(chain: Chain, tests: Mapping[str, Recording], squares: Mapping[str, float], found: MachineErrors) -> str:
     """By how much a squareness may be wrong as a line's place along an axis that turns it is not recorded; or ''."""
     single = {name: r for name, r in tests.items() if records.is_direct(r)}
-    said = []
+    causes = []
     for square, r in ((s, r) for s in squares for r in records.read(chain, single) if s in chain.components):
         if r.component not in (records.lines_of(chain, square) or ()):
             continue
@@ -57,8 +57,8 @@ def unplaced(chain: Chain, tests: Mapping[str, Recording], squares: Mapping[str,
             q[:, chain.axes.index(axis)] = np.linspace(low, high, WHOLE)
             most = 0.5 * float(np.ptp(found.at(q)[:, angles] @ along[angles]))
             if most > LEAST_TURN:
-                said.append(f"{square} by up to {most:.3g} urad, as {r.component} has no position of {axis}")
-    return f"may be wrong: {'; '.join(said)}: add it as a column, constant where it stood" if said else ""
+                causes.append(f"{square} by up to {most:.3g} urad, as {r.component} has no position of {axis}")
+    return f"may be wrong: {'; '.join(causes)}: add it as a column, constant where it stood" if causes else ""
 
 
 def modes(tests: Mapping[str, Recording]) -> int:

@@ -110,10 +110,10 @@ class ThermalFamily(Family):
             "chance": dict(outcome.chance),
             "noise_floor_um": _noise_floor(recording, self, outcome),
         }
-        said = _said(outcome, components.unit(self.component))
-        said += changes_with_place(recording, _left(recording, self, outcome))
-        said += few_rows_fitted(held_readings(recording), self.component, fitted.report["rows"])
-        return Fitted(model, {COMPETITION: document}, {self.component: said})
+        summary = _summary(outcome, components.unit(self.component))
+        summary += changes_with_place(recording, _left(recording, self, outcome))
+        summary += few_rows_fitted(held_readings(recording), self.component, fitted.report["rows"])
+        return Fitted(model, {COMPETITION: document}, {self.component: summary})
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Compete and fit on one side of a fold, validate on the other.
@@ -198,18 +198,18 @@ class ThermalFamily(Family):
             return False
 
 
-def _said(outcome: Outcome, unit: str) -> str:
+def _summary(outcome: Outcome, unit: str) -> str:
     """A short text on the outcome: residuals of the mixture on held-out groups, and its components."""
     from errpipe.thermal.competition import HALF, MIXTURE, NOTHING
 
     way = HALF if HALF in outcome.left else next(iter(outcome.left))
     left = outcome.left[way]
     made_of = " + ".join(f"{w:.2g} {e.name}" for e, w in outcome.weights) or "nothing"
-    said = f"{left[NOTHING]:.3g} -> {left[MIXTURE]:.3g} {unit} on each held-out {way}; {made_of}"
+    summary = f"{left[NOTHING]:.3g} -> {left[MIXTURE]:.3g} {unit} on each held-out {way}; {made_of}"
     other = outcome.left.get(MACHINE, left)[MIXTURE]
     if other <= UNLIKE_MACHINES * left[MIXTURE]:
-        return said
-    return f"{said}; {other:.3g} {unit} on each held-out {MACHINE}: machines that differ need one recording each"
+        return summary
+    return f"{summary}; {other:.3g} {unit} on each held-out {MACHINE}: machines that differ need one recording each"
 
 
 def _left(recording: Recording, family: ThermalFamily, outcome: Outcome) -> np.ndarray:

@@ -59,8 +59,8 @@ class NeuralVolume(Family):
         x, y, drivers = net.data(recording, self.components)
         network, penalty = net.chosen(recording, x, y, np.ones(len(recording), dtype=bool), self.units)
         model = net.error_model(recording, self.components, network, x, y, drivers)
-        said = "nothing" if penalty is None else f"{self.units} units, penalty {penalty:g}"
-        return Fitted(model, {}, dict.fromkeys(self.components, f"{said} on held-out groups"))
+        choice = "nothing" if penalty is None else f"{self.units} units, penalty {penalty:g}"
+        return Fitted(model, {}, dict.fromkeys(self.components, f"{choice} on held-out groups"))
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Train on one side of a fold (penalty included), validate on the other."""

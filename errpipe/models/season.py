@@ -113,8 +113,8 @@ class Season(Family):
         causes = [{"cause": name, "gain": gain} for name, gain, _ in fitted.parts]
         document = {"season": 1, "causes": causes, "report": _plain(fitted.report)}
         left = fitted.report["rms_runs_left_out"]
-        said = "no run could be held out" if left is None else f"-> {left:.3g} um on each held-out run"
-        return Fitted(model, {CAUSES: document}, {self.component: f"{fitted.report['rms_before']:.3g} {said}"})
+        remaining = "no run could be held out" if left is None else f"-> {left:.3g} um on each held-out run"
+        return Fitted(model, {CAUSES: document}, {self.component: f"{fitted.report['rms_before']:.3g} {remaining}"})
 
     def judge(self, recording: Recording, fold: Fold) -> Mapping[str, HeldOut]:
         """Fit on one side of a fold, validate on the other; deviations count from the start of each run."""

@@ -127,7 +127,7 @@ class _Reader:
             first=first,
             second=second,
             through=through,
-            named=state.plane_said,
+            named=state.plane_set,
             centres=not state.arc_absolute,
             longest=float(longest),
             chord_error=float(chord_error),

@@ -53,12 +53,12 @@ class Setup:
 class State:
     """Modal state. position: tool point in part coordinates, mm (deg), None where it is not yet known.
 
-    plane_said: whether the program named its plane; until then it is the one that LinuxCNC begins with.
+    plane_set: whether the program named its plane; until then it is the one that LinuxCNC begins with.
     """
 
     motion: str = ""
     plane: str = "G17"
-    plane_said: bool = False
+    plane_set: bool = False
     inch: bool = False
     absolute: bool = True
     arc_absolute: bool = False
@@ -169,7 +169,7 @@ def _no_turning_cycle(block: Block, state: State) -> None:
     """Raises DataError for a turning cycle of most lathes (Fanuc's G code system A): each piece would be one."""
     codes = set(block.codes("G"))
     ends = block.has("X") and block.has("Z") and not block.has("Y")
-    if codes & {"G90", "G94"} and ends and not codes & set(MOTIONS) and not (state.plane_said and state.plane == "G17"):
+    if codes & {"G90", "G94"} and ends and not codes & set(MOTIONS) and not (state.plane_set and state.plane == "G17"):
         code = "G90" if "G90" in codes else "G94"
         raise block.refused(
             f"{code} with X and Z is a turning cycle on a lathe: name the motion (G0, G1) in the block, or G17 above it"
@@ -182,7 +182,7 @@ def _no_drawing_angle(block: Block, state: State) -> None:
     It sets where a cut ends, or takes a corner off behind it: each piece of the cut would do so. A control that knows
     these has no axis of that letter, so none stands anywhere.
     """
-    if state.motion != "G1" or block.has("Y") or (state.plane_said and state.plane == "G17"):
+    if state.motion != "G1" or block.has("Y") or (state.plane_set and state.plane == "G17"):
         return
     places = dict(zip(LINEAR + ROTARY, state.position, strict=True))
     for word in block.words:
@@ -208,7 +208,7 @@ def _modes(block: Block, state: State, setup: Setup) -> State:
         if code in MOTIONS:
             state = replace(state, motion=code)
         elif code in PLANES:
-            state = replace(state, plane=code, plane_said=True)
+            state = replace(state, plane=code, plane_set=True)
         elif code in ("G20", "G21"):
             state = replace(state, inch=code == "G20")
         elif code in ("G90", "G91"):
@@ -281,7 +281,7 @@ def _end(block: Block, state: State) -> tuple[float | None, ...]:
 def _arc(block: Block, state: State, end: tuple[float | None, ...]) -> tuple[float, float]:
     """Centre of an arc in its plane, from I J K or R. Raises DataError if the radii disagree."""
     first, second, through = PLANES[state.plane]
-    if not state.plane_said and not block.has(second + CENTRES[second]):
+    if not state.plane_set and not block.has(second + CENTRES[second]):
         raise block.refused(
             f"an arc without {second} or {CENTRES[second]} before any plane was named: a lathe begins with G18, a mill "
             "with G17 (name it above the arc)"

@@ -67,7 +67,7 @@ def read_lock(out: Path) -> dict[str, Record]:
     return records
 
 
-def of_earlier(folder: Path, brought_up_to_date: Container[str]) -> str:
+def leftover_note(folder: Path, brought_up_to_date: Container[str]) -> str:
     """In words, which outputs in a folder an earlier run made; '' where there are none.
 
     A machine that fails keeps them: whoever reads its folder alone would take its old table for today's.

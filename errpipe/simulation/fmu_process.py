@@ -30,7 +30,7 @@ TOKEN = "ERRPIPE_FMU"
 UID_NOBODY = 65534  # the user without rights on Linux
 END_PATIENCE = 10.0  # s for the supervisor to end everything before it is ended itself
 MAX_ANSWER_BYTES = 16 << 20  # the description of an FMU of 50,000 variables
-MAX_SAID = 2000  # characters of an error
+MAX_MESSAGE = 2000  # characters of an error
 TAIL_CHARACTERS = 400  # of the FMU's last output: about three lines in a message
 # Environment variables of the process; no others are passed.
 ENVIRONMENT = (
@@ -151,7 +151,7 @@ class FmuProcess:
             answer = json.loads(line)
             if "error" not in answer:
                 return answer["ok"]
-            text = " ".join(str(answer["error"]).replace(str(self.folder), "...").split())[:MAX_SAID]
+            text = " ".join(str(answer["error"]).replace(str(self.folder), "...").split())[:MAX_MESSAGE]
         except (ValueError, TypeError, KeyError, RecursionError):
             raise DataError(f"{self.file.name}: {doing} it, its process returned an invalid response") from None
         raise DataError(f"{self.file.name}: {doing} it failed: {text}{self._tail()}")

@@ -71,7 +71,7 @@ def recording_in(folder: Path) -> Recording:
     return manifest_folder.read(folder)
 
 
-def set_aside(folder: Path, missing: MissingColumn) -> MissingColumn:
+def with_cleaning_reason(folder: Path, missing: MissingColumn) -> MissingColumn:
     """What to raise where a model reads a column that cleaning has set aside: its reason; else what was raised."""
     name, report = str(missing).partition(":")[0], Path(folder) / "cleaning.json"
     done = [d for r in jsonfile.read(report)["rules"] for d in r["done"]] if report.is_file() else []

@@ -126,7 +126,7 @@ def _not_measured(model: ErrorModel, pairs: Sequence[Lowered], recording: Record
             places = np.unique(recording.array(column)) if column is not None else places
         usual = float(np.diff(places[(places >= low) & (places <= high)]).max(initial=0.0))
         if low + TURN - high > USUAL * usual:
-            sentences.append(_plausible.bridged(axis, high, low + TURN))
+            sentences.append(_plausible.interpolated_turn(axis, high, low + TURN))
     return sentences
 
 

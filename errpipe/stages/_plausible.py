@@ -21,7 +21,7 @@ from errpipe.targets import _sample
 from errpipe.validation import plausibility
 
 PLACES = 41  # positions along an axis at which corrections are evaluated for the largest
-NOT_MEASURED = re.compile(r"(\w+) not measured from (\S+) to (\S+) deg")  # `bridged`
+NOT_MEASURED = re.compile(r"(\w+) not measured from (\S+) to (\S+) deg")  # `interpolated_turn`
 SAME = 1e-6  # mm (deg): corrections of both sides that differ by less are one
 UNBOUNDED = (-1e5, 1e5)  # mm: the plausible range of a position (`_inputs.CHANNELS`) where no profile has an end
 
@@ -126,7 +126,7 @@ def not_measured(table: CompensationTable) -> list[str]:
     ]
 
 
-def bridged(axis: str, low: float, high: float) -> str:
+def interpolated_turn(axis: str, low: float, high: float) -> str:
     """The part of a turn that was not measured, deg, from the title of a table."""
     return f"{axis} not measured from {low:g} to {high:g} deg"
 

@@ -39,7 +39,7 @@ class FitStage(Stage):
             try:
                 fitted = family.fit(recording, context.progress)
             except MissingColumn as missing:
-                raise _artefacts.set_aside(folder, missing) from missing
+                raise _artefacts.with_cleaning_reason(folder, missing) from missing
         _artefacts.write_model(context, recording, fitted.model, family)
         for name, document in fitted.documents.items():
             context.write_json(name, document)

@@ -184,9 +184,9 @@ def _compiled(model: ErrorModel) -> CompensationTable | None:
 
 def _of_table(table: CompensationTable, path: Path):
     """The predictor of a table, with the intervals of the model next to it if that is the same model."""
-    beside = path.parent / _artefacts.MODEL
-    if beside.is_file():
-        model = _artefacts.read_model(beside)
+    model_file = path.parent / _artefacts.MODEL
+    if model_file.is_file():
+        model = _artefacts.read_model(model_file)
         if jsonfile.fingerprint(_artefacts.model_json(model)) == table.fingerprint:
             return of_evaluator(lambda recording: table_values(table, model, recording), model, _begin(table, model))
     bare = ErrorModel(components=())

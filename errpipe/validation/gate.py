@@ -44,23 +44,23 @@ def pass_gate(model: ErrorModel, validations: Sequence[Mapping[str, Any]]) -> Pa
         halves = any(v.get("scheme") == HALVES for v in validations)
         reasons = "; ".join(_reason(one, halves) for one in judged) or "no component was judged"
         more = " One run is not enough to predict the next one: measure further days, each as a run." if halves else ""
-        more = more or _odd_run([c for v in validations for c in v["components"]])
+        more = more or _single_worse_run([c for v in validations for c in v["components"]])
         raise GateError(
             f"export: not better than no compensation on held-out rows ({reasons}). Nothing was exported.{more}"
         )
     return Passed(model.model_copy(update={"components": tuple(kept)}), tuple(left_out), tuple(judged))
 
 
-def _odd_run(components: Sequence[Mapping[str, Any]]) -> str:
+def _single_worse_run(components: Sequence[Mapping[str, Any]]) -> str:
     """A sentence on the only group that is worse than without the model, of at least three; else ""."""
     for component in components:
         groups = component.get("groups", ())
         worse = [g for g in groups if g["rms_after"] > g["rms_before"] * (1.0 + TIE)]
         if len(worse) == 1 and len(groups) >= FEWEST_GROUPS:
-            (odd,) = worse
-            change = f"{odd['rms_before']:.3g} -> {odd['rms_after']:.3g} {component['unit']}"
+            (run,) = worse
+            change = f"{run['rms_before']:.3g} -> {run['rms_after']:.3g} {component['unit']}"
             return (
-                f" {component['component']} is worse in {odd['label']} alone ({change}): compare its columns, sign and "
+                f" {component['component']} is worse in {run['label']} alone ({change}): compare its columns, sign and "
                 "zero with those of the others."
             )
     return ""

@@ -69,7 +69,7 @@ def judged(
                 name,
                 left,
                 halves=blocks if label == holdout.HALVES else None,
-                beside=[other for other in by_component.values() if other is not left] if family.one_map else (),
+                others=[other for other in by_component.values() if other is not left] if family.one_map else (),
             )
             for name, left in by_component.items()
         ],
@@ -187,12 +187,12 @@ def component_figures(
     folds: Sequence[HeldOut],
     gains: dict[str, float] | None = None,
     halves: Blocks | None = None,
-    beside: Sequence[Sequence[HeldOut]] = (),
+    others: Sequence[Sequence[HeldOut]] = (),
 ) -> dict[str, Any]:
     """Figures of one component over its held-out groups. gains: rms by gain if known from further rows.
 
     halves: if the groups are blocks of halves that predicted each other, per component the blocks predicted by all
-    others of the run; called if halves are inconclusive. beside: the same groups of other components of one map, whose
+    others of the run; called if halves are inconclusive. others: the same groups of other components of one map, whose
     significance is tested together: each alone would be a further chance to look good.
     """
     if not folds:
@@ -206,7 +206,7 @@ def component_figures(
     readings = recording.array(name)[rows[order]] if name else None
     floor = noise_floor(recording, rows[order], after[order], readings)
     best = _smallest_tied_gain(gains)
-    chance, runs, chosen = _tested(recording, component, folds, best, halves, beside)
+    chance, runs, chosen = _tested(recording, component, folds, best, halves, others)
     figures = {
         "component": component,
         "unit": (recording.manifest.columns[name].unit if name else None) or "um",
@@ -240,12 +240,12 @@ def _tested(
     folds: Sequence[HeldOut],
     best: float,
     halves: Blocks | None,
-    beside: Sequence[Sequence[HeldOut]],
+    others: Sequence[Sequence[HeldOut]],
 ) -> tuple[float, int, float]:
     """p-value of a gain, its number of observations, and the exported gain: this one or 0."""
     if halves is None:
-        whole = [_joined(parts) for parts in zip(*map(_at_best_gain, (folds, *beside)), strict=True)]
-        chance = significance.p_value(recording, whole if beside else folds, 1.0 if beside else best)
+        whole = [_joined(parts) for parts in zip(*map(_at_best_gain, (folds, *others)), strict=True)]
+        chance = significance.p_value(recording, whole if others else folds, 1.0 if others else best)
         runs = significance.independent_runs(recording, folds)
     else:
         chance, runs = significance.p_between_halves(folds, best)

@@ -319,16 +319,16 @@ def sensors_of_some_runs(recording: Recording) -> Iterator[Finding]:
     run = recording.run_codes()
     order = list(dict.fromkeys(run.tolist()))
     for share in REFERENCE:
-        odd = outlying_runs.outliers_from_there_on(recording, np.isin(run, order[: int(share * len(order))]))
-        if not odd:
+        outliers = outlying_runs.outliers_from_a_run_on(recording, np.isin(run, order[: int(share * len(order))]))
+        if not outliers:
             continue
-        names, labels = odd[0].what.split(" and "), {o.run for o in odd}
+        names, labels = outliers[0].what.split(" and "), {o.run for o in outliers}
         rows = np.isin(run, [c for c in order if recording.run_labels()[c] in labels])
-        evidence = f"{odd[0].says} from run {odd[0].run} on, in {len(odd)} runs"
+        evidence = f"{outliers[0].says} from run {outliers[0].run} on, in {len(outliers)} runs"
         if len(names) == 1:
             yield Finding("temperature-range", names[0], evidence, "another unit in part of the file", "ask")
         elif np.nanmedian(np.abs(recording.array(names[0])[rows] - recording.array(names[1])[rows])) > APART:
-            yield Finding("exchanged-sensors", odd[0].what, evidence, "plugs that were exchanged", "ask")
+            yield Finding("exchanged-sensors", outliers[0].what, evidence, "plugs that were exchanged", "ask")
         return
 
 

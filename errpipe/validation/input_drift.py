@@ -19,9 +19,9 @@ response moved, r the sensor's residuals in them and C their covariance, the reg
 
 For a changed machine the ratio stays below RATIO for ever in all but 1 / RATIO of the cases (Ville 1939).
 
-The same source clears a sensor: if its temperature left the others and the response followed it, the sensor is right,
-and its surroundings changed (coolant, place, load). Two sensors that disagree do not show which of them is wrong, nor
-whether one is: a cold hall missing in the reference runs has the same effect. Without a response neither is suspected.
+The same source shows that a sensor is healthy: its temperature left the others, the response followed it, and so its
+surroundings changed (coolant, place, load). Two sensors that disagree do not show which of them is wrong, nor
+whether one is: a cold hall missing in the reference runs has the same effect. Without a response neither is flagged.
 """
 
 from __future__ import annotations
@@ -57,17 +57,17 @@ SEASON = 15.0  # K; between seasons they change by less
 class Drift:
     """A column that drifted from the reference. since: label of the run in which its excursion started; size: K, mean.
 
-    blamed: this sensor is faulty; suspected: this or another suspected one is; cleared: a response
-    shows that it is right.
+    isolated: this sensor is faulty; flagged: this or another flagged one is; healthy: a response shows that it reads
+    right.
     """
 
     column: str
     since: str
     size: float
     statistic: float
-    blamed: bool = False
-    suspected: bool = False
-    cleared: bool = False
+    isolated: bool = False
+    flagged: bool = False
+    healthy: bool = False
 
 
 class _Readings(NamedTuple):
@@ -108,19 +108,19 @@ def sensor_drift(
     known = {k: apparent[name] for k, name in enumerate(names) if name in apparent}
     right = [k for k, a in known.items() if drift_of and _reads_right(data, k, sd[k], a, alarms[k][1])]
     tests = {k: _sensor_or_machine(data, k, sd[k], a) for k, a in known.items() if k not in right}
-    blamed = max(tests, key=lambda k: tests[k][0], default=None)
-    if blamed is not None and tests[blamed][0] >= np.log(RATIO):
-        ratio, begin, size = tests[blamed]
-        drift_of[blamed] = Drift(names[blamed], labels[new[begin]], size, ratio)
-        faulty = [blamed]
+    isolated = max(tests, key=lambda k: tests[k][0], default=None)
+    if isolated is not None and tests[isolated][0] >= np.log(RATIO):
+        ratio, begin, size = tests[isolated]
+        drift_of[isolated] = Drift(names[isolated], labels[new[begin]], size, ratio)
+        faulty = [isolated]
     else:
         faulty = _faulty_sensors(data, max(d.statistic for d in seen) / limit)
         drift_of |= {k: seen[k] for k in faulty}
-    suspected = [k for k in faulty if k not in right]
-    unsuspected = sorted((k for k in drift_of if k not in suspected), key=lambda k: -drift_of[k].statistic)
+    flagged = [k for k in faulty if k not in right]
+    unflagged = sorted((k for k in drift_of if k not in flagged), key=lambda k: -drift_of[k].statistic)
     return [
-        replace(drift_of[k], blamed=faulty == [k] == suspected, suspected=k in suspected, cleared=k in right)
-        for k in (*suspected, *unsuspected)
+        replace(drift_of[k], isolated=faulty == [k] == flagged, flagged=k in flagged, healthy=k in right)
+        for k in (*flagged, *unflagged)
     ]
 
 
@@ -152,9 +152,9 @@ def other_unit(recording: Recording, reference: np.ndarray) -> tuple[str, str] |
     return None
 
 
-def drifting_sensors(suspected: Sequence[str]) -> str:
+def drifting_sensors(flagged: Sequence[str]) -> str:
     """The possibly faulty sensors, as text: `T_nut drifts`, `T_nut or T_bed drifts`."""
-    *others, last = suspected
+    *others, last = flagged
     if not others:
         return f"{last} drifts"
     return f"{', '.join(others)} or {last} drifts (the likeliest first; runs of more nights distinguish them)"

@@ -49,7 +49,7 @@ def outliers_of_sensors(recording: Recording, reference: np.ndarray) -> list[Out
     return [OutlyingRun(labels[c], *cause) for c, cause in found]
 
 
-def outliers_from_there_on(recording: Recording, reference: np.ndarray) -> list[OutlyingRun]:
+def outliers_from_a_run_on(recording: Recording, reference: np.ndarray) -> list[OutlyingRun]:
     """The runs outside the reference rows, (rows,), that one cause explains, if it explains nearly all odd ones.
 
     Corrected readings may differ from the reference, because a machine continues to warm up, but less.

@@ -21,7 +21,7 @@ from errpipe.fitting.statistics import chi2_tail, student_tail
 # Largest p of an exported correction. Chosen on: random offsets by run, 3,000 draws for each of 3 to 20 runs, whose
 # mean offset is exported in 0.1 to 1.3 %; at 0.05 it is up to 3.3 %.
 LEVEL = 0.02
-QUIET = 0.1  # of the rms over all runs, added to both sides of the ratio: runs below it have little weight
+SMALL_SHARE = 0.1  # of the rms over all runs, added to both sides of the ratio: runs below it have little weight
 MIN_RUNS = 2  # runs; one alone does not predict the next
 # Largest share of the rms that a correction shown by two runs may leave. Two runs that predict each other are one
 # observation (the inner product of both curves is the same either way): their spread shows little. Chosen on 600 pairs
@@ -43,7 +43,7 @@ def p_value(recording: Recording, folds: Sequence[HeldOut], gain: float) -> floa
     before, after = _mean_squares(recording, folds, gain)
     if before.size < MIN_RUNS or (before.size == MIN_RUNS and after.sum() > PAIR_LEFT**2 * before.sum()):
         return 1.0
-    floor = (QUIET**2) * float(before.mean()) + 1e-30
+    floor = (SMALL_SHARE**2) * float(before.mean()) + 1e-30
     ratio = np.log((before + floor) / (after + floor))
     return min(1.0, 2.0 * min(_one_sided(ratio), _one_sided(before - after)))
 

@@ -17,7 +17,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import ErrpipeError, NotIdentifiable
 from errpipe.pipeline import runner
 from errpipe.pipeline.graph import models_of
-from errpipe.pipeline.lock import of_earlier, read_lock
+from errpipe.pipeline.lock import leftover_note, read_lock
 from errpipe.pipeline.spec import load_pipeline
 from errpipe.stages import STAGES, _artefacts
 from errpipe.stages.validate import HELD_OUT
@@ -55,7 +55,7 @@ def run_machine(pipeline: str, name: str, sets: Sequence[str], out: str) -> dict
     except Exception as err:
         state, message = "failed", f"internal error, please report it: {type(err).__name__}: {err}"
     message = message.replace(out, "OUT").replace(f"{Path(pipeline).parent}{os.sep}", "")
-    message += of_earlier(folder, brought_up_to_date) if state != "done" else ""
+    message += leftover_note(folder, brought_up_to_date) if state != "done" else ""
     seconds = time.perf_counter() - begin
     result = {"name": name, "state": state, "message": message, "attempts": 1, "seconds": seconds}
     return figures | result | {"peak_mb": _peak_mb()}
@@ -104,9 +104,9 @@ def _sensors(recording: Recording) -> list[dict[str, Any]]:
     """Sensors that left the others in the second half of the runs."""
     early = recording.run_codes() < (len(recording.run_labels()) + 1) // 2
     return [
-        {"what": f"sensor {d.column}{'' if d.blamed else ' or another'}", "since": d.since, "size": d.size, "unit": "K"}
+        {"what": f"sensor {d.column}" + " or another" * (not d.isolated), "since": d.since, "size": d.size, "unit": "K"}
         for d in sensor_drift(recording, early)
-        if d.suspected
+        if d.flagged
     ]
 
 

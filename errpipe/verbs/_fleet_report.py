@@ -90,7 +90,7 @@ def _type(
     responses = _fleet_types.responses(models)
     if pool:
         for component, response in responses.items():
-            _fleet_types.draw_together(models, component, response)
+            _fleet_types.shrink_to_type(models, component, response)
         models |= borrowed
         paths = [out / POOLED / machine / _artefacts.MODEL for machine in models]
         with ThreadPoolExecutor(WRITERS) as writers:

@@ -40,7 +40,7 @@ def responses(models: Mapping[str, ErrorModel], min_machines: int = pooling.MIN_
     return out
 
 
-def draw_together(models: dict[str, ErrorModel], component: str, response: dict[str, Any]) -> None:
+def shrink_to_type(models: dict[str, ErrorModel], component: str, response: dict[str, Any]) -> None:
     """Shrink the models of a type towards its mean (`response`: of `responses`), which then holds their parameters."""
     if "mean" not in response:
         return
@@ -53,7 +53,7 @@ def draw_together(models: dict[str, ErrorModel], component: str, response: dict[
         models[name] = with_parameters(models[name], component, mean, spread)
 
 
-def borrowing(
+def tasks_with_priors(
     tasks: Sequence[Task],
     undetermined: Container[str],
     results: Mapping[str, Mapping[str, Any]],

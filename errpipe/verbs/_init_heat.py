@@ -189,10 +189,10 @@ def _best(able: Mapping[tuple[int, ...], Sequence[HeldOut]]) -> tuple[int, ...]:
     return min((terms for terms, left in able.items() if _rms(left) <= (1.0 + TIE_MARGIN) * best), key=len)
 
 
-def _comparable(without: Sequence[HeldOut], having: Sequence[HeldOut]) -> bool:
+def _comparable(without: Sequence[HeldOut], extended: Sequence[HeldOut]) -> bool:
     """Whether more terms are judged on the same rows, but for the few where a temperature is missing."""
-    return len(without) == len(having) and all(
-        h.rows.size > MIN_READ_SHARE * w.rows.size for w, h in zip(without, having, strict=True)
+    return len(without) == len(extended) and all(
+        h.rows.size > MIN_READ_SHARE * w.rows.size for w, h in zip(without, extended, strict=True)
     )
 
 

@@ -59,21 +59,21 @@ def drift(model: ErrorModel, old: Recording, recording: Recording, known: frozen
         )
     if both is None:
         return {"inputs": [], "residuals": [], "sizes": [], "rms": [], "changes": [], "runs": []}
-    odd, lone = _outlying_runs(model, both, reference)
+    outliers, single = _outlying_runs(model, both, reference)
     labels = np.asarray(both.run_labels())[both.run_codes()]
-    sound = ~np.isin(labels, lone)
+    sound = ~np.isin(labels, single)
     both, reference = both.take(sound), reference[sound]
     prediction = predictions(model, both)
     apparent = _apparent_errors(model, both, prediction, reference)
     moved = response_drift.drifts(both, reference, prediction)
     sensors = [asdict(d) for d in input_drift.sensor_drift(both, reference, apparent)]
-    read = [d["column"] for d in sensors if d["suspected"] and d["column"] in model.columns]
+    read = [d["column"] for d in sensors if d["flagged"] and d["column"] in model.columns]
     if read:  # what the champion predicts is wrong, not what was measured
         meaning = {"meaning": f"it predicts by {read[0]}, which drifts"}
         moved["sizes"] = [s | meaning if s["meaning"] else s for s in moved["sizes"]]
     wrong = any(s["meaning"] for s in moved["sizes"])
     changes = [] if read or wrong else _changes(model, both, reference, prediction, moved)
-    return {"inputs": sensors, **moved, "changes": changes, "runs": odd}
+    return {"inputs": sensors, **moved, "changes": changes, "runs": outliers}
 
 
 def _outlying_runs(model: ErrorModel, both: Recording, reference: np.ndarray) -> tuple[list[dict[str, Any]], list[str]]:
@@ -86,8 +86,8 @@ def _outlying_runs(model: ErrorModel, both: Recording, reference: np.ndarray) ->
     responses = outlying_runs.outliers_of_responses(both, reference, predictions(model, both), wrong)
     last = both.run_labels()[-1]
     lasting = {(o.what, o.says) for o in responses if o.run == last}
-    lone = [o for o in responses if (o.what, o.says) not in lasting]
-    return [asdict(o) for o in (*sensors, *lone)], [*wrong, *(o.run for o in lone)]
+    single = [o for o in responses if (o.what, o.says) not in lasting]
+    return [asdict(o) for o in (*sensors, *single)], [*wrong, *(o.run for o in single)]
 
 
 def _changes(model, both, reference, prediction, moved) -> list[dict[str, Any]]:

@@ -21,7 +21,7 @@ MAX_NAMED = 6  # runs that a gate names
 
 def drifting_sensors(drift: Mapping[str, Any], model: ErrorModel) -> Gate:
     """No promotion of a challenger that reads a sensor which may drift: the drift was part of its training data."""
-    faulty = [d["column"] for d in drift["inputs"] if d["suspected"]]
+    faulty = [d["column"] for d in drift["inputs"] if d["flagged"]]
     if not set(faulty) & set(model.columns):
         return Gate("sensors", True, "no sensor of the challenger drifts")
     return Gate("sensors", False, f"{input_drift.drifting_sensors(faulty)}; repair or replace it first")
@@ -37,8 +37,8 @@ def responses(drift: Mapping[str, Any]) -> Iterator[Gate]:
 def outlying_runs(drift: Mapping[str, Any]) -> Iterator[Gate]:
     """No promotion of a challenger fitted on single runs whose readings are known to be wrong."""
     runs: dict[tuple[str, str], list[str]] = {}
-    for odd in (o for o in drift["runs"] if o["wrong"]):
-        runs.setdefault((odd["what"], odd["says"]), []).append(odd["run"])
+    for outlier in (o for o in drift["runs"] if o["wrong"]):
+        runs.setdefault((outlier["what"], outlier["says"]), []).append(outlier["run"])
     for (what, says), labels in runs.items():
         remedy = "put right, or left out (`without_runs` of ingest)"
         yield Gate(f"readings of {what}", False, f"in run {', '.join(labels)} {says}: {remedy}")

@@ -89,40 +89,40 @@ def _drift_lines(drift: Mapping[str, Any]) -> list[str]:
     lines = ["## Drift", ""]
     if not any(drift.values()):
         return [*lines, "Neither the sensors nor the champion's residual left what they were when it was fitted."]
-    said = [f"Sensor {d['column']} {_word(d)} since run {d['since']}: {d['size']:+.2g} K." for d in drift["inputs"]]
-    said += [
+    texts = [f"Sensor {d['column']} {_word(d)} since run {d['since']}: {d['size']:+.2g} K." for d in drift["inputs"]]
+    texts += [
         f"The champion's residual of {d['component']} moved since run {d['since']}{_regime(d)}: "
         f"{d['size_um']:+.3g} um on average."
         for d in drift["residuals"]
     ]
-    said += [
+    texts += [
         f"The champion leaves {d['after_um']:.3g} um rms of {d['component']} since run {d['since']}{_regime(d)}, "
         f"{d['before_um']:.3g} um before."
         for d in drift["rms"]
     ]
-    wrong = [f", or {d['column']} reads wrong" for d in drift["inputs"] if d["suspected"]]
-    said += [
+    wrong = [f", or {d['column']} reads wrong" for d in drift["inputs"] if d["flagged"]]
+    texts += [
         f"{d['component']} is {d['factor']:.2g} times what the champion predicts since run {d['since']}: "
         f"{d['meaning'] or 'the machine changed' + ''.join(wrong)}."
         for d in drift["sizes"]
     ]
-    return [*lines, *(f"- {plain_text(sentence)}" for sentence in (*said, *_sentences(drift)))]
+    return [*lines, *(f"- {plain_text(sentence)}" for sentence in (*texts, *_sentences(drift)))]
 
 
 def _word(sensor: Mapping[str, Any]) -> str:
-    if sensor["cleared"]:
+    if sensor["healthy"]:
         return (
             "left the others but reads right, as the deviations show (what surrounds it changed: coolant, place, load?)"
         )
-    if sensor["suspected"]:
-        return "drifts" if sensor["blamed"] else "may be the one that drifts"
+    if sensor["flagged"]:
+        return "drifts" if sensor["isolated"] else "may be the one that drifts"
     return "disagrees with the others"
 
 
 def in_words(document: Mapping[str, Any]) -> list[str]:
     """Lines for a terminal: decision, failed gates, sensors that may drift, changes."""
     lines = [document["decision"], *(f"{g['name']}: {g['says']}" for g in document["gates"] if not g["passed"])]
-    for d in (d for d in document["drift"]["inputs"] if d["suspected"] or d["cleared"]):
+    for d in (d for d in document["drift"]["inputs"] if d["flagged"] or d["healthy"]):
         lines.append(f"sensor {d['column']} {_word(d)} since run {d['since']}")
     return [*lines, *_fitted(document), *_sentences(document["drift"])]
 
@@ -133,13 +133,13 @@ def _sentences(drift: Mapping[str, Any]) -> list[str]:
     for change in drift["changes"]:
         terms = "; ".join(t["says"] for t in change["terms"])
         out.append(f"What changed of {change['component']} since run {change['since']}: {terms}.")
-    left = [d for d in drift["inputs"] if not d["cleared"]]
-    if left and not any(d["suspected"] for d in left):
+    left = [d for d in drift["inputs"] if not d["healthy"]]
+    if left and not any(d["flagged"] for d in left):
         out.append(
             f"{' and '.join(d['column'] for d in left)} left the others since run {left[0]['since']}: whether one"
             " of them is wrong or what surrounds it changed, a further sensor or a thermometer beside it shows."
         )
-    out += [f"Run {odd['run']}, {odd['what']}: {odd['says']}" for odd in drift["runs"]]
+    out += [f"Run {outlier['run']}, {outlier['what']}: {outlier['says']}" for outlier in drift["runs"]]
     return out
 
 

@@ -49,7 +49,7 @@ def problems(pipeline: Any, data: bool = True) -> list[Problem]:
     return sorted(set(all_problems))
 
 
-def unjudged(pipeline: Any) -> list[Problem]:
+def ungated_exports(pipeline: Any) -> list[Problem]:
     """Stages that export what nothing judges and do not say so: the gate of a run refuses them (exit code 4)."""
     why = "nothing before it judges its model on held-out rows: add a `validate` stage, or say ungated: true"
     return [
@@ -330,7 +330,7 @@ def _too_many(terms: Sequence[Any], recording: Recording) -> Iterator[tuple[int,
     """Terms of one column with more parameters than that column has different values: no rows can distinguish them."""
     from errpipe.terms import Term
 
-    spent: dict[str, int] = {}
+    parameters_over: dict[str, int] = {}
     for k, term in enumerate(terms):
         try:
             drivers = term.drivers(recording)
@@ -342,32 +342,32 @@ def _too_many(terms: Sequence[Any], recording: Recording) -> Iterator[tuple[int,
             continue
         levels = recording.frame.levels.get(drivers[0])
         count = sum(parameter.name not in term.fixed for parameter in term.linear())
-        spent[drivers[0]] = spent.get(drivers[0], 0) + count
-        if levels is not None and spent[drivers[0]] > levels:
-            yield k, f"{spent[drivers[0]]} parameters over {drivers[0]}, which has {levels} different values"
+        parameters_over[drivers[0]] = parameters_over.get(drivers[0], 0) + count
+        if levels is not None and parameters_over[drivers[0]] > levels:
+            yield k, f"{parameters_over[drivers[0]]} parameters over {drivers[0]}, which has {levels} different values"
 
 
 def _holdout(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:
     """The group that is to be held out is a column, a kind of group, or a calendar unit of a dated clock."""
     chosen = getattr(stage, "holdout", None)
-    asked: Any = getattr(chosen, "of", None)
+    wanted: Any = getattr(chosen, "of", None)
     where: Place = ("holdout", "of")
-    if asked is None and chosen is None and hasattr(stage, "options"):
-        asked, where = getattr(stage.options, "environment", None), ("options", "environment")
-        if not isinstance(asked, str) or "environment" not in stage.options.model_fields_set:
+    if wanted is None and chosen is None and hasattr(stage, "options"):
+        wanted, where = getattr(stage.options, "environment", None), ("options", "environment")
+        if not isinstance(wanted, str) or "environment" not in stage.options.model_fields_set:
             return
-    if asked is None:
+    if wanted is None:
         return
     columns = recording.manifest.columns
     groups = {n for n, c in columns.items() if c.role in ("group", "run")}
     groups |= {str(c.of) for c in columns.values() if c.of}
     dated = any(c.epoch for c in columns.values())
-    if asked in groups or (asked in CALENDAR and dated):
+    if wanted in groups or (wanted in CALENDAR and dated):
         return
-    if asked in CALENDAR:
-        yield where, f"{asked!r}: no column of role time has an epoch, so no row has a date"
+    if wanted in CALENDAR:
+        yield where, f"{wanted!r}: no column of role time has an epoch, so no row has a date"
         return
-    yield where, f"the recording has no group {asked!r} (it has: {', '.join(sorted(groups)) or 'none'})."
+    yield where, f"the recording has no group {wanted!r} (it has: {', '.join(sorted(groups)) or 'none'})."
 
 
 def _pairs(stage: Any, recording: Recording) -> Iterator[tuple[Place, str]]:

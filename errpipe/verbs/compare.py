@@ -222,9 +222,9 @@ def _recordings(old: Path, new: Path) -> Comparison:
             change = changes.of_rows(before, after, name)
             out.changes.append((name, change))
             out.lines += _where(change)
-    lone = [n for r in (before, after) for n in r.names("error") if n not in same_meaning]
-    if lone:
-        out.lines.append(f"deviations that only one of the two holds: {', '.join(dict.fromkeys(lone))}")
+    single = [n for r in (before, after) for n in r.names("error") if n not in same_meaning]
+    if single:
+        out.lines.append(f"deviations that only one of the two holds: {', '.join(dict.fromkeys(single))}")
     elif shared:
         errors = [moved[n] for n in before.names("error") if n in moved]
         out.widen(max((e["largest"] for e in errors), default=0.0), max((e["rms"] for e in errors), default=0.0))
@@ -240,8 +240,8 @@ def _diagnoses(old: Path, new: Path) -> Comparison:
     before, after = _diagnosis(old), _diagnosis(new)
     out = Comparison("diagnosis", parts={"responses": {}})
     _keys(out, "response", before, after)
-    for lone in [*(r for n, r in before.items() if n not in after), *(r for n, r in after.items() if n not in before)]:
-        size = max((f.rms_um for f in lone.findings), default=0.0)
+    for one in [*(r for n, r in before.items() if n not in after), *(r for n, r in after.items() if n not in before)]:
+        size = max((f.rms_um for f in one.findings), default=0.0)
         out.widen(size, size)
     for name, a, b in _shared(before, after):
         if a.verdict != b.verdict:

@@ -112,9 +112,9 @@ def fleet(
         if undetermined:
             own = {name: model.result() for name, model in models.items()}
             why = {name: results[name]["message"].partition(f"; {MACHINES}/")[0] for name in undetermined}
-            from errpipe.verbs._fleet_types import borrowing
+            from errpipe.verbs._fleet_types import tasks_with_priors
 
-            run(again := borrowing(tasks, undetermined, results, own, types))
+            run(again := tasks_with_priors(tasks, undetermined, results, own, types))
             for _, name, *_ in again:
                 results[name]["borrows"] = results[name]["state"] != "failed"
                 if results[name]["borrows"]:
@@ -187,9 +187,9 @@ def machines_of(spec: Fleet, root: Path) -> list[FleetMachine]:
     absent = [name for name in listed if name not in names]
     if absent or not names:
         raise UsageError(f"{folder}: holds no recording of {', '.join(absent) or 'any machine'}")
-    if odd := [name for name in names if not re.fullmatch(NAME, name)]:
+    if invalid := [name for name in names if not re.fullmatch(NAME, name)]:
         raise UsageError(
-            f"{folder}: no name of a machine: {', '.join(odd)} (allowed: letters, digits, '.', '_' and '-')"
+            f"{folder}: no name of a machine: {', '.join(invalid)} (allowed: letters, digits, '.', '_' and '-')"
         )
     lower = [name.lower() for name in names]
     if twice := [name for name in names if lower.count(name.lower()) > 1]:

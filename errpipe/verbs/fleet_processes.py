@@ -28,10 +28,10 @@ def run_machine(*task: Any) -> dict[str, Any]:
 
 
 def failed_result(task: Sequence[Any], attempts: int) -> dict[str, Any]:
-    from errpipe.pipeline.lock import of_earlier
+    from errpipe.pipeline.lock import leftover_note
 
     message = f"its worker was killed {attempts} times (out of memory?)"
-    message += of_earlier(Path(task[3]) / MACHINES / task[1], ())
+    message += leftover_note(Path(task[3]) / MACHINES / task[1], ())
     nothing = {"responses": {}, "drift": [], "model": "", "seconds": 0.0, "peak_mb": 0.0}
     return nothing | {"name": task[1], "state": "failed", "message": message, "attempts": attempts}
 

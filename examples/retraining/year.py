@@ -130,7 +130,7 @@ def year(
         code = errpipe(["retrain", str(out / "axis.yaml"), *folders])
         document = json.loads((out / "retrain/retrain.json").read_text(encoding="utf-8"))
         for alarm in document["drift"]["inputs"]:
-            if alarm["blamed"]:
+            if alarm["isolated"]:
                 state["sensors_named"].setdefault(alarm["column"], today)
             state["alarms"].setdefault(alarm["column"], today)
         if code == 0:
@@ -177,7 +177,7 @@ def nights_until_named(out: Path, seed: int, drift: float, most: int = 14) -> in
         write(out / "recording", {k: nights[k] for k in range(DRIFT + count - KEPT, DRIFT + count + 1)})
         errpipe(["retrain", str(out / "axis.yaml"), "--champion", str(out / "champion"), "--out", str(out / "retrain")])
         document = json.loads((out / "retrain/retrain.json").read_text(encoding="utf-8"))
-        if any(d["blamed"] and d["column"] == "T_nut" for d in document["drift"]["inputs"]):
+        if any(d["isolated"] and d["column"] == "T_nut" for d in document["drift"]["inputs"]):
             return count
     return None
 

@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 import errpipe
+from tests.contract.sources import parsed
 
 TOP = Path(errpipe.__file__).parent
 
@@ -113,10 +114,7 @@ def unreached(trees: Mapping[str, ast.Module], templates: str = "") -> set[str]:
 def trees() -> dict[str, ast.Module]:
     """Every module of errpipe by its path."""
     paths = {p: p.relative_to(TOP).with_suffix("").parts for p in sorted(TOP.rglob("*.py"))}
-    return {
-        ".".join(parts).removesuffix("__init__").rstrip("."): ast.parse(path.read_text(encoding="utf-8"))
-        for path, parts in paths.items()
-    }
+    return {".".join(paths[path]).removesuffix("__init__").rstrip("."): tree for path, tree in parsed(paths).items()}
 
 
 def test_every_definition_is_reached(trees: dict[str, ast.Module]) -> None:

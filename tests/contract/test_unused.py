@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import pytest
@@ -20,6 +20,7 @@ from errpipe.formats import FORMATS
 from errpipe.models import FAMILIES
 from errpipe.stages import STAGES
 from errpipe.targets import TARGETS
+from tests.contract.sources import parsed
 
 ROOT = Path(__file__).parents[2]
 CALLERS = ("errpipe", "tests", "trials", "bench", "examples")
@@ -38,7 +39,7 @@ KNOWN_OPTIONS = {  # option -> who sets it
 
 KNOWN_FIELDS = {  # field of a dataclass -> who reads it
     "tables.reference.Cycle.faults": "whoever compares an evaluator with the reference",
-    "validation.input_drift.Drift.cleared": "the pages of a retraining, from its document",
+    "validation.input_drift.Drift.healthy": "the pages of a retraining, from its document",
     "validation.outlying_runs.OutlyingRun.wrong": "the gates of a retraining, from its document",
 }
 
@@ -48,10 +49,10 @@ def module_of(path: Path) -> str:
     return ".".join(parts[1:] if parts[0] == "errpipe" else parts).removesuffix(".__init__")
 
 
-def imported(tree: ast.Module) -> dict[str, str]:
-    """Local name -> module of errpipe, or `module.name` in it."""
+def imported(nodes: Sequence[ast.AST]) -> dict[str, str]:
+    """Local name -> module of errpipe, or `module.name` in it. nodes: of a module."""
     out = {}
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("errpipe"):
             of = str(node.module).removeprefix("errpipe").lstrip(".")
             out |= {a.asname or a.name: f"{of}.{a.name}".lstrip(".") for a in node.names}
@@ -103,9 +104,11 @@ def unset(trees: Mapping[str, ast.Module], callers: Mapping[str, ast.Module]) ->
     calls: dict[str, list[ast.Call]] = defaultdict(list)
     values = set()  # handed on without being called
     for own, tree in {**callers, **trees}.items():
-        names = imported(tree)
-        called = {id(n.func) for n in ast.walk(tree) if isinstance(n, ast.Call)}
-        for node in ast.walk(tree):
+        # one walk of a tree: most nodes are contexts, constants and statements, which name nothing
+        nodes = [n for n in ast.walk(tree) if isinstance(n, ast.Call | ast.Name | ast.Attribute | ast.ImportFrom)]
+        names = imported(nodes)
+        called = {id(n.func) for n in nodes if isinstance(n, ast.Call)}
+        for node in nodes:
             if isinstance(node, ast.Call):
                 calls[named(node.func, own, names, defined)].append(node)
             elif isinstance(node, ast.Name | ast.Attribute) and id(node) not in called:
@@ -146,7 +149,7 @@ def unstated(stated: str, all_options: Iterator[tuple[str, str]]) -> set[str]:
 @pytest.fixture(scope="module")
 def trees() -> dict[str, ast.Module]:
     paths = [p for folder in CALLERS for p in sorted((ROOT / folder).rglob("*.py"))]
-    code = {module_of(p): ast.parse(p.read_text(encoding="utf-8")) for p in paths}
+    code = {module_of(p): tree for p, tree in parsed(paths).items()}
     pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
     blocks = [
         b for p in pages for b in re.findall(r"(?<!-->\n)```python\n(.*?)```", p.read_text(encoding="utf-8"), re.S)
@@ -187,7 +190,7 @@ def test_an_option_that_nothing_states_is_seen() -> None:
 
 def unread(trees: Mapping[str, ast.Module], templates: str = "") -> set[str]:
     """Fields of dataclasses whose name no attribute that is read has, and no word of a template."""
-    nodes = [node for tree in trees.values() for node in ast.walk(tree)]
+    nodes = (node for tree in trees.values() for node in ast.walk(tree))
     read = {n.attr for n in nodes if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Load)}
     read |= set(re.findall(r"\w+", templates))
     out = set()

@@ -202,6 +202,7 @@ def test_odd_input_never_gives_a_confident_finding(tmp_path: Path, what: str) ->
     assert all(f["confidence"] < 0.5 for f in named)
 
 
+@pytest.mark.slow
 def test_applied_findings_leave_nothing_for_a_pipeline_to_find(tmp_path: Path) -> None:
     """diagnose --apply, then the corrected folder through ingest and diagnose: agreement."""
     from errpipe.pipeline import runner

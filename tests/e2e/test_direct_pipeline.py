@@ -121,7 +121,7 @@ def test_the_error_model_and_the_table_predict_the_same(out, tmp_path):
     np.testing.assert_allclose(a, b, atol=0.02)
 
 
-def test_what_was_not_measured_is_said(out):
+def test_what_was_not_measured_is_reported(out):
     document = json.loads((out / "identify_direct" / "identification.json").read_text())
     assert {c for u in document["unseen"] for c in u["components"]} >= {"EYY", "EBX", "C0Y"}
     assert document["reversal"]["EXX"]["value"] == pytest.approx(-4.0, abs=0.1)

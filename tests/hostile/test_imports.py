@@ -114,7 +114,7 @@ def test_a_matlab_variable_that_unpacks_to_a_thousand_times_its_size(tmp_path, c
     assert "13000000 cells" in refused(path, tmp_path, capsys)
 
 
-@pytest.mark.parametrize("text", ["\n", "1,", "1 ", "1\r"], ids=repr)
+@pytest.mark.parametrize("text", [pytest.param("\n", marks=pytest.mark.slow), "1,", "1 ", "1\r"], ids=repr)
 def test_a_text_of_very_many_cells(tmp_path, capsys, text):
     path = tmp_path / "many.csv"
     line = text * 400 if text[0] != "\n" else text

@@ -162,7 +162,7 @@ def test_a_reading_that_is_not_given_or_not_known_is_refused(
     assert code == 2 and word in text
 
 
-def test_a_reading_outside_what_was_measured_is_said(table: Path, capsys: Any) -> None:
+def test_a_reading_outside_what_was_measured_is_reported(table: Path, capsys: Any) -> None:
     from errpipe.cli.app import main
 
     out = table.parent / "o.ngc"

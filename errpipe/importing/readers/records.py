@@ -202,9 +202,9 @@ def _of_series(series: list[Any]) -> dict[str, list[Any]]:
     for one in series if len(series) > 1 else []:
         lists = [v for v in one.values() if isinstance(v, list)] if isinstance(one, dict) else []
         if len(lists) == 1 and (pairs := _timed(lists[0])):
-            said = [(k, v) for k, v in _flat(one).items() if isinstance(v, str)]
-            said.sort(key=lambda item: "name" in item[0])  # `X axis_actual_mm`
-            rows += [{"signal": " ".join(v for _, v in said), "time": t, "value": v} for t, v in pairs]
+            texts = [(k, v) for k, v in _flat(one).items() if isinstance(v, str)]
+            texts.sort(key=lambda item: "name" in item[0])  # `X axis_actual_mm`
+            rows += [{"signal": " ".join(v for _, v in texts), "time": t, "value": v} for t, v in pairs]
             continue
         records = lists[0] if len(lists) == 1 and all(isinstance(r, dict) for r in lists[0]) else []
         if not records or not all(any(k.lower() == "value" for k in r) for r in records):

@@ -158,7 +158,7 @@ def test_one_night_of_another_sign_stops_promotions_until_it_is_left_out_by_name
     assert failed(document) == ["evidence"] and document["drift"]["runs"] == []
 
 
-def test_what_changed_is_said_in_the_terms_of_the_model(site: Path) -> None:
+def test_what_changed_is_reported_in_the_terms_of_the_model(site: Path) -> None:
     record(site / "recording", 22, changed_from=12)
     _, document = retrain(site)
     (change,) = document["drift"]["changes"]
@@ -317,8 +317,8 @@ def test_a_limit_on_the_change_keeps_the_champion(site: Path) -> None:
 def test_a_sensor_that_drifts_is_named_beside_the_decision(site: Path, capsys: pytest.CaptureFixture) -> None:
     record(site / "recording", 40, sensor_drift_from=14)
     code, document = retrain(site, "--annotations", "github")
-    blamed = [d["column"] for d in document["drift"]["inputs"] if d["blamed"]]
-    assert blamed == ["T_nut"] and code == 4 and "sensors" in failed(document)
+    isolated = [d["column"] for d in document["drift"]["inputs"] if d["isolated"]]
+    assert isolated == ["T_nut"] and code == 4 and "sensors" in failed(document)
     assert "::warning title=sensor::T_nut drifts since run" in capsys.readouterr().out
 
 

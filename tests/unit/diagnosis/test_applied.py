@@ -68,7 +68,10 @@ def module(path: Path):
     return outcome
 
 
-SLOW = ("friction of an axis whose places alone are known", "a force that comes late", "a machine that rings")
+SLOW = (
+    *("friction, no term of a controller", "friction of an axis whose places alone are known"),
+    *("a force that comes late", "a machine that rings"),
+)
 PARAMS = [pytest.param(c, id=c.replace(" ", "-"), marks=[pytest.mark.slow] if c in SLOW else []) for c in CASES]
 
 
@@ -165,6 +168,7 @@ def test_a_datum_for_each_session_only_where_it_explains_more() -> None:
     assert session_datums(none, y + 3.0 * rng.normal(0, 1, 8)[session], session).shape[1] == 8
 
 
+@pytest.mark.slow
 def test_equal_findings_give_equal_bytes(tmp_path: Path) -> None:
     recording = spindle(2, hidden=lambda c: 2.5 * late(c["t"], c["T_room"] - 20, 3600.0))
     diagnosis, rows = diagnose(recording)

@@ -81,7 +81,7 @@ def test_squareness_turns_about_the_third_axis():
         ("A0S", "tilt of the spindle about X"),
     ],
 )
-def test_location_errors_are_said_as_what_they_are(name, output):
+def test_location_errors_are_reported_as_what_they_are(name, output):
     assert components.describe(name) == output
 
 

@@ -293,6 +293,7 @@ def known(folder) -> None:
     assert judged["rows"] == component["rows"]
 
 
+@pytest.mark.slow
 def test_a_pipeline_of_partitioned_parquet_is_fitted_in_batches(tmp_path):
     two_years(tmp_path, 150_000)
     peak_mb(tmp_path)

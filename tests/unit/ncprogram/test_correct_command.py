@@ -10,7 +10,7 @@ from errpipe.verbs.correct import remarks_on_words, unset_modal_states
 from tests.unit.targets import machines
 
 
-def test_what_a_program_cannot_correct_is_said(tmp_path):
+def test_what_a_program_cannot_correct_is_reported(tmp_path):
     table = machines.two_outputs()
     first, *others = table.outputs
     turned = first.model_copy(update={"axis": "C"})
@@ -152,6 +152,6 @@ def test_a_turning_program_says_that_x_was_taken_as_a_radius(line):
         ("G54 G0 X0 Y0", ""),
     ],
 )
-def test_what_a_program_leaves_to_the_state_of_its_control_is_said(program, left):
+def test_what_a_program_leaves_to_the_state_of_its_control_is_reported(program, left):
     """On a control that starts in inches the corrected program would be wrong by 25.4 times the correction."""
     assert unset_modal_states(program).startswith(left) and bool(unset_modal_states(program)) == bool(left)

@@ -37,7 +37,7 @@ def test_where_the_bar_stood_is_not_drawn():
         assert np.ptp(test.deviation) > 100 and np.ptp(iso230_4.centred(test)) < 6.0
 
 
-def test_a_servo_mismatch_is_said():
+def test_a_servo_mismatch_is_reported():
     """One axis 1 um behind the other: the oval turns with the sense."""
     chain = compile_chain(yamlfile.load(MACHINE, Machine))
     runs = metrology.circles(chain, chain.travel.mean(axis=1), 100.0, 120.0)

@@ -105,6 +105,7 @@ DEMO = Terms.model_validate(
 )
 
 
+@pytest.mark.slow
 def test_terms_reach_the_noise_of_an_axis_that_is_not_made_of_them():
     """The axis conducts heat, the model knows a lag: held-out residual within 1.1 of the noise (median of 3 seeds)."""
     ratios = []

@@ -230,7 +230,7 @@ def test_no_process_outlives_its_recording(model: Path, monkeypatch: pytest.Monk
         ({"step": 1e-5}, "are too many"),
     ],
 )
-def test_what_does_not_fit_is_said(model: Path, options: dict, message: str) -> None:
+def test_what_does_not_fit_is_reported(model: Path, options: dict, message: str) -> None:
     with pytest.raises(DataError, match=message):
         simulated(recorded(), model, **options)
 

@@ -130,7 +130,7 @@ def test_a_jump_is_a_fault_and_the_quickest_sound_change_none(watched):
     assert drive_all(faults(guard), jumped)[:, k].any()
 
 
-def test_a_guard_that_costs_sound_sensors_too_much_is_left_out_and_said(watched):
+def test_a_guard_that_costs_sound_sensors_too_much_is_left_out_and_reported(watched):
     """One that alarms in every other group: each temperature is then monitored individually."""
     rows, _, judge, _ = watched
     real = learn.learn
@@ -183,7 +183,7 @@ def test_checklists_say_whether_sensors_are_watched(watched, guarded):
     assert any("no memory for a guard" in x for x in _sensor_monitoring(lines, table))
 
 
-def test_no_guard_is_said_in_the_title(tmp_path):
+def test_no_guard_is_reported_in_the_title(tmp_path):
     found = _guarded.no_guard("guard: false")
     assert found.title("lathe") == f"lathe; {_guarded.NOT_MONITORED}" and "guard: false" in found.sentence
 

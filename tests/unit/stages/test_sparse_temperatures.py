@@ -110,7 +110,7 @@ def of_terms(recording: Recording):
     return model, compile_model(model, CompileOptions(), recording=recording)
 
 
-def test_a_step_that_a_table_of_terms_does_not_believe_is_said():
+def test_a_step_that_a_table_of_terms_does_not_believe_is_reported():
     """Readings 30 K above their neighbours from one row on, in a model of which the table holds every term."""
     recording, _ = spindle_drift.simulate(2, days=DAYS)
     model, table = of_terms(recording)

@@ -163,7 +163,7 @@ def test_cases_are_readable_sealed_and_counted(tmp_path: Path) -> None:
     assert "| all | 0 of 4 (0 %) | 5 of 5 (100 %) | 0 of 9 (0 %) |" in markdown(rows, "title")
 
 
-def test_no_repetition_is_said(tmp_path: Path) -> None:
+def test_no_repetition_is_reported(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="none of these recordings has a repetition"):
         generate(tmp_path, [("bent", warm_up(bent=6.0))], 1, 1, 1)
 

@@ -56,7 +56,7 @@ def test_sound_runs_and_a_model_that_is_late_or_wrong_in_all_of_them_are_none():
         assert found(warmed(seed + 1), seed) == []  # nothing to do with what happened
 
 
-def test_a_run_of_another_clock_is_said_in_the_summary_and_in_the_report(tmp_path, capsys):
+def test_a_run_of_another_clock_is_reported_in_the_summary_and_in_the_report(tmp_path, capsys):
     growth = warmed(0)
     growth[2] = np.roll(growth[2], 60)
     run = np.repeat(np.arange(1, RUNS + 1), ROWS).astype(str)

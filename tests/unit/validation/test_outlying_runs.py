@@ -132,7 +132,7 @@ MODEL = {
     ],
     ids=["collision", "bearing", "nothing"],
 )
-def test_what_changed_is_said_in_the_terms_of_the_model(offset: float, growth: float, says: list[str]) -> None:
+def test_what_changed_is_reported_in_the_terms_of_the_model(offset: float, growth: float, says: list[str]) -> None:
     columns, error = machine(12)
     screw = columns["T_screw"]
     residual = offset + growth * 1e-3 * columns["x"] * (screw - 20.0)
@@ -171,7 +171,7 @@ def test_of_two_terms_of_one_kind_the_changed_one_is_named_by_its_sensor() -> No
     assert change.says.startswith("thermal_drift of T_screw: gain 2 -> ") and change.term == "thermal_drift"
 
 
-def test_a_change_without_a_term_is_said_to_be_one() -> None:
+def test_a_change_without_a_term_is_reported_to_be_one() -> None:
     columns, error = machine(13)
     model = ErrorModel.model_validate(MODEL)
     wave = 9.0 * np.sin(2 * np.pi * columns["x"] / 20.8)

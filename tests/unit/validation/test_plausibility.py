@@ -74,7 +74,7 @@ def test_backlash_of_the_other_sign_is_asked_not_refused() -> None:
 
 
 @pytest.mark.parametrize(("lost", "says"), [(2.0, True), (0.4, False)])
-def test_small_lost_motion_of_the_other_sign_is_said(lost: float, says: bool) -> None:
+def test_small_lost_motion_of_the_other_sign_is_reported(lost: float, says: bool) -> None:
     """Below 5 um it was silent. An import asks for a sign that the file does not state."""
     plain = axis_test(4, warm=False)
     f = plain.frame

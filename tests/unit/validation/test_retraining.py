@@ -153,7 +153,7 @@ def sensors(drifting: int | None, per_day: float, seed: int = 3) -> tuple[Record
 def test_the_sensor_that_drifts_is_blamed_and_the_day_is_right(drifting: int) -> None:
     recording, reference = sensors(drifting, 0.3)
     first = sensor_drift(recording, reference)[0]
-    assert first.blamed and first.column == f"T_{drifting}"
+    assert first.isolated and first.column == f"T_{drifting}"
     assert 20 <= int(first.since.split()[1]) <= 24 and first.size > 0
 
 
@@ -173,20 +173,20 @@ def three_sensors(seed: int, drift_from: int, nights: int) -> tuple[Recording, n
 
 def test_a_healthy_sensor_is_not_called_faulty_because_the_others_know_too_little_of_it() -> None:
     """Of three sensors the rear one was named on the first nights: without it the two others are silent, too."""
-    suspected, named = [], []
+    flagged, named = [], []
     for seed in range(4):
         recording, reference = three_sensors(seed, 40, 56)
         nights = recording.run_codes()
         for last in (43, 44, 46, 55):
             rows = nights <= last
             drift = sensor_drift(recording.take(rows), reference[rows])
-            suspected.append({d.column for d in drift if d.suspected})
-            named.append([d.column for d in drift if d.blamed])
-    assert all("front" in names for names in suspected if names) and sum(map(bool, suspected)) >= 12
+            flagged.append({d.column for d in drift if d.flagged})
+            named.append([d.column for d in drift if d.isolated])
+    assert all("front" in names for names in flagged if names) and sum(map(bool, flagged)) >= 12
     assert all(names in ([], ["front"]) for names in named) and named[3::4].count(["front"]) >= 3
 
 
-def test_who_may_drift_is_said_with_the_likeliest_first() -> None:
+def test_who_may_drift_is_reported_with_the_likeliest_first() -> None:
     assert drifting_sensors(["nut"]) == "nut drifts"
     assert drifting_sensors(["nut", "bed", "air"]).startswith("nut, bed or air drifts (the likeliest first")
 
@@ -230,7 +230,7 @@ def test_a_response_that_moved_names_the_sensor_within_three_runs_only_where_the
         early = recording.run_codes() < 24
         apparent = np.random.default_rng(seed).normal(0, 0.03, 24) + 0.25 * np.maximum(np.arange(24) - 20, 0)
         drift = sensor_drift(recording.take(early), reference[early], {"T_2": apparent})
-        named += [d.column for d in drift if d.blamed]
+        named += [d.column for d in drift if d.isolated]
     assert (named.count("T_2") >= 9) if culprit == "sensor" else (len(named) <= 1), named
 
 
@@ -249,9 +249,9 @@ def test_a_sensor_that_the_response_follows_reads_right() -> None:
     )
     (right,) = (d for d in sensor_drift(recording, reference, {"T_2": followed}) if d.column == "T_2")
     (faulty,) = (d for d in sensor_drift(recording, reference, {"T_2": wrong}) if d.column == "T_2")
-    assert alone.suspected and not alone.cleared
-    assert right.cleared and not right.suspected and not right.blamed
-    assert faulty.blamed and not faulty.cleared
+    assert alone.flagged and not alone.healthy
+    assert right.healthy and not right.flagged and not right.isolated
+    assert faulty.isolated and not faulty.healthy
 
 
 def test_a_response_that_shows_a_quarter_of_it_does_not_blame_the_sensor() -> None:
@@ -259,7 +259,7 @@ def test_a_response_that_shows_a_quarter_of_it_does_not_blame_the_sensor() -> No
     recording, reference = moved("T_2", -2.0)
     apparent = np.random.default_rng(1).normal(0, 0.2, 40) - 0.5 * (np.arange(40) >= 20)
     (drift,) = (d for d in sensor_drift(recording, reference, {"T_2": apparent}) if d.column == "T_2")
-    assert drift.cleared and not drift.suspected
+    assert drift.healthy and not drift.flagged
 
 
 def test_of_two_sensors_that_disagree_none_is_suspected_and_a_response_clears_them() -> None:
@@ -268,9 +268,9 @@ def test_of_two_sensors_that_disagree_none_is_suspected_and_a_response_clears_th
     manifest = recording.manifest.model_copy(update={"columns": kinds})
     two = Recording(manifest, recording.frame[list(kinds)])
     drift = sensor_drift(two, reference)
-    assert drift and not any(d.suspected or d.cleared for d in drift)
+    assert drift and not any(d.flagged or d.healthy for d in drift)
     followed = {n: np.random.default_rng(1).normal(0, 0.03, 40) for n in ("T_1", "T_2")}
-    assert all(d.cleared for d in sensor_drift(two, reference, followed))
+    assert all(d.healthy for d in sensor_drift(two, reference, followed))
 
 
 def test_cusum_finds_the_begin_of_a_shift_and_ignores_noise() -> None:

@@ -63,7 +63,7 @@ def test_a_model_that_often_leaves_steps_is_not_blamed_on_the_probe():
     assert found(left) == []
 
 
-def test_a_knocked_probe_is_said_in_the_summary_and_in_the_report(tmp_path, capsys):
+def test_a_knocked_probe_is_reported_in_the_summary_and_in_the_report(tmp_path, capsys):
     recording, _ = spindle_drift.simulate(3)
     knocked = recording.array("E_Z").copy()
     rows = np.flatnonzero(recording.run_codes() == 2)

@@ -130,7 +130,7 @@ def test_a_changed_reading_a_new_run_and_a_lost_column(tmp_path: Path, capsys: p
     assert answer["only_in_new"]["run"] == ["day 5"] and answer["only_in_old"]["run"] == []
 
 
-def test_a_shift_of_a_recording_is_drawn_and_where_it_stands_is_said(tmp_path: Path, capsys: Any) -> None:
+def test_a_shift_of_a_recording_is_drawn_and_where_it_stands_is_reported(tmp_path: Path, capsys: Any) -> None:
     """From run day 3 on 5 um more: no column of the recording explains it, the number of the run does."""
     record(tmp_path / "old", 6)
     record(tmp_path / "new", 6, read_from=3, as_read=lambda um: um + 5.0)

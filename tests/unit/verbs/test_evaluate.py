@@ -23,14 +23,14 @@ from tests.unit.targets import machines
         ("x=nan", 0.0, ["x = nan counts as no reading (allowed: -50 .. 550)"]),
     ],
 )
-def test_a_reading_outside_is_said(tmp_path: Path, capsys: Any, at: str, deviation: float, says: list[str]) -> None:
+def test_a_reading_outside_is_reported(tmp_path: Path, capsys: Any, at: str, deviation: float, says: list[str]) -> None:
     ect.write(machines.too_long_at_plus_x(), tmp_path / "t.ect")
     assert main(["eval", str(tmp_path / "t.ect"), "--at", at, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)["result"]
     assert result["outside"] == says and result["deviation"]["EXX"] == pytest.approx(deviation, abs=0.01)
 
 
-def test_what_stands_for_an_input_that_was_not_given_is_said(tmp_path: Path, capsys: Any) -> None:
+def test_what_stands_for_an_input_that_was_not_given_is_reported(tmp_path: Path, capsys: Any) -> None:
     """Without `--at` the deviation of the middle of the axis was printed, and nothing said so."""
     table = machines.too_long_at_plus_x()
     (x,) = (i for i in table.inputs if i.name == "x")

@@ -83,7 +83,8 @@ def _two_drifts(folder: Path, small: float) -> None:
     recording_folder.write(folder, Recording(manifest, made.frame.assign(small=small * made.frame["E_Z"])))
 
 
-@pytest.mark.parametrize("template", [pytest.param("spindle-drift", marks=pytest.mark.slow), "gantry"])
+@pytest.mark.slow
+@pytest.mark.parametrize("template", ["spindle-drift", "gantry"])
 def test_every_drift_of_a_recording_is_fitted_and_exported(tmp_path: Path, template: str) -> None:
     """Before: the widest alone; X of 5 um was left as it was."""
     _two_drifts(tmp_path / "recording", 0.1)

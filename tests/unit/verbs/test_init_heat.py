@@ -39,6 +39,7 @@ def _pipeline(tmp_path: Path, recording: Recording, *options: str) -> str:
     return (tmp_path / "work" / "pipeline.yaml").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_a_screw_that_grows_is_exported_with_its_growth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Before: the mean curve of all states, or nothing. Both files are errors: positive, the axis goes too far."""
     text = _pipeline(tmp_path, _axis(GROWTH))

@@ -39,7 +39,7 @@ def test_a_quiet_night_is_no_failure() -> None:
     assert [q["severity"] for q in pages.code_quality(worse)] == ["info", "major"]
 
 
-def test_pages_of_two_machines_are_told_apart() -> None:
+def test_pages_of_two_machines_are_distinguished() -> None:
     """In one report of GitLab findings of one fingerprint are one, and so are test cases of one class and name."""
     one = document(("inputs", False))
     other = one | {"title": "mill & lathe"}
@@ -50,8 +50,8 @@ def test_pages_of_two_machines_are_told_apart() -> None:
     ]
 
 
-def sensor(column: str, suspected: bool) -> dict[str, Any]:
-    facts = {"suspected": suspected, "blamed": suspected, "cleared": False}
+def sensor(column: str, flagged: bool) -> dict[str, Any]:
+    facts = {"flagged": flagged, "isolated": flagged, "healthy": False}
     return {"column": column, "since": "day 22", "size": 1.8, **facts}
 
 
