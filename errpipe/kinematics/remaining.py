@@ -153,7 +153,7 @@ def expected(identified: Identified) -> Expected:
     whole = by_axis.reshape(-1, rows.shape[2])
     kept = _not_harmful(identified, [whole, *by_axis])
     part = np.where(kept[prior.component], identified.mean, 0.0)
-    names = chain.machine.linear_axes()
+    names = chain.machine.correcting_axes()
     axes = {name: _expected(identified, part, own) for name, own in zip(names, by_axis, strict=True)}
     others = tuple(n for n, k in zip(chain.components, kept, strict=True) if not k)
     return replace(_expected(identified, part, whole, count), axes=axes, left_alone=others)
