@@ -31,8 +31,8 @@ PIECE = 500  # positions per block of the covariance, which bounds memory
 # Largest allowed probability that the machine, or an axis of it, gets worse. A campaign passes hundreds of axes, and at
 # 0.01 one got worse (five axes by R-test, seed 20 of `trials.volumetric`, X 18.4 -> 19.2 um, stated 0.004).
 MAX_HARM_PROBABILITY = 0.002
-# Components are left out until no axis exceeds this probability, where they can be: of 100 axes none gets worse with 95 %
-# (Bonferroni: 0.05 / 100). At 0.002 the same X got worse once more (19.2 -> 20.6 um, stated 0.0006).
+# Components are left out until no axis exceeds this probability, where they can be: with 95 % none of 100 axes gets
+# worse (Bonferroni: 0.05 / 100). At 0.002 the same X got worse once more (19.2 -> 20.6 um, stated 0.0006).
 AIMED_HARM_PROBABILITY = 0.0005
 TRUTH_POINTS = 401  # of a simulated component over the travel, as `truth.json` holds it
 
