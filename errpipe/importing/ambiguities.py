@@ -222,8 +222,8 @@ def machine_positions(
         letters = {columns.axis_in(x.header) for x in (place, c)} - {None}
         usable = ("group", *PLACES, "ignore") if c in own else (*PLACES[:2], "ignore") if c.unit else ()
         readings = [name for name, g in guesses.items() if g.kind == "error" and name != c.header]
-        usable += ("error", "actual") if c in own and readings else ()  # a position in um
-        shift = _shift(place, c) if len(letters) < 2 and guesses[c.header].kind in usable else None
+        in_um = ("error", "actual") if c in own and readings else ()
+        shift = _shift(place, c) if len(letters) < 2 and guesses[c.header].kind in (*usable, *in_um) else None
         if shift is None:
             continue
         if c not in own:
