@@ -84,7 +84,7 @@ def true_rms(
 
     axes: those that are corrected. The workpiece's shift and turn is taken out, as its datum does.
     """
-    linear = chain.machine.linear_axes()
+    linear = chain.machine.correcting_axes()
 
     def true(q: np.ndarray) -> np.ndarray:
         return synthesis.exact(chain, q, truth.at(q))[:, :3]

@@ -164,6 +164,14 @@ class Machine(Frozen):
             sorted((n for n, a in self.axes.items() if a.kind == "linear"), key=lambda n: ("XYZUVWPQR".find(n[0]), n))
         )
 
+    def correcting_axes(self) -> tuple[str, ...]:
+        """Linear axes that no rotary axis turns against the bed: a correction in them has a fixed direction."""
+        links, rotary = [link.rstrip("'") for link in self.chain], set(self.rotary_axes())
+        bed = links.index("bed")
+        return tuple(
+            a for a in self.linear_axes() if not rotary.intersection(links[min(i := links.index(a), bed) : max(i, bed)])
+        )
+
     def rotary_axes(self) -> tuple[str, ...]:
         return tuple(sorted(n for n, a in self.axes.items() if a.kind == "rotary"))
 

@@ -221,7 +221,9 @@ def machine_positions(
     for place, c in ((place, c) for place in places for c in free if place in free and c is not place):
         letters = {columns.axis_in(x.header) for x in (place, c)} - {None}
         usable = ("group", *PLACES, "ignore") if c in own else (*PLACES[:2], "ignore") if c.unit else ()
-        shift = _shift(place, c) if len(letters) < 2 and guesses[c.header].kind in usable else None
+        readings = [name for name, g in guesses.items() if g.kind == "error" and name != c.header]
+        in_um = ("error", "actual") if c in own and readings else ()
+        shift = _shift(place, c) if len(letters) < 2 and guesses[c.header].kind in (*usable, *in_um) else None
         if shift is None:
             continue
         if c not in own:

@@ -57,8 +57,8 @@ class Chain:
 
     @cached_property
     def linear(self) -> list[int]:
-        """Columns of `q` of the linear axes."""
-        return [self.axes.index(a) for a in self.machine.linear_axes()]
+        """Columns of `q` of the linear axes that correct."""
+        return [self.axes.index(a) for a in self.machine.correcting_axes()]
 
     def axis_unit(self, axis: str) -> str:
         """mm or deg."""

@@ -34,9 +34,9 @@ def outputs(
     """
     terms_by_axis: dict[str, list[MonomialSource]] = {}
     machine = chain.machine
-    correcting = machine.linear_axes() if axes is None else axes
+    correcting = machine.correcting_axes() if axes is None else axes
     for (axis, component), letters in polynomials.jacobian(chain, "axes").items():
-        same = [a for a in machine.linear_axes() if _parallel(chain, a, axis)]
+        same = [a for a in machine.correcting_axes() if _parallel(chain, a, axis)]
         own = [a for a in same if a in correcting]
         drive = int(chain.drives[chain.index(component)])
         if len(same) > 1 and own:
@@ -50,11 +50,8 @@ def outputs(
 
 
 def _parallel(chain: Chain, one: str, other: str) -> bool:
-    """Whether two axes move the tool in one direction at every pose: no rotary axis lies between them."""
-    machine, links = chain.machine, [link.rstrip("'") for link in chain.machine.chain]
-    first, last = sorted((links.index(one), links.index(other)))
-    turned = set(links[first:last]) & set(machine.rotary_axes())
-    return not turned and abs(np.dot(machine.direction(one), machine.direction(other))) > 1 - PARALLEL
+    """Whether two axes, which no rotary axis turns, move the tool in one direction."""
+    return abs(np.dot(chain.machine.direction(one), chain.machine.direction(other))) > 1 - PARALLEL
 
 
 def _term(chain: Chain, component: str, letters: polynomials.Polynomial) -> MonomialSource:

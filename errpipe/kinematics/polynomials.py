@@ -60,10 +60,9 @@ def _constants(values: np.ndarray) -> np.ndarray:
 def jacobian(chain: Chain, frame: str = "axes") -> dict[tuple[str, str], Polynomial]:
     """(output, component) -> polynomial, um per um or urad; urad per urad for orientations.
 
-    frame "workpiece": outputs E_X ... E_C in the workpiece's frame. "axes": outputs are the linear axes, each the
-    deviation that moving this axis back would undo.
+    frame "workpiece": outputs E_X ... E_C in the workpiece's frame. "axes": outputs are the linear axes that no rotary
+    axis turns, each the deviation that moving this axis back would undo.
     Variables: axis letters (mm), "sin C", "cos C", "tool_length" and "tool_offset_X" (Y, Z).
-    Raises ValueError for "axes" where a rotary axis turns a linear one.
     """
     kind, _, _, point, inverse, entries, comp, angle, evec = chain.factors
     tips, turns = _tips(chain), _turns(chain, frame)
@@ -146,8 +145,7 @@ def _named(chain: Chain, rows: dict[tuple[int, int], Polynomial], frame: str) ->
     if frame == "workpiece":
         names = ["E_X", "E_Y", "E_Z", "E_A", "E_B", "E_C"]
         return {(names[i], chain.components[c]): p for (i, c), p in sorted(rows.items()) if p}
-    linear = chain.machine.linear_axes()
-    _linear_axes_stand(chain, linear)
+    linear = chain.machine.correcting_axes()
     undo = np.linalg.pinv(np.array([chain.machine.direction(a) for a in linear]).T)
     out: dict[tuple[str, str], Polynomial] = {}
     for c, component in enumerate(chain.components):
@@ -156,16 +154,3 @@ def _named(chain: Chain, rows: dict[tuple[int, int], Polynomial], frame: str) ->
             if total := sum(parts, Polynomial()):
                 out[name, component] = total
     return out
-
-
-def _linear_axes_stand(chain: Chain, linear: tuple[str, ...]) -> None:
-    links = [n.rstrip("'") for n in chain.machine.chain]
-    bed = links.index("bed")
-    for name in linear:
-        place = links.index(name)
-        between = links[min(place, bed) + 1 : max(place, bed)]
-        turning = [n for n in between if n in chain.axes and n not in linear]
-        if turning:
-            raise ValueError(
-                f"{', '.join(turning)} turns {name} against the bed; corrections by axis have no fixed direction"
-            )

@@ -31,6 +31,8 @@ from errpipe.kinematics import parts as features
 from errpipe.kinematics import synthesis
 from errpipe.kinematics.chain import Chain
 
+BAR_RANGE = 2.5  # mm: measuring range of a ball bar (Renishaw QC20-W: +-1.25 mm)
+
 
 class _Run:
     """One run of a recording: its rows and its set-up."""
@@ -89,6 +91,18 @@ def _bar(run: _Run) -> o.Observations:
     return o.distance(run.chain, run.q, run.tip, socket, run.radial(), run.label, run.seconds)
 
 
+def _circle(run: _Run) -> o.Observations:
+    rows = _bar(run)
+    length = np.linalg.norm(synthesis.ideal_pose(run.chain, run.q, run.tip)[:, 0] - rows.socket, axis=1)
+    if np.ptp(length) > BAR_RANGE:
+        raise DataError(
+            f"run {run.label}: from the centre to the ball it is {length.min():.4g} to {length.max():.4g} mm, which no "
+            "bar spans: positions of a circle count from its centre (of positions from the machine's zero, leave "
+            "centre_X ... out and state socket_X, socket_Y, socket_Z)"
+        )
+    return rows
+
+
 def _beam(run: _Run) -> o.Observations:
     if run.has("beam_X"):
         beam = run.vector("beam")
@@ -134,7 +148,7 @@ def _part(run: _Run) -> o.Observations:
 
 
 READERS: dict[str, Callable[[_Run], o.Observations]] = {
-    "ballbar_circle": _bar,
+    "ballbar_circle": _circle,
     "telescoping_bar": _bar,
     "multilateration": _bar,
     "rotary_ballbar": _bar,

@@ -82,7 +82,7 @@ def motion_jacobian(chain: Chain, q: np.ndarray, tip: np.ndarray | None = None) 
 
 
 def linear_motion(chain: Chain, q: np.ndarray, tip: np.ndarray | None = None) -> np.ndarray:
-    """Displacement of the tool point per displacement of each linear axis, shape (n, 3, linear axes)."""
+    """Displacement of the tool point per displacement of each linear axis that corrects, shape (n, 3, axes)."""
     return motion_jacobian(chain, q, tip)[:, :3][:, :, chain.linear]
 
 

@@ -137,7 +137,7 @@ def table_poses(chain: Chain, ball: np.ndarray, length: float, count: int, seed:
     """
     rng = np.random.default_rng(seed)
     low, high = chain.travel.T
-    rotary = [i for i in range(len(chain.axes)) if i not in chain.linear]
+    rotary = [i for i in range(len(chain.axes)) if chain.axis_unit(chain.axes[i]) == "deg"]
     if not rotary:
         raise DataError(f"a test of rotary axes needs one ({chain.machine.name} has none)")
     _linear(chain)

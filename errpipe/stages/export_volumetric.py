@@ -83,7 +83,7 @@ class ExportVolumetric(SignOptions, Stage):
         proof = [{"component": "tool point", "largest_difference_um": worst, **stated}]
         files = [{"file": _artefacts.TABLE, "what": "volumetric table", "error": "0", "read_back": "equal"}]
         remarks = self.seal(table, context.folder / _artefacts.TABLE)
-        left_out = [axis for axis in chain.machine.linear_axes() if axis not in axes]
+        left_out = [axis for axis in chain.machine.correcting_axes() if axis not in axes]
         left_out += [component for component in chain.components if component not in kept]
         note = not_corrected(left_out)
         files += write_targets(table, self.targets, context.folder, remarks, note)
@@ -102,7 +102,7 @@ class ExportVolumetric(SignOptions, Stage):
         from errpipe.validation import machine
 
         if self.ungated:
-            return chain.machine.linear_axes()
+            return chain.machine.correcting_axes()
         validations = [jsonfile.read(at / _artefacts.VALIDATION) for at in context.every("validation").values()]
         fingerprint = jsonfile.fingerprint(document)
         judged = [
@@ -247,7 +247,7 @@ def largest_difference(
     moving = [n for n, a in enumerate(chain.axes) if a in known]
     readings = {"tool_length": 100.0} if "tool_length" in known else {}
     of_table = batch.position(table, np.ascontiguousarray(q[:, moving]), tuple(chain.axes[n] for n in moving), readings)
-    linear = [n for n, o in enumerate(table.outputs) if o.axis in chain.machine.linear_axes()]
+    linear = [n for n, o in enumerate(table.outputs) if o.axis in chain.machine.correcting_axes()]
     if not linear:
         return 0.0
     nominal = synthesis.ideal_pose(chain, q, tip)[:, 0]

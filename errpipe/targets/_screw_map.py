@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
@@ -18,6 +19,7 @@ class ScrewMap(Target):
 
     max_points: ClassVar[int]  # points of one curve
     error_um: ClassVar[float]  # of interpolation, where so few points do
+    linear_only: ClassVar[str] = ""  # why rotary axes of a table are left out of the files
 
     @classmethod
     def own_axes(cls, table: CompensationTable) -> list[tuple[int, str]]:
@@ -26,7 +28,10 @@ class ScrewMap(Target):
         axes = [(n, a) for n, a in enumerate(_sample.axes_of(table), 1) if a in lost_motion and a in corrected]
         if not axes:
             raise GateError(f"{cls.name}: no axis of the table is corrected over its own position")
-        return axes
+        held = [(n, a) for n, a in axes if not (cls.linear_only and is_rotary(a))]
+        if not held:
+            raise GateError(f"{cls.name}: {' and '.join(a for _, a in axes)}: {cls.linear_only}")
+        return held
 
     @classmethod
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
@@ -39,6 +38,7 @@ class HaasPitch(ScrewMap):
     limits = "every 12.7 mm from the upper end of travel; 2.54 um steps; both directions alike; no temperature"
     unit = "inches, as the control keeps this list whatever it displays"
     holds = ("screw",)
+    linear_only = "a list in inches holds no rotary axis"
     keeps_level = False
     rounding_um = 2.6
     remark = {"": "# {}"}
@@ -49,14 +49,6 @@ class HaasPitch(ScrewMap):
     )
 
     max_points, error_um = 256, 1.0
-
-    @classmethod
-    def own_axes(cls, table: CompensationTable) -> list[tuple[int, str]]:
-        axes = super().own_axes(table)
-        rotary = [axis for _, axis in axes if is_rotary(axis)]
-        if rotary:
-            raise GateError(f"{cls.name}: {' and '.join(rotary)}: a list in inches holds no rotary axis")
-        return axes
 
     @classmethod
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:

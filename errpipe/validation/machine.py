@@ -69,7 +69,7 @@ def _at_the_tool(chain: Chain, every: Any, left: list[held_out.HeldOutGroup]) ->
     share = held_out.shares(chain, every.take(rows))
     values = {k: np.concatenate([getattr(one, k) for one in left]) for k in ("before", "after")}
     axes = {}
-    for a, axis in enumerate(chain.machine.linear_axes()):
+    for a, axis in enumerate(chain.machine.correcting_axes()):
         if share[:, a].sum() > 1e-9:
             axes[axis] = {f"rms_{k}": float(np.sqrt(share[:, a] @ v**2 / share[:, a].sum())) for k, v in values.items()}
     groups = [{"label": one.label, "rows": len(one.rows)} | _rms(one.before, one.after) for one in left]
@@ -105,7 +105,7 @@ def _of_components(
     after = {c: np.concatenate([p.after for p in by_component[c]]) if c in kept else v for c, v in before.items()}
     squares = np.array([[np.mean(side[c] ** 2) for c in before] for side in (before, after)])  # (2, components), um2
     of_axes = _mean_square_arms(chain)[:, [chain.index(c) for c in before]] @ squares.T  # (axes, 2), um2
-    axes = {x: _pair(np.sqrt(s)) for x, s in zip(chain.machine.linear_axes(), of_axes, strict=True) if s[0] > 0.0}
+    axes = {x: _pair(np.sqrt(s)) for x, s in zip(chain.machine.correcting_axes(), of_axes, strict=True) if s[0] > 0.0}
     return {"groups": groups, "components": list(before), "axes": axes} | _pair(np.sqrt(of_axes.sum(axis=0)))
 
 

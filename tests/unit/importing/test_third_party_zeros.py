@@ -15,7 +15,8 @@ ZERO = 312.5  # mm: of the part, in the machine's coordinates
 
 def long_file(tmp_path: Path, place: str, other: str, unit: str = "mm", shift: float = ZERO) -> Path:
     size = {"mm": 1.0, "inch": 25.4}[unit]
-    rows = [f"{run},{side:+.0f},{x / size:.6f},{x + shift:.4f},{d}" for run, x, side, d in long_rows()]
+    fine = 1000.0 if "(um)" in other else 1.0
+    rows = [f"{run},{side:+.0f},{x / size:.6f},{(x + shift) * fine:.4f},{d}" for run, x, side, d in long_rows()]
     (tmp_path / "f.csv").write_text("\n".join([f"Run,Direction,{place},{other},Error X (um)", *rows]))
     return tmp_path / "f.csv"
 
@@ -28,6 +29,8 @@ def long_file(tmp_path: Path, place: str, other: str, unit: str = "mm", shift: f
         ("WCS X (mm)", "MCS X (mm)", "mm"),
         ("Sollposition X (mm)", "Maschinenposition X (mm)", "mm"),
         ("Target X (inch)", "G53 X (mm)", "inch"),
+        ("Target X (mm)", "Machine X (um)", "mm"),
+        ("Target X (mm)", "X machine coordinate (um)", "mm"),
     ],
 )
 def test_a_curve_lies_over_the_machine_s_positions(tmp_path: Path, place: str, other: str, unit: str) -> None:

@@ -47,6 +47,27 @@ def table_of(chain, errors):
     )
 
 
+def test_x_y_and_z_correct_a_quill_that_a_rotary_axis_turns():
+    """W lies behind B: its direction turns, so that it corrects nothing; 10 um too long at +W moves Z and X back."""
+    chain = compile_chain(
+        Machine.model_validate(
+            {
+                "machine": 1,
+                "name": "quill",
+                "chain": ["workpiece", "bed", "X", "Y", "Z", "B", "W", "spindle", "tool"],
+                "axes": {n: {"kind": "linear", "travel": [0, 500]} for n in "XYZ"}
+                | {"W": {"kind": "linear", "travel": [0, 200]}, "B": {"kind": "rotary", "travel": [-90, 90]}},
+            }
+        )
+    )
+    errors = MachineErrors.of(chain, {"EZW": lambda w: w / 20.0})
+    table = table_of(chain, errors)
+    assert [o.axis for o in table.outputs] == ["X", "Z"]
+    for b, expected in ((0.0, (0.0, 10.0)), (90.0, (10.0, 0.0))):
+        got = Evaluator(table).cycle({"W": 200.0, "B": b}, dt=1.0).deviation
+        assert_allclose((got["E_X"], got["E_Z"]), expected, atol=0.01)
+
+
 @pytest.mark.parametrize(
     "name", ["cmm", "vertical-centre", "horizontal-centre-ni-1997", "turning-centre", "five-axis-head-head"]
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from machines import ready
@@ -52,6 +54,21 @@ def test_the_probability_is_what_draws_from_the_posterior_say(whole):
                 shown.harm == pytest.approx(output.harm, rel=1e-6, abs=1e-12)
                 and shown.harm <= remaining.MAX_HARM_PROBABILITY
             )
+
+
+@pytest.mark.parametrize(
+    ("errors", "kept"),
+    [((3.08, 1.0), [False, True]), ((1.62, 0.0), [True, True]), ((1.5, 0.0), [True, True])],
+    ids=["0.001 with both, less with one", "0.001, and no better subset", "0.0004"],
+)
+def test_a_component_is_left_out_where_harm_is_then_less_likely(errors, kept):
+    """Standard errors of two components of 10 um; one of 0 um is none, as it cannot be left out."""
+    mean = np.where(np.array(errors) > 0.0, 10.0, 0.0)
+    prior, chain = SimpleNamespace(component=np.array([0, 1])), SimpleNamespace(components=("EXX", "EYX"))
+    solved = SimpleNamespace(
+        model=SimpleNamespace(prior=prior, chain=chain), mean=mean, covariance=np.diag(np.square(errors)), noise=0.1
+    )
+    assert remaining._not_harmful(solved, [np.eye(2)]).tolist() == kept
 
 
 def test_what_no_reading_knows_of_counts_at_its_prior_spread():

@@ -210,6 +210,20 @@ def test_an_inch_list_holds_no_rotary_axis():
         target.write(table_of("rotary axis 0 to 360"))
 
 
+@pytest.mark.parametrize("name", ["haas_pitch", "mitsubishi_pitch"])
+def test_linear_axes_are_exported_without_a_rotary_one_of_the_same_table(name, tmp_path):
+    """X, 10 um too long at +X, is corrected; the checklist says that the whole error of A stays."""
+    table = table_of("a rotary axis that turns on, and X")
+    (target,) = [t for t in TARGETS if t.name == name]
+    stage.write_targets(table, [name], tmp_path)
+    read = target.read_back(target.write(table))
+    assert read.axes() == ("X",)
+    end, start = (read.correction("X", {"X": np.array([x])}, np.ones(1), {})[0] for x in (500.0, 0.0))
+    assert end - start == pytest.approx(-0.010, abs=0.003)
+    lost = (tmp_path / name / "CHECKLIST.md").read_text().split("cannot express")[1]
+    assert re.search(r"- A: (\S+) deg/1000 rms of \1", lost)
+
+
 def only_y():
     """The table reads X and Y and moves Y alone."""
     bow = Lowered(d.ONE, "X", lambda x: 4.0 * np.sin(np.pi * x / 500.0))
