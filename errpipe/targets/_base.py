@@ -175,6 +175,11 @@ class ReadBack:
         lines, products = self.lines + other.lines, self.products + other.products
         return ReadBack(self.curves + other.curves, self.planes + other.planes, lines, products)
 
+    def of(self, axis: str) -> ReadBack:
+        """The parts that move one axis."""
+        parts = (self.curves, self.planes, self.lines, self.products)
+        return ReadBack(*(tuple(p for p in kind if p.axis == axis) for kind in parts))
+
     def grids(self) -> list[tuple[str, np.ndarray]]:
         """Axis and ascending positions, mm (deg), of every part over an axis: curves, products, planes."""
         of_products = (pair for p in self.products for pair in zip(p.over, p.positions, strict=True))

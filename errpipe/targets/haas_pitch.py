@@ -15,7 +15,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
@@ -49,14 +48,7 @@ class HaasPitch(ScrewMap):
     )
 
     max_points, error_um = 256, 1.0
-
-    @classmethod
-    def own_axes(cls, table: CompensationTable) -> list[tuple[int, str]]:
-        axes = super().own_axes(table)
-        rotary = [axis for _, axis in axes if is_rotary(axis)]
-        if rotary:
-            raise GateError(f"{cls.name}: {' and '.join(rotary)}: a list in inches holds no rotary axis")
-        return axes
+    linear_only = "a list in inches holds no rotary axis"
 
     @classmethod
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:

@@ -16,7 +16,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError, VerifyError
 from errpipe.targets import _sample
@@ -52,15 +51,12 @@ class MitsubishiPitch(ScrewMap):
     )
 
     max_points, error_um = 500, 0.5
+    linear_only = "the manuals consulted do not state how a turn is divided"
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
         lines, first = [f"# {CAUTION}"], 1
         axes = [axis for _, axis in cls.own_axes(table)]
-        if any(is_rotary(axis) for axis in axes):
-            raise GateError(
-                "mitsubishi_pitch: linear axes only (the manuals consulted do not state how a turn is divided)"
-            )
         for number, axis in enumerate(axes):
             points, _ = _sample.uniform(table, axis, axis, cls.max_points, cls.error_um)
             at, step, values = _divided(table, axis, points.step, cls.max_points)

@@ -17,6 +17,7 @@ from errpipe.errors import GateError, VerifyError
 from errpipe.stages import targets as stage
 from errpipe.stages._checklist import checklist
 from errpipe.tables import reference
+from errpipe.tables.joined import joined
 from errpipe.targets import TARGETS, _sample
 from errpipe.targets._base import AS_THE_AXIS
 from errpipe.targets.fanuc_pitch import FanucPitch
@@ -208,6 +209,24 @@ def test_an_inch_list_holds_no_rotary_axis():
     (target,) = [t for t in TARGETS if t.name == "haas_pitch"]
     with pytest.raises(GateError, match="C: a list in inches holds no rotary axis"):
         target.write(table_of("rotary axis 0 to 360"))
+
+
+@pytest.mark.parametrize("name", ["haas_pitch", "mitsubishi_pitch"])
+def test_a_rotary_axis_beside_a_linear_one_is_left_out_of_a_list_of_linear_ones(name):
+    (target,) = [t for t in TARGETS if t.name == name]
+    both = joined([machines.too_long_at_plus_x(), table_of("rotary axis 0 to 360")])
+    assert target.read_back(target.write(both)).axes() == ("X",)
+
+
+def test_lost_motion_of_an_axis_that_a_format_does_not_name_is_no_missing_lost_motion():
+    half = Lowered(d.Direction(axis="X1"), None, lambda x: np.full(np.shape(x), -3.0))
+    channel = TableInput(name="x1", kind="position", axis="X1", low=-50, high=550, default=0)
+    source = tables.ComponentSource("EXX1", "um", (half,))
+    gantry = tables.compile_table([source], inputs=[channel], travel={"X1": (0.0, 500.0)})
+    for name, letters in (("grblhal_backlash", "X Y Z A B C U V"), ("marlin_gcode", "X Y Z")):
+        (target,) = [t for t in TARGETS if t.name == name]
+        with pytest.raises(GateError, match=rf"of those that the format has \({letters}; found: X1\)"):
+            target.write(gantry)
 
 
 def only_y():
