@@ -99,7 +99,7 @@ def _by_files(
                 f"{', '.join(formats)} hold their sum: measure with the compensation switched off"
             )
         side = motion.direction(recording, components.parse(name).axis or output.axis)
-        own = read.of(output.axis)
+        own = read.moving(output.axis)
         positions = {over: motion.position(recording, over) for over in own.spans()}
         sensors = {line.sensor: recording.array(line.sensor) for line in own.lines}
         correction = own.correction(output.axis, positions, side, sensors)

@@ -175,10 +175,14 @@ class ReadBack:
         lines, products = self.lines + other.lines, self.products + other.products
         return ReadBack(self.curves + other.curves, self.planes + other.planes, lines, products)
 
-    def of(self, axis: str) -> ReadBack:
+    def moving(self, axis: str) -> ReadBack:
         """The parts that move one axis."""
-        parts = (self.curves, self.planes, self.lines, self.products)
-        return ReadBack(*(tuple(p for p in kind if p.axis == axis) for kind in parts))
+        return ReadBack(
+            tuple(c for c in self.curves if c.axis == axis),
+            tuple(p for p in self.planes if p.axis == axis),
+            tuple(x for x in self.lines if x.axis == axis),
+            tuple(p for p in self.products if p.axis == axis),
+        )
 
     def grids(self) -> list[tuple[str, np.ndarray]]:
         """Axis and ascending positions, mm (deg), of every part over an axis: curves, products, planes."""
