@@ -23,6 +23,10 @@ AS_MEASURED = (
     "the files and numbers hold for axes that were measured with the control's own compensation and backlash off, and "
     "take their place: what was on then must be added to them, or measured again with it off"
 )
+MEASURED_WITH_THEM = (
+    "measured while these act, a machine shows what they leave: state {{kind: ingest, recording: ..., {0}}} in its "
+    "pipeline. Its files then replace these; without it they hold the remainder alone, and must not replace these"
+)
 ZERO = (
     "positions count from the axis' own zero (machine coordinates): of a test in workpiece coordinates such as G54, "
     "the files act shifted by that offset; add it to the positions of the recording and export again"
@@ -69,14 +73,14 @@ def checklist(
         *_one_turn(read, table),
         *_from_the_start(read, table),
     )
+    if happens := consequences(read, table):
+        lines += ["## What will happen", "", *(f"- {text}." for text in happens), ""]
     read = _within_travel(read, table)
-    happens = (*_plausible.of_files(read), *_plausible.not_measured(table), *_at_the_axis(table), *_of_force(table))
-    if happens:
-        lines += ["## What will happen", "", *(f"- {text}." for text in dict.fromkeys(happens)), ""]
     lines += ["## Switch it on", ""]
     over = {i.axis for i in table.inputs if i.kind == "position"}
     zero = [*([ZERO] if over else []), *([RADII] if "X" in over else [])]
-    steps = (AS_MEASURED, *zero, *_axis_numbers(target, table), *_single_axis(target, table), *target.activation)
+    before = [AS_MEASURED, *zero, *_axis_numbers(target, table), *_single_axis(target, table)]
+    steps = (*before, _measured_with(target, read, others), *target.activation)
     lines += [f"{n}. {step}" for n, step in enumerate(steps, 1)]
     if numbers:
         lines += ["", "## Enter by hand", "", *(f"- {number.text}." for number in numbers)]
@@ -105,6 +109,19 @@ def checklist(
         seen = lost[0]["states"]
         lines += ["", f"At most: in any settled state inside travel and validity. Rms: of {seen} random ones."]
     return "\n".join([*lines, ""])
+
+
+def _measured_with(target: Any, read: Any, others: Sequence[str]) -> str:
+    """How a measurement is declared that was made with these files on."""
+    formats = "" if isinstance(read, WholeTable) else f", compensated_as: [{', '.join((target.name, *others))}]"
+    return MEASURED_WITH_THEM.format(f"compensated_by: table.ect{formats}")
+
+
+def consequences(read: Any, table: CompensationTable) -> list[str]:
+    """What the files will do, in sentences: the largest correction of each axis, and what they assume."""
+    read = _within_travel(read, table)
+    texts = (*_plausible.of_files(read), *_plausible.not_measured(table), *_at_the_axis(table), *_of_force(table))
+    return list(dict.fromkeys(texts))
 
 
 def _sensor_monitoring(read: Any, table: CompensationTable) -> list[str]:

@@ -12,13 +12,10 @@ from pydantic import Field
 from errpipe import formats
 from errpipe.errors import DataError, UsageError, did_you_mean
 from errpipe.pipeline.stage import Context, InputPath, Need, Stage
-from errpipe.stages import _artefacts
 from errpipe.yamlfile import quantity
 
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
-
-SHOWN = 5  # runs that a message names
 
 
 class Ingest(Stage):
@@ -35,6 +32,11 @@ class Ingest(Stage):
         None,
         description="Table (.ect) that was active during the recording: its correction is removed from the "
         "deviations, which are then those of the uncompensated machine.",
+    )
+    compensated_as: tuple[str, ...] = Field(
+        (),
+        description="Controller formats whose files of that table were active, with the numbers that their checklists "
+        "state; default: the controller ran the whole table.",
     )
     compensated_since: str | None = Field(
         None, description="First run recorded with that table; default: the first of all."
@@ -55,6 +57,8 @@ class Ingest(Stage):
         path = self.recording or context.maybe("simulated")
         if path is None:
             raise UsageError("ingest: no recording is named and there is no simulate stage before it")
+        if self.compensated_as and self.compensated_by is None:
+            raise UsageError("ingest: compensated_as needs compensated_by, the table of these files")
         context.progress(0.1, "reading")
         if self.compensated_by is not None or self.since_run is not None or self.without_runs:
             return self._summary(context, *self._whole(context, path))
@@ -70,7 +74,11 @@ class Ingest(Stage):
 
         recording, compensated = formats.read(path, self.format, self.options), None
         if self.compensated_by is not None:
-            recording, compensated = _uncompensated(recording, self.compensated_by, self.compensated_since)
+            from errpipe.stages._uncompensated import uncompensated
+
+            recording, compensated = uncompensated(
+                recording, self.compensated_by, self.compensated_as, self.compensated_since
+            )
         return manifest_folder.write(self._kept(recording), context.folder), compensated
 
     def _kept(self, recording: Recording) -> Recording:
@@ -104,40 +112,3 @@ class Ingest(Stage):
         )
         added = {f"added_{c}_um": size for c, size in compensated["rms_um"].items()} if compensated else {}
         return {"rows": rows, "columns": len(columns), **added}
-
-
-def _uncompensated(recording: Recording, path: Path, since: str | None) -> tuple[Recording, dict[str, Any]]:
-    """The recording with the deviations of the machine itself, and what was added, in words of `ingest.json`.
-
-    A table subtracts what it predicts, so a measured deviation is the machine's less the table's, which is replayed
-    here row by row as a controller does. since: the first run measured with it; None: all were.
-    Raises DataError if the table is of no response, needs an input that is not recorded, or no such run exists.
-    """
-    from errpipe.drivers.sessions import sessions
-    from errpipe.tables import batch, by_component, ect
-
-    table = _artefacts.read_table(path)
-    labels = recording.run_labels()
-    if since is not None and since not in labels:
-        names = ", ".join(labels[:SHOWN]) + (" ..." if len(labels) > SHOWN else "")
-        raise DataError(f"compensated_since: no run {since!r} (there are {names})")
-    rows = recording.run_codes() >= (labels.index(since) if since is not None else 0)
-    measured = {c: str(recording.name("error", component=c)) for c in recording.components()}
-    shared = [c.name for c in table.components if c.name in measured]
-    if not shared:
-        raise DataError(
-            f"{path}: it corrects {', '.join(c.name for c in table.components)}, none of which was recorded"
-        )
-    columns = {i.name: recording.array(i.name) for i in table.inputs if i.name in recording.frame.columns}
-    try:
-        taken = batch.evaluate(by_component(table), columns, recording.time(), sessions(recording)).deviation
-    except DataError as err:
-        raise DataError(f"{path}: {err}") from None
-    machine = {measured[c]: recording.array(measured[c]) + np.where(rows, taken[c], 0.0) for c in shared}
-    compensated = {
-        "table": ect.fingerprint(table),
-        "rows": int(rows.sum()),
-        "since": since,
-        "rms_um": {c: float(np.sqrt(np.nanmean(taken[c][rows] ** 2))) for c in shared},
-    }
-    return recording.with_columns(machine, {}), compensated

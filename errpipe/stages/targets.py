@@ -16,7 +16,7 @@ from errpipe.errors import GateError, UsageError, did_you_mean
 from errpipe.files import inside
 from errpipe.registry import minisign, signed
 from errpipe.stages import _artefacts, _plausible
-from errpipe.stages._checklist import checklist
+from errpipe.stages._checklist import checklist, consequences
 from errpipe.stages._replace import replaced
 from errpipe.tables.joined import joined
 from errpipe.targets import TARGETS, _loss
@@ -74,6 +74,16 @@ def write_together(table: CompensationTable, parts: Sequence[Any]) -> tuple[list
     return files, sum(rest, start=first)
 
 
+def files_in_effect(table: CompensationTable, parts: Sequence[Any]) -> Any:
+    """What a controller adds that has the files of these targets, and the numbers of their checklists."""
+    kept, _, _ = _without_harm(table, parts)
+    files, read = write_together(kept, parts)
+    together_read: ReadBack = (
+        read if isinstance(read, WholeTable) else read + ReadBack(curves=_entered(kept, parts, files))
+    )
+    return together_read
+
+
 def _best_combinations(table: CompensationTable) -> list[tuple[tuple[str, ...], list[dict[str, Any]]]]:
     """For each family of formats, the choice that loses least (root of summed squares over the axes)."""
     best: dict[str, tuple[float, tuple[str, ...], list[dict[str, Any]]]] = {}
@@ -123,7 +133,6 @@ def export(
         _signed(files[0], public_key) if public_key else (joined([_artefacts.read_table(f) for f in files]), (), "")
     )
     _plausible.refuse_table(compensation_table, allow, limit)
-    consequences = _plausible.of_table(compensation_table)
     with replaced(Path(out)) as folder:
         rows = write_targets(compensation_table, names, folder, remarks)
         _artefacts.write_table(folder, compensation_table)
@@ -131,11 +140,12 @@ def export(
         for name in signed_too:
             jsonfile.write_text(folder / name, signature)
         document = {"export": 1, "inputs": compensation_table.fingerprint, "proof": [], "files": rows, "left_out": []}
-        document["consequences"] = consequences
+        document["consequences"] = _plausible.of_table(compensation_table)
         document["sha256"] = checksums(folder, rows, [_artefacts.TABLE, _artefacts.TWIN, *signed_too])
         jsonfile.write(folder / "export.json", document)
     worse = dict.fromkeys(sentence for r in rows for sentence in r.get("worse", ()))
-    says = [*(f"{Path(out) / r['file']}: {r['what']}, lost: {r['error']}" for r in rows), *worse, *consequences]
+    happens = dict.fromkeys(f"{r['file'].split('/')[0]}: {sentence}" for r in rows for sentence in r["consequences"])
+    says = [*(f"{Path(out) / r['file']}: {r['what']}, lost: {r['error']}" for r in rows), *worse, *happens]
     return {"files": rows, "says": says}
 
 
@@ -172,6 +182,7 @@ def write_targets(
         read, lost = target.read_back(files), losses(table, target, files)
         for name, text in files.items():
             jsonfile.write_text(inside(folder, f"{target.name}/{name}", GateError), text)
+        happens = consequences(read, kept)
         steps = checklist(target, read, lost, kept, others)
         hint = _with_companions(kept, target, others) if others else sibling(table, target, lost)
         steps += "".join(f"\n{sentence}\n" for sentence in (*(f"**{x}.**" for x in worse), hint, note) if sentence)
@@ -183,6 +194,7 @@ def write_targets(
                 "error": in_words(lost),
                 "read_back": "compared",
                 "losses": lost,
+                "consequences": happens,
                 **({"sibling": hint} if hint else {}),
                 **({"worse": worse} if worse else {}),
             }

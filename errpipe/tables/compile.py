@@ -7,7 +7,6 @@ turns on repeats its curve with every turn, closed where the turn ends.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypedDict, Unpack
@@ -144,7 +143,7 @@ def _travels(
     for channel in inputs:
         if channel.kind == "position" and channel.axis in travel:
             low, high = travel[channel.axis]
-            low, high = (math.floor(low), math.floor(low) + turn.TURN) if channel.axis in turns else (low, high)
+            low, high = (turn.start(low), turn.start(low) + turn.TURN) if channel.axis in turns else (low, high)
             reach = [p.step * (len(p.values) - 1) for p in made if p.input == channel.name]
             if max(reach, default=0.0) < (1 - turn.SAME_STEP) * (high - low):
                 out.append(t.Profile(input=channel.name, start=low, step=high - low, values=(0, 0)))

@@ -13,6 +13,9 @@ from errpipe.tables.gridding import SAMPLES
 
 TURN = 360.0  # deg
 SAME_STEP = 1e-6  # of the span: steps that differ by less are one step, written with few digits
+# deg: ends of travel that lie so close to a whole turn, or to a whole degree, are there. Positions that were measured
+# differ by the axis' own error, which is below 0.02 deg (72 arcsec) on any axis worth compensating (by judgement).
+WHOLE = 0.02
 SMOOTH = 30.0  # deg beyond what was measured of a turn within which its slope ends: a step between usual targets
 MAX_TURN_DIFFERENCE = 0.1  # of a curve's peak to valley: turns that differ by less repeat (by judgement)
 
@@ -31,7 +34,12 @@ class Turn:
 
 def is_whole(low: float, high: float) -> bool:
     """Whether low to high is one turn."""
-    return abs(high - low - TURN) <= SAME_STEP * TURN
+    return abs(high - low - TURN) <= WHOLE
+
+
+def start(low: float) -> int:
+    """Where the turn of a curve begins that was measured from low on, deg."""
+    return math.floor(low + WHOLE)
 
 
 def close(bare: Curve, axis: str, low: float, high: float, nodes: tuple[float, ...]) -> Turn:
@@ -54,16 +62,16 @@ def close(bare: Curve, axis: str, low: float, high: float, nodes: tuple[float, .
             return np.where(at <= high, bare(np.minimum(at, high)), rest)
         return bare(at) - (ends[1] - ends[0]) * ((at - low) / TURN - 0.5)
 
-    if nodes and not is_whole(nodes[0], nodes[-1]):
-        nodes = (*nodes, nodes[0] + TURN)
+    if nodes and abs(nodes[-1] - nodes[0] - TURN) > SAME_STEP * TURN:
+        nodes = () if is_whole(nodes[0], nodes[-1]) else (*nodes, nodes[0] + TURN)
     if is_whole(low, high):
         change += 0.5 * abs(float(ends[1] - ends[0]))
-    return Turn(curve, nodes, math.floor(low), change)
+    return Turn(curve, nodes, start(low), change)
 
 
 def _between_turns(bare: Curve, axis: str, low: float, high: float) -> float:
     """Largest difference of further turns from the first one. Raises GateError if they do not repeat it."""
-    if high - low <= TURN * (1.0 + SAME_STEP):
+    if high - low <= TURN + WHOLE:
         return 0.0
     at = np.linspace(low + TURN, high, SAMPLES)
     differs = float(np.abs(bare(at) - bare(low + np.mod(at - low, TURN))).max())

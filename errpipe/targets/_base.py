@@ -175,6 +175,15 @@ class ReadBack:
         lines, products = self.lines + other.lines, self.products + other.products
         return ReadBack(self.curves + other.curves, self.planes + other.planes, lines, products)
 
+    def moving(self, axis: str) -> ReadBack:
+        """The parts that move one axis."""
+        return ReadBack(
+            tuple(c for c in self.curves if c.axis == axis),
+            tuple(p for p in self.planes if p.axis == axis),
+            tuple(x for x in self.lines if x.axis == axis),
+            tuple(p for p in self.products if p.axis == axis),
+        )
+
     def grids(self) -> list[tuple[str, np.ndarray]]:
         """Axis and ascending positions, mm (deg), of every part over an axis: curves, products, planes."""
         of_products = (pair for p in self.products for pair in zip(p.over, p.positions, strict=True))

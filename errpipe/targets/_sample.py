@@ -259,8 +259,14 @@ def backlash(table: CompensationTable, target: str, letters: str = "") -> dict[s
     """Lost motion of the axes (of those in `letters`), mm (deg). Raises GateError for none or a negative one."""
     out = backlash_if_any(table, target, letters)
     if not out:
-        raise GateError(f"{target}: no axis of the table has lost motion")
+        raise GateError(f"{target}: no axis of the table has lost motion{of_other_axes(table, letters)}")
     return out
+
+
+def of_other_axes(table: CompensationTable, letters: str) -> str:
+    """End of a refusal: which axes have lost motion but none of the names that a format has; "" for none."""
+    others = [axis for axis in lost_motion(table) if letters and axis not in letters]
+    return f" of those that the format has ({' '.join(letters)}; found: {', '.join(others)})" if others else ""
 
 
 def backlash_if_any(table: CompensationTable, target: str, letters: str = "") -> dict[str, float]:

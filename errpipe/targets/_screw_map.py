@@ -11,7 +11,7 @@ from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import ByHand, Curve, ReadBack, Target
+from errpipe.targets._base import ANOTHER_FORMAT, ByHand, Curve, ReadBack, Target
 
 
 class ScrewMap(Target):
@@ -19,7 +19,8 @@ class ScrewMap(Target):
 
     max_points: ClassVar[int]  # points of one curve
     error_um: ClassVar[float]  # of interpolation, where so few points do
-    linear_only: ClassVar[str] = ""  # why rotary axes of a table are left out of the files
+    linear_only: ClassVar[str] = ""  # why rotary axes are left out of the files
+    turns_from_zero: ClassVar[bool] = False  # whether the control counts an axis that turns on from 0 to 360 deg
 
     @classmethod
     def own_axes(cls, table: CompensationTable) -> list[tuple[int, str]]:
@@ -28,15 +29,17 @@ class ScrewMap(Target):
         axes = [(n, a) for n, a in enumerate(_sample.axes_of(table), 1) if a in lost_motion and a in corrected]
         if not axes:
             raise GateError(f"{cls.name}: no axis of the table is corrected over its own position")
-        held = [(n, a) for n, a in axes if not (cls.linear_only and is_rotary(a))]
-        if not held:
-            raise GateError(f"{cls.name}: {' and '.join(a for _, a in axes)}: {cls.linear_only}")
-        return held
+        kept = [(n, a) for n, a in axes if not (cls.linear_only and is_rotary(a))]
+        if not kept:
+            raise GateError(f"{cls.name}: {' and '.join(a for _, a in axes)}: {cls.linear_only}: {ANOTHER_FORMAT}")
+        return kept
 
     @classmethod
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
         """Equidistant positions of an axis' map: as few as the error allows."""
-        return _sample.uniform(table, axis, axis, cls.max_points, cls.error_um)[0].positions()
+        grid = _sample.uniform(table, axis, axis, cls.max_points, cls.error_um)[0].positions()
+        turned = cls.turns_from_zero and _sample.turns(table, axis)
+        return np.linspace(0.0, _sample.TURN, grid.size) if turned else grid
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:

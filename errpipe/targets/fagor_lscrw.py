@@ -17,7 +17,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
-from errpipe.targets import _sample
 from errpipe.targets._base import CAUTION, ByHand, Curve, ReadBack, every_turn, expect, found, points_in_file, unit_of
 from errpipe.targets._screw_map import ScrewMap
 
@@ -40,12 +39,7 @@ class FagorLscrw(ScrewMap):
         "home; compare three points from both sides with a gauge",
     )
 
-    max_points, error_um = 1000, 0.1
-
-    @classmethod
-    def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
-        grid = super().grid(table, axis)  # from 0 over a turn, as the control counts
-        return np.linspace(0.0, _sample.TURN, grid.size) if _sample.turns(table, axis) else grid
+    max_points, error_um, turns_from_zero = 1000, 0.1, True
 
     @classmethod
     def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:

@@ -25,7 +25,19 @@ import numpy as np
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError, VerifyError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, Points, ReadBack, every_turn, expect, too_many, unit_of
+from errpipe.targets._base import (
+    ANOTHER_FORMAT,
+    CAUTION,
+    TURN,
+    ByHand,
+    Curve,
+    Points,
+    ReadBack,
+    every_turn,
+    expect,
+    too_many,
+    unit_of,
+)
 from errpipe.targets._screw_map import ScrewMap
 
 UNIT = 1e-3  # mm, one detection unit
@@ -107,7 +119,8 @@ def _whole_steps(table: CompensationTable, axis: str, points: Points, limit: int
             break
         count = min(limit - SPARE, count + max(1, count // 4))
     if best is None and x.size <= limit:
-        raise GateError(f"fanuc_pitch: {axis} changes by more than {MAX_PULSES} pulses from point to point of {limit}")
+        steep = f"{axis} changes by more than {MAX_PULSES} pulses from point to point of {limit}"
+        raise GateError(f"fanuc_pitch: {steep}: {ANOTHER_FORMAT}")
     if best is None:
         raise too_many("fanuc_pitch", x.size, limit, left)
     return best

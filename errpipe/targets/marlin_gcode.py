@@ -21,6 +21,7 @@ from errpipe.targets import _sample
 from errpipe.targets._base import CAUTION, Plane, ReadBack, Target, expect
 
 FILE = "errpipe.gcode"
+LETTERS = "XYZ"  # axes of M425
 POINTS = 5  # along each axis: GRID_MAX_POINTS_X, _Y of most configurations
 
 
@@ -47,7 +48,7 @@ class MarlinGcode(Target):
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
         head = [f"; {CAUTION}", "G21"]
-        backlash = _sample.backlash_if_any(table, "marlin_gcode", "XYZ")
+        backlash = _sample.backlash_if_any(table, cls.name, LETTERS)
         lines = [
             *head,
             *(["M425 F1 " + " ".join(f"{a}{v:.6f}" for a, v in sorted(backlash.items()))] if backlash else []),
@@ -55,7 +56,8 @@ class MarlinGcode(Target):
         if (bed := _sample.bed(table, POINTS)) is not None:
             lines += _mesh(bed)
         if lines == head:
-            raise GateError("marlin_gcode: nothing of the table is a bed or lost motion")
+            others = _sample.of_other_axes(table, LETTERS)
+            raise GateError(f"{cls.name}: nothing of the table is a bed or lost motion{others}")
         return {FILE: "\n".join([*lines, "; end", ""])}
 
     @classmethod

@@ -6,7 +6,8 @@ Value     whole sixteenths of a count. COMP: added to the motor in both directio
           read off "adds its correction to this motor" (user manual, Leadscrew Compensation): prove it on the machine.
 Order     entry 1 belongs to one spacing from the motor's zero, the last one to zero itself; a position below zero is
           rolled over by the length of the table, so positions below zero are the upper entries. Beyond its ends the
-          table begins again: one entry at either end holds the value there, further the axis must not go.
+          table begins again: entries over a tenth of the travel at either end hold the value there, further the axis
+          must not go.
 Turns     the table of an axis that turns on is one turn long and rolls over (user manual p. 80).
 Limits    10000 counts per mm (deg) are taken: for another resolution multiply lengths and entries. Tables are defined
           from the highest motor to the lowest. I51 = 1 enables them.
@@ -28,6 +29,7 @@ from errpipe.targets._screw_map import ScrewMap
 COUNTS = 10_000  # per mm (deg)
 PART = 16  # of a count: unit of the entries
 FILE = "comp.pmc"
+HELD = 0.1  # of the travel, held beyond its ends: a test seldom reaches the limit switches (by judgement)
 PER_LINE = 8  # entries
 
 
@@ -61,8 +63,9 @@ class PmacComp(ScrewMap):
             low, high = _sample.span(table, axis)
             step = int(np.ceil(points.step * COUNTS - 1e-6))
             turns = _sample.turns(table, axis)
-            way = step / COUNTS  # one more entry at either end has its value; beyond it the table repeats
-            at = np.arange(points.count - 1) if turns else _sample.around_zero(low - way, high + way, way)
+            way = step / COUNTS
+            held = max(way, HELD * (high - low))  # further entries at either end have its value
+            at = np.arange(points.count - 1) if turns else _sample.around_zero(low - held, high + held, way)
             if at.size > 2 * cls.max_points:
                 raise too_many(cls.name, at.size, 2 * cls.max_points, error)
             blocks.append(_block(number, axis, step, at, _sample.at_nodes(table, axis, axis, at * step / COUNTS)))

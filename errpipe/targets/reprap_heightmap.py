@@ -20,6 +20,7 @@ from errpipe.targets import _sample
 from errpipe.targets._base import CAUTION, Plane, ReadBack, Target, expect
 
 MAP, MACRO = "heightmap.csv", "errpipe.g"
+LETTERS = "XYZUVW"  # axes of M425
 POINTS = 21  # of the grid, in each direction
 LABELS = "axis0,axis1,min0,max0,min1,max1,radius,spacing0,spacing1,num0,num1"
 TITLE = "RepRapFirmware height map file v2 generated at 2000-01-01 00:00"  # no clock: equal tables give equal bytes
@@ -47,12 +48,13 @@ class ReprapHeightmap(Target):
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:
         files = {}
-        if lost := _sample.backlash_if_any(table, cls.name, "XYZUVW"):
+        if lost := _sample.backlash_if_any(table, cls.name, LETTERS):
             files[MACRO] = f"; {CAUTION}\nG21\nM425 " + " ".join(f"{a}{v:.6f}" for a, v in sorted(lost.items())) + "\n"
         if (bed := _sample.bed(table, POINTS)) is not None:
             files[MAP] = _map(bed)
         if not files:
-            raise GateError("reprap_heightmap: nothing of the table is a bed or lost motion")
+            others = _sample.of_other_axes(table, LETTERS)
+            raise GateError(f"{cls.name}: nothing of the table is a bed or lost motion{others}")
         return files
 
     @classmethod

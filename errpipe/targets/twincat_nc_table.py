@@ -37,7 +37,7 @@ class TwincatNcTable(ScrewMap):
         "compare AxisRef position with and without Enable at three points, from both sides",
     )
 
-    max_points, error_um = 2000, 0.05
+    max_points, error_um, turns_from_zero = 2000, 0.05, True
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:

@@ -224,6 +224,17 @@ def test_linear_axes_are_exported_without_a_rotary_one_of_the_same_table(name, t
     assert re.search(r"- A: (\S+) deg/1000 rms of \1", lost)
 
 
+def test_lost_motion_of_an_axis_that_a_format_does_not_name_is_no_missing_lost_motion():
+    half = Lowered(d.Direction(axis="X1"), None, lambda x: np.full(np.shape(x), -3.0))
+    channel = TableInput(name="x1", kind="position", axis="X1", low=-50, high=550, default=0)
+    source = tables.ComponentSource("EXX1", "um", (half,))
+    gantry = tables.compile_table([source], inputs=[channel], travel={"X1": (0.0, 500.0)})
+    for name, letters in (("grblhal_backlash", "X Y Z A B C U V"), ("marlin_gcode", "X Y Z")):
+        (target,) = [t for t in TARGETS if t.name == name]
+        with pytest.raises(GateError, match=rf"of those that the format has \({letters}; found: X1\)"):
+            target.write(gantry)
+
+
 def only_y():
     """The table reads X and Y and moves Y alone."""
     bow = Lowered(d.ONE, "X", lambda x: 4.0 * np.sin(np.pi * x / 500.0))
