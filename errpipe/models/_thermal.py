@@ -38,7 +38,7 @@ class ThermalFamily(Family):
     environment: str = Field("season", description="Group whose members differ in environment, such as seasons.")
     coverage: float = quantity("1", "Coverage of the prediction interval.", 0.9, gt=0.5, lt=1)
     datum_rows: int = Field(3, ge=1, description="First rows of a run whose mean is its zero.")
-    warm_starts: bool = Field(True, description="Learn from the later part of each run to start while warm.")
+    warm_starts: bool = Field(True, description="Also fit starts on a warm machine, from the later part of each run.")
     documents: ClassVar[tuple[str, ...]] = (COMPETITION,)
     competes: ClassVar[bool] = True
 
@@ -111,6 +111,8 @@ class ThermalFamily(Family):
             "noise_floor_um": _noise_floor(recording, self, outcome),
         }
         said = _said(outcome, components.unit(self.component))
+        if left := fitted.report["later_starts"]:
+            said += f"; from later starts on {left[0]:.3g} -> {left[1]:.3g} {components.unit(self.component)}"
         said += changes_with_place(recording, _left(recording, self, outcome))
         said += few_rows_fitted(held_readings(recording), self.component, fitted.report["rows"])
         return Fitted(model, {COMPETITION: document}, {self.component: said})
@@ -303,6 +305,7 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
         "rows": int(np.count_nonzero(own)),
         "rms_before": rms(y[own]),
         "rms_after": rms(after[own & np.isfinite(after)]),
+        "later_starts": warm.left if warm is not None else None,
     }
     return ThermalModel(**(fitted.__dict__ | {"report": report}))
 

@@ -25,7 +25,7 @@ import numpy as np
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
 from errpipe.drivers.shared import drive_all
-from errpipe.thermal.arithmetic import centred, conformal_half_width, predicted_since_start, since_start
+from errpipe.thermal.arithmetic import FEWEST_RUNS, centred, conformal_half_width, predicted_since_start, since_start
 from errpipe.thermal.competition import RUN, Groups, Outcome, groupings
 from errpipe.thermal.interval import Intervals
 from errpipe.thermal.linear import ZERO_SHARE, LinearProblem, ridge_path, summed, time_constants
@@ -41,6 +41,7 @@ RIDGE = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)  # on columns of unit rms
 # sensor at 20 degC (IEC 60751). Without it one that was 1 K off cost all of a correction (seed 7401, machine 4).
 OFF = 0.4
 MOST = 1e3  # K: limit of a difference
+FEW_ROWS = 100_000  # of a recording: of more, only every second or third start is used, because they take memory
 
 
 class WarmStart(NamedTuple):
@@ -77,34 +78,34 @@ def fitted(
 
     A held-out run is left out from its own start and from every later one. factor, intervals, coverage: of the mixture.
     """
-    names = problem.recording.names("temperature")
-    if problem.blocks or len(names) < 2 or RUN not in outcome.predictions:
+    names, lags = problem.recording.names("temperature"), _lags(problem)
+    if problem.blocks or len(names) < 2 or not lags or not outcome.weights or RUN not in outcome.predictions:
         return None
     folds = groupings(problem.recording, problem.group, problem.groups, "")[0].folds
     later = _later(problem, outcome, folds)
     beyond = _beyond(problem, names)
     extent = summed([1.0 / len(names)] * (2 * len(names)), [node for pair in beyond for node in pair])
-    (away,) = drive_all([extent], later.recording).T
-    size = WHOLE * float(np.median([away[later.code == c][0] for c in np.unique(later.code)]))
-    if not size > 0.0:
+    stated, away, *relaxing = drive_all([factor, extent, *(d.lag(d.ONE, tau) for tau in lags)], later.recording).T
+    starts = away[np.unique(later.code, return_index=True)[1]]
+    size = WHOLE * float(np.median(starts[np.isfinite(starts)])) if np.isfinite(starts).any() else 0.0
+    if size <= 0.0:
         return None
     amount = d.Clip(of=d.Affine(weights=(1.0 / size,), of=(extent,)), low=0.0, high=1.0)
-    nodes = _nodes(problem, names, beyond)
+    nodes = _nodes(names, beyond, lags)
     values = drive_all(nodes, later.recording)
-    values[:, len(names) * len(LAGS) :] *= np.clip(away / size, 0.0, 1.0)[:, None]
+    values[:, len(names) * len(lags) :] *= np.clip(away / size, 0.0, 1.0)[:, None]
     values = centred(values, later.code, problem.datum_rows, later.measured, 1.0)
-    good = np.isfinite(values).all(axis=1) & np.isfinite(later.left + later.shown) & np.isfinite(away)
-    relaxing = drive_all([d.lag(d.ONE, tau) for tau in _lags(problem)], later.recording)[good]
-    off = OFF * np.kron(np.linalg.qr(relaxing, mode="r"), np.eye(len(names))) / np.sqrt(good.sum())
-    gains, left, without = _chosen(problem.groups, folds, later, values, good, off)
-    scale = intervals.half_width(
-        later.predicted + later.left - left, drive_all([factor], later.recording)[:, 0], 0.0 * away
-    )
+    good = np.isfinite(values).all(axis=1) & np.isfinite(later.left + later.shown + away)
     far = good & (away > 0.0)
-    needed = np.maximum((np.abs(left) / scale - 1.0)[far] / away[far], 0.0)
+    if np.unique(later.group[far]).size < FEWEST_RUNS:
+        return None
+    off = OFF * np.kron(np.linalg.qr(np.array(relaxing).T[good], mode="r"), np.eye(len(names))) / np.sqrt(good.sum())
+    gains, left, without = _chosen(problem.groups, folds, later, values, good, off)
+    half = intervals.half_width(later.predicted + later.left - left, stated, np.zeros(away.size))[far]
+    needed = np.maximum((np.abs(left[far]) / half - 1.0) / away[far], 0.0) if intervals.unknown > 0.0 else 0.0 * half
     wider = conformal_half_width(needed, later.group[far], coverage, raised=False)
     return WarmStart(
-        _sum(gains, nodes, amount, len(names)) if gains.any() else None,
+        _sum(gains, nodes, amount, lags) if gains.any() else None,
         d.Affine(offset=1.0, weights=(wider,), of=(extent,)),
         (without, float(np.sqrt(np.mean(left[good] ** 2)))),
     )
@@ -113,16 +114,17 @@ def fitted(
 def _later(problem: LinearProblem, outcome: Outcome, folds: Sequence[Groups]) -> _Later:
     """Every run from every later start, with the mixture fitted without the run's fold."""
     run, labels = problem.recording.run_codes(), problem.recording.run_labels()
+    step = int(np.clip(np.ceil(problem.own / FEW_ROWS), 1, 3))
     parts = [
         (rows[int(share * rows.size) :], f"{labels[g]} from {share:g}")
         for g in problem.groups
         for rows in [np.flatnonzero(run == g)]
-        for share in STARTS
+        for share in STARTS[step // 2 :: step]
     ]
     at = np.concatenate([rows for rows, _ in parts])
     name = np.repeat(np.array([label for _, label in parts], dtype=object), [rows.size for rows, _ in parts])
     recording = problem.recording.take(at)
-    recording = recording.with_columns({recording.name("run") or "run": name}, {}).each_run_alone()
+    recording = recording.with_columns({str(recording.name("run")): name}, {}).each_run_alone()
     code, group = recording.run_codes(), run[at]
     whole = outcome.predictions[RUN][at]
     measured = np.isfinite(problem.response[at]) & np.isfinite(whole)
@@ -162,17 +164,17 @@ def _beyond(problem: LinearProblem, names: Sequence[str]) -> list[tuple[d.Driver
     ]
 
 
-def _nodes(problem: LinearProblem, names: Sequence[str], beyond: Sequence[tuple[d.Driver, d.Driver]]) -> list[d.Driver]:
+def _lags(problem: LinearProblem) -> list[float]:
+    """Time constants, s; none if the recording resolves none."""
+    taus = time_constants(problem.recording, problem.plain)
+    return [taus[max(round(share * len(taus)) - 1, 0)] for share in LAGS] if taus else []
+
+
+def _nodes(names: Sequence[str], beyond: Sequence[tuple[d.Driver, d.Driver]], lags: Sequence[float]) -> list[d.Driver]:
     """The differences through each lag, then the rises, then these through each lag, K."""
-    chosen = _lags(problem)
     signed = [d.Affine(weights=(1.0, -1.0), of=pair) for pair in beyond]
     rises = [d.rise(name) for name in names]
-    return [d.lag(x, tau) for tau in chosen for x in signed] + rises + [d.lag(x, tau) for tau in chosen for x in rises]
-
-
-def _lags(problem: LinearProblem) -> list[float]:
-    taus = time_constants(problem.recording, problem.plain)
-    return [taus[max(round(share * len(taus)) - 1, 0)] for share in LAGS]
+    return [*(d.lag(x, tau) for tau in lags for x in signed), *rises, *(d.lag(x, tau) for tau in lags for x in rises)]
 
 
 def _chosen(
@@ -205,14 +207,11 @@ def _chosen(
     return gains, left[best], float(np.sqrt(np.mean(left[0][good] ** 2)))
 
 
-def _sum(gains: np.ndarray, nodes: Sequence[d.Driver], amount: d.Driver, count: int) -> d.Driver:
+def _sum(gains: np.ndarray, nodes: Sequence[d.Driver], amount: d.Driver, lags: Sequence[float]) -> d.Driver:
     """Gains times columns, with one lag per time constant of the differences, and one product, um."""
-    relaxing: list[d.Driver] = []
-    for k in range(len(LAGS)):
-        some = slice(k * count, (k + 1) * count)
-        (tau,) = {node.tau_up for node in nodes[some] if isinstance(node, d.Lag)}
-        inside = [node.of for node in nodes[some] if isinstance(node, d.Lag)]
-        relaxing.append(d.lag(summed(gains[some], inside), tau))
-    first = len(LAGS) * count
-    changed = d.Product(of=(amount, summed(gains[first:], nodes[first:])))
-    return d.Affine(weights=(1.0,) * (len(LAGS) + 1), of=(*relaxing, changed))
+    differences = len(nodes) * len(lags) // (2 * len(lags) + 1)
+    inside = [node.of for node in nodes[:differences] if isinstance(node, d.Lag)]
+    of_lag = np.split(np.arange(differences), len(lags))
+    relaxing = [d.lag(summed(gains[k], [inside[i] for i in k]), tau) for k, tau in zip(of_lag, lags, strict=True)]
+    changed = d.Product(of=(amount, summed(gains[differences:], nodes[differences:])))
+    return d.Affine(weights=(1.0,) * (len(lags) + 1), of=(*relaxing, changed))
