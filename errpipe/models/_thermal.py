@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from errpipe.thermal.model import ThermalModel
 
 COMPETITION = "competition.json"
-MOST_OPERANDS = 48  # of one sum; a table allows 64
 MOST_GROUPS = 4  # columns of one grouping in the figure of the competition
 TIE_LEVEL = 0.05  # p over held-out runs
 MACHINE = "machine"  # group of a recording
@@ -39,6 +38,7 @@ class ThermalFamily(Family):
     environment: str = Field("season", description="Group whose members differ in environment, such as seasons.")
     coverage: float = quantity("1", "Coverage of the prediction interval.", 0.9, gt=0.5, lt=1)
     datum_rows: int = Field(3, ge=1, description="First rows of a run whose mean is its zero.")
+    warm_starts: bool = Field(True, description="Also fit starts on a warm machine, from the later part of each run.")
     documents: ClassVar[tuple[str, ...]] = (COMPETITION,)
     competes: ClassVar[bool] = True
 
@@ -111,6 +111,8 @@ class ThermalFamily(Family):
             "noise_floor_um": _noise_floor(recording, self, outcome),
         }
         summary = _summary(outcome, components.unit(self.component))
+        if left := fitted.report["later_starts"]:
+            summary += f"; from later starts on {left[0]:.3g} -> {left[1]:.3g} {components.unit(self.component)}"
         summary += changes_with_place(recording, _left(recording, self, outcome))
         summary += few_rows_fitted(held_readings(recording), self.component, fitted.report["rows"])
         return Fitted(model, {COMPETITION: document}, {self.component: summary})
@@ -261,7 +263,7 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
     from errpipe.domain import driver as d
     from errpipe.fitting.statistics import rms
     from errpipe.fitting.validity import box
-    from errpipe.thermal import calibration
+    from errpipe.thermal import calibration, warm_start
     from errpipe.thermal.arithmetic import limits
     from errpipe.thermal.model import ThermalModel
     from errpipe.thermal.season_options import SeasonOptions
@@ -274,6 +276,13 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
     factor, intervals = calibration.interval(
         problem, outcome, total, family.coverage, family.environment, one_environment, noise
     )
+    parts = [(name, w * g, n) for e, w in outcome.weights for name, g, n in e.parts(groups)]
+    warm = warm_start.fitted(problem, outcome, factor, intervals, family.coverage) if family.warm_starts else None
+    if warm is not None:
+        factor = d.Product(of=(factor, warm.wider))
+        if warm.added is not None:
+            parts.append(("start on a warm machine", 1.0, warm.added))
+            total = d.Affine(weights=(1.0, 1.0), of=(total, warm.added))
     roles = ("position", "command") if problem.plain else ("position", "command", "spindle_speed")
     places = {name for role in roles for name in problem.recording.names(role)}
     read = [n for n in d.inputs(total) if n in places]
@@ -281,7 +290,7 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
     fitted = ThermalModel(
         component=family.component,
         options=SeasonOptions(),
-        parts=tuple((name, w * g, n) for e, w in outcome.weights for name, g, n in e.parts(groups)),
+        parts=tuple(parts),
         terms=((1.0, d.Clip(of=total, low=limit[0], high=limit[1])),),
         intervals=intervals,
         factor=factor,
@@ -296,6 +305,7 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
         "rows": int(np.count_nonzero(own)),
         "rms_before": rms(y[own]),
         "rms_after": rms(after[own & np.isfinite(after)]),
+        "later_starts": warm.left if warm is not None else None,
     }
     return ThermalModel(**(fitted.__dict__ | {"report": report}))
 
@@ -303,6 +313,7 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
 def _sum_of(outcome: Outcome, groups: tuple[int, ...]) -> Any:
     """A mixture as one affine driver, with equal nodes merged."""
     from errpipe.domain import driver as d
+    from errpipe.thermal.linear import summed
 
     merged: dict[str, tuple[float, d.Driver]] = {}
     for entrant, weight in outcome.weights:
@@ -310,11 +321,7 @@ def _sum_of(outcome: Outcome, groups: tuple[int, ...]) -> Any:
             key = node.model_dump_json()
             merged[key] = (merged.get(key, (0.0, node))[0] + weight * gain, node)
     parts = list(merged.values()) or [(1.0, d.Constant(value=0.0))]
-    sums = [
-        d.Affine(weights=tuple(g for g, _ in some), of=tuple(n for _, n in some))
-        for some in (parts[k : k + MOST_OPERANDS] for k in range(0, len(parts), MOST_OPERANDS))
-    ]
-    return sums[0] if len(sums) == 1 else d.Affine(weights=(1.0,) * len(sums), of=tuple(sums))
+    return summed([gain for gain, _ in parts], [node for _, node in parts])
 
 
 def _zeros(family: ThermalFamily, problem: LinearProblem) -> tuple[float, float]:

@@ -84,6 +84,7 @@ RATE_WINDOW, LEAST_WINDOW = 0.02, 2.0
 # (bilinear); 0.3 to 0.7 and shares from each recording's own noise are equal, 1 (a constant per run) has 5 % more.
 # Judged on seed 8811 (24 machines): 1.3 and 4.9 % less, the mixture of all families 3 % less.
 ZERO_SHARE = 0.5
+MOST_OPERANDS = 48  # of one sum; a table allows 64
 MOST_DRIVERS = 120  # of all sensors together: a table has at most 1024 operations, each lag costs two
 
 
@@ -191,6 +192,16 @@ def _triangles(
     """Triangles of the groups of usable rows; the zero common to blocks of one run is not removed."""
     whole_runs = np.array_equal(group[rows], run[rows])
     return triangles(values[rows], response[rows], group[rows], ZERO_SHARE if whole_runs else 0.0)
+
+
+def summed(gains: Sequence[float] | np.ndarray, nodes: Sequence[d.Driver]) -> d.Driver:
+    """Gains times drivers as one driver, in sums of at most `MOST_OPERANDS`."""
+    parts = list(zip(map(float, gains), nodes, strict=True))
+    sums = [
+        d.Affine(weights=tuple(g for g, _ in some), of=tuple(n for _, n in some))
+        for some in (parts[k : k + MOST_OPERANDS] for k in range(0, len(parts), MOST_OPERANDS))
+    ]
+    return sums[0] if len(sums) == 1 else d.Affine(weights=(1.0,) * len(sums), of=tuple(sums))
 
 
 def rates(problem: LinearProblem) -> tuple[d.Driver, ...]:

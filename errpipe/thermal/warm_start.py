@@ -1,0 +1,217 @@
+"""Starts of a run while the machine is warm, where all fitted runs start after a night.
+
+A rise counts from the start of a run, so a fit to runs that start cold knows nothing of the bodies that are still warm
+at a later start. In a linear machine, what they add since then is, with their excess x_k at the start,
+
+    sum over k of gain_k x x_k x (exp(-t / tau_k) - 1)
+
+The sensors tell of x_k twice: by their differences at the start, and by how they then cool. Runs continued from later
+starts (rises and deviation counted from there) show both, so ridge gains are fitted, on these alone, to what the
+mixture leaves there, of
+
+    differences of the sensors at the start, beyond those of the fitted runs' starts, through lags
+    amount of these (0 to 1) x rises and lagged rises
+
+All are zero at the starts that were recorded, whose prediction therefore remains as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from errpipe.domain import driver as d
+from errpipe.domain.recording import Recording
+from errpipe.drivers.shared import drive_all
+from errpipe.thermal.arithmetic import FEWEST_RUNS, centred, conformal_half_width, predicted_since_start, since_start
+from errpipe.thermal.competition import RUN, Groups, Outcome, groupings
+from errpipe.thermal.interval import Intervals
+from errpipe.thermal.linear import ZERO_SHARE, LinearProblem, ridge_path, summed, time_constants
+from errpipe.thermal.network import stack, triangles
+
+# Chosen on seeds 8811 and 7401 of `trials.thermal`, 12 machines each, the judged season from 15 to 65 % of a run on.
+STARTS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)  # of a run's rows: later starts
+LAGS = (1 / 3, 2 / 3, 1.0)  # the recording's time constants used, as shares of their number
+BEYOND = 1.0  # of the range of the fitted starts' differences: nearer ones are none
+WHOLE = 0.5  # of the median difference of later starts: from there on the amount is 1
+RIDGE = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)  # on columns of unit rms
+# K: standard uncertainty of a sensor at the start, for it may be off that day: the tolerance of a class B platinum
+# sensor at 20 degC (IEC 60751). Without it one that was 1 K off cost all of a correction (seed 7401, machine 4).
+OFF = 0.4
+MOST = 1e3  # K: limit of a difference
+FEW_ROWS = 100_000  # of a recording: of more, only every second or third start is used, because they take memory
+
+
+class WarmStart(NamedTuple):
+    """added: to the mixture, um (None: no gain on held-out runs); wider: factor of its interval, 1 at recorded starts;
+    left: rms at later starts of held-out runs without and with it, um.
+    """
+
+    added: d.Driver | None
+    wider: d.Driver
+    left: tuple[float, float]
+
+
+class _Later(NamedTuple):
+    """Runs continued from later starts; arrays of (rows,), um.
+
+    group: run of each row; code: run and start; measured: whether it has a deviation and a held-out prediction;
+    predicted: by fits without its group; left: what these leave; shown: what they lack of the same fits from the run's
+    own start.
+    """
+
+    recording: Recording
+    group: np.ndarray
+    code: np.ndarray
+    measured: np.ndarray
+    left: np.ndarray
+    predicted: np.ndarray
+    shown: np.ndarray
+
+
+def fitted(
+    problem: LinearProblem, outcome: Outcome, factor: d.Driver, intervals: Intervals, coverage: float
+) -> WarmStart | None:
+    """None for blocks of too few runs, or if the recorded starts cover the later ones.
+
+    A held-out run is left out from its own start and from every later one. factor, intervals, coverage: of the mixture.
+    """
+    names, lags = problem.recording.names("temperature"), _lags(problem)
+    if problem.blocks or len(names) < 2 or not lags or not outcome.weights or RUN not in outcome.predictions:
+        return None
+    folds = groupings(problem.recording, problem.group, problem.groups, "")[0].folds
+    later = _later(problem, outcome, folds)
+    beyond = _beyond(problem, names)
+    extent = summed([1.0 / len(names)] * (2 * len(names)), [node for pair in beyond for node in pair])
+    stated, away, *relaxing = drive_all([factor, extent, *(d.lag(d.ONE, tau) for tau in lags)], later.recording).T
+    starts = away[np.unique(later.code, return_index=True)[1]]
+    size = WHOLE * float(np.median(starts[np.isfinite(starts)])) if np.isfinite(starts).any() else 0.0
+    if size <= 0.0:
+        return None
+    amount = d.Clip(of=d.Affine(weights=(1.0 / size,), of=(extent,)), low=0.0, high=1.0)
+    nodes = _nodes(names, beyond, lags)
+    values = drive_all(nodes, later.recording)
+    values[:, len(names) * len(lags) :] *= np.clip(away / size, 0.0, 1.0)[:, None]
+    values = centred(values, later.code, problem.datum_rows, later.measured, 1.0)
+    good = np.isfinite(values).all(axis=1) & np.isfinite(later.left + later.shown + away)
+    far = good & (away > 0.0)
+    if np.unique(later.group[far]).size < FEWEST_RUNS:
+        return None
+    off = OFF * np.kron(np.linalg.qr(np.array(relaxing).T[good], mode="r"), np.eye(len(names))) / np.sqrt(good.sum())
+    gains, left, without = _chosen(problem.groups, folds, later, values, good, off)
+    half = intervals.half_width(later.predicted + later.left - left, stated, np.zeros(away.size))[far]
+    needed = np.maximum((np.abs(left[far]) / half - 1.0) / away[far], 0.0) if intervals.unknown > 0.0 else 0.0 * half
+    wider = conformal_half_width(needed, later.group[far], coverage, raised=False)
+    return WarmStart(
+        _sum(gains, nodes, amount, lags) if gains.any() else None,
+        d.Affine(offset=1.0, weights=(wider,), of=(extent,)),
+        (without, float(np.sqrt(np.mean(left[good] ** 2)))),
+    )
+
+
+def _later(problem: LinearProblem, outcome: Outcome, folds: Sequence[Groups]) -> _Later:
+    """Every run from every later start, with the mixture fitted without the run's fold."""
+    run, labels = problem.recording.run_codes(), problem.recording.run_labels()
+    step = int(np.clip(np.ceil(problem.own / FEW_ROWS), 1, 3))
+    parts = [
+        (rows[int(share * rows.size) :], f"{labels[g]} from {share:g}")
+        for g in problem.groups
+        for rows in [np.flatnonzero(run == g)]
+        for share in STARTS[step // 2 :: step]
+    ]
+    at = np.concatenate([rows for rows, _ in parts])
+    name = np.repeat(np.array([label for _, label in parts], dtype=object), [rows.size for rows, _ in parts])
+    recording = problem.recording.take(at)
+    recording = recording.with_columns({str(recording.name("run")): name}, {}).each_run_alone()
+    code, group = recording.run_codes(), run[at]
+    whole = outcome.predictions[RUN][at]
+    measured = np.isfinite(problem.response[at]) & np.isfinite(whole)
+    predicted = np.full(at.size, np.nan)
+    for fold in folds:
+        rows = np.isin(group, fold)
+        predicted[rows] = _mixture(outcome, tuple(g for g in problem.groups if g not in fold), recording.take(rows))
+    predicted = predicted_since_start(predicted, code, problem.datum_rows, measured)
+    since, of_whole = (
+        since_start(np.where(measured, values, np.nan), code, problem.datum_rows)[0]
+        for values in (problem.response[at], whole)
+    )
+    return _Later(recording, group, code, measured, since - predicted, predicted, of_whole - predicted)
+
+
+def _mixture(outcome: Outcome, groups: Groups, recording: Recording) -> np.ndarray:
+    """The mixture fitted to groups, on the rows of a recording, um."""
+    parts = [(weight * gain, node) for e, weight in outcome.weights for _, gain, node in e.parts(groups)]
+    return drive_all([node for _, node in parts], recording) @ np.array([gain for gain, _ in parts])
+
+
+def _beyond(problem: LinearProblem, names: Sequence[str]) -> list[tuple[d.Driver, d.Driver]]:
+    """Per sensor: how far its difference to the mean of all at the start is above, and below, those recorded, K."""
+    starts = tuple(d.at_start(name) for name in names)
+    share = tuple(-1.0 / len(names) for _ in names)
+    gaps = [d.Affine(weights=(1.0, *share), of=(start, *starts)) for start in starts]
+    values = drive_all(gaps, problem.recording)[problem.rows]
+    low, high = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
+    margin = np.maximum(BEYOND * (high - low), OFF)
+
+    def part(gap: d.Driver, sign: float, end: float) -> d.Driver:
+        return d.Clip(of=d.Affine(offset=-sign * end, weights=(sign,), of=(gap,)), low=0.0, high=MOST)
+
+    return [
+        (part(gap, 1.0, float(b)), part(gap, -1.0, float(a)))
+        for gap, a, b in zip(gaps, low - margin, high + margin, strict=True)
+    ]
+
+
+def _lags(problem: LinearProblem) -> list[float]:
+    """Time constants, s; none if the recording resolves none."""
+    taus = time_constants(problem.recording, problem.plain)
+    return [taus[max(round(share * len(taus)) - 1, 0)] for share in LAGS] if taus else []
+
+
+def _nodes(names: Sequence[str], beyond: Sequence[tuple[d.Driver, d.Driver]], lags: Sequence[float]) -> list[d.Driver]:
+    """The differences through each lag, then the rises, then these through each lag, K."""
+    signed = [d.Affine(weights=(1.0, -1.0), of=pair) for pair in beyond]
+    rises = [d.rise(name) for name in names]
+    return [*(d.lag(x, tau) for tau in lags for x in signed), *rises, *(d.lag(x, tau) for tau in lags for x in rises)]
+
+
+def _chosen(
+    groups: Sequence[int], folds: Sequence[Groups], later: _Later, values: np.ndarray, good: np.ndarray, off: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Gains of the columns, what they leave of held-out runs, um, (rows,), and rms without them, um.
+
+    Gains are zero if none of the ridges leaves less of these runs than no correction. off: triangle of the first
+    columns that represents sensors which are off at the start (errors in variables), per row.
+    """
+    parts = triangles(values[good], later.shown[good], later.code[good], ZERO_SHARE)
+    of = {code: int(later.group[later.code == code][0]) for code in parts}
+
+    def path(kept: Sequence[int]) -> np.ndarray:
+        codes = [code for code, g in of.items() if g in kept]
+        whole = stack(parts, codes)
+        rows = float(np.isin(later.code[good], codes).sum())
+        wrong = np.zeros((len(off), values.shape[1]))
+        wrong[:, : len(off)] = np.sqrt(rows) * off
+        return ridge_path(np.vstack([whole[:, :-1], wrong]), np.r_[whole[:, -1], np.zeros(len(off))], rows, RIDGE)
+
+    left = np.tile(later.left, (len(RIDGE) + 1, 1))
+    for fold in folds:
+        rest = [g for g in groups if g not in fold and g in of.values()]
+        rows = good & np.isin(later.group, fold)
+        left[1:, rows] -= path(rest) @ values[rows].T
+    squares = [[np.mean(row[good & (later.group == g)] ** 2) for g in set(of.values())] for row in left]
+    best = int(np.argmin(np.mean(squares, axis=1)))
+    gains = path(groups)[best - 1] if best else np.zeros(values.shape[1])
+    return gains, left[best], float(np.sqrt(np.mean(left[0][good] ** 2)))
+
+
+def _sum(gains: np.ndarray, nodes: Sequence[d.Driver], amount: d.Driver, lags: Sequence[float]) -> d.Driver:
+    """Gains times columns, with one lag per time constant of the differences, and one product, um."""
+    differences = len(nodes) * len(lags) // (2 * len(lags) + 1)
+    inside = [node.of for node in nodes[:differences] if isinstance(node, d.Lag)]
+    of_lag = np.split(np.arange(differences), len(lags))
+    relaxing = [d.lag(summed(gains[k], [inside[i] for i in k]), tau) for k, tau in zip(of_lag, lags, strict=True)]
+    changed = d.Product(of=(amount, summed(gains[differences:], nodes[differences:])))
+    return d.Affine(weights=(1.0,) * (len(lags) + 1), of=(*relaxing, changed))

@@ -1,0 +1,132 @@
+"""Starts on a warm machine: learnt from the later part of runs that started cold, without a change to cold starts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from errpipe.domain.recording import Column, Manifest, Recording
+from errpipe.fitting.statistics import rms
+from errpipe.models.lagged import Lagged
+from errpipe.stages._compile import CompileOptions, compile_model
+from errpipe.stages.predict import table_values
+from errpipe.thermal import competition, linear, warm_start
+from errpipe.thermal.arithmetic import predicted_since_start, since_start
+from errpipe.thermal.model import ThermalModel
+
+STEP, ROWS = 300.0, 72  # s, six hours a day
+
+
+def lagged(u: np.ndarray, tau: float) -> np.ndarray:
+    out = np.full(u.size, u[0])
+    for k in range(1, u.size):
+        out[k] = u[k] + (out[k - 1] - u[k]) * np.exp(-STEP / tau)
+    return out
+
+
+def days(seed: int, runs: int, start: int = 0) -> Recording:
+    """A spindle that warms a column without a sensor; each day begins in equilibrium. start: first row of each run."""
+    rng = np.random.default_rng(seed)
+    frames = []
+    for k in range(runs):
+        room = 20.0 + rng.normal(0, 2) + np.cumsum(rng.normal(0, 0.03, ROWS))
+        heat = np.r_[0.0, np.repeat(rng.uniform(0, 1, 6), ROWS // 6)[1:]]
+        spindle = room + 12.0 * lagged(heat, 1500.0)
+        flange = room + 6.0 * lagged(heat, 4000.0)
+        growth = 2.0 * spindle - 5.0 * lagged(flange, 6000.0)
+        frame = pd.DataFrame({"T_room": room, "T_spindle": spindle, "T_flange": flange})[start:]
+        frame += rng.normal(0, 0.02, frame.shape)
+        frame["E_Z"] = (growth + rng.normal(0, 0.3, ROWS))[start:] + rng.normal(0, 5)
+        frames.append(frame.assign(run=f"day {k}", t=STEP * np.arange(start, ROWS)))
+    kinds = {"run": Column(role="run"), "t": Column(role="time", unit="s")}
+    kinds |= {f"T_{n}": Column(role="temperature", unit="degC", location=n) for n in ("room", "spindle", "flange")}
+    kinds["E_Z"] = Column(role="error", component="E_Z", unit="um")
+    return Recording(Manifest(recording=1, tables=("a.csv",), columns=kinds), pd.concat(frames, ignore_index=True))
+
+
+def left(model: ThermalModel, judged: Recording) -> np.ndarray:
+    run = judged.run_codes()
+    y = since_start(judged.array("E_Z"), run, 3)[0]
+    return y - predicted_since_start(model.values(judged), run, 3, y == y)
+
+
+@pytest.fixture(scope="module")
+def models() -> tuple[ThermalModel, ThermalModel]:
+    """Fitted to ten days, without and with later starts."""
+    whole = days(1, 10)
+    return Lagged(component="E_Z", warm_starts=False).train(whole), Lagged(component="E_Z").train(whole)
+
+
+@pytest.mark.parametrize("start", [18, 35])
+def test_a_day_that_starts_warm_is_predicted_from_days_that_started_cold(models, start: int) -> None:
+    without, with_later = (rms(left(model, days(2, 6, start))) for model in models)
+    assert with_later < 0.6 * without
+
+
+def test_cold_starts_are_predicted_as_before_to_the_bit(models) -> None:
+    cold = days(3, 6)
+    predicted = [model.predict(cold) for model in models]
+    assert_array_equal(predicted[0].predicted, predicted[1].predicted)
+    assert_array_equal(predicted[0].upper, predicted[1].upper)
+
+
+def test_the_interval_covers_warm_starts(models) -> None:
+    warm = days(4, 8, 25)
+    without, with_later = (float(np.mean(model.predict(warm).upper - model.values(warm))) for model in models)
+    told = models[1].predict(warm)
+    half = 0.5 * (told.upper - told.lower)
+    assert with_later > 1.05 * without
+    assert np.mean(np.abs(left(models[1], warm)) <= half) > 0.8
+
+
+def test_the_interval_is_the_wider_the_further_a_start_is_from_those_known(models) -> None:
+    warm = days(4, 4, 25)
+    room = warm.array("T_room")
+    hotter = warm.with_columns({n: room + 3.0 * (warm.array(n) - room) for n in ("T_spindle", "T_flange")}, {})
+    first = np.diff(warm.run_codes(), prepend=-1) != 0
+    half = [0.5 * (p.upper - p.lower)[first].mean() for p in (models[1].predict(warm), models[1].predict(hotter))]
+    assert half[1] > 1.5 * half[0]
+
+
+def test_the_table_gives_warm_starts_back() -> None:
+    whole, warm = days(1, 10), days(2, 6, 25)
+    family = Lagged(component="E_Z")
+    model = family.fit(whole).model
+    table = compile_model(model, CompileOptions())
+    assert_allclose(table_values(table, model, warm)["E_Z"], family.train(whole).values(warm), atol=1e-3)
+
+
+def test_a_later_start_is_left_out_with_its_run() -> None:
+    """A run whose deviation is another one changes the predictions of the other runs, and none of its own."""
+    whole = days(1, 6)
+    other = whole.with_columns({"E_Z": whole.array("E_Z") * np.where(whole.run_codes() == 2, 3.0, 1.0)}, {})
+    family, told = Lagged(component="E_Z"), []
+    for recording in (whole, other):
+        problem = linear.problem(recording, "E_Z", None, 3)
+        ways = competition.groupings(problem.recording, problem.group, problem.groups, "season")
+        one = [e for e in family.entrants(problem) if e.name == "lagged, ridge 0.0001"]
+        outcome = competition.compete(one, ways, problem.response, problem.rows, problem.group)
+        outcome = replace(outcome, weights=((one[0], 1.0),))
+        told.append(warm_start._later(problem, outcome, ways[0].folds))
+    moved = np.abs(told[1].predicted - told[0].predicted)
+    assert moved[told[0].group == 2].max() == 0.0
+    assert min(moved[told[0].group == g].max() for g in (0, 1, 3, 4, 5)) > 0.01
+
+
+def test_runs_that_already_start_warm_and_cold_need_no_later_starts() -> None:
+    cold, warm = days(1, 5), days(5, 5, 30)
+    both = pd.concat([cold.frame, warm.frame.assign(run="warm " + warm.frame["run"])], ignore_index=True)
+    whole = Recording(cold.manifest, both)
+    models = [Lagged(component="E_Z", warm_starts=asked).train(whole) for asked in (False, True)]
+    assert models[0].terms == models[1].terms
+
+
+def test_a_sensor_that_is_off_at_a_cold_start_costs_little(models) -> None:
+    cold = days(3, 6)
+    off = cold.with_columns({"T_flange": cold.array("T_flange") + 1.0}, {})
+    without, with_later = (left(model, off) for model in models)
+    assert np.abs(with_later - without).max() < 0.5
