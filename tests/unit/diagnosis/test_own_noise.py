@@ -51,7 +51,7 @@ def test_steps_take_the_place_of_names_that_leave_steps(monkeypatch, instead, be
     monkeypatch.setattr(own_noise, "residual", lambda case, chosen: None)
     monkeypatch.setattr(own_noise.coloured, "autoregression", lambda left, run: None)
     monkeypatch.setattr(own_noise, "_gain_of_names", lambda case, bare: 12.7)
-    monkeypatch.setattr(own_noise, "beside_steps", lambda y, columns, most: [beside if columns else instead])
+    monkeypatch.setattr(own_noise, "with_steps", lambda y, columns, most: [beside if columns else instead])
     monkeypatch.setattr(own_noise, "linear_gain", lambda case, noise, rest, freedom: rest)
     assert own_noise.only_steps(case) == only  # type: ignore[arg-type]
 

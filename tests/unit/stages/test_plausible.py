@@ -29,7 +29,7 @@ def test_a_checklist_says_what_will_happen(tmp_path: Path, name: str) -> None:
     text = (tmp_path / "out" / name / targets.CHECKLIST).read_text()
     (says,) = re.findall(r"- (at X = .*)[.]", text)
     wanted = "at X = 500 mm the axis stands 10.0 um too far and will be commanded 10.0 um less"
-    assert says == wanted and done["says"][-1] == wanted
+    assert says == wanted and done["says"][-1] == f"{name}: {wanted}"
 
 
 @pytest.mark.parametrize("table", [too_long_from_above, long_with_lost_motion])
