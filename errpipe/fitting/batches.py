@@ -25,6 +25,7 @@ from errpipe.domain.recording import Manifest, Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout, solve
 from errpipe.fitting.design import Problem, Slot, fixed_part, response_name, slots_of
+from errpipe.fitting.side_by_side import no_warnings
 from errpipe.fitting.source import Layout, Source, stretches
 from errpipe.fitting.spec import ComponentSpec, ModelSpec
 
@@ -105,7 +106,8 @@ class History:
         if self.centre is None:
             opening = self.columns(batch.take(slice(FIRST_ROWS)))[:, self.varying[1:]]
             self.centre = np.r_[0.0, self.constants[1:]]
-            self.centre[self.varying[1:]] = np.nan_to_num(np.nanmean(opening, axis=0))
+            with no_warnings():  # a column may have no reading yet
+                self.centre[self.varying[1:]] = np.nan_to_num(np.nanmean(opening, axis=0))
         if self.buffer.shape[1] < len(batch):
             self.buffer = np.ones((len(self.varying), len(batch)))
         sampled = np.empty((len(self.varying) - 2, len(kept)))

@@ -24,6 +24,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, ErrpipeError, UsageError
 from errpipe.fitting.source import Source
 from errpipe.formats import manifest_folder
+from errpipe.models._base import Family, Fitted
 from errpipe.pipeline import runner
 from errpipe.pipeline.graph import ancestors
 from errpipe.pipeline.lock import read_lock
@@ -203,8 +204,12 @@ def fitted_stages(spec: Pipeline) -> tuple[list[FitStage], str]:
 def fit_together(
     tasks: Sequence[Task], spec: Pipeline, mapped: Map, progress: Callable[[float, str], None]
 ) -> dict[str, Any]:
-    """One fit, and its validation, of all parts; written below OUT/whole. Raises DataError with the part's name."""
+    """One fit, and its validation, of all parts; written below OUT/whole once all are there.
+
+    Raises DataError with the part's name, UsageError where parts ask for different fits.
+    """
     fits, stage = fitted_stages(spec)
+    _refuse_other_keys(tasks, spec)
 
     def passes(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
         done = mapped(function, arguments)
@@ -215,30 +220,46 @@ def fit_together(
 
     progress(0.1, f"{stage} of {len(tasks)} parts")
     source = _together(passes(_found, [()] * len(tasks)), [task[1] for task in tasks], passes)
-    out, summary = Path(tasks[0][3]) / WHOLE, {}
+    validates = [s for s in spec.stages if isinstance(s, Validate)]
+    results: list[tuple[FitStage, Family, Fitted, list[tuple[Validate, Any]]]] = []
     for fit in fits:
         progress(0.5, fit.label)
         family = fit.family_options()
         if not family.in_batches(replace(source, rows=max(source.rows, 1 << 62))):
             raise DataError(f"{fit.label}: this fit needs all rows at once, and cannot be one of several parts")
-        inputs = jsonfile.fingerprint([source.digests, family.model_dump(mode="json")])
         fitted = family.fit_batches(source)
+        progress(0.8, fit.label)
+        own = [v for v in validates if fit.label in spec.links[v.label].get("error_model", ())]
+        judged = [(v, held_out.judged_in_batches(source, family, v.holdout)) for v in own]
+        results.append((fit, family, fitted, judged))
+    out, summary = Path(tasks[0][3]) / WHOLE, {}
+    for fit, family, fitted, judged in results:  # nothing is written before all are there
+        inputs = jsonfile.fingerprint([source.digests, family.model_dump(mode="json")])
         context = _context(out / fit.label, inputs, spec.title)
         model = _artefacts.write_model(context, source.ends, fitted.model, family)
         for name, document in fitted.documents.items():
             context.write_json(name, document)
         summary[fit.label] = dict(fitted.summary)
-        for validate in (s for s in spec.stages if isinstance(s, Validate)):
-            if fit.label in spec.links[validate.label].get("error_model", ()):
-                progress(0.8, validate.label)
-                document, rows = held_out.judged_in_batches(source, family, validate.holdout)
-                context = _context(out / validate.label, inputs, spec.title)
-                document |= {"model": _artefacts.fingerprint_of(model), "inputs": inputs}
-                context.write_json(_artefacts.VALIDATION, document)
-                write_rows(context.folder / HELD_OUT, rows)
-                summary[validate.label] = {c["component"]: headline(c) for c in document["components"]}
+        for validate, (document, rows) in judged:
+            context = _context(out / validate.label, inputs, spec.title)
+            document |= {"model": _artefacts.fingerprint_of(model), "inputs": inputs}
+            context.write_json(_artefacts.VALIDATION, document)
+            write_rows(context.folder / HELD_OUT, rows)
+            summary[validate.label] = {c["component"]: headline(c) for c in document["components"]}
     parts = [{"name": task[1], "rows": f.rows} for task, f in zip(tasks, source.found, strict=True)]
     return {"parts": parts, "rows": source.rows, WHOLE: summary}
+
+
+def _refuse_other_keys(tasks: Sequence[Task], spec: Pipeline) -> None:
+    """Raise UsageError for a part that sets keys of a fit or a validation otherwise than the first: they are common."""
+    common = [s for s in spec.stages if isinstance(s, (FitStage, Validate))]
+    for task in tasks[1:]:
+        own = load_pipeline(Path(task[0]), STAGES, sets=task[2])
+        if differ := [s.label for s in common if own.stage(s.label) != s]:
+            raise UsageError(
+                f"{spec.file}: part {task[1]} sets keys of {', '.join(differ)} otherwise than {tasks[0][1]} (allowed: "
+                "the same for all parts, for there is one fit)"
+            )
 
 
 def _context(folder: Path, inputs: str, title: str) -> Context:

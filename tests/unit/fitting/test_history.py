@@ -136,6 +136,16 @@ def test_batches_and_memory_give_the_same_model_and_the_same_held_out_figures(tm
             np.testing.assert_allclose(one.after, other.after, rtol=1e-9, atol=1e-9)
 
 
+def test_a_sensor_without_readings_at_first_is_no_warning_to_the_user(tmp_path, recwarn):
+    recording, family = log(), Terms(**MODEL)
+    late = np.where(np.arange(len(recording)) < 4000, np.nan, recording.array("T_nut"))
+    recording = recording.with_columns({"T_nut": late}, {})
+    models = family.fit_batches(on_disk(recording, tmp_path, 1000)).model, family.fit(recording).model
+    values = [[p.value for c in model.components for t in c.terms for p in t.parameters] for model in models]
+    np.testing.assert_allclose(*values, rtol=1e-6)
+    assert not recwarn.list
+
+
 def test_readings_between_empty_rows_are_held_over_the_borders_of_batches(tmp_path):
     """Every fifth row holds a reading of the nut, no run begins with one, and a long hole stays empty."""
     recording, family = log(), Terms(**MODEL)

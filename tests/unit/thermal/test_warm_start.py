@@ -130,3 +130,26 @@ def test_a_sensor_that_is_off_at_a_cold_start_costs_little(models) -> None:
     off = cold.with_columns({"T_flange": cold.array("T_flange") + 1.0}, {})
     without, with_later = (left(model, off) for model in models)
     assert np.abs(with_later - without).max() < 0.5
+
+
+@pytest.mark.parametrize("sensor", ["T_room", "T_spindle", "T_flange"])
+@pytest.mark.parametrize("kelvin", [-40.0, 40.0])
+def test_a_sensor_that_is_broken_at_a_cold_start_costs_no_correction(models, sensor: str, kelvin: float) -> None:
+    """No later start differs so much: the rise is of use all the same, and nothing is added to it."""
+    cold = days(3, 6)
+    broken = cold.with_columns({sensor: cold.array(sensor) + kelvin}, {})
+    without, with_later = (left(model, broken) for model in models)
+    assert rms(with_later) < 1.1 * rms(without) < 1.0
+
+
+def test_differences_of_many_sensors_are_of_few_operands() -> None:
+    """A table holds 4096 operands in all, and 64 of one sum."""
+    few = days(1, 4)
+    names = [f"T{k}" for k in range(61)]
+    column = Column(role="temperature", unit="degC", location="bed")
+    many = few.with_columns(dict.fromkeys(names, few.array("T_room")), dict.fromkeys(names, column))
+    problem = linear.problem(many, "E_Z", None, 3)
+    pairs = warm_start._beyond(problem, many.names("temperature"))
+    gaps = [above.of.of[0] for above, _ in pairs]
+    assert len(gaps) == 64 and {len(gap.of) for gap in gaps} == {2}
+    assert gaps[0].of[1] == gaps[-1].of[1] and max(len(part.of) for part in gaps[0].of[1].of) <= linear.MOST_OPERANDS

@@ -13,9 +13,11 @@ import pandas as pd
 import pytest
 from pydantic import ValidationError
 
+from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Column, Manifest, Recording
-from errpipe.errors import DataError
+from errpipe.errors import DataError, UsageError
 from errpipe.fitting.source import Source
+from errpipe.models._base import Fitted
 from errpipe.verbs import _fleet_history
 from errpipe.verbs.fleet import Fleet
 
@@ -105,7 +107,7 @@ def test_a_part_that_fails_is_named_and_nothing_is_written(tmp_path: Path) -> No
 
     (tmp_path / "p.yaml").write_text(
         "pipeline: 1\nstages:\n  - {kind: ingest, recording: raw}\n"
-        "  - {kind: fit, components: [{component: EXX, terms: [{term: offset}]}]}\n",
+        "  - {kind: fit, from: {recording: ingest}, components: [{component: EXX, terms: [{term: offset}]}]}\n",
         "utf-8",
     )
     (tmp_path / "raw").mkdir()
@@ -120,3 +122,50 @@ def test_a_part_that_fails_is_named_and_nothing_is_written(tmp_path: Path) -> No
     with pytest.raises(DataError, match=r"^a: .*raw"):
         _fleet_history.fit_together(tasks, spec, passes, lambda *_: None)
     assert not (tmp_path / "out/whole").exists()
+
+
+TWO_FITS = """\
+pipeline: 1
+stages:
+  - {kind: ingest, recording: raw}
+  - {kind: fit, from: {recording: ingest}, components: [{component: EXX, terms: [{term: offset}]}]}
+  - {kind: fit, name: second, from: {recording: ingest}, components: [{component: EXX, terms: [{term: offset}]}]}
+  - {kind: validate, from: {error_model: fit, recording: ingest}}
+  - {kind: validate, name: again, from: {error_model: second, recording: ingest}}
+"""
+
+
+def test_nothing_is_written_before_the_last_fit_is_judged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from errpipe.models.terms import Terms
+    from errpipe.pipeline.spec import load_pipeline
+    from errpipe.stages import STAGES
+
+    (tmp_path / "p.yaml").write_text(TWO_FITS, "utf-8")
+    fitted: list[Any] = []
+
+    def fit(family: Terms, source: Source) -> Any:
+        if fitted:
+            raise DataError("second: not determined")
+        fitted.append(family)
+        return Fitted(ErrorModel(components=()), {}, {})
+
+    monkeypatch.setattr(Terms, "fit_batches", fit)
+    monkeypatch.setattr(_fleet_history.held_out, "judged_in_batches", lambda *_: ({"components": []}, {}))
+    tasks = [(str(tmp_path / "p.yaml"), "a", [], str(tmp_path / "out"))]
+    spec = load_pipeline(tmp_path / "p.yaml", STAGES)
+    with pytest.raises(DataError, match="second: not determined"):
+        _fleet_history.fit_together(tasks, spec, lambda *_: [("", (part("1", 0.0, 1.0), "-"))], lambda *_: None)
+    assert fitted and not (tmp_path / "out").exists()
+
+
+def test_parts_that_ask_for_different_fits_are_refused(tmp_path: Path) -> None:
+    from errpipe.pipeline.spec import load_pipeline
+    from errpipe.stages import STAGES
+
+    (tmp_path / "p.yaml").write_text(TWO_FITS, "utf-8")
+    sets = [["ingest.recording=a"], ["ingest.recording=b", "validate.holdout={scheme: leave-one-group-out, of: day}"]]
+    tasks = [(str(tmp_path / "p.yaml"), name, s, str(tmp_path / "out")) for name, s in zip("ab", sets, strict=True)]
+    spec = load_pipeline(tmp_path / "p.yaml", STAGES, sets=sets[0])
+    with pytest.raises(UsageError, match="part b sets keys of validate otherwise than a"):
+        _fleet_history.fit_together(tasks, spec, lambda *_: [], lambda *_: None)
+    _fleet_history._refuse_other_keys([tasks[0], (*tasks[1][:2], sets[1][:1], tasks[1][3])], spec)
