@@ -42,7 +42,7 @@ from errpipe.importing.long_form import unstacked
 from errpipe.importing.pairs import paired
 from errpipe.importing.proposal import propose
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
-from errpipe.importing.readers import open_file
+from errpipe.importing.readers import open_file, reader_of
 from errpipe.importing.sheet import ReaderOptions, Sheet
 from errpipe.importing.units import unit_of
 from errpipe.validation import plausibility
@@ -249,11 +249,19 @@ def _of_known_format(file: Path, reader: ReaderOptions, options: ImportOptions) 
 
 
 def _inside(folder: Path) -> str:
-    """How to go on with a folder: a recording is ready; else the files of its most frequent kind."""
+    """How to go on with a folder: a recording is ready; else the most frequent kind of file that can be imported."""
     if (folder / "recording.yaml").is_file():
         return f"; it is a recording: errpipe init axis --recording {folder}"
-    held = Counter(p.suffix for p in islice(folder.iterdir(), MOST_NEIGHBOURS) if p.is_file() and p.suffix)
-    return f", such as {folder}/*{held.most_common(1)[0][0]}" if held else "; this one is empty"
+    held = [p for p in islice(folder.iterdir(), MOST_NEIGHBOURS) if p.is_file()]
+    kinds = Counter(p.suffix for p in held if p.suffix and _may_be_read(p))
+    if kinds:
+        return f", such as {folder}/*{kinds.most_common(1)[0][0]}"
+    return "; none in this one is a known measurement file" if held else "; this one is empty"
+
+
+def _may_be_read(file: Path) -> bool:
+    """Whether the first bytes of a file are those of a known format, or of a reader for its file name ending."""
+    return any(f.sniff(file) for f in formats.FORMATS) or reader_of(file) is not None
 
 
 def _refuse_idle_options(file: Path, name: str, given: dict[str, Any]) -> None:

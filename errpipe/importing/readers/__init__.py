@@ -60,6 +60,17 @@ def open_file(path: Path, options: ReaderOptions) -> tuple[str, list[Sheet]]:
     raise DataError(f"{path}: neither text nor any other kind of file that is imported (allowed: {kinds})")
 
 
+def reader_of(path: Path) -> ModuleType | None:
+    """The reader that fits both the ending and the first bytes of a file; None of a file that is not imported."""
+    with path.open("rb") as stream:
+        head = stream.read(HEAD_BYTES)
+    try:
+        _refuse_known(path, head)
+    except DataError:
+        return None
+    return next((r for r in READERS if path.suffix.lower() in r.suffixes and head and r.sniff(path, head)), None)
+
+
 def _refuse_known(path: Path, head: bytes) -> None:
     """Raise DataError for kinds of files that are not imported, with the alternative."""
     if (what := controller_files.controller_file_kind(path, head)) is not None:
