@@ -80,7 +80,7 @@ class _Largest:
 def _largest(table: CompensationTable, axis: str) -> _Largest:
     """Of the corrections of an axis in the reference state."""
     names, out = _sample.positions_of(table), _Largest(axis)
-    for over in _sample.own_first(table, axis):
+    for over in _sample.axes_own_first(table, axis):
         low, high = _sample.span(table, over)
         if (low, high) == UNBOUNDED:
             continue

@@ -67,10 +67,10 @@ def prepare(files: Sequence[Path], reader: ReaderOptions, options: ImportOptions
             opened = [archives.unpacked(file, place) for place, file in inside.items()]
             out = _prepared([file for of, _ in opened for file in of], reader, options)
         except (DataError, UsageError) as err:
-            said = str(err)
+            message = str(err)
             for place, file in inside.items():
-                said = said.replace(f"{place}{os.sep}", f"{file}, ")
-            raise type(err)(said) from None
+                message = message.replace(f"{place}{os.sep}", f"{file}, ")
+            raise type(err)(message) from None
     out[0].notes[:0] = [note for _, notes in opened for note in notes]
     return out
 
@@ -205,10 +205,10 @@ def _of_any_sheet(
                 asked = f"{sheet.name}: {reason}" if len(sheets) > 1 else reason
     if not out:
         hint = "" if features.WHO in asked else other_tests.named(sheets[:MAX_SHEETS], "" if asked else kind)
-        said = [f"{', '.join(dict.fromkeys(of))}: {why}" if len(sheets) > 1 else why for why, of in problems.items()]
-        if len(said) > together.MAX_SHEETS_NAMED:
-            said = [*said[: together.MAX_SHEETS_NAMED], "and others"]
-        raise DataError(f"{file}: {'; '.join(said)}{'.' if hint else ''}{hint}")
+        reasons = [f"{', '.join(dict.fromkeys(of))}: {why}" if len(sheets) > 1 else why for why, of in problems.items()]
+        if len(reasons) > together.MAX_SHEETS_NAMED:
+            reasons = [*reasons[: together.MAX_SHEETS_NAMED], "and others"]
+        raise DataError(f"{file}: {'; '.join(reasons)}{'.' if hint else ''}{hint}")
     if asked:  # the sheet before may be the one that is meant
         raise DataError(f"{file}: {asked}. Or, of the other sheets, --sheet {out[0][1]!r}")
     together.refuse_states([name for _, name in out], "sheets", "choose one with --sheet")

@@ -114,7 +114,7 @@ def _check_in_child_process(reader: ModuleType, path: Path, options: ReaderOptio
         raise DataError(f"{path}: takes more than {MOST_MEMORY >> 30} GB of memory or {MOST_SECONDS} s to read")
 
 
-def _read_and_report(reader: ModuleType, path: Path, options: ReaderOptions, said: int) -> None:
+def _read_and_report(reader: ModuleType, path: Path, options: ReaderOptions, answer_pipe: int) -> None:
     import resource
 
     code = 1
@@ -129,7 +129,7 @@ def _read_and_report(reader: ModuleType, path: Path, options: ReaderOptions, sai
         reader.read(path, options)
         code = 0
     except ErrpipeError as err:
-        os.write(said, str(err).encode()[: 1 << 16])
+        os.write(answer_pipe, str(err).encode()[: 1 << 16])
         code = 2 if isinstance(err, UsageError) else 3
     finally:
         os._exit(code)
