@@ -241,7 +241,7 @@ def _says(h: Held) -> str:
     return text
 
 
-def more_left(held: list[Held]) -> list[str]:
+def larger_residuals(held: list[Held]) -> list[str]:
     """A sentence for each response whose residual, with the earlier findings fitted, has increased."""
     left = {h.component: h for h in held if h.left is not None and h.left_then is not None}
     return [

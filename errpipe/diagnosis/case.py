@@ -68,10 +68,10 @@ class Case(SetUp):
 
 def residual(case: Case, chosen: list[tuple[int, float]] | None = None) -> np.ndarray:
     """Residual of the explanation, on the selected rows."""
-    return left_by(case, case.search, case.chosen() if chosen is None else chosen)
+    return residual_of_chosen(case, case.search, case.chosen() if chosen is None else chosen)
 
 
-def left_by(made: SetUp, search: Search, chosen: list[tuple[int, float]]) -> np.ndarray:
+def residual_of_chosen(made: SetUp, search: Search, chosen: list[tuple[int, float]]) -> np.ndarray:
     """Residual of chosen hypotheses in a search, on the selected rows."""
     return made.y - made.judged().columns([i for i, _ in chosen]) @ search.scene(chosen).coefficients()
 

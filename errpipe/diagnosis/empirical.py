@@ -98,9 +98,11 @@ def has_a_name(case: Case, empirical: Empirical, whole: np.ndarray) -> bool:
     listed = {c.name: c.values for c in candidates(case.recording, rows)}
     held = [(f.index, library.cores[f.index]) for f in case.explanation.accepted]
     if names := [library.block(i, case.recording, rows)[:, :cores] for i, cores in held]:
-        said = np.sum([term.coefficient * listed[term.column] for term in empirical.terms], axis=0)
+        explained = np.sum([term.coefficient * listed[term.column] for term in empirical.terms], axis=0)
         known = np.column_stack([case.recal[part], *names])
-        if np.var(said - known @ np.linalg.lstsq(known, said, rcond=None)[0]) < (1.0 - ALIKE**2) * np.var(said):
+        if np.var(explained - known @ np.linalg.lstsq(known, explained, rcond=None)[0]) < (1.0 - ALIKE**2) * np.var(
+            explained
+        ):
             return True
     values = listed[empirical.terms[0].column]
     alone = np.column_stack([np.ones(part.size), case.simulated[part], values])  # whose gain may have imitated it

@@ -47,7 +47,7 @@ WHOLE = Nuisance("whole", "simulation")
 NOISE = Nuisance("noise", "noise of the simulation")
 
 
-def far_off(scene: Scene, nuisances: list[Nuisance], sizes: np.ndarray) -> int:
+def count_distant_gains(scene: Scene, nuisances: list[Nuisance], sizes: np.ndarray) -> int:
     """Number of parts with a gain that far off, in a scene whose first active columns are the nuisances."""
     held, rows = totals(nuisances, sizes)
     return int(np.count_nonzero(np.abs(rows @ scene.coefficients()[: rows.shape[1]]) > FAR_OFF)) if held else 0

@@ -81,7 +81,9 @@ def _least_size(library, i: int, held: parts.Decomposition) -> float:
     wave or of a bump elsewhere."""
     h = library.hypotheses[i]
     same = [p for p in held.parts if (p.hypothesis.effect, p.hypothesis.drivers) == (h.effect, h.drivers)]
-    sizes = [float(np.std(p.contribution)) * recalibration.share_held(library, i, p.contribution) for p in same]
+    sizes = [
+        float(np.std(p.contribution)) * recalibration.share_in_simulation(library, i, p.contribution) for p in same
+    ]
     return MIN_SHARE_OF_PART * max(sizes, default=0.0)
 
 
@@ -274,7 +276,7 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     search, explanation, nuisance = _with_dependent_rows(made, search, explanation)
     held = made.decomposition
     judged, known = made.judged(), (made.nuisances, made.sizes, made.noise_estimate)
-    exact = recalibration.no_gain(search, explanation, judged, held, *known)
+    exact = recalibration.missing_beyond_gains(search, explanation, judged, held, *known)
     if exact:
         (search, explanation, _), nuisance, held = exact, exact[0].nuisance, replace(held, parts=())
     most, explanation = len(explanation.accepted), worth_naming(search, explanation, made.recording, rows, held)
@@ -314,7 +316,7 @@ def _with_dependent_rows(made: SetUp, search: Search, explanation: Explanation) 
     chosen = [e.chosen() for e in (explanation, wide_gains)]
     if search.rows:
         narrow, proved = (made.judged().of_explanation(*way) for way in ((search, chosen[0]), (other, chosen[1])))
-        price = WIDE_PRICE + MORE * gains.far_off(other.scene(chosen[1]), made.nuisances, made.sizes)
+        price = WIDE_PRICE + MORE * gains.count_distant_gains(other.scene(chosen[1]), made.nuisances, made.sizes)
         likelier = other.evidence(chosen[1]) > search.evidence(chosen[0]) + price
         if proved < PROVED * narrow or (likelier and proved < narrow):
             return other, wide_gains, wide

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from errpipe.diagnosis import admit, coloured
-from errpipe.diagnosis.case import Case, SetUp, left_by, residual
+from errpipe.diagnosis.case import Case, SetUp, residual, residual_of_chosen
 from errpipe.diagnosis.evidence import Data, Scene
 from errpipe.diagnosis.hypotheses import Block, Hypothesis, columns_of, scaled
 from errpipe.diagnosis.search import MISSING, Explanation, Search, settled
@@ -49,7 +49,7 @@ def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> t
     shaped, unnamed = _shaped(made, search)
     best = max(likelihood(search, explanation.chosen()), shaped) + handicap, library.table.colour, search, explanation
     wandering = -np.inf  # log evidence of noise alone
-    left = [left_by(made, search, chosen) for chosen in ([], explanation.chosen())]
+    left = [residual_of_chosen(made, search, chosen) for chosen in ([], explanation.chosen())]
     for colour in dict.fromkeys(coloured.fitted(rest, made.run) for rest in (*left, unnamed)):
         library.recolour(colour)
         made.data = Data(library.table, made.y)

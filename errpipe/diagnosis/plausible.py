@@ -38,7 +38,7 @@ def doubtful(case: Case) -> list[model.Modelled]:
     Of an effect of any shape the textbook form is one of many: its size may be zero.
     """
     made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
-    unsized = [no_size(m) and m.hypothesis.terms[0].form != "any shape" for m in made]
+    unsized = [is_insignificant(m) and m.hypothesis.terms[0].form != "any shape" for m in made]
     doubted = [m for m, u in zip(made, unsized, strict=True) if u or at_its_limit(case, m, np.inf)]
     return sorted(doubted, key=lambda m: m.joint)
 
@@ -63,8 +63,8 @@ def cancelling(case: Case, made: list[model.Modelled]) -> list[model.Modelled]:
     return out
 
 
-def no_size(m: model.Modelled) -> bool:
-    """Does no linear parameter differ significantly from 0, alone (the reported intervals) or jointly?
+def is_insignificant(m: model.Modelled) -> bool:
+    """Whether no linear parameter differs significantly from 0, alone (the reported intervals) or jointly?
 
     A wave has an amplitude, too; of the same term on two axes only the difference may be known.
     """

@@ -118,12 +118,12 @@ def spikes(values: np.ndarray, times: float = 6.0) -> np.ndarray:
     """Isolated outliers: far from the median of their six neighbours, which agree with each other."""
     if values.size < 15:
         return np.zeros(values.size, dtype=bool)
-    gap, spread = beside_neighbours(values)
+    gap, spread = distance_from_neighbours(values)
     scale = 1.4826 * np.median(np.abs(gap)) + 1e-12
     return np.abs(gap) > times * np.maximum(scale, 1.5 * 1.4826 * spread)
 
 
-def beside_neighbours(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def distance_from_neighbours(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distances from the median of the six neighbours, (n,), and these neighbours' median absolute deviations."""
     padded = np.pad(values, 3, mode="reflect")
     gap, spread = np.empty_like(values), np.empty_like(values)

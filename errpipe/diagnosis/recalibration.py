@@ -33,7 +33,7 @@ AS_WELL = 1.02  # threshold: rms on held-out rows over that with gains, up to wh
 TWIN = 20.0  # threshold: log Bayes factor of an effect missing in a repeated measurement, beyond that of a finding
 
 
-def no_gain(
+def missing_beyond_gains(
     search: Search, explanation: Explanation, judged: LeftOut, d: parts.Decomposition, nuisances, sizes, noise: float
 ) -> tuple[Search, Explanation, bool] | None:
     """What is missing where a recalibration may be that, if it is likelier; None elsewhere. And: only if gains are 1?
@@ -165,11 +165,13 @@ def log_prior(library: hypotheses.Library, d: parts.Decomposition) -> np.ndarray
             prior[i] += SAME if read & sensors else NEVER
         if h.effect in present:
             own = same.get((h.effect, h.drivers))
-            prior[i] += PRESENT if own is None else (PRESENT + SAME) * max(share_held(library, i, p) for p in own)
+            prior[i] += (
+                PRESENT if own is None else (PRESENT + SAME) * max(share_in_simulation(library, i, p) for p in own)
+            )
     return prior
 
 
-def share_held(library: hypotheses.Library, i: int, held: np.ndarray) -> float:
+def share_in_simulation(library: hypotheses.Library, i: int, held: np.ndarray) -> float:
     """Share of a part of the simulation that a hypothesis' textbook form explains: another wave, or a bump elsewhere,
     is another effect of the same name."""
     table = library.table

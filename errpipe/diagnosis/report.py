@@ -15,7 +15,7 @@ from errpipe.diagnosis.gains import WHOLE, Nuisance
 from errpipe.diagnosis.hypotheses import Hypothesis
 from errpipe.diagnosis.own_noise import only_steps
 from errpipe.diagnosis.separate import would_separate
-from errpipe.diagnosis.units import said
+from errpipe.diagnosis.units import rounded
 from errpipe.diagnosis.whiteness import whiteness
 from errpipe.domain.diagnosis import Finding, FoundParameter, HoldOutFigures, ResponseDiagnosis, Rival, Significance
 from errpipe.fitting.statistics import rms
@@ -97,7 +97,7 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
     Drifting noise, or another name with a far-off gain, is as likely, unless predicted held-out rows contradict.
     """
     slow = case.held.names > PREDICTED * case.held.before
-    far = slow and gains.far_off(case.search.scene(case.chosen()), case.nuisances, case.sizes)
+    far = slow and gains.count_distant_gains(case.search.scene(case.chosen()), case.nuisances, case.sizes)
     left = (case.held.names / max(case.held.before, 1e-300)) ** 2
     b, twin = case.search.scene(case.chosen()).coefficients(), any(n.kind == "noise" for n in case.nuisances)
     rows = gains.totals(case.nuisances, case.sizes)[1]  # a repeated measurement has gains of 1, else its noise drifts
@@ -109,7 +109,7 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
         a_gain = case.of_a_twin or any(plausible.gain_of_a_part(case, other) for other in beside)
         if wanders or a_gain or plausible.only_a_wave_in_time(m, after):
             most[k] = UNPROVED
-        elif plausible.no_size(m):
+        elif plausible.is_insignificant(m):
             most[k] = UNSIZED
         elif far or shaped or (case.held.again and s.agreement < holdout.AGAIN):
             most[k] = UNSURE
@@ -279,7 +279,7 @@ def _recalibration(case: Case) -> list[Finding]:
             drivers=(case.pair.simulated,),
             parameters=tuple(parameters),
             says="Datum or gains of the simulation are off; setting them right moves it by "
-            f"{said(rms)} {case.pair.unit} rms." + (REVERSED if case.pair.reversed else ""),
+            f"{rounded(rms)} {case.pair.unit} rms." + (REVERSED if case.pair.reversed else ""),
             rms_um=rms,
             compensable=False,
         )
@@ -307,38 +307,41 @@ def _says(case: Case, effect: str, drivers, made: model.Modelled) -> str:
     whose = [f" of {getattr(t, 'axis', '')}" for t in terms for _ in t.linear()] if len(terms) > 1 else []
     named = zip(shown, itertools.chain(whose, itertools.repeat("")), strict=False)
     numbers = ", ".join(
-        f"{e.name}{axis} = {said(e.value)}{'' if e.unit == '1' else f' {e.unit}'} ({said(e.low)} to {said(e.high)})"
+        f"{e.name}{axis} = {rounded(e.value)}{'' if e.unit == '1' else f' {e.unit}'} "
+        f"({rounded(e.low)} to {rounded(e.high)})"
         for e, axis in named
     )
     artefact = terms[0].family == "measurement"  # of the recording: no simulation has it
     return (
         f"The {'recording contains' if artefact else 'simulation lacks'} {effect.replace('_', ' ')}, driven by "
         f"{', '.join(drivers)}: {numbers}{_unusual(made)}; "
-        f"it makes up {said(float(np.std(made.contribution)))} {case.pair.unit} rms of the mismatch."
+        f"it makes up {rounded(float(np.std(made.contribution)))} {case.pair.unit} rms of the mismatch."
     )
 
 
 def _unusual(made: model.Modelled) -> str:
     """A sentence on lags or lengths far from typical ones: the form may stand for another effect.
 
-    Typical lengths are of linear axes: of an angle nothing is said.
+    Typical lengths are of linear axes: there is none for an angle.
     """
     names = {(p.name, p.unit): p for t in made.hypothesis.terms for p in t.nonlinear()}
     for e in made.estimates:
         p = names.get((e.name, e.unit))
         if p is not None and p.typical[0] > 0 and not p.typical[0] / 2 <= e.value <= 2 * p.typical[1]:
-            return f" (unusual: {e.name} is mostly {said(p.typical[0])} to {said(p.typical[1])} {p.unit})"
+            return f" (unusual: {e.name} is mostly {rounded(p.typical[0])} to {rounded(p.typical[1])} {p.unit})"
     return ""
 
 
 def in_words(r: ResponseDiagnosis) -> str:
     unit = r.unit
     if r.verdict == "no_mismatch":
-        return f"{r.component}: recording and simulation agree within the noise ({said(r.noise_floor_um)} {unit} rms)."
+        return (
+            f"{r.component}: recording and simulation agree within the noise ({rounded(r.noise_floor_um)} {unit} rms)."
+        )
     if r.verdict == "recalibrate":
         return (
-            f"{r.component}: nothing is missing; with datum and gains recalibrated {said(r.rms_before_um)} becomes "
-            f"{said(r.rms_after_um)} {unit} rms."
+            f"{r.component}: nothing is missing; with datum and gains recalibrated {rounded(r.rms_before_um)} becomes "
+            f"{rounded(r.rms_after_um)} {unit} rms."
         )
     names = [f.effect.replace("_", " ") for f in r.findings if f.effect != "recalibration"]
     what, one = " and ".join(names[:2]), len(names[:2]) == 1
@@ -349,7 +352,7 @@ def in_words(r: ResponseDiagnosis) -> str:
         each = f" {r.between_runs or 0.0:.0%} of the mismatch is one offset per run, as from a new datum."
         return (
             f"{r.component}: {what} {verb} the best name{s} found, but unproved: held-out rows are no better "
-            f"explained with {them} ({said(before)} before, {said(after)} {unit} rms after)."
+            f"explained with {them} ({rounded(before)} before, {rounded(after)} {unit} rms after)."
             + (each if (r.between_runs or 0.0) >= MOSTLY else "")
         )
     if names[0] == "unknown":
@@ -357,9 +360,9 @@ def in_words(r: ResponseDiagnosis) -> str:
         near = f" (the nearest name would be {known[0]})" if known else ""
         return (
             f"{r.component}: something is missing that no known effect explains{near}; a shape in the data brings the "
-            f"mismatch, held out, from {said(before)} to {said(after)} {unit} rms."
+            f"mismatch, held out, from {rounded(before)} to {rounded(after)} {unit} rms."
         )
     return (
-        f"{r.component}: {what} explain{'s' if one else ''} the mismatch; held out it falls from {said(before)} to "
-        f"{said(after)} {unit} rms."
+        f"{r.component}: {what} explain{'s' if one else ''} the mismatch; held out it falls from {rounded(before)} to "
+        f"{rounded(after)} {unit} rms."
     )

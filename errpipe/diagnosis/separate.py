@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from errpipe.diagnosis.hypotheses import Hypothesis
-from errpipe.diagnosis.units import said
+from errpipe.diagnosis.units import rounded
 from errpipe.domain.recording import Recording
 
 STEPS = 240  # points of a proposed experiment at which rivals are compared
@@ -35,7 +35,7 @@ def would_separate(recording: Recording, first: Fitted, second: Fitted, noise: f
     if readings > MOST_READINGS:
         return f"{best[1]}; but on this machine their predictions agree within the noise even then"
     enough = "a few readings" if readings < 10 else f"about {float(f'{readings:.1g}'):.0f} readings"
-    gap, scatter = said(2 * best[0], 2), said(noise, 2)
+    gap, scatter = rounded(2 * best[0], 2), rounded(noise, 2)
     return f"{best[1]}; the two then differ by {gap} {unit} ({enough} at a noise of {scatter} {unit})"
 
 
@@ -54,7 +54,7 @@ def _hypothetical_recordings(recording: Recording, drivers: tuple[str, ...]):
         for position in recording.names("position"):
             x = recording.array(position)
             moved[position] = np.tile(np.linspace(np.nanmin(x), np.nanmax(x), 8), STEPS // 8)
-        shown = f"{name} = {said(low)} and {said(high)} {columns[name].unit or ''}".strip()
+        shown = f"{name} = {rounded(low)} and {rounded(high)} {columns[name].unit or ''}".strip()
         yield (
             f"measure at {shown} with all other inputs as constant as can be",
             Recording(recording.manifest, constant.assign(**moved)),
@@ -78,20 +78,20 @@ def _moves(recording: Recording, axis: str | None, place: str, constant: pd.Data
         return {**dict.fromkeys(position, x), **dict.fromkeys(side, np.where(v < 0, -1.0, 1.0)), **known, **more}
 
     v, t = np.full(STEPS, SPEEDS[0] * top or 1.0), np.linspace(0.0, (high - low) / (SPEEDS[0] * top or 1.0), STEPS)
-    what = f"move {place} from {said(low)} to {said(high)} {unit} slowly, with everything else at rest"
+    what = f"move {place} from {rounded(low)} to {rounded(high)} {unit} slowly, with everything else at rest"
     yield what, made(np.linspace(low, high, STEPS), v, t)
     if side:
         listed = f"{', '.join(f'{r:g}' for r in REVERSALS[:-1])} and {REVERSALS[-1]:g} {unit}"
         yield f"approach the same target after reversals of {listed}", _short_reversals(place, side[0], constant)
     if top > 0:
         v, t = np.resize(np.outer(SPEEDS, (top, -top)), STEPS), 0.5 * (high - low) / top * np.arange(STEPS)
-        what = f"move {place} at 1, 3, 10, 30 and 100 % of {said(top)} {unit}/s, in both directions"
+        what = f"move {place} at 1, 3, 10, 30 and 100 % of {rounded(top)} {unit}/s, in both directions"
         yield what, made(0.5 * (low + high) + np.cumsum(v) * t[1], v, t)
     for name in recording.names("acceleration", axis=axis) if top > 0 else ():
         most = max(float(np.nanquantile(np.abs(recording.array(name)), 0.98)), 2 * top**2 / (high - low))
         rate, phase = most / top, np.linspace(0.0, 2 * np.pi, ROWS_PER_PERIOD)  # rad/s, rad
         x, v, a = top / rate * np.sin(phase), top * np.cos(phase), -most * np.sin(phase)
-        what = f"move {place} by +-{said(top / rate)} {unit} as a sine of {said(rate / (2 * np.pi))} Hz"
+        what = f"move {place} by +-{rounded(top / rate)} {unit} as a sine of {rounded(rate / (2 * np.pi))} Hz"
         yield what, made(0.5 * (low + high) + x, v, phase / rate, **{name: a})
 
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from errpipe.diagnosis.prepare import SLOW_ROLES, beside_neighbours, motion
+from errpipe.diagnosis.prepare import SLOW_ROLES, distance_from_neighbours, motion
 from errpipe.domain.recording import Recording
 from errpipe.drivers.motion import axes, direction, position
 from errpipe.drivers.sessions import sessions
@@ -195,7 +195,7 @@ def events(mismatch: np.ndarray) -> Events | None:
 
 def _outlying_means(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Distances from the median of the six neighbours, (n,): rows far from it, all distances, their robust spread."""
-    gap, spread = beside_neighbours(values)
+    gap, spread = distance_from_neighbours(values)
     scale = 1.4826 * float(np.nanmedian(np.abs(gap))) + 1e-300
     gap[:3] = gap[-3:] = 0.0  # too few neighbours
     return np.flatnonzero(np.abs(gap) > EVENT * np.maximum(scale, 2.0 * spread)), gap, scale

@@ -46,7 +46,7 @@ def reported(unit: str, response: str, rotary: bool) -> tuple[str, float]:
     return unit, factor
 
 
-def said(value: float, digits: int = 3) -> str:
+def rounded(value: float, digits: int = 3) -> str:
     """A number in a sentence, to so many significant digits, without an exponent up to a million."""
     text = f"{value:.{digits}g}"
     return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text

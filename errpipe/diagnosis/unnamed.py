@@ -196,7 +196,7 @@ def departs(case: Case, held: holdout.HeldOut) -> bool:
         return False
     if held.departing() < HELD_OUT_SHARE or not UNSTABLE < held.textbook_share() < TEXTBOOK:
         return False
-    return textbook_alone(case) < ALONE or plausible.no_size(model.modelled(case, 0))
+    return textbook_alone(case) < ALONE or plausible.is_insignificant(model.modelled(case, 0))
 
 
 def textbook_alone(case: Case) -> float:

@@ -88,10 +88,10 @@ def parse(name: str) -> Component:
         axis = match.group(1)
         own_unit: Literal["N", "N m"] = "N" if axis[0] in _LINEAR_AXES else "N m"
         return Component(name=name, kind="force", direction=axis, axis=axis, unit=own_unit)
-    raise ValueError(
-        f"{name!r} is not an ISO 230-1 component (such as EXX, EBX, C0Y, E_Z, E_R, E_D, F_X)."
-        + did_you_mean(name.upper(), _COMMON)
-    )
+    along = re.match(r"^E_?([UVWPQR])(\w+)$", name)  # the direction of a deviation is that of X, Y or Z
+    meant = f"E{_PARALLEL[along[1]]}{along[2]}" if along else ""
+    hint = f" Did you mean {meant}?" if _MOTION.match(meant) else did_you_mean(name.upper(), _COMMON)
+    raise ValueError(f"{name!r} is not an ISO 230-1 component (such as EXX, EBX, C0Y, E_Z, E_R, E_D, F_X).{hint}")
 
 
 def unit(name: str) -> str:

@@ -31,7 +31,7 @@ PROTOCOLS: dict[str, Protocol] = {
     "diagonal": Protocol("ISO 230-6: deviation along the beam", ("E_R",), "beam_X, beam_Y, beam_Z, if known"),
     "step_diagonal": Protocol("deviation along the beam, one axis a step", ("E_R",), "beam_X ..., if known"),
     "laser": Protocol("ISO 230-2: deviation along the beam", ("E_R",), "beam_X ..., if known"),
-    "level": Protocol("turn of the tool's side against the workpiece's", DIRECTIONS[3:]),
+    "level": Protocol("rotation of the tool relative to the workpiece", DIRECTIONS[3:]),
     "r_test": Protocol(f"ISO 230-7, rotary axes turned: {_POINTS}", DIRECTIONS[:3]),
     "point_cloud": Protocol(f"{_POINTS}; its shift and turn are solved for", DIRECTIONS[:3]),
     "ball_plate": Protocol(f"{_POINTS}; {_SET}", DIRECTIONS[:3]),

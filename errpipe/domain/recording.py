@@ -177,7 +177,7 @@ class Column(Frozen):
     acts_on: ActsOn | None = Field(
         None, description="The axis that corrects an error component which names none itself, such as E_D."
     )
-    location: str | None = Field(None, description="Where the sensor sits.")
+    location: str | None = Field(None, description="Position of the sensor on the machine.")
     of: str | None = Field(None, description="What a group is of: season, day, duty_cycle, machine.")
     derived: Derived | None = Field(None, description="How the column is computed, where no table holds it.")
     epoch: str | None = Field(None, description="When the time was 0, by ISO 8601.")
@@ -226,7 +226,7 @@ class Constant(Frozen):
     pole_pairs: int | None = Field(None, gt=0, description="Pole pairs in one turn of the motor.")
     magnet_period: float | None = quantity("of `unit`", "Length of a pole pair of a linear motor.", None, gt=0)
     drive_end: float | None = quantity("of `unit`", "Position of the end where the motor is.", None)
-    value: float | str | None = quantity("of `unit`", "A plain fact.", None)
+    value: float | str | None = quantity("of `unit`", "Value of a constant that is not of an axis.", None)
     unit: str | None = Field(None, description="Unit of the numbers beside it.")
 
 

@@ -114,12 +114,12 @@ def _starts(recording: Recording, problem: Problem, values: Mapping[str, np.ndar
 
 
 def judge_all(recording: Recording, spec: ModelSpec, mask: np.ndarray) -> dict[str, list[HeldOut]]:
-    """`judge` for every fold of the specification's hold-out within the rows of a mask, see `every_judged`."""
+    """`judge` for every fold of the specification's hold-out within the rows of a mask, see `judge_components`."""
     folds = folds_of(recording, spec, mask)
-    return every_judged([c.component for c in spec.components], folds, lambda fold: judge(recording, spec, fold))[0]
+    return judge_components([c.component for c in spec.components], folds, lambda fold: judge(recording, spec, fold))[0]
 
 
-def every_judged(
+def judge_components(
     components: Iterable[str], folds: Sequence[Fold], judge_one: Callable[[Fold], Mapping[str, HeldOut]]
 ) -> tuple[dict[str, list[HeldOut]], list[str]]:
     """Per component the held-out rows of every fold, and why some folds have no test rows.

@@ -124,7 +124,7 @@ def trust(guard: SensorGuard) -> d.Driver:
 
 
 @shared
-def all_quiet(guard: SensorGuard) -> d.Driver:
+def all_normal(guard: SensorGuard) -> d.Driver:
     """One driver: 1 while no sensor has failed and no residual is near the threshold; else 0."""
     if not guard.compares:
         return c.none_of(*faults(guard))

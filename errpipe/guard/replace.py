@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from errpipe.domain import driver as d
 from errpipe.guard import composed as c
 from errpipe.guard.description import SensorGuard
-from errpipe.guard.detect import TIE_TOLERANCE, all_quiet, faults, shared, trust
+from errpipe.guard.detect import TIE_TOLERANCE, all_normal, faults, shared, trust
 from errpipe.guard.rules import activity
 
 LONGEST_S = 1e9  # time constant of the rising clock added to latched values: longer than any session
@@ -76,16 +76,16 @@ def _residual_shift(guard: SensorGuard, i: int, residual_of: d.Driver) -> d.Driv
     sensor = guard.sensors[i]
     residual = c.since_start(residual_of)
     within = d.Clip(of=residual, low=-sensor.reach, high=sensor.reach)
-    return d.Affine(weights=(1.0, -1.0), of=(residual, _value_at_last_quiet(guard, i, c.lag(within, guard.settle_s))))
+    return d.Affine(weights=(1.0, -1.0), of=(residual, _value_at_last_normal(guard, i, c.lag(within, guard.settle_s))))
 
 
-def _value_at_last_quiet(guard: SensorGuard, i: int, value: d.Driver) -> d.Driver:
+def _value_at_last_normal(guard: SensorGuard, i: int, value: d.Driver) -> d.Driver:
     """The value when all residuals were last below their thresholds and this sensor changed.
 
     No operation latches a decreasing value; so a faster rising clock is added, and subtracted once both are latched.
     """
     sensor = guard.sensors[i]
-    gate = all_quiet(guard)
+    gate = all_normal(guard)
     if sensor.lively is not None:
         moving = d.Switch(
             of=activity(d.Input(name=sensor.name)), on=sensor.lively, off=sensor.lively * (1.0 - TIE_TOLERANCE)

@@ -79,7 +79,7 @@ def _artefact(p: Proposal, layout: Layout, options: ImportOptions) -> None:
     if pair:
         raise DataError(
             f"{stated[:60]!r}: who read {pair[0]!r}? The machine's own probe on a gauge: --set {pair[0]}.role=command "
-            f"--set {pair[1]}.role=actual; a laser or gauge beside the machine: --set {pair[0]}.role=actual "
+            f"--set {pair[1]}.role=actual; a laser or gauge at the machine: --set {pair[0]}.role=actual "
             f"--set {pair[1]}.role=command"
         )
     raise DataError(

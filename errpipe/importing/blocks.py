@@ -7,7 +7,7 @@ import re
 from errpipe.errors import DataError
 from errpipe.importing.sheet import Cell, Numbers, Rows, filled_cells, label
 from errpipe.importing.units import split_header
-from errpipe.importing.words import axis_above, kind_by_name, way_in, way_of
+from errpipe.importing.words import axis_above, direction_sign_of, direction_word_in, kind_by_name
 
 COMMENT = ("#", "%", "//", ";", "!")
 LONGEST_TITLE = 40  # characters of a line that states a direction and nothing else
@@ -82,10 +82,12 @@ def sections(names: list[str], rows: Rows, first: str, notes: list[str]) -> tupl
     """
     last = max((r for r, row in enumerate(rows) if len(filled_cells(row)) > 1), default=0)  # remarks stand below it
     single = {r: str(cells[0]) for r, row in enumerate(rows[:last]) if len(cells := filled_cells(row)) == 1}
-    titles = {r: text for r, text in single.items() if len(text) <= LONGEST_TITLE and len(way_in(text) or "") > 1}
-    if not titles or any(kind_by_name(name) == "direction" or way_of(name) is not None for name in names):
+    titles = {
+        r: text for r, text in single.items() if len(text) <= LONGEST_TITLE and len(direction_word_in(text) or "") > 1
+    }
+    if not titles or any(kind_by_name(name) == "direction" or direction_sign_of(name) is not None for name in names):
         return names, rows
-    if way_in(first) is None and min(titles) > 0:
+    if direction_word_in(first) is None and min(titles) > 0:
         raise DataError(
             f"a line states {titles[min(titles)]!r}, but none states from which side the rows above it were "
             "approached: write the direction of every row in a column"
@@ -95,7 +97,7 @@ def sections(names: list[str], rows: Rows, first: str, notes: list[str]) -> tupl
     for r, row in enumerate(rows):
         title = titles.get(r, title)
         run = re.search(r"\d+", title)
-        own: list[Cell] = [way_in(title), *([run.group() if run else "1"] if numbered else [])]
+        own: list[Cell] = [direction_word_in(title), *([run.group() if run else "1"] if numbered else [])]
         if r not in titles:
             out.append([*row, *[None] * (len(names) - len(row)), *own])
     notes.append(
@@ -109,7 +111,7 @@ def _repeated(
 ) -> tuple[list[str], Rows]:
     """Names and rows of blocks below one header, with the axis, run and side that their titles state."""
     axes = [axis_above([title]) or "" for title in titles]
-    ways = [way_of(title) for title in titles]
+    ways = [direction_sign_of(title) for title in titles]
     several = all(axes) and len(set(axes)) > 1
     sided = None not in ways and len(set(ways)) == 2
     if sided and not several and len(titles) == 2 and all(re.search(r"\d", name) for name in names[1:]):
@@ -155,7 +157,7 @@ def _title(rows: Rows, numbers: Numbers, header: int) -> str:
 
 def _is_way_back(header: list[Cell], other: list[Cell]) -> bool:
     """Whether two tables have the same first column and one direction each: `Forward 1`, below `Reverse 1`."""
-    ways = [{way_of(label(c)) for c in filled_cells(row[1:])} for row in (header, other) if row]
+    ways = [{direction_sign_of(label(c)) for c in filled_cells(row[1:])} for row in (header, other) if row]
     return header[:1] == other[:1] and sorted(map(str, ways)) == ["{-1.0}", "{1.0}"]
 
 

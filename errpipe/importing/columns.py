@@ -118,7 +118,7 @@ def with_one_clock(guesses: Guesses) -> Guesses:
     return guesses | even if len(even) < sum(g.kind == "time" for g in guesses.values()) else guesses
 
 
-def with_place(columns: list[RawColumn], guesses: Guesses, stated: str | None) -> Guesses:
+def with_position_column(columns: list[RawColumn], guesses: Guesses, stated: str | None) -> Guesses:
     """The guesses; if no column is a position, the only column that names an axis and has the size of a travel is one.
 
     stated: an axis declared by the user; for a rotary one the only column of angles is the position: `q1 [rad]`.
@@ -127,7 +127,7 @@ def with_place(columns: list[RawColumn], guesses: Guesses, stated: str | None) -
         return guesses
     small = [c for c in columns if guesses[c.header].why.endswith(TOO_SMALL)]
     read = [c for c in columns if guesses[c.header].kind == "error" and c not in small]
-    if len(small) == len(read) == 1 and values.travels_beside(small[0], read[0]):
+    if len(small) == len(read) == 1 and values.is_nano_travel(small[0], read[0]):
         why = f"its name ({small[0].header!r}): the small travel beside {read[0].header!r}"
         return {**guesses, small[0].header: ColumnGuess("position", guesses[small[0].header].axis, why)}
     turns = stated is not None and stated[0] in "ABC"
@@ -166,7 +166,7 @@ def _settled(kind: str, column: RawColumn) -> tuple[str, str]:
         return KIND_OF_UNIT[unit], f"its unit ({unit})"
     if kind == "temperature" and unit is None and values.ticks(column):
         return "time", f"its name ({column.header!r}) and {EVEN_STEPS}"
-    if kind == "temperature" and unit is None and column.numeric and not values.like_degrees(column):
+    if kind == "temperature" and unit is None and column.numeric and not values.plausible_in_celsius(column):
         return "ignore", "named like a temperature, but its values are not plausible in degC"
     if kind == "group" and unit in ("mm", "m", "inch", "deg"):
         return ("position" if group_of(column.header) == "machine" else "ignore"), f"its unit ({unit})"
@@ -303,8 +303,8 @@ _STRAIGHT = r"straight|gerad(?!e)|rectitud|rettilin|直线度|真直度"
 
 def titles_other_component(line: str) -> bool:
     """Whether a line above a table names a straightness, a rotation or a shape as measured: not `Squareness: off`."""
-    said = [part for part in re.split("[:=：]", plain(line)) if part.strip()]
-    return bool(said) and re.search(rf"{_STRAIGHT}|\b(yaw|roll)\b|{_SHAPES}", said[-1]) is not None
+    parts = [part for part in re.split("[:=：]", plain(line)) if part.strip()]
+    return bool(parts) and re.search(rf"{_STRAIGHT}|\b(yaw|roll)\b|{_SHAPES}", parts[-1]) is not None
 
 
 def side(text: object) -> float | None:
@@ -327,7 +327,7 @@ _OF_AN_APPROACH = re.compile(
     r"|^only (?=\w+ (?:runs?|passes|direction)$)|^nur "
 )
 _CAME_FROM = re.compile(rf"\b({'|'.join(_FROM)})(?: (?:the|der))? ?([+-](?!\w)|plus|minus|positiven?|negativen?)")
-_LONE_SIGN = re.compile(r"\(([+-])\)|[:=] ?([+-])$")
+_SINGLE_SIGN = re.compile(r"\(([+-])\)|[:=] ?([+-])$")
 
 
 def side_above(lines: list[str]) -> str | None:
@@ -336,9 +336,9 @@ def side_above(lines: list[str]) -> str | None:
     A sign alone may be that of a beam or a drive: it states a side only in a line on the approach.
     """
     found = [m[1].strip() for line in lines if (m := _SIDE_ABOVE.fullmatch(plain(line)))]
-    said = [text for text in found if re.search(r"[^\W\d_]{2}", text) and side(text) is not None]
-    said += [text for line in lines if (text := _approach(plain(line))) is not None and not said]
-    return said[0] if len({side(text) for text in said}) == 1 else None
+    stated = [text for text in found if re.search(r"[^\W\d_]{2}", text) and side(text) is not None]
+    stated += [text for line in lines if (text := _approach(plain(line))) is not None and not stated]
+    return stated[0] if len({side(text) for text in stated}) == 1 else None
 
 
 def _approach(line: str) -> str | None:
@@ -347,10 +347,10 @@ def _approach(line: str) -> str | None:
         return None
     if came := _CAME_FROM.search(line):
         return "from below" if came[2].startswith(("-", "minus", "neg")) else "from above"
-    found = [a or b for a, b in _LONE_SIGN.findall(line)]
+    found = [a or b for a, b in _SINGLE_SIGN.findall(line)]
     found += [w for w in re.findall(r"[^\W\d_]{2,}", line) if not _SIGN.fullmatch(w) or w in _SIGNS_IN_WORDS]
-    said = [w for w in found if side(w) is not None]
-    return said[-1] if len({side(w) for w in said}) == 1 else None
+    stated = [w for w in found if side(w) is not None]
+    return stated[-1] if len({side(w) for w in stated}) == 1 else None
 
 
 def side_in(header: str) -> str | None:

@@ -173,7 +173,7 @@ def _readings(rows: list[list[Cell]]) -> Iterator[_Reading]:
             continue
         beside = not header or any(k in (ACTUAL, DEVIATION) for k in map(_kind, cells))
         if beside:
-            found = [(axis, "", numbers) for axis, numbers in _beside_words(cells, comma)]
+            found = [(axis, "", numbers) for axis, numbers in _numbers_after_words(cells, comma)]
         elif per_axis:
             found = _columns_per_axis(header, row, r, comma)
         else:
@@ -239,7 +239,7 @@ def _split(cell: Cell) -> list[Cell]:
     return [match[1], match[2]] if match else [cell]
 
 
-def _beside_words(cells: list[Cell], comma: bool) -> list[tuple[str, dict[str, float]]]:
+def _numbers_after_words(cells: list[Cell], comma: bool) -> list[tuple[str, dict[str, float]]]:
     """The coordinates of a row and their numbers, each after the word that identifies it.
 
     If such a word starts the row, it precedes all coordinates: `NOM X50.0 Y40.0 ACT X50.1 Y40.0`; otherwise

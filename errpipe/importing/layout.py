@@ -114,14 +114,14 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     notes = list(sheet.notes) + (["decimal commas"] if comma else [])
     if sheet.header is not None:
         header = [*(stated if len(stated) == len(sheet.header) else sheet.header)]
-        return _layout(sheet, header, [], rows, comma, [*sheet.above, *_said_by_name(sheet.name)], notes)
+        return _layout(sheet, header, [], rows, comma, [*sheet.above, *_stated_by_name(sheet.name)], notes)
     numbers = [[number(c, comma) for c in row] for row in rows]
     start = _first_data_row(sheet.name, rows, numbers)
     lift_comments(rows, numbers, start)
     head_rows = header_rows(rows, numbers, start)
     names, units, used = names_of(rows, head_rows, max(map(len, rows[start:])))
     above = [" ".join(str(c) for c in row if c not in (None, "")) for row in rows[: start - used]]
-    above += [*sheet.above, *_said_by_name(sheet.name)]
+    above += [*sheet.above, *_stated_by_name(sheet.name)]
     called = names if used else [*stated, *names[len(stated) :]]
     units = [
         u or a or unit_in_cells.get(i)
@@ -172,7 +172,7 @@ def _merged(names: list[str], numbers: Numbers) -> list[str]:
     return out if len(width) > 1 and len(set(width.values())) == 1 else names
 
 
-def _said_by_name(name: str) -> list[str]:
+def _stated_by_name(name: str) -> list[str]:
     """Lines that state the axis, the component, and whether corrections, from the name of a sheet or file."""
     text = name.replace("_", " ")
     kind = [text] if is_correction(text) or is_following_error(text) else []

@@ -57,7 +57,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
         c.unit = unit_of(unit or "") or unit
     no_reading.blank(layout)
     quality.blank(layout)
-    quality.units_beside(layout)
+    quality.apply_unit_columns(layout)
     speeds.read_switches(layout)
     if (of_a_ball_bar := circle.proposal(layout, options)) is not None:
         return of_a_ball_bar
@@ -69,7 +69,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     layout, guesses = rows_of.of_one_axis(layout, owners.only_of_axes(layout.columns, guesses), options)
     in_columns = wide.find(layout, guesses) is not None
     guesses = ambiguities.machine_positions(layout, guesses, options, in_columns)
-    guesses = guessing.with_place(layout.columns, guessing.with_one_clock(guesses), options.axis)
+    guesses = guessing.with_position_column(layout.columns, guessing.with_one_clock(guesses), options.axis)
     layout = kept_rows.in_order_of_time(layout, guesses)
     guesses, unsure = with_temperatures(layout.columns, guesses)
     layout = kept_rows.with_last_sensors(layout, guesses)
@@ -81,9 +81,9 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     proposal.facts.update(facts(layout.above))
     proposal.side = guessing.side_above(layout.above)
     proposal.notes += signs.compensated(layout.above)
-    said = next((line for line in layout.above if axis_above([line])), None)
-    if options.axis is None and said is not None:
-        proposal.notes.append(f"the axis is {axis_above([said])}, from {said[:60]!r} (to change it: --axis)")
+    stated = next((line for line in layout.above if axis_above([line])), None)
+    if options.axis is None and stated is not None:
+        proposal.notes.append(f"the axis is {axis_above([stated])}, from {stated[:60]!r} (to change it: --axis)")
     wide_layout = wide.find(layout, guesses)
     guesses = guesses if wide_layout else _of_stated_axis(layout, guesses, options.axis)  # `V1`, `R1` are runs
     axis = options.axis or _axis(layout, guesses, wide_layout, options.component)
@@ -171,9 +171,11 @@ def _long(
     if len(of_errors) == 1 and of_errors[0].unit is None:
         of_errors[0].unit = unit_above(layout.above, of_errors[0].values)
     for column in [c for c in parts if any(cell not in (None, "") for cell in c.cells)]:
-        odd = [c for c, v in zip(column.cells, column.values, strict=True) if c not in (None, "") and np.isnan(v)]
-        if odd and column.numeric:
-            p.notes.append(f"{len(odd)} cells of {column.header!r} are not numbers (the first: {odd[0]!r}): missing")
+        invalid = [c for c, v in zip(column.cells, column.values, strict=True) if c not in (None, "") and np.isnan(v)]
+        if invalid and column.numeric:
+            p.notes.append(
+                f"{len(invalid)} cells of {column.header!r} are not numbers (the first: {invalid[0]!r}): missing"
+            )
         add_column(column, guesses[column.header], axis, options, p)
     if may_be_log and not {e["role"] for e in p.entries.values()} & {"error", *resolve.PLACES}:
         resolve.resolve_units(p, layout)
@@ -303,16 +305,16 @@ def _filled_down(c: RawColumn, p: Proposal) -> RawColumn:
 def _known_unit(c: RawColumn, unit: str | None) -> str | None:
     """The unit of a column, or None. Raises DataError if its header has an unknown one in brackets."""
     match = re.search(r"[\[(]\s*([^\[\]()]{1,14}?)\s*[\])]", c.header)
-    odd = match if unit is None and match and _OTHER_UNIT.fullmatch(match.group(1)) else None
-    word = RawColumn(odd.group(1), None, c.cells, c.values) if odd else c
+    unknown_unit = match if unit is None and match and _OTHER_UNIT.fullmatch(match.group(1)) else None
+    word = RawColumn(unknown_unit.group(1), None, c.cells, c.values) if unknown_unit else c
     sided = len(word.header) > 1 and guessing.side(word.header) is not None
     named = sided or word.header.lower() in _NO_UNIT
     if unit is None and per_length(c.header):
         raise DataError(f"column {c.header!r}: readings per length; errpipe needs them in um (or mm) at each position")
-    if odd and not named and (len(word.header) == 1 or guessing.guess(word).kind == "ignore"):
+    if unknown_unit and not named and (len(word.header) == 1 or guessing.guess(word).kind == "ignore"):
         raise DataError(
-            f"column {c.header!r}: {odd.group(1)!r} is not a known unit (um, mm, inch, thou, deg, urad, arcsec, ...): "
-            f"declare it with --set '{c.header}.unit=...'"
+            f"column {c.header!r}: {unknown_unit.group(1)!r} is not a known unit (um, mm, inch, thou, deg, urad, "
+            f"arcsec, ...): declare it with --set '{c.header}.unit=...'"
         )
     return unit
 

@@ -78,7 +78,7 @@ def blank(layout: Layout) -> None:
         begin = k + 1
 
 
-def units_beside(layout: Layout) -> None:
+def apply_unit_columns(layout: Layout) -> None:
     """A unit column, named as such, states the unit of the numbers to its left: `Value;Unit`, in every row `mm`."""
     for of, c in pairwise([*layout.columns]):
         written = {label(cell) for cell in c.cells if cell not in (None, "")}

@@ -144,8 +144,8 @@ def of_one_mark(cells: list[Cell], comma: bool, thousands: bool = True) -> list[
     if not marked:
         return cells
     groups = [t.split(other) for t in marked.values()]
-    odd = any(len(g) == 2 and (len(g[1]) != 3 or not 0 < len(g[0]) <= 3 or g[0].startswith("0")) for g in groups)
-    if odd or not thousands:
+    irregular = any(len(g) == 2 and (len(g[1]) != 3 or not 0 < len(g[0]) <= 3 or g[0].startswith("0")) for g in groups)
+    if irregular or not thousands:
         if comma:
             return cells
         return [str(c).replace(",", ".") if i in marked else c for i, c in enumerate(cells)]

@@ -196,7 +196,9 @@ def _doubtful(header: str, why: str) -> bool:
     less = _DIFFERENCE.search(text)
     names = [w for w in less.groups()[:2] if w] if less else []
     plain = any(words.kind_by_name(w) in ("error", "run") or guessing.side(w) is not None for w in names)
-    either = _EITHER_WAY.search(text) or words.names_both(header) or words.is_error_of_a_correction(header)
+    either = (
+        _EITHER_WAY.search(text) or words.names_command_and_actual(header) or words.is_error_of_a_correction(header)
+    )
     if either or (less and not plain):
         return True
     if why.startswith("error by its unit") and (words.kind_by_name(header) == "command" or words.unknown_word(header)):

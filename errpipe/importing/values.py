@@ -33,14 +33,14 @@ def too_large_for_a_deviation(column: RawColumn) -> bool:
     return column.unit == "um" and numbers.size > 0 and float(np.ptp(numbers)) > FARTHEST_UM
 
 
-def travels_beside(small: RawColumn, read: RawColumn) -> bool:
+def is_nano_travel(small: RawColumn, read: RawColumn) -> bool:
     """Whether a small length is the travel of a nano-stage: far longer than the range of the deviations beside it."""
     um = {"um": 1.0, "nm": 1e-3}
     ranges = [um.get(c.unit or "", np.nan) * float(np.ptp(known(c))) for c in (small, read) if known(c).size]
     return len(ranges) == 2 and ranges[0] > LEAST_OVER_DEVIATIONS * ranges[1]
 
 
-def like_degrees(column: RawColumn) -> bool:
+def plausible_in_celsius(column: RawColumn) -> bool:
     """Whether the median reading is plausible in degC, for a shop or a machine."""
     numbers = known(column)
     return numbers.size == 0 or COLDEST <= float(np.median(numbers)) <= HOTTEST

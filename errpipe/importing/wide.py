@@ -68,13 +68,13 @@ def run_and_side(header: str) -> tuple[str | None, float | None]:
     tokens = _TOKEN.findall(re.sub(r"([+-])ve\b", r"\1", guessing.plain(header)))
     letters = [t for t in tokens if not t.isdigit()]
     numbers = [t for t in tokens if t.isdigit()]
-    lone = len(letters) == 1 and len(tokens) <= 2  # `F1`, `1u`: otherwise a letter is an axis or a unit
+    single = len(letters) == 1 and len(tokens) <= 2  # `F1`, `1u`: otherwise a letter is an axis or a unit
     side = None
     for k, token in enumerate(reversed(tokens)):
         mark = not token[0].isalnum()
         sign_within = k > 0 and mark and token not in ARROWS  # a sign counts only at the end: `Soll-Ist`, `1-2`
         letter = len(token) == 1 and token.isascii() and not mark
-        if token.isdigit() or token == "pos" or (letter and not lone) or sign_within:
+        if token.isdigit() or token == "pos" or (letter and not single) or sign_within:
             continue
         if (side := guessing.side(token)) is not None:
             break
@@ -86,17 +86,17 @@ def find(layout: Layout, guesses: guessing.Guesses) -> Wide | None:
     left_out = [header for header, g in guesses.items() if g.kind == "ignore" and not g.why]  # by the user
     numeric, repeated = [c for c in layout.columns if c.numeric and c.header not in left_out], []
     headers = {c.header.lower() for c in numeric}
-    said = {c.header: run_and_side(_positive_side(c.header, headers)) for c in numeric}
-    targets = _targets(numeric, said, guesses)
+    stated = {c.header: run_and_side(_positive_side(c.header, headers)) for c in numeric}
+    targets = _targets(numeric, stated, guesses)
     if len(targets) > 1 and all(np.array_equal(c.values, targets[0].values, equal_nan=True) for c in targets):
         repeated, targets = targets[1:], targets[:1]  # tables side by side, each with the targets
     if len(targets) != 1:
         return None
     readings: list[tuple[RawColumn, str, float | None]] = []
     statistics = []
-    runs = {said[c.header][0] for c in numeric if not statistic(c.header)} - {None}
+    runs = {stated[c.header][0] for c in numeric if not statistic(c.header)} - {None}
     for c in numeric:
-        run, side = said[c.header]
+        run, side = stated[c.header]
         of_targets = any(c is t for t in (targets[0], *repeated))
         if of_targets or guesses[c.header].kind not in KINDS or (run is None and side is None):
             continue
@@ -110,7 +110,7 @@ def find(layout: Layout, guesses: guessing.Guesses) -> Wide | None:
             again = len(c.header) - len(c.header.rstrip("'")) if not repeated else 0  # `Fwd;Rev;Fwd;Rev`: runs
             readings.append((c, run or str(1 + again), side))
     if not readings:  # a report with only the means: one run
-        readings = [(c, "mean", said[c.header][1]) for c in statistics if _is_mean(c.header)]
+        readings = [(c, "mean", stated[c.header][1]) for c in statistics if _is_mean(c.header)]
         statistics = [c for c in statistics if not any(c is r for r, _, _ in readings)]
     kinds = {guesses[c.header].kind for c, _, _ in readings}
     if "command" in kinds and kinds & {"actual", "position"}:
@@ -121,7 +121,7 @@ def find(layout: Layout, guesses: guessing.Guesses) -> Wide | None:
         readings = [(c, run, None) for c, run, _ in readings]
     others = [c for c in layout.columns if not any(c is r for r, _, _ in readings)]
     labels = [c for c in others if guesses[c.header].kind == "run"]
-    named = len({said[c.header][0] for c, _, _ in readings} - {None}) > bool(labels)  # `+1`, `-1`: sides
+    named = len({stated[c.header][0] for c, _, _ in readings} - {None}) > bool(labels)  # `+1`, `-1`: sides
     if len(readings) < 2:
         return None
     if len({(run, side) for _, run, side in readings}) < len(readings):
@@ -133,20 +133,22 @@ def find(layout: Layout, guesses: guessing.Guesses) -> Wide | None:
 
 
 def _targets(
-    numeric: list[RawColumn], said: dict[str, tuple[str | None, float | None]], guesses: guessing.Guesses
+    numeric: list[RawColumn], stated: dict[str, tuple[str | None, float | None]], guesses: guessing.Guesses
 ) -> list[RawColumn]:
     """The columns that may hold the targets."""
     places = [c for c in numeric if guesses[c.header].kind in ("command", "position")]
     places = [c for c in places if len(places) == 1 or not (_counts(c) or is_figure(c.header))]
-    targets = [c for c in places if said[c.header] == (None, None)]
-    targets = targets or [c for c in places if said[c.header][0] is None]
+    targets = [c for c in places if stated[c.header] == (None, None)]
+    targets = targets or [c for c in places if stated[c.header][0] is None]
     names = [re.sub(r"\d+", "", guessing.plain(c.header)) for c in numeric[:2]]
     alike = len(names) == 2 and names[0] == names[1] != ""  # `j1`, `j2`: joints
     first = numeric[0].header if numeric else ""
     spectrum = not first or kind_by_name(first) == "ignore"
     if not targets and not (spectrum or alike or guesses[first].kind == "time") and _rises(numeric[0]):
         unsaid = [
-            c for c in numeric[1:] if said[c.header] == (None, None) and _rises(c) and kind_by_name(c.header) != "time"
+            c
+            for c in numeric[1:]
+            if stated[c.header] == (None, None) and _rises(c) and kind_by_name(c.header) != "time"
         ]
         targets = numeric[:1] if not _counts(numeric[0]) else [c for c in unsaid if not _counts(c)][:1]
     return targets
@@ -262,8 +264,8 @@ def side_by_side(layout: Layout, guesses: guessing.Guesses) -> Layout:
     """Two tables side by side, with targets in different order, in the order of the first: the return pass."""
     kinds = [guesses[c.header].kind for c in layout.columns]
     at = [k for k, c in enumerate(layout.columns) if kinds[k] in ("command", "position") and c.numeric]
-    said = [run_and_side(c.header)[1] for k, c in enumerate(layout.columns) if k not in at and c.numeric]
-    if len(at) != 2 or at[0] != 0 or at[1] + 1 == len(kinds) or at[1] == 1 or {*said} != {1.0, -1.0}:
+    stated = [run_and_side(c.header)[1] for k, c in enumerate(layout.columns) if k not in at and c.numeric]
+    if len(at) != 2 or at[0] != 0 or at[1] + 1 == len(kinds) or at[1] == 1 or {*stated} != {1.0, -1.0}:
         return layout
     here, there = (layout.columns[k].values for k in at)
     same = np.array_equal(np.sort(here), np.sort(there)) and np.unique(here).size == here.size

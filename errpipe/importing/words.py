@@ -249,7 +249,7 @@ def kind_by_name(header: str) -> str | None:
     """The role of a column by its header, or None."""
     text = _measured(header)
     texts = [text.rpartition(":")[2], text] if re.search(r"[^\W\d]:(?=\S)", text) else [text]  # `TARGET_DU:X-PosAct`
-    kind = next((kind for said in texts for pattern, kind in WORDS if re.search(pattern, said)), None)
+    kind = next((kind for part in texts for pattern, kind in WORDS if re.search(pattern, part)), None)
     return "error" if kind in ("command", "actual", "position") and difference(header) else kind  # `Soll-Ist`
 
 
@@ -268,13 +268,13 @@ def unknown_word(header: str) -> str | None:
     return None
 
 
-def way_in(header: str) -> str | None:
+def direction_word_in(header: str) -> str | None:
     """The direction word of a text, if all its direction words agree: `reverse` in `Run 2 reverse`."""
     found = [word for word in re.findall(r"[^\W\d_]+|[+\-↑↓→←]+", plain(header)) if _ways_of(word)]
-    return found[-1] if way_of(header) is not None else None
+    return found[-1] if direction_sign_of(header) is not None else None
 
 
-def way_of(header: str) -> float | None:
+def direction_sign_of(header: str) -> float | None:
     """+1 or -1 if exactly one word of a header is a direction: `Forward 1 (um)`; else None."""
     ways = {way for word in re.findall(r"[^\W\d_]+|[+\-↑↓→←]+", plain(header)) for way in _ways_of(word)}
     return ways.pop() if len(ways) == 1 else None
@@ -318,7 +318,7 @@ def is_reference_of_a_scale(command: str, actual: str) -> bool:
     return bool(_REFERENCE.search(plain(command)) and re.search(rf"\b(?:{_OF_A_DIFFERENCE[1][1]})\b", plain(actual)))
 
 
-def names_both(text: str) -> bool:
+def names_command_and_actual(text: str) -> bool:
     """Whether a text names command and actual position, but not which is subtracted: `Soll zu Ist`."""
     (_, command), _, (_, actual) = _OF_A_DIFFERENCE
     found = [re.search(rf"(?<![^\W_])(?:{p})(?![^\W_])", plain(text)) for p in (command, actual)]

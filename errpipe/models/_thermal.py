@@ -74,9 +74,9 @@ class ThermalFamily(Family):
         """
 
         from errpipe.fitting import holdout
-        from errpipe.thermal.arithmetic import FEWEST_RUNS, all_known, living_sensors
+        from errpipe.thermal.arithmetic import FEWEST_RUNS, all_known, working_sensors
 
-        known = holdout.measured(recording) & all_known(living_sensors(recording, self.component))
+        known = holdout.measured(recording) & all_known(working_sensors(recording, self.component))
         try:
             name, folds = super().folds(recording, scheme)
         except DataError:
@@ -125,10 +125,10 @@ class ThermalFamily(Family):
 
         from errpipe.fitting import holdout
         from errpipe.fitting.validity import distance
-        from errpipe.thermal.arithmetic import all_known, living_sensors, predicted_since_start, since_start_of
+        from errpipe.thermal.arithmetic import all_known, predicted_since_start, since_start_of, working_sensors
 
         holdout.check(fold)
-        recording = living_sensors(recording, self.component)
+        recording = working_sensors(recording, self.component)
         model = self.train(recording, fold.train)
         since = since_start_of(recording, self.component, self.datum_rows)
         run = recording.run_codes()
@@ -165,11 +165,11 @@ class ThermalFamily(Family):
         from errpipe.fitting.solve import one_thread
         from errpipe.thermal import competition
         from errpipe.thermal import linear as thermal_linear
-        from errpipe.thermal.arithmetic import living_sensors
+        from errpipe.thermal.arithmetic import working_sensors
 
         if lacking := self.missing_input(recording):
             raise DataError(lacking)
-        recording = living_sensors(recording, self.component)
+        recording = working_sensors(recording, self.component)
         with one_thread():
             problem = thermal_linear.problem(recording, self.component, rows, self.datum_rows)
             recording = problem.recording

@@ -60,9 +60,9 @@ class Season(Family):
     def train(self, recording: Recording, rows: np.ndarray | None = None) -> ThermalModel:
         """The model of the rows of a mask (default: all); it predicts the deviation since the start of each run."""
         from errpipe.thermal import season
-        from errpipe.thermal.arithmetic import living_sensors
+        from errpipe.thermal.arithmetic import working_sensors
 
-        return season.fit(living_sensors(recording, self.component), self.component, self.options, rows)
+        return season.fit(working_sensors(recording, self.component), self.component, self.options, rows)
 
     @classmethod
     def competitor(cls, shared: Mapping[str, Any]) -> Season:

@@ -120,7 +120,12 @@ def _measured_with(target: Any, read: Any, others: Sequence[str]) -> str:
 def consequences(read: Any, table: CompensationTable) -> list[str]:
     """What the files will do, in sentences: the largest correction of each axis, and what they assume."""
     read = _within_travel(read, table)
-    texts = (*_plausible.of_files(read), *_plausible.not_measured(table), *_at_the_axis(table), *_of_force(table))
+    texts = (
+        *_plausible.of_files(read, table),
+        *_plausible.not_measured(table),
+        *_at_the_axis(table),
+        *_of_force(table),
+    )
     return list(dict.fromkeys(texts))
 
 

@@ -80,7 +80,7 @@ class _Largest:
 def _largest(table: CompensationTable, axis: str) -> _Largest:
     """Of the corrections of an axis in the reference state."""
     names, out = _sample.positions_of(table), _Largest(axis)
-    for over in _sample.own_first(table, axis):
+    for over in _sample.axes_own_first(table, axis):
         low, high = _sample.span(table, over)
         if (low, high) == UNBOUNDED:
             continue
@@ -131,7 +131,7 @@ def interpolated_turn(axis: str, low: float, high: float) -> str:
     return f"{axis} not measured from {low:g} to {high:g} deg"
 
 
-def of_files(read: Any) -> list[str]:
+def of_files(read: Any, table: CompensationTable) -> list[str]:
     """The same for what a controller made of its files (`targets._base.ReadBack`): sensors at their reference."""
     if hasattr(read, "table"):  # nothing was lost: the table itself was read back
         return of_table(read.table)
@@ -146,8 +146,17 @@ def of_files(read: Any) -> list[str]:
             sides = {s: read.correction(axis, at, np.full(PLACES, s), cold) for s in (1.0, -1.0)}
             largest.over(over, at[over], sides)
         per_kelvin = [_per_kelvin(line) for line in read.lines if line.axis == axis][:1]
-        out += [largest.sentence] if largest.sentence else per_kelvin
+        out += [largest.sentence] if largest.sentence else per_kelvin or [_all_zero(axis, table)]
     return out
+
+
+def _all_zero(axis: str, table: CompensationTable) -> str:
+    """That files hold an axis without correcting it: the table's values are smaller than the least count."""
+    size, unit = (3600.0, "arcsec") if components.is_rotary(axis) else (1e3, "um")
+    return (
+        f"{axis} is not corrected: each of its values in these files is 0 (the largest correction of the table, "
+        f"{_largest(table, axis).size * size:.2g} {unit}, is less than this format can express)"
+    )
 
 
 def _per_kelvin(line: Any) -> str:

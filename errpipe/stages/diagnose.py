@@ -100,7 +100,7 @@ def against(recording: Path, findings: Path, out: Path, simulation: Path | None 
     jsonfile.write(Path(out) / "against.json", document)
     changed = [f"{h.effect} ({h.component})" for h in held if h.changed]
     return {
-        "says": [*sign_and_unit_warnings(read), *(h.says for h in held), *earlier_findings.more_left(held)],
+        "says": [*sign_and_unit_warnings(read), *(h.says for h in held), *earlier_findings.larger_residuals(held)],
         "changed": changed,
         **document,
     }

@@ -48,7 +48,7 @@ class Validate(Stage):
 
             document |= self._of_model(context, folder)
             remark = MORE_RUNS if document["scheme"] == HALVES else ""
-            remark += "".join(f"; {why}" for why in held_out.in_short(document.get("not_judged", ())))
+            remark += "".join(f"; {why}" for why in held_out.summarise_reasons(document.get("not_judged", ())))
             for c in document["components"]:
                 summary[c["component"]] = headline(c) + steps.in_words(c, "; ") + clocks.in_words(c, "; ") + remark
         machine = context.maybe("identified_machine")

@@ -92,7 +92,7 @@ def unit_of(axis: str) -> str:
     return "deg" if is_rotary(axis) else "mm"
 
 
-def every_turn(curve: Curve) -> Curve:
+def periodic_curve(curve: Curve) -> Curve:
     """A curve over one turn as a controller has it that repeats it."""
     x, up, down = (v[:-1] for v in (curve.positions, curve.up, curve.down))
     positions = np.concatenate([x + TURN * (n - TURNS_READ // 2) for n in range(TURNS_READ)])

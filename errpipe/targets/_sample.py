@@ -66,7 +66,7 @@ def axes_of(table: CompensationTable) -> list[str]:
     return sorted(letters, key=lambda letter: ("XYZABCUVW".find(letter[0]), letter))
 
 
-def own_first(table: CompensationTable, axis: str) -> list[str]:
+def axes_own_first(table: CompensationTable, axis: str) -> list[str]:
     """Letters of all axes whose position the table reads, `axis` itself first."""
     letters = list(positions_of(table))
     return [letter for letter in letters if letter == axis] + [letter for letter in letters if letter != axis]
@@ -238,7 +238,7 @@ def reach(table: CompensationTable, axis: str) -> tuple[float, float]:
     return span(table, axis) if axis in positions_of(table) else (0.0, 0.0)
 
 
-def moves_with(table: CompensationTable, axis: str, over: str, threshold_um: float = 0.01) -> bool:
+def changes_along(table: CompensationTable, axis: str, over: str, threshold_um: float = 0.01) -> bool:
     """Whether the correction of `axis` changes along `over` by more than `threshold_um`."""
     sampled = curve(table, axis, over, spread(*span(table, over), 301))
     largest = max(np.ptp(sampled.up), np.ptp(sampled.down), np.abs(sampled.up - sampled.down).max())

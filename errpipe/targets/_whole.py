@@ -25,7 +25,7 @@ class WholeTable(ReadBack):
     def of(cls, table: CompensationTable) -> WholeTable:
         """With the curves and lines of which a checklist is made; what moves an axis is the table alone."""
         axes, known = _sample.outputs_by_axis(table), _sample.positions_of(table)
-        pairs = [(axis, over) for axis in axes for over in known if _sample.moves_with(table, axis, over)]
+        pairs = [(axis, over) for axis in axes for over in known if _sample.changes_along(table, axis, over)]
         ends = {over: _sample.spread(*_sample.span(table, over), 101) for over in known}
         lines = [_sample.line(table, axis, sensor) for axis in axes for sensor in _sample.sensors_of(table)]
         return cls(

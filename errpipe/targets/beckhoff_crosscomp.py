@@ -55,7 +55,7 @@ class BeckhoffCrosscomp(Target):
         for axis in _sample.outputs_by_axis(table):
             # Whether another curve includes the constant part: only one curve of an axis may.
             rest = "beckhoff_ssfk" in others and axis in _sample.positions_of(table)
-            masters = [o for o in _sample.positions_of(table) if o != axis and _sample.moves_with(table, axis, o)]
+            masters = [o for o in _sample.positions_of(table) if o != axis and _sample.changes_along(table, axis, o)]
             grids = {o: _sample.uniform(table, axis, o, MAX_NODES, ERROR_UM)[0].positions() for o in masters}
             curves = [_sample.at_nodes(table, axis, over, x, relative=rest) for over, x in grids.items()]
             if curves:

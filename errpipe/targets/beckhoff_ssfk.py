@@ -15,7 +15,7 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import Curve, every_turn, expect, settings_in
+from errpipe.targets._base import Curve, expect, periodic_curve, settings_in
 from errpipe.targets._screw_map import ScrewMap
 
 MAX_POINTS = 1500  # points of a TwinCAT position correction table
@@ -84,7 +84,7 @@ class BeckhoffSsfk(ScrewMap):
         curve = Curve(axis, axis, (start + step * np.arange(count)) * TENTH_UM, tables[0], tables[1])
         if settings["kw.ssfk.modulo"] == "1":
             expect(all(t[0] == t[-1] for t in tables), name, "does not end on its first values, and repeats")
-            return every_turn(curve)
+            return periodic_curve(curve)
         return curve
 
 

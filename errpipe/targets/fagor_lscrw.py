@@ -17,7 +17,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
-from errpipe.targets._base import CAUTION, ByHand, Curve, ReadBack, every_turn, expect, found, points_in_file, unit_of
+from errpipe.targets._base import (
+    CAUTION,
+    ByHand,
+    Curve,
+    ReadBack,
+    expect,
+    found,
+    periodic_curve,
+    points_in_file,
+    unit_of,
+)
 from errpipe.targets._screw_map import ScrewMap
 
 
@@ -68,4 +78,4 @@ class FagorLscrw(ScrewMap):
             down = up
         curve = Curve(announced[1], announced[1], x, -up, -down)
         closed = curve.turns and (x[0], up[0], down[0]) == (0.0, up[-1], down[-1])
-        return every_turn(curve) if closed else curve
+        return periodic_curve(curve) if closed else curve

@@ -33,8 +33,8 @@ from errpipe.targets._base import (
     Curve,
     Points,
     ReadBack,
-    every_turn,
     expect,
+    periodic_curve,
     too_many,
     unit_of,
 )
@@ -202,5 +202,5 @@ def _read(number: int, axis: str, facts: Mapping[tuple[int, int], int], data: Ma
         expect(
             interval * (n - 1) == turns, FILE, f"A{number}: 3625 is not the way from the lowest point to the highest"
         )
-        return every_turn(Curve(axis, axis, x[1:], curve.up[1:], curve.down[1:]))
+        return periodic_curve(Curve(axis, axis, x[1:], curve.up[1:], curve.down[1:]))
     return curve

@@ -24,7 +24,7 @@ from errpipe.domain.components import is_rotary
 from errpipe.domain.table import CompensationTable
 from errpipe.errors import GateError
 from errpipe.targets import _sample
-from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, Points, ReadBack, Target, every_turn, expect
+from errpipe.targets._base import CAUTION, TURN, ByHand, Curve, Points, ReadBack, Target, expect, periodic_curve
 
 MAX_POINTS = 256  # points of an axis' table
 MARK = f"; {CAUTION}; then take this line out\n"
@@ -58,9 +58,9 @@ class HeidenhainCom(Target):
         axes = list(_sample.positions_of(table))
         corrected = list(_sample.outputs_by_axis(table))
         files, whole = {}, {}
-        corrected_over = {over: [a for a in corrected if _sample.moves_with(table, a, over)] for over in axes}
+        corrected_over = {over: [a for a in corrected if _sample.changes_along(table, a, over)] for over in axes}
         for axis in corrected:  # the constant part is in one curve of an axis only: its own, else the first
-            whole[axis] = next((o for o in _sample.own_first(table, axis) if axis in corrected_over[o]), "")
+            whole[axis] = next((o for o in _sample.axes_own_first(table, axis) if axis in corrected_over[o]), "")
         for over, own in corrected_over.items():
             if own:
                 files[f"{over}.COM"] = _com(table, over, own, whole)
@@ -134,5 +134,5 @@ def _read(over: str, text: str) -> list[Curve]:
         up = -rows[:, column]
         curve = Curve(axis, over, rows[:, 1], up, up - rows[:, 2] if axis == over else up)
         turns = is_rotary(over) and rows[0, 1] == 0.0 and rows[-2, 1] < TURN <= rows[-1, 1]
-        curves.append(every_turn(curve) if turns else curve)
+        curves.append(periodic_curve(curve) if turns else curve)
     return curves

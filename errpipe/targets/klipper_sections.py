@@ -114,7 +114,7 @@ def _skew(table: CompensationTable, axes: Mapping[str, str], corrected: Mapping[
     """Straight part of X over Y, X over Z and Y over Z."""
     skew = {}
     for key, (axis, over) in SKEWS.items():
-        if axis in corrected and over in axes and _sample.moves_with(table, axis, over, MIN_EFFECT_UM):
+        if axis in corrected and over in axes and _sample.changes_along(table, axis, over, MIN_EFFECT_UM):
             x = np.linspace(*_sample.span(table, over), 41)
             curve = _sample.curve(table, axis, over, x, relative=True)
             skew[key] = -float(np.polyfit(x, curve.mean, 1)[0])

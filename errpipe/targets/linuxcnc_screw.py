@@ -2,7 +2,7 @@
 
 Value     correction in machine units, ADDED to the command (minus the deviation): motor = command + value.
 Order     position ascending, value going up, value going down; at most 256 rows.
-Traps     no header, no comment, no comma, no empty line: the reader stops at the first odd line WITHOUT a message.
+Traps     no header, no comment, no comma, no empty line: the reader stops at the first invalid line WITHOUT a message.
           A compensation file switches BACKLASH of that joint off. Held beyond both ends. motmod smooths the value: a
           step just above a quarter of the joint's acceleration x period^2 waits until the value itself has come closer.
 Inches    a screw file cannot name its unit: errpipe-mm.hal keeps LinuxCNC from starting unless LINEAR_UNITS = mm.

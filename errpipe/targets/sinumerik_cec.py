@@ -41,9 +41,9 @@ from errpipe.targets._base import (
     Product,
     ReadBack,
     Target,
-    every_turn,
     expect,
     grid_stated,
+    periodic_curve,
     points_in_file,
     unit_of,
 )
@@ -101,8 +101,8 @@ class SinumerikCec(Target):
         for axis in _sample.outputs_by_axis(table):
             # Whether another curve includes the constant part: only one curve of an axis may.
             rest = screws and axis in _sample.positions_of(table)
-            for over in _sample.own_first(table, axis):
-                if not _sample.moves_with(table, axis, over):
+            for over in _sample.axes_own_first(table, axis):
+                if not _sample.changes_along(table, axis, over):
                     continue
                 points = _sample.exact(_sample.uniform(table, axis, over, MAX_POINTS, ERROR_UM)[0])
                 curve = _sample.at_nodes(table, axis, over, points.positions(), relative=rest)
@@ -283,5 +283,5 @@ def _read(text: str, number: int, letters: dict[str, str]) -> Curve:
     curve = Curve(letters[ends["OUTPUT"]], letters[ends["INPUT"]], x, up, down)
     if re.search(rf"IS_MODULO\[{number}\]=1", text):
         expect(up[0] == up[-1] and down[0] == down[-1], FILE, f"table {number} does not end on its first value")
-        return every_turn(curve)
+        return periodic_curve(curve)
     return curve

@@ -16,7 +16,7 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import ByHand, Curve, ReadBack, every_turn, expect, grid_stated, points_in_file
+from errpipe.targets._base import ByHand, Curve, ReadBack, expect, grid_stated, periodic_curve, points_in_file
 from errpipe.targets._screw_map import ScrewMap
 
 
@@ -81,5 +81,5 @@ class SinumerikLec(ScrewMap):
         curve = Curve(axis, axis, x, value, value)
         if re.search(r"IS_MODULO\[0,\w+\]=1", text):
             expect(value[0] == value[-1], name, "does not end on its first value, and repeats")
-            return every_turn(curve)
+            return periodic_curve(curve)
         return curve

@@ -13,7 +13,7 @@ import re
 
 import numpy as np
 
-from errpipe.targets._base import Curve, every_turn, expect, found, unit_of
+from errpipe.targets._base import Curve, expect, found, periodic_curve, unit_of
 from errpipe.targets._screw_map import ScrewMap
 
 RAMP = 1.0  # mm/s: 1 um/ms, as corrections of a table move at most (`tables/limits.py`)
@@ -54,7 +54,7 @@ class TwincatNcTable(ScrewMap):
             expect(len(rows) == int(match[1]) + 1, name, f"{len(rows)} elements in an array of {int(match[1]) + 1}")
             sides.append(np.array(rows))
         curve = Curve(axis, axis, sides[0][:, 0], sides[0][:, 1], sides[1][:, 1])
-        return every_turn(curve) if "Modulo := TRUE" in text else curve
+        return periodic_curve(curve) if "Modulo := TRUE" in text else curve
 
 
 def literal(value: float) -> str:

@@ -25,7 +25,7 @@ class CoolantEffect(Term):
     """Coolant runs over table, work and spindle nose and brings them to its own temperature while it flows.
 
     Equation   tau dy/dt + y = flow * (T_coolant - T_other);  deviation = gain * y   [um] = [um/K] * [K]
-               without T_other, which nobody measures: tau dy/dt + y = flow * (gain * (T_coolant - 20) + shift), y in um
+               without T_other, which is not measured: tau dy/dt + y = flow * (gain * (T_coolant - 20) + shift), y in um
                without temperatures: tau dy/dt + y = flow;    deviation = shift * y  [um]
                with `at_once` y is the right-hand side itself
     Assumes    one time constant

@@ -154,15 +154,15 @@ def _switched(recording: Recording) -> np.ndarray:
     """Rows beside which coolant or spindle change, or two sensors jump at once: no failure. Shape (rows,)."""
     t, out = recording.time(), np.zeros(len(recording))
     for name in (*recording.names("coolant"), *recording.names("spindle_speed")):
-        out += 2 * _beside_rows(np.flatnonzero(np.diff(recording.array(name))) + 1, out.size)
+        out += 2 * _with_neighbours(np.flatnonzero(np.diff(recording.array(name))) + 1, out.size)
     for name in recording.names("temperature"):
         read, finite = recording.array(name), np.isfinite(recording.array(name))
         if finite.sum() >= MIN_READINGS:
-            out += _beside_rows(np.array([*jumps(_filled(read), t, finite)], dtype=int), out.size)
+            out += _with_neighbours(np.array([*jumps(_filled(read), t, finite)], dtype=int), out.size)
     return out >= 2
 
 
-def _beside_rows(rows: np.ndarray, n: int) -> np.ndarray:
+def _with_neighbours(rows: np.ndarray, n: int) -> np.ndarray:
     """1 at these rows and two on either side, else 0, shape (n,)."""
     return np.convolve(np.bincount(rows, minlength=n), np.ones(5), "same") > 0
 

@@ -103,7 +103,7 @@ class ThermalLag(Term):
                 yield cls(sensor=sensor), (single,)
                 one = drive(term._driver(single), recording)[signals.rows]
                 gap = int(np.ceil(np.log(MIN_RATIO) / np.log(taus[1] / taus[0])))
-                best = two_of(states, one, signals.values, gap)
+                best = best_pair(states, one, signals.values, gap)
                 if best is not None:
                     yield term, (taus[best[0]], taus[best[1]])
 
@@ -136,7 +136,7 @@ class ThermalLag(Term):
         return tuple(Lowered(scaled(self._driver(tau), gain)) for tau, gain in zip(taus, gains, strict=True))
 
 
-def two_of(states: np.ndarray, one: np.ndarray, signals: tuple[np.ndarray, ...], gap: int) -> tuple[int, int] | None:
+def best_pair(states: np.ndarray, one: np.ndarray, signals: tuple[np.ndarray, ...], gap: int) -> tuple[int, int] | None:
     """The two columns, at least `gap` from each other, that best explain the first signal with gains of one sign.
 
     A datum and gains of the other signals are free. None where the best single column, `one`, is hardly worse.

@@ -97,7 +97,7 @@ def no_usable_row(recording: Recording, component: str) -> DataError:
     )
 
 
-def dead_sensors(recording: Recording, component: str) -> list[str]:
+def failed_sensors(recording: Recording, component: str) -> list[str]:
     """Temperatures without a reading at the end of the recording, from before most deviations; none if all have failed.
 
     The machine to be compensated no longer has them, and a fit with them would lack the later rows.
@@ -109,10 +109,10 @@ def dead_sensors(recording: Recording, component: str) -> list[str]:
     return dead if len(dead) < len(names) else []
 
 
-def living_sensors(recording: Recording, component: str) -> Recording:
-    """The recording, with readings held, without failed temperatures (`dead_sensors`)."""
+def working_sensors(recording: Recording, component: str) -> Recording:
+    """The recording, with readings held, without failed temperatures (`failed_sensors`)."""
     recording = held_readings(recording)
-    dead = dead_sensors(recording, component)
+    dead = failed_sensors(recording, component)
     return replace(recording, frame=recording.frame.drop(columns=dead)) if dead else recording
 
 
@@ -126,7 +126,7 @@ def few_rows_fitted(recording: Recording, component: str, fitted: int) -> str:
 
     recording: with short gaps filled (`held_readings`).
     """
-    if dead := dead_sensors(recording, component):
+    if dead := failed_sensors(recording, component):
         return f"; without {', '.join(dead)}, without readings at the end of the recording"
     measured = np.isfinite(recording.array(response_name(recording, component)))
     rows = int(measured.sum())

@@ -19,7 +19,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.fitting import holdout, recalibration
 from errpipe.fitting.history import Fold
-from errpipe.fitting.judging import HeldOut, every_judged, half_width90, half_widths90_without_each, widening90
+from errpipe.fitting.judging import HeldOut, half_width90, half_widths90_without_each, judge_components, widening90
 from errpipe.fitting.noise_floor import noise_floor
 from errpipe.fitting.source import Source
 from errpipe.models import Family
@@ -105,7 +105,7 @@ def _left_out(
         progress(next(number) / len(folds), f"without {fold.label}")
         return family.judge(recording, fold)
 
-    return every_judged(family.responses, folds, judge)
+    return judge_components(family.responses, folds, judge)
 
 
 def _of_one_run(document: dict[str, Any]) -> None:
@@ -171,7 +171,7 @@ def _cover(document: dict[str, Any], table: Mapping[str, Any]) -> None:
             component["coverage90"] = float(np.mean(covered))
 
 
-def in_short(not_judged: Sequence[str]) -> list[str]:
+def summarise_reasons(not_judged: Sequence[str]) -> list[str]:
     """Reasons for hold-outs without test rows, one sentence per cause: a failed sensor is not repeated every night."""
     labels: dict[str, list[str]] = {}
     for sentence in not_judged:

@@ -213,7 +213,7 @@ def _steps(recording: Recording, name: str) -> Iterator[Finding]:
             return
 
 
-def warm_everywhere(recording: Recording) -> Iterator[Finding]:
+def all_in_fahrenheit(recording: Recording) -> Iterator[Finding]:
     """Every temperature above the limit of a machine's coldest part: degF."""
     names = recording.names("temperature")
     lows = [np.nanmin(t) for n in names if np.isfinite(t := recording.array(n)).any()]
@@ -334,5 +334,5 @@ def sensors_of_some_runs(recording: Recording) -> Iterator[Finding]:
 
 CHECKS: tuple[Callable[[Recording], Iterator[Finding]], ...] = (
     *(axis_of_component, direction_against_motion, travel, run_per_row, speed),
-    *(temperatures, warm_everywhere, fahrenheit, temperature_of_position, sensors_of_some_runs, copies),
+    *(temperatures, all_in_fahrenheit, fahrenheit, temperature_of_position, sensors_of_some_runs, copies),
 )

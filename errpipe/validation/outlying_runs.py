@@ -20,8 +20,10 @@ from errpipe.validation.input_drift import MIN_SD, SCALES, old_and_new
 from errpipe.validation.response_drift import UNITS, meaning
 
 OUTLIER_RATIO = 4.0  # root of an F ratio: by chance once in years of nights, and then without a cause
-SOUND = 3.0  # root of an F ratio of a normal run; and the factor by which the correction reduces that of an odd one
-LASTING, FEWEST_LASTING = 0.8, 3  # of the odd runs, and runs: that one cause must explain
+SOUND = (
+    3.0  # root of an F ratio of a normal run; and the factor by which the correction reduces that of an outlying one
+)
+LASTING, FEWEST_LASTING = 0.8, 3  # of the outlying runs, and runs: that one cause must explain
 AS_BEFORE = 2.0  # times the largest rms residual of the champion in its own runs: a run that fits
 UNLIKE = 5.0  # times that: a run that does not fit
 LIKELY = 2.0  # times the largest prediction of the champion's runs: beyond it the prediction is doubtful
@@ -50,7 +52,7 @@ def outliers_of_sensors(recording: Recording, reference: np.ndarray) -> list[Out
 
 
 def outliers_from_a_run_on(recording: Recording, reference: np.ndarray) -> list[OutlyingRun]:
-    """The runs outside the reference rows, (rows,), that one cause explains, if it explains nearly all odd ones.
+    """The runs outside the reference rows, (rows,), that one cause explains, if it explains nearly all outlying ones.
 
     Corrected readings may differ from the reference, because a machine continues to warm up, but less.
     """
@@ -65,7 +67,7 @@ def outliers_from_a_run_on(recording: Recording, reference: np.ndarray) -> list[
 def _causes(
     recording: Recording, reference: np.ndarray, sound: float
 ) -> tuple[dict[int, float], dict[int, tuple[str, str] | None]]:
-    """Distance of every new run from the reference, and for each odd one the cause whose correction makes it normal.
+    """Distance of every new run from the reference, and of outlying ones the cause whose correction makes them normal.
 
     Both by code; empty if there are too few sensors or reference runs.
     """
@@ -110,7 +112,7 @@ def _distance(reference: np.ndarray) -> Callable[[np.ndarray], float]:
 def _stands_alone(
     new: Sequence[int], code: int, as_read: Mapping[int, float], causes: Mapping[int, tuple[str, str] | None]
 ) -> bool:
-    """Whether all odd runs next to a run have its cause: a drifting sensor temporarily looks like an exchange."""
+    """Whether all outlying runs next to a run have its cause: a drifting sensor temporarily looks like an exchange."""
     at = new.index(code)
     for side in (new[at + 1 :], new[:at][::-1]):
         for other in side:
@@ -171,7 +173,7 @@ def _outliers_of_one_response(
     unlike = [c for c in new if left[c] > UNLIKE * usual > 0.0 and rms(pairs[c][1]) < largest]
     sound = [left[c] for c in new if c not in unlike]
     if not sound or np.median(sound) > AS_BEFORE * usual:
-        return  # the machine itself changed, or all new runs are odd: a lasting change explains more
+        return  # the machine itself changed, or all new runs are outlying: a lasting change explains more
     factors = {c: _factor(*pairs[c], usual) for c in unlike}
     yield from ((c, meaning(f), True) for c, f in factors.items() if f is not None)
     alone = [c for c in unlike if factors[c] is None]

@@ -211,4 +211,4 @@ def _moved(
                 before, after = float(np.mean(sides[0])), float(np.median(sides[1]))
                 if abs(after - before) >= least:
                     return new[drift[1]], before, after
-    return None  # a single odd run, such as a night of exchanged sensors
+    return None  # a single outlying run, such as a night of exchanged sensors

@@ -22,7 +22,7 @@ from errpipe.pipeline.spec import load_pipeline
 from errpipe.stages import STAGES, _artefacts
 from errpipe.stages.validate import HELD_OUT
 from errpipe.validation.cusum import level_drift
-from errpipe.validation.held_out import in_short
+from errpipe.validation.held_out import summarise_reasons
 from errpipe.validation.input_drift import sensor_drift
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def facts(pipeline: Pipeline, out: Path) -> dict[str, Any]:
         for c in document["components"]:
             keys = ("rms_before", "rms_after", "noise_floor", "unit")
             figures["responses"][c["component"]] = {key: c[key] for key in keys}
-        figures["not_judged"] += in_short(document.get("not_judged", ()))
+        figures["not_judged"] += summarise_reasons(document.get("not_judged", ()))
     if fits:
         figures["model"] = ", ".join(f"{folder.name}/{_artefacts.MODEL}" for folder in fits)
         models = {folder.name: jsonfile.read(folder / _artefacts.MODEL) for folder in fits}

@@ -116,7 +116,7 @@ def lines(document: Mapping[str, Any]) -> list[str]:
         for name, c in r["responses"].items():
             floor = "unknown" if c["noise_floor"] is None else f"{c['noise_floor']:.3g}"
             out.append(f"{head}| {name} | {c['rms_before']:.3g} | {c['rms_after']:.3g} {c['unit']} | {floor} |")
-    out += ["", "rms on held-out rows, in the unit beside `after`; largest first.", "", "## What went wrong", ""]
+    out += ["", "rms on held-out rows, in the unit given after `after`; largest first.", "", "## What went wrong", ""]
     wrong = [*(f"{r['name']}: {r['message']}" for r in rows if r["message"]), *document["suspicious"]]
     out += [f"- {plain_text(text)}" for text in wrong] or ["Nothing."]
     out += ["", "## Machines that drift", ""]

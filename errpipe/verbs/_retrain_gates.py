@@ -12,7 +12,7 @@ from errpipe.domain.recording import Recording
 from errpipe.pipeline.spec import Pipeline
 from errpipe.stages import _artefacts
 from errpipe.validation import input_drift
-from errpipe.validation.held_out import in_short
+from errpipe.validation.held_out import summarise_reasons
 from errpipe.validation.retraining import MIN_COVERAGE, Gate
 from errpipe.verbs._retrain_drift import silent, with_new_runs
 
@@ -112,7 +112,7 @@ def coverage(pipeline: Pipeline, folder: Path) -> list[Gate]:
     if not names:
         return [Gate("validation", False, "the pipeline has no validate stage, so its held-out figures are unknown")]
     read = [jsonfile.read(folder / name / _artefacts.VALIDATION) for name in names]
-    out = [Gate("held-out runs", True, why) for v in read for why in in_short(v.get("not_judged", ()))]
+    out = [Gate("held-out runs", True, why) for v in read for why in summarise_reasons(v.get("not_judged", ()))]
     for component in {c["component"]: c for v in read for c in v["components"]}.values():
         covered = component["coverage90"]
         name = f"coverage of {component['component']}"

@@ -70,7 +70,7 @@ def _next_step(document: Mapping[str, Any]) -> str:
         return "put `run` beside this page in the place of the champion's folder, and its table on the machine."
     if all(g["passed"] or _waits(g) for g in document["gates"]):
         return "nothing. The champion stays; further runs add evidence."
-    return "the champion stays. Put right what **no** stands beside, or allow it if it is meant, and run this again."
+    return "the champion stays. Correct each item marked **no**, or allow it if it is intended, and run this again."
 
 
 def _fitted(document: Mapping[str, Any]) -> list[str]:

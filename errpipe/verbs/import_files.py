@@ -42,7 +42,7 @@ from errpipe.importing.long_form import unstacked
 from errpipe.importing.pairs import paired
 from errpipe.importing.proposal import propose
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
-from errpipe.importing.readers import open_file
+from errpipe.importing.readers import open_file, reader_of
 from errpipe.importing.sheet import ReaderOptions, Sheet
 from errpipe.importing.units import unit_of
 from errpipe.validation import plausibility
@@ -67,10 +67,10 @@ def prepare(files: Sequence[Path], reader: ReaderOptions, options: ImportOptions
             opened = [archives.unpacked(file, place) for place, file in inside.items()]
             out = _prepared([file for of, _ in opened for file in of], reader, options)
         except (DataError, UsageError) as err:
-            said = str(err)
+            message = str(err)
             for place, file in inside.items():
-                said = said.replace(f"{place}{os.sep}", f"{file}, ")
-            raise type(err)(said) from None
+                message = message.replace(f"{place}{os.sep}", f"{file}, ")
+            raise type(err)(message) from None
     out[0].notes[:0] = [note for _, notes in opened for note in notes]
     return out
 
@@ -205,10 +205,10 @@ def _of_any_sheet(
                 asked = f"{sheet.name}: {reason}" if len(sheets) > 1 else reason
     if not out:
         hint = "" if features.WHO in asked else other_tests.named(sheets[:MAX_SHEETS], "" if asked else kind)
-        said = [f"{', '.join(dict.fromkeys(of))}: {why}" if len(sheets) > 1 else why for why, of in problems.items()]
-        if len(said) > together.MAX_SHEETS_NAMED:
-            said = [*said[: together.MAX_SHEETS_NAMED], "and others"]
-        raise DataError(f"{file}: {'; '.join(said)}{'.' if hint else ''}{hint}")
+        reasons = [f"{', '.join(dict.fromkeys(of))}: {why}" if len(sheets) > 1 else why for why, of in problems.items()]
+        if len(reasons) > together.MAX_SHEETS_NAMED:
+            reasons = [*reasons[: together.MAX_SHEETS_NAMED], "and others"]
+        raise DataError(f"{file}: {'; '.join(reasons)}{'.' if hint else ''}{hint}")
     if asked:  # the sheet before may be the one that is meant
         raise DataError(f"{file}: {asked}. Or, of the other sheets, --sheet {out[0][1]!r}")
     together.refuse_states([name for _, name in out], "sheets", "choose one with --sheet")
@@ -249,11 +249,19 @@ def _of_known_format(file: Path, reader: ReaderOptions, options: ImportOptions) 
 
 
 def _inside(folder: Path) -> str:
-    """How to go on with a folder: a recording is ready; else the files of its most frequent kind."""
+    """How to go on with a folder: a recording is ready; else the most frequent kind of file that can be imported."""
     if (folder / "recording.yaml").is_file():
         return f"; it is a recording: errpipe init axis --recording {folder}"
-    held = Counter(p.suffix for p in islice(folder.iterdir(), MOST_NEIGHBOURS) if p.is_file() and p.suffix)
-    return f", such as {folder}/*{held.most_common(1)[0][0]}" if held else "; this one is empty"
+    held = [p for p in islice(folder.iterdir(), MOST_NEIGHBOURS) if p.is_file()]
+    kinds = Counter(p.suffix for p in held if p.suffix and _may_be_read(p))
+    if kinds:
+        return f", such as {folder}/*{kinds.most_common(1)[0][0]}"
+    return "; none in this one is a known measurement file" if held else "; this one is empty"
+
+
+def _may_be_read(file: Path) -> bool:
+    """Whether the first bytes of a file are those of a known format, or of a reader for its file name ending."""
+    return any(f.sniff(file) for f in formats.FORMATS) or reader_of(file) is not None
 
 
 def _refuse_idle_options(file: Path, name: str, given: dict[str, Any]) -> None:

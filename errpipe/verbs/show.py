@@ -70,7 +70,7 @@ def _table(file: Path) -> list[str]:
     table = _artefacts.read_table(file)
     out: list[str] = []
     for axis in list(_sample.outputs_by_axis(table))[:2]:
-        for over in _sample.own_first(table, axis)[:1]:
+        for over in _sample.axes_own_first(table, axis)[:1]:
             if _sample.span(table, over) == UNBOUNDED:
                 continue
             places = np.linspace(*_sample.span(table, over), 4 * WIDTH)

@@ -143,11 +143,9 @@ def _controller_file(file: Path) -> dict[str, Any] | None:
 
 def _importable(file: Path) -> dict[str, Any] | None:
     """A file that the import opens."""
-    from errpipe.importing.readers import HEAD_BYTES, READERS
+    from errpipe.importing.readers import reader_of
 
-    with file.open("rb") as stream:
-        head = stream.read(HEAD_BYTES)
-    reader = next((d for d in READERS if file.suffix.lower() in d.suffixes and head and d.sniff(file, head)), None)
+    reader = reader_of(file)
     return None if reader is None else {"kind": "measurement file", "format": reader.name, "next": "errpipe import"}
 
 

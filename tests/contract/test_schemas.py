@@ -106,7 +106,7 @@ def test_manifests_are_accepted(folder: Path) -> None:
         assert accepts(schema_of("recording"), path) == [], path.parent.name
 
 
-def test_a_wrong_pipeline_is_blamed_on_the_branch_that_was_meant() -> None:
+def test_a_wrong_pipeline_is_reported_for_the_branch_that_was_meant() -> None:
     value = {"pipeline": 1, "stages": [{"kind": "ingest", "recordin": "x"}]}
     errors = list(jsonschema.Draft7Validator(schema_of("pipeline")).iter_errors(value))
     assert [error.message.split(" (")[0] for error in errors] == ["Additional properties are not allowed"]

@@ -115,7 +115,7 @@ def test_each_byte_without_mending_the_checksum():
 @pytest.mark.parametrize(
     "number", [0, pytest.param(2, marks=pytest.mark.slow), pytest.param(5, marks=pytest.mark.slow)]
 )
-def test_each_field_with_each_odd_number(number):
+def test_each_field_with_each_unexpected_number(number):
     data = golden()[number][1]
     taken = 0
     step = 1 if number != 5 else 5

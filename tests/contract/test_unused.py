@@ -1,4 +1,4 @@
-"""What nobody sets or reads: parameters that every call leaves alone or gives the same value, options that nothing
+"""What is never set or read: parameters that every call leaves alone or gives the same value, options that nothing
 states, fields of dataclasses that no code reads.
 
 A call counts wherever it stands: package, tests, trials, examples, code of the documentation. A function that is also

@@ -189,7 +189,7 @@ def test_input_that_cannot_be_used_gets_one_message_and_status_2(tmp_path: Path,
 
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ["constant inputs", "one run of 40 rows", "inputs all missing"])
-def test_odd_input_never_gives_a_confident_finding(tmp_path: Path, what: str) -> None:
+def test_unexpected_input_never_gives_a_confident_finding(tmp_path: Path, what: str) -> None:
     whole = drift(0.0, twin=True)
     odd = {
         "constant inputs": lambda: constant(constant(constant(whole, "x", 5.0), "dir", 1.0), "rise", 20.0),

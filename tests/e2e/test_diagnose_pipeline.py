@@ -245,7 +245,7 @@ def test_a_drive_force_is_for_the_drive(tmp_path: Path) -> None:
     assert "feed-forward" in decision.reason
 
 
-def test_an_artefact_is_fitted_beside_but_never_compensated() -> None:
+def test_an_artefact_is_fitted_too_but_never_compensated() -> None:
     """Without the air beside it, what varies with the day's pressure would be the machine's."""
     from errpipe.fitting.components import evaluate as value_of
 

@@ -1,4 +1,4 @@
-"""A new user with a file nobody prepared, in an empty folder: few commands to a verified file on the controller."""
+"""A new user with an unprepared file, in an empty folder: few commands to a verified file on the controller."""
 
 from __future__ import annotations
 

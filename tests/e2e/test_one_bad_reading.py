@@ -208,7 +208,7 @@ EVERY, MOVES, BACK = 200, 100, 25  # cycles from one to the next; after which th
 @pytest.mark.parametrize("moves", [True, False], ids=["moving", "standing"])
 @pytest.mark.parametrize("side", [1.0, np.nan], ids=["the control tells the direction", "it does not"])
 def test_one_bad_sample_of_the_position(table, evaluate, side, moves):
-    """What turns the direction for a cycle moves the axis at its slew, and back: also where it stands, told or not."""
+    """A direction reversed for one cycle moves the axis at its slew, and back; at rest too, stated or derived."""
     start, cycles = 2000, 2000 + EVERY * len(PLACES)
     at = start + EVERY * np.arange(len(PLACES))
     speed = np.full(cycles, 0.02)
@@ -231,7 +231,7 @@ def test_one_bad_sample_of_the_position(table, evaluate, side, moves):
 @pytest.mark.parametrize("stated", [1.0, -1.0, 0.5, -1e-3])
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_one_bad_sample_of_the_direction_at_a_standstill(table, evaluate, stated, way):
-    """The axis came from one side and stands; for one cycle its direction is told, which nothing else confirms."""
+    """The axis came from one side and stands; for one cycle a direction is reported that no other input confirms."""
     x = np.full(2400, 500.0)
     x[:50] -= way * 0.02 * np.arange(50, 0, -1)
     columns = {"x": x, "dir": np.zeros(x.size), "T_nut": np.full(x.size, 25.0)}

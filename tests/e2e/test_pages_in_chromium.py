@@ -18,10 +18,17 @@ pytestmark = [
 ]
 MEASURE = """<script>addEventListener('load', () => {
   let smallest = 1e9;
-  for (const t of document.querySelectorAll('svg text')) {
-    const s = t.ownerSVGElement, k = s.getBoundingClientRect().width / s.viewBox.baseVal.width;
-    smallest = Math.min(smallest, parseFloat(getComputedStyle(t).fontSize) * k);
+  let cut = 0;
+  for (const f of document.querySelectorAll('figure')) {
+    cut = Math.max(cut, f.scrollWidth - f.clientWidth);
+    f.focus();
+    for (const t of f.querySelectorAll('svg text')) {
+      const s = t.ownerSVGElement, k = s.getBoundingClientRect().width / s.viewBox.baseVal.width;
+      smallest = Math.min(smallest, parseFloat(getComputedStyle(t).fontSize) * k);
+    }
+    f.blur();
   }
+  document.body.dataset.cut = cut;
   for (const t of document.querySelectorAll('p, td, th, figcaption, span, code, a'))
     smallest = Math.min(smallest, parseFloat(getComputedStyle(t).fontSize));
   document.body.dataset.smallest = smallest;
@@ -71,6 +78,7 @@ def test_pages_on_a_phone_in_light_and_dark(pages: list[Path], tmp_path: Path) -
             seen = measured(page, tmp_path, dark=dark)
             assert seen["smallest"] >= 9.0
             assert seen["over"] <= 0, "the page is wider than the phone"
+            assert seen["cut"] <= 0, "a figure is cut at the edge before it is enlarged by a tap"
             assert seen["broken"] == 0, "the contents lead nowhere"
             assert seen["contrast"] >= 4.5, "WCAG 2.1, 1.4.3"
             assert (seen["paper"] < 0.2) == dark

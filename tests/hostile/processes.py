@@ -27,7 +27,7 @@ def quiet() -> Iterator[None]:
 
 
 def forked(work: Callable[[], int], folder: Path) -> tuple[int | None, str]:
-    """Exit code of `work` in a process of its own (None: killed by a signal, or out of time), and what it said."""
+    """Exit code of `work` in a process of its own (None: killed by a signal, or out of time), and its output."""
     said = folder / "said.txt"
     pid = os.fork()
     if pid == 0:

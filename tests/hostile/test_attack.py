@@ -52,7 +52,7 @@ def test_a_writer_that_does_not_rename_is_found(tmp_path: Path, monkeypatch: pyt
 
 
 def test_what_is_planted_is_found(tmp_path: Path) -> None:
-    """An internal error, a crash and an endless wait are told from a refusal."""
+    """An internal error, a crash and an endless wait are distinguished from a refusal."""
     import signal
 
     def fails() -> int:
@@ -63,7 +63,7 @@ def test_what_is_planted_is_found(tmp_path: Path) -> None:
     assert forked(lambda: 3, tmp_path)[0] == 3
 
 
-def test_a_file_that_is_touched_beside_is_found(tmp_path: Path) -> None:
+def test_modification_times_show_which_files_changed(tmp_path: Path) -> None:
     (tmp_path / "files").mkdir()
     (tmp_path / "precious.txt").write_text("precious")
     before = attack.modification_times(tmp_path / "files")

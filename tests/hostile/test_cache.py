@@ -1,4 +1,4 @@
-"""Compiled code is loaded from a folder only where nobody else could have put it."""
+"""Compiled code is loaded from a folder only where no other user could have put it."""
 
 from __future__ import annotations
 

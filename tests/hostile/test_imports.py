@@ -33,7 +33,7 @@ PARTS = {
 
 
 def refused(path: Path, tmp_path: Path, capsys) -> str:
-    """What is said; nothing is written, and it does not take long."""
+    """The message; nothing is written, and it does not take long."""
     began = time.monotonic()
     code, said = command("import", path, "--out", tmp_path / "rec", "--yes", capsys=capsys)
     assert code == 3 and not (tmp_path / "rec").exists(), (code, said)

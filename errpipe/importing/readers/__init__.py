@@ -60,6 +60,17 @@ def open_file(path: Path, options: ReaderOptions) -> tuple[str, list[Sheet]]:
     raise DataError(f"{path}: neither text nor any other kind of file that is imported (allowed: {kinds})")
 
 
+def reader_of(path: Path) -> ModuleType | None:
+    """The reader that fits both the ending and the first bytes of a file; None of a file that is not imported."""
+    with path.open("rb") as stream:
+        head = stream.read(HEAD_BYTES)
+    try:
+        _refuse_known(path, head)
+    except DataError:
+        return None
+    return next((r for r in READERS if path.suffix.lower() in r.suffixes and head and r.sniff(path, head)), None)
+
+
 def _refuse_known(path: Path, head: bytes) -> None:
     """Raise DataError for kinds of files that are not imported, with the alternative."""
     if (what := controller_files.controller_file_kind(path, head)) is not None:
@@ -103,7 +114,7 @@ def _check_in_child_process(reader: ModuleType, path: Path, options: ReaderOptio
         raise DataError(f"{path}: takes more than {MOST_MEMORY >> 30} GB of memory or {MOST_SECONDS} s to read")
 
 
-def _read_and_report(reader: ModuleType, path: Path, options: ReaderOptions, said: int) -> None:
+def _read_and_report(reader: ModuleType, path: Path, options: ReaderOptions, answer_pipe: int) -> None:
     import resource
 
     code = 1
@@ -118,7 +129,7 @@ def _read_and_report(reader: ModuleType, path: Path, options: ReaderOptions, sai
         reader.read(path, options)
         code = 0
     except ErrpipeError as err:
-        os.write(said, str(err).encode()[: 1 << 16])
+        os.write(answer_pipe, str(err).encode()[: 1 << 16])
         code = 2 if isinstance(err, UsageError) else 3
     finally:
         os._exit(code)

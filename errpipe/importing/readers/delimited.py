@@ -285,8 +285,8 @@ def _east_asian(head: bytes) -> list[str]:
     if sum(byte > 127 for byte in pairs) < 0.7 * sum(byte > 127 for byte in head):
         return []
     text = head.decode("cp932", errors="replace")
-    odd = sum("\uff61" <= c <= "\uff9f" or c == "\ufffd" for c in text)
-    return ["gb18030"] if odd > 0.1 * sum(c > "\x7f" for c in text) else ["cp932", "gb18030"]
+    unusual = sum("\uff61" <= c <= "\uff9f" or c == "\ufffd" for c in text)
+    return ["gb18030"] if unusual > 0.1 * sum(c > "\x7f" for c in text) else ["cp932", "gb18030"]
 
 
 def _separator(lines: list[str]) -> str:

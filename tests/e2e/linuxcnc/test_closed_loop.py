@@ -201,7 +201,7 @@ def test_four_emergency_stops_with_external_offsets(linuxcnc, capsys):
 
 @pytest.mark.parametrize("way", ["screw", "hal"])
 def test_ten_um_too_long_goes_ten_um_less_far(linuxcnc, way):
-    """The sign, in the real controller: at X = +500 the motor is told to go 10 um less far."""
+    """The sign, in the real controller: at X = +500 the motor is commanded 10 um less."""
     there = "G21 G90 G61\nF30000\nG1 X500\nG4 P0.1\nM2\n"
     record = linuxcnc(f"sign-{way}", way, machines.too_long_at_plus_x(), program=there)
     end = record.command[:, 0] > 499.9999

@@ -1,4 +1,4 @@
-"""A diameter in LinuxCNC's lathe: the turning centre's own table, its temperatures streamed in, X told to follow.
+"""A diameter in LinuxCNC's lathe: the turning centre's own table, its temperatures streamed in, X commanded to follow.
 
 The table comes from the pipeline's stages: a season model of E_D that acts on X by half. A run of eight hours goes by
 in a few seconds: the table's time constants are shortened by the same factor as the recording's time.

@@ -314,7 +314,7 @@ def test_a_limit_on_the_change_keeps_the_champion(site: Path) -> None:
     assert code == 4 and failed(document) == ["change of EXX per kelvin"]
 
 
-def test_a_sensor_that_drifts_is_named_beside_the_decision(site: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_sensor_that_drifts_is_named_with_the_decision(site: Path, capsys: pytest.CaptureFixture) -> None:
     record(site / "recording", 40, sensor_drift_from=14)
     code, document = retrain(site, "--annotations", "github")
     isolated = [d["column"] for d in document["drift"]["inputs"] if d["isolated"]]

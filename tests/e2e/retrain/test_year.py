@@ -1,4 +1,4 @@
-"""The simulated year of examples/retraining: promotes after the bearing change, harms nobody, names the sensor."""
+"""The simulated year of examples/retraining: promotes after the bearing change, harms none, names the sensor."""
 
 from __future__ import annotations
 
@@ -30,5 +30,5 @@ def test_a_year_promotes_when_it_should_and_names_the_sensor(example: Any, tmp_p
     assert example.DRIFT <= report["sensors_named"]["T_nut"] <= example.DRIFT + 30
 
 
-def test_quiet_years_see_no_promotion_that_harms(example: Any) -> None:
+def test_years_without_change_see_no_promotion_that_harms(example: Any) -> None:
     assert sum(example.quiet_year(90 + k) for k in range(3)) == 0

@@ -1,4 +1,4 @@
-"""Earlier findings on later recordings: what is unchanged is left alone, what moved, went or turned is said."""
+"""Earlier findings on later recordings: unchanged ones are kept; changed, vanished or reversed ones are reported."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from errpipe.diagnosis import diagnose
-from errpipe.diagnosis.against import against, clustered, more_left, moved_by
+from errpipe.diagnosis.against import against, clustered, larger_residuals, moved_by
 from errpipe.domain.diagnosis import Diagnosis
 from errpipe.errors import DataError
 from errpipe.simulation import folder
@@ -56,7 +56,7 @@ def test_an_unchanged_machine_is_called_unchanged_19_times_of_20(earlier) -> Non
         ({"warm": 12e-3}, {"backlash": "unchanged", "scale_expansion": "larger"}),
     ],
 )
-def test_what_moved_is_said(earlier, change, wanted) -> None:
+def test_a_parameter_that_changed_is_reported(earlier, change, wanted) -> None:
     assert states(machine(7, **change), earlier) == wanted
 
 
@@ -67,11 +67,11 @@ def test_sizes_are_those_of_the_later_machine_within_their_intervals(earlier) ->
     assert size["now_ci95"][1] - size["now_ci95"][0] < 1.0
 
 
-def test_more_that_is_left_is_said(earlier) -> None:
+def test_a_larger_residual_is_reported(earlier) -> None:
     later = machine(10)
-    assert more_left(against(later, earlier)) == []
+    assert larger_residuals(against(later, earlier)) == []
     later.frame["EXX"] += 5 * np.sin(later.frame["x"] / 20)
-    (said,) = more_left(against(later, earlier))
+    (said,) = larger_residuals(against(later, earlier))
     assert "the residual is" in said and "again" in said
 
 

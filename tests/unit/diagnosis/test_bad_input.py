@@ -1,4 +1,4 @@
-"""Input that cannot be used gets one clear message; odd input never a confident finding."""
+"""Input that cannot be used gets one clear message; unexpected input never a confident finding."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_missing_cells_and_repeated_rows_change_nothing():
 
 @pytest.mark.parametrize(("off", "verdict"), [(0.0, "no_mismatch"), (1e-13, "no_mismatch"), (3.0, "recalibrate")])
 def test_a_simulation_that_repeats_the_recording(off, verdict):
-    """Nothing at all is left to judge: no division by it, and nothing said about it."""
+    """Nothing at all is left to judge: no division by zero, and no finding."""
     case = spindle()
     case = changed(case, E_Z_sim=case.array("E_Z") - off)
     assert diagnose(case)[0].responses[0].verdict == verdict

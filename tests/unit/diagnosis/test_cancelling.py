@@ -80,7 +80,7 @@ def test_a_name_that_folds_do_not_find_again_or_that_leaves_a_shape_is_not_sure(
     monkeypatch, agreement, again, left, shapes, most
 ):
     """What acts in part is not searched for in the folds; a shape in the little that a name leaves says nothing."""
-    for name in ("gain_of_a_part", "only_a_wave_in_time", "no_size"):
+    for name in ("gain_of_a_part", "only_a_wave_in_time", "is_insignificant"):
         monkeypatch.setattr(plausible, name, lambda *_: False)
     monkeypatch.setattr(report, "only_steps", lambda _: False)
     held = SimpleNamespace(names=left, before=1.0, again=again, shape_share=lambda: shapes)
@@ -95,7 +95,7 @@ def test_a_name_that_folds_do_not_find_again_or_that_leaves_a_shape_is_not_sure(
 def test_a_size_whose_stated_interval_spans_zero_may_be_none(low, nothing):
     """Stretches of rows may widen the interval of a size that rows alone make significant."""
     made = SimpleNamespace(joint=50.0, cores=1, estimates=(SimpleNamespace(low=low, high=9.0),))
-    assert plausible.no_size(made) is nothing
+    assert plausible.is_insignificant(made) is nothing
 
 
 @pytest.mark.parametrize(("form", "in_doubt"), [("any shape", 0), ("textbook", 1)])
@@ -116,7 +116,10 @@ def test_a_curve_of_which_no_coefficient_is_known_has_no_size(low, axes, nothing
     """
     bows = tuple(SimpleNamespace(low=v, high=9.0) for v in (-8.0, low, -7.0))
     hypothesis = SimpleNamespace(terms=(None,) * axes)
-    assert plausible.no_size(SimpleNamespace(joint=50.0, cores=3, estimates=bows, hypothesis=hypothesis)) is nothing
+    assert (
+        plausible.is_insignificant(SimpleNamespace(joint=50.0, cores=3, estimates=bows, hypothesis=hypothesis))
+        is nothing
+    )
 
 
 def test_friction_that_falls_up_to_the_highest_speed_is_at_its_limit():

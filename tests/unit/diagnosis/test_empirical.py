@@ -45,7 +45,7 @@ def test_a_product_of_columns_is_found_with_its_coefficient() -> None:
     assert len(fitted.terms) <= 3 and fitted.share > 0.5 and fitted.says.startswith("Empirical, no mechanism")
 
 
-def test_a_square_that_is_there_in_one_run_alone_is_not_said() -> None:
+def test_a_square_that_is_present_in_one_run_only_is_not_reported() -> None:
     """Held out by runs: what one of ten days holds predicts none of the others."""
     conditioned = prepare.condition(mornings(4, days=10))
     bearing = conditioned.array("T_bearing")

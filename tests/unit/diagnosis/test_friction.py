@@ -1,4 +1,4 @@
-"""Friction that differs by direction is said to, with each way's figures; one law both ways is left alone."""
+"""Friction that differs by direction is reported, with the figures of each direction; one law for both is kept."""
 
 from __future__ import annotations
 

@@ -37,8 +37,8 @@ def test_gains_within_the_limits_cost_nothing(off):
 def test_gains_that_no_simulation_has_are_counted(off, count):
     """Each costs as much as a finding where an explanation with narrower gains competes."""
     made, _ = scene(off, sd=1.0)
-    assert gains.far_off(made, [DATUM, WHOLE, *PARTS], np.ones(4)) == count
-    assert gains.far_off(made, [DATUM, WHOLE], np.ones(2)) == 0
+    assert gains.count_distant_gains(made, [DATUM, WHOLE, *PARTS], np.ones(4)) == count
+    assert gains.count_distant_gains(made, [DATUM, WHOLE], np.ones(2)) == 0
 
 
 @pytest.mark.parametrize("off", [0.5, -0.5])

@@ -54,7 +54,7 @@ def test_noise_with_a_memory_is_called_structured_no_oftener_than_stated(quiet, 
 
 
 @pytest.mark.parametrize("what", ["a kink in one temperature", "one run", "the other direction in one place", "order"])
-def test_planted_structure_is_caught_and_said_where(quiet, what):
+def test_planted_structure_is_detected_and_located(quiet, what):
     rng = np.random.default_rng(8)
     recording, rows = quiet.recording, quiet.pair.rows
     x, side = recording.array("x")[rows], recording.array("dir")[rows]

@@ -20,7 +20,7 @@ FAST = {
 
 
 def said(response: dict, size: float, unit: str) -> str:
-    """'' where a size of the first finding agrees with `size` to a tenth or covers it; else what was said."""
+    """'' where a size of the first finding agrees with `size` to a tenth or covers it; else the output."""
     findings = [f for f in response["findings"] if f["effect"] != "recalibration"]
     if not findings:
         return str(response["verdict"])

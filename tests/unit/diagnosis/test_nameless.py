@@ -272,7 +272,7 @@ def test_what_shapes_must_predict_to_take_a_name_away(monkeypatch):
         assert unnamed.unexplained(case, held) == (again == 1.0)  # type: ignore[arg-type]
 
 
-def test_a_rhythm_a_little_above_the_noise_is_said():
+def test_a_rhythm_a_little_above_the_noise_is_reported():
     """Saw teeth over the order of the parts, not twice as large as the noise: no column goes with them."""
     made = spindle(3, hidden=lambda c: 0.9 * ((np.arange(c["t"].size) % 13) / 6.0 - 1.0))
     (response,) = diagnose(made)[0].responses
@@ -286,7 +286,7 @@ def test_a_rhythm_a_little_above_the_noise_is_said():
     (0.9, False, True, 1.0, True),
     (0.06, True, False, 1.0, True),
 ])  # fmt: skip
-def test_what_wanders_is_foretold_or_coloured(monkeypatch, share, taken_back, named, far, expected):
+def test_a_wandering_residual_is_predicted_or_coloured_noise(monkeypatch, share, taken_back, named, far, expected):
     teeth = 2.0 * ((np.arange(600) % 11) / 5.0 - 1.0) + 0.5 * np.random.default_rng(1).standard_normal(600)
     case, _ = left_by(teeth, 1.0)
     monkeypatch.setattr(unnamed, "residual", lambda case: case.residual)

@@ -1,4 +1,4 @@
-"""Noise with a memory, tails, steps or a coarse display is no mechanism, and does not hide one; odd but plain cases."""
+"""Noise with a memory, tails, steps or a coarse display is no mechanism, and does not hide one; unusual cases."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def test_a_slow_mechanism_without_a_name_is_no_noise(size, period):
     assert (first.effect, first.drivers) == ("unknown", ("P",)) and first.confidence >= 0.7
 
 
-def test_a_reversed_sign_is_a_recalibration_and_is_said():
+def test_a_reversed_sign_is_a_recalibration_and_is_reported():
     case, _ = noise.case(SEED, "spindle", "white", hidden=False)
     turned = type(case)(case.manifest, case.frame.assign(E=-case.frame["E"]))
     (response,) = diagnose(turned)[0].responses

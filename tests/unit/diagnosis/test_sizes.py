@@ -3,7 +3,7 @@
 import numpy as np
 
 from errpipe.diagnosis import diagnose
-from errpipe.diagnosis.units import said
+from errpipe.diagnosis.units import rounded
 from errpipe.kernels.responses import lag
 
 from .machines import recording, trace
@@ -57,4 +57,4 @@ def test_the_size_of_falling_friction_is_that_at_creep_whatever_its_law():
 
 
 def test_numbers_in_sentences_have_no_exponent_up_to_a_million():
-    assert [said(v) for v in (5768.6, 0.0123, -28100.0, 2.5e7)] == ["5770", "0.0123", "-28100", "2.5e+07"]
+    assert [rounded(v) for v in (5768.6, 0.0123, -28100.0, 2.5e7)] == ["5770", "0.0123", "-28100", "2.5e+07"]

@@ -40,7 +40,7 @@ def test_a_form_that_the_textbook_does_not_carry_is_not_its_name(monkeypatch, te
     )
     monkeypatch.setattr(unnamed, "textbook_alone", lambda case: alone)
     monkeypatch.setattr(unnamed.model, "modelled", lambda case, k: None)
-    monkeypatch.setattr(unnamed.plausible, "no_size", lambda made: unsized)
+    monkeypatch.setattr(unnamed.plausible, "is_insignificant", lambda made: unsized)
     assert unnamed.departs(explained, held(3.0, textbook, 1.0)) == departs
     assert unnamed.departs(in_part, held(3.0, textbook, 1.0)) == departs
     assert not unnamed.departs(SimpleNamespace(explanation=Explanation((), np.zeros(0))), held(3.0, textbook, 1.0))

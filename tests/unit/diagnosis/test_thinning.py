@@ -1,4 +1,4 @@
-"""Long logs: what is judged of them does not hang on the mismatch, hides no wave, and rare events are said."""
+"""Long logs: the choice of rows does not depend on the mismatch and hides no wave; rare events are reported."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_no_period_is_seen_at_one_phase_only(whole, period: float) -> None:
     assert np.abs(np.exp(2j * np.pi * t / period).mean()) < 0.35
 
 
-def test_spikes_of_one_row_every_few_seconds_are_said(whole) -> None:
+def test_spikes_of_one_row_every_few_seconds_are_reported(whole) -> None:
     at = np.arange(1500, 200_000, 3000)
 
     def spikes(c):
@@ -98,7 +98,7 @@ def test_steps_and_noise_are_no_events() -> None:
 
 
 @pytest.mark.parametrize("period", [0.02, 0.25, 0.2, 2.5])
-def test_waves_in_time_alone_are_said(period: float) -> None:
+def test_waves_in_time_alone_are_reported(period: float) -> None:
     """No effect of the vocabulary: a line in the spectrum of all rows, also at the length of stretch and block."""
     notes = " ".join(thinning.thinned(log(hidden=lambda c: 0.6 * np.sin(2 * np.pi * c["t"] / period))).notes)
     assert f"{1 / period:.3g}" in notes and ("(0.5" in notes or "(0.6" in notes)

@@ -52,6 +52,9 @@ def test_the_other_spellings_are_the_same_component(alias, name):
 def test_a_wrong_name_gets_the_nearest_right_one():
     with pytest.raises(ValueError, match=r"Did you mean EXX\?"):
         components.parse("exx")
+    for of_a_parallel_axis, meant in (("EUU", "EXU"), ("E_WW", "EZW"), ("EVU", "EYU")):
+        with pytest.raises(ValueError, match=rf"Did you mean {meant}\?"):
+            components.parse(of_a_parallel_axis)
     with pytest.raises(ValueError, match=r"'EXT' is not an ISO 230-1 component"):
         components.parse("EXT")
 

@@ -86,7 +86,7 @@ def test_the_test_is_a_regression_of_each_sensor_on_all_others(guard):
         np.testing.assert_allclose(-np.delete(precision[i], i) / precision[i, i], weights, rtol=1e-6, atol=1e-9)
 
 
-def test_a_lone_fault_shows_most_in_the_sensor_that_has_it(guard):
+def test_a_single_fault_shows_most_in_the_sensor_that_has_it(guard):
     """By the algebra of the likelihood ratio, at any size: every other residual is smaller by its correlation."""
     for i, row in enumerate(detect.correlations(guard)):
         assert max(abs(r) for j, r in enumerate(row) if j != i) <= learn.MAX_CORRELATION, NAMES[i]
@@ -98,8 +98,8 @@ def test_the_threshold_of_normal_noise_is_the_quantile_of_its_largest_values():
     assert rows.return_level(largest[:1000], 1e-3) == pytest.approx(4.30, abs=0.25)
 
 
-def test_a_step_is_blamed_from_about_the_smallest_size_on(guard):
-    """Twice the stated size is blamed on the right sensor, half of it on nobody."""
+def test_a_step_is_isolated_from_about_the_smallest_size_on(guard):
+    """Twice the stated size is attributed to the right sensor, half of it to none."""
     fresh = simulated_sensors.machine(3, seed=21)
     for i, sensor in enumerate(guard.sensors):
         for times, isolated in ((2.0, True), (0.5, False)):
@@ -147,7 +147,7 @@ def test_dead_and_stepped_sensors_are_seen_at_once_and_the_others_within_hours(f
             assert f.rows_to_detect <= limit[f.way], f
 
 
-def test_the_right_sensor_is_blamed(failures):
+def test_the_right_sensor_is_isolated(failures):
     """26 of 600 runs blame a healthy sensor too or instead, most often the housing's neighbour the motor."""
     assert sum(f.wrongly_blamed for f in failures) <= 0.06 * sum(f.runs for f in failures)
 

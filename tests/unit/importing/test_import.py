@@ -210,7 +210,7 @@ FORMATS = Path(__file__).parents[2] / "data" / "formats"
 
 
 def test_the_axis_of_a_vendor_file_is_the_stated_one(tmp_path: Path) -> None:
-    """A file that names no axis was imported as X whatever --axis said."""
+    """A file that names no axis was imported as X whatever --axis stated."""
     assert imported(tmp_path, FORMATS / "ecmc_dat.dat", axis="Y").components() == ("EYY",)
     proposal, _ = import_files.prepare([FORMATS / "ecmc_dat.dat"], ReaderOptions(), import_files.options_of(sets=[]))
     assert any("names no axis: taken as X" in note for note in proposal.notes)
@@ -219,7 +219,7 @@ def test_the_axis_of_a_vendor_file_is_the_stated_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "said", [{"sign": "commanded-minus-actual"}, {"unit": "mm"}, {"component": "EYX"}, {"sets": ["EXX.unit=mm"]}]
 )
-def test_what_a_vendor_file_states_itself_is_not_said_in_vain(tmp_path: Path, said: dict[str, Any]) -> None:
+def test_an_option_for_what_a_vendor_file_states_itself_is_refused(tmp_path: Path, said: dict[str, Any]) -> None:
     with pytest.raises(UsageError, match="would be ignored"):
         imported(tmp_path, FORMATS / "renishaw_rtl.rtl", **said)
 

@@ -117,7 +117,7 @@ def test_a_plate_that_was_measured_again_is_another_run(tmp_path: Path) -> None:
         (["TCHPR421", "Measuring log Probing Cycle 421", "Center in reference axis: 50.0"], "Feature;Axis;Nominal"),
     ],
 )
-def test_what_a_print_lacks_is_said(tmp_path: Path, lines: list[str], match: str) -> None:
+def test_what_a_print_lacks_is_stated(tmp_path: Path, lines: list[str], match: str) -> None:
     (tmp_path / "print.txt").write_text("\n".join(lines), "utf-8")
     with pytest.raises(DataError, match=match):
         prepared([tmp_path / "print.txt"], sign=MADE)

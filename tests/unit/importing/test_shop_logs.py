@@ -78,7 +78,7 @@ def test_two_logs_of_one_time_stay_two(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("end", [b"", b"\0" * 4096])
-def test_a_file_that_was_copied_in_part_is_told_and_its_torn_row_is_no_reading(tmp_path: Path, end: bytes) -> None:
+def test_a_file_copied_in_part_is_reported_and_its_torn_row_is_no_reading(tmp_path: Path, end: bytes) -> None:
     """`...;2` of `...;27,5;15,9` was a reading of 2 degC."""
     files = days(tmp_path)
     text = files[2].read_bytes()

@@ -359,7 +359,7 @@ LINES_ON |= {"Laser air compensation: on": False, "Temperature compensation is o
 
 
 @pytest.mark.parametrize("line", LINES_ON)
-def test_a_compensation_that_was_on_is_said(tmp_path: Path, line: str) -> None:
+def test_a_compensation_that_was_active_is_reported(tmp_path: Path, line: str) -> None:
     (tmp_path / "f.csv").write_text(signed(above=line), encoding="utf-8")
     holds_the_truth(imported(tmp_path, tmp_path / "f.csv"))
     assert (

@@ -180,7 +180,7 @@ def test_a_machine_that_is_too_long_to_a_controller_file(
 
 
 def test_a_sign_that_both_positions_contradict_is_refused(tmp_path: Path) -> None:
-    """It was ignored: the error is actual less commanded, and a person said that it is not."""
+    """It was ignored: the error is actual less commanded, which the declaration contradicts."""
     rows = [f"{x:g},{x + d / 1e3:.4f}" for _, x, s, d in long_rows()]
     (tmp_path / "a.csv").write_text("\n".join(["X commanded [mm],X actual [mm]", *rows]), encoding="utf-8")
     with pytest.raises(DataError, match="--sign would be ignored"):

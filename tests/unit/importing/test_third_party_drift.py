@@ -89,7 +89,7 @@ def test_a_file_that_lacks_a_temperature_has_empty_cells(tmp_path: Path, capsys:
 
 
 @pytest.mark.parametrize("clock", ["2025-07-0{day}T{h:02d}:{m:02d}:00", "2025-07-0{day};{h:02d}:{m:02d}:00"])
-def test_a_log_of_a_dead_sensor_is_left_out_and_said(
+def test_a_log_of_a_failed_sensor_is_left_out_and_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], clock: str
 ) -> None:
     """Before: refused for a lack of a header."""

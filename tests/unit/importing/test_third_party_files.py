@@ -168,7 +168,7 @@ def test_readings_of_any_size_meet_no_division_by_zero(tmp_path: Path, size: flo
     assert main(["import", str(tmp_path / "f.csv"), "--out", str(tmp_path / "rec"), "--yes", *options]) in (0, 3)
 
 
-def test_lost_directions_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_lost_directions_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = sorted(long_rows(), key=lambda row: row[1])
     (tmp_path / "f.csv").write_text("\n".join(["run;target;error_um", *(f"{r};{x};{d}" for r, x, _, d in rows)]))
     assert main(["import", str(tmp_path / "f.csv"), "--out", str(tmp_path / "rec"), "--yes", "--axis", "X"]) == 0

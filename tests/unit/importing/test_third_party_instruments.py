@@ -59,7 +59,7 @@ def test_lengths_read_beside_a_rotary_axis_are_no_angle(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("said", "scale"), [("// Units: m", 1e-3), ("Units: inch", 1 / 25.4), ("# Unit: mm", 1.0)])
 def test_a_unit_above_a_list_of_points_is_that_of_its_places(tmp_path: Path, said: str, scale: float) -> None:
-    """A tracker's list along X: the other axes stand, and nothing is said of them."""
+    """A tracker's list along X: the other axes stand still and are not reported."""
     rows = [
         f"P{k};{x * scale:.7f};{100 * scale:.7f};{(x + d / 1e3) * scale:.9f};{100 * scale:.7f}"
         for k, (_, x, _, d) in enumerate(long_rows())

@@ -194,7 +194,7 @@ def test_readings_that_a_column_calls_wrong_are_excluded(tmp_path: Path, good: s
     assert np.nanmax(proposal.data["dev"]) < 90.0
 
 
-def test_a_status_that_is_not_known_is_said(tmp_path: Path) -> None:
+def test_an_unknown_status_is_reported(tmp_path: Path) -> None:
     lines = long_lines(",Status")
     lines = [lines[0], *(f"{line},{'REPEATED' if k == 5 else 'OK'}" for k, line in enumerate(lines[1:]))]
     proposal, _ = prepared([written(tmp_path / "x.csv", lines)], axis="X")

@@ -1,4 +1,4 @@
-"""First imports of third-party files: constant sensors, units nobody wrote, devices by name, axes in words."""
+"""First imports of third-party files: constant sensors, units that are not stated, devices by name, axes in words."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ def test_a_log_in_metres_has_velocity_and_simulation(tmp_path: Path) -> None:
 
 
 def test_counts_by_their_resolution(tmp_path: Path) -> None:
-    """Whole numbers without a unit became degrees, whatever --resolution said."""
+    """Whole numbers without a unit became degrees, whatever --resolution stated."""
     path = log(tmp_path, **{"time [s]": T, "target pos": np.round(10 * X), "pos": np.round(10 * X) + 3})
     proposal = prepared(path, axis="C", resolution=0.05)
     assert proposal.data["pos"] - proposal.data["target_pos"] == pytest.approx(0.15)

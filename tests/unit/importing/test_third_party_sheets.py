@@ -332,7 +332,7 @@ def test_a_mean_behind_each_target_is_no_reading_without_one(tmp_path: Path) -> 
     assert len(recording) == 6 * TARGETS.size
 
 
-def test_the_way_back_beside_the_way_there(tmp_path: Path) -> None:
+def test_targets_of_the_way_back_in_columns_of_their_own(tmp_path: Path) -> None:
     """Two tables side by side, each in the order of measuring: a row holds readings of two targets."""
     rows = []
     for i, x in enumerate(TARGETS):

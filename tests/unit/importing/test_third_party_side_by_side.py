@@ -102,6 +102,10 @@ def test_a_folder_names_what_is_in_it(tmp_path: Path, capsys: pytest.CaptureFixt
     folder.mkdir()
     assert main(["import", str(folder), "--out", str(tmp_path / "r"), "--yes"]) == 3
     assert "this one is empty" in capsys.readouterr().err
+    for name in ("part.nc", "contour.nc"):  # NC programs, with the file name ending of netCDF
+        written(folder, "G0 X0", name=name)
+    assert main(["import", str(folder), "--out", str(tmp_path / "r"), "--yes"]) == 3
+    assert "none in this one is a known measurement file" in capsys.readouterr().err
     written(folder, "X,Gauge", name="a.csv")
     assert main(["import", str(folder), "--out", str(tmp_path / "r"), "--yes"]) == 3
     assert f"such as {folder}/*.csv" in capsys.readouterr().err

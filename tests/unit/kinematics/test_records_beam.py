@@ -57,7 +57,7 @@ def test_the_band_holds_the_uncertainty_of_the_air():
 
 
 def test_the_uncertainty_of_the_index_is_that_of_its_sensors():
-    """Sensitivities of the index: 0.95e-6/K, 0.27e-6/hPa, 0.0085e-6/%; what nobody read is more uncertain."""
+    """Sensitivities of the index: 0.95e-6/K, 0.27e-6/hPa, 0.0085e-6/%; what was not read is more uncertain."""
     assert air.index_uncertainty((0.1, 0.0, 0.0)) == pytest.approx(0.095, abs=0.001)
     assert air.index_uncertainty((0.0, 1.0, 0.0)) == pytest.approx(0.268, abs=0.001)
     *_, recording = played_x({})
@@ -105,7 +105,7 @@ def test_a_run_that_sits_out_is_judged_without_its_own_zero():
 
 
 def test_a_display_s_air_takes_the_air_of_the_record():
-    """A temperature that is not said to be the air's is not taken for it, nor passed over."""
+    """A temperature without a stated location is not taken as that of the air, and is reported."""
     chain, _, recording = played_x({}, cycles=1)
     columns = dict(recording.manifest.columns)
     columns["T_air"] = columns["T_air"].model_copy(update={"location": "beside the beam"})

@@ -294,7 +294,7 @@ def test_an_entrant_that_does_not_carry_over_to_another_season_is_out() -> None:
 
 
 def test_surroundings_that_contradict_each_other_leave_the_least_regretted() -> None:
-    """Each entrant is three times worse than another one in one of two groupings; nobody is worse than nothing."""
+    """Each entrant is three times worse than another one in one of two groupings; none is worse than nothing."""
     rng = np.random.default_rng(8)
     group = np.repeat(np.arange(8), 50)
     truth = np.tile(np.linspace(0, 20, 50), 8)

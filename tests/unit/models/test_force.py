@@ -90,7 +90,7 @@ def turning(**more) -> Force:
 @pytest.mark.parametrize("bed", [False, True])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_gauges_at_three_places_give_each_its_compliance_and_the_table_their_sum(sign, bed):
-    """Pushed apart at +X by a positive force (sign 1): the deviation that is said is positive, and all of it."""
+    """Pushed apart at +X by a positive force (sign 1): the reported deviation is positive and complete."""
     recording = gauged(sign, bed)
     fitted = turning(sign=sign, gauge_datum="bed" if bed else "neighbour").fit(recording)
     value = fitted.documents["compliance.json"]

@@ -347,7 +347,7 @@ def test_rows_behind_a_sensor_that_fell_silent_in_a_day_judge_nothing(monkeypatc
     assert rows == {f"day {k}": 120 for k in range(6)} | {"day 2": 43}  # three readings are held
 
 
-def test_machines_that_differ_are_said_to_need_a_recording_each() -> None:
+def test_machines_that_differ_are_reported_to_need_a_recording_each() -> None:
     unlike, alike = (days(8, 3, gains) for gains in ((1.0, 6.0), (2.0, 2.0)))
     family, machines = Rises(component="E_Z"), {"machine": Column(role="group", of="machine")}
     assert "recording each" in family.fit(recording(unlike, machines)).summary["E_Z"]

@@ -171,7 +171,7 @@ def test_outside_the_table_is_refused():
 
 
 def test_two_outputs_of_an_axis_and_both_directions_are_counted():
-    """Outputs that share an axis add up; lost motion counts with the mean of its two sides, and that is said."""
+    """Outputs that share an axis add up; lost motion counts with the mean of its two sides, and that is stated."""
     from errpipe.verbs.correct import depends_on_direction, deviation_of
     from tests.unit.targets import machines
 
@@ -242,7 +242,7 @@ def test_a_cut_that_turns_an_axis_the_long_way_round_is_refused_where_it_is_spli
 
 @pytest.mark.parametrize("skipped", ["/X0 Y0 I5 J0", "/G0 X0", "/G1"])
 def test_a_motion_that_may_be_skipped_is_refused_though_it_ends_where_it_began(skipped):
-    """A full circle behind a block delete mark was cut whatever the switch said."""
+    """A full circle behind a block delete mark was cut in either position of the switch."""
     with pytest.raises(DataError, match=r"line 3: a motion or mode that a block delete switch may skip"):
         correct(f"G90 G21 G54 G17 G0 X0 Y0 Z0\nG2 X0 Y0 I5 J0 F100\n{skipped}\n", no_deviation, SETUP)
 

@@ -100,7 +100,7 @@ LONG = "N1000 G1 X99.5 Y88.25 Z70.5 A123.4567 B45.6789 C359.1234 F1500.5 S12000 
 
 
 def test_a_printed_program_is_the_written_one_to_the_byte_and_its_remarks_go_to_standard_error(tmp_path, capsys):
-    """A block that is folded for a terminal would be two motions; a remark that nobody sees is none."""
+    """A block that is folded for a terminal would be two motions; a remark that is not shown is none."""
     ect.write(machines.too_long_at_plus_x(), tmp_path / "t.ect")
     (tmp_path / "p.ngc").write_text(
         f"%\nG90 G21 G54  (two  blanks)\nG0 X0 Y0 Z0 A0 B0 C300\n\n{LONG}\nG1 X800\nM30\n%\n\n"

@@ -80,7 +80,7 @@ def test_a_run_interrupted_between_its_records_leaves_nothing_behind(tmp_path: P
 
 
 def test_only_outputs_and_the_last_record_wait_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And a journal that lost its bytes when power failed stops nobody."""
+    """A journal that lost its bytes in a power failure does not prevent the next run."""
     lay_out(tmp_path, TEXT)
     (tmp_path / "out/.errpipe").mkdir(parents=True)
     (tmp_path / "out/.errpipe/scale.json").touch()

@@ -59,3 +59,13 @@ def test_page_says_the_three_numbers_and_escapes_text(report):
 )
 def test_numbers_for_readers(value, text):
     assert page.number(value) == text
+
+
+def test_on_a_narrow_screen_figures_fit_and_tables_scroll(report):
+    text = render(report)
+    assert "figure svg { width: 100%;" in text and ".wide { overflow-x: auto;" in text
+    (narrow,) = re.findall(r"@media screen and [(]max-width: 46rem[)] [{](.*)[}]", text)
+    assert "min-width" not in narrow, "a figure wider than the screen is cut at its edge"
+    assert "figure:focus svg { width: 44rem; }" in narrow, "a tap enlarges a figure"
+    assert text.count("<table>") == text.count('<div class="wide"><table>')
+    assert "<figure>" not in text, "without tabindex a figure cannot be focused by a tap"

@@ -50,6 +50,16 @@ def test_a_machine_too_short_is_commanded_further(tmp_path: Path) -> None:
     assert says.endswith("the axis stands 10.0 um short and will be commanded 10.0 um further")
 
 
+def test_an_axis_whose_values_all_round_to_zero_is_named(tmp_path: Path) -> None:
+    """0.4 um are less than half a pulse of 1 um."""
+    ect.write(compile_(("EXX", [straight("X", 0.4)]), ("EYY", [straight("Y", 10.0, 400.0)])), tmp_path / "table.ect")
+    says = targets.export(tmp_path / "table.ect", ["fanuc_pitch"], tmp_path / "out")["says"]
+    wanted = "X is not corrected: each of its values in these files is 0 (the largest correction of the table, 0.4 um"
+    text = (tmp_path / "out" / "fanuc_pitch" / targets.CHECKLIST).read_text()
+    assert wanted in text and any(wanted in line for line in says)
+    assert "Y is not corrected" not in text
+
+
 def test_a_table_beyond_the_limit_is_refused_and_allowed_by_name(tmp_path: Path) -> None:
     ect.write(compile_(("EXX", [straight("X", 300_000.0)])), tmp_path / "table.ect")
     with pytest.raises(GateError, match=r"the correction reaches 3e[+]05 um, the limit is 500"):

@@ -98,7 +98,7 @@ def test_a_share_of_the_reading_and_none_that_is_wild(run, recording):
         run(model(**TAKES | {"bound": 9.0}), reading(recording, 8))
 
 
-def test_a_table_without_the_input_is_corrected_beside_it(run, recording):
+def test_a_table_without_an_input_for_readings_is_corrected_outside_it(run, recording):
     without, _ = run(model(), None)
     output, answer = run(model(), reading(recording, 8, 40), as_table=True)
     assert "the table has no input" in answer["readings"]["E_X"]["by"]

@@ -52,7 +52,7 @@ def test_the_table_has_no_box_of_its_own_and_still_fades_where_a_sensor_is_lost(
     assert_allclose(table_values(table, model, lost)["E_D"], 0.0, atol=1e-12)
 
 
-def test_a_table_with_its_model_beside_it_has_the_models_intervals(fitted, model, table, tmp_path):
+def test_a_table_with_its_model_in_the_same_folder_has_the_models_intervals(fitted, model, table, tmp_path):
     one = machine(2, seed=9, rows=40)
     manifest_folder.write(one, tmp_path / "rows")
     ect.write(table, tmp_path / "table.ect")

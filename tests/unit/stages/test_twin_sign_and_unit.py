@@ -1,4 +1,4 @@
-"""A simulation of the other sign or in another unit is told before any missing physics; nothing is written over."""
+"""A simulation of the other sign or in another unit is reported before any missing physics; nothing is written over."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_a_reversed_sign_and_another_unit_are_reported(factor: float, output: st
 
 
 def test_what_is_missing_may_have_the_other_sign_than_what_is_simulated() -> None:
-    """Physics that is missing outweighs what is simulated: no sign can be told from that."""
+    """Physics that is missing outweighs what is simulated: its sign cannot be determined."""
     one = recording(1.0)
     assert sign_and_unit_warnings(one.with_columns({"E": one.array("E") - 0.2 * one.array("x")}, {})) == ()
 

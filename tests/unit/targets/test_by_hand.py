@@ -335,7 +335,7 @@ def test_the_number_of_points_to_enter_is_that_of_the_file_on_an_axis_that_turns
     assert count > 2 and re.search(rf"(NPOINTS \(P16\)|MAX_POINTS( of each table)?) = {count}\b", says), says
 
 
-def test_no_backlash_of_the_control_stands_beside_a_file_of_both_directions():
+def test_no_backlash_value_of_the_control_with_a_file_of_both_directions():
     """PMAC's is in the file: set to 0 by hand, half of its tables would be lost."""
     table = table_of("reversal grows over the travel")
     says = {

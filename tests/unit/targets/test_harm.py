@@ -1,4 +1,4 @@
-"""Files that leave an axis worse off than without them are not written, and states in which they do are said."""
+"""Files that leave an axis worse off than without them are not written, and states in which they do are reported."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def scale(default):
     return at_temperatures(machines.compile_(("EXX", [expansion])), default)
 
 
-def test_harm_in_some_thermal_states_is_said_where_files_are_listed(tmp_path):
+def test_harm_in_some_thermal_states_is_stated_where_files_are_listed(tmp_path):
     answer, checklist, _ = exported(scale(24.0), "sinumerik_lec", tmp_path)
     (said,) = [x for x in answer["says"] if "worse than without these files where T = 16 degC" in x]
     assert said in checklist and said in answer["files"][0]["worse"]

@@ -170,7 +170,7 @@ def at_temperatures(table, default):
     return table.model_copy(update={"inputs": tuple(inputs)})
 
 
-def test_a_curve_of_one_thermal_state_is_told_to_harm_in_another() -> None:
+def test_a_curve_of_one_thermal_state_is_reported_to_harm_in_another() -> None:
     """Expansion of a scale: the curve at 24 degC, the middle of the range, is the wrong way at 16 degC."""
     expansion_of_scale = Lowered(d.above("T", 20.0), "X", lambda x: 0.008 * x)
     table = at_temperatures(machines.compile_(("EXX", [expansion_of_scale])), default=24.0)

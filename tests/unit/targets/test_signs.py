@@ -96,7 +96,7 @@ def test_every_target_and_every_runtime_moves_a_machine_that_goes_too_far_back(t
 
 @pytest.mark.parametrize("axis", ["U", "X2"])
 def test_the_positioning_of_a_second_axis_along_x_moves_that_axis_and_not_x(axis):
-    """EXU and EXX2 are deviations along X of the axes U and X2: X was told to go back by them."""
+    """EXU and EXX2 are deviations along X of the axes U and X2: X was commanded back by them."""
     from errpipe import tables
     from errpipe.domain import components
     from errpipe.domain.table import TableInput

@@ -167,7 +167,7 @@ def test_a_truncated_file_is_refused_or_ends_earlier(target):
     assert short.positions[-1] < 0.6 * _sample.span(table, "X")[1]
 
 
-def test_linuxcnc_stops_at_the_first_odd_line_without_a_word():
+def test_linuxcnc_stops_at_the_first_invalid_line_without_a_message():
     (target,) = [t for t in TARGETS if t.name == "linuxcnc_screw"]
     files = target.write(machines.too_long_at_plus_x())
     assert not files["x.comp"].startswith("#")
@@ -214,7 +214,7 @@ def test_a_file_per_kelvin_says_where_its_table_counts_from_the_start(target):
 
 
 def test_a_mesh_that_fades_out_with_height_is_no_compensation():
-    """Marlin keeps the fade height it was built with, 10 mm, unless told 0: above, nothing was corrected."""
+    """Marlin keeps the fade height it was built with, 10 mm, unless it is set to 0: above, nothing was corrected."""
     (target,) = [t for t in TARGETS if t.name == "marlin_gcode"]
     files = target.write(machines.bent())
     (name,) = files

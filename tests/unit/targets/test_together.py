@@ -85,7 +85,7 @@ def test_compare_targets_shows_the_best_choice(tmp_path):
     assert all(row["rms_um"] < 0.3 for row in says if " + " in row["target"])
 
 
-def test_an_export_of_companions_writes_them_beside_each_other(tmp_path):
+def test_an_export_of_companions_writes_one_folder_each(tmp_path):
     table = bent_and_warm()
     files = stage.write_targets(table, ["sinumerik_lec", "sinumerik_cec"], tmp_path)
     assert {f["file"].split("/")[0] for f in files} == {"sinumerik_lec", "sinumerik_cec"}

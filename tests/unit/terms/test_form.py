@@ -16,7 +16,7 @@ from tests.unit.diagnosis.machines import recording
 
 
 def wet(reference: float):
-    """A spindle nose that follows the coolant while it flows, counted from a temperature that nobody measures."""
+    """A spindle nose that follows the coolant while it flows, counted from a temperature that is not measured."""
     t, rng = 60.0 * np.arange(600), np.random.default_rng(1)
     flow = np.repeat(rng.integers(0, 2, 60), 10).astype(float)
     coolant = 21.0 + 1.5 * np.sin(t / 9000)

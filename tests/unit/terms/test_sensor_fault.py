@@ -1,4 +1,4 @@
-"""A faulty sensor: what the others say of it is worked out once, however many stretches are suspected."""
+"""A faulty sensor: its estimate from the others is computed once, however many stretches are flagged."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _recording() -> Recording:
     return recording(columns, kinds)
 
 
-def test_lags_of_the_other_sensors_are_worked_out_once_for_all_suspected_stretches(monkeypatch) -> None:
+def test_lags_of_the_other_sensors_are_computed_once_for_all_flagged_stretches(monkeypatch) -> None:
     calls, lag = [], sensor_fault.lag
     monkeypatch.setattr(sensor_fault, "lag", lambda *a: calls.append(a[3]) or lag(*a))
     made = _recording()

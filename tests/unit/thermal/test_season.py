@@ -23,7 +23,7 @@ STEP = 140.0
 
 
 def machine(runs: int = 8, warm: float = 0.0, seed: int = 0, rows: int = 120, room_early: float = 0.0) -> Recording:
-    """Days of a lathe: a spindle that runs, stops for lunch, runs again; a bed; a slide nobody measures."""
+    """Days of a lathe: a spindle that runs, stops for lunch, runs again; a bed; a slide without a sensor."""
     rng = np.random.default_rng(seed)
     frames = []
     for k in range(runs):

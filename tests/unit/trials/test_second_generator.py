@@ -136,7 +136,7 @@ def test_a_heated_rod_keeps_its_energy_and_levels_out() -> None:
     assert np.ptp(rise[-1]) < 0.02 * rise[99].max()
 
 
-def test_a_lone_body_follows_the_exponential() -> None:
+def test_a_single_body_follows_the_exponential() -> None:
     n, step = 400, 30.0
     power = np.full((n, 1), 20.0)
     air = np.full(n, 20.0)

@@ -5,7 +5,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError
 from errpipe.models.terms import Terms
 from errpipe.simulation import spindle_drift
-from errpipe.validation.held_out import in_short
+from errpipe.validation.held_out import summarise_reasons
 from tests.validation_document import held_out
 
 
@@ -25,7 +25,7 @@ def with_response(recording, values):
     return Recording(recording.manifest, recording.frame.assign(E_Z=values))
 
 
-def test_every_figure_stands_beside_doing_nothing_and_the_floor(drift):
+def test_every_figure_is_given_with_the_uncompensated_one_and_the_noise_floor(drift):
     judged = held_out(drift, spec(*GOOD))
     figures = judged["components"][0]
     assert judged["scheme"] == "leave-one-run-out"
@@ -83,5 +83,5 @@ def test_the_document_is_plain_json(drift):
 def test_a_sensor_that_died_is_one_sentence() -> None:
     """Not one for every night since: that of a year of nights would bury all else."""
     why = "no judged row has a value (empty in all of them: screw)"
-    said = in_short([f"hold-out night {n}: {why}" for n in range(45, 84)] + ["hold-out day 3: another"])
+    said = summarise_reasons([f"hold-out night {n}: {why}" for n in range(45, 84)] + ["hold-out day 3: another"])
     assert said == [f"hold-out night 45 to night 83 (39): {why}", "hold-out day 3: another"]

@@ -1,4 +1,4 @@
-"""One run: what is said of the next one, and what is not exported although blocks of the run were predicted well."""
+"""One run: what it predicts of the next, and what is not exported although blocks of the run were predicted well."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ def recorded(columns: dict[str, np.ndarray], error: np.ndarray) -> Recording:
     return Recording(Manifest(recording=1, tables=("t.csv",), columns=kinds), frame)
 
 
-def test_sound_runs_are_not_odd() -> None:
+def test_normal_runs_are_not_outlying() -> None:
     for seed in range(20):
         columns, error = machine(seed)
         noise = np.random.default_rng(seed + 100).normal(0.0, 0.8, RUN.size)
@@ -61,7 +61,7 @@ def test_one_sensor_in_another_unit_for_one_night_is_named_with_the_unit() -> No
     assert (odd.run, odd.what, odd.says) == (str(WRONG), "T_bed", "reads as if in degF instead of degC")
 
 
-def test_a_sensor_that_drifts_is_not_odd() -> None:
+def test_a_sensor_that_drifts_makes_no_outlying_run() -> None:
     for seed, rate in ((9, 1.5), (11, -0.4), (12, 0.1), (13, -0.1), (14, 0.2)):
         columns, error = machine(seed)
         columns["T_bed"] = columns["T_bed"] + rate * np.maximum(0, RUN - OLD)

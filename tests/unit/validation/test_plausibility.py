@@ -1,4 +1,4 @@
-"""Wrong declarations are refused with what was meant; right ones, however odd, are not."""
+"""Wrong declarations are refused with what was meant; right ones, however unusual, are not."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def test_nothing_changed() -> None:
 
 
 def test_runs_that_hardly_move_raise_no_alarm() -> None:
-    """Their slopes scatter by more: 17 of 60 series were said to have another size."""
+    """Their slopes scatter by more: for 17 of 60 series another size was reported."""
     still = np.ones(OLD + NEW), np.zeros(OLD + NEW)
     assert sum(bool(changed(*still, seed, moving=0.3)["sizes"]) for seed in range(60)) <= 4
 
@@ -88,7 +88,7 @@ def test_lost_motion_moves_the_rms_alone() -> None:
     assert rms["before_um"] == pytest.approx(0.5, abs=0.1) and rms["after_um"] == pytest.approx(0.94, abs=0.15)
 
 
-def test_one_odd_run_is_no_change() -> None:
+def test_one_outlying_run_is_no_change() -> None:
     factor = np.ones(OLD + NEW)
     factor[OLD + 2] = -0.5
     assert changed(factor, np.zeros(OLD + NEW))["sizes"] == []
@@ -104,7 +104,7 @@ def test_a_level_that_moved_in_one_duty_cycle_alone_says_which() -> None:
     assert level["regime"] == ""
 
 
-def test_a_level_that_moved_in_a_third_of_the_runs_is_no_odd_run() -> None:
+def test_a_level_that_moved_in_a_third_of_the_runs_is_no_outlying_run() -> None:
     number = np.arange(OLD + NEW)
     cycle = np.where(number % 3 == 1, "milling", "idle")
     shift = np.where((number >= OLD) & (cycle == "milling"), 8.0, 0.0)

@@ -150,7 +150,7 @@ def sensors(drifting: int | None, per_day: float, seed: int = 3) -> tuple[Record
 
 
 @pytest.mark.parametrize("drifting", range(4))
-def test_the_sensor_that_drifts_is_blamed_and_the_day_is_right(drifting: int) -> None:
+def test_the_sensor_that_drifts_is_isolated_and_the_day_is_right(drifting: int) -> None:
     recording, reference = sensors(drifting, 0.3)
     first = sensor_drift(recording, reference)[0]
     assert first.isolated and first.column == f"T_{drifting}"
@@ -262,7 +262,7 @@ def test_a_response_that_shows_a_quarter_of_it_does_not_blame_the_sensor() -> No
     assert drift.healthy and not drift.flagged
 
 
-def test_of_two_sensors_that_disagree_none_is_suspected_and_a_response_clears_them() -> None:
+def test_of_two_sensors_that_disagree_none_is_flagged_and_a_response_confirms_them() -> None:
     recording, reference = moved("T_2", -2.0)
     kinds = {n: c for n, c in recording.manifest.columns.items() if n not in ("T_0", "T_3")}
     manifest = recording.manifest.model_copy(update={"columns": kinds})

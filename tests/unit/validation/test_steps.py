@@ -57,7 +57,7 @@ def test_a_wrong_reading_a_warm_up_and_steps_over_a_position_are_none():
     assert found(left, X=np.tile(np.arange(ROWS), RUNS)) == []
 
 
-def test_a_model_that_often_leaves_steps_is_not_blamed_on_the_probe():
+def test_steps_that_a_model_often_leaves_are_not_attributed_to_the_probe():
     """Growth at high speed that no sensor shows: up and down again all day."""
     left = residuals(9) + 10.0 * (np.arange(ROWS) // 30 % 2)
     assert found(left) == []

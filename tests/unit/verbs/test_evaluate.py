@@ -1,4 +1,4 @@
-"""`errpipe eval`: a reading beyond what was measured, or that the table rejects, is said."""
+"""`errpipe eval`: a reading beyond what was measured, or that the table rejects, is reported."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def test_parts_state_what_the_whole_would() -> None:
     assert joined(part("1", 0.0, 1.0), replace(gaps, runs=None)).runs is None
 
 
-def test_each_part_is_told_where_it_begins_in_the_whole() -> None:
+def test_each_part_is_given_its_first_row_in_the_whole() -> None:
     told: list[Any] = []
     parts = [part("1", 0.0, 1.0), part("2", 0.0, 1.0)]
     whole = _fleet_history._together([(p, "-") for p in parts], ["a", "b"], lambda f, each: told.extend(each))

@@ -23,7 +23,7 @@ def document(*gates: tuple[str, bool], **drift: list[Any]) -> dict[str, Any]:
     return {"title": "lathe 2", "gates": judged, "drift": EMPTY | drift, "narrower": []}
 
 
-def test_a_quiet_night_is_no_failure() -> None:
+def test_a_night_without_findings_is_no_failure() -> None:
     """Evidence that has yet to come is red on no page; another gate that fails is."""
     quiet = document(("evidence", False), ("inputs", True))
     assert ElementTree.fromstring(pages.junit(quiet)).attrib | {"name": ""} == {
@@ -67,7 +67,7 @@ def test_only_the_sensor_that_drifts_is_called_so() -> None:
     assert "since run day 23: the machine changed, or T\\_nut reads wrong." in page
 
 
-def test_an_odd_run_is_annotated() -> None:
+def test_an_outlying_run_is_annotated() -> None:
     odd = {"run": "night 45", "what": "screw and hall", "says": "read as if exchanged"}
     (said,) = pages.github_annotations(document(("inputs", True), runs=[odd]))
     assert said == "::warning title=drift::Run night 45, screw and hall: read as if exchanged"
@@ -105,7 +105,7 @@ def test_a_full_disk_leaves_no_page_of_the_look_before(tmp_path: Path, monkeypat
 
 
 def test_the_page_says_what_to_do_next() -> None:
-    """A quiet night asks for nothing; a failed gate for something; a promotion says where the challenger is."""
+    """A night without findings asks for nothing; a failed gate for something; a promotion names the challenger."""
     page = {"title": "", "e_value": 2.0, "e_value_needed": 20.0, "fitted_on_all": "", "fitted_since": None}
     said = {}
     for name, decision, gates in (
@@ -116,7 +116,7 @@ def test_the_page_says_what_to_do_next() -> None:
         text = pages.markdown(document(*gates) | page | {"decision": decision})
         said[name] = text.partition("**Next:** ")[2].partition("\n")[0]
         assert "reaches 20 in at most 0.05 of all histories" in text
-    assert said["quiet"].startswith("nothing.") and "Put right" in said["failed"] and "put `run`" in said["better"]
+    assert said["quiet"].startswith("nothing.") and "Correct each" in said["failed"] and "put `run`" in said["better"]
 
 
 def test_a_damaged_document_of_the_look_before_says_what_it_holds(tmp_path: Path) -> None:

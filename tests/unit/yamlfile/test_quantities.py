@@ -69,7 +69,7 @@ def test_quantities_in_fields() -> None:
 
 
 class Late(Options):
-    """No `kind`: told from its neighbours in a union by not having one."""
+    """No `kind`: distinguished from the other members of a union by that."""
 
     tau: tuple[float, ...] = Field(min_length=1, json_schema_extra={"unit": "s"})
     above: float = Field(0.0, json_schema_extra={"unit": "of the input"})
