@@ -13,7 +13,17 @@ from errpipe.importing import values
 from errpipe.importing.dates import seconds
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.units import in_brackets
-from errpipe.importing.words import AXIS_LETTER, CORRECTION, DISPLACEMENT, DISTANCE, DOWN, GROUPS, UP, kind_by_name, plain
+from errpipe.importing.words import (
+    AXIS_LETTER,
+    CORRECTION,
+    DISPLACEMENT,
+    DISTANCE,
+    DOWN,
+    GROUPS,
+    UP,
+    kind_by_name,
+    plain,
+)
 
 KIND_OF_UNIT = {
     **dict.fromkeys(("degC", "degF", "K"), "temperature"),

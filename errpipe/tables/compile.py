@@ -78,8 +78,9 @@ def compile_table(
     inputs: every input that drivers and profiles read (positions by axis; unused inputs are left out);
     outputs: None gives one output per component; travel: axis -> range of its profiles (default: the position
     input's validity, else its plausible range); turning: rotary axes that turn on, besides those whose travel is one
-    turn, within the error of an axis; limited: those that do not; error_bound: largest interpolation error of each pair at its driver's largest value, um or urad; stated: what
-    the table states. Raises GateError if a component cannot be compiled.
+    turn, within the error of an axis; limited: those that do not; error_bound: largest interpolation error of each pair
+    at its driver's largest value, um or urad; stated: what the table states. Raises GateError if a component cannot be
+    compiled.
     """
     slow_every = _cycles(thermal_cycle_s, position_cycle_s)
     build = Nodes({i.name: i for i in inputs}, slow_every * position_cycle_s)
