@@ -12,9 +12,9 @@ from errpipe.targets import TARGETS, _sample
 from tests.unit.tables.made import position
 
 
-def rotary(low: float, high: float, nodes: tuple[float, ...] = (), height: float = 30.0):
-    """Deviation height * sin(x), urad, over a rotary axis that was measured from low to high, deg."""
-    curve = Lowered(d.ONE, "C", lambda x: height * np.sin(np.radians(x)), None, nodes)
+def rotary(low: float, high: float, nodes: tuple[float, ...] = (), slope: float = 0.0):
+    """Deviation (30 + 200 slope) sin(x) + slope * x, urad, over a rotary axis measured from low to high, deg."""
+    curve = Lowered(d.ONE, "C", lambda x: (30.0 + 200.0 * slope) * np.sin(np.radians(x)) + slope * x, None, nodes)
     channel = position("c", "C", low=-720.0, high=1080.0)
     return tables.compile_table(
         [tables.ComponentSource("ECC", "urad", (curve,), True)], inputs=[channel], travel={"C": (low, high)}
@@ -46,8 +46,8 @@ def test_a_control_that_counts_from_0_has_its_turn_from_0() -> None:
 
 
 def test_a_turn_that_ends_short_of_itself_closes_without_a_step() -> None:
-    """A smooth curve that went on beyond 359.99 deg stepped by 0.07 urad there: no grid was fine enough."""
-    assert _sample.span(rotary(0.01, 359.99, height=200.0), "C") == (0.0, 360.0)
+    """A smooth curve that went on beyond 359.98 deg stepped by 0.015 urad there: no grid was fine enough."""
+    assert _sample.span(rotary(0.0, 359.98, slope=0.05), "C") == (0.0, 360.0)
 
 
 def test_an_axis_that_does_not_turn_on_keeps_the_difference_of_its_ends() -> None:
