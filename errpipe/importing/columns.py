@@ -13,7 +13,17 @@ from errpipe.importing import values
 from errpipe.importing.dates import seconds
 from errpipe.importing.layout import Layout, RawColumn
 from errpipe.importing.units import in_brackets
-from errpipe.importing.words import AXIS_LETTER, CORRECTION, DISPLACEMENT, DOWN, GROUPS, UP, kind_by_name, plain
+from errpipe.importing.words import (
+    AXIS_LETTER,
+    CORRECTION,
+    DISPLACEMENT,
+    DISTANCE,
+    DOWN,
+    GROUPS,
+    UP,
+    kind_by_name,
+    plain,
+)
 
 KIND_OF_UNIT = {
     **dict.fromkeys(("degC", "degF", "K"), "temperature"),
@@ -121,9 +131,14 @@ def with_one_clock(guesses: Guesses) -> Guesses:
 def with_position_column(columns: list[RawColumn], guesses: Guesses, stated: str | None) -> Guesses:
     """The guesses; if no column is a position, the only column that names an axis and has the size of a travel is one.
 
+    A distance beside a position and a reading is none.
     stated: an axis declared by the user; for a rotary one the only column of angles is the position: `q1 [rad]`.
     """
-    if any(g.kind in PLACE for g in guesses.values()):
+    places = {h: g for h, g in guesses.items() if g.kind in PLACE}
+    apart = [h for h, g in places.items() if g.why and re.search(DISTANCE, plain(h))]
+    if apart and len(apart) < len(places) and any(g.kind == "error" for g in guesses.values()):
+        return guesses | dict.fromkeys(apart, ColumnGuess("ignore", None, "a distance beside a position"))
+    if places:
         return guesses
     small = [c for c in columns if guesses[c.header].why.endswith(TOO_SMALL)]
     read = [c for c in columns if guesses[c.header].kind == "error" and c not in small]

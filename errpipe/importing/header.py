@@ -11,7 +11,7 @@ from errpipe.importing.blocks import COMMENT
 from errpipe.importing.sheet import Cell, Numbers, Rows, Sheet, filled_cells, label, number
 from errpipe.importing.units import split_header, unit_of
 from errpipe.importing.units_above import UNITS
-from errpipe.importing.words import kind_by_name, plain
+from errpipe.importing.words import is_correction, kind_by_name, plain, way_in
 
 DEEPEST_LEGEND = 200  # rows of a legend, and of a sheet above its data: the longest known preamble has 60
 NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
@@ -133,7 +133,7 @@ def names_of(rows: Rows, head: list[int], width: int) -> tuple[list[str], list[s
         if of_units is not None:
             units = [unit_of(t.strip("[]() ")) if t else None for t in texts.pop(of_units)[:width]]
     whole = [len({*t[:width]}) == width and all(split_header(n)[1] for n in t[:width]) for t in texts]
-    if sum(whole) == 1 and not whole[-1] and not any(units):  # rows below are of devices and starting times
+    if sum(whole) == 1 and not any(units) and _of_devices(texts[whole.index(True) + 1 :]):
         used -= whole.index(True)
         texts = [texts[whole.index(True)]]
     if len(texts) > 2:  # more than a group row above the names: the rest is a preamble
@@ -156,6 +156,14 @@ def names_of(rows: Rows, head: list[int], width: int) -> tuple[list[str], list[s
     else:
         names = texts[0][:width]
     return [n or f"column {i + 1}" for i, n in enumerate(names)], units, used
+
+
+def _of_devices(rows: list[list[str]]) -> bool:
+    """Whether rows below complete names hold devices and, at last, starting times, but no quantity, side or sign."""
+    starts = [t for t in rows[-1][1:] if t] if rows else []
+    others = [t for row in rows[:-1] for t in row if t]
+    states = any(kind_by_name(t) or len(way_in(t) or "") > 1 or is_correction(t) for t in others)
+    return bool(starts) and all(map(is_moment, starts)) and not states
 
 
 def _are_units(texts: list[str]) -> bool:

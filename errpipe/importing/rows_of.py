@@ -39,7 +39,8 @@ def one_axis(layout: Layout, options: ImportOptions) -> Layout:
 def of_one_axis(layout: Layout, guesses: guessing.Guesses, options: ImportOptions) -> tuple[Layout, guessing.Guesses]:
     """Columns of one axis if the positions and readings of several stand side by side, in lists of unequal length.
 
-    Raises DataError if no option states the axis: a row of such a table is no state of the machine.
+    Raises DataError if no option states the axis, or that tool points were measured, where a row is one state of the
+    machine.
     """
     lists: dict[str, np.ndarray] = {}
     for axis in sorted({str(g.axis) for g in guesses.values() if g.axis}):
@@ -49,14 +50,17 @@ def of_one_axis(layout: Layout, guesses: guessing.Guesses, options: ImportOption
             lists[axis] = np.all(places, axis=0)
     whole = np.all([*lists.values()], axis=0) if lists else np.zeros(0)
     timed = any(g.kind == "time" for g in guesses.values())
-    if timed or len(lists) < 2 or all(int(rows.sum()) == int(whole.sum()) for rows in lists.values()):
+    of_points = any(keys.get("component", "").startswith("E_") for keys in options.sets.values())
+    if timed or of_points or len(lists) < 2 or all(int(rows.sum()) == int(whole.sum()) for rows in lists.values()):
         return layout, guesses
     stated = options.axis or (options.component or "")[-1:]
     if stated not in lists:
+        reading = next(h for h, g in guesses.items() if g.kind == "error" and g.axis in lists)
         lengths = ", ".join(f"{name} {int(rows.sum())}" for name, rows in lists.items())
         raise DataError(
             f"positions and readings of several axes stand side by side (rows: {lengths}): select one with "
-            f"--axis {next(iter(lists))}; one recording for each"
+            f"--axis {next(iter(lists))}; one recording for each (of tool points: --set '{reading}.component="
+            f"E_{guesses[reading].axis}' and so on)"
         )
     own = [c for c in layout.columns if guesses[c.header].axis in (None, stated)]
     note = f"columns of other axes than {stated} were excluded: their lists stand side by side"

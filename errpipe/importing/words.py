@@ -45,6 +45,8 @@ DISPLACEMENT = (
     r"|変位|位移)"
 )
 
+DISTANCE = r"^dist(ance|anz|anza|ancia)?$"  # a position where no other column is one
+
 # Header of labels that can form hold-out groups -> what they label (`of` in the manifest).
 GROUPS = {
     "season": r"season|saison|jahreszeit",
@@ -142,7 +144,7 @@ WORDS: tuple[tuple[str, str], ...] = (
         "actual",
     ),
     (
-        r"(position|\bpos|^dist(ance|anz|anza|ancia)?$|^[xyzabcuvw]\d?$|^[pxyz] ?i$|weg"
+        rf"(position|\bpos|{DISTANCE}|^[xyzabcuvw]\d?$|^[pxyz] ?i$|weg"
         r"|^[xyz] ?(axis|achse|-achse)|\b(angle|(dreh|schwenk)?winkel)\b"
         r"|posizione|posicion|\bquota\b|\bcotas?\b|\bcotes?\b|\bpozyc|\bpozic|\bposicao|位置|позици|положени|координат)",
         "position",

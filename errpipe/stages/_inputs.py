@@ -19,12 +19,14 @@ from errpipe.guard import rates
 from errpipe.guard.description import GuardedSensor, SensorGuard
 from errpipe.guard.detect import FADE_S
 from errpipe.guard.rates import ReadingRate
+from errpipe.tables.turn import TURN
 
 FORCE_STALE = 0.1  # s: an older force is of another cut
 # Of the largest force or velocity that was fitted: what is proportional to it continues somewhat beyond it (by
 # judgement). A larger force is that of a failed sensor, a larger velocity counts as this: either would move the axis
 # by millimetres.
 BEYOND = 2.0
+DISPLAYED = 0.01  # deg: coarser than the last digit of any modulo display (by judgement)
 # Role of a column -> kind of the controller's channel, lowest and highest plausible reading, stale after (s).
 CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {
     "position": ("position", -1e5, 1e5, None),
@@ -200,8 +202,18 @@ def with_positions(model: ErrorModel, axes: Iterable[str], recording: Recording 
 
 def turning(model: ErrorModel) -> set[str]:
     """Rotary axes with a stated travel of a turn or more (modulo axes)."""
-    ends = {letter: facts["travel"] for letter, facts in model.constants.items() if facts.get("travel")}
-    return {x for x, (low, high) in ends.items() if model.constants[x].get("kind") == "rotary" and high - low >= 360.0}
+    return {axis for axis, length in _stated_turns(model).items() if length >= TURN}
+
+
+def limited(model: ErrorModel) -> set[str]:
+    """Rotary axes with a stated travel of less than a turn; 0 to 359.999 deg is how a modulo axis is displayed."""
+    return {axis for axis, length in _stated_turns(model).items() if length < TURN - DISPLAYED}
+
+
+def _stated_turns(model: ErrorModel) -> dict[str, float]:
+    """Rotary axis -> length of its stated travel, deg."""
+    ends = {x: facts["travel"] for x, facts in model.constants.items() if facts.get("travel")}
+    return {x: high - low for x, (low, high) in ends.items() if model.constants[x].get("kind") == "rotary"}
 
 
 def refuse_unknown_inputs(drivers: Iterable[d.Driver], model: ErrorModel) -> None:

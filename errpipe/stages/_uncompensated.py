@@ -100,7 +100,8 @@ def _by_files(
             )
         side = motion.direction(recording, components.parse(name).axis or output.axis)
         own = read.moving(output.axis)
-        positions = {over: motion.position(recording, over) for over in own.spans()}
+        read_axes = {*own.spans(), *(line.axis for line in own.lines)}
+        positions = {over: motion.position(recording, over) for over in read_axes}
         sensors = {line.sensor: recording.array(line.sensor) for line in own.lines}
         correction = own.correction(output.axis, positions, side, sensors)
         unit = output.terms[0].weight * output.factor * _sample.MACHINE_UNITS[output.correction_unit]

@@ -67,6 +67,7 @@ def compile_table(
     outputs: Sequence[OutputSource] | None = None,
     travel: Mapping[str, tuple[float, float]] | None = None,
     turning: Collection[str] = (),
+    limited: Collection[str] = (),
     error_bound: float = 0.01,
     position_cycle_s: float = 0.001,
     thermal_cycle_s: float = 1.0,
@@ -77,8 +78,9 @@ def compile_table(
     inputs: every input that drivers and profiles read (positions by axis; unused inputs are left out);
     outputs: None gives one output per component; travel: axis -> range of its profiles (default: the position
     input's validity, else its plausible range); turning: rotary axes that turn on, besides those whose travel is one
-    turn; error_bound: largest interpolation error of each pair at its driver's largest value, um or urad; stated: what
-    the table states. Raises GateError if a component cannot be compiled.
+    turn, within the error of an axis; limited: those that do not; error_bound: largest interpolation error of each pair
+    at its driver's largest value, um or urad; stated: what the table states. Raises GateError if a component cannot be
+    compiled.
     """
     slow_every = _cycles(thermal_cycle_s, position_cycle_s)
     build = Nodes({i.name: i for i in inputs}, slow_every * position_cycle_s)
@@ -87,6 +89,7 @@ def compile_table(
     spans = bounds.node_spans(build.nodes, inputs)
     flat = [g for own_groups in groups for g in own_groups]
     seen, turns = _turns(inputs, travel or {}, turning)
+    turns -= {*limited}
     flat = [g.closed(*seen[g.axis]) if g.axis in turns and g.period is None else g for g in flat]
     made = [g.profile(build, spans, seen, error_bound) for g in flat]
     made = _on_common_grids(flat, made)

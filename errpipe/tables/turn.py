@@ -60,7 +60,7 @@ def close(bare: Curve, axis: str, low: float, high: float, nodes: tuple[float, .
         if not is_whole(low, high):
             rest = _bridge(at - high, low + TURN - high, ends[::-1], slopes[::-1], straight=bool(nodes))
             return np.where(at <= high, bare(np.minimum(at, high)), rest)
-        return bare(at) - (ends[1] - ends[0]) * ((at - low) / TURN - 0.5)
+        return bare(np.minimum(at, high)) - (ends[1] - ends[0]) * ((at - low) / TURN - 0.5)
 
     if nodes and abs(nodes[-1] - nodes[0] - TURN) > SAME_STEP * TURN:
         nodes = () if is_whole(nodes[0], nodes[-1]) else (*nodes, nodes[0] + TURN)

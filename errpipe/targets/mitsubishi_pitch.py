@@ -52,7 +52,6 @@ class MitsubishiPitch(ScrewMap):
     )
 
     max_points, error_um = 500, 0.5
-    linear_only = "the manuals consulted do not state how a turn is divided"
 
     @classmethod
     def write(cls, table: CompensationTable) -> dict[str, str]:

@@ -152,3 +152,35 @@ def test_rows_of_devices_below_complete_names_are_no_names(tmp_path: Path) -> No
     ]
     recording = imported(tmp_path, written(tmp_path, "EXPORTED AS: ASCII", *head, *rows), sign="actual-minus-commanded")
     assert np.allclose(recording.array("E_Z"), ERROR) and recording.names("temperature") == ("T_Bett",)
+
+
+def test_rows_below_complete_names_that_state_a_side_or_a_sign_are_kept(tmp_path: Path) -> None:
+    """Runs with units, and below them the side of each run; a channel with its unit, and below it its quantity."""
+    rows = [f"{100 * k},{e:g},{e + 3:g}" for k, e in enumerate(ERROR)]
+    table = written(tmp_path, "Position [mm],Run 1 [um],Run 2 [um]", ",up,down", *rows)
+    recording = imported(tmp_path, table, sign="actual-minus-commanded", axis="X")
+    side = recording.array(recording.names("direction")[0])
+    assert sorted(recording.array("EXX")[side < 0]) == pytest.approx(sorted(ERROR + 3))
+    rows = [f"{100 * k},{e:g}" for k, e in enumerate(ERROR)]
+    recording = imported(tmp_path, written(tmp_path, "X [mm],Ch 1 [um]", "commanded,correction", *rows))
+    assert recording.array(recording.name("error", component="EXX")) == pytest.approx(-ERROR)
+
+
+def test_points_of_which_some_lack_a_position_are_no_lists(tmp_path: Path) -> None:
+    """With their components stated, the rows with both positions are points; else a question."""
+    rows = [f"{x:g},{x if k else ''},{e:g},{-e:g}" for k, (x, e) in enumerate(zip(X, ERROR, strict=True))]
+    file = written(tmp_path, "X (mm),Y (mm),dX (um),dY (um)", *rows)
+    points = ["dX.component=E_X", "dY.component=E_Y"]
+    recording = imported(tmp_path, file, sets=points, sign="actual-minus-commanded")
+    assert recording.array("dX") == pytest.approx(ERROR[1:]) and recording.components() == ("E_X", "E_Y")
+    with pytest.raises(DataError, match=r"'dX\.component=E_X'"):
+        imported(tmp_path, file)
+
+
+def test_a_distance_is_a_position_only_where_there_is_no_other(tmp_path: Path) -> None:
+    rows = [f"{x:g},12.5,{e:g}" for x, e in zip(X, ERROR, strict=True)]
+    recording = imported(tmp_path, written(tmp_path, "X (mm),Dist (mm),Deviation (um)", *rows))
+    assert np.allclose(recording.array("X"), X) and recording.names("position") == ("X",)
+    rows = [f"{x:g},{e:g}" for x, e in zip(X, ERROR, strict=True)]
+    recording = imported(tmp_path, written(tmp_path, "Dist (mm),Deviation (um)", *rows), axis="X")
+    assert np.allclose(recording.array("Dist"), X)

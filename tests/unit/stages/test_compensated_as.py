@@ -11,11 +11,13 @@ import pytest
 from errpipe import tables
 from errpipe.cli.app import main
 from errpipe.domain import driver as d
+from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.drivers.lowered import Lowered
 from errpipe.formats import manifest_folder
+from errpipe.stages._uncompensated import uncompensated
 from errpipe.stages.targets import write_targets
 from errpipe.tables import ect
-from tests.unit.tables.made import position
+from tests.unit.tables.made import position, sensor
 
 PLACES = np.arange(0.0, 1001.0, 100.0)
 LOST = 6.0  # um: how much further the axis stands when it comes from above
@@ -98,3 +100,25 @@ def test_the_checklist_states_how_such_a_measurement_is_declared(tmp_path: Path)
     pages = {name: (tmp_path / name / "CHECKLIST.md").read_text() for name in ("grblhal_backlash", "c_runtime")}
     assert "compensated_by: table.ect, compensated_as: [grblhal_backlash]" in pages["grblhal_backlash"]
     assert "compensated_by: table.ect}" in pages["c_runtime"]
+
+
+@pytest.mark.parametrize("target", ["sinumerik_temperature", "beckhoff_temperature"])
+def test_files_of_a_line_per_kelvin_alone_act_at_the_position_of_each_row(tmp_path: Path, target: str) -> None:
+    """10 um/m per kelvin: no curve of these files names the axis, and its position was taken as the line's zero."""
+    x, warm = np.r_[PLACES, PLACES[-2::-1]], np.linspace(0.0, 8.0, 2 * PLACES.size - 1)
+    driver = d.Affine(weights=(1.0,), offset=-20.0, of=(d.Input(name="nut"),))
+    source = tables.ComponentSource("EXX", "um", (Lowered(driver, "X", lambda x: 0.01 * x),), True)
+    ect.write(
+        tables.compile_table([source], inputs=[position(), sensor("nut")], travel={"X": (0.0, 1000.0)}),
+        tmp_path / "table.ect",
+    )
+    columns = {
+        "run": Column(role="run"),
+        "x": Column(role="command", axis="X", unit="mm"),
+        "nut": Column(role="temperature", unit="degC"),
+        "EXX": Column(role="error", component="EXX", unit="um"),
+    }
+    frame = pd.DataFrame({"run": "1", "x": x, "nut": 20.0 + warm, "EXX": np.zeros(x.size)})
+    recording = Recording(Manifest(recording=1, tables=("recording.csv",), columns=columns), frame)
+    machine_itself, _ = uncompensated(recording, tmp_path / "table.ect", [target], None)
+    assert machine_itself.array("EXX") == pytest.approx(0.01 * x * warm, abs=0.1)

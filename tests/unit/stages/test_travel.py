@@ -135,3 +135,17 @@ def test_what_closing_a_turn_changes_is_in_the_bound(tmp_path):
     (proof,) = json.loads((tmp_path / "out" / "export" / "export.json").read_text())["proof"]
     assert 3.9 < proof["unguarded_difference_um"] <= proof["bound_um"] < 4.2
     assert main(["verify", str(tmp_path / "out" / "export")]) == 0
+
+
+def test_a_limited_axis_of_almost_a_turn_keeps_the_difference_of_its_ends(tmp_path):
+    """A scale error over -179.99 to 179.99 deg, the stated travel: it was closed, 9 urad wrong at either end."""
+    x = np.tile(np.linspace(-179.99, 179.99, 13), 8)
+    deviation = 0.05 * x + np.random.default_rng(8).normal(0, 0.1, x.size)
+    rows = {
+        "c": (x, {"role": "position", "axis": "C", "unit": "deg"}),
+        "ECC": (deviation, {"role": "error", "component": "ECC", "unit": "urad"}),
+    }
+    constants = {"C": {"kind": "rotary", "travel": (-179.99, 179.99), "unit": "deg"}}
+    assert run(tmp_path, TURNING % "linuxcnc_screw", rows, constants) == 0
+    table = ect.read(tmp_path / "out" / "export" / "table.ect")
+    assert _sample.span(table, "C") == (-179.99, 179.99)
