@@ -36,7 +36,7 @@ PLACES, SEED = 4000, 79  # places of the judge, mirrored; no other figure uses t
 
 @dataclass(frozen=True)
 class Outcome:
-    """axes: that passed the gate; left_out: components of it that stay as they are; before, after: true rms by axis
+    """axes: that passed the gate; left_out: components corrected in part or not; before, after: true rms by axis
     and of all, um.
     """
 
@@ -65,10 +65,10 @@ def outcome(name: str, protocol: str, seed: int) -> Outcome:
         axes = gate.pass_gate(document, [gate.judged(machine, document, tests)])
     except GateError:
         axes = ()
-    kept = gate.compensated(document, chain)
-    found = summary.errors(chain, document, kept=kept)
+    factors = gate.compensated(document, chain)
+    found = summary.errors(chain, document, factors)
     before, after = true_rms(chain, MachineErrors.of(chain, values, 401), found, axes)
-    return Outcome(axes, len(chain.components) - len(kept), before, after)
+    return Outcome(axes, len(chain.components) - sum(f == 1.0 for f in factors.values()), before, after)
 
 
 def _measured(chain: Chain, values: metrology.Values, protocol: str, seed: int) -> Recording:

@@ -7,7 +7,7 @@ rows alone, both without and with compensation, so that neither has an advantage
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,15 +72,14 @@ def judge(
     group: np.ndarray,
     names: Sequence[str],
     progress: Callable[[float, str], None] = lambda share, text: None,
-    kept: Sequence[str] | None = None,
+    factors: Mapping[str, float] | None = None,
 ) -> list[HeldOutGroup]:
     """Identify without each group and validate on it; an empty list if there is only one.
 
-    group (n,): number of each row's group, -1 for rows that are never held out. kept: components that are compensated
-    (default: all).
+    group (n,): number of each row's group, -1 for rows that are never held out. factors: of the components that are
+    compensated (default: 1 for all).
     """
-    names_of = np.array(model.chain.components)[model.prior.component]
-    used = np.ones(len(names_of), dtype=bool) if kept is None else np.isin(names_of, list(kept))
+    share = np.array([1.0 if factors is None else factors.get(c, 0.0) for c in model.chain.components])
     out = []
     for number, name in enumerate(names if len(names) > 1 else ()):
         rest = np.flatnonzero(group != number)
@@ -91,7 +90,7 @@ def judge(
         rows = np.flatnonzero(group == number)
         held_out = obs.take(rows)
         before = _without_setup(model, held_out, np.zeros(len(fitted.mean)), fitted.noise)
-        after = _without_setup(model, held_out, np.where(used, fitted.mean, 0.0), fitted.noise)
+        after = _without_setup(model, held_out, share[model.prior.component] * fitted.mean, fitted.noise)
         certain = np.median(held_out.noise) / held_out.noise
         out.append(HeldOutGroup(name, rows, before * certain, after * certain))
     return out

@@ -15,6 +15,7 @@ from statistics import NormalDist
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
 
 from errpipe.domain.components import parse
 from errpipe.kinematics import synthesis
@@ -31,9 +32,13 @@ PIECE = 500  # positions per block of the covariance, which bounds memory
 # Largest allowed probability that the machine, or an axis of it, gets worse. A campaign passes hundreds of axes, and at
 # 0.01 one got worse (five axes by R-test, seed 20 of `trials.volumetric`, X 18.4 -> 19.2 um, stated 0.004).
 MAX_HARM_PROBABILITY = 0.002
-# Components are left out until no axis exceeds this probability, where they can be: with 95 % none of 100 axes gets
-# worse (Bonferroni: 0.05 / 100). At 0.002 the same X got worse once more (19.2 -> 20.6 um, stated 0.0006).
-AIMED_HARM_PROBABILITY = 0.0005
+# Components are corrected in part until no axis exceeds this probability: with 99 % none of 100 axes gets worse
+# (Bonferroni: 0.01 / 100). Chosen on seeds 1 to 20, five axes by R-test and rotary bar: at 0.0003 and more the same X
+# gets worse (19.18 -> 19.26 um), at 0.0002 and less no axis.
+AIMED_HARM_PROBABILITY = 0.0001
+EVEN = 0.01  # weight of even factors beside the residual: a combination without effect is then left as it is
+FEWEST = 0.1  # smallest factor that the search starts from: at 0 the constraint has no slope
+TINY = 1e-12  # um2; the same
 TRUTH_POINTS = 401  # of a simulated component over the travel, as `truth.json` holds it
 
 Field = Callable[[np.ndarray], np.ndarray]  # axis positions (n, axes) -> deviation (n, 3) um
@@ -114,14 +119,15 @@ class Expected:
     """Expected effect of a compensation by an identification, from its posterior, without the workpiece's pose.
 
     effect_rms_um: of the compensated part; left_rms_um: expected residual; harm: the probability that the machine is
-    worse with it (rms over the travel). axes: the same of each linear axis. left_alone: components not compensated.
+    worse with it (rms over the travel). axes: the same of each linear axis. factors: of components that are compensated
+    in part or (0) not.
     """
 
     effect_rms_um: float
     left_rms_um: float
     harm: float
     axes: Mapping[str, Expected]
-    left_alone: tuple[str, ...] = ()
+    factors: Mapping[str, float] | None = None
 
     def document(self) -> dict[str, Any]:
         """As JSON values."""
@@ -129,7 +135,10 @@ class Expected:
         if not self.axes:
             return figures
         axes = {name: axis.document() for name, axis in self.axes.items()}
-        return figures | {"axes": axes, "left_alone": list(self.left_alone)}
+        factors = self.factors or {}
+        left_alone = [name for name, factor in factors.items() if factor == 0.0]
+        in_part = {name: factor for name, factor in factors.items() if factor > 0.0}
+        return figures | {"axes": axes, "left_alone": left_alone, "in_part": in_part}
 
 
 def expected(identified: Identified) -> Expected:
@@ -138,7 +147,7 @@ def expected(identified: Identified) -> Expected:
     With m the identified field, c its compensated part and the true one m + e, e ~ N(0, S), compensation gives
     |m + e - c| instead of |m + e|. It is worse if 2 c.e < |c|^2 - 2 c.m, i.e. with probability
     Phi((|c|^2 / 2 - c.m) / sqrt(c'S c)). A component that no reading observes enters S with its prior variance, so the
-    residual may exceed the correction; `_not_harmful` then excludes components. If only positioning was measured
+    residual may exceed the correction; `_factors` then reduces components. If only positioning was measured
     (a screw compensation), it is evaluated along its own line, so the others count neither before nor after.
     """
     chain, prior = identified.model.chain, identified.model.prior
@@ -154,53 +163,73 @@ def expected(identified: Identified) -> Expected:
     rows = (rows - pose @ (pose.T @ rows)).reshape(count, 3, -1)
     by_axis = np.einsum("nai,nip->anp", np.linalg.pinv(synthesis.linear_motion(chain, q)), rows)
     whole = by_axis.reshape(-1, rows.shape[2])
-    kept = _not_harmful(identified, [whole, *by_axis])
-    part = np.where(kept[prior.component], identified.mean, 0.0)
+    factors = _factors(identified, [whole, *by_axis])
+    part = factors[prior.component] * identified.mean
     names = chain.machine.correcting_axes()
     axes = {name: _expected(identified, part, own) for name, own in zip(names, by_axis, strict=True)}
-    others = tuple(n for n, k in zip(chain.components, kept, strict=True) if not k)
-    return replace(_expected(identified, part, whole, count), axes=axes, left_alone=others)
+    reduced = {n: float(s) for n, s in zip(chain.components, factors, strict=True) if s < 1.0}
+    return replace(_expected(identified, part, whole, count), axes=axes, factors=reduced)
 
 
-def _not_harmful(identified: Identified, fields: Sequence[np.ndarray]) -> np.ndarray:
-    """Mask over the chain's components: those whose compensation makes none of the fields worse.
+def _factors(identified: Identified, fields: Sequence[np.ndarray]) -> np.ndarray:
+    """Factor 0 to 1 of each of the chain's components in the correction, so that none of the fields gets worse.
 
-    Backward elimination: the component whose removal reduces the largest probability of harm most is removed first,
-    until no field exceeds AIMED_HARM_PROBABILITY; if none is left then, the first subset within MAX_HARM_PROBABILITY.
-    fields: rows (readings, parameters), um. All components if no subset passes, or if only fields within the noise of a
-    reading exceed it: those axes are not compensated.
+    Of all factors that keep the probability of harm of every field within AIMED_HARM_PROBABILITY, those that leave
+    least in the first. With factors s a field is worse with the probability Phi(-(g.s - s'As / 2) / sqrt(s'Ds)), so
+    that g.s - s'As / 2 - z sqrt(s'Ds) >= 0 bounds a convex set, and (1 - s)'A(1 - s) has one least value in it.
+    fields: rows (readings, parameters), um. All components are 1 if none helps, or if only fields within the noise of a
+    reading exceed the probability: those axes are not compensated.
     """
     prior = identified.model.prior
-    aimed, allowed = (NormalDist().inv_cdf(1.0 - p) for p in (AIMED_HARM_PROBABILITY, MAX_HARM_PROBABILITY))
     names = np.unique(prior.component)
     own = (prior.component[:, None] == names) * identified.mean[:, None]
-    gain, size, doubt = [], [], []
-    for rows in fields:
-        of_each = rows @ own
-        along = rows.T @ of_each
-        gain.append(of_each.T @ (rows @ identified.mean))
-        size.append(of_each.T @ of_each)
-        doubt.append(along.T @ identified.covariance @ along)
-
-    def margin(kept: np.ndarray, least: np.ndarray | float = 0.0) -> float:
-        power, spread = (np.einsum("i,fij,j->f", kept, np.array(of), kept) for of in (size, doubt))
-        sure = (np.array(gain) @ kept - 0.5 * power) / np.sqrt(np.maximum(spread, 1e-300))
-        return float(np.where(power > least, sure, np.inf).min())
-
-    kept, out = np.ones(names.size), np.ones(len(identified.model.chain.components), dtype=bool)
-    least: np.ndarray | float = np.array([len(rows) * identified.noise**2 for rows in fields])
-    sure = margin(kept, least)
-    first, least = (kept, least) if sure >= allowed else (None, 0.0)
-    while kept.any() and sure < aimed:
-        fewer = {int(k): np.where(np.arange(names.size) == k, 0.0, kept) for k in np.flatnonzero(kept)}
-        kept = fewer[max(fewer, key=lambda k: margin(fewer[k], least))]
-        sure = margin(kept, least)
-        first = kept if first is None and allowed <= sure < np.inf else first
-    if sure < np.inf:  # infinite: nothing is compensated
-        first = kept
-    if first is not None:
-        out[names] = (first > 0.0) | ~own.any(axis=0)  # a component of zero changes nothing
+    of_each = [rows @ own for rows in fields]
+    along = [rows.T @ columns for rows, columns in zip(fields, of_each, strict=True)]
+    size = np.array([columns.T @ columns for columns in of_each])
+    doubt = np.array([columns.T @ identified.covariance @ columns for columns in along])
+    quantile = NormalDist().inv_cdf(1.0 - AIMED_HARM_PROBABILITY)
+    power, spread = size.sum(axis=(1, 2)), np.sqrt(doubt.sum(axis=(1, 2)))
+    sure = 0.5 * power / np.maximum(spread, 1e-150)
+    noise = np.array([len(rows) * identified.noise**2 for rows in fields])
+    if (sure >= quantile)[power > noise].all():
+        return np.ones(len(identified.model.chain.components))
+    moved = np.flatnonzero((power > 0.0) & (spread > 0.0))
+    least = _least_left(size[moved], doubt[moved], quantile, max(2.0 - quantile / sure[moved].min(), FEWEST))
+    out = np.ones(len(identified.model.chain.components))
+    if least @ size[0] @ least > noise[0]:
+        out[names] = np.where(own.any(axis=0), least, 1.0)  # a component of zero changes nothing
     return out
+
+
+def _least_left(size: np.ndarray, doubt: np.ndarray, quantile: float, start: float) -> np.ndarray:
+    """The factors of `_factors`, from A and D of each field (fields, components, components), to 0.01.
+
+    start: the same factor for all, which is within the set if it is more than FEWEST.
+    """
+    count = size.shape[1]
+    unit = np.sqrt(doubt.sum(axis=(1, 2)))
+    left = size[0] / size[0].sum() + EVEN * np.eye(count) / count
+    gain = size.sum(axis=2)
+
+    def margin(s: np.ndarray) -> np.ndarray:
+        spread = np.sqrt(np.einsum("i,fij,j->f", s, doubt, s) + TINY)
+        return (gain @ s - 0.5 * np.einsum("i,fij,j->f", s, size, s) - quantile * spread) / unit
+
+    def slope(s: np.ndarray) -> np.ndarray:
+        along = doubt @ s
+        spread = np.sqrt(along @ s + TINY)
+        return (gain - size @ s - quantile * along / spread[:, None]) / unit[:, None]
+
+    found = minimize(
+        lambda s: (1.0 - s) @ left @ (1.0 - s),
+        np.full(count, start),
+        jac=lambda s: -2.0 * left @ (1.0 - s),
+        bounds=[(0.0, 1.0)] * count,
+        constraints={"type": "ineq", "fun": margin, "jac": slope},
+        method="SLSQP",
+        options={"maxiter": 500, "ftol": 1e-10},
+    )
+    return np.clip(np.round(found.x, 2), 0.0, 1.0)
 
 
 def _expected(identified: Identified, part: np.ndarray, rows: np.ndarray, count: int | None = None) -> Expected:

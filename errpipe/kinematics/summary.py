@@ -6,7 +6,7 @@ check all start from the same numbers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -85,8 +85,8 @@ def _numbers(values: np.ndarray) -> list[float]:
     return [round(float(v), 4) + 0.0 for v in values]
 
 
-def errors(chain: Chain, parameters: Mapping[str, Any], kept: Sequence[str] | None = None) -> MachineErrors:
-    """The components that `document` wrote, or those of them in `kept`; the others are zero.
+def errors(chain: Chain, parameters: Mapping[str, Any], factors: Mapping[str, float] | None = None) -> MachineErrors:
+    """The components that `document` wrote, or those named in `factors`, times these; the others are zero.
 
     Raises VerifyError if they are of another machine or version.
     """
@@ -94,9 +94,12 @@ def errors(chain: Chain, parameters: Mapping[str, Any], kept: Sequence[str] | No
         raise VerifyError(f"not an identification of version 1 (found {parameters.get('identification')!r})")
     if parameters["machine"] != chain.machine.name:
         raise VerifyError(f"the identification is of machine {parameters['machine']!r}, not of {chain.machine.name!r}")
-    values: dict[str, Any] = {row["component"]: float(row["value"]) for row in parameters["constants"]}
+    of = dict.fromkeys(chain.components, 1.0) if factors is None else factors
+    values: dict[str, Any] = {
+        row["component"]: of.get(row["component"], 0.0) * float(row["value"]) for row in parameters["constants"]
+    }
     nodes = 201  # of a curve over its axis, at least
     for name, curve in parameters["curves"].items():
-        values[name] = interpolated(curve)
+        values[name] = interpolated({**curve, "value": of.get(name, 0.0) * np.array(curve["value"])})
         nodes = max(nodes, len(curve["value"]))
-    return MachineErrors.of(chain, {n: v for n, v in values.items() if kept is None or n in kept}, nodes)
+    return MachineErrors.of(chain, values, nodes)

@@ -112,6 +112,7 @@ def page(solved: Solved, title: str) -> str:
             figures += ballbar_pages(test)
     data = {"title": title or chain.machine.name, "document": document, "figures": figures, "version": __version__}
     data["sign_note"] = _artefacts.SIGN_NOTE if document.get("sign") == "assumed" else ""
+    data["aimed"] = remaining.AIMED_HARM_PROBABILITY
     return render("identification.html.j2", data)
 
 

@@ -66,9 +66,13 @@ class ExportVolumetric(SignOptions, Stage):
         chain = compile_chain(yamlfile.load(folder / MACHINE, Machine))
         document = jsonfile.read(folder / IDENTIFICATION)
         axes = self._axes_that_gain(context, document, chain)
-        kept = chain.components if self.ungated else compensated(document, chain)
-        errors = summary.errors(chain, document, kept=kept)
-        reversal_lines = {n: line for n, line in reversals(document).items() if n in kept}
+        factors = dict.fromkeys(chain.components, 1.0) if self.ungated else compensated(document, chain)
+        errors = summary.errors(chain, document, factors)
+        reversal_lines = {
+            n: (factors[n] * value, factors[n] * slope, middle)
+            for n, (value, slope, middle) in reversals(document).items()
+            if n in factors
+        }
         title = _artefacts.ungated_title(context.title) if self.ungated else context.title
         title = _artefacts.sign_title(title) if document.get("sign") == "assumed" else title
         table = compile_machine(
@@ -84,10 +88,11 @@ class ExportVolumetric(SignOptions, Stage):
         files = [{"file": _artefacts.TABLE, "what": "volumetric table", "error": "0", "read_back": "equal"}]
         remarks = self.seal(table, context.folder / _artefacts.TABLE)
         left_out = [axis for axis in chain.machine.correcting_axes() if axis not in axes]
-        left_out += [component for component in chain.components if component not in kept]
-        note = not_corrected(left_out)
+        left_out += [component for component in chain.components if component not in factors]
+        in_part = {name: factor for name, factor in factors.items() if factor < 1.0}
+        note = not_corrected(left_out, in_part)
         files += write_targets(table, self.targets, context.folder, remarks, note)
-        facts: dict[str, Any] = {"proof": proof, "files": files, "left_out": left_out, "note": note}
+        facts: dict[str, Any] = {"proof": proof, "files": files, "left_out": left_out, "in_part": in_part, "note": note}
         if self.lattice is not None:
             facts["lattice"], text = lattice(chain, errors, self.lattice, self.lattice_tool, axes)
             context.write_text(LATTICE, text)
@@ -111,14 +116,15 @@ class ExportVolumetric(SignOptions, Stage):
         return machine.pass_gate(document, judged)
 
 
-def not_corrected(names: Sequence[str]) -> str:
-    """What a table does not correct, as a sentence for the checklists; nothing where it corrects all."""
-    if not names:
+def not_corrected(names: Sequence[str], in_part: Mapping[str, float]) -> str:
+    """What a table corrects not or in part, as sentences for the checklists; nothing where it corrects all."""
+    said = [f"Not corrected by this table: {', '.join(names)}."] if names else []
+    shares = ", ".join(f"{name} {factor:.0%}" for name, factor in in_part.items())
+    said += [f"Corrected in part: {shares}."] if shares else []
+    if not said:
         return ""
-    return (
-        f"Not corrected by this table: {', '.join(names)}. The measurements do not show well enough that correcting "
-        "them makes the machine better; it keeps these errors."
-    )
+    why = "The measurements do not show well enough that more correction makes every axis better; the rest stays."
+    return " ".join([*said, why])
 
 
 def bound(chain: Any, table: CompensationTable) -> float:

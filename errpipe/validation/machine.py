@@ -30,7 +30,7 @@ def judged(
 ) -> dict[str, Any]:
     """Held-out figures of each test, identified from the others: groups, and rms before and after by linear axis.
 
-    document: the identification with its procedure; components that it does not compensate are unchanged. Readings
+    document: the identification with its procedure; its factors reduce the compensation. Readings
     at the tool are held out by line, circle, plate or socket, records of components by run or target. A test without a
     second group is not included.
     """
@@ -38,7 +38,7 @@ def judged(
     lasers = {n: Laser(**beam) for n, beam in procedure["lasers"].items()}
     all_readings, counts = readings.of_tests(chain, tests, lasers, procedure["squares"])
     model = identify.Parametrisation.of(chain, procedure["modes"], tuple(procedure["without"]))
-    kept = compensated(document, chain)
+    factors = compensated(document, chain)
     out: dict[str, Any] = {}
     start = 0
     for name, count in counts.items():
@@ -47,20 +47,21 @@ def judged(
         number, labels = held_out.groups(chain, all_readings.take(rows_of_test))
         group = np.full(len(all_readings), -1)
         group[rows_of_test] = number
-        held = held_out.judge(model, all_readings, group, labels, progress, kept)
+        held = held_out.judge(model, all_readings, group, labels, progress, factors)
         if held:
             out[name] = _at_the_tool(chain, all_readings, held)
     for name, recording in tests.items():
         if name not in counts:
             family = _family(machine, procedure, recording)
-            figures = _of_components(chain, family, recording, progress, kept)
+            figures = _of_components(chain, family, recording, progress, factors)
             out |= {name: figures} if figures else {}
     return out
 
 
-def compensated(document: Mapping[str, Any], chain: Chain) -> tuple[str, ...]:
-    """Components of an identification that are compensated."""
-    return tuple(c for c in chain.components if c not in document["volumetric"].get("left_alone", ()))
+def compensated(document: Mapping[str, Any], chain: Chain) -> dict[str, float]:
+    """Components of an identification that are compensated, with the factor by which they are (1: fully)."""
+    left_alone, in_part = (document["volumetric"].get(k, {}) for k in ("left_alone", "in_part"))
+    return {c: in_part.get(c, 1.0) for c in chain.components if c not in left_alone}
 
 
 def _at_the_tool(chain: Chain, every: Any, left: list[held_out.HeldOutGroup]) -> dict[str, Any]:
@@ -92,17 +93,19 @@ def _family(machine: Machine, how: Mapping[str, Any], recording: Recording) -> D
 
 
 def _of_components(
-    chain: Chain, family: Direct, recording: Recording, progress: Any, kept: tuple[str, ...]
+    chain: Chain, family: Direct, recording: Recording, progress: Any, factors: Mapping[str, float]
 ) -> dict[str, Any]:
     """Figures of records of single components: each is weighted by its mean square arm in the volume, um.
 
-    kept: components that are compensated.
+    factors: of the components that are compensated.
     """
     groups, by_component = _held_out(family, recording, progress)
     if not by_component:
         return {}
     before = {c: np.concatenate([p.before for p in parts]) for c, parts in by_component.items()}
-    after = {c: np.concatenate([p.after for p in by_component[c]]) if c in kept else v for c, v in before.items()}
+    after = {
+        c: v + factors.get(c, 0.0) * (np.concatenate([p.after for p in by_component[c]]) - v) for c, v in before.items()
+    }
     squares = np.array([[np.mean(side[c] ** 2) for c in before] for side in (before, after)])  # (2, components), um2
     of_axes = _mean_square_arms(chain)[:, [chain.index(c) for c in before]] @ squares.T  # (axes, 2), um2
     axes = {x: _pair(np.sqrt(s)) for x, s in zip(chain.machine.correcting_axes(), of_axes, strict=True) if s[0] > 0.0}

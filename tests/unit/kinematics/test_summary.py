@@ -32,6 +32,16 @@ def test_the_document_is_plain_and_read_back_it_is_the_same_machine(found, tmp_p
     assert_allclose(synthesis.first_order(chain, q, again.at(q))[:, :3], result.predict(q)[0], atol=0.15)
 
 
+def test_a_component_compensated_in_part_is_read_back_in_part(found):
+    chain, test, result = found
+    written = summary.document(result, test)
+    full, part = summary.errors(chain, written), summary.errors(chain, written, {"EXX": 0.25, "C0Y": 0.5})
+    q = volume_points(chain, [3, 3, 3])
+    factors = np.array([{"EXX": 0.25, "C0Y": 0.5}.get(c, 0.0) for c in chain.components])
+    assert_allclose(part.at(q), full.at(q) * factors, atol=1e-12)
+    assert np.abs(part.at(q)).max(axis=0)[factors > 0.0].min() > 0.1
+
+
 def test_it_names_what_one_tool_cannot_see_and_what_would_show_it(found):
     _, test, result = found
     written = summary.document(result, test)
