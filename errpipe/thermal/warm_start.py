@@ -12,7 +12,8 @@ mixture leaves there, of
     differences of the sensors at the start, beyond those of the fitted runs' starts, through lags
     amount of these (0 to 1) x rises and lagged rises
 
-All are zero at the starts that were recorded, whose prediction therefore remains as it is.
+A difference counts as far as the other sensors confirm it. All are zero at the starts that were recorded, whose
+prediction therefore remains as it is.
 """
 
 from __future__ import annotations
@@ -25,7 +26,14 @@ import numpy as np
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
 from errpipe.drivers.shared import drive_all
-from errpipe.thermal.arithmetic import FEWEST_RUNS, centred, conformal_half_width, predicted_since_start, since_start
+from errpipe.thermal.arithmetic import (
+    FEWEST_RUNS,
+    centred,
+    conformal_half_width,
+    predicted_since_start,
+    ridge_gains,
+    since_start,
+)
 from errpipe.thermal.competition import RUN, Groups, Outcome, groupings
 from errpipe.thermal.interval import Intervals
 from errpipe.thermal.linear import ZERO_SHARE, LinearProblem, ridge_path, summed, time_constants
@@ -45,8 +53,8 @@ FEW_ROWS = 100_000  # of a recording: of more, only every second or third start 
 
 
 class WarmStart(NamedTuple):
-    """added: to the mixture, um (None: no gain on held-out runs); wider: factor of its interval, 1 at recorded starts;
-    left: rms at later starts of held-out runs without and with it, um.
+    """added: to the mixture, um (None: no gain on held-out runs); wider: to the factor of its interval, 0 at recorded
+    starts; left: rms at later starts of held-out runs without and with it, um.
     """
 
     added: d.Driver | None
@@ -83,7 +91,7 @@ def fitted(
         return None
     folds = groupings(problem.recording, problem.group, problem.groups, "")[0].folds
     later = _later(problem, outcome, folds)
-    beyond = _beyond(problem, names)
+    beyond = _beyond(problem, names, later.recording)
     extent = summed([1.0 / len(names)] * (2 * len(names)), [node for pair in beyond for node in pair])
     stated, away, *relaxing = drive_all([factor, extent, *(d.lag(d.ONE, tau) for tau in lags)], later.recording).T
     starts = away[np.unique(later.code, return_index=True)[1]]
@@ -101,12 +109,15 @@ def fitted(
         return None
     off = OFF * np.kron(np.linalg.qr(np.array(relaxing).T[good], mode="r"), np.eye(len(names))) / np.sqrt(good.sum())
     gains, left, without = _chosen(problem.groups, folds, later, values, good, off)
-    half = intervals.half_width(later.predicted + later.left - left, stated, np.zeros(away.size))[far]
-    needed = np.maximum((np.abs(left[far]) / half - 1.0) / away[far], 0.0) if intervals.unknown > 0.0 else 0.0 * half
-    wider = conformal_half_width(needed, later.group[far], coverage, raised=False)
+    predicted = later.predicted + later.left - left
+    half, unit = (intervals.half_width(predicted, f, np.zeros(away.size))[far] for f in (stated, np.ones(away.size)))
+    needed = np.maximum(np.abs(left[far]) - half, 0.0) / unit if intervals.unknown > 0.0 else 0.0 * half
+    wider, most = conformal_half_width(needed, later.group[far], coverage), float(away[far].max())
+    near = d.Clip(of=extent, low=0.0, high=OFF)
+    further = d.Clip(of=d.Affine(offset=-most, weights=(1.0,), of=(extent,)), low=0.0, high=MOST)
     return WarmStart(
         _sum(gains, nodes, amount, lags) if gains.any() else None,
-        d.Affine(offset=1.0, weights=(wider,), of=(extent,)),
+        d.Affine(weights=(wider / OFF, (1.0 + wider) / most), of=(near, further)),
         (without, float(np.sqrt(np.mean(left[good] ** 2)))),
     )
 
@@ -146,22 +157,48 @@ def _mixture(outcome: Outcome, groups: Groups, recording: Recording) -> np.ndarr
     return drive_all([node for _, node in parts], recording) @ np.array([gain for gain, _ in parts])
 
 
-def _beyond(problem: LinearProblem, names: Sequence[str]) -> list[tuple[d.Driver, d.Driver]]:
-    """Per sensor: how far its difference to the mean of all at the start is above, and below, those recorded, K."""
-    starts = tuple(d.at_start(name) for name in names)
-    share = tuple(-1.0 / len(names) for _ in names)
-    gaps = [d.Affine(weights=(1.0, *share), of=(start, *starts)) for start in starts]
-    values = drive_all(gaps, problem.recording)[problem.rows]
-    low, high = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
-    margin = np.maximum(BEYOND * (high - low), OFF)
+def _beyond(problem: LinearProblem, names: Sequence[str], later: Recording) -> list[tuple[d.Driver, d.Driver]]:
+    """Per sensor: how far its difference to the mean of the others at the start is above, and below, those recorded, K.
 
-    def part(gap: d.Driver, sign: float, end: float) -> d.Driver:
-        return d.Clip(of=d.Affine(offset=-sign * end, weights=(sign,), of=(gap,)), low=0.0, high=MOST)
+    As far only as the others confirm: one that is mounted anew, or in the sun, is no warm machine.
+    """
+    pairs = [_differences(problem, names, later, k) for k in range(len(names))]
+    return [(_confirmed(problem, pair, 1.0), _confirmed(problem, pair, -1.0)) for pair in pairs]
 
-    return [
-        (part(gap, 1.0, float(b)), part(gap, -1.0, float(a)))
-        for gap, a, b in zip(gaps, low - margin, high + margin, strict=True)
-    ]
+
+def _confirmed(problem: LinearProblem, pair: tuple[d.Driver, d.Driver], sign: float) -> d.Driver:
+    """The smaller of how far a difference and its estimate are above (sign 1) or below (-1) those recorded, K."""
+    values = sign * drive_all(pair, problem.recording)[problem.rows]
+    high = np.nanmax(values, axis=0)
+    high += np.maximum(BEYOND * (high - np.nanmin(values, axis=0)), OFF)
+    own, estimate = (
+        d.Clip(of=d.Affine(offset=-float(end), weights=(sign,), of=(x,)), low=0.0, high=MOST)
+        for x, end in zip(pair, high, strict=True)
+    )
+    more = d.Clip(of=d.Affine(weights=(1.0, -1.0), of=(own, estimate)), low=0.0, high=MOST)
+    return d.Affine(weights=(1.0, -1.0), of=(own, more))
+
+
+def _differences(problem: LinearProblem, names: Sequence[str], later: Recording, k: int) -> tuple[d.Driver, d.Driver]:
+    """Sensor k minus the mean of the others at the start of a run, and its estimate from the others' differences, K.
+
+    Least squares at the later starts, from the mean of the recorded ones, with `OFF` as the error of every reading
+    (errors in variables). Of two sensors, neither can confirm the other: the estimate is the difference itself.
+    """
+    others = [n for n in names if n != names[k]]
+    mean = tuple(-1.0 / len(others) for _ in others)
+    start = tuple(d.at_start(n) for n in others)
+    gap = d.Affine(weights=(1.0, *mean), of=(d.at_start(names[k]), *start))
+    if len(others) < 2:
+        return gap, gap
+    nodes = [gap, *(d.Affine(weights=(1.0, *mean), of=(one, *start)) for one in start)]
+    centre = np.nanmean(drive_all(nodes, problem.recording)[problem.rows], axis=0)
+    values = drive_all(nodes, later)[np.unique(later.run_codes(), return_index=True)[1]] - centre
+    values = values[np.isfinite(values).all(axis=1)]
+    gains = ridge_gains(values[:, 1:], values[:, 0], float(len(values)), OFF**2, np.ones(len(others)))
+    gains -= gains.mean()
+    offset = float(centre[0] - gains @ centre[1:])
+    return gap, d.Affine(offset=offset, weights=tuple(map(float, gains)), of=start)
 
 
 def _lags(problem: LinearProblem) -> list[float]:

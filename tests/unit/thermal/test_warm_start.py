@@ -130,3 +130,12 @@ def test_a_sensor_that_is_off_at_a_cold_start_costs_little(models) -> None:
     off = cold.with_columns({"T_flange": cold.array("T_flange") + 1.0}, {})
     without, with_later = (left(model, off) for model in models)
     assert np.abs(with_later - without).max() < 0.5
+
+
+@pytest.mark.parametrize("name", ["T_room", "T_spindle", "T_flange"])
+@pytest.mark.parametrize("off", [-1.5, 1.5])
+def test_a_sensor_mounted_anew_is_no_warm_machine(models, name: str, off: float) -> None:
+    cold = days(3, 6)
+    judged = cold.with_columns({name: cold.array(name) + off}, {})
+    without, with_later = (rms(left(model, judged)) for model in models)
+    assert with_later < 1.2 * without
