@@ -279,7 +279,7 @@ def _model(family: ThermalFamily, problem: LinearProblem, outcome: Outcome) -> T
     parts = [(name, w * g, n) for e, w in outcome.weights for name, g, n in e.parts(groups)]
     warm = warm_start.fitted(problem, outcome, factor, intervals, family.coverage) if family.warm_starts else None
     if warm is not None:
-        factor = d.Product(of=(factor, warm.wider))
+        factor = d.Affine(weights=(1.0, 1.0), of=(factor, warm.wider))
         if warm.added is not None:
             parts.append(("start on a warm machine", 1.0, warm.added))
             total = d.Affine(weights=(1.0, 1.0), of=(total, warm.added))

@@ -12,7 +12,8 @@ mixture leaves there, of
     differences of the sensors at the start, beyond those of the fitted runs' starts, through lags
     amount of these (0 to 1) x rises and lagged rises
 
-All are zero at the starts that were recorded, whose prediction therefore remains as it is.
+A difference counts as far as the other sensors confirm it. All are zero at the starts that were recorded, whose
+prediction therefore remains as it is.
 """
 
 from __future__ import annotations
@@ -25,7 +26,14 @@ import numpy as np
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Recording
 from errpipe.drivers.shared import drive_all
-from errpipe.thermal.arithmetic import FEWEST_RUNS, centred, conformal_half_width, predicted_since_start, since_start
+from errpipe.thermal.arithmetic import (
+    FEWEST_RUNS,
+    centred,
+    conformal_half_width,
+    predicted_since_start,
+    ridge_gains,
+    since_start,
+)
 from errpipe.thermal.competition import RUN, Groups, Outcome, groupings
 from errpipe.thermal.interval import Intervals
 from errpipe.thermal.linear import ZERO_SHARE, LinearProblem, ridge_path, summed, time_constants
@@ -41,6 +49,7 @@ RIDGE = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)  # on columns of unit rms
 # sensor at 20 degC (IEC 60751). Without it one that was 1 K off cost all of a correction (seed 7401, machine 4).
 OFF = 0.4
 MOST = 1e3  # K: limit of a difference
+WITNESSES = 16  # sensors that confirm a difference at most: a table holds 4096 operands in all
 # Times the largest difference of the later starts: further ones count as this one, and from here to twice this the
 # correction fades, because only a faulty sensor differs so much. Chosen on seeds 21, 31, 41 of `days` of the tests: a
 # sensor 40 K off cost four times the uncompensated deviation without it; days of 1.5 times the heat are as before.
@@ -49,8 +58,8 @@ FEW_ROWS = 100_000  # of a recording: of more, only every second or third start 
 
 
 class WarmStart(NamedTuple):
-    """added: to the mixture, um (None: no gain on held-out runs); wider: factor of its interval, 1 at recorded starts;
-    left: rms at later starts of held-out runs without and with it, um.
+    """added: to the mixture, um (None: no gain on held-out runs); wider: to the factor of its interval, 0 at recorded
+    starts; left: rms at later starts of held-out runs without and with it, um.
     """
 
     added: d.Driver | None
@@ -87,16 +96,18 @@ def fitted(
         return None
     folds = groupings(problem.recording, problem.group, problem.groups, "")[0].folds
     later = _later(problem, outcome, folds)
-    beyond = _beyond(problem, names)
-    extent = summed([1.0 / len(names)] * (2 * len(names)), [node for pair in beyond for node in pair])
-    stated, away, *relaxing = drive_all([factor, extent, *(d.lag(d.ONE, tau) for tau in lags)], later.recording).T
+    beyond, alone = _beyond(problem, names, later.recording)
+    share = [1.0 / len(names)] * (2 * len(names))
+    extent, own = summed(share, [node for pair in beyond for node in pair]), summed(share, alone)
+    relax = [d.lag(d.ONE, tau) for tau in lags]
+    stated, away, unconfirmed, *relaxing = drive_all([factor, extent, own, *relax], later.recording).T
     starts = away[np.unique(later.code, return_index=True)[1]]
     size = WHOLE * float(np.median(starts[np.isfinite(starts)])) if np.isfinite(starts).any() else 0.0
     if size <= 0.0:
         return None
     amount = d.Clip(of=d.Affine(weights=(1.0 / size,), of=(extent,)), low=0.0, high=1.0)
-    limit = KNOWN * float(np.nanmax(starts))
-    trust = d.Clip(of=d.Affine(offset=2.0, weights=(-1.0 / limit,), of=(extent,)), low=0.0, high=1.0)
+    limit = KNOWN * float(np.nanmax(unconfirmed))
+    trust = d.Clip(of=d.Affine(offset=2.0, weights=(-1.0 / limit,), of=(own,)), low=0.0, high=1.0)
     nodes = _nodes(names, _within(beyond, later.recording), lags)
     values = drive_all(nodes, later.recording)
     values[:, len(names) * len(lags) :] *= np.clip(away / size, 0.0, 1.0)[:, None]
@@ -107,12 +118,15 @@ def fitted(
         return None
     off = OFF * np.kron(np.linalg.qr(np.array(relaxing).T[good], mode="r"), np.eye(len(names))) / np.sqrt(good.sum())
     gains, left, without = _chosen(problem.groups, folds, later, values, good, off)
-    half = intervals.half_width(later.predicted + later.left - left, stated, np.zeros(away.size))[far]
-    needed = np.maximum((np.abs(left[far]) / half - 1.0) / away[far], 0.0) if intervals.unknown > 0.0 else 0.0 * half
-    wider = conformal_half_width(needed, later.group[far], coverage, raised=False)
+    predicted = later.predicted + later.left - left
+    half, unit = (intervals.half_width(predicted, f, np.zeros(away.size))[far] for f in (stated, np.ones(away.size)))
+    needed = np.maximum(np.abs(left[far]) - half, 0.0) / unit if intervals.unknown > 0.0 else 0.0 * half
+    wider, most = conformal_half_width(needed, later.group[far], coverage), float(away[far].max())
+    near = d.Clip(of=extent, low=0.0, high=OFF)
+    further = d.Clip(of=d.Affine(offset=-most, weights=(1.0,), of=(extent,)), low=0.0, high=MOST)
     return WarmStart(
         d.Product(of=(trust, _sum(gains, nodes, amount, lags))) if gains.any() else None,
-        d.Affine(offset=1.0, weights=(wider,), of=(extent,)),
+        d.Affine(weights=(wider / OFF, (1.0 + wider) / most), of=(near, further)),
         (without, float(np.sqrt(np.mean(left[good] ** 2)))),
     )
 
@@ -152,22 +166,56 @@ def _mixture(outcome: Outcome, groups: Groups, recording: Recording) -> np.ndarr
     return drive_all([node for _, node in parts], recording) @ np.array([gain for gain, _ in parts])
 
 
-def _beyond(problem: LinearProblem, names: Sequence[str]) -> list[tuple[d.Driver, d.Driver]]:
-    """Per sensor: how far its difference to the mean of all at the start is above, and below, those recorded, K."""
-    starts = tuple(d.at_start(name) for name in names)
-    mean = summed([1.0 / len(names)] * len(names), starts)
-    gaps = [d.Affine(weights=(1.0, -1.0), of=(start, mean)) for start in starts]
-    values = drive_all(gaps, problem.recording)[problem.rows]
-    low, high = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
-    margin = np.maximum(BEYOND * (high - low), OFF)
+def _beyond(
+    problem: LinearProblem, names: Sequence[str], later: Recording
+) -> tuple[list[tuple[d.Driver, d.Driver]], list[d.Driver]]:
+    """Per sensor: how far its difference to the mean of the others at the start is above, and below, those recorded, K.
 
-    def part(gap: d.Driver, sign: float, end: float) -> d.Driver:
-        return d.Clip(of=d.Affine(offset=-sign * end, weights=(sign,), of=(gap,)), low=0.0, high=MOST)
+    First as far only as the others confirm: one that is mounted anew, or in the sun, is no warm machine. Then its own.
+    """
+    pairs, alone = [], []
+    for k in range(len(names)):
+        pair = _differences(problem, names, later, k)
+        (above, own_above), (below, own_below) = (_confirmed(problem, pair, sign) for sign in (1.0, -1.0))
+        pairs.append((above, below))
+        alone += [own_above, own_below]
+    return pairs, alone
 
-    return [
-        (part(gap, 1.0, float(b)), part(gap, -1.0, float(a)))
-        for gap, a, b in zip(gaps, low - margin, high + margin, strict=True)
-    ]
+
+def _confirmed(problem: LinearProblem, pair: tuple[d.Driver, d.Driver], sign: float) -> tuple[d.Driver, d.Driver]:
+    """How far a difference is above (sign 1) or below (-1) those recorded, K: at most its estimate; of any estimate."""
+    values = sign * drive_all(pair, problem.recording)[problem.rows]
+    high = np.nanmax(values, axis=0)
+    high += np.maximum(BEYOND * (high - np.nanmin(values, axis=0)), OFF)
+    own, estimate = (
+        d.Clip(of=d.Affine(offset=-float(end), weights=(sign,), of=(x,)), low=0.0, high=MOST)
+        for x, end in zip(pair, high, strict=True)
+    )
+    more = d.Clip(of=d.Affine(weights=(1.0, -1.0), of=(own, estimate)), low=0.0, high=MOST)
+    return d.Affine(weights=(1.0, -1.0), of=(own, more)), own
+
+
+def _differences(problem: LinearProblem, names: Sequence[str], later: Recording, k: int) -> tuple[d.Driver, d.Driver]:
+    """Sensor k minus the mean of the others at the start of a run, and its estimate from the others' differences, K.
+
+    Least squares at the later starts, from the mean of the recorded ones, with `OFF` as the error of every reading
+    (errors in variables). Of two sensors, neither can confirm the other: the estimate is the difference itself.
+    """
+    start = tuple(d.at_start(n) for n in names)
+    mean, whole = summed([1.0 / len(names)] * len(names), start), len(names) / (len(names) - 1)
+    gaps = [d.Affine(weights=(whole, -whole), of=(one, mean)) for one in start]
+    if len(names) < 3:
+        return gaps[k], gaps[k]
+    centre = np.nanmean(drive_all(gaps, problem.recording)[problem.rows], axis=0)
+    values = drive_all(gaps, later)[np.unique(later.run_codes(), return_index=True)[1]] - centre
+    values = values[np.isfinite(values).all(axis=1)]
+    alike = np.abs(values.T @ values[:, k]) / np.maximum(np.linalg.norm(values, axis=0), 1e-9)
+    others = np.sort([j for j in np.argsort(-alike, kind="stable") if j != k][:WITNESSES])
+    inside = (values[:, others] - values[:, others].mean(axis=1, keepdims=True)) / whole
+    gains = ridge_gains(inside, values[:, k], float(len(values)), OFF**2, np.ones(others.size))
+    gains -= gains.mean()
+    offset = float(centre[k] - gains @ centre[others] / whole)
+    return gaps[k], d.Affine(offset=offset, weights=tuple(map(float, gains)), of=tuple(start[j] for j in others))
 
 
 def _within(beyond: Sequence[tuple[d.Driver, d.Driver]], recording: Recording) -> list[d.Driver]:
