@@ -33,8 +33,9 @@ def changed_from(recording: Recording, folds: Sequence[HeldOut]) -> dict[str, An
     A step: the first run after it; a drift: the last run against the first. Empty without one, without a position and
     with fewer than `MIN_RUNS` runs.
     """
-    names = recording.names("position") or recording.names("command")
     rows = np.concatenate([fold.rows for fold in folds])
+    names = recording.names("position") or recording.names("command")
+    names = [name for name in names if np.nanmax(recording.array(name)[rows]) > np.nanmin(recording.array(name)[rows])]
     run, labels = recording.run_codes(), recording.run_labels()
     codes = np.unique(run[rows])
     if not 1 <= len(names) <= len(CELLS) or codes.size < MIN_RUNS:

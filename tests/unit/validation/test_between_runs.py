@@ -88,6 +88,22 @@ def test_random_walks_take_no_step() -> None:
     assert sum(found(walk(seed)).get("kind") == "step" for seed in range(200)) <= 1
 
 
+def test_a_jump_among_waves_as_large_is_no_step() -> None:
+    order = np.arange(40)[:, None]
+    waves = 60.0 * np.sin(4 * np.pi * order / 40) + 0.0 * X
+    assert found(noise(6, 40) + waves + np.where(order >= 20, 70.0, 0.0)).get("kind") != "step"
+
+
+def test_neighbours_held_out_in_two_groups_differ_as_measured() -> None:
+    measured = noise(7)
+    left = measured - np.repeat([measured[5:].mean(axis=0), measured[:5].mean(axis=0)], 5, axis=0)
+    apart = between_runs._differences(left, [0] * 5 + [1] * 5, 2)[4]
+    steady = noise(7) + np.where(ORDER >= COLLISION, BENT, 0.0)
+    left = steady - np.repeat([steady[5:].mean(axis=0), steady[:5].mean(axis=0)], 5, axis=0)
+    assert apart < 2.0 * np.mean(np.diff(measured, axis=0) ** 2)
+    assert between_runs._differences(left, [0] * 5 + [1] * 5, 2)[4] == pytest.approx(np.mean(BENT**2), rel=0.2)
+
+
 def test_one_odd_run_and_too_few_runs_are_no_change() -> None:
     assert found(noise(3) + np.where(ORDER == COLLISION, BENT, 0.0)) == {}
     assert found(noise(4, 4) + np.where(ORDER[:4] >= 2, BENT, 0.0)) == {}
