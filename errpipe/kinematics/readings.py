@@ -55,7 +55,7 @@ def _refuse_outside(chain: Chain, single: Mapping[str, Recording]) -> None:
             if at.size and (at.min() < low - OUTSIDE * (high - low) or at.max() > high + OUTSIDE * (high - low)):
                 raise DataError(
                     f"{label}: {name} was recorded from {at.min():.6g} to {at.max():.6g} mm, but the travel of {axis} "
-                    f"in the machine file is {low:g} to {high:g} mm: is it a record of another axis, in another unit or "
+                    f"in the machine file is {low:g} to {high:g} mm: is it of another axis, in another unit or "
                     "from another zero? Correct the recording, or the travel"
                 )
 

@@ -169,10 +169,10 @@ def test_a_record_that_leaves_the_travel_of_its_axis_is_refused(shift, refused):
     name, travel = direct.position_of(recording, "EXX"), chain.travel[chain.axes.index("X")]
     moved = recording.with_values({name: recording.array(name) + shift * np.ptp(travel)})
     if refused:
-        with pytest.raises(DataError, match="L: EXX was recorded from .* but the travel of X in the machine file is"):
-            readings.observations(chain, {"L": moved})
+        with pytest.raises(DataError, match=r"L: EXX was recorded from .* but the travel of X in the machine file is"):
+            readings.of_tests(chain, {"L": moved})
     else:
-        assert len(readings.observations(chain, {"L": moved})[0])
+        assert len(readings.of_tests(chain, {"L": moved})[0])
 
 
 def test_a_component_the_machine_does_not_have_is_named():
