@@ -246,7 +246,8 @@ def _notes(component: Any, figures: Mapping[str, Any]) -> list[str]:
     notes = [f"{component.rows} rows fitted{worth}. Every rms on this page is of held-out rows."]
     if figures["verdict"] != "model":
         notes.append(f"On held-out rows the best share of this correction is {100 * figures['gain']:.0f} %.")
-    notes += [f"{words}." for of in (steps, clocks, between_runs) if (words := of.in_words(figures))]
+    found = (steps.in_words(figures), clocks.in_words(figures), between_runs.in_words(figures))
+    notes += [f"{words}." for words in found if words]
     if component.half_width90 is not None:
         more = "" if component.factor90 is None else " where the prediction is small, in a season not in the fit"
         notes.append(f"90 % of new deviations lie within ±{component.half_width90:.3g} {component.unit}{more}.")

@@ -50,7 +50,7 @@ class Validate(Stage):
             remark = MORE_RUNS if document["scheme"] == HALVES else ""
             remark += "".join(f"; {why}" for why in held_out.in_short(document.get("not_judged", ())))
             for c in document["components"]:
-                found = "".join(of.in_words(c, "; ") for of in (steps, clocks, between_runs))
+                found = steps.in_words(c, "; ") + clocks.in_words(c, "; ") + between_runs.in_words(c, "; ")
                 summary[c["component"]] = headline(c) + found + remark
         machine = context.maybe("identified_machine")
         if machine is not None:
