@@ -10,6 +10,7 @@ from errpipe.importing.units import split_header
 from errpipe.importing.words import axis_above, direction_sign_of, direction_word_in, kind_by_name
 
 COMMENT = ("#", "%", "//", ";", "!")
+MEAN_WITHIN = 0.02  # of its range: a table is the mean of two others, all rounded
 LONGEST_TITLE = 40  # characters of a line that states a direction and nothing else
 
 
@@ -37,7 +38,14 @@ def blocks(
     else:
         titled = [_title(rows, numbers, r) for r in (start - 1, *again)]
     starts = [r for r in below if r in again or _starts_table(rows[r], numbers[r], numbers[r + 1 : r + 3])]
-    other = next((r for r in starts if r not in again and r - 1 not in again), None)
+    others = [r for r in starts if r not in again and r - 1 not in again]
+    other = others[0] if others else None
+    if len(others) == 2 and not again and _are_sides_of(rows, numbers, start, *others):
+        text = " ".join(map(label, filled_cells(rows[start - 1])))[:60]
+        notes.append(
+            f"three tables: the first ({text!r}) is the mean of the two below, one for each direction: excluded"
+        )
+        names, start, other = [*map(label, rows[others[0]])], others[0] + 1, others[1]
     if other is not None and not again and _is_way_back(rows[start - 1], rows[other]):
         width, header = len(names), rows[other]
         notes.append(
@@ -46,8 +54,11 @@ def blocks(
         back = [[row[0], *[None] * (width - 1), *row[1:]] for row in rows[other + 1 :] if row]
         return [*names, *map(label, header[1:])], [*rows[start:other], *back]
     if other is not None and not any(r > other for r in again):
-        text = " ".join(map(str, filled_cells(rows[other])))[:60]
-        notes.append(f"a second table below ({text!r}) was excluded with its {len(rows) - other - 1} rows")
+        text = "', '".join(" ".join(map(str, filled_cells(rows[r])))[:60] for r in others)
+        tables = "a second table" if len(others) == 1 else f"{len(others)} more tables"
+        were, their = ("was", "its") if len(others) == 1 else ("were", "their")
+        count = len(rows) - other - len(others)
+        notes.append(f"{tables} below ('{text}') {were} excluded with {their} {count} rows")
         rows = rows[:other]
     if not again:
         return names, rows[start:]
@@ -159,6 +170,21 @@ def _is_way_back(header: list[Cell], other: list[Cell]) -> bool:
     """Whether two tables have the same first column and one direction each: `Forward 1`, below `Reverse 1`."""
     ways = [{direction_sign_of(label(c)) for c in filled_cells(row[1:])} for row in (header, other) if row]
     return header[:1] == other[:1] and sorted(map(str, ways)) == ["{-1.0}", "{1.0}"]
+
+
+def _are_sides_of(rows: Rows, numbers: Numbers, start: int, first: int, second: int) -> bool:
+    """Whether of three tables with two columns the last two are one for each direction, and the first their mean."""
+    parts = [[v[:2] for v in numbers[a:b] if v and v[0] is not None] for a, b in ((start, first), (first, second))]
+    parts.append([v[:2] for v in numbers[second:] if v and v[0] is not None])
+    whole = all(len(v) == 2 and v[1] is not None for part in parts for v in part)
+    if not whole or not _is_way_back(rows[first], rows[second]) or way_of(" ".join(map(label, rows[start - 1]))):
+        return False
+    tables = [{at: float(value or 0.0) for at, value in part} for part in parts]
+    if not tables[0] or len({frozenset(table) for table in tables}) > 1:
+        return False
+    mean, up, down = tables
+    span = max(mean.values()) - min(mean.values())
+    return all(abs(mean[at] - (up[at] + down[at]) / 2) <= MEAN_WITHIN * span for at in mean)
 
 
 def _starts_table(row: list[Cell], numbers: list[float | None], below: Numbers) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 
 from errpipe.domain.components import is_error_motion, parse
 from errpipe.domain.recording import Recording
+from errpipe.errors import DataError
 from errpipe.kinematics import direct, protocols, records, synthesis
 from errpipe.kinematics import observations as o
 from errpipe.kinematics.chain import Chain
@@ -16,6 +17,7 @@ from errpipe.kinematics.errors import MachineErrors
 
 # Waves of a curve: of tests at the tool; of records, smallest and largest number. `curve_misfit` is the lack of fit.
 AT_THE_TOOL, FEWEST, MOST = 12, 20, 48
+OUTSIDE = 0.1  # of a travel: a round number in many machine files; the tolerance of recordings that state it, too
 WHOLE, LEAST_TURN = 65, 1.0  # points of a travel; urad: half the range of a turn worth a remark (by judgement)
 MIN_MISSED = 0.05  # um, urad: smaller values are no shape
 
@@ -35,8 +37,27 @@ def of_tests(
     counts = {name: len(part) for name, part in parts.items()}
     every = list(parts.values())
     if single:
+        _refuse_outside(chain, single)
         every.append(records.observations(chain, single, lasers=lasers, squares=squares))
     return o.concatenate(every), counts
+
+
+def _refuse_outside(chain: Chain, single: Mapping[str, Recording]) -> None:
+    """Raise DataError for a record that leaves the travel of its linear axis: of another axis, unit or zero."""
+    for label, recording in single.items():
+        for name in (c for c in recording.components() if is_error_motion(c) and c in chain.components):
+            axis = chain.axes[chain.drives[chain.index(name)]]
+            if chain.machine.axes[axis].kind != "linear":
+                continue  # a turn more or less is the same place
+            low, high = chain.travel[chain.axes.index(axis)]
+            at = recording.array(direct.position_of(recording, name))
+            at = at[np.isfinite(at)]
+            if at.size and (at.min() < low - OUTSIDE * (high - low) or at.max() > high + OUTSIDE * (high - low)):
+                raise DataError(
+                    f"{label}: {name} was recorded from {at.min():.6g} to {at.max():.6g} mm, but the travel of {axis} "
+                    f"in the machine file is {low:g} to {high:g} mm: is it of another axis, in another unit or "
+                    "from another zero? Correct the recording, or the travel"
+                )
 
 
 def unplaced(chain: Chain, tests: Mapping[str, Recording], squares: Mapping[str, float], found: MachineErrors) -> str:

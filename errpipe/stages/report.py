@@ -240,13 +240,14 @@ def _group(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _notes(component: Any, figures: Mapping[str, Any]) -> list[str]:
-    from errpipe.validation import clocks, steps
+    from errpipe.validation import between_runs, clocks, steps
 
     worth = f", equivalent to {component.rows_effective:.0f} independent rows" if component.rows_effective else ""
     notes = [f"{component.rows} rows fitted{worth}. Every rms on this page is of held-out rows."]
     if figures["verdict"] != "model":
         notes.append(f"On held-out rows the best share of this correction is {100 * figures['gain']:.0f} %.")
-    notes += [f"{words}." for words in (steps.in_words(figures), clocks.in_words(figures)) if words]
+    found = (steps.in_words(figures), clocks.in_words(figures), between_runs.in_words(figures))
+    notes += [f"{words}." for words in found if words]
     if component.half_width90 is not None:
         more = "" if component.factor90 is None else " where the prediction is small, in a season not in the fit"
         notes.append(f"90 % of new deviations lie within ±{component.half_width90:.3g} {component.unit}{more}.")

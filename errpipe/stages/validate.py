@@ -44,13 +44,14 @@ class Validate(Stage):
         summary: dict[str, Any] = {}
         folder = context.maybe("error_model")
         if folder is not None:
-            from errpipe.validation import clocks, held_out, steps
+            from errpipe.validation import between_runs, clocks, held_out, steps
 
             document |= self._of_model(context, folder)
             remark = MORE_RUNS if document["scheme"] == HALVES else ""
             remark += "".join(f"; {why}" for why in held_out.summarise_reasons(document.get("not_judged", ())))
             for c in document["components"]:
-                summary[c["component"]] = headline(c) + steps.in_words(c, "; ") + clocks.in_words(c, "; ") + remark
+                found = steps.in_words(c, "; ") + clocks.in_words(c, "; ") + between_runs.in_words(c, "; ")
+                summary[c["component"]] = headline(c) + found + remark
         machine = context.maybe("identified_machine")
         if machine is not None:
             document["machine"] = _of_machine(context, machine)

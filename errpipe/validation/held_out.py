@@ -23,7 +23,7 @@ from errpipe.fitting.judging import HeldOut, half_width90, half_widths90_without
 from errpipe.fitting.noise_floor import noise_floor
 from errpipe.fitting.source import Source
 from errpipe.models import Family
-from errpipe.validation import clocks, seasons, significance
+from errpipe.validation import between_runs, clocks, seasons, significance
 from errpipe.validation.steps import unexplained_steps
 
 GAINS = (0.0, 0.25, 0.5, 0.75, 1.0)  # competing shares of a model, 0 = no compensation
@@ -92,7 +92,7 @@ def _disturbed(recording: Recording, name: str, folds: Sequence[HeldOut], whole:
     """What no input explains in a component. whole: no row is missing between others, as shifts in time need it."""
     shifted = clocks.shifted_runs(recording, folds) if whole else []
     steps = [] if shifted else unexplained_steps(recording, name, folds)  # a model of wrong times leaves steps, too
-    return {"clocks": shifted, "steps": steps}
+    return {"clocks": shifted, "steps": steps, "between_runs": between_runs.changed_from(recording, folds)}
 
 
 def _left_out(

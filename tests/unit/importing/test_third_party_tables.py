@@ -11,7 +11,7 @@ import pytest
 from errpipe.errors import DataError, ErrpipeError
 from errpipe.importing.sheet import ReaderOptions
 from errpipe.importing.words import kind_by_name
-from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows
+from tests.unit.importing.known_test import TARGETS, deviation, holds_the_truth, imported, long_rows, prepared
 from tests.unit.importing.test_first_hour import PAIRS, RUNS, SIDES, headers, long, mark, wide
 
 
@@ -300,3 +300,31 @@ def test_whole_thousands_beside_a_zero_are_no_fractions(tmp_path: Path) -> None:
     row = lambda r, x, s, d: f"{r};{mark(s)};{f'{1000 * x:,.0f}' if x else 0};{1000 * d:.0f}"  # noqa: E731
     found = imported(tmp_path, written(tmp_path, long("Run;Dir;Target X [µm];Dev [nm]", row)))
     holds_the_truth(found)
+
+
+def of_means(*tables: tuple[str, np.ndarray]) -> str:
+    """Tables of means below one another, mm, as a program of coordinate measuring machines exports them (`.pos`)."""
+    parts = [
+        [f"Position\t{name} Avg Error", *(f"{x:.4f}\t{e / 1000:.6f}" for x, e in zip(TARGETS, errors, strict=True))]
+        for name, errors in tables
+    ]
+    return "\n\n".join("\n".join(lines) for lines in parts) + "\n"
+
+
+UP, DOWN = deviation(1, 1.0), deviation(1, -1.0)
+
+
+def test_three_tables_of_means_are_two_directions_and_their_mean(tmp_path: Path) -> None:
+    tables = ("Bidirectional", (UP + DOWN) / 2), ("Forward Directional", UP), ("Reverse Directional", DOWN)
+    recording = imported(tmp_path, written(tmp_path, of_means(*tables)))
+    side = recording.array("direction")
+    assert recording.array("EXX")[side > 0] == pytest.approx(UP)
+    assert recording.array("EXX")[side < 0] == pytest.approx(DOWN[::-1])
+    assert recording.array("Position")[side < 0] == pytest.approx(TARGETS[::-1])
+
+
+def test_three_tables_of_which_the_first_is_no_mean_are_stated_all(tmp_path: Path) -> None:
+    tables = ("Bidirectional", 2.0 * UP), ("Forward Directional", UP), ("Reverse Directional", DOWN)
+    proposal, _ = prepared([written(tmp_path, of_means(*tables))])
+    (note,) = [n for n in proposal.notes if "excluded" in n]
+    assert note.startswith("2 more tables below ('Position Forward") and "Reverse" in note and "their 26 rows" in note

@@ -163,6 +163,18 @@ def test_a_square_needs_both_its_records(squares, stated):
         records.observations(chain, {"": recording}, squares=squares)
 
 
+@pytest.mark.parametrize(("shift", "refused"), [(0.05, False), (0.3, True), (-0.3, True)])
+def test_a_record_that_leaves_the_travel_of_its_axis_is_refused(shift, refused):
+    chain, _, recording = played_x({})
+    name, travel = direct.position_of(recording, "EXX"), chain.travel[chain.axes.index("X")]
+    moved = recording.with_values({name: recording.array(name) + shift * np.ptp(travel)})
+    if refused:
+        with pytest.raises(DataError, match=r"L: EXX was recorded from .* but the travel of X in the machine file is"):
+            readings.of_tests(chain, {"L": moved})
+    else:
+        assert len(readings.of_tests(chain, {"L": moved})[0])
+
+
 def test_a_component_the_machine_does_not_have_is_named():
     _, _, recording = played_x({})
     with pytest.raises(DataError, match="EXX was recorded, but turning"):
