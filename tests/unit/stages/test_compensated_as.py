@@ -87,6 +87,41 @@ def test_the_whole_table_is_not_what_a_file_of_lost_motion_took_away(tmp_path: P
     assert np.ptp(added) == pytest.approx(LOST, abs=0.1)
 
 
+ALONE = {
+    "sinumerik_lec": lambda x, side: 20.0 * x / 1000.0,  # the mean
+    "grblhal_backlash": ACTIVE["grblhal_backlash"],  # its file holds the number
+}
+
+
+@pytest.mark.parametrize("target", ALONE)
+def test_numbers_that_were_not_entered_took_nothing_away(tmp_path: Path, target: str) -> None:
+    text = f", compensated_by: table.ect, compensated_as: [{target}], compensated_entered: false"
+    code, recording = measured(tmp_path, ALONE[target], text)
+    assert code == 0
+    assert np.ptp(recording.array("EXX") - machine(recording.array("x"), recording.array("dir"))) < 0.4  # um
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (", compensated_by: table.ect, compensated_as: [linuxcnc_screw, ecmc_lut]", "linuxcnc_screw and ecmc_lut"),
+        (", compensated_by: table.ect, compensated_entered: false", "needs compensated_as"),
+    ],
+)
+def test_what_no_controller_does_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: str, said: str
+) -> None:
+    code, _ = measured(tmp_path, machine, options)
+    assert code == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_format_named_twice_counts_once(tmp_path: Path) -> None:
+    text = ", compensated_by: table.ect, compensated_as: [linuxcnc_screw, linuxcnc_screw]"
+    _, recording = measured(tmp_path, machine, text)
+    assert np.ptp(recording.array("EXX") - machine(recording.array("x"), recording.array("dir"))) < 0.4  # um
+
+
 def test_a_format_without_its_table_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, _ = measured(tmp_path, machine, ", compensated_as: [linuxcnc_screw]")
     assert code == 2
@@ -94,7 +129,12 @@ def test_a_format_without_its_table_is_refused(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_the_checklist_states_how_such_a_measurement_is_declared(tmp_path: Path) -> None:
-    write_targets(table_of_the_machine(), ["grblhal_backlash", "c_runtime"], tmp_path)
-    pages = {name: (tmp_path / name / "CHECKLIST.md").read_text() for name in ("grblhal_backlash", "c_runtime")}
+    write_targets(table_of_the_machine(), ["grblhal_backlash", "c_runtime", "sinumerik_lec"], tmp_path)
+    pages = {
+        name: (tmp_path / name / "CHECKLIST.md").read_text()
+        for name in ("grblhal_backlash", "c_runtime", "sinumerik_lec")
+    }
+    assert "compensated_entered: false" in pages["sinumerik_lec"]
+    assert "compensated_entered: false" not in pages["grblhal_backlash"], "its number stands in the file"
     assert "compensated_by: table.ect, compensated_as: [grblhal_backlash]" in pages["grblhal_backlash"]
     assert "compensated_by: table.ect}" in pages["c_runtime"]
