@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 VERSION = 1  # of the document's layout
 DIAGNOSIS = "diagnosis.json"
+EXPORT = "export.json"  # of an export folder
 SETTLED = 0.5  # of the largest difference: less than that once settled is worth a line
 MAX_LISTED = 12  # lines of one kind in a text; the JSON document has all
 
@@ -38,11 +39,14 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
     old, new = (
         p / "run" if (p / "retrain.json").is_file() else p for p in (Path(old), Path(new))
     )  # of retrain: its run
+    folders, (old, new) = (old, new), (p / _artefacts.TABLE if (p / EXPORT).is_file() else p for p in (old, new))
     kinds = kind_of(old), kind_of(new)
     correcting = {"table", "model"}
     if kinds[0] != kinds[1] and not set(kinds) <= correcting:
         raise DataError(f"{old} is a {kinds[0]} and {new} is a {kinds[1]}: two of one kind can be compared")
     result = HOW[kinds[0] if kinds[0] == kinds[1] else "model"](old, new)
+    if all((p / EXPORT).is_file() for p in folders):
+        result.lines += _controller_files(*folders)
     result.lines = result.lines or ["nothing changed"]
     within = None
     if max_um is not None:
@@ -58,13 +62,23 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
     return {"compare": VERSION, "kind": result.kind, **figures, **result.parts, "says": result.lines}
 
 
+def _controller_files(old: Path, new: Path) -> list[str]:
+    """What differs between the controllers' files of two export folders, edited by hand or not."""
+    of_old, of_new = (
+        {p.relative_to(d).as_posix(): p.read_bytes() for p in sorted(d.glob("*/*")) if p.is_file()} for d in (old, new)
+    )
+    differing = [name for name in {**of_old, **of_new} if of_old.get(name) != of_new.get(name)]
+    only = {name: f"only in {old if name in of_old else new}" for name in of_old.keys() ^ of_new.keys()}
+    return [f"file {only.get(name, 'changed')}: {name}" for name in differing]
+
+
 def kind_of(path: Path) -> str:
     """table, model, recording, diagnosis, run folder or fleet. Raises DataError for anything else."""
     if path.is_dir():
         marks = {"errpipe.lock": "run folder", "recording.yaml": "recording", "fleet.json": "fleet"}
         if kinds := [kind for name, kind in marks.items() if (path / name).is_file()]:
             return kinds[0]
-        raise DataError(f"{path}: a folder without {', '.join(marks)} or retrain.json: nothing to compare")
+        raise DataError(f"{path}: a folder without {', '.join(marks)}, {EXPORT} or retrain.json: nothing to compare")
     if not path.is_file():
         raise DataError(f"{path}: there is no such file or folder")
     if path.name == "recording.yaml":

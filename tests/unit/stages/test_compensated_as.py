@@ -138,3 +138,28 @@ def test_the_checklist_states_how_such_a_measurement_is_declared(tmp_path: Path)
     assert "compensated_entered: false" not in pages["grblhal_backlash"], "its number stands in the file"
     assert "compensated_by: table.ect, compensated_as: [grblhal_backlash]" in pages["grblhal_backlash"]
     assert "compensated_by: table.ect}" in pages["c_runtime"]
+
+
+def test_export_folders_are_compared_and_what_lies_beside_their_files_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two folders were `nothing to compare`, and a copied screw file of another axis went unseen."""
+    ect.write(table_of_the_machine(), tmp_path / "table.ect")
+    for name in ("old", "new"):
+        assert (
+            main(["export", str(tmp_path / "table.ect"), "--target", "linuxcnc_screw", "--out", str(tmp_path / name)])
+            == 0
+        )
+    file = tmp_path / "new" / "linuxcnc_screw" / "x.comp"
+    (file.parent / "y.comp").write_bytes(file.read_bytes())
+    capsys.readouterr()
+    assert main(["verify", str(tmp_path / "new")]) == 0
+    assert "linuxcnc_screw/y.comp: NOT of this export" in capsys.readouterr().out
+    assert main(["verify", str(tmp_path / "old")]) == 0
+    assert "NOT of this export" not in capsys.readouterr().out
+    file.write_text(file.read_text() + "\n")
+    assert main(["compare", str(tmp_path / "old"), str(tmp_path / "new")]) == 0
+    said = capsys.readouterr().out
+    assert "EXX: the same" in said and "file changed: linuxcnc_screw/x.comp" in said and "y.comp" in said
+    assert main(["whatis", str(tmp_path / "new")]) == 3
+    assert "an export folder" in capsys.readouterr().err
