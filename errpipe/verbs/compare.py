@@ -18,6 +18,7 @@ from errpipe.stages import _artefacts
 from errpipe.tables import by_component, ect
 from errpipe.validation import changes
 from errpipe.validation.changes import Change, Comparison, Compensation
+from errpipe.verbs import _compare_files
 
 if TYPE_CHECKING:
     from errpipe.pipeline.lock import Record
@@ -46,7 +47,7 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
         raise DataError(f"{old} is a {kinds[0]} and {new} is a {kinds[1]}: two of one kind can be compared")
     result = HOW[kinds[0] if kinds[0] == kinds[1] else "model"](old, new)
     if all((p / EXPORT).is_file() for p in folders):
-        result.lines += _controller_files(*folders)
+        result.lines += _compare_files.differing(*folders)
     result.lines = result.lines or ["nothing changed"]
     within = None
     if max_um is not None:
@@ -60,16 +61,6 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
         result.lines.append(str(figure))
     figures = {"largest_um": result.largest, "rms_um": result.rms, "within": within}
     return {"compare": VERSION, "kind": result.kind, **figures, **result.parts, "says": result.lines}
-
-
-def _controller_files(old: Path, new: Path) -> list[str]:
-    """What differs between the controllers' files of two export folders, edited by hand or not."""
-    of_old, of_new = (
-        {p.relative_to(d).as_posix(): p.read_bytes() for p in sorted(d.glob("*/*")) if p.is_file()} for d in (old, new)
-    )
-    differing = [name for name in {**of_old, **of_new} if of_old.get(name) != of_new.get(name)]
-    only = {name: f"only in {old if name in of_old else new}" for name in of_old.keys() ^ of_new.keys()}
-    return [f"file {only.get(name, 'changed')}: {name}" for name in differing]
 
 
 def kind_of(path: Path) -> str:
