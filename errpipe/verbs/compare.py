@@ -38,7 +38,7 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
     if figure is not None and Path(figure).suffix.lower() != ".svg":
         raise UsageError(f"--figure {figure}: is drawn as SVG (a name that ends in .svg)")
     old, new = (
-        p / "run" if (p / "retrain.json").is_file() else p for p in (Path(old), Path(new))
+        p / "run" if (p / "retrain.json").is_file() else p for p in map(Path, (old, new))
     )  # of retrain: its run
     folders, (old, new) = (old, new), (p / _artefacts.TABLE if (p / EXPORT).is_file() else p for p in (old, new))
     kinds = kind_of(old), kind_of(new)
