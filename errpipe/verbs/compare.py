@@ -37,10 +37,8 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
     """
     if figure is not None and Path(figure).suffix.lower() != ".svg":
         raise UsageError(f"--figure {figure}: is drawn as SVG (a name that ends in .svg)")
-    old, new = (
-        p / "run" if (p / "retrain.json").is_file() else p for p in map(Path, (old, new))
-    )  # of retrain: its run
-    folders, (old, new) = (old, new), (p / _artefacts.TABLE if (p / EXPORT).is_file() else p for p in (old, new))
+    folders = [p / "run" if (p / "retrain.json").is_file() else p for p in map(Path, (old, new))]  # of retrain: its run
+    old, new = (p / _artefacts.TABLE if (p / EXPORT).is_file() else p for p in folders)
     kinds = kind_of(old), kind_of(new)
     correcting = {"table", "model"}
     if kinds[0] != kinds[1] and not set(kinds) <= correcting:
