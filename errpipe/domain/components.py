@@ -67,8 +67,8 @@ class Component(Frozen):
 
 
 def is_rotary(axis: str) -> bool:
-    """Whether the name of an axis, such as X or C2, is that of a rotary one (ISO 841: A, B, C)."""
-    return axis[0] in "ABC"
+    """Whether the name of an axis, such as X or C2, is that of a rotary one (ISO 841: A B C, D E; S: the spindle)."""
+    return axis[0] in _ROTARY_AXES
 
 
 def parse(name: str) -> Component:

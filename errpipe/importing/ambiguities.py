@@ -120,7 +120,7 @@ def refuse_without_position(p: Proposal, asked: bool) -> None:
                 f"every reading of {name!r} is at {place} = {p.data[place][0]:g}: at which positions of "
                 f"{letter} was it read? (declare their column with --set COLUMN.role=position)"
             )
-        if not recorded and (letter[0] in "ABC" or not (asked or roles & {*PLACES, *INPUTS})):
+        if not recorded and (components.is_rotary(letter) or not (asked or roles & {*PLACES, *INPUTS})):
             hint = f" (is it {left_out!r}? {p.guesses.get(left_out, '')})" if left_out else ""
             raise DataError(f"no position of {letter} is recorded with {name!r}: at which targets was it read?{hint}")
 

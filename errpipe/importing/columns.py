@@ -145,7 +145,7 @@ def with_position_column(columns: list[RawColumn], guesses: Guesses, stated: str
     if len(small) == len(read) == 1 and values.is_nano_travel(small[0], read[0]):
         why = f"its name ({small[0].header!r}): the small travel beside {read[0].header!r}"
         return {**guesses, small[0].header: ColumnGuess("position", guesses[small[0].header].axis, why)}
-    turns = stated is not None and stated[0] in "ABC"
+    turns = stated is not None and components.is_rotary(stated)
     units = ("deg", "rad") if turns else ("mm", "m", "inch")
     ignored = [c for c in columns if guesses[c.header].kind == "ignore" and c.unit in units and c.numeric]
     long = [c for c in ignored if turns or axis_in(c.header)]

@@ -195,7 +195,7 @@ def _wide(
     index, run, sides, values = wide.unpivot(table)
     unit, of_target = table.target.unit, "the column of targets"
     if unit is None:
-        unit = "deg" if axis[0] in "ABC" else "mm"
+        unit = "deg" if components.is_rotary(axis) else "mm"
         of_target += f"; no unit is stated, taken as {unit}"
     columns, targets = len(table.readings), len(np.unique(table.target.values[index]))
     p.notes.append(f"wide layout: {columns} columns of readings, {len(set(run))} runs, {targets} targets")
@@ -251,7 +251,7 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
         of = stated.get("of") or (guessing.group_of(c.header) if g.kind == "group" else None)
         p.put(c.header, [label(x) for x in _filled_down(c, p).cells], why, role=g.kind, of=of)
     elif g.kind in ("command", "position", "actual"):
-        usual = "deg" if own[0] in "ABC" else "mm"
+        usual = "deg" if components.is_rotary(own) else "mm"
         whole = unit is None and np.array_equal(c.values, np.round(c.values), equal_nan=True)
         factor = options.resolution if whole else None
         counts = usual, f"{why}; whole numbers: counts{OF_A_COUNT}"
@@ -282,7 +282,7 @@ def add_column(c: RawColumn, g: guessing.ColumnGuess, axis: str, options: Import
                 p.put(c.header, c.values, f"{why}: declare it with --set '{c.header}.unit=...'", role="ignore")
                 return
             values, unit, why = taken
-            turns = own[0] in "ABC" and g.kind in ("velocity", "acceleration")
+            turns = components.is_rotary(own) and g.kind in ("velocity", "acceleration")
             if g.kind != "coolant":  # without a unit it is on or off
                 unit, why = _unit_or(unit, ROLE_UNITS[g.kind][1 if turns else 0], why)
         moving = g.kind in ("velocity", "acceleration", "force", "torque")
@@ -346,7 +346,7 @@ def _counts(c: RawColumn, axis: str, why: str, options: ImportOptions, p: Propos
         p.put(c.header, c.values, f"{why}; counts need --resolution (mm or deg of one count)", role="ignore")
         return
     name = p.put(c.header, c.values, why, role="ignore")
-    unit = "deg" if axis[0] in "ABC" else "mm"
+    unit = "deg" if components.is_rotary(axis) else "mm"
     p.guesses[name] = f"{why}{OF_A_COUNT}"
     derived = {"of": name, "factor": options.resolution}
     p.put(f"actual_{axis}", None, role="actual", axis=axis, unit=unit, derived=derived)

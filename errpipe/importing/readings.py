@@ -128,7 +128,9 @@ def _in_unit_of_places(values: np.ndarray, unit: str, of_places: str) -> np.ndar
 
 def _within_half_a_turn(p: Proposal, command: str, actual: str) -> None:
     """Shift by one turn the actual positions of a rotary axis that passed 360 = 0 before or after the command."""
-    if p.entries[actual]["axis"][0] not in "ABC" or {p.entries[n].get("unit") for n in (command, actual)} != {"deg"}:
+    if not components.is_rotary(p.entries[actual]["axis"]) or {p.entries[n].get("unit") for n in (command, actual)} != {
+        "deg"
+    }:
         return
     if command not in p.data or actual not in p.data:
         return

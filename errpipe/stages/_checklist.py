@@ -27,6 +27,7 @@ MEASURED_WITH_THEM = (
     "measured while these act, a machine shows what they leave: state {{kind: ingest, recording: ..., {0}}} in its "
     "pipeline. Its files then replace these; without it they hold the remainder alone, and must not replace these"
 )
+NOT_ENTERED = ". Where the numbers below were not entered, add compensated_entered: false"
 ZERO = (
     "positions count from the axis' own zero (machine coordinates): of a test in workpiece coordinates such as G54, "
     "the files act shifted by that offset; add it to the positions of the recording and export again"
@@ -80,7 +81,7 @@ def checklist(
     over = {i.axis for i in table.inputs if i.kind == "position"}
     zero = [*([ZERO] if over else []), *([RADII] if "X" in over else [])]
     before = [AS_MEASURED, *zero, *_axis_numbers(target, table), *_single_axis(target, table)]
-    steps = (*before, _measured_with(target, read, others), *target.activation)
+    steps = (*before, _measured_with(target, read, others, numbers), *target.activation)
     lines += [f"{n}. {step}" for n, step in enumerate(steps, 1)]
     if numbers:
         lines += ["", "## Enter by hand", "", *(f"- {number.text}." for number in numbers)]
@@ -111,10 +112,11 @@ def checklist(
     return "\n".join([*lines, ""])
 
 
-def _measured_with(target: Any, read: Any, others: Sequence[str]) -> str:
+def _measured_with(target: Any, read: Any, others: Sequence[str], numbers: Sequence[ByHand]) -> str:
     """How a measurement is declared that was made with these files on."""
     formats = "" if isinstance(read, WholeTable) else f", compensated_as: [{', '.join((target.name, *others))}]"
-    return MEASURED_WITH_THEM.format(f"compensated_by: table.ect{formats}")
+    entered = any(number.curve is not None for number in numbers)
+    return MEASURED_WITH_THEM.format(f"compensated_by: table.ect{formats}") + (NOT_ENTERED if entered else "")
 
 
 def consequences(read: Any, table: CompensationTable) -> list[str]:

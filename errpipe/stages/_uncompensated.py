@@ -25,14 +25,14 @@ PER_UNIT = {"um": 1e3, "urad": 1e6 * np.pi / 180}  # of a deviation, in one mm o
 
 
 def uncompensated(
-    recording: Recording, path: Path, formats: Sequence[str], since: str | None
+    recording: Recording, path: Path, formats: Sequence[str], since: str | None, *, entered: bool = True
 ) -> tuple[Recording, dict[str, Any]]:
     """The recording with the deviations of the machine itself, and what was added, in words of `ingest.json`.
 
     A table subtracts what it predicts, so a measured deviation is the machine's less the table's, which is replayed
     here row by row as a controller does, or less what the files of the named formats make of it. Actual positions
     whose difference to the commanded ones is that deviation change with it.
-    since: the first run measured with it; None: all were.
+    since: the first run measured with it; None: all were. entered: whether the numbers of the checklists were, too.
     Raises DataError if the table is of no response, needs an input that is not recorded, or no such run exists.
     """
     table = _artefacts.read_table(path)
@@ -48,7 +48,7 @@ def uncompensated(
             f"{path}: it corrects {', '.join(c.name for c in table.components)}, none of which was recorded"
         )
     try:
-        taken = _by_files(recording, table, formats, shared) if formats else _by_table(recording, table)
+        taken = _by_files(recording, table, formats, shared, entered) if formats else _by_table(recording, table)
     except DataError as err:
         raise DataError(f"{path}: {err}") from None
     columns: dict[str, np.ndarray] = {}
@@ -76,15 +76,18 @@ def _by_table(recording: Recording, table: CompensationTable) -> dict[str, np.nd
 
 
 def _by_files(
-    recording: Recording, table: CompensationTable, formats: Sequence[str], shared: Sequence[str]
+    recording: Recording, table: CompensationTable, formats: Sequence[str], shared: Sequence[str], entered: bool
 ) -> dict[str, np.ndarray]:
-    """Component -> deviation that files of these formats take away, with the numbers that their checklists state.
+    """Component -> deviation that files of these formats take away, with the numbers of their checklists if entered.
 
-    Raises DataError for a component that shares its axis with another one: a file holds only their sum.
+    Raises UsageError for formats that no controller has together, DataError for a component that shares its axis with
+    another one: a file holds only their sum.
     """
-    from errpipe.stages.targets import chosen, files_in_effect
+    from errpipe.stages.targets import chosen, files_in_effect, refuse_apart
 
-    read = files_in_effect(table, chosen(formats))
+    parts = chosen(list(dict.fromkeys(formats)))
+    refuse_apart(parts, "compensated_as")
+    read = files_in_effect(table, parts, entered=entered)
     if isinstance(read, WholeTable):
         return _by_table(recording, read.table)
     taken = {}

@@ -38,6 +38,11 @@ class Ingest(Stage):
         description="Controller formats whose files of that table were active, with the numbers that their checklists "
         "state; default: the controller ran the whole table.",
     )
+    compensated_entered: bool = Field(
+        True,
+        description="Whether the numbers that those checklists have a person enter were entered, too; false: the files "
+        "acted alone.",
+    )
     compensated_since: str | None = Field(
         None, description="First run recorded with that table; default: the first of all."
     )
@@ -59,6 +64,8 @@ class Ingest(Stage):
             raise UsageError("ingest: no recording is named and there is no simulate stage before it")
         if self.compensated_as and self.compensated_by is None:
             raise UsageError("ingest: compensated_as needs compensated_by, the table of these files")
+        if not self.compensated_entered and not self.compensated_as:
+            raise UsageError("ingest: compensated_entered: false needs compensated_as, the formats of the files")
         context.progress(0.1, "reading")
         if self.compensated_by is not None or self.since_run is not None or self.without_runs:
             return self._summary(context, *self._whole(context, path))
@@ -77,7 +84,11 @@ class Ingest(Stage):
             from errpipe.stages._uncompensated import uncompensated
 
             recording, compensated = uncompensated(
-                recording, self.compensated_by, self.compensated_as, self.compensated_since
+                recording,
+                self.compensated_by,
+                self.compensated_as,
+                self.compensated_since,
+                entered=self.compensated_entered,
             )
         return manifest_folder.write(self._kept(recording), context.folder), compensated
 

@@ -74,14 +74,20 @@ def write_together(table: CompensationTable, parts: Sequence[Any]) -> tuple[list
     return files, sum(rest, start=first)
 
 
-def files_in_effect(table: CompensationTable, parts: Sequence[Any]) -> Any:
-    """What a controller adds that has the files of these targets, and the numbers of their checklists."""
+def refuse_apart(parts: Sequence[Any], option: str) -> None:
+    """Raise UsageError for targets whose files no controller adds up."""
+    for a, b in combinations(parts, 2):
+        if b.name not in a.goes_with and a.name not in b.goes_with:
+            raise UsageError(f"{option}: no controller adds the files of {a.name} and {b.name} (errpipe targets)")
+
+
+def files_in_effect(table: CompensationTable, parts: Sequence[Any], *, entered: bool) -> Any:
+    """What a controller adds that has the files of these targets. entered: and the numbers of their checklists."""
     kept, _, _ = _without_harm(table, parts)
     files, read = write_together(kept, parts)
-    together_read: ReadBack = (
-        read if isinstance(read, WholeTable) else read + ReadBack(curves=_entered(kept, parts, files))
-    )
-    return together_read
+    if isinstance(read, WholeTable) or not entered:
+        return read
+    return read + ReadBack(curves=_entered(kept, parts, files))
 
 
 def _best_combinations(table: CompensationTable) -> list[tuple[tuple[str, ...], list[dict[str, Any]]]]:

@@ -26,7 +26,6 @@ from errpipe.tables.gridding import grid, interpolation_error, quantise
 # Up to this many intervals all profiles of an axis take the finest grid among them: 2 KB each buys one place on
 # the grid for all of them (half the cycle of a machine of 21 components).
 COMMON_GRID_INTERVALS = 512
-ROTARY = ("A", "B", "C")  # letters of axes that turn
 GridKey = tuple[str | None, bool, float, float]  # input, periodic, start, span
 
 
@@ -134,7 +133,9 @@ def _turns(
     """Axis -> range of its curves, and the axes that turn on."""
     seen = {i.axis: i.valid or (i.low, i.high) for i in inputs if i.kind == "position"} | dict(travel)
     return seen, {
-        axis for axis, ends in seen.items() if axis[:1] in ROTARY and (axis in turning or turn.is_whole(*ends))
+        axis
+        for axis, ends in seen.items()
+        if axis and iso.is_rotary(axis) and (axis in turning or turn.is_whole(*ends))
     }
 
 
@@ -296,6 +297,8 @@ def outputs_of(
             axis, factor = acts_on[c.name]
             if c.unit != "um" and not (turns and axis == own):
                 raise GateError(f"{c.name} is in {c.unit}: it cannot act on axis {axis} in mm")
+            if c.unit == "um" and iso.is_rotary(axis):
+                raise GateError(f"{c.name} is in um: it cannot act on axis {axis} in deg")
         unit = "mm" if c.unit == "um" else "deg" if turns else "urad"
         out.append(OutputSource(c.name, (MonomialSource(factor, c.name),), axis, c.unit, unit))
     return out

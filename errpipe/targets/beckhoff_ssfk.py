@@ -3,23 +3,27 @@
 Value     the ERROR (actual minus set point) in 0.1 um as a whole number: the manual's example 19856.5 where 19866.7 was
           wanted is -102.
 Order     equidistant nodes from kw_startpos, the same for both directions; straight between, held at the ends.
-Turns     for an axis that turns on `modulo` is 1; first and last entry stand for one position (P-COMP-00022).
+Turns     for an axis that turns on `modulo` is 1; first and last entry stand for one position, and the list starts over
+          where the axis does (P-COMP-00022): at its lower modulo limit (P-AXIS-00127), usually 0. A table from -180 on
+          stays so, any other starts at 0.
 Limits    1500 entries unless configured otherwise (P-COMP-00059); the reversal is spread over n_backlash_cyc cycles.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import Curve, expect, periodic_curve, settings_in
+from errpipe.targets._base import TURN, ByHand, Curve, ReadBack, periodic_curve, expect, settings_in
 from errpipe.targets._screw_map import ScrewMap
 
 MAX_POINTS = 1500  # points of a TwinCAT position correction table
 TENTH_UM = 1e-4  # mm
+HALF_BELOW = -180.0  # deg: lower modulo limit of an axis that counts to +180
 
 
 class BeckhoffSsfk(ScrewMap):
@@ -48,8 +52,18 @@ class BeckhoffSsfk(ScrewMap):
     def grid(cls, table: CompensationTable, axis: str) -> np.ndarray:
         """Node distance and start are whole tenths of a micrometre, so the grid is laid on them."""
         points, _ = _sample.uniform(table, axis, axis, cls.max_points, cls.error_um)
-        start, step = round(points.start / TENTH_UM), max(1, int(np.ceil(points.step / TENTH_UM - 1e-6)))
+        first = points.start
+        if _sample.turns(table, axis) and first != HALF_BELOW:
+            first = 0.0
+        start, step = round(first / TENTH_UM), max(1, int(np.ceil(points.step / TENTH_UM - 1e-6)))
         return (start + step * np.arange(points.count)) * TENTH_UM
+
+    @classmethod
+    def by_hand(cls, table: CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
+        starts = {a: cls.grid(table, a)[0] for _, a in cls.own_axes(table) if _sample.turns(table, a)}
+        limits = "{0}: modulo limits of the axis P-AXIS-00127 = {1:.0f}, P-AXIS-00126 = {2:.0f} (0.0001 deg)"
+        turns = (limits.format(a, x / TENTH_UM, (x + TURN) / TENTH_UM) for a, x in starts.items())
+        return (*super().by_hand(table, read, others), *map(ByHand, turns))
 
     @classmethod
     def file_of(cls, number: int, curve: Curve) -> tuple[str, str]:

@@ -18,12 +18,14 @@ from errpipe.stages import _artefacts
 from errpipe.tables import by_component, ect
 from errpipe.validation import changes
 from errpipe.validation.changes import Change, Comparison, Compensation
+from errpipe.verbs import _compare_files
 
 if TYPE_CHECKING:
     from errpipe.pipeline.lock import Record
 
 VERSION = 1  # of the document's layout
 DIAGNOSIS = "diagnosis.json"
+EXPORT = "export.json"  # of an export folder
 SETTLED = 0.5  # of the largest difference: less than that once settled is worth a line
 MAX_LISTED = 12  # lines of one kind in a text; the JSON document has all
 
@@ -35,14 +37,15 @@ def compare(old: Path, new: Path, max_um: float | None = None, figure: Path | No
     """
     if figure is not None and Path(figure).suffix.lower() != ".svg":
         raise UsageError(f"--figure {figure}: is drawn as SVG (a name that ends in .svg)")
-    old, new = (
-        p / "run" if (p / "retrain.json").is_file() else p for p in (Path(old), Path(new))
-    )  # of retrain: its run
+    folders = [p / "run" if (p / "retrain.json").is_file() else p for p in map(Path, (old, new))]  # of retrain: its run
+    old, new = (p / _artefacts.TABLE if (p / EXPORT).is_file() else p for p in folders)
     kinds = kind_of(old), kind_of(new)
     correcting = {"table", "model"}
     if kinds[0] != kinds[1] and not set(kinds) <= correcting:
         raise DataError(f"{old} is a {kinds[0]} and {new} is a {kinds[1]}: two of one kind can be compared")
     result = HOW[kinds[0] if kinds[0] == kinds[1] else "model"](old, new)
+    if all((p / EXPORT).is_file() for p in folders):
+        result.lines += _compare_files.differing(*folders)
     result.lines = result.lines or ["nothing changed"]
     within = None
     if max_um is not None:
@@ -64,7 +67,7 @@ def kind_of(path: Path) -> str:
         marks = {"errpipe.lock": "run folder", "recording.yaml": "recording", "fleet.json": "fleet"}
         if kinds := [kind for name, kind in marks.items() if (path / name).is_file()]:
             return kinds[0]
-        raise DataError(f"{path}: a folder without {', '.join(marks)} or retrain.json: nothing to compare")
+        raise DataError(f"{path}: a folder without {', '.join(marks)}, {EXPORT} or retrain.json: nothing to compare")
     if not path.is_file():
         raise DataError(f"{path}: there is no such file or folder")
     if path.name == "recording.yaml":

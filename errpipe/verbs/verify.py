@@ -20,7 +20,7 @@ from errpipe.guard.in_table import without_guard
 from errpipe.stages import _artefacts
 from errpipe.stages._replace import refuse_interrupted
 from errpipe.stages.predict import table_values
-from errpipe.stages.targets import in_words, losses
+from errpipe.stages.targets import CHECKLIST, in_words, losses
 from errpipe.tables import bounds, ect
 from errpipe.targets import TARGETS
 
@@ -153,6 +153,8 @@ def _targets(folder: Path, table: CompensationTable, document: dict[str, Any]) -
             before = rows[0]["error"]
             raise VerifyError(f"{folder / name}: now loses {in_words(lost)}; it lost {before} when it was exported")
         checks.append(f"{name}: read back as the controller does; loses {in_words(lost)}")
+        beside = sorted({p.name for p in (folder / name).iterdir()} - files.keys() - {CHECKLIST})
+        checks += [f"{name}/{other}: NOT of this export, and not proved: load it only on purpose" for other in beside]
     return checks
 
 

@@ -31,6 +31,8 @@ def whatis(file: Path) -> dict[str, Any]:
     file = Path(file)
     if (file / LOCK).is_file():  # a run folder
         file = file / LOCK
+    if (file / "export.json").is_file():
+        raise DataError(f"{file}: an export folder (`errpipe verify` proves it; whatis reads its {_artefacts.TABLE})")
     if (file / "objects").is_dir() and (file / "machines").is_dir():
         raise DataError(f"{file}: a registry (`errpipe log` shows what is on which machine)")
     if file.is_dir() or file.name == "recording.yaml":

@@ -88,6 +88,12 @@ def test_location_errors_are_reported_as_what_they_are(name, output):
     assert components.describe(name) == output
 
 
+def test_axes_that_turn():
+    assert [a for a in ("X", "U", "R", "A", "A2", "C1", "D", "E", "S", "S1") if components.is_rotary(a)] == [
+        *("A", "A2", "C1", "D", "E", "S", "S1")
+    ]
+
+
 def test_positioning_of_an_axis():
     assert [components.positioning(a) for a in ("X", "U", "X1", "C")] == ["EXX", "EXU", "EXX1", "ECC"]
     assert components.parse(components.positioning("W")).kind == "positioning"

@@ -69,6 +69,8 @@ def test_what_is_stated_of_nothing_or_by_nothing_is_refused():
     angle = tables.ComponentSource("EBX", "urad", (Lowered(d.Constant(value=1.0)),))
     with pytest.raises(GateError, match="urad"):
         tables.outputs_of([angle], {"EBX": ("X", 1.0)})
+    with pytest.raises(GateError, match="E_D is in um: it cannot act on axis B in deg"):
+        diameter(E_D={"axis": "B"})
 
 
 def test_what_the_table_says_of_the_diameter_stays_the_diameter():

@@ -89,6 +89,41 @@ def test_the_whole_table_is_not_what_a_file_of_lost_motion_took_away(tmp_path: P
     assert np.ptp(added) == pytest.approx(LOST, abs=0.1)
 
 
+ALONE = {
+    "sinumerik_lec": lambda x, side: 20.0 * x / 1000.0,  # the mean
+    "grblhal_backlash": ACTIVE["grblhal_backlash"],  # its file holds the number
+}
+
+
+@pytest.mark.parametrize("target", ALONE)
+def test_numbers_that_were_not_entered_took_nothing_away(tmp_path: Path, target: str) -> None:
+    text = f", compensated_by: table.ect, compensated_as: [{target}], compensated_entered: false"
+    code, recording = measured(tmp_path, ALONE[target], text)
+    assert code == 0
+    assert np.ptp(recording.array("EXX") - machine(recording.array("x"), recording.array("dir"))) < 0.4  # um
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (", compensated_by: table.ect, compensated_as: [linuxcnc_screw, ecmc_lut]", "linuxcnc_screw and ecmc_lut"),
+        (", compensated_by: table.ect, compensated_entered: false", "needs compensated_as"),
+    ],
+)
+def test_what_no_controller_does_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: str, said: str
+) -> None:
+    code, _ = measured(tmp_path, machine, options)
+    assert code == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_format_named_twice_counts_once(tmp_path: Path) -> None:
+    text = ", compensated_by: table.ect, compensated_as: [linuxcnc_screw, linuxcnc_screw]"
+    _, recording = measured(tmp_path, machine, text)
+    assert np.ptp(recording.array("EXX") - machine(recording.array("x"), recording.array("dir"))) < 0.4  # um
+
+
 def test_a_format_without_its_table_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, _ = measured(tmp_path, machine, ", compensated_as: [linuxcnc_screw]")
     assert code == 2
@@ -96,8 +131,13 @@ def test_a_format_without_its_table_is_refused(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_the_checklist_states_how_such_a_measurement_is_declared(tmp_path: Path) -> None:
-    write_targets(table_of_the_machine(), ["grblhal_backlash", "c_runtime"], tmp_path)
-    pages = {name: (tmp_path / name / "CHECKLIST.md").read_text() for name in ("grblhal_backlash", "c_runtime")}
+    write_targets(table_of_the_machine(), ["grblhal_backlash", "c_runtime", "sinumerik_lec"], tmp_path)
+    pages = {
+        name: (tmp_path / name / "CHECKLIST.md").read_text()
+        for name in ("grblhal_backlash", "c_runtime", "sinumerik_lec")
+    }
+    assert "compensated_entered: false" in pages["sinumerik_lec"]
+    assert "compensated_entered: false" not in pages["grblhal_backlash"], "its number stands in the file"
     assert "compensated_by: table.ect, compensated_as: [grblhal_backlash]" in pages["grblhal_backlash"]
     assert "compensated_by: table.ect}" in pages["c_runtime"]
 
@@ -122,3 +162,28 @@ def test_files_of_a_line_per_kelvin_alone_act_at_the_position_of_each_row(tmp_pa
     recording = Recording(Manifest(recording=1, tables=("recording.csv",), columns=columns), frame)
     machine_itself, _ = uncompensated(recording, tmp_path / "table.ect", [target], None)
     assert machine_itself.array("EXX") == pytest.approx(0.01 * x * warm, abs=0.1)
+
+
+def test_export_folders_are_compared_and_what_lies_beside_their_files_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two folders were `nothing to compare`, and a copied screw file of another axis went unseen."""
+    ect.write(table_of_the_machine(), tmp_path / "table.ect")
+    for name in ("old", "new"):
+        assert (
+            main(["export", str(tmp_path / "table.ect"), "--target", "linuxcnc_screw", "--out", str(tmp_path / name)])
+            == 0
+        )
+    file = tmp_path / "new" / "linuxcnc_screw" / "x.comp"
+    (file.parent / "y.comp").write_bytes(file.read_bytes())
+    capsys.readouterr()
+    assert main(["verify", str(tmp_path / "new")]) == 0
+    assert "linuxcnc_screw/y.comp: NOT of this export" in capsys.readouterr().out
+    assert main(["verify", str(tmp_path / "old")]) == 0
+    assert "NOT of this export" not in capsys.readouterr().out
+    file.write_text(file.read_text() + "\n")
+    assert main(["compare", str(tmp_path / "old"), str(tmp_path / "new")]) == 0
+    said = capsys.readouterr().out
+    assert "EXX: the same" in said and "file changed: linuxcnc_screw/x.comp" in said and "y.comp" in said
+    assert main(["whatis", str(tmp_path / "new")]) == 3
+    assert "an export folder" in capsys.readouterr().err

@@ -149,3 +149,40 @@ def test_a_limited_axis_of_almost_a_turn_keeps_the_difference_of_its_ends(tmp_pa
     assert run(tmp_path, TURNING % "linuxcnc_screw", rows, constants) == 0
     table = ect.read(tmp_path / "out" / "export" / "table.ect")
     assert _sample.span(table, "C") == (-179.99, 179.99)
+
+
+def with_commands(folder, axis: str, places: np.ndarray, targets: str) -> int:
+    """Exit code of a run on actual positions beside commanded ones, the axis up to 12 um (urad) off."""
+    unit, component, per_unit = ("deg", f"EC{axis}", 1e6 * np.pi / 180) if axis == "S" else ("mm", "EXX", 1e3)
+    x = np.tile(places, 8)
+    at = 2 * np.pi * (x - places[0]) / (places[-1] - places[0])
+    deviation = 12.0 * np.sin(at + 0.7) + np.random.default_rng(8).normal(0, 0.3, x.size)
+    rows = {
+        "target": (x, {"role": "command", "axis": axis, "unit": unit}),
+        "actual": (x + deviation / per_unit, {"role": "position", "axis": axis, "unit": unit}),
+        component: (deviation, {"role": "error", "component": component, "unit": "urad" if axis == "S" else "um"}),
+    }
+    pipeline = TURNING.replace("component: ECC", f"component: {component}").replace(
+        "{term: measured_points, axis: C}",
+        f"{{term: harmonics, axis: {axis}, period: 360, orders: [1]}}"
+        if axis == "S"
+        else "{term: chebyshev, axis: X, degree: 9}",
+    )
+    return run(folder, pipeline % targets, rows, {})
+
+
+def test_the_ends_are_the_commanded_ones_not_where_the_axis_stood(tmp_path):
+    """A table of X began at -733.692."""
+    assert with_commands(tmp_path, "X", np.linspace(-733.7, -3.0, 21), "linuxcnc_screw") == 0
+    assert _sample.span(ect.read(tmp_path / "out" / "export" / "table.ect"), "X") == pytest.approx(
+        (-733.7, -3.0), abs=1e-9
+    )
+
+
+def test_a_spindle_is_an_axis_in_degrees_that_turns_on(tmp_path, capsys):
+    """S was taken for an axis in mm: half an inch apart in a list in inches, and held beyond 360 deg."""
+    assert with_commands(tmp_path, "S", np.arange(0.0, 361.0, 15.0), "sinumerik_lec") == 0
+    text = (tmp_path / "out" / "export" / "sinumerik_lec" / "AX1_S_EEC.INI").read_text()
+    assert "$AA_ENC_COMP_IS_MODULO[0,AX1]=1" in text and "$AA_ENC_COMP_MAX[0,AX1]=360\n" in text
+    assert with_commands(tmp_path, "S", np.arange(0.0, 361.0, 15.0), "haas_pitch") == 4
+    assert "S: a list in inches holds no rotary axis" in " ".join(capsys.readouterr().err.split())

@@ -451,6 +451,21 @@ def test_a_control_that_takes_turns_from_0_to_360_deg_gets_them_so():
     assert "A: its table runs from -120 to" in text and "from 0 to 360 deg only (TNC 407)" in text
 
 
+@pytest.mark.parametrize(("ends", "start"), [((0.0, 360.0), 0), ((-180.0, 180.0), -180), ((-90.0, 270.0), 0)])
+def test_a_list_starts_over_where_its_axis_does(ends, start):
+    """P-COMP-00022: the list wraps where the position does, which -90 or 5 deg never is."""
+    (target,) = [t for t in TARGETS if t.name == "beckhoff_ssfk"]
+    table = turning(*ends)
+    files = target.write(table)
+    assert re.search(rf"kw_startpos +{start * 10_000}\n", files["achskw4.lis"])
+    text = checklist(target, target.read_back(files), [], table)
+    assert f"P-AXIS-00127 = {start * 10_000}, P-AXIS-00126 = {(start + 360) * 10_000}" in text
+    moved = manual_readers.beckhoff_ssfk(files, "C")
+    places = start + np.array([1.0, 100.0, 359.0])
+    want = _sample.at_nodes(table, "C", "C", places).up
+    assert [moved(float(x), 1) for x in places] == pytest.approx(want, abs=3e-4)
+
+
 def test_beyond_its_points_a_multiplier_goes_on():
     """As the firmware integrates (PitchCompensation::integrate): 100 mm beyond travel the correction was 2 um more."""
     (target,) = [t for t in TARGETS if t.name == "smoothie_pitch"]

@@ -237,4 +237,4 @@ def test_two_retrainings_and_two_fleets_are_compared_by_their_runs(tmp_path: Pat
     assert answer["only_in_old"]["machine"] == ["m1"] and answer["only_in_new"]["machine"] == ["m3"]
     assert list(answer["machines"]) == ["m2"] and answer["machines"]["m2"]["largest_um"] == whole[1]["largest_um"]
     assert main(["compare", str(tmp_path), str(tmp_path)]) == 3
-    assert "without errpipe.lock, recording.yaml, fleet.json or retrain.json" in capsys.readouterr().err
+    assert "without errpipe.lock, recording.yaml, fleet.json, export.json or retrain.json" in capsys.readouterr().err
