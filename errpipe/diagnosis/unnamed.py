@@ -158,7 +158,7 @@ def unlikely(case: Case, findings: list[Finding]) -> bool:
 def is_a_level(case: Case) -> bool:
     """Is a level, or one of each run, there as likely as the first name, odds aside, and likelier than its form?
 
-    A joint of a scale, a weight on the foundation or a reflector set up anew is one; nearly constant inputs resemble it.
+    A joint of a scale, a weight on the foundation or a reflector set up anew is a level; constant inputs resemble it.
     """
     if not case.explanation.accepted or not (mask := case.explanation.accepted[0].hypothesis.mask):
         return False
