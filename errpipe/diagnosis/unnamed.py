@@ -156,9 +156,10 @@ def unlikely(case: Case, findings: list[Finding]) -> bool:
 
 
 def is_a_level(case: Case) -> bool:
-    """Is a level, or one of each run, there as likely as the first name, odds aside, and likelier than its form?
+    """Is a constant level, or one of each run, likelier than the first name on that part of the rows, odds aside?
 
-    A joint of a scale, a weight on the foundation or a reflector set up anew is a level; constant inputs resemble it.
+    A joint between two scales, a weight on the foundation or a reflector set up anew is a level. Where its inputs
+    hardly change, or its own level follows it, an effect resembles one.
     """
     if not case.explanation.accepted or not (mask := case.explanation.accepted[0].hypothesis.mask):
         return False
@@ -166,12 +167,10 @@ def is_a_level(case: Case) -> bool:
     inside = hypotheses.mask_of(mask, case.recording)[case.pair.rows]
     level = case.library.table.add(((inside - inside.mean()) / (inside.std() or 1.0))[:, None])
     each = [k for k, s in enumerate(case.free_shapes) if s.kind == "runs" and mask[0] == "runs"]
-    own, form = case.library.places[first.index], case.library.textbook(first.index)
-    sets = [own[:form], level, *(case.places[k] for k in each)]
-    freedoms = [case.library.freedoms[first.index][:form], np.ones(1), *(case.free_shapes[k].freedom for k in each)]
-    scene = case.search.scene([(f.index, f.size) for f in others])
-    textbook, *levels = scene.gains(sets, freedoms, case.search.rows)
-    return bool(max(levels) >= max(first.gain - case.search.prior[first.index], textbook + BETTER))
+    sets = [level, *(case.places[k] for k in each)]
+    freedoms = [np.ones(1), *(case.free_shapes[k].freedom for k in each)]
+    gains = case.search.scene([(f.index, f.size) for f in others]).gains(sets, freedoms, case.search.rows)
+    return bool(gains.max() >= first.gain - case.search.prior[first.index] + BETTER)
 
 
 def confirmed_by_held_out(case: Case, held: holdout.HeldOut) -> bool:

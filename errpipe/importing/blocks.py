@@ -177,7 +177,11 @@ def _are_sides_of(rows: Rows, numbers: Numbers, start: int, first: int, second: 
     parts = [[v[:2] for v in numbers[a:b] if v and v[0] is not None] for a, b in ((start, first), (first, second))]
     parts.append([v[:2] for v in numbers[second:] if v and v[0] is not None])
     whole = all(len(v) == 2 and v[1] is not None for part in parts for v in part)
-    if not whole or not _is_way_back(rows[first], rows[second]) or way_of(" ".join(map(label, rows[start - 1]))):
+    if (
+        not whole
+        or not _is_way_back(rows[first], rows[second])
+        or direction_sign_of(" ".join(map(label, rows[start - 1])))
+    ):
         return False
     tables = [{at: float(value or 0.0) for at, value in part} for part in parts]
     if not tables[0] or len({frozenset(table) for table in tables}) > 1:

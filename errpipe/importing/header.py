@@ -11,7 +11,7 @@ from errpipe.importing.blocks import COMMENT
 from errpipe.importing.sheet import Cell, Numbers, Rows, Sheet, filled_cells, label, number
 from errpipe.importing.units import split_header, unit_of
 from errpipe.importing.units_above import UNITS
-from errpipe.importing.words import is_correction, kind_by_name, plain, way_in
+from errpipe.importing.words import direction_word_in, is_correction, kind_by_name, plain
 
 DEEPEST_LEGEND = 200  # rows of a legend, and of a sheet above its data: the longest known preamble has 60
 NUMBER_AND_UNIT = re.compile(r"\s*([+\-−–]?[\d.,'’]*\d)\s*([^\d\s.,+\-][^\s]{0,8})\s*")
@@ -162,7 +162,7 @@ def _of_devices(rows: list[list[str]]) -> bool:
     """Whether rows below complete names hold devices and, at last, starting times, but no quantity, side or sign."""
     starts = [t for t in rows[-1][1:] if t] if rows else []
     others = [t for row in rows[:-1] for t in row if t]
-    states = any(kind_by_name(t) or len(way_in(t) or "") > 1 or is_correction(t) for t in others)
+    states = any(kind_by_name(t) or len(direction_word_in(t) or "") > 1 or is_correction(t) for t in others)
     return bool(starts) and all(map(is_moment, starts)) and not states
 
 

@@ -110,7 +110,12 @@ def page(solved: Solved, title: str) -> str:
         protocol = test.manifest.constants.get("protocol")
         if test.names("error", component="E_R") and protocol is not None and str(protocol.value) == "ballbar_circle":
             figures += ballbar_pages(test)
-    data = {"title": title or chain.machine.name, "document": document, "figures": figures, "version": __version__}
+    data: dict[str, Any] = {
+        "title": title or chain.machine.name,
+        "document": document,
+        "figures": figures,
+        "version": __version__,
+    }
     data["sign_note"] = _artefacts.SIGN_NOTE if document.get("sign") == "assumed" else ""
     data["aimed"] = remaining.AIMED_HARM_PROBABILITY
     return render("identification.html.j2", data)

@@ -18,7 +18,7 @@ import numpy as np
 
 from errpipe.domain.table import CompensationTable
 from errpipe.targets import _sample
-from errpipe.targets._base import TURN, ByHand, Curve, ReadBack, periodic_curve, expect, settings_in
+from errpipe.targets._base import TURN, ByHand, Curve, ReadBack, expect, periodic_curve, settings_in
 from errpipe.targets._screw_map import ScrewMap
 
 MAX_POINTS = 1500  # points of a TwinCAT position correction table

@@ -34,8 +34,10 @@ def changed_from(recording: Recording, folds: Sequence[HeldOut]) -> dict[str, An
     with fewer than `MIN_RUNS` runs.
     """
     rows = np.concatenate([fold.rows for fold in folds])
-    names = recording.names("position") or recording.names("command")
-    names = [name for name in names if np.nanmax(recording.array(name)[rows]) > np.nanmin(recording.array(name)[rows])]
+    recorded = recording.names("position") or recording.names("command")
+    names = [
+        name for name in recorded if np.nanmax(recording.array(name)[rows]) > np.nanmin(recording.array(name)[rows])
+    ]
     run, labels = recording.run_codes(), recording.run_labels()
     codes = np.unique(run[rows])
     if not 1 <= len(names) <= len(CELLS) or codes.size < MIN_RUNS:
