@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from errpipe.fitting import identifiability, separable, solve, uncertainty
+from errpipe.fitting import identifiability, lack_of_fit, separable, solve, uncertainty
 from errpipe.fitting.design import Problem
 from errpipe.fitting.solve import one_thread
 from errpipe.fitting.spec import ModelSpec
@@ -29,6 +29,7 @@ class Estimate:
     noise: uncertainty.Noise | None = None
     rows_effective: float = 0.0
     freedom: float = 0.0
+    loss: str = ""  # of a robust solution
 
 
 @one_thread()
@@ -58,7 +59,9 @@ def estimate(
             design, names, problem.recording, component=component, penalty=penalty, most=spec.most_inflation
         )
     degrees = solution.degrees + nonlinear.size
-    plain = Estimate(solution.coefficients, nonlinear, solution.residual, degrees, solution.strength)
+    plain = Estimate(
+        solution.coefficients, nonlinear, solution.residual, degrees, solution.strength, loss=solution.loss
+    )
     return _with_intervals(plain, problem, spec, design, penalty) if intervals else plain
 
 
@@ -76,12 +79,12 @@ def _linear(design, problem, spec, penalties, priors, folds) -> solve.Solution:
         solution = solve.penalised(design, y, penalties, priors=priors)
         if spec.method == "linear":
             return solution
-        first = solve.robust(design, y, penalty=_sum(penalties, solution.strength), priors=priors, loss=spec.loss)
+        first = _robust(design, problem, spec, _sum(penalties, solution.strength), priors)
         solution = solve.penalised(design, y, penalties, weights=first.weights, priors=priors)
-        again = solve.robust(design, y, penalty=_sum(penalties, solution.strength), priors=priors, loss=spec.loss)
+        again = _robust(design, problem, spec, _sum(penalties, solution.strength), priors)
         return replace(again, strength=solution.strength)
     if spec.method == "robust":
-        return solve.robust(design, y, priors=priors, loss=spec.loss)
+        return _robust(design, problem, spec, None, priors)
     first = solve.least_squares(design, y)
     if not priors:
         return first
@@ -89,6 +92,14 @@ def _linear(design, problem, spec, penalties, priors, folds) -> solve.Solution:
     noise = uncertainty.noise_model(problem.sequence, design, first.residual, None)
     sigma = noise.sigma * float(np.sqrt(y.size / uncertainty.rows_effective(problem.sequence, noise)))
     return solve.least_squares(design, y, priors=priors, noise=sigma)
+
+
+def _robust(design, problem, spec, penalty, priors) -> solve.Solution:
+    """With Huber's loss, which rejects nothing, where runs repeat what the biweight would reject."""
+    solution = solve.robust(design, problem.response, penalty=penalty, priors=priors, loss=spec.loss)
+    if spec.loss == "huber" or not lack_of_fit.is_repeated(design, solution, problem.sequence):
+        return solution
+    return solve.robust(design, problem.response, penalty=penalty, priors=priors, loss="huber")
 
 
 def _with_effective_rows(problem, nonlinear, penalties, priors, solution) -> solve.Solution:
@@ -208,7 +219,7 @@ def _with_intervals(plain: Estimate, problem: Problem, spec: ModelSpec, design, 
     scores, curvature = plain.residual, None
     if spec.method == "robust":
         scale = max(solve.scale_of(plain.residual, plain.degrees), 1e-300)
-        psi, slope = solve.influence(plain.residual / scale, spec.loss)
+        psi, slope = solve.influence(plain.residual / scale, plain.loss)
         scores, curvature = psi * scale, np.maximum(slope, 0.0)
     if spec.method == "ridge":
         wide = _ridge_penalty(problem, design, plain.strength[0], jacobian.shape[1])

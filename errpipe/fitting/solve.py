@@ -36,6 +36,7 @@ class Solution:
     degrees: float  # effective number of parameters
     rank: int
     strength: tuple[float, ...] = ()  # of ridge or of each penalty
+    loss: str = ""  # of a robust solution: "huber" or "tukey"
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,7 @@ def robust(
                 break
             if stage == "huber":
                 scale = max(scale_of(solution.residual, solution.degrees), least)
-    return solution
+    return replace(solution, loss=loss)
 
 
 def row_weights(standard: np.ndarray, loss: str) -> np.ndarray:

@@ -67,7 +67,9 @@ class ModelSpec(Frozen):
     method: Literal["linear", "ridge", "robust"] = Field(
         "linear", description="Least squares; ridge for collinear sensors; robust against outliers."
     )
-    loss: Literal["huber", "tukey"] = Field("tukey", description="How the robust method weighs large residuals.")
+    loss: Literal["huber", "tukey"] = Field(
+        "tukey", description="How the robust method weighs large residuals; huber, too, where runs repeat them."
+    )
     datum: Literal["absolute", "run_start"] = Field(
         "absolute", description="Datum of the deviation: the machine's own zero, or each run's first row."
     )
