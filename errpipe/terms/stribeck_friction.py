@@ -14,13 +14,10 @@ from errpipe.drivers.motion import direction, moving
 from errpipe.terms._base import Parameter
 from errpipe.terms._driven import OfVelocity
 from errpipe.terms._drivers import curve, scaled, sign
-from errpipe.terms._search import Signals, Speeds
+from errpipe.terms._search import Speeds
 from errpipe.terms._slack import AT_STANDSTILL, Slack, difference_of_shape, gradual_reversal
 
 FADES = Speeds(fades=True)
-# The force may turn round within some speed, as that of `coulomb_friction` (the least of its shares of the highest
-# speed): a sign in its place leaves a remainder near standstill, which the gains of the simulated friction then take up
-TURNS = Speeds(shares=(0.003,))
 
 
 class StribeckFriction(OfVelocity):
@@ -48,8 +45,6 @@ class StribeckFriction(OfVelocity):
         for power in (1.0, 0.5):
             slower = moving(recording, self.column) * np.exp(-(np.abs(v / nonlinear[0]) ** power))
             yield difference_of_shape(slower, base[:, 0]), 0.5
-        (turns,) = TURNS.values(self, "sharpness", recording, Signals())
-        yield np.tanh(v / turns) * np.exp(-((v / nonlinear[0]) ** 2)) - base[:, 0], AT_STANDSTILL
         side = direction(recording, self.axis)
         yield side * np.exp(-((v / nonlinear[0]) ** 2)) - base[:, 0], AT_STANDSTILL
         if recording.name("position", axis=self.axis) is not None:
