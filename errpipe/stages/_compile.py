@@ -98,7 +98,7 @@ def _table_of(
         sources,
         outputs=tables.outputs_of(sources, _acts_on(options.acts_on, recording, [s.name for s in sources])),
         inputs=inputs,
-        travel=_inputs.travel(placed, recording),
+        travel=_inputs.travel(placed),
         turning=_inputs.turning(placed),
         limited=_inputs.limited(placed),
         error_bound=options.error_bound,

@@ -49,8 +49,6 @@ POSITIONS = ("command", "position")  # roles that give the position of an axis, 
 STEPPING = ("speed", "coolant", "load", "tool", "other")  # kinds that may step, read once in a thermal cycle
 STEP_S = 0.5  # s until such a step is accepted: one bad sample that meets a thermal cycle is not
 STEP_NOISE = 0.02  # of the range that was seen: a spindle's own ripple
-# Between actual and commanded ends of travel: more than any axis worth compensating errs (by judgement).
-OWN_ERROR = {"mm": 1.0, "deg": 0.02}
 FADE_SHARE = 0.5  # where the model states no margin: half the width of what was seen
 
 
@@ -165,30 +163,15 @@ def bounded(driver: d.Driver, model: ErrorModel) -> d.Driver:
     return driver.model_copy(update={"of": inside})
 
 
-def travel(model: ErrorModel, recording: Recording | None = None) -> dict[str, tuple[float, float]]:
-    """Range of each axis' profiles, mm or deg: what was seen, else its travel.
-
-    Where the actual position was seen and the command is recorded too, the ends are the commanded ones.
-    """
+def travel(model: ErrorModel) -> dict[str, tuple[float, float]]:
+    """Range of each axis' profiles, mm or deg: what was seen, else its travel."""
     axes = {letter: facts for letter, facts in model.constants.items() if facts.get("role") == "axis"}
     out = {letter: tuple(facts["travel"]) for letter, facts in axes.items() if facts.get("travel")}
     for name, facts in model.columns.items():
         seen = model.validity.ranges.get(name)
         if facts["role"] in POSITIONS and seen is not None and seen[1] > seen[0]:
-            out[facts["axis"]] = _as_commanded(seen, facts["axis"], recording) if facts["role"] != "command" else seen
+            out[facts["axis"]] = seen
     return out
-
-
-def _as_commanded(seen: tuple[float, float], axis: str, recording: Recording | None) -> tuple[float, float]:
-    """The commanded places nearest to the ends of actual positions, where the axis' own error can be between."""
-    name = recording.name("command", axis=axis) if recording is not None else None
-    if recording is None or name is None:
-        return seen
-    places = recording.array(name)
-    places = np.unique(places[np.isfinite(places)])
-    near = OWN_ERROR["deg" if is_rotary(axis) else "mm"]
-    low, high = (float(places[np.argmin(np.abs(places - end))]) if places.size else end for end in seen)
-    return (low, high) if max(abs(low - seen[0]), abs(high - seen[1])) <= near and low < high else seen
 
 
 def with_positions(model: ErrorModel, axes: Iterable[str], recording: Recording | None) -> ErrorModel:

@@ -69,17 +69,13 @@ def _unguarded(table: CompensationTable) -> CompensationTable:
 
 
 def _within_validity(table: CompensationTable, recording: Recording) -> Recording:
-    """The recording without gaps of temperatures, within the validity range and the travel of the table: its bound's.
+    """The recording without gaps of temperatures, clipped to the validity range of the table, where its bound applies.
 
     In a gap of one sensor a lag of several is held as a whole, while a table holds that one input only: the two differ
     until the lag has settled, which is no error of gridding or rounding.
     """
     recording = short_gaps_held(recording, longest=None)
     boxes = {i.name: i.valid for i in table.inputs if i.valid is not None and i.name in recording}
-    for i in (i for i in table.inputs if i.kind == "position" and i.name in recording):
-        curves = [p for p in table.profiles if p.input == i.name and not p.periodic]
-        if curves:  # they end at the commanded places, beyond which the axis stood by its own error
-            boxes[i.name] = (min(p.start for p in curves), max(p.end for p in curves))
     return recording.with_columns({n: np.clip(recording.array(n), *box) for n, box in boxes.items()}, {})
 
 

@@ -5,7 +5,6 @@ import numpy as np
 from errpipe.diagnosis import diagnose
 from errpipe.diagnosis.units import rounded
 from errpipe.kernels.responses import lag
-from errpipe.terms.stribeck_friction import StribeckFriction
 
 from .machines import recording, trace
 
@@ -55,18 +54,6 @@ def test_the_size_of_falling_friction_is_that_at_creep_whatever_its_law():
     (extra,) = [p for p in first.parameters if p.name == "extra"]
     assert extra.ci95[0] <= 30.0 <= extra.ci95[1] < 45.0
     assert "x at 1, 3, 10, 30 and 100 % of 2" in first.would_separate and " mm/s, in both" in first.would_separate
-
-
-def test_friction_that_falls_with_speed_may_turn_round_within_some_speed():
-    """A simulated friction that does so holds the remainder of a sign, whose gain would take up what is missing."""
-    made = trace()
-    v = made.array("v")
-    term = StribeckFriction(axis="X", column="v")
-    form = term.basis(made, 20.0)
-    block = np.column_stack([form, *(column for column, _ in term.slack(made, form, 20.0))])
-    regularised = np.tanh(v / (0.003 * np.quantile(np.abs(v), 0.999))) * np.exp(-((v / 20.0) ** 2))
-    left = regularised - block @ np.linalg.lstsq(block, regularised, rcond=None)[0]
-    assert np.std(left) < 1e-6 * np.std(regularised)
 
 
 def test_numbers_in_sentences_have_no_exponent_up_to_a_million():

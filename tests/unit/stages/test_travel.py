@@ -171,14 +171,6 @@ def with_commands(folder, axis: str, places: np.ndarray, targets: str) -> int:
     return run(folder, pipeline % targets, rows, {})
 
 
-def test_the_ends_are_the_commanded_ones_not_where_the_axis_stood(tmp_path):
-    """A table of X began at -733.692."""
-    assert with_commands(tmp_path, "X", np.linspace(-733.7, -3.0, 21), "linuxcnc_screw") == 0
-    assert _sample.span(ect.read(tmp_path / "out" / "export" / "table.ect"), "X") == pytest.approx(
-        (-733.7, -3.0), abs=1e-9
-    )
-
-
 def test_a_spindle_is_an_axis_in_degrees_that_turns_on(tmp_path, capsys):
     """S was taken for an axis in mm: half an inch apart in a list in inches, and held beyond 360 deg."""
     assert with_commands(tmp_path, "S", np.arange(0.0, 361.0, 15.0), "sinumerik_lec") == 0
