@@ -118,13 +118,13 @@ class ExportVolumetric(SignOptions, Stage):
 
 def not_corrected(names: Sequence[str], in_part: Mapping[str, float]) -> str:
     """What a table corrects not or in part, as sentences for the checklists; nothing where it corrects all."""
-    said = [f"Not corrected by this table: {', '.join(names)}."] if names else []
+    sentences = [f"Not corrected by this table: {', '.join(names)}."] if names else []
     shares = ", ".join(f"{name} {factor:.0%}" for name, factor in in_part.items())
-    said += [f"Corrected in part: {shares}."] if shares else []
-    if not said:
+    sentences += [f"Corrected in part: {shares}."] if shares else []
+    if not sentences:
         return ""
     why = "The measurements do not show well enough that more correction makes every axis better; the rest stays."
-    return " ".join([*said, why])
+    return " ".join([*sentences, why])
 
 
 def bound(chain: Any, table: CompensationTable) -> float:

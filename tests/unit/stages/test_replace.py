@@ -13,7 +13,7 @@ from errpipe.stages import targets
 from errpipe.tables import ect
 from errpipe.verbs.verify import verify
 from tests.unit.targets import machines
-from tests.unit.targets.test_by_hand import MACHINES, of
+from tests.unit.targets.by_hand import MACHINES, of
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Cross tables, beds, temperatures and whole tables, read by the manual's words alone on the machines of test_by_hand.
+"""Cross tables, beds, temperatures and whole tables, read by the manual's words alone on the machines of by_hand.
 
 Nothing of errpipe's readers or helpers stands behind these: each takes the files and gives what the control adds.
 """
@@ -17,7 +17,7 @@ from errpipe.drivers.lowered import Lowered
 from errpipe.targets import TARGETS
 from tests.contract import second_reader
 from tests.contract.second_cycle import Evaluator
-from tests.unit.targets.test_by_hand import MACHINES, PLACES, of
+from tests.unit.targets.by_hand import MACHINES, PLACES, of
 
 BY_NAME = {t.name: t for t in TARGETS}
 ROOM = 0.25  # um: interpolation of a format besides its rounding

@@ -1,6 +1,6 @@
 """Recordings that are declared wrongly, each as it is read, with the refusal that must name the fault.
 
-`docs/wrong-declarations.md` is the same list for people; a test holds the two together.
+`docs/wrong-declarations.md` is the same list for people; a test holds the two together. Long, because it is one list.
 """
 
 from __future__ import annotations
