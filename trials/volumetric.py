@@ -21,6 +21,7 @@ from errpipe import yamlfile
 from errpipe.domain.machine import Machine
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, GateError
+from errpipe.fitting.solve import one_thread
 from errpipe.kinematics import identify, readings, remaining, summary, synthesis
 from errpipe.kinematics.chain import Chain, compile_chain
 from errpipe.kinematics.errors import MachineErrors
@@ -51,6 +52,7 @@ class Outcome:
         return tuple(n for n, size in self.before.items() if self.axes and self.after[n] > size + ROUNDING)
 
 
+@one_thread()
 def outcome(name: str, protocol: str, seed: int) -> Outcome:
     """One machine measured by one protocol. Raises DataError where the machine cannot be measured so."""
     machine = yamlfile.load(MACHINES / f"{name}.yaml", Machine)

@@ -11,6 +11,7 @@ import numpy as np
 from errpipe import __version__, jsonfile, yamlfile
 from errpipe.domain.machine import Machine
 from errpipe.errors import UsageError
+from errpipe.fitting.solve import one_thread
 from errpipe.kinematics import direct, identify, readings, records, remaining, summary, synthesis
 from errpipe.kinematics.chain import Chain, compile_chain
 from errpipe.kinematics.errors import MachineErrors, positions_of
@@ -34,6 +35,7 @@ class Solved:
     remaining: Remaining | None
 
 
+@one_thread()  # two on a busy machine take ten times as long, and their last bits change
 def solve(stage: Any, context: Context) -> Solved:
     """Read every test, identify, and state the residual. Raises DataError for a test that cannot be read."""
     chain = compile_chain(yamlfile.load(stage.machine, Machine))

@@ -13,6 +13,7 @@ from errpipe.domain.machine import Machine
 from errpipe.domain.recording import Recording
 from errpipe.errors import GateError
 from errpipe.fitting.judging import HeldOut
+from errpipe.fitting.solve import one_thread
 from errpipe.fitting.statistics import rms
 from errpipe.kinematics import held_out, identify, readings, remaining, synthesis
 from errpipe.kinematics.chain import Chain, compile_chain
@@ -22,6 +23,7 @@ from errpipe.models.direct import Direct
 MIN_IMPROVEMENT = 0.01  # of the uncompensated rms: within this margin, no compensation is preferred
 
 
+@one_thread()
 def judged(
     machine: Machine,
     document: Mapping[str, Any],
