@@ -118,12 +118,13 @@ def spread(identified: Identified) -> Callable[[np.ndarray], np.ndarray]:
 class Expected:
     """Expected effect of a compensation by an identification, from its posterior, without the workpiece's pose.
 
-    effect_rms_um: of the compensated part; left_rms_um: expected residual; harm: the probability that the machine is
-    worse with it (rms over the travel). axes: the same of each linear axis. factors: of components that are compensated
-    in part or (0) not.
+    effect_rms_um: of the compensated part; before_rms_um, left_rms_um: expected error without and with it, with what no
+    reading observes; harm: the probability that the machine is worse with it (rms over the travel). axes: the same of
+    each linear axis. factors: of components that are compensated in part or (0) not.
     """
 
     effect_rms_um: float
+    before_rms_um: float
     left_rms_um: float
     harm: float
     axes: Mapping[str, Expected]
@@ -131,7 +132,8 @@ class Expected:
 
     def document(self) -> dict[str, Any]:
         """As JSON values."""
-        figures = {"effect_rms_um": self.effect_rms_um, "left_rms_um": self.left_rms_um, "probability_worse": self.harm}
+        sizes = {k: getattr(self, k) for k in ("effect_rms_um", "before_rms_um", "left_rms_um")}
+        figures = sizes | {"probability_worse": self.harm}
         if not self.axes:
             return figures
         axes = {name: axis.document() for name, axis in self.axes.items()}
@@ -243,8 +245,9 @@ def _expected(identified: Identified, part: np.ndarray, rows: np.ndarray, count:
     trace = float(np.einsum("ij,jk,ik->", rows, identified.covariance, rows, optimize=True))
     gain = power / 2 + float(field @ rest)
     harm = NormalDist().cdf(-gain / deviation_along) if deviation_along > 0.0 else 0.0
-    left = math.sqrt(max(trace + float(rest @ rest), 0.0) / count)
-    return Expected(math.sqrt(power / count), left, harm, {})
+    whole = rows @ identified.mean
+    before, left = (math.sqrt(max(trace + float(of @ of), 0.0) / count) for of in (whole, rest))
+    return Expected(math.sqrt(power / count), before, left, harm, {})
 
 
 def truth_document(chain: Chain, values: Mapping[str, Any]) -> dict[str, Any]:

@@ -49,7 +49,7 @@ class Identify(Stage):
     }
     gives: ClassVar[tuple[str, ...]] = ("identified_machine",)
     writes: ClassVar[tuple[str, ...]] = (IDENTIFICATION, MACHINE, "identification.html")
-    code_version: ClassVar[int] = 3
+    code_version: ClassVar[int] = 4
     reads_tests: ClassVar[bool] = True  # `errpipe check` asks each recording which test it is
 
     def run(self, context: Context) -> Mapping[str, Any]:

@@ -103,6 +103,21 @@ def test_an_axis_without_error_is_left_alone(cloud):
     assert gate.pass_gate(document, [cloud[1]]) == ("X", "Y")
 
 
+def test_a_table_that_hardly_improves_the_machine_is_refused(cloud):
+    """Direct records see little of five axes: a table of them was 1 % better at best and X worse by 2 %."""
+    assert volumetric.outcome("five-axis-table-table", "direct", 12).axes == ()
+    document = copy.deepcopy(cloud[0])
+    document["volumetric"] |= {"before_rms_um": 60.0, "left_rms_um": 57.1}
+    with pytest.raises(
+        GateError, match=r"the machine: expected 60 um rms without the table and 57\.1 with it .*5% less"
+    ):
+        gate.pass_gate(document, [cloud[1]])
+    document = copy.deepcopy(cloud[0])
+    document["volumetric"]["axes"]["Z"] |= {"before_rms_um": 60.0, "left_rms_um": 59.5}
+    with pytest.raises(GateError, match=r"Z: expected 60 um rms without the table and 59\.5 with it .*1% less"):
+        gate.pass_gate(document, [cloud[1]])
+
+
 def records(**figures):
     """Judged records of single components, (before, after) each."""
     out = {}
