@@ -35,9 +35,8 @@ def changed_from(recording: Recording, folds: Sequence[HeldOut]) -> dict[str, An
     """
     rows = np.concatenate([fold.rows for fold in folds])
     recorded = recording.names("position") or recording.names("command")
-    names = [
-        name for name in recorded if np.nanmax(recording.array(name)[rows]) > np.nanmin(recording.array(name)[rows])
-    ]
+    columns = {name: recording.array(name)[rows] for name in recorded}
+    names = [name for name, column in columns.items() if np.unique(column[np.isfinite(column)]).size > 1]
     run, labels = recording.run_codes(), recording.run_labels()
     codes = np.unique(run[rows])
     if not 1 <= len(names) <= len(CELLS) or codes.size < MIN_RUNS:

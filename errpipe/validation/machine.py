@@ -21,9 +21,10 @@ from errpipe.kinematics.remaining import MAX_HARM_PROBABILITY
 from errpipe.models.direct import Direct
 
 MIN_IMPROVEMENT = 0.01  # of the uncompensated rms: within this margin, no compensation is preferred
-# Of the machine's expected uncompensated rms, with what no reading observes: a table that improves less is not worth the
-# risk. Chosen with MIN_IMPROVEMENT of each axis on five axes by tests that do not turn the table (`trials.volumetric`,
-# seeds 1 to 12 and 401 to 410): of 79 exports, 4 % better in the mean, 17 made an axis worse; of those that pass none.
+# Of the machine's expected uncompensated rms, with what no reading observes: a table that improves less is not worth
+# its risk. Chosen with MIN_IMPROVEMENT of each axis on five axes by tests that do not turn the table, seeds 1 to 12
+# and 401 to 410 of `trials.volumetric`: of 79 exports, 4 % better in the mean, 17 made an axis worse; of those that
+# pass none.
 MIN_EXPECTED_IMPROVEMENT = 0.05
 
 
