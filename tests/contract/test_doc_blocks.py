@@ -18,11 +18,26 @@ from tests.contract.test_docs import PAGES, TOP
 PIPELINE = "pipeline: 1\ntitle: a block of the documentation\n"
 MANIFEST = "recording: 1\ntitle: a block of the documentation\ntables: [recording.csv]\n"
 OF_A_PLUGIN = "CONTRIBUTING.md"  # its pipelines name new plug-ins; test_contributing.py runs them
+BEFORE_AN_EXPORT = """stages:
+  - {kind: simulate}
+  - {kind: ingest}
+  - {kind: fit, components: [{component: EXX, terms: [{term: offset}]}]}
+  - {kind: validate}
+"""
+
+
+def blocks(text: str) -> list[str]:
+    """Fenced blocks, and indented stages as the end of a pipeline."""
+    fenced = re.findall(r"^```ya?ml\n(.*?)^```", text, re.M | re.S)
+    ends = re.findall(r"(?:^ {4}- \{?kind: export.*\n)(?:^ {4,}\S.*\n)*", text, re.M)
+    return [*fenced, *(BEFORE_AN_EXPORT + re.sub(r"^  ", "", end, flags=re.M) for end in ends)]
+
+
 BLOCKS = [
     pytest.param(block, id=f"{page.relative_to(TOP)}:{number}")
     for page in PAGES
     if page.name != OF_A_PLUGIN
-    for number, block in enumerate(re.findall(r"^```ya?ml\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S))
+    for number, block in enumerate(blocks(page.read_text(encoding="utf-8")))
 ]
 
 
@@ -47,6 +62,7 @@ def test_every_block_is_valid(block: str, tmp_path: Path) -> None:
     [
         "stages:\n  - {kind: simulate}\n  - {kind: ingest, recordng: x}\n",
         "stages:\n  - {kind: exprot}\n",
+        *blocks("    - kind: export\n      readings_per_shft: 8\n"),
         "columns:\n  x: {role: position, axis: X, unit: furlong}\n",
     ],
 )
@@ -56,4 +72,4 @@ def test_a_wrong_block_is_noticed(block: str, tmp_path: Path) -> None:
 
 
 def test_blocks_are_found() -> None:
-    assert len(BLOCKS) >= 6
+    assert len(BLOCKS) >= 7
