@@ -38,7 +38,7 @@ def command(
 
     \b
     Example:
-      errpipe correct part.ngc --table out/axis/export/table.ect --start 0,0,0 --out part-corrected.ngc
+      errpipe correct part.ngc --table table.ect --start 0,0,0 --out corrected.ngc
     """
     done = module_of("verbs.correct").correct(
         program,

@@ -34,7 +34,7 @@ def command(
     Example:
       errpipe diagnose recording --out out/diagnosis
       errpipe diagnose recording --out out/diagnosis --apply out/corrected
-      errpipe diagnose recording --out out/later --against out/diagnosis/diagnosis.json
+      errpipe diagnose later --out new --against out/diagnosis/diagnosis.json
     """
     from errpipe.cli.progress import ProgressReporter
 

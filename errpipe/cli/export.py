@@ -35,8 +35,8 @@ def command(
 
     \b
     Example:
-      errpipe export out/axis/export/table.ect --target linuxcnc_screw --out out/linuxcnc
-      errpipe export x/out/export/table.ect y/out/export/table.ect --target fanuc_pitch --out machine
+      errpipe export axis/out/export/table.ect --target linuxcnc_screw --out pc
+      errpipe export x/table.ect y/table.ect --target fanuc_pitch --out machine
     """
     print_answer(
         "export", module_of("stages.targets").export(table, target, out, allow, limit, public_key), as_json=json

@@ -53,7 +53,7 @@ def command(
     \b
     Example:
       errpipe import positions.csv --out recording --yes
-      errpipe import log.txt --out recording --names x_cmd,x_fb --period 0.001 --yes
+      errpipe import log.txt --out recording --names x,x_fb --period 0.001 --yes
     """
     work = module_of("verbs.import_files")
     from errpipe.importing.sheet import ReaderOptions

@@ -28,6 +28,6 @@ def command(
     \b
     Example:
       errpipe init --template laser-iso230 axis
-      errpipe init --template dial-gauge mill --recording recording --target linuxcnc_screw
+      errpipe init --template dial-gauge mill --recording data --target c_runtime
     """
     print_answer("init", module_of("verbs.init").init(folder, template, recording, target), as_json=json)

@@ -25,6 +25,6 @@ def command(
     \b
     Example:
       errpipe log registry 7 --at 2026-03-03 --public-key keys/errpipe.pub
-      errpipe log registry --file found-on-the-controller.ect --public-key keys/errpipe.pub
+      errpipe log registry --file found.ect --public-key keys/errpipe.pub
     """
     print_answer("log", module_of("stages.signing").log(registry, machine, at, file, public_key), as_json=json)

@@ -32,7 +32,7 @@ def command(
 
     \b
     Example:
-      errpipe promote registry 7 table.ect --why "new spindle" --key keys/errpipe.key --public-key keys/errpipe.pub
+      errpipe promote registry 7 t.ect --why repair --key a.key --public-key a.pub
     """
     done = module_of("stages.signing").promote(registry, machine, table, why, key, public_key, time, other_outputs)
     print_answer("promote", done, as_json=json)

@@ -30,7 +30,7 @@ def command(
 
     \b
     Example:
-      errpipe rollback registry 7 --out table.ect --why "worse in the cold" --key errpipe.key --public-key errpipe.pub
+      errpipe rollback registry 7 --out t.ect --why bad --key k --public-key k.pub
     """
     done = module_of("stages.signing").rollback(registry, machine, to, out, why, key, public_key, time)
     print_answer("rollback", done, as_json=json)

@@ -46,7 +46,7 @@ def command(
     \b
     Example:
       errpipe run pipelines/drilled-plates.yaml --to fit --out out/plates
-      errpipe run pipelines/drilled-plates.yaml --depfile out/run.d --stamp out/run.stamp
+      errpipe run pipelines/drilled-plates.yaml --depfile run.d --stamp run.stamp
     """
     from errpipe.cli.progress import ProgressReporter
     from errpipe.pipeline import unchanged

@@ -20,6 +20,6 @@ def command(
 
     \b
     Example:
-      errpipe sign out/axis/export/table.ect --key keys/errpipe.key --comment "machine 7"
+      errpipe sign out/export/table.ect --key errpipe.key --comment "machine 7"
     """
     print_answer("sign", module_of("stages.signing").sign(file, key, comment), as_json=json)

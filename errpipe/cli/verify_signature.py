@@ -19,6 +19,6 @@ def command(
 
     \b
     Example:
-      errpipe verify-signature out/axis/export/table.ect --public-key keys/errpipe.pub
+      errpipe verify-signature out/export/table.ect --public-key keys/errpipe.pub
     """
     print_answer("verify-signature", module_of("stages.signing").verify_signature(file, public_key), as_json=json)

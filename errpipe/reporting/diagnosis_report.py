@@ -262,14 +262,15 @@ def _against(f: Finding, trace: Trace) -> str:
 def _rivals_of(f: Finding) -> str:
     with svg.figure(7.2, 0.7 + 0.24 * len(f.rivals)) as (canvas, axes):
         place = np.arange(len(f.rivals))[::-1]
-        lost = [max(v.lost_by, 0.0) + 0.5 for v in f.rivals]
+        lost = [max(v.lost_by, 0.0) for v in f.rivals]
         axes.barh(place, lost, color=svg.FLOOR, height=0.6)
         axes.set_yticks(place, [v.effect.replace("_", " ") for v in f.rivals], fontsize=8)
-        axes.set_xscale("log")
-        axes.set_xlim(0.3, 3 * max(*lost, 20.0))
+        axes.set_xscale("symlog", linthresh=1.0)
+        axes.set_xlim(0.0, 3 * max(*lost, 20.0))
         for y, v, end in zip(place, f.rivals, lost, strict=True):
-            axes.text(1.1 * end, y, page.number(v.lost_by), va="center", fontsize=8)
-        axes.axvline(Rival.CLOSE + 0.5, color=svg.ALARM, lw=1.0)
+            beside = {"xytext": (4, 0), "textcoords": "offset points", "va": "center", "fontsize": 8}
+            axes.annotate(page.number(v.lost_by), (end, y), **beside)
+        axes.axvline(Rival.CLOSE, color=svg.ALARM, lw=1.0)
         axes.set_xlabel(f"explains less than {f.effect.replace('_', ' ')} by (log Bayes factor)")
         return svg.to_svg(canvas, f"Rivals of {f.effect.replace('_', ' ')}")
 

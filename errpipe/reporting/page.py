@@ -14,6 +14,11 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{float(text):g}" if "e" in text and 1e-3 < abs(value) < 1e6 else text
 
 
+def fixed(value: float | None, decimals: int) -> str:
+    """A number with the decimals of its column; a dash for nothing."""
+    return "–" if value is None or value != value else f"{value:z.{decimals}f}"
+
+
 def render(template: str, data: dict[str, Any]) -> str:
     """Fill a template of this package. Text is escaped; figures are passed as `Markup`-safe values by the template."""
     import jinja2
@@ -26,5 +31,5 @@ def render(template: str, data: dict[str, Any]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["num"] = number
+    environment.filters |= {"num": number, "fixed": fixed}
     return environment.get_template(template).render(**data) + "\n"

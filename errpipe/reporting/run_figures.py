@@ -19,13 +19,14 @@ def against_time(
     deviation: np.ndarray,
     predicted: np.ndarray,
     groups: Sequence[str],
-    band: float | None,
+    band: Mapping[str, float],
     component: str,
     unit: str,
 ) -> str:
     """Left-out groups over time as SVG text: what was measured, what was predicted, and the band of 90 %.
 
-    time in s; deviation, predicted, band in `unit`; one row each, shape (rows,). band: half of its width, or None.
+    time in s; deviation, predicted, band in `unit`; one row each, shape (rows,). band: half of its
+    width by group, where it is known.
     """
     labels = np.asarray(groups)
     chosen = _worth_seeing(labels, deviation - predicted)
@@ -38,8 +39,10 @@ def against_time(
             steps = np.diff(hours)
             if steps.size:
                 y[1:][steps > GAP * np.median(steps)] = np.nan
-            if band is not None:
-                axes.fill_between(hours, y - band, y + band, color=svg.AFTER, alpha=0.18, lw=0, label="90 % band")
+            if label in band:
+                axes.fill_between(
+                    hours, y - band[label], y + band[label], color=svg.AFTER, alpha=0.18, lw=0, label="90 % band"
+                )
             axes.plot(hours, deviation[own], ".", ms=3, color=svg.BEFORE, label="measured")
             axes.plot(hours, y, "-", lw=1.4, color=svg.AFTER, label="predicted, held out")
             axes.set_title(f"left out: {label}", loc="left", fontsize=9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,7 +21,8 @@ class Response:
 
     deviation, predicted: shape (rows,), in `unit`; groups: label of the left-out group per row;
     inputs: label with unit -> values, shape (rows,), the most important first; time: s, where a thermal run is drawn
-    against it, with band, half the width that holds 90 %; plane: axis -> mm, where the response is a map over two axes.
+    against it; band: half the width of the 90 % interval by left-out group; plane: axis -> mm, where the response is a
+    map over two axes; meaning: the component in words.
     """
 
     component: str
@@ -37,8 +39,15 @@ class Response:
     scheme: str = ""
     notes: Sequence[str] = ()
     time: np.ndarray | None = None
-    band: float | None = None
+    band: Mapping[str, float] = field(default_factory=dict)
     plane: Mapping[str, np.ndarray] = field(default_factory=dict)
+    meaning: str = ""
+
+    @property
+    def decimals(self) -> int:
+        """Decimals of a table of this response: three significant digits of the largest residual."""
+        largest = max((row["rms_after"] for row in self.table), default=self.rms_after)
+        return max(0, 2 - math.floor(math.log10(largest))) if 0 < largest < math.inf else 0
 
 
 @dataclass(frozen=True)
@@ -93,7 +102,7 @@ def render(report: RunReport) -> str:
 
 def _over_plane(r: Response) -> str:
     (a, x), (b, y) = r.plane.items()
-    panels = {f"{r.component} before": r.deviation, "after, held out": r.deviation - r.predicted}
+    panels = {f"{r.component} uncompensated": r.deviation, "residual, held out": r.deviation - r.predicted}
     return run_figures.plane((x, y), (a, b), panels, r.unit)
 
 
@@ -105,14 +114,14 @@ def before_after(r: Response) -> str:
     label, x = svg.in_hours(label, x)
     rows = svg.thin(r.deviation.size)
     with svg.figure(7.2, 3.2) as (canvas, axes):
-        axes.plot(x[rows], r.deviation[rows], ".", ms=3, color=svg.BEFORE, label="before", alpha=0.75)
+        axes.plot(x[rows], r.deviation[rows], ".", ms=3, color=svg.BEFORE, label="uncompensated", alpha=0.75)
         left = r.deviation - r.predicted
-        axes.plot(x[rows], left[rows], ".", ms=3, color=svg.AFTER, label="after, held out", alpha=0.75)
+        axes.plot(x[rows], left[rows], ".", ms=3, color=svg.AFTER, label="residual, held out", alpha=0.75)
         if r.noise_floor:
             axes.axhspan(-r.noise_floor, r.noise_floor, color=svg.FLOOR, alpha=0.18, lw=0, label="noise floor, ±1 rms")
         axes.set(xlabel=label, ylabel=f"{r.component} deviation in {r.unit}")
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, markerscale=3)
-        return svg.to_svg(canvas, f"{r.component} before and after on held-out rows")
+        return svg.to_svg(canvas, f"{r.component} uncompensated and residual on held-out rows")
 
 
 def by_group(r: Response) -> str:
@@ -121,11 +130,11 @@ def by_group(r: Response) -> str:
     height = max(1.6, 0.34 * len(names) + 0.9)
     with svg.figure(7.2, min(height, 9.0)) as (canvas, axes):
         y = np.arange(len(names))
-        axes.barh(y - 0.19, [row["rms_before"] for row in r.table], 0.36, color=svg.BEFORE, label="before")
-        axes.barh(y + 0.19, [row["rms_after"] for row in r.table], 0.36, color=svg.AFTER, label="after, held out")
+        axes.barh(y - 0.19, [row["rms_before"] for row in r.table], 0.36, color=svg.BEFORE, label="uncompensated")
+        axes.barh(y + 0.19, [row["rms_after"] for row in r.table], 0.36, color=svg.AFTER, label="residual, held out")
         if r.noise_floor:
             axes.axvline(r.noise_floor, color=svg.FLOOR, ls="--", lw=1, label="noise floor")
-        axes.set(yticks=y, yticklabels=names, xlabel=f"rms in {r.unit}")
+        axes.set(yticks=y, yticklabels=names, xlabel=f"rms in {r.unit}", ylabel="held out")
         axes.invert_yaxis()
         axes.grid(axis="y", visible=False)
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)

@@ -121,7 +121,7 @@ def _sources(facts: Mapping[str, Any], recording: Any, validation: Mapping[str, 
         {"what": "rows", "value": f"{facts['rows']}, of which {len(recording)} were kept"},
         {"what": "runs", "value": len(recording.run_labels())},
         *({"what": role.replace("_", " "), "value": ", ".join(names)} for role, names in roles.items()),
-        {"what": "held out", "value": validation["scheme"]},
+        {"what": "held out", "value": _scheme_in_words(validation["scheme"])},
     ]
     if facts["simulated"]:
         rows.insert(1, {"what": "origin", "value": "simulated by errpipe itself; no machine was measured"})
@@ -157,6 +157,7 @@ def _readings(validation: Mapping[str, Any]) -> list[tuple[str, str, str]]:
 
 def _responses(recording: Any, fit: _Fit) -> list[Any]:
 
+    from errpipe.domain.components import describe
     from errpipe.fitting.recalibration import is_thermal
     from errpipe.reporting.run_report import Response
 
@@ -179,14 +180,34 @@ def _responses(recording: Any, fit: _Fit) -> list[Any]:
                 noise_floor=figures["noise_floor"],
                 terms=_terms(component),
                 table=[_group(g) for g in figures["groups"]],
-                scheme=fit.validation["scheme"],
+                scheme=_scheme_in_words(fit.validation["scheme"]),
+                meaning=describe(component.component),
                 notes=_notes(component, figures),
                 time=recording.time()[index] if is_thermal(recording) else None,
-                band=figures.get("half_width90"),
+                band=_bands(fit.validation, figures),
                 plane=_plane(recording, component.component, index),
             )
         )
     return out
+
+
+def _bands(validation: Mapping[str, Any], figures: Mapping[str, Any]) -> dict[str, float]:
+    """Half width of the 90 % interval by left-out group: the mean of the model's own intervals, or one for all groups.
+
+    The interval is the one whose coverage the table of the groups states.
+    """
+    table = validation.get("seasons", {})
+    rows = table.get("groups", ()) if table.get("component") == figures["component"] else ()
+    own = {row["left_out"]: row["half_width"] for row in rows if row["half_width"] is not None}
+    if (one := figures.get("half_width90")) is None:
+        return own
+    return {group["label"]: own.get(group["label"], one) for group in figures["groups"]}
+
+
+def _scheme_in_words(scheme: str) -> str:
+    """leave-one-season-out instead of leave-one-group-out:season."""
+    name, _, of = scheme.partition(":")
+    return f"leave-one-{of}-out" if of and name == "leave-one-group-out" else scheme
 
 
 def _plane(recording: Any, component: str, index: Any) -> dict[str, Any]:

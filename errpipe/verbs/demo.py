@@ -25,8 +25,8 @@ def demo(out: Path, callbacks: Any) -> dict[str, Any]:
         "noise_floor_um": figures["noise_floor"],
         "report": str(report),
         "says": [
-            f"before                      {figures['rms_before']:8.2f} um rms",
-            f"after, on held-out runs     {figures['rms_after']:8.2f} um rms",
+            f"uncompensated               {figures['rms_before']:8.2f} um rms",
+            f"residual, held-out runs     {figures['rms_after']:8.2f} um rms",
             f"noise floor                 {figures['noise_floor']:8.2f} um rms",
             f"report  {report}",
             f"next    errpipe whatis {Path(out) / 'export' / 'table.ect'}",

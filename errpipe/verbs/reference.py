@@ -226,6 +226,12 @@ linear axis removes. An axis that files leave further off than none, in the mean
 
 ```yaml
 stages:
+  - {kind: simulate}
+  - {kind: ingest}
+  - kind: fit
+    components:
+      - {component: EXX, terms: [{term: offset}, {term: chebyshev, axis: X, degree: 6}]}
+  - {kind: validate}
   - {kind: export, targets: [linuxcnc_screw, c_runtime]}
 ```""",
         partial(_entries, "errpipe.targets:TARGETS", _target),

@@ -60,6 +60,7 @@ def test_every_verb_says_what_it_does_and_shows_an_example_that_parses(name: str
     assert "Example:" in lines
     examples = [shlex.split(line) for line in lines[lines.index("Example:") :] if line.startswith("errpipe ")]
     assert examples and all(words[:2] == ["errpipe", name] for words in examples)
+    assert [line for line in lines if line.startswith("errpipe ") and len(line) > 76] == [], "indented by 4 of 80"
     for words in examples:
         command.make_context(name, words[2:])
         assert all((ROOT / w).exists() for w in words if w.startswith(("examples/", "pipelines/"))), words

@@ -15,8 +15,9 @@ def test_the_worst_group_comes_first_and_a_pause_breaks_the_line() -> None:
     groups = ["day 1"] * 100 + ["day 2"] * 100
     deviation = np.sin(time / 30)
     predicted = deviation + np.r_[np.full(100, 0.1), np.full(100, 3.0)]
-    text = run_figures.against_time(time, deviation, predicted, groups, 0.5, "E_Z", "um")
-    assert text == run_figures.against_time(time, deviation, predicted, groups, 0.5, "E_Z", "um")
+    widths = {"day 1": 0.25, "day 2": 4.0}
+    text = run_figures.against_time(time, deviation, predicted, groups, widths, "E_Z", "um")
+    assert text == run_figures.against_time(time, deviation, predicted, groups, widths, "E_Z", "um")
     titles = re.findall(r">left out: (day \d)<", text)
     assert titles == ["day 2", "day 1"] and "90 % band" in text
     strokes = [
@@ -52,4 +53,13 @@ def test_a_group_of_one_row_is_drawn_without_a_warning() -> None:
     one = np.zeros(1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert "<svg" in run_figures.against_time(one, one, one, ["1"], 0.5, "E_Z", "um")
+        assert "<svg" in run_figures.against_time(one, one, one, ["1"], {"1": 0.5}, "E_Z", "um")
+
+
+def test_each_group_has_the_band_of_its_own_interval() -> None:
+    """One width for all groups held 18 % of a season whose intervals were said to cover 100 %."""
+    time = np.tile(np.arange(50.0), 2)
+    groups, still = ["spring"] * 50 + ["summer"] * 50, np.zeros(100)
+    draw = lambda widths: run_figures.against_time(time, still, still, groups, widths, "E_Z", "um")  # noqa: E731
+    assert draw({"spring": 1.0, "summer": 5.0}) != draw({"spring": 1.0, "summer": 1.0})
+    assert "90 % band" in draw({"spring": 1.0}) and "90 % band" not in draw({})

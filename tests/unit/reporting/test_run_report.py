@@ -69,3 +69,17 @@ def test_on_a_narrow_screen_figures_fit_and_tables_scroll(report):
     assert "figure:focus svg { width: 44rem; }" in narrow, "a tap enlarges a figure"
     assert text.count("<table>") == text.count('<div class="wide"><table>')
     assert "<figure>" not in text, "without tabindex a figure cannot be focused by a tap"
+
+
+def test_a_column_has_equal_decimals(report):
+    """0.41 stood below 0.413, and -0.00216 beside 0.065."""
+    text = render(report)
+    assert report.responses[0].decimals == 2
+    for cell in ("12.00", "1.01", "0.10", "0.90", "3.00"):
+        assert f">{cell}</td>" in text, cell
+    assert page.fixed(-0.0004, 2) == "0.00" and page.fixed(None, 2) == "–"
+
+
+def test_the_words_are_those_of_the_glossary(report):
+    text = render(report)
+    assert "EXX uncompensated, rms" in text and "residual, rms on held-out rows" in text
