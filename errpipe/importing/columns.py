@@ -256,7 +256,9 @@ def is_radius(text: str) -> bool:
 
 
 # Quantities that are not the positioning deviation of the axis along which they were measured.
-_DIAMETER = r"\b(diamet(er|re|ro)|durchmesser)|直[径徑]|(?i:^ø)"
+_DIAMETER = (
+    r"\b(diamet(er|re|ro)|durchmesser)|^(dia|diam)\b(?! ?\d)|直[径徑]|(?i:^ø)"  # `dia 3`: the third day in Spanish
+)
 _OF_A_LATHE = r"\b(dia|diam|diamet\w*|durchm\w*)\b|[øØ⌀]|直[径徑]"  # of a position
 _RADIUS = r"\b(radi(us|al\w*)|d ?r|ball ?bar)\b|半径"  # of a circular test
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from errpipe.domain import components, units
 from errpipe.errors import DataError
+from errpipe.importing import columns as guessing
 from errpipe.importing import order
 from errpipe.importing.columns import Guesses
 from errpipe.importing.layout import RawColumn
@@ -184,6 +185,8 @@ def derive_error(p: Proposal, axis: str, options: ImportOptions, plane: bool) ->
             )
         _within_half_a_turn(p, command, actual)
         component = options.component or (f"E_{letter}" if p.facts.get("protocol") else components.positioning(letter))
+        if options.component is None and all(guessing.other_component(n, letter) == "E_D" for n in (command, actual)):
+            component = "E_D"  # nominal and measured diameter at places along the axis
         unit = components.unit(component)
         minus = {"minus": [actual, command]}
         name = p.put(component, None, role="error", component=component, unit=unit, derived=minus)

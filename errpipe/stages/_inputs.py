@@ -41,6 +41,8 @@ CHANNELS: dict[str, tuple[Kind, float, float, float | None]] = {
     "coolant": ("coolant", 0.0, 1.0, None),
     "load": ("load", 0.0, 1e6, None),
     "feed": ("other", 0.0, 1e7, None),
+    "current": ("other", -1e6, 1e6, FORCE_STALE),  # of a drive: a cutting force where none is read
+    "torque": ("other", -1e6, 1e6, FORCE_STALE),
     "overhang": ("tool", 0.0, 1e5, None),
     "depth_of_cut": ("other", 0.0, 1e4, None),
     "cut_length": ("other", 0.0, 1e9, None),
@@ -146,6 +148,8 @@ def _channel(name: str, facts: Mapping[str, Any], model: ErrorModel) -> TableInp
     elif seen is not None and model.validity.fades and kind not in ("position", "velocity", "coolant"):
         margin = model.validity.margins.get(name) or FADE_SHARE * max(seen[1] - seen[0], 1e-3)
         extra |= {"valid": seen, "margin": margin}
+    if facts["role"] in ("current", "torque"):  # a lost one is not held: the next cut has another
+        extra |= {"hold_s": 0.0}
     return TableInput(name=name, kind=kind, axis=axis, unit=unit, low=low, high=high, stale_after_s=stale, **extra)
 
 

@@ -28,6 +28,7 @@ Begin = Callable[[int], Evaluate]
 INPUTS = (
     *("position", "command", "velocity", "acceleration", "feed", "spindle_speed", "temperature", "pressure"),
     *("humidity", "force", "load", "depth_of_cut", "overhang", "cut_length", "coolant", "direction"),
+    *("current", "torque"),
 )
 
 

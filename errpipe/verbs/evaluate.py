@@ -10,7 +10,7 @@ from errpipe.errors import UsageError, did_you_mean
 from errpipe.stages import _artefacts
 
 if TYPE_CHECKING:
-    from errpipe.domain.table import CompensationTable
+    from errpipe.domain.table import CompensationTable, Output
 
 SETTLED = 1e9  # s: every lag has reached its operand
 
@@ -40,20 +40,28 @@ def evaluate(table: Path, at: Mapping[str, float]) -> dict[str, Any]:
     evaluator.cycle({**start, **at}, dt=SETTLED)
     cycle = evaluator.cycle({**start, **at}, dt=SETTLED)
     outputs = {o.name: o for o in compensation_table.outputs}
+    deviation = {name: value / _share(outputs[name]) for name, value in cycle.deviation.items()}
     lines = [
         f"{name}: deviation {value:+.4f} {outputs[name].unit}, "
-        f"correction {cycle.correction[name]:+.7f} {outputs[name].correction_unit}"
-        for name, value in cycle.deviation.items()
+        f"correction {f'of {outputs[name].axis} ' if _share(outputs[name]) != 1.0 else ''}"
+        f"{cycle.correction[name]:+.7f} {outputs[name].correction_unit}"
+        for name, value in deviation.items()
     ]
     notes = _outside(compensation_table, at)
     absent = [f"{i.name} = {i.default:g}" for i in compensation_table.inputs if i.name not in at and not i.optional]
     return {
-        "deviation": dict(cycle.deviation),
+        "deviation": deviation,
         "correction": dict(cycle.correction),
         "outside": notes,
         "not_given": absent,
         "says": [*lines, *notes, *([f"not given, so at its default: {', '.join(absent)}"] if absent else [])],
     }
+
+
+def _share(output: Output) -> float:
+    """Motion of the axis per deviation of the component of its name: 0.5 of a diameter; 1 for a sum of components."""
+    alone = output.terms[0] if len(output.terms) == 1 else None
+    return alone.weight if alone is not None and alone.component == output.name and alone.weight else 1.0
 
 
 def _outside(table: CompensationTable, at: Mapping[str, float]) -> list[str]:

@@ -18,6 +18,7 @@ from errpipe.simulation import spindle_bar
 
 # Standard errors over duty cycles by which a set must beat no compensation (false-alarm rate 2 to 10 %)
 MIN_STANDARD_ERRORS = 2.0
+MOST = 20  # of --most
 MAX_NAMED = 12  # columns of a file in a message
 OUTLIER_RATIO = 5.0  # times the rms of the other duty cycles: beyond, one of them decides alone, and is named
 BAR_FLUXES = 3  # duty cycles of the simulated bar: one warm-up and two random ones
@@ -140,6 +141,9 @@ def judge(names: list[str], readings: Any, error: Any, labels: Any, limit: int) 
         k = int(np.argmin(degrees[:, j]))
         lines.append(f"one sensor and a {what}: best at {names[k]}, {degrees[k, j]:.4g}")
     lines.append(f"choose {len(chosen)}: {', '.join(chosen)}" if chosen else _undecided(smallest, nothing, gain.size))
+    if len(chosen) == limit < min(len(names), MOST):
+        more = min(2 * limit, MOST, len(names))
+        lines.append(f"{limit} is the maximum that was tried: whether more are better is not known (--most {more})")
     return document, lines
 
 

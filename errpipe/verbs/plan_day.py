@@ -84,7 +84,8 @@ def _document(
     lines = [
         f"{component}: {len(cycles.measured)} of {len(cycles.runs)} runs measured; expected rms error of a prediction"
         f" over all of them {(before**2 + rest**2) ** 0.5:.3g} {{unit}}:",
-        f"{before:.3g} {{unit}} from gains not known well enough, {rest:.3g} that no further run teaches",
+        f"{before:.3g} {{unit}} from gains not known well enough, {rest:.3g} that no further run teaches this"
+        " plan's few combinations of temperatures (a fit may leave less: `validate`)",
     ]
     for row in rows[:MAX_LINES]:
         lines.append(

@@ -309,3 +309,16 @@ def test_another_quantity_is_not_taken_for_positioning(tmp_path: Path, above: st
         tmp_path, "Squareness compensation: off\nStraightness: not measured", "Run,X (mm),Deviation (um)"
     )
     assert imported(tmp_path, straight).components() == ("EXX",)
+
+
+def test_diameters_of_a_turned_part_along_z_are_no_positioning_of_z(tmp_path):
+    """Nominal and measured diameter beside the place along the part; the error was EZZ, which moves Z."""
+    rows = [(z, 40.0, 40.0 + z * 1e-4, z / 10) for z in (20, 60, 100, 140, 180)]
+    pair, alone = tmp_path / "pair.csv", tmp_path / "alone.csv"
+    pair.write_text("Z_mm,dia_nominal_mm,dia_actual_mm\n" + "".join(f"{z},{n},{a:.4f}\n" for z, n, a, _ in rows))
+    alone.write_text("Z_mm,dia_dev_um\n" + "".join(f"{z},{d}\n" for z, _, _, d in rows))
+    for file in (pair, alone):
+        recording = imported(tmp_path / file.stem, file, sign="actual-minus-commanded" if file == alone else None)
+        assert recording.components() == ("E_D",)
+        (name,) = recording.names("error")
+        assert recording.array(name) == pytest.approx([d for *_, d in rows], abs=1e-6)

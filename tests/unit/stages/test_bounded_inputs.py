@@ -51,3 +51,24 @@ def test_a_velocity_counts_up_to_twice_the_largest_that_was_fitted() -> None:
     assert at[100.0] == pytest.approx(-5.0, abs=0.1) and at[190.0] == pytest.approx(1.9 * at[100.0], rel=1e-3)
     assert at[9e4] == pytest.approx(2.0 * at[100.0], rel=1e-3) and at[-9e4] == pytest.approx(-at[9e4], rel=1e-3)
     assert table.outputs[0].magnitude is not None and table.outputs[0].magnitude < 15.0  # um; it was 5e3
+
+
+def test_a_current_stands_for_a_cutting_force_that_is_not_read() -> None:
+    """3 A idle, 4 um/A, the tool away to +Y; its export was refused. A lost reading leaves no correction."""
+    rng = np.random.default_rng(3)
+    current = np.tile([3.0, 4.0, 6.0, 8.0], 60)
+    deviation = 4.0 * (current - 3.0) + rng.normal(0, 0.1, 240)
+    frame = {"run": np.repeat(["1", "2", "3"], 80), "I": current, "E_Y": deviation}
+    columns = {
+        "run": Column(role="run"),
+        "I": Column(role="current", unit="A"),
+        "E_Y": Column(role="error", component="E_Y", unit="um"),
+    }
+    recording = Recording(Manifest(recording=1, tables=("t.csv",), columns=columns), pd.DataFrame(frame))
+    terms = [{"term": "offset"}, {"term": "profile_driver", "driver": [{"input": "I", "unit": "A"}]}]
+    spec = ModelSpec.model_validate({"components": [{"component": "E_Y", "terms": terms}]})
+    evaluator = Evaluator(compile_model(solved(recording, spec, np.ones(240, dtype=bool)), Export(kind="export")))
+    assert settled(evaluator, {"I": 8.0}) == pytest.approx(-20.0, abs=0.1)
+    assert settled(evaluator, {"I": 3.0}) == pytest.approx(0.0, abs=0.1)
+    assert settled(evaluator, {"I": 8.0}) == pytest.approx(-20.0, abs=0.1)
+    assert [settled(evaluator, {"I": float("nan")}) for _ in range(20)][-1] == pytest.approx(0.0, abs=0.1)

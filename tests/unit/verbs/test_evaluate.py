@@ -10,6 +10,7 @@ import pytest
 
 from errpipe.cli.app import main
 from errpipe.tables import ect
+from tests.unit.stages.test_acts_on import diameter
 from tests.unit.targets import machines
 
 
@@ -48,3 +49,10 @@ def test_a_table_of_measurements_instead_of_a_recording_is_referred_to_import(tm
     for words in (["predict", str(tmp_path / "t.ect"), str(file)], ["diagnose", str(file)]):
         assert main([*words, "--out", str(tmp_path / "out.csv")]) in (2, 3)
         assert f"errpipe import {file} --out FOLDER" in capsys.readouterr().err
+
+
+def test_a_diameter_is_stated_as_one_beside_the_motion_of_the_axis(tmp_path: Path, capsys: Any) -> None:
+    """10 um too large at 25 degC, for which X goes 5 um in; the deviation was stated as 5 um."""
+    ect.write(diameter(E_D={"axis": "X", "factor": 0.5}), tmp_path / "t.ect")
+    assert main(["eval", str(tmp_path / "t.ect"), "--at", "T=25"]) == 0
+    assert "E_D: deviation +10.0000 um, correction of X -0.0050000 mm" in capsys.readouterr().out

@@ -39,6 +39,15 @@ def test_the_places_that_make_the_error_are_chosen(tmp_path, capsys):
     assert two["rms_left_out"] == pytest.approx(0.2 * np.sqrt(2), rel=0.3)  # noise, and the noise of its first row
 
 
+def test_the_maximum_number_is_not_called_enough(tmp_path, capsys):
+    """Only one sensor was tried: that two are better was not said."""
+    file = str(field(tmp_path))
+    assert main(["place", file, "--most", "1"]) == 0
+    assert "1 is the maximum that was tried: whether more are better is not known (--most 2)" in capsys.readouterr().out
+    assert main(["place", file]) == 0
+    assert "maximum" not in capsys.readouterr().out  # two of four are chosen
+
+
 def test_where_nothing_tells_the_error_nothing_is_chosen(tmp_path, capsys):
     frame = pd.read_csv(field(tmp_path))
     frame["error"] = np.random.default_rng(5).standard_normal(len(frame))
