@@ -176,8 +176,8 @@ THERE_AND_BACK = re.compile(
 _OF_A_DIFFERENCE = (
     (
         0,
-        r"soll\w*|nomin[ae]l\w*|nom|visee?s?|nennwert|targets?|command\w*|cmd|set(?: ?point)?|sp|demand\w*|dem|programmed"
-        r"|prog|reference|ref|consign[ea]|comand\w*|program\w*|doel\w*|gewenst\w*|cilov\w*|hedef\w*|theo\w*|cible|teoric\w*|objetivo|alvo|zadan\w*|задан\w*|指令\w*|目標\w*|目标\w*|理论\w*|목표\w*",
+        r"soll\w*|nomin[ae]l\w*|nom|visee?s?|nennwert|targets?|command\w*|cmd|set(?: ?point)?|sp|demand\w*|dem"
+        r"|programmed|prog|reference|ref|consign[ea]|comand\w*|program\w*|doel\w*|gewenst\w*|cilov\w*|hedef\w*|theo\w*|cible|teoric\w*|objetivo|alvo|zadan\w*|задан\w*|指令\w*|目標\w*|目标\w*|理论\w*|목표\w*",
     ),
     (1, r"encoder|enc|(?:glass ?)?scale|display|anzeige|dro|machine|maschine|control(?:ler)?|steuerung"),
     (

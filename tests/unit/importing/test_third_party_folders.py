@@ -64,3 +64,87 @@ def test_a_definition_of_unknown_quantities_is_asked_for(tmp_path: Path, line: s
 def test_other_lines_about_deviations_ask_nothing(tmp_path: Path, line: str) -> None:
     recording = imported(tmp_path, stating(tmp_path, line))
     assert np.allclose(recording.array(recording.names("error")[0]), deviation(1, 1.0))
+
+
+def written(folder: Path, files: dict[str, str]) -> Path:
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text, encoding="utf-8")
+    return folder
+
+
+def of_run(run: int, side: float | None = None, scale: float = 1.0) -> str:
+    """A run with the column of sides; or one side of it without that column."""
+    rows = [row for row in long_rows() if row[0] == str(run) and side in (None, row[2])]
+    cells = [f"{x};{s:g};{d * scale}" if side is None else f"{x};{d * scale}" for _, x, s, d in rows]
+    return "\n".join(["Target [mm];Direction;Deviation [um]" if side is None else "Target [mm];Deviation [um]", *cells])
+
+
+@pytest.mark.parametrize("where", ["{r}/laser-{r}.csv", "2024-05-0{r}_X_run{r}.csv", "day {r}/run {r}.csv"])
+def test_each_file_of_a_folder_is_a_run(tmp_path: Path, where: str) -> None:
+    files = {where.format(r=r): of_run(r) for r in (1, 2, 3)} | {
+        "README.txt": "VMC 3",
+        "IMG_1.JPG": "x",
+        ".old.csv": "x",
+    }
+    folder = written(tmp_path / "laser", files)
+    holds_the_truth(imported(tmp_path, folder))
+    (note,) = [note for note in prepared([folder])[0].notes if "no measurements" in note]
+    assert "README.txt" in note and "IMG_1.JPG" in note
+
+
+@pytest.mark.parametrize(
+    "where", ["forward:reverse/run{r}.csv", "fwd:rev/f{r}.csv", "X+:X-_{r}.csv", "+X:-X/run{r}.csv"]
+)
+def test_sides_in_the_names_of_folders(tmp_path: Path, where: str) -> None:
+    (up, _, rest), files = where.partition(":"), {}
+    down, end = rest[: rest.index("/" if "/" in rest else "_")], rest[rest.index("/" if "/" in rest else "_") :]
+    for r in (1, 2, 3):
+        files |= {f"{up}{end}".format(r=r): of_run(r, 1.0), f"{down}{end}".format(r=r): of_run(r, -1.0)}
+    holds_the_truth(imported(tmp_path, written(tmp_path / "X axis", files)))
+
+
+def test_a_zip_in_a_folder_is_unpacked_beside_its_files(tmp_path: Path) -> None:
+    folder = written(tmp_path / "X", {f"2024-05-0{r}/laser.csv": of_run(r) for r in (1, 2)})
+    with zipfile.ZipFile(folder / "2024-05-03.zip", "w") as archive:
+        archive.writestr("laser.csv", of_run(3))
+    recording = imported(tmp_path, folder)
+    assert [*dict.fromkeys(recording.run_labels())] == [f"2024-05-0{r}_laser" for r in (1, 2, 3)]
+    assert np.allclose(recording.array(recording.names("error")[0]), [d for *_, d in long_rows()])
+
+
+@pytest.mark.parametrize("where", ["{a}/run{r}.csv", "{a}_run{r}.csv", "2024 {a} axis/laser_{r}.csv"])
+def test_axes_in_the_names_of_folders_are_selected(tmp_path: Path, where: str) -> None:
+    """Folders of several axes became runs of one."""
+    files = {where.format(a=a, r=r): of_run(r, scale=s) for a, s in (("X", 1.0), ("Y", 2.0)) for r in (1, 2, 3)}
+    folder = written(tmp_path / "laser", files)
+    with pytest.raises(DataError, match=r"several axes \(X, Y\): declare it with --axis X"):
+        prepared([folder])
+    holds_the_truth(imported(tmp_path, folder, axis="X"))
+
+
+@pytest.mark.parametrize("before, after", [("vorher", "nachher"), ("before", "after"), ("comp off", "comp on")])
+def test_states_in_the_names_of_folders_are_no_runs(tmp_path: Path, before: str, after: str) -> None:
+    """`before/x1.csv after/x2.csv` were two runs: only the names of files were read."""
+    folder = written(tmp_path / "X", {f"{before}/x1.csv": of_run(1), f"{after}/x2.csv": of_run(2)})
+    for files in ([folder], [folder / before / "x1.csv", folder / after / "x2.csv"]):
+        with pytest.raises(DataError, match="several states of the machine"):
+            prepared(files, axis="X")
+
+
+@pytest.mark.parametrize(
+    "names", [("18C", "23C", "28C"), ("T18 °C", "T23 °C", "T28 °C"), ("x_18degC", "y_23degC", "z_28degC")]
+)
+def test_temperatures_in_the_names_of_folders_are_a_column(tmp_path: Path, names: tuple[str, ...]) -> None:
+    folder = written(tmp_path / "X", {f"{name}/laser.csv": of_run(r) for r, name in enumerate(names, 1)})
+    recording = imported(tmp_path, folder)
+    assert [*dict.fromkeys(recording.array("temperature"))] == [18.0, 23.0, 28.0]
+    (folder / names[2]).rename(folder / "other")
+    assert "temperature" not in prepared([folder])[0].entries
+
+
+def test_a_recording_in_a_folder_is_left_out(tmp_path: Path) -> None:
+    folder = written(tmp_path / "X", {f"run{r}.csv": of_run(r) for r in (1, 2, 3)})
+    written(folder / "recording", {"recording.yaml": "recording: 1", "recording.csv": of_run(1)})
+    holds_the_truth(imported(tmp_path, folder))
+    assert any("already a recording" in note for note in prepared([folder])[0].notes)
