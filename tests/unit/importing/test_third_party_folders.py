@@ -148,3 +148,29 @@ def test_a_recording_in_a_folder_is_left_out(tmp_path: Path) -> None:
     written(folder / "recording", {"recording.yaml": "recording: 1", "recording.csv": of_run(1)})
     holds_the_truth(imported(tmp_path, folder))
     assert any("already a recording" in note for note in prepared([folder])[0].notes)
+
+
+@pytest.mark.parametrize(
+    "word", ["Średnia", "Ortalama", "平均値", "Среднее", "Průměr", "Gemiddelde", "Medel", "figure"]
+)
+@pytest.mark.parametrize("blocks", [1, 3])
+def test_rows_of_a_mean_in_another_language_are_no_run(tmp_path: Path, word: str, blocks: int) -> None:
+    """Below runs 1 to 3, each mean was a reading, of a run without a name."""
+    rows = [f"{r};{x};{s:+g};{d}" for r, x, s, d in long_rows()]
+    rows += [f"{word};{x};{s:+g};{9 * s}" for r, x, s, _ in long_rows() if r == "1"] * (
+        1 if word == "figure" else blocks
+    )
+    (tmp_path / "f.csv").write_text("\n".join(["Run;Target X [mm];Direction;Deviation [um]", *rows]), encoding="utf-8")
+    recording = imported(tmp_path, tmp_path / "f.csv")
+    assert len(recording) == len(long_rows())
+    holds_the_truth(recording)
+
+
+@pytest.mark.parametrize("word", ["Średnia", "Ortalama", "平均値", "Среднее", "Mean"])
+def test_numbers_of_runs_above_units(tmp_path: Path, word: str) -> None:
+    """`Target;1;2;3;Mean` above `mm;um;um;um;um`: the row of units was the header, and the mean a run."""
+    rows = [f"{x};{';'.join(str(deviation(r, 1.0)[i]) for r in (1, 2, 3))};9" for i, x in enumerate(TARGETS)]
+    (tmp_path / "f.csv").write_text("\n".join([f"Target X [mm];1;2;3;{word}", ";um;um;um;um", *rows]), encoding="utf-8")
+    recording = imported(tmp_path, tmp_path / "f.csv")
+    assert [*dict.fromkeys(recording.run_labels())] == ["1", "2", "3"]
+    assert np.allclose(recording.array("EXX"), np.concatenate([deviation(r, 1.0) for r in (1, 2, 3)]))
