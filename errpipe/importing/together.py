@@ -86,7 +86,9 @@ def names_of_files(files: Sequence[Path], inside: Mapping[Path, tuple[str, ...]]
     inside: the folders of a file within a folder or archive from the user; of any other file its own folder counts.
     """
     parts = [(*inside.get(file, (file.resolve().parent.name,)), file.stem) for file in files]
-    shared = next((n for n, of in enumerate(zip(*parts, strict=False)) if len({*of}) > 1), 0)
+    shared = next(
+        (n for n, of in enumerate(zip(*parts, strict=False)) if len({*of}) > 1), len(parts[0]) if parts else 0
+    )
     stems = ["_".join(part[min(shared, len(part) - 1) :]) for part in parts]
     return [f"{s}_{stems[: n + 1].count(s)}" if stems.count(s) > 1 else s for n, s in enumerate(stems)]
 

@@ -12,7 +12,7 @@ import unicodedata
 
 CORRECTION = (  # minus the deviation
     r"\b(corrections?|\w*korrektur(en|werte?|tabelle|daten)?|corr|comp(ensation)?s?|\w*kompensation(s(werte?|tabelle|daten))?|correzion[ei]"
-    r"|correccion(es)?|correctif|compensazion[ei]|compensacion(es)?|compensacao|correcao|correctie|compensatie|korekc\w*|korekt\w*|popraw\w*"
+    r"|correccion(es)?|correctif|compensazion[ei]|compensacion(es)?|compensacao|correc(?:ao|oes)|correctie|compensatie|korekc\w*|korekt\w*|popraw\w*"
     r"|kompensac\w*|kompenzac\w*|korrigering\w*|kompensering\w*|duezeltme\w*|telafi\w*"
     r"|to apply|adjustments?|nachstell\w*|ausgleich(swerte?)?|verrechnung(swerte?)?)\b"
     r"|補正|补偿|修正|коррекц\w*|компенсац\w*|поправ\w*|보정"
@@ -70,7 +70,7 @@ WORDS: tuple[tuple[str, str], ...] = (
     (r"^(freq(uency|uenz|uence)?|hz)\b", "ignore"),
     (GROUP, "group"),
     (
-        r"(zeit|time|datum|date|stamp|\bunix\b|(?<!mess)uhr|horodat|\bm?jd\b|julian|heure|\bora\b|\bfecha\b|\bhora\b|elapsed|duration|\bdauer\b|時刻|時間|时间|日時)",
+        r"(zeit|time|datum|date|stamp|\bunix\b|(?<!mess)uhr|horodat|\butc\b|\bm?jd\b|julian|heure|\bora\b|\bfecha\b|\bhora\b|elapsed|duration|\bdauer\b|時刻|時間|时间|日時)",
         "time",
     ),
     (

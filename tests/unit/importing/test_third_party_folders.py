@@ -174,3 +174,52 @@ def test_numbers_of_runs_above_units(tmp_path: Path, word: str) -> None:
     recording = imported(tmp_path, tmp_path / "f.csv")
     assert [*dict.fromkeys(recording.run_labels())] == ["1", "2", "3"]
     assert np.allclose(recording.array("EXX"), np.concatenate([deviation(r, 1.0) for r in (1, 2, 3)]))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "Uwaga: wartości są poprawkami",
+        "注：表中数值为补偿值",
+        "注: 数値は補正値",
+        "Nota: os valores são correções",
+        "Nota: i valori sono correzioni",
+        "Note: les valeurs sont des corrections",
+        "Not: değerler düzeltmedir",
+        "İşaret: artı = eksen az gidiyor",
+    ],
+)
+def test_a_line_that_calls_the_readings_corrections_is_asked_for(tmp_path: Path, line: str) -> None:
+    """Below such a line, readings under `Deviation` kept the opposite sign."""
+    with pytest.raises(DataError, match=r"a line states the sign.*--sign"):
+        imported(tmp_path, stating(tmp_path, line))
+
+
+ZONES = [
+    ("Time (CEST)", "Time (UTC)"),
+    ("Time [UTC+2]", "time_utc"),
+    ("Zeit (MESZ)", "Zeit (GMT)"),
+    ("t UTC+02:00", "UTC"),
+]
+
+
+def clocks(tmp_path: Path, of_deviations: str, of_log: str) -> list[Path]:
+    """Deviations from 9:00 on, one a minute; a log of the whole day, 7:00 at the same moment, in K one each hour."""
+    rows = [f"2024-05-03 09:{i:02d}:00;{x:g};{deviation(1, 1.0)[i]}" for i, x in enumerate(TARGETS)]
+    (tmp_path / "d.csv").write_text("\n".join([f"{of_deviations};Target X [mm];Deviation [um]", *rows]), "utf-8")
+    rows = [f"2024-05-03 {i // 60:02d}:{i % 60:02d}:00;{10 + i // 60}" for i in range(1440)]
+    (tmp_path / "t.csv").write_text("\n".join([f"{of_log};T nut [degC]", *rows]), "utf-8")
+    return [tmp_path / "d.csv", tmp_path / "t.csv"]
+
+
+@pytest.mark.parametrize("of_deviations, of_log", ZONES)
+def test_zones_in_the_headers_of_two_clocks(tmp_path: Path, of_deviations: str, of_log: str) -> None:
+    """`Time (CEST)` beside `Time (UTC)` took temperatures of two hours later."""
+    recording = imported(tmp_path, clocks(tmp_path, of_deviations, of_log))
+    assert np.array_equal(recording.array(recording.names("temperature")[0]), np.full(13, 17.0))
+    assert any(note.startswith("t: its clock") for note in prepared([tmp_path / "d.csv", tmp_path / "t.csv"])[0].notes)
+
+
+def test_a_zone_in_the_header_of_one_clock_is_asked_for(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="have a time zone"):
+        imported(tmp_path, clocks(tmp_path, "Local time", "Time (UTC)"))
