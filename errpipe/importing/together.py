@@ -206,11 +206,12 @@ def sides_of_names(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]
         if axis is not None:
             set_side(part, axis, word, f"the name of the file {stem!r} states {word!r}")
             part.guesses[part.first("direction") or ""] = "from the names of the files"
-    bare = [
-        re.sub(rf"[\W_]*({_SIDE_OF_NAME.pattern})", lambda m, word=word: "" if m[1] == word else m[0], stem)
-        for stem, (word,) in zip(stems, of_names, strict=True)
-    ]
+    bare = [_without(stem, word) for stem, (word,) in zip(stems, of_names, strict=True)]
     return [text.strip(" _-") or "1" for text in bare]
+
+
+def _without(stem: str, word: str) -> str:
+    return re.sub(rf"[\W_]*({_SIDE_OF_NAME.pattern})", lambda m: "" if m[1] == word else m[0], stem)
 
 
 def _refuse_another(name: str, entries: tuple[dict[str, Any], ...], stems: tuple[str, str]) -> None:
