@@ -64,7 +64,7 @@ GROUP = rf"^({'|'.join(GROUPS.values())})[ -]?(no\.?|nr\.?|id|name|number|nummer
 WORDS: tuple[tuple[str, str], ...] = (
     (SIMULATED, "simulated"),
     (
-        r"\b(limite?|mpe|grenz(e|wert)|[ou]?tol|toleran(ce|z)|[lu]sl|uncertainty|\w*unsicherheit|incertitude)\b|\bu ?\(k",
+        r"\b(limite?|mpe|grenz(e|wert)|[ou]?tol|toleran(ce|z)|[lu]sl|(?:un|in)cert\w*|\w*unsicherheit)\b|\bu ?\(k",
         "ignore",
     ),
     (r"^(freq(uency|uenz|uence)?|hz)\b", "ignore"),
