@@ -18,7 +18,7 @@ from errpipe.errors import DataError, UsageError
 def command(
     context: typer.Context,
     files: list[Path] = typer.Argument(
-        metavar="FILE...", help="CSV, Excel, TDMS, HDF5, MAT, XML, HTML, halsampler, ..."
+        metavar="FILE...", help="A folder, zip, CSV, Excel, TDMS, HDF5, MAT, XML, halsampler, ..."
     ),
     out: Path = typer.Option(..., "--out", metavar="FOLDER", help="The recording folder to write."),
     yes: bool = typer.Option(False, "--yes", help="Confirm every assumption without asking."),

@@ -1,36 +1,42 @@
-"""Files packed in a gzip, zip or tar file, unpacked to a folder: each is imported like a file of its own."""
+"""Files in a folder, or packed in a gzip, zip or tar file: each is imported like a file of its own."""
 
 from __future__ import annotations
 
 import gzip
 import io
+import os
 import re
 import tarfile
 import zipfile
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path, PurePosixPath
 
 from errpipe.errors import DataError
 from errpipe.importing.readers import MOST_BYTES, READERS
 from errpipe.importing.sheet import readable
 
-MOST_MEMBERS = 256  # files of one archive; by judgement: more are not the runs of one test
+MOST_MEMBERS = 256  # files of one folder or archive; by judgement: more are not the runs of one test
+RECORDING = "recording.yaml"  # in a folder that is ready
 ENCRYPTED = 1  # bit of a member's flags (PKWARE APPNOTE 4.4.4)
 _GZIP, _ZIP, _TAR = b"\x1f\x8b", b"PK\x03\x04", b"ustar"
 _HEAD = 262  # bytes: `ustar` ends there in the header of the first file (POSIX.1-1988)
 _OF_A_SYSTEM = re.compile(r"(?:^|/)(?:\.(?![./])|__MACOSX/|thumbs\.db$|desktop\.ini$)|/$", re.IGNORECASE)
 _OF_ONE_DOCUMENT = {"[Content_Types].xml", "mimetype", "modelDescription.xml"}  # Office Open XML, OpenDocument, FMI
 _PROSE = re.compile(  # what accompanies measurements in an archive
-    r"(?:.*/)?(?:read_?me|liesmich|lisez-?moi|leggimi|leame|licen[sc]e)[^/]*|.*\.(?:pdf|docx?|md|png|jpe?g|gif|svg|bmp)",
+    r"(?:.*/)?(?:read_?me|liesmich|lisez-?moi|leggimi|leame|licen[sc]e)[^/]*|.*\.(?:pdf|docx?|md|png|jpe?g|heic|gif|svg|bmp|mp4|mov)",
     re.IGNORECASE,
 )
 
 
 def unpacked(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
-    """The files of an archive, unpacked to a folder in the order of their names, and notes; other files unchanged.
+    """The files of a folder or an archive, in the order of their names, and notes; other files unchanged.
 
-    Raises DataError for an archive that cannot be read, is too large, or names a place outside its folder.
+    Those of an archive are written to a folder. Raises DataError for an archive that cannot be read, is too large, or
+    names a place outside its folder.
     """
+    if path.is_dir():
+        return _of_folder(path, folder)
     if not path.is_file() or path.stat().st_size > MOST_BYTES:
         return [path], []
     with path.open("rb") as stream:
@@ -42,15 +48,50 @@ def unpacked(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
         if zipped and _is_document(path):
             return [path], []
         members = [m for m in (_zipped(path) if zipped else _tarred(path)) if not _OF_A_SYSTEM.search(m[0])]
-        prose = [name for name, _ in members if len(members) > 1 and _PROSE.fullmatch(name)]
-        files = [_written(path, name, data, folder) for name, data in members if name not in prose]
+        kept, notes = _without_prose(path, [name for name, _ in members])
+        files = [_written(path, name, data, folder) for name, data in members if name in kept]
     if not files:
         raise DataError(f"{path}: an archive without a file of measurements")
-    notes = [f"{path.name}: excluded, as no measurements: {', '.join(prose)}"] if prose else []
     return sorted(files, key=_in_order), notes
 
 
-def _in_order(file: Path) -> list[tuple[str, int]]:
+def _of_folder(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
+    """The files in a folder and those below it, without earlier recordings. Raises DataError if there are none."""
+    if (path / RECORDING).is_file():
+        raise DataError(f"{path}: a folder that is a recording: errpipe init axis --recording {path}")
+    notes: list[str] = []
+    names = sorted(islice(_below(path, notes), MOST_MEMBERS + 1), key=_in_order)
+    _affordable(path, len(names), 0)
+    kept, prose = _without_prose(path, names)
+    if not kept:
+        raise DataError(f"{path}: a folder without a file of measurements")
+    out = []
+    for name in kept:
+        inside, more = unpacked(path / name, folder / Path(name).with_suffix(""))
+        out += inside
+        notes += more
+    return out, [*notes, *prose]
+
+
+def _below(path: Path, notes: list[str]) -> Iterator[str]:
+    """The names of the files in a folder and below it; recordings are left out, with a note on each."""
+    for root, folders, files in os.walk(path):
+        place = Path(root).relative_to(path)
+        if RECORDING in files:
+            notes.append(f"{path.name}: excluded, as already a recording: {place}")
+            folders.clear()
+            continue
+        yield from (name for name in ((place / f).as_posix() for f in files) if not _OF_A_SYSTEM.search(name))
+
+
+def _without_prose(path: Path, names: list[str]) -> tuple[list[str], list[str]]:
+    """The names without those of documents and pictures beside measurements, and a note on these."""
+    prose = [name for name in names if len(names) > 1 and _PROSE.fullmatch(name)]
+    notes = [f"{path.name}: excluded, as no measurements: {', '.join(prose)}"] if prose else []
+    return [name for name in names if name not in prose], notes
+
+
+def _in_order(file: Path | str) -> list[tuple[str, int]]:
     """The key by which `run 10` follows `run 9`."""
     return [(text, int(figures or 0)) for text, figures in re.findall(r"(\D*)(\d{0,18})", str(file).lower())]
 
@@ -87,7 +128,7 @@ def _tarred(path: Path) -> Iterator[tuple[str, bytes]]:
 
 def _affordable(path: Path, members: int, size: int) -> None:
     if members > MOST_MEMBERS:
-        raise DataError(f"{path}: an archive of {members} files (at most {MOST_MEMBERS}): extract those that are meant")
+        raise DataError(f"{path}: it holds {members} files (at most {MOST_MEMBERS}): name those that are meant")
     if size > MOST_BYTES:
         raise DataError(f"{path}: more than {MOST_BYTES >> 20} MB unpacked (at most so many are imported)")
 

@@ -68,7 +68,11 @@ def seconds(column: RawColumn) -> tuple[np.ndarray, str | None, str] | None:
     candidates = [s for forms in (usual, _OTHER_ORDER, _YEAR_OF_TWO_DIGITS) if (s := _since_first(texts, forms))]
     if not candidates:
         return _elapsed(texts)
-    return min(candidates, key=lambda s: (np.nanmin(np.diff(s[0]), initial=0.0) < 0, np.nanmax(s[0])))
+    since, epoch, form = min(candidates, key=lambda s: (np.nanmin(np.diff(s[0]), initial=0.0) < 0, np.nanmax(s[0])))
+    zone = _ZONE.search(f"{column.header} {column.unit or ''}")
+    if zone is not None and epoch is not None and datetime.fromisoformat(epoch).tzinfo is None:
+        epoch += f"{int(zone[2]):+03d}:{zone[3] or '00'}" if zone[2] else _ZONES.get(zone[1].upper(), "+02:00")
+    return since, epoch, form
 
 
 def numbered(c: RawColumn, unit: str | None, why: str) -> tuple[np.ndarray, str, str, str | None]:
@@ -227,6 +231,7 @@ _BEGINNINGS = (
 )
 _MONTHS = {start: name for name, *starts in map(str.split, _BEGINNINGS.split(";")) for start in starts}
 _ZONES = {"UTC": "+00:00", "GMT": "+00:00", "CET": "+01:00", "MEZ": "+01:00"}  # CEST, MESZ: summer time
+_ZONE = re.compile(r"(?<![^\W_])((?i:UTC|GMT)|CES?T|MES?Z)(?:\s?([+-]\d\d?)(?::?(\d\d))?)?(?![^\W_])")  # of a header
 _EAST_ASIAN = str.maketrans({"年": "/", "月": "/", "日": " ", "時": ":", "时": ":", "分": ":", "秒": ""})
 
 

@@ -64,13 +64,15 @@ def is_header(row: list[Cell], numbers: Numbers, r: int) -> bool:
 
 
 def _counts_runs(row: list[Cell], numbers: Numbers, r: int, start: int) -> bool:
-    """A row of run numbers below names of groups: `;1;2;3;1;2;3`, with an empty cell above the column of targets.
+    """A row of run numbers: `Target;1;2;3;Mean`, or `;1;2;3;1;2;3` below names of groups.
 
     start: row of the first data.
     """
     counts, below = [v for v in numbers[r] if v is not None], numbers[start : start + 5]
-    gap = not row or row[0] not in (None, "") or not all(b and b[0] is not None for b in below) or not below
-    if gap or len(counts) < 2 or len(counts) < len(filled_cells(row)) or r == 0 or any(numbers[r - 1]):
+    titled = bool(row) and is_word(row[0])
+    if not row or not (titled or row[0] in (None, "")) or not below or not all(b and b[0] is not None for b in below):
+        return False
+    if len(counts) < 2 or (not titled and (len(counts) < len(filled_cells(row)) or r == 0 or any(numbers[r - 1]))):
         return False
     return counts[0] == 1 and all(b in (a, a + 1, 1) for a, b in pairwise(counts))
 

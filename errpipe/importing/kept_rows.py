@@ -109,7 +109,9 @@ def _figures_below(layout: Layout, guesses: Guesses, p: Proposal) -> np.ndarray:
         for_all = [i for i, t in words.items() if wide.statistic(t) or (i > after and re.search(r"[^\W\d]", t))]
         named = [i for i in for_all if not begun[i]]  # in the first filled cell of a row: elsewhere it is a comment
         out[named] |= len(named) < 0.2 * rows
-        out[[i for i, t in words.items() if guesses[c.header].kind == "run" and wide.is_figure_over_runs(t)]] = True
+        if guesses[c.header].kind == "run":
+            last = np.flatnonzero(figure)[-1] if figure.any() else rows  # runs are numbered: names below are none
+            out[[i for i, t in words.items() if wide.is_figure_over_runs(t) or i > last]] = True
         texts[[i for i, t in words.items() if c.numeric and is_word(t)]] += 1
         begun |= figure
         begun[list(words)] = True

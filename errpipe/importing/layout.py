@@ -114,14 +114,14 @@ def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     notes = list(sheet.notes) + (["decimal commas"] if comma else [])
     if sheet.header is not None:
         header = [*(stated if len(stated) == len(sheet.header) else sheet.header)]
-        return _layout(sheet, header, [], rows, comma, [*sheet.above, *_stated_by_name(sheet.name)], notes)
+        return _layout(sheet, header, [], rows, comma, [*sheet.above, *stated_by_name(sheet.name)], notes)
     numbers = [[number(c, comma) for c in row] for row in rows]
     start = _first_data_row(sheet.name, rows, numbers)
     lift_comments(rows, numbers, start)
     head_rows = header_rows(rows, numbers, start)
     names, units, used = names_of(rows, head_rows, max(map(len, rows[start:])))
     above = [" ".join(str(c) for c in row if c not in (None, "")) for row in rows[: start - used]]
-    above += [*sheet.above, *_stated_by_name(sheet.name)]
+    above += [*sheet.above, *stated_by_name(sheet.name)]
     called = names if used else [*stated, *names[len(stated) :]]
     units = [
         u or a or unit_in_cells.get(i)
@@ -172,18 +172,18 @@ def _merged(names: list[str], numbers: Numbers) -> list[str]:
     return out if len(width) > 1 and len(set(width.values())) == 1 else names
 
 
-def _stated_by_name(name: str) -> list[str]:
+def stated_by_name(name: str) -> list[str]:
     """Lines that state the axis, the component, and whether corrections, from the name of a sheet or file."""
     text = name.replace("_", " ")
     kind = [text] if is_correction(text) or is_following_error(text) else []
-    axis = [f"Axis: {letter} ({BY_NAME} {name!r})" for letter in _axis_of_sheet(name)]
+    axis = [f"Axis: {letter} ({BY_NAME} {name!r})" for letter in axis_of_name(name)]
     return [*kind, *axis, *(f"Component: {found} ({BY_NAME})" for found in re.findall(COMPONENT, text))]
 
 
-def _axis_of_sheet(name: str) -> list[str]:
+def axis_of_name(name: str) -> list[str]:
     """The axis in the name of a sheet or file: `Y`, `Achse Y`, `y-axis_2026`, `laser_Y_run1`; not `b1`, `X_Y`."""
     name = name.replace("_", " ")
-    match, alone = _AXIS_OF_SHEET.search(name), re.findall(r"(?:^|(?<=[ -]))[XYZ](?=[ -]|$)", name)
+    match, alone = _AXIS_OF_SHEET.search(name), re.findall(r"(?:^|(?<=[ +-]))[XYZ](?=[ +-]|$)", name)
     return [next(filter(None, match.groups())).upper()] if match else alone if len(alone) == 1 else []
 
 

@@ -44,10 +44,8 @@ _OPPOSITE = re.compile(
 )
 _ON_THE_SIGN = re.compile(
     r"\bvorzeichen|\bpositive? (error|deviation|value|reading)s?\b|\bpositive[rs]? (fehler|abweichung|wert)|符号"
-    r"|\bsigns?\b(?![ -]?off)|\bsigne\b"
-    r"|^(?:e|err|error|fehler|dev\w*|abw\w*|abweichung|erreur|ecart|errore|scostamento|desvi\w*|fout|hata"
-    r"|chyba|偏差|误差|誤差)(?: [xyz])?\W{0,2}"
-    r"(?:=.*\w ?(?:-|minus)|:.* minus) ?[^\W\d]|^[^\W\d]+ ?= ?[^\W\d]+ - [^\W\d]+$"
+    r"|\bsigns?\b(?![ -]?off)|\b(?:signe|segno|znak|isareti?)\b"
+    r"|^[^\W\d]+ ?= ?[^\W\d]+ - [^\W\d]+$"
     r"|\b(?:corrections?|compensations?) (?:to be|to) \w+|\bare (?:the )?(?:corrections?|compensation)\b"
     r"|\b(?:invers\w*|invert\w*|negated|flipped|umgekehrt\w*) (?:error|dev|value|reading|fehler|abw|wert)"
     r"|\b(?:anzeige|messuhr|dial|gauge|laser|readings?|display)\b[^|]*\b(?:invers\w*|invert\w*|revers\w*|negativ\w*|umgekehrt\w*)"
@@ -57,9 +55,16 @@ _ON_THE_SIGN = re.compile(
     r"|\b(too|zu|trop|troppo|demasiado) (far|long|short|weit|kurz|lang|loin|court|corto|lungo|largo)\b"
     r"|\b(stops?|falls?|stays?|bleibt) (short|zurueck)\b"
 )
+_READINGS = re.compile(
+    r"\b(?:values?|readings?|(?:mess)?werte|valeurs|valor[ei]s?|wartosci|degerler|hodnoty|значения)\b|[数數][値值]"
+)
+_DEFINITION = re.compile(  # of what stands before it: `= A - B`, `: A minus B`, `: difference between A and B`
+    rf"=[^=:]*\w ?(?:-|{words.MINUS_WORD}) ?[^\W\d]|[=:][^=:]*(?: {words.MINUS_WORD} [^\W\d]|\bsubtracted from\b"
+    r"|\bdif+eren\w* (?:between|zwischen|entre|tra|fra)\b)"
+)
 # Settings of a control or a laser: `Compensation: none`, `Correction = 0`.
 _A_SETTING = re.compile(
-    r"\b(not?|none|keine?r?|yes|ja|nein|(?:in|de|un)?a[ck]ti(?:v|ef)\w*|(?:en|dis)abled|applied)\b"
+    r"\b(not?(?!:)|none|keine?r?|yes|ja|nein|(?:in|de|un)?a[ck]ti(?:v|ef)\w*|(?:en|dis)abled|applied)\b"
     r"|[:=] ?[+-]?\d"
 )
 _SIGN_MEANS = re.compile(  # `+ = the axis stops early`, `Pluswerte bedeuten ...`, not `+ = from below`
@@ -210,7 +215,12 @@ def _is_on_the_sign(text: str) -> bool:
     """Whether a line around the table states the sign of readings; one on the approach states a side."""
     means = _SIGN_MEANS.search(text)
     stated = means is not None and bool(re.search(r"[^\W\d]{3}", means[1])) and not _A_WAY.search(means[1])
-    return stated or _ON_THE_SIGN.search(text) is not None
+    defined = _DEFINITION.search(text)
+    what = text[: defined.start()].rpartition(":")[2].strip() if defined else ""
+    corrections = _READINGS.search(text) and words.is_correction(text) and not _A_SETTING.search(text)
+    if corrections and not _OF_THE_AIR.search(text):
+        return True
+    return stated or what == "e" or words.kind_by_name(what) == "error" or _ON_THE_SIGN.search(text) is not None
 
 
 def _ask(headers: tuple[str, ...], layout: Layout, why: str) -> None:

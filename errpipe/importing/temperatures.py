@@ -7,18 +7,20 @@ the column is not used, and a note states it.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from errpipe.importing.columns import ColumnGuess, Guesses
 from errpipe.importing.layout import RawColumn
+from errpipe.importing.proposed import Proposal
 from errpipe.importing.words import plain
 
 _SENSOR = re.compile(
     r"^(?:t|ts|tc|thc) ?[.:#-]?\d{1,2}(?=[^a-z0-9]|$)|^t(?=[ .:-]+[a-z])"
     r"|(?<![a-z])(?:tc|rtd|ntc|ptc|pt ?1000?|thermistor)(?![a-z])"
 )
+_IN_A_NAME = re.compile(r"(?<![\w.,])T?(-?\d{1,2}(?:[.,]\d)?)(?:C| ?(?:°C|deg ?C|grad))(?![^\W_])")  # `18C`, `T20 degC`
 _PLACES = (
     # spindle and its bearings
     "spindles?|spindel|broches?|mandrino|husillo|nose|nase|nez|quill|pinole|bearings?|brgs?|lager|paliers?|roulements?"
@@ -167,3 +169,14 @@ def _stretches(values: np.ndarray, starts: np.ndarray) -> list[np.ndarray]:
     """The readings of every run, without missing ones."""
     parts = np.split(values, np.flatnonzero(starts)[1:])
     return [known for part in parts if (known := part[np.isfinite(part)]).size]
+
+
+def of_names(parts: Collection[Proposal], names: Sequence[str]) -> None:
+    """A column of the temperature that the name of each file states, in place, if they differ and no file holds one."""
+    found = [_IN_A_NAME.findall(name.replace("_", " ")) for name in names]
+    stated = {of[0] for of in found if len(of) == 1}
+    if len(stated) < 2 or any(len(of) != 1 for of in found) or any(part.first("temperature") for part in parts):
+        return
+    for part, (text,) in zip(parts, found, strict=True):
+        values = np.full(part.rows, float(text.replace(",", ".")))
+        part.put("temperature", values, "from the names of the files or folders", role="temperature", unit="degC")

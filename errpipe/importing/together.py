@@ -80,12 +80,16 @@ def _without_sensor(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str
     return notes
 
 
-def names_of_files(files: Sequence[Path]) -> list[str]:
-    """Names of runs, one per file: the stem; with its folder, or a number, if files of several folders share it."""
-    stems = [file.stem for file in files]
-    folders = [file.resolve().parent.name for file in files]
-    shared = [stems.count(stem) > 1 for stem in stems]
-    stems = [f"{folder}_{stem}" if s else stem for folder, stem, s in zip(folders, stems, shared, strict=True)]
+def names_of_files(files: Sequence[Path], inside: Mapping[Path, tuple[str, ...]]) -> list[str]:
+    """Names of runs, one per file: the stem, after the folders that not all of them share; a number if two are equal.
+
+    inside: the folders of a file within a folder or archive from the user; of any other file its own folder counts.
+    """
+    parts = [(*inside.get(file, (file.resolve().parent.name,)), file.stem) for file in files]
+    shared = next(
+        (n for n, of in enumerate(zip(*parts, strict=False)) if len({*of}) > 1), len(parts[0]) if parts else 0
+    )
+    stems = ["_".join(part[min(shared, len(part) - 1) :]) for part in parts]
     return [f"{s}_{stems[: n + 1].count(s)}" if stems.count(s) > 1 else s for n, s in enumerate(stems)]
 
 
@@ -122,6 +126,7 @@ def _lacking(whole: Proposal, part: Proposal) -> list[str] | None:
     return None if other else missing
 
 
+_SIDE_OF_NAME = re.compile(r"[^\W\d_]{2,}|(?<=[^\W_])[+-](?![^\W_])|(?<![^\W_])[+-](?=[XYZABC](?:_|\b))")  # `X+`, `-X`
 _RUN_WORD = r"(?:runs?|lauf|durchlauf|messung|messreihe|cycle|zyklus|pass|trial|essai|passe|prova|ensayo|pasada)"
 
 
@@ -189,7 +194,7 @@ def sides_of_names(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]
 
     The file names if their columns state the sides, or if not every name does.
     """
-    of_names = [[w for w in re.findall(r"[^\W\d_]{2,}", stem) if side(w) is not None] for stem in stems]
+    of_names = [[w for w in _SIDE_OF_NAME.findall(stem) if side(w) is not None] for stem in stems]
     shared = set(of_names[0]).intersection(*of_names) if of_names else set()  # `pos` of `pos_X_up` and `pos_X_down`
     of_names = [[w for w in of_stem if w not in shared] for of_stem in of_names]
     ways = {side(words[0]) for words in of_names if len(words) == 1}
@@ -201,8 +206,12 @@ def sides_of_names(parts: Sequence[Proposal], stems: Sequence[str]) -> list[str]
         if axis is not None:
             set_side(part, axis, word, f"the name of the file {stem!r} states {word!r}")
             part.guesses[part.first("direction") or ""] = "from the names of the files"
-    bare = [re.sub(rf"[\W_]*{word}(?![^\W\d_])", "", stem) for stem, (word,) in zip(stems, of_names, strict=True)]
+    bare = [_without(stem, word) for stem, (word,) in zip(stems, of_names, strict=True)]
     return [text.strip(" _-") or "1" for text in bare]
+
+
+def _without(stem: str, word: str) -> str:
+    return re.sub(rf"[\W_]*({_SIDE_OF_NAME.pattern})", lambda m: "" if m[1] == word else m[0], stem)
 
 
 def _refuse_another(name: str, entries: tuple[dict[str, Any], ...], stems: tuple[str, str]) -> None:

@@ -24,14 +24,17 @@ _NO_NAME = re.compile(r"column \d+'*")  # of a column without a header
 _INSTRUMENT = re.compile(r"\b(laser|sensor|enc|encoder|probe|gauge|dial|channel|ch|kanal|taster|uhr|messuhr|t)\W?\d+\b")
 OF_COLUMN = "\0"  # in the name of a run: the run that a column's header names
 ARROWS = "↑↓→←"
+_AVERAGE = "moyenne|media|promedio|srednia|ortalama|gemiddelde|medel|medelvaerde|prumer|среднее|средние|평균"
 _STATISTIC = re.compile(
     r"\b(mittel\w*|mw|mean|average|avg|median|sigma|std\w*|stabw\w*|streuung|umkehrspanne|reversal|hysteres[ei]s?|range|spanne"
     r"|max\w*|min\w*|sum\w*|([smrbu]|[bsx]i)(?=[ ↑↓]|$)|\d ?s(igma)?|standard\w*"
-    r"|repeatab\w*|reproduc\w*|uncertainty|unsicherheit|moyenne|ecart type|media|promedio)\b|平均|最大|最小|標準|标准"
+    r"|repeatab\w*|reproduc\w*|uncertainty|unsicherheit|ecart type|maks\w*"
+    r"|odchyl\w* (?:std|stand\w*)|desvio padrao|std sapma"
+    rf"|{_AVERAGE})\b\.?|(?:平均|最大|最小|標準|标准)(?:値|值|偏差)?"
 )
 # Next to targets: the reversal of VDI/DGQ 3441, statistics of ISO 230-2; not axes U or B.
 _FIGURE = re.compile("[UBMRS]")
-_MEAN = re.compile(r"\b(mean|average|avg|mittel\w*|mw|moyenne|media|promedio)\b|[Øø∅\u0304\u0305]|平均")
+_MEAN = re.compile(r"\b(mean|average|avg|mittel\w*|mw|" + _AVERAGE + r")\b|[Øø∅\u0304\u0305]|平均")
 MEASURED = ("command", "position", "actual", "error", "time")
 KINDS = ("ignore", "error", "run", "direction", "actual", "position", "command")
 

@@ -12,7 +12,7 @@ import unicodedata
 
 CORRECTION = (  # minus the deviation
     r"\b(corrections?|\w*korrektur(en|werte?|tabelle|daten)?|corr|comp(ensation)?s?|\w*kompensation(s(werte?|tabelle|daten))?|correzion[ei]"
-    r"|correccion(es)?|correctif|compensazion[ei]|compensacion(es)?|compensacao|correcao|correctie|compensatie|korekc\w*|korekt\w*|popraw\w*"
+    r"|correccion(es)?|correctif|compensazion[ei]|compensacion(es)?|compensacao|correc(?:ao|oes)|correctie|compensatie|korekc\w*|korekt\w*|popraw\w*"
     r"|kompensac\w*|kompenzac\w*|korrigering\w*|kompensering\w*|duezeltme\w*|telafi\w*"
     r"|to apply|adjustments?|nachstell\w*|ausgleich(swerte?)?|verrechnung(swerte?)?)\b"
     r"|補正|补偿|修正|коррекц\w*|компенсац\w*|поправ\w*|보정"
@@ -64,13 +64,13 @@ GROUP = rf"^({'|'.join(GROUPS.values())})[ -]?(no\.?|nr\.?|id|name|number|nummer
 WORDS: tuple[tuple[str, str], ...] = (
     (SIMULATED, "simulated"),
     (
-        r"\b(limite?|grenz(e|wert)|[ou]?tol|toleran(ce|z)|[lu]sl|uncertainty|\w*unsicherheit|incertitude)\b|\bu ?\(k",
+        r"\b(limite?|mpe|grenz(e|wert)|[ou]?tol|toleran(ce|z)|[lu]sl|(?:un|in)cert\w*|\w*unsicherheit)\b|\bu ?\(k",
         "ignore",
     ),
     (r"^(freq(uency|uenz|uence)?|hz)\b", "ignore"),
     (GROUP, "group"),
     (
-        r"(zeit|time|datum|date|stamp|\bunix\b|(?<!mess)uhr|horodat|\bm?jd\b|julian|heure|\bora\b|\bfecha\b|\bhora\b|elapsed|duration|\bdauer\b|時刻|時間|时间|日時)",
+        r"(zeit|time|datum|date|stamp|\bunix\b|(?<!mess)uhr|horodat|\butc\b|\bm?jd\b|julian|heure|\bora\b|\bfecha\b|\bhora\b|elapsed|duration|\bdauer\b|時刻|時間|时间|日時)",
         "time",
     ),
     (
@@ -176,22 +176,24 @@ THERE_AND_BACK = re.compile(
 _OF_A_DIFFERENCE = (
     (
         0,
-        r"soll\w*|nominal\w*|nom|nennwert|targets?|command\w*|cmd|set(?: ?point)?|sp|demand\w*|dem|programmed"
-        r"|prog|reference|ref|consign[ea]|comand\w*|program\w*|doel\w*|gewenst\w*|cilov\w*|hedef\w*|theo\w*|cible|teoric\w*|objetivo|alvo|zadan\w*|задан\w*|指令\w*|目標\w*|目标\w*|理论\w*",
+        r"soll\w*|nomin[ae]l\w*|nom|visee?s?|nennwert|targets?|command\w*|cmd|set(?: ?point)?|sp|demand\w*|dem"
+        r"|programmed|prog|reference|ref|consign[ea]|comand\w*|program\w*|doel\w*|gewenst\w*|cilov\w*|hedef\w*|theo\w*|cible|teoric\w*|objetivo|alvo|zadan\w*|задан\w*|指令\w*|目標\w*|目标\w*|理论\w*|목표\w*",
     ),
     (1, r"encoder|enc|(?:glass ?)?scale|display|anzeige|dro|machine|maschine|control(?:ler)?|steuerung"),
     (
         2,
         r"ist\w*|actual|act|real|feedback|fbk?|pv|measured|meas|mess\w*|readings?|mesure\w*|releve\w*|misurat\w*|medid\w*"
-        r"|reel\w*|effettiv\w*|efectiv\w*|gemeten|werkelijk\w*|namer\w*|skutecn\w*|olcul\w*"
-        r"|laser|interferometer|gauge|dial|indicator|zmierzon\w*|rzeczywist\w*|измерен\w*|фактич\w*|実測\w*|实测\w*|实际\w*",
+        r"|reel\w*|effettiv\w*|efectiv\w*|gemeten|werkelijk\w*|namer\w*|skutecn\w*|oe?lcue?l\w*|malt"
+        r"|laser|interferometer|gauge|dial|indicator|zmierzon\w*|rzeczywist\w*|измерен\w*|фактич\w*|実測\w*|实测\w*|实际\w*|测量\w*|실측\w*",
     ),
 )
 _REFERENCE = re.compile(r"(?<![^\W_])ref(erence|erenz|erenz\w+)?(?![^\W_])")
-_LESS = (
-    r"\.?(?: (?:pos(?:ition)?|value|wert|reading)s?)?\s*(?:-|minus|less|moins|meno|menos)\s*"
-    r"(?:(?:the|(?:axis )?position|[xyzabcuvw]) )?"
+MINUS_WORD = r"(?:minus|less|moins|meno|menos|eksi|минус|abzueglich)"
+_NOUN = (  # before or after its adjective: `quota nominale`, `measured value`
+    r"(?:pos|posi[tzc]\w*|values?|wert|readings?|quota|cot[ae]s?|val(?:ore?|eur)|waarde|verdi|pozyc\w*|wartosc|poloh\w*"
+    r"|hodnot\w*|konum\w*|deger\w*|положен\w*|значен\w*)"
 )
+_LESS = rf"\.?(?: {_NOUN})?\s*(?:-|{MINUS_WORD})\s*(?:(?:the|axis|[xyzabcuvw]|{_NOUN}) ){{0,2}}"
 _ONE, _OTHER = (
     "|".join(rf"(?P<{name}{n}>(?<![^\W_])(?:{pattern})(?![^\W_]))" for n, pattern in _OF_A_DIFFERENCE) for name in "ab"
 )

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 import tempfile
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +17,7 @@ from errpipe import formats
 from errpipe.domain import components, units
 from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, UsageError, did_you_mean
-from errpipe.files import MOST_NEIGHBOURS, missing
+from errpipe.files import missing
 from errpipe.formats import _derived, manifest_folder
 from errpipe.importing import (
     archives,
@@ -31,21 +28,23 @@ from errpipe.importing import (
     repeated_runs,
     resolve,
     signs,
+    temperatures,
     together,
     unstated,
 )
 from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.header import is_legend, with_legend
-from errpipe.importing.layout import NoReadingError, lay_out
+from errpipe.importing.layout import NoReadingError, lay_out, stated_by_name
 from errpipe.importing.long_form import unstacked
 from errpipe.importing.pairs import paired
 from errpipe.importing.proposal import propose
 from errpipe.importing.proposed import ImportOptions, Proposal, slug
-from errpipe.importing.readers import open_file, reader_of
+from errpipe.importing.readers import open_file
 from errpipe.importing.sheet import ReaderOptions, Sheet
 from errpipe.importing.units import unit_of
 from errpipe.validation import plausibility
+from errpipe.verbs._import_folders import folders_of, of_one_axis, only_some, refuse_twice
 from errpipe.verbs._import_written import manifest_of, write
 
 __all__ = ["options_of", "plain", "prepare", "write"]
@@ -62,41 +61,50 @@ def prepare(files: Sequence[Path], reader: ReaderOptions, options: ImportOptions
     does not fit.
     """
     with tempfile.TemporaryDirectory(prefix="errpipe-") as folder:
-        inside = {Path(folder) / str(n): Path(file) for n, file in enumerate(files)}
+        places = {Path(folder) / str(n): Path(file) for n, file in enumerate(files)}
         try:
-            opened = [archives.unpacked(file, place) for place, file in inside.items()]
-            out = _prepared([file for of, _ in opened for file in of], reader, options)
+            opened = {place: archives.unpacked(file, place) for place, file in places.items()}
+            inside = {f: folders_of(f, p, places[p]) for p, (of, _) in opened.items() for f in of if f != places[p]}
+            notes = [note for _, of in opened.values() for note in of]
+            return _prepared([file for of, _ in opened.values() for file in of], inside, reader, options, notes)
         except (DataError, UsageError) as err:
             message = str(err)
-            for place, file in inside.items():
+            for place, file in places.items():
                 message = message.replace(f"{place}{os.sep}", f"{file}, ")
+                message += only_some(file) if message.startswith(f"{file}{os.sep}") and "--" not in message else ""
             raise type(err)(message) from None
-    out[0].notes[:0] = [note for _, notes in opened for note in notes]
-    return out
 
 
-def _prepared(files: Sequence[Path], reader: ReaderOptions, options: ImportOptions) -> tuple[Proposal, dict[str, Any]]:
+def _prepared(
+    files: Sequence[Path],
+    inside: Mapping[Path, tuple[str, ...]],
+    reader: ReaderOptions,
+    options: ImportOptions,
+    notes: Sequence[str],
+) -> tuple[Proposal, dict[str, Any]]:
     parts, sources, empty = {}, [], []
-    _refuse_twice(files)
-    _refuse_several_axes(files, options)
+    refuse_twice(files)
+    files, left_out = of_one_axis(files, inside, options)
     legends = _legends(files, reader)
     named = [sheet for sheets in legends.values() for sheet in sheets]
     for file in [f for f in map(Path, files) if f not in legends]:
         proposal, source = _of_known_format(file, reader, options), "a format with a reader of its own"
         try:
             if proposal is None:
-                proposal, source = _of_any_sheet(file, reader, options, len(files) > 1, named)
+                proposal, source = _of_any_sheet(file, reader, options, len(files) > 1, named, inside.get(file, ()))
         except NoReadingError as err:
             empty.append(f"{file.name}: {err}: this file is left out")
             continue
         parts[file] = proposal
-        sources.append({"file": file.name, "kind": source, "rows": proposal.rows})
+        sources.append(
+            {"file": "/".join((*inside.get(file, ())[1:], file.name)), "kind": source, "rows": proposal.rows}
+        )
     for file, sheets in legends.items():
         if not any(f"{s.name!r} names" in note for s in sheets for part in parts.values() for note in part.notes):
             raise DataError(f"{file}: it only names channels, and none of the other files")
         sources.append({"file": file.name, "kind": "names of channels", "rows": len(sheets[0].rows)})
     _refuse_unknown_sets(parts.values(), options)
-    names = together.names_of_files([*parts])
+    names = together.names_of_files([*parts], inside)
     unstated.refuse_another_scale(
         dict(zip(names, parts.values(), strict=True)), {*options.sets, *map(slug, options.sets)}
     )
@@ -106,15 +114,18 @@ def _prepared(files: Sequence[Path], reader: ReaderOptions, options: ImportOptio
     if len(logs) == len(parts):
         _of_any_sheet(logs[0], reader, options)  # raises: what the file lacks
     measured = {file: part for file, part in parts.items() if file not in logs}
-    together.refuse_states([file.stem for file in measured], "files", "import the one that is meant")
-    runs = together.sides_of_names([*measured.values()], together.names_of_files([*measured]))
+    names = together.names_of_files([*measured], inside)
+    together.refuse_states(names, "files", "import the one that is meant")
+    if not logs:
+        temperatures.of_names(measured.values(), names)
+    runs = together.sides_of_names([*measured.values()], names)
     complete = together.one_after_another([*measured.values()], runs)
     order.sides_of_falling_runs(complete)
     repeated_runs.separate(complete)
     for same_layout in together.of_one_log({file: parts[file] for file in logs}):
-        names = together.names_of_files(same_layout)
+        names = together.names_of_files(same_layout, inside)
         together.add_log(complete, together.one_after_another([parts[file] for file in same_layout], names), names)
-    complete.notes += empty
+    complete.notes[:] = [*notes, *left_out, *complete.notes, *empty]
     shown = _shown(complete, sources)
     return complete, {**shown, "checks": _plausible(complete, options)}
 
@@ -153,28 +164,6 @@ def _legends(files: Sequence[Path], reader: ReaderOptions) -> dict[Path, list[Sh
     return legends if len(legends) < len(files) else {}
 
 
-def _refuse_twice(files: Sequence[Path]) -> None:
-    """Raise DataError if two files hold the same bytes: a run that is counted twice claims a repeat that is none."""
-    seen: dict[bytes, Path] = {}
-    for file in map(Path, files):
-        if len(files) > 1 and file.is_file():
-            with file.open("rb") as stream:
-                first = seen.setdefault(hashlib.file_digest(stream, "sha256").digest(), file)
-            if first != file or list(files).count(file) > 1:
-                raise DataError(f"{file}: the same as {first} (a run is imported once)")
-
-
-def _refuse_several_axes(files: Sequence[Path], options: ImportOptions) -> None:
-    """Raise DataError if the names of files end in several axes: they would become runs of one."""
-    letters = {m[1] for f in files if (m := re.search(r"(?:^|[\s_-])([XYZABC])$", Path(f).stem))}
-    if len(letters) > 1 and options.axis is None:
-        alone = f"errpipe import {files[0]} --out recording-{Path(files[0]).stem[-1]}"
-        raise DataError(
-            f"{', '.join(Path(f).name for f in files)}: of the axes {', '.join(sorted(letters))}? Import each by "
-            f"itself ({alone}), or use --axis if they are runs of one"
-        )
-
-
 def _of_sheet(sheet: Sheet, reader: ReaderOptions, options: ImportOptions, may_be_log: bool) -> Proposal:
     """The proposal of one sheet: features that were probed, else columns. Raises DataError where it holds neither."""
     proposed = features.proposal(sheet, options)
@@ -185,10 +174,20 @@ def _of_sheet(sheet: Sheet, reader: ReaderOptions, options: ImportOptions, may_b
 
 
 def _of_any_sheet(
-    file: Path, reader: ReaderOptions, options: ImportOptions, may_be_log: bool = False, legends: Sequence[Sheet] = ()
+    file: Path,
+    reader: ReaderOptions,
+    options: ImportOptions,
+    may_be_log: bool = False,
+    legends: Sequence[Sheet] = (),
+    folders: Sequence[str] = (),
 ) -> tuple[Proposal, str]:
-    """The proposal of the first sheet of a file that holds measurements, and what was opened; others are named."""
+    """The proposal of the first sheet of a file that holds measurements, and what was opened; others are named.
+
+    folders: names that state what the name of the file does not.
+    """
     kind, sheets = open_file(file, reader)
+    for sheet in sheets:
+        sheet.above += next((lines for name in folders[::-1] if (lines := stated_by_name(name))), [])
     out, problems, asked = list[tuple[Proposal, str]](), dict[str, list[str]](), ""
     for sheet in with_legend([*sheets, *legends])[: len(sheets)]:
         if len(out) == MAX_SHEETS:
@@ -227,8 +226,6 @@ def _of_known_format(file: Path, reader: ReaderOptions, options: ImportOptions) 
     """
     if not file.exists():
         raise DataError(f"{file}: {missing(file)}")
-    if file.is_dir():
-        raise DataError(f"{file}: a folder (allowed: files{_inside(file)})")
     if not any(f.sniff(file) for f in formats.FORMATS):
         return None
     known = formats.detect(file)
@@ -246,22 +243,6 @@ def _of_known_format(file: Path, reader: ReaderOptions, options: ImportOptions) 
             values: Any = recording.frame[name].astype(str).tolist() if text else np.asarray(recording.array(name))
             proposal.put(name, values, **column.model_dump(exclude_none=True))
     return proposal
-
-
-def _inside(folder: Path) -> str:
-    """How to go on with a folder: a recording is ready; else the most frequent kind of file that can be imported."""
-    if (folder / "recording.yaml").is_file():
-        return f"; it is a recording: errpipe init axis --recording {folder}"
-    held = [p for p in islice(folder.iterdir(), MOST_NEIGHBOURS) if p.is_file()]
-    kinds = Counter(p.suffix for p in held if p.suffix and _may_be_read(p))
-    if kinds:
-        return f", such as {folder}/*{kinds.most_common(1)[0][0]}"
-    return "; none in this one is a known measurement file" if held else "; this one is empty"
-
-
-def _may_be_read(file: Path) -> bool:
-    """Whether the first bytes of a file are those of a known format, or of a reader for its file name ending."""
-    return any(f.sniff(file) for f in formats.FORMATS) or reader_of(file) is not None
 
 
 def _refuse_idle_options(file: Path, name: str, given: dict[str, Any]) -> None:

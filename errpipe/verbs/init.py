@@ -9,11 +9,12 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import resources
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from errpipe.errors import DataError, UsageError, did_you_mean
-from errpipe.files import missing
+from errpipe.files import MOST_NEIGHBOURS, missing
 
 if TYPE_CHECKING:
     from errpipe.domain.recording import Recording
@@ -63,10 +64,12 @@ def init(folder: Path, name: str, recording: Path | None = None, targets: Sequen
     template, folder = TEMPLATES[name], Path(folder)
     if recording is not None and template.sample is None and template.own is None:
         raise UsageError(f"template {name} simulates its recording; replace that stage in {PIPELINE} (no --recording)")
-    if folder.is_file():
+    held = islice(folder.iterdir(), MOST_NEIGHBOURS) if folder.is_dir() and recording is None else ()
+    if folder.is_file() or any(file.suffix.lower() in yamlfile.MEASURED for file in held):
         raise UsageError(
-            f"{folder}: is a file (DIR is the folder to write). Measurements become a recording first: errpipe import "
-            f"{folder} --out recording --yes, then errpipe init {folder.stem or 'axis'} --recording recording"
+            f"{folder}: {'is a file' if folder.is_file() else 'holds measurements'} (DIR is the folder to write). "
+            f"Measurements become a recording first: errpipe import {folder} --out recording --yes, then errpipe init "
+            f"{folder.stem if folder.is_file() else 'axis'} --recording recording"
         )
     if not folder.exists() and folder.suffix.lower() in yamlfile.MEASURED:
         raise UsageError(f"{folder}: {missing(folder)} (DIR is the folder to write; its name ends like that of a file)")

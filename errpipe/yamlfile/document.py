@@ -110,14 +110,13 @@ def read(path: Path, *, environment: Mapping[str, str] | None = None) -> Documen
 
 
 def _inside(folder: Path) -> str:
-    """`: pipeline.yaml`, the first YAML files of a folder; else how its first file of measurements is read."""
+    """`: pipeline.yaml`, the first YAML files of a folder; else how its measurements are read."""
     held = sorted(islice((p for p in folder.iterdir() if p.is_file()), files.MOST_NEIGHBOURS))
     yaml = [str(p) for p in held if p.suffix in (".yaml", ".yml") and p.name != "recording.yaml"]
     yaml = [name for name in yaml if Path(name).name == "pipeline.yaml"] or yaml
-    measured = [p for p in held if p.suffix.lower() in MEASURED]
-    if yaml or not measured:
+    if yaml or not any(p.suffix.lower() in MEASURED for p in held):
         return f": {', '.join(yaml[:MOST_NAMED])}" if yaml else ""
-    return f"; measurements are read by errpipe import {measured[0]} --out recording"
+    return f"; measurements are read by errpipe import {folder} --out recording"
 
 
 def text_of(path: Path) -> str:

@@ -97,20 +97,20 @@ def test_netcdf_3_is_refused_with_its_conversion(tmp_path: Path) -> None:
         imported(tmp_path, tmp_path / "lab.nc")
 
 
-def test_a_folder_names_what_is_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_that_cannot_be_read_names_what_can(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "day"
     folder.mkdir()
     assert main(["import", str(folder), "--out", str(tmp_path / "r"), "--yes"]) == 3
-    assert "this one is empty" in capsys.readouterr().err
-    for name in ("part.nc", "contour.nc"):  # NC programs, with the file name ending of netCDF
-        written(folder, "G0 X0", name=name)
-    assert main(["import", str(folder), "--out", str(tmp_path / "r"), "--yes"]) == 3
-    assert "none in this one is a known measurement file" in capsys.readouterr().err
+    assert "a folder without a file of measurements" in capsys.readouterr().err
+    written(folder, "G0 X0", name="part.nc")  # an NC program, with the file name ending of netCDF
     written(folder, "X,Gauge", name="a.csv")
     assert main(["import", str(folder), "--out", str(tmp_path / "r"), "--yes"]) == 3
-    assert f"such as {folder}/*.csv" in capsys.readouterr().err
+    assert f"name only the files that are meant: {folder}/*.csv" in capsys.readouterr().err
     assert main(["check", str(folder)]) == 2
-    assert f"errpipe import {folder / 'a.csv'} --out recording" in capsys.readouterr().err
+    assert f"errpipe import {folder} --out recording" in capsys.readouterr().err
+    assert main(["init", str(folder)]) == 2
+    assert f"become a recording first: errpipe import {folder} --out" in capsys.readouterr().err
+    assert not (folder / "pipeline.yaml").exists()
     written(folder, "recording: 1", name="recording.yaml")
     assert main(["import", str(folder), "--out", str(tmp_path / "r"), "--yes"]) == 3
     assert f"errpipe init axis --recording {folder}" in capsys.readouterr().err
