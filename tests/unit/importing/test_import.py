@@ -309,3 +309,10 @@ def test_another_quantity_is_not_taken_for_positioning(tmp_path: Path, above: st
         tmp_path, "Squareness compensation: off\nStraightness: not measured", "Run,X (mm),Deviation (um)"
     )
     assert imported(tmp_path, straight).components() == ("EXX",)
+
+
+@pytest.mark.parametrize("letter", ["J2", "E", "x"])
+def test_an_axis_without_components_is_refused(tmp_path: Path, letter: str) -> None:
+    """`--axis J2`, a joint of a robot, ended as an internal error: EJJ2 is no component."""
+    with pytest.raises(UsageError, match=f"--axis {letter}: not an axis"):
+        imported(tmp_path, table_of(tmp_path, "", "Run,Target [mm],Error [um]"), axis=letter)
