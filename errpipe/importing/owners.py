@@ -1,4 +1,4 @@
-"""The owner of a column: X1 beside X2, or none that is imported: a spindle's `S` next to X, Y and Z, an excluded motor."""
+"""The owner of a column: X1 beside X2, or none that is imported: a spindle's `S` next to X and Y, an excluded motor."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def with_first_axis(guesses: Guesses, axis: str | None) -> Guesses:
     out = dict(guesses)
     numbered = {g.axis[0] for g in guesses.values() if g.axis and g.axis[1:] and g.kind in PLACE}
     for header, g in guesses.items():
-        if g.axis and (axis == f"{g.axis}1" or g.axis in numbered and _first(header, g.axis)):
+        if g.axis and (axis == f"{g.axis}1" or (g.axis in numbered and _first(header, g.axis))):
             out[header] = replace(g, axis=f"{g.axis}1")
     return out
 
