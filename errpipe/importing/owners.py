@@ -14,6 +14,11 @@ _AXES = "XYZABCUVW"
 _NUMBERED = re.compile(r"(.*?)[ _.]?[(\[]?(\d+)[)\]]?")
 
 
+def of_axes(columns: list[RawColumn], guesses: Guesses, axis: str | None) -> Guesses:
+    """The guesses with the axis of each column. axis: as an option names it."""
+    return _with_first_axis(only_of_axes(columns, guesses), axis)
+
+
 def only_of_axes(columns: list[RawColumn], guesses: Guesses) -> Guesses:
     """The guesses without columns of a channel that is not an axis, if channels of axes have a column of the same name.
 
@@ -30,7 +35,7 @@ def only_of_axes(columns: list[RawColumn], guesses: Guesses) -> Guesses:
     return {**out, **_left_out(guesses)}
 
 
-def with_first_axis(guesses: Guesses, axis: str | None) -> Guesses:
+def _with_first_axis(guesses: Guesses, axis: str | None) -> Guesses:
     """The guesses with `X1` as an axis of that name if an option names it, or positions of X2 are recorded, too.
 
     Otherwise a control numbers its only X, and the axis is X.
