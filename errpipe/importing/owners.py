@@ -1,17 +1,22 @@
-"""Columns of a log that belong to no imported axis: a spindle's `S` next to X, Y and Z, an excluded motor."""
+"""The owner of a column: X1 beside X2, or none that is imported: a spindle's `S` next to X and Y, an excluded motor."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import replace
 
-from errpipe.importing.columns import Guesses
+from errpipe.importing.columns import PLACE, Guesses
 from errpipe.importing.layout import RawColumn
 
 OF_AN_AXIS = ("command", "position", "actual", "velocity", "acceleration", "current", "force", "torque")
 _CHANNEL = re.compile(r"([A-Z])\d?(?:[ _.:]|(?=[A-Z][a-z]))(.*)")
 _AXES = "XYZABCUVW"
 _NUMBERED = re.compile(r"(.*?)[ _.]?[(\[]?(\d+)[)\]]?")
+
+
+def of_axes(columns: list[RawColumn], guesses: Guesses, axis: str | None) -> Guesses:
+    """The guesses with the axis of each column. axis: as an option names it."""
+    return _with_first_axis(only_of_axes(columns, guesses), axis)
 
 
 def only_of_axes(columns: list[RawColumn], guesses: Guesses) -> Guesses:
@@ -28,6 +33,23 @@ def only_of_axes(columns: list[RawColumn], guesses: Guesses) -> Guesses:
         if letter in others and g.why and g.axis is None and g.kind in OF_AN_AXIS:
             out[header] = replace(g, kind="ignore", why=f"of {letter}, which is not an axis of ISO 841")
     return {**out, **_left_out(guesses)}
+
+
+def _with_first_axis(guesses: Guesses, axis: str | None) -> Guesses:
+    """The guesses with `X1` as an axis of that name if an option names it, or positions of X2 are recorded, too.
+
+    Otherwise a control numbers its only X, and the axis is X.
+    """
+    out = dict(guesses)
+    numbered = {g.axis[0] for g in guesses.values() if g.axis and g.axis[1:] and g.kind in PLACE}
+    for header, g in guesses.items():
+        if g.axis and (axis == f"{g.axis}1" or (g.axis in numbered and _first(header, g.axis))):
+            out[header] = replace(g, axis=f"{g.axis}1")
+    return out
+
+
+def _first(header: str, letter: str) -> bool:
+    return re.search(rf"(?<![A-Za-z]){letter}1(?!\d)", header, re.IGNORECASE) is not None
 
 
 def _left_out(guesses: Guesses) -> Guesses:

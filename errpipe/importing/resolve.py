@@ -290,7 +290,7 @@ def _refuse_one_of_several_axes(p: Proposal, layout: Layout, options: ImportOpti
         first, own = along[0], p.entries[along[0]]["component"]
         raise DataError(
             f"axes {', '.join(sorted(moving))} move in the same rows, and {', '.join(along)} are read: deviations of "
-            f"the tool point (R-test, cloud of points), with --set {first}.component=E_{own[-1]} and so on, or the "
+            f"the tool point (R-test, cloud of points), with --set {first}.component=E_{own[1]} and so on, or the "
             f"positioning of each axis, with --set {first}.component={own} and so on?"
         )
     for name, entry in p.entries.items():

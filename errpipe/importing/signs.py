@@ -67,6 +67,9 @@ _A_SETTING = re.compile(
     r"\b(not?(?!:)|none|keine?r?|yes|ja|nein|(?:in|de|un)?a[ck]ti(?:v|ef)\w*|(?:en|dis)abled|applied)\b"
     r"|[:=] ?[+-]?\d"
 )
+# Means as an API laser prints them for a control (`.pos`). A public reader takes minus them as the deviation, while
+# it takes Renishaw's as they are; no maker's page on their sign was found.
+_MEANS_FOR_A_CONTROL = re.compile(r"\b(?:uni|bi|forward |reverse )directional avg error\b")
 _SIGN_MEANS = re.compile(  # `+ = the axis stops early`, `Pluswerte bedeuten ...`, not `+ = from below`
     r"(?:^|[\s(*;,:])(?:[+-]|plus\w*|minus\w*|positiv\w*|negativ\w*)"
     r"(?: (?:values?|werte?|sign|numbers?|readings?|errors?))?"
@@ -231,6 +234,13 @@ def _ask(headers: tuple[str, ...], layout: Layout, why: str) -> None:
                 f"column {header!r}: does it rise if the axis (the tool) moves too far, or fall? Declare it: --sign "
                 "actual-minus-commanded, or --sign commanded-minus-actual"
             )
+    around = [*headers, *(c.header for c in layout.columns), *layout.above, *layout.below]
+    means = next((x for x in around if _MEANS_FOR_A_CONTROL.search(words.plain(x))), None)
+    if means is not None:
+        raise DataError(
+            f"{means[:60]!r}: means of a laser for a control, which may be deviations or what the control is to add. "
+            "Say --sign actual-minus-commanded (positive: the axis moves too far), or --sign commanded-minus-actual"
+        )
     line = next((x for x in layout.below if _titles_corrections(x)), None)
     line = line or next((x for x in [*layout.above, *layout.below] if _is_on_the_sign(words.plain(x))), None)
     if line is not None:

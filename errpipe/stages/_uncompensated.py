@@ -92,6 +92,12 @@ def _by_files(
         return _by_table(recording, read.table)
     taken = {}
     for name in shared:
+        along = components.parse(name).kind in ("positioning", "angular positioning")
+        if not along and any(p.synthesised for p in parts):
+            raise DataError(
+                f"{name} is corrected by the controller's own kinematics, which are not repeated here: measure with "
+                "the compensation switched off"
+            )
         output = next((o for o in table.outputs if o.axis and name in [x.component for x in o.terms]), None)
         if output is None:
             raise DataError(f"no axis of the files corrects {name}")

@@ -244,6 +244,7 @@ class Target:
     activation: ClassVar[Sequence[str]]  # what a person at the machine sets and reads back
     numbering: ClassVar[str] = ""  # what the files call an axis by its number: {0} counts from 0, {1} from 1
     remark: ClassVar[Mapping[str, str]] = {}  # end of a file's name -> a comment in it, {} standing for the text
+    synthesised: ClassVar[bool] = False  # the controller adds more than is read back, by its own kinematics
     goes_with: ClassVar[Sequence[str]] = ()  # targets whose files the same controller adds to these (either states it)
 
     @classmethod

@@ -33,6 +33,7 @@ class BeckhoffVolumetric(Target):
     limits = "components over one axis; 5 compensations of 10 files; static: temperatures are at their default"
     unit = "mm and rad; positions in mm (deg)"
     holds = ("screw",)
+    synthesised = True
     source = "TF5280 volumetric compensation, ISG CSV; ISG kernel units page"
     activation = (
         "list the file in the volumetric compensation's configuration; mm and rad, arguments of rotary axes in degrees",

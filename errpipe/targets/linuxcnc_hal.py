@@ -29,6 +29,7 @@ COMPONENT = "errpipe.comp"
 JOINTS = "errpipe-joints.hal"
 SHIFT = "errpipe-origin-shift.hal"
 THREAD = "servo-thread"
+AXES = "X Y Z A B C U V W"  # of LinuxCNC, the L of axis.L.eoffset-counts
 COUNT_SIZE = "0.0001"  # mm per count of an external offset
 MAX_TABLE_BYTES = 1 << 20  # of a table as C source: more takes the compiler too long
 MAX_PIN_LENGTH = 24  # of HAL's 47 characters, with room for the component's name and a prefix
@@ -68,18 +69,21 @@ class LinuxcncHal(Target):
                 f"linuxcnc_hal: the table has {len(data)} bytes (at most {MAX_TABLE_BYTES}); allow a larger error_bound"
             )
         facts = _facts(table, data)
-        return {
+        files = {
             COMPONENT: filled("errpipe.comp.j2", facts | _source(data)),
             JOINTS: filled("errpipe-joints.hal.j2", facts),
-            SHIFT: filled("errpipe-origin-shift.hal.j2", facts),
         }
+        return files if _of_joints_only(table) else files | {SHIFT: filled("errpipe-origin-shift.hal.j2", facts)}
 
     @classmethod
     def by_hand(cls, table: t.CompensationTable, read: ReadBack, others: Sequence[str]) -> tuple[ByHand, ...]:
-        return tuple(
+        no_backlash = tuple(
             ByHand(f"[JOINT_n] of {axis}: no BACKLASH (the table holds both directions)")
             for axis in _sample.lost_motion(table)
         )
+        joints = ", ".join(_of_joints_only(table))
+        why = f"no {SHIFT} was written: LinuxCNC offsets whole axes ({AXES}), and the table corrects {joints}"
+        return no_backlash + ((ByHand(why),) if joints else ())
 
     @classmethod
     def read_back(cls, files: Mapping[str, str]) -> WholeTable:
@@ -89,6 +93,11 @@ class LinuxcncHal(Target):
         expect(len(data) == int(match[1]), COMPONENT, f"{len(data)} bytes of table where {match[1]} are announced")
         table = ect.loads(data)
         return WholeTable.of(table)
+
+
+def _of_joints_only(table: t.CompensationTable) -> list[str]:
+    """Corrected drives that are no axis of LinuxCNC, such as both of a gantry (X1, X2): `axis.x1` does not exist."""
+    return [axis for axis in _sample.outputs_by_axis(table) if axis not in AXES.split()]
 
 
 def _facts(table: t.CompensationTable, data: bytes) -> dict[str, Any]:

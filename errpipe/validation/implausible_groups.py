@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from errpipe.drivers import motion
 from errpipe.validation.plausibility_finding import (
     MIN_FINITE_ROWS,
     Check,
@@ -17,6 +18,7 @@ from errpipe.validation.plausibility_finding import (
     level_of_rearranged,
     means_at,
     noise_of_difference,
+    numbered,
 )
 
 MIN_TARGETS = 10  # common targets; by chance a correlation on ten reaches -0.8 once in 200 tries
@@ -194,6 +196,7 @@ def new_zero(r: Response) -> Finding | None:
 
 NEAR = 3  # rows on each side of a step: their median is not a single reading
 SHARP = 0.7  # of a step between two neighbours when a zero is set; heat and wear take longer
+TURN = 0.001  # mm (deg) back from the furthest position: the axis has turned, where no column states its direction
 MIN_RUNS = 3  # whose median is the shape of the axis
 
 
@@ -202,8 +205,9 @@ def zero_within_run(r: Response) -> Finding | None:
     run = r.run
     if r.position is None or r.component.kind == "force" or np.unique(run).size < MIN_RUNS or run.size < 4 * NEAR:
         return None
+    side = r.side() if r.direction is not None else motion.sides(run, r.position, TURN)
     rest = r.deviation - _group_medians(r.deviation, run)
-    rest -= _group_medians(rest, r.cells())
+    rest -= _group_medians(rest, numbered(np.round(r.position, 3), side))
     windows = np.lib.stride_tricks.sliding_window_view(rest, NEAR)
     local = np.median(windows[NEAR:], axis=1) - np.median(windows[:-NEAR], axis=1)  # of the step before row i + NEAR
     rows = np.arange(NEAR, run.size - NEAR + 1)
@@ -212,7 +216,7 @@ def zero_within_run(r: Response) -> Finding | None:
         return None
     least = max(NEW_ZERO * 1.4826 * float(np.median(np.abs(local[within]))), MIN_ZERO_SHIFT_UM)
     within &= (np.abs(local) > least) & (np.abs(np.diff(rest)[rows - 1]) > SHARP * np.abs(local))
-    steps = rows[within & (r.side()[rows] == r.side()[rows - 1])]
+    steps = rows[within & (side[rows] == side[rows - 1])]
     shifted = []
     for k in dict.fromkeys(run[steps].tolist()):
         own, at = np.flatnonzero(run == k), steps[run[steps] == k]

@@ -73,7 +73,7 @@ class Response:
 
     def cells(self) -> np.ndarray:
         """Number of each row's target and side, shape (n,)."""
-        return _numbered(np.round(np.asarray(self.position), 3), self.side())
+        return numbered(np.round(np.asarray(self.position), 3), self.side())
 
     def groupings(self) -> list[tuple[str, np.ndarray]]:
         """Groupings of rows: the run and, if recorded, the direction; each with its label, (n,)."""
@@ -90,14 +90,14 @@ class Response:
         """
         if self.position is None:
             return 0.0, 0
-        visit, cell = _numbered(self.run, self.side()), self.cells()
+        visit, cell = numbered(self.run, self.side()), self.cells()
         rest = self.deviation - group_means(self.deviation, visit)
         freedom = int(rest.size - np.unique(cell).size - np.unique(visit).size + np.unique(self.side()).size)
         squares = float(np.sum((rest - group_means(rest, cell)) ** 2))
         return (squares / freedom, freedom) if freedom > 0 else (0.0, 0)
 
 
-def _numbered(*keys: np.ndarray) -> np.ndarray:
+def numbered(*keys: np.ndarray) -> np.ndarray:
     """Number of each row's combination of keys, shape (n,)."""
     return np.unique(np.stack(keys, axis=1), axis=0, return_inverse=True)[1].ravel()
 

@@ -323,7 +323,7 @@ def options_of(**stated: Any) -> ImportOptions:
         stated["unit"] = unit
     options = ImportOptions(**stated, sets=sets)
     _refuse_no_component("--component", options.component)
-    if options.axis is not None and not re.fullmatch(r"[A-Z]\d?", options.axis):
+    if options.axis is not None and not re.fullmatch(r"[A-CP-SU-Z]\d?", options.axis):  # ISO 841: have components
         raise UsageError(f"--axis {options.axis}: not an axis (allowed: a capital letter such as X, X1, C)")
     return options
 

@@ -322,3 +322,10 @@ def test_diameters_of_a_turned_part_along_z_are_no_positioning_of_z(tmp_path):
         assert recording.components() == ("E_D",)
         (name,) = recording.names("error")
         assert recording.array(name) == pytest.approx([d for *_, d in rows], abs=1e-6)
+
+
+@pytest.mark.parametrize("letter", ["J2", "E", "x"])
+def test_an_axis_without_components_is_refused(tmp_path: Path, letter: str) -> None:
+    """`--axis J2`, a joint of a robot, ended as an internal error: EJJ2 is no component."""
+    with pytest.raises(UsageError, match=f"--axis {letter}: not an axis"):
+        imported(tmp_path, table_of(tmp_path, "", "Run,Target [mm],Error [um]"), axis=letter)

@@ -9,7 +9,7 @@ import pytest
 
 from errpipe.cli.app import main
 from errpipe.errors import DataError
-from tests.unit.importing.known_test import imported
+from tests.unit.importing.known_test import imported, long_rows
 
 X = np.arange(0.0, 500.0, 50.0)
 ERROR = np.round(0.02 * X + 3.0 * np.sin(X / 70.0), 2)
@@ -184,3 +184,28 @@ def test_a_distance_is_a_position_only_where_there_is_no_other(tmp_path: Path) -
     rows = [f"{x:g},{e:g}" for x, e in zip(X, ERROR, strict=True)]
     recording = imported(tmp_path, written(tmp_path, "Dist (mm),Deviation (um)", *rows), axis="X")
     assert np.allclose(recording.array("Dist"), X)
+
+
+def of_a_gantry(tmp_path: Path, names: tuple[str, ...]) -> Path:
+    header = ",".join(["run", "dir", *(f"{n} target mm,{n} error um" for n in names)])
+    rows = [",".join([r, f"{s:+g}", *(f"{x},{d}" for _ in names)]) for r, x, s, d in long_rows()]
+    (tmp_path / "gantry.csv").write_text("\n".join([header, *rows]))
+    return tmp_path / "gantry.csv"
+
+
+def test_the_first_of_two_drives_keeps_its_number_if_the_axis_is_stated(tmp_path: Path) -> None:
+    """The direction became one of X1 and the position one of X: every turn looked like a new zero of the laser."""
+    recording = imported(tmp_path, of_a_gantry(tmp_path, ("X1",)), axis="X1")
+    assert recording.components() == ("EXX1",)
+    assert {c.axis for c in recording.manifest.columns.values() if c.axis} == {"X1"}
+    assert imported(tmp_path, of_a_gantry(tmp_path, ("X1",))).components() == ("EXX",)  # a control's only X
+
+
+def test_both_drives_of_a_gantry_in_one_file_are_two_axes(tmp_path: Path) -> None:
+    file = of_a_gantry(tmp_path, ("X1", "X2"))
+    with pytest.raises(DataError, match=r"X1_error.component=E_X and so on, or .* X1_error.component=EXX1 and so on"):
+        imported(tmp_path, file)
+    sets = ["X1_error.component=EXX1", "X2_error.component=EXX2"]
+    recording = imported(tmp_path, file, sets=sets)
+    assert recording.components() == ("EXX1", "EXX2")
+    assert [recording.manifest.columns[n].axis for n in recording.names("position")] == ["X1", "X2"]

@@ -316,7 +316,10 @@ UP, DOWN = deviation(1, 1.0), deviation(1, -1.0)
 
 def test_three_tables_of_means_are_two_directions_and_their_mean(tmp_path: Path) -> None:
     tables = ("Bidirectional", (UP + DOWN) / 2), ("Forward Directional", UP), ("Reverse Directional", DOWN)
-    recording = imported(tmp_path, written(tmp_path, of_means(*tables)))
+    file = written(tmp_path, of_means(*tables))
+    with pytest.raises(DataError, match="may be deviations or what the control is to add"):
+        prepared([file])  # a public reader of such files takes minus them
+    recording = imported(tmp_path, file, sign="actual-minus-commanded")
     side = recording.array("direction")
     assert recording.array("EXX")[side > 0] == pytest.approx(UP)
     assert recording.array("EXX")[side < 0] == pytest.approx(DOWN[::-1])
@@ -325,6 +328,6 @@ def test_three_tables_of_means_are_two_directions_and_their_mean(tmp_path: Path)
 
 def test_three_tables_of_which_the_first_is_no_mean_are_stated_all(tmp_path: Path) -> None:
     tables = ("Bidirectional", 2.0 * UP), ("Forward Directional", UP), ("Reverse Directional", DOWN)
-    proposal, _ = prepared([written(tmp_path, of_means(*tables))])
+    proposal, _ = prepared([written(tmp_path, of_means(*tables))], sign="actual-minus-commanded")
     (note,) = [n for n in proposal.notes if "excluded" in n]
     assert note.startswith("2 more tables below ('Position Forward") and "Reverse" in note and "their 26 rows" in note

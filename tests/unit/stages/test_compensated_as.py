@@ -13,6 +13,7 @@ from errpipe.cli.app import main
 from errpipe.domain import driver as d
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.drivers.lowered import Lowered
+from errpipe.errors import DataError
 from errpipe.formats import manifest_folder
 from errpipe.stages._uncompensated import uncompensated
 from errpipe.stages.targets import write_targets
@@ -187,3 +188,20 @@ def test_export_folders_are_compared_and_what_lies_beside_their_files_is_named(
     assert "EXX: the same" in said and "file changed: linuxcnc_screw/x.comp" in said and "y.comp" in said
     assert main(["whatis", str(tmp_path / "new")]) == 3
     assert "an export folder" in capsys.readouterr().err
+
+
+def test_a_straightness_that_the_controller_synthesises_is_refused(tmp_path: Path) -> None:
+    """Nothing was added for it, as if the controller had not corrected it: the next table held the remainder alone."""
+    source = tables.ComponentSource("EYX", "um", (Lowered(d.ONE, "X", lambda x: 20.0 * np.sin(x / 300.0)),), True)
+    ect.write(tables.compile_table([source], inputs=[position()], travel={"X": (0.0, 1000.0)}), tmp_path / "table.ect")
+    columns = {
+        "run": Column(role="run"),
+        "x": Column(role="command", axis="X", unit="mm"),
+        "EYX": Column(role="error", component="EYX", unit="um"),
+    }
+    frame = pd.DataFrame({"run": "1", "x": PLACES, "EYX": np.zeros(PLACES.size)})
+    recording = Recording(Manifest(recording=1, tables=("recording.csv",), columns=columns), frame)
+    with pytest.raises(DataError, match="EYX is corrected by the controller's own kinematics"):
+        uncompensated(recording, tmp_path / "table.ect", ["beckhoff_volumetric"], None)
+    whole, _ = uncompensated(recording, tmp_path / "table.ect", [], None)
+    assert whole.array("EYX") == pytest.approx(20.0 * np.sin(PLACES / 300.0), abs=0.1)

@@ -115,3 +115,18 @@ def test_a_machine_in_inches_does_not_start(name, units, starts):
     assert loaded == ("loadrt errpipe" if target is LinuxcncHal else "")  # nothing is loaded before it
     done = subprocess.run(waited.replace("[TRAJ]LINEAR_UNITS", units).split(), capture_output=True, check=False)
     assert (done.returncode == 0) == starts
+
+
+def test_no_origin_shift_for_drives_that_are_no_axes_of_linuxcnc():
+    """`axis.x1` and `axis.x2` of a gantry do not exist: LinuxCNC did not start with that file."""
+    pairs = {n: (Lowered(d.ONE, n, lambda x: 0.01 * x),) for n in ("X1", "X2")}
+    table = tables.compile_table(
+        [tables.ComponentSource(f"EX{n}", "um", p, True) for n, p in pairs.items()],
+        inputs=[TableInput(name=n, kind="position", axis=n, unit="mm", low=-500, high=1500, default=0) for n in pairs],
+        travel=dict.fromkeys(pairs, (0.0, 1000.0)),
+    )
+    files = LinuxcncHal.write(table)
+    assert SHIFT not in files and "joint.1" in files[JOINTS]
+    stated = [note.text for note in LinuxcncHal.by_hand(table, LinuxcncHal.read_back(files), ())]
+    assert any(SHIFT in text and "X1, X2" in text for text in stated)
+    assert SHIFT in LinuxcncHal.write(machines.too_long_at_plus_x())

@@ -102,3 +102,20 @@ def test_a_sound_axis_has_none_of_them() -> None:
     """100 axes that chose no threshold."""
     named = {code for _, code, _ in FAULTS}
     assert [(s, f) for s in range(500, 600) if (f := codes_of(warming_axis(s))).keys() & named] == []
+
+
+def test_lost_motion_without_a_column_of_directions_is_no_new_zero() -> None:
+    """The step at each turn was to be subtracted: what remains has no lost motion left to compensate."""
+    rng = np.random.default_rng(41)
+    x = np.tile(np.r_[0.0:4001.0:100.0, 4000.0:-1.0:-100.0], 5)
+    side = np.tile(np.repeat([1.0, -1.0], 41), 5)
+    run = np.repeat([str(r) for r in range(5)], 82)
+    exx = -25.0 * x / 4000.0 + 2.0 * np.sin(x / 300.0) - 3.0 * side + rng.normal(0.0, 0.4, x.size)
+    columns = {name: COLUMNS[name] for name in ("run", "x", "EXX")}
+    recording = Recording(
+        Manifest(recording=1, tables=("t.csv",), columns=columns), pd.DataFrame({"run": run, "x": x, "EXX": exx})
+    )
+    assert "new-zero" not in {f.code for f in plausibility.findings(recording)}
+    frame = recording.frame.assign(EXX=recording.frame.EXX + 40.0 * ((recording.frame.index >= 20) & (run == "0")))
+    zeroed_once = Recording(recording.manifest, frame)
+    assert "new-zero" in {f.code for f in plausibility.findings(zeroed_once)}, "between turns"
