@@ -27,7 +27,7 @@ ELSEWHERE = 4.0  # log odds against an effect that is unlikely on a stretch: a b
 BINS = 14  # equal stretches of an axis or of time; unions of neighbours are tried as one part
 FINER = 8  # subdivisions of a stretch, used to refine the ends of a part
 MOST = 12  # parts that are refined and passed to the search
-LEAST = 0.16  # smallest share of the rows in a part, unless it is a run: fewer outstanding rows are events
+LEAST = 0.16  # smallest share of the rows in a part, and outside it, unless it is a run: fewer rows are events
 BETTER = 7.0  # log Bayes factor by which a part must exceed its own effect on all rows,
 MENDING = 0.05  # plus this share of its log Bayes factor: a part may only correct the textbook form,
 DEPARTING = 0.02  # and share by which it must exceed any other effect, which may depart from its textbook form
@@ -75,10 +75,11 @@ class Groups:
         return ("range", self.kind, self.edges[members[0]], self.edges[members[-1] + 1])
 
     def choices(self) -> list[tuple[int, ...]]:
-        """Unions tried: neighbours, with enough rows unless they are runs; of runs also any two."""
+        """Unions tried: neighbours, with enough rows inside and outside unless they are runs; of runs also any two."""
         out = [tuple(range(a, b)) for a in range(self.count) for b in range(a + 1, self.count + 1)]
         if self.kind != "runs":
-            out = [c for c in out if self.rows[1][c[-1] + 1] - self.rows[1][c[0]] >= LEAST * self.code.size]
+            share = [(self.rows[1][c[-1] + 1] - self.rows[1][c[0]]) / self.code.size for c in out]
+            out = [c for c, inside in zip(out, share, strict=True) if LEAST <= inside <= 1.0 - LEAST]
         else:
             out += [(a, b) for a, b in itertools.combinations(range(self.count), 2) if b > a + 1]
         return [c for c in out if len(c) < self.count] or [tuple(range(self.count))]

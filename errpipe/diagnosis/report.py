@@ -110,7 +110,7 @@ def _most(case: Case, made: list[model.Modelled], indicators: list[confidence.In
         if wanders or a_gain or plausible.only_a_wave_in_time(m, after):
             most[k] = UNPROVED
         elif plausible.is_insignificant(m):
-            most[k] = UNSIZED
+            most[k] = UNPROVED if m.hypothesis.mask else UNSIZED  # a part was also searched for
         elif far or shaped or (case.held.again and s.agreement < holdout.AGAIN):
             most[k] = UNSURE
     return most

@@ -55,7 +55,17 @@ def chance(case: Case, indicators: list[confidence.Indicators], held: holdout.He
         p = max(p, PROVISIONAL)
     if p < NOISE or proved(case, held):
         return p
-    return min(p, NOISE if is_noise(case) else PROVISIONAL)
+    return min(p, NOISE if is_noise(case) or is_of_the_signal(case, held) else PROVISIONAL)
+
+
+def is_of_the_signal(case: Case, held: holdout.HeldOut) -> bool:
+    """Does the simulated signal itself account for what names leave, which predict a share of the held-out variance?
+
+    A repeated measurement has noise, and its signal is no sum of effects: rhythm and drift of both are in the mismatch.
+    """
+    repeated = not case.decomposition.parts or any(n.kind == "noise" for n in case.nuisances)
+    predicted = held.named**2 <= (1.0 - UNREACHED) * held.bare**2
+    return repeated and predicted and confirmed_by_held_out(case, held)
 
 
 def with_shapes(case: Case) -> tuple[np.ndarray, np.ndarray]:

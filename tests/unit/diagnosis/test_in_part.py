@@ -52,6 +52,14 @@ def test_an_effect_acts_for_a_while_that_no_run_begins_or_ends():
     assert np.ptp(np.bincount(kept["t"].code)) < 0.1 * t.size / 14  # as many rows in each
 
 
+def test_a_few_rows_at_an_end_are_events_and_no_part():
+    """Neither those rows alone nor the others without them."""
+    x = np.linspace(0.0, 1.0, 1400)
+    along = partial.Groups.along("x", x, np.linspace(0.0, 1.0, 15), True, 14)
+    widths = {len(union) for union in along.choices()}
+    assert (min(widths), max(widths)) == (3, 11)  # of 14: at least 16 % of the rows inside, and outside
+
+
 @pytest.mark.parametrize(("departing", "in_part"), [(partial.DEPARTING, True), (50.0, False)])
 def test_of_two_runs_one_may_lack_an_effect(monkeypatch, departing, in_part):
     """If the part is likelier than an effect on all rows that may depart from its textbook form."""

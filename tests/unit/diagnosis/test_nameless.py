@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -297,6 +298,27 @@ def test_a_wandering_residual_is_predicted_or_coloured_noise(monkeypatch, share,
     assert bool(unnamed.wanders(case)) is expected  # type: ignore[arg-type]
     case.residual = np.random.default_rng(1).standard_t(2, 600)  # heavy tails alone are foretold by nothing
     assert bool(unnamed.wanders(case)) is (expected and (share > 0.5 or taken_back))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("parts", "kinds", "named", "after", "most"), [
+    ((), (), 0.8, 1.0, unnamed.NOISE),  # recorded twice: names predict a third of the held-out variance
+    ((), (), 0.9, 1.0, unnamed.PROVISIONAL),  # a fifth
+    ((), (), 0.8, 1.8, unnamed.PROVISIONAL),  # names that held-out rows do not confirm
+    ((1,), ("gain",), 0.8, 1.0, unnamed.PROVISIONAL),  # a simulation without noise, a sum of effects
+    ((1,), ("gain", "noise"), 0.8, 1.0, unnamed.NOISE),
+])  # fmt: skip
+def test_a_signal_that_was_itself_recorded_accounts_for_what_names_leave(monkeypatch, parts, kinds, named, after, most):
+    for asked in ("rounded", "departs", "unnamed_structure", "proved", "is_noise"):
+        monkeypatch.setattr(unnamed, asked, lambda *_: False)
+    monkeypatch.setattr(unnamed, "unexplained", lambda *_: True)  # a rhythm remains
+    monkeypatch.setattr(unnamed.confidence, "unknown", lambda s: 0.3)
+    case, held = left_by(np.zeros(200), 1.0)
+    case.decomposition = SimpleNamespace(parts=parts)
+    case.nuisances = [SimpleNamespace(kind=kind) for kind in kinds]
+    case.explanation, case.run = SimpleNamespace(accepted=[SimpleNamespace(gain=20.0)]), np.zeros(200)
+    case.search.rows = None
+    held = replace(held, before=2.0, after=after, named=named, bare=1.0)
+    assert unnamed.chance(case, [1], held) == most  # type: ignore[arg-type, list-item]
 
 
 @pytest.mark.parametrize(("wandering", "reset", "jump"), [(0.0, 3.0, True), (0.4, 0.0, False), (0.0, 0.0, False)])
