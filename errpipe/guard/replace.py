@@ -5,7 +5,7 @@ The letters are those of `errpipe.guard.description`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from errpipe.domain import driver as d
 from errpipe.guard import composed as c
@@ -16,30 +16,71 @@ from errpipe.guard.rules import activity
 LONGEST_S = 1e9  # time constant of the rising clock added to latched values: longer than any session
 
 
-def trusted(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None = None) -> d.Driver:
+def trusted(
+    driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None = None, apart: bool = True
+) -> d.Driver:
     """`guarded`, times `trust`; a driver without guarded sensors is unchanged."""
-    if set(d.inputs(driver)).isdisjoint(guard.names()):
+    if not _reads(driver, guard):
         return driver
-    return d.Product(of=(guarded(driver, guard, within), trust(guard)))
+    return d.Product(of=(guarded(driver, guard, within, apart), trust(guard)))
 
 
-def guarded(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None = None) -> d.Driver:
+def guarded(
+    driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None = None, apart: bool = True
+) -> d.Driver:
     """The driver with every guarded sensor's reading replaced by its guarded one.
+
+    apart: as the driver plus what the replacements change of it (exactly 0 while none has failed). A guarded reading is
+    known only once every sensor has a reading, and the lags and first values of it start then, not with the run;
+    those of the driver itself start with their own sensor. It takes one node more for each lag.
 
     within: sensor -> range of an estimate, degC; default: the range of a healthy sensor. Without a
     range the latched values, which contain a clock, would leave the correction unbounded.
     """
+    if not _reads(driver, guard) or (apart and isinstance(driver, d.First)):
+        return driver
     if isinstance(driver, d.Input):
-        names = guard.names()
-        if driver.name not in names:
-            return driver
-        k = names.index(driver.name)
+        k = guard.names().index(driver.name)
         low, high = (within or {}).get(driver.name, (guard.sensors[k].low, guard.sensors[k].high))
         return d.Clip(of=readings(guard)[k], low=low, high=high)
+    if apart and _is_linear(driver) and _has_lag(driver, guard):
+        return d.Affine(weights=(1.0, 1.0), of=(driver, _change(driver, guard, within)))
+    return _with_operands(driver, lambda x: guarded(x, guard, within, apart))
+
+
+def _change(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None) -> d.Driver:
+    """What guarded readings change of a driver that reads some."""
+    if isinstance(driver, d.Affine):
+        parts = [p for p in zip(driver.weights, driver.of, strict=True) if _reads(p[1], guard)]
+        changes = tuple(_change(x, guard, within) for _, x in parts if not isinstance(x, d.First))
+        weights = tuple(weight for weight, x in parts if not isinstance(x, d.First))
+        return changes[0] if weights == (1.0,) else d.Affine(weights=weights, of=changes)
+    if _is_linear(driver):
+        return _with_operands(driver, lambda x: _change(x, guard, within))
+    return d.Affine(weights=(1.0, -1.0), of=(guarded(driver, guard, within), driver))
+
+
+def _reads(driver: d.Driver, guard: SensorGuard) -> bool:
+    return not set(d.inputs(driver)).isdisjoint(guard.names())
+
+
+def _is_linear(driver: d.Driver) -> bool:
+    return isinstance(driver, d.Affine) or (isinstance(driver, d.Lag) and driver.tau_up == driver.tau_down)
+
+
+def _has_lag(driver: d.Driver, guard: SensorGuard) -> bool:
+    """Whether a lag of a guarded reading is in a driver."""
+    if isinstance(driver, d.Lag):
+        return _reads(driver, guard)
+    of = getattr(driver, "of", ())
+    return any(_has_lag(x, guard) for x in (of if isinstance(of, tuple) else (of,)))
+
+
+def _with_operands(driver: d.Driver, change: Callable[[d.Driver], d.Driver]) -> d.Driver:
     of = getattr(driver, "of", None)
     if of is None:
         return driver
-    inside = tuple(guarded(x, guard, within) for x in of) if isinstance(of, tuple) else guarded(of, guard, within)
+    inside = tuple(map(change, of)) if isinstance(of, tuple) else change(of)
     return driver.model_copy(update={"of": inside})
 
 
