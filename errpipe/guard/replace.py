@@ -13,6 +13,7 @@ from errpipe.guard.description import SensorGuard
 from errpipe.guard.detect import TIE_TOLERANCE, all_normal, faults, shared, trust
 from errpipe.guard.rules import activity
 
+NEWLY_S = 60.0  # time constant: well below that of a body, and above the reading interval of a logger (by judgement)
 LONGEST_S = 1e9  # time constant of the rising clock added to latched values: longer than any session
 
 
@@ -45,7 +46,9 @@ def guarded(
         return d.Clip(of=readings(guard)[k], low=low, high=high)
     if apart and _is_linear(driver) and _has_lag(driver, guard):
         return d.Affine(weights=(1.0, 1.0), of=(driver, _change(driver, guard, within)))
-    return _with_operands(driver, lambda x: guarded(x, guard, within, apart))
+    inside = _with_operands(driver, lambda x: guarded(x, guard, within, apart))
+    missed = _missed_rise(driver, guard) if apart else None
+    return inside if missed is None else d.Affine(weights=(1.0, 1.0), of=(inside, missed))
 
 
 def _change(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None) -> d.Driver:
@@ -54,10 +57,28 @@ def _change(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[flo
         parts = [p for p in zip(driver.weights, driver.of, strict=True) if _reads(p[1], guard)]
         changes = tuple(_change(x, guard, within) for _, x in parts if not isinstance(x, d.First))
         weights = tuple(weight for weight, x in parts if not isinstance(x, d.First))
+        if (missed := _missed_rise(driver, guard)) is not None:
+            return d.Affine(weights=(1.0, 1.0), of=(*changes, missed))
         return changes[0] if weights == (1.0,) else d.Affine(weights=weights, of=changes)
     if _is_linear(driver):
         return _with_operands(driver, lambda x: _change(x, guard, within))
     return d.Affine(weights=(1.0, -1.0), of=(guarded(driver, guard, within), driver))
+
+
+def _missed_rise(driver: d.Driver, guard: SensorGuard) -> d.Driver | None:
+    """Of the rise of a sensor that others can replace: its estimate when its first reading came, K; else None.
+
+    0 if all sensors have their first reading together. Of a sensor that is not the last one it has faded by then.
+    """
+    replaced = (s for s in guard.sensors if guard.compares and s.stands_in and any(s.estimate))
+    sensor = next((s for s in replaced if driver == d.rise(s.name)), None)
+    if sensor is None:
+        return None
+    others = [(w, d.rise(o.name)) for w, o in zip(sensor.estimate, guard.sensors, strict=True) if w]
+    estimate = d.Affine(weights=tuple(w for w, _ in others), of=tuple(x for _, x in others))
+    there = d.Affine(offset=1.0, weights=(0.0,), of=(d.Input(name=sensor.name),))
+    newly = d.Affine(offset=1.0, weights=(-1.0,), of=(d.lag(there, NEWLY_S),))
+    return d.First(of=d.Product(of=(estimate, newly)))
 
 
 def _reads(driver: d.Driver, guard: SensorGuard) -> bool:
