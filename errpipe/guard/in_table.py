@@ -10,6 +10,7 @@ from functools import lru_cache
 
 from errpipe.domain import table as t
 from errpipe.guard.detect import FADE_S
+from errpipe.guard.replace import NEWLY_S
 
 
 def has_guard(table: t.CompensationTable) -> bool:
@@ -61,20 +62,44 @@ def _estimates(table: t.CompensationTable, node: t.Node) -> bool:
     return any(isinstance(table.nodes[m.of[0]], t.AffineNode) for m in moved)
 
 
+def _is_missed_rise(table: t.CompensationTable, node: t.Node) -> bool:
+    """Whether a node is the estimated rise of a sensor before its first reading (`replace`)."""
+    if not isinstance(node, t.FirstNode) or not isinstance(table.nodes[node.of[0]], t.ProductNode):
+        return False
+    newly = table.nodes[table.nodes[node.of[0]].of[-1]]
+    there = table.nodes[newly.of[0]] if isinstance(newly, t.AffineNode) else None
+    return isinstance(there, t.LagNode) and there.tau_up == there.tau_down == NEWLY_S
+
+
+def _is_no_change(node: t.Node, of: list[int], no_change: set[int]) -> bool:
+    """Whether a node is zero without a guard, by its operands: a difference of equals, or a sum or lag of such."""
+    if isinstance(node, t.AffineNode) and node.weights == (1.0, -1.0) and not node.offset and of[0] == of[1]:
+        return True
+    linear = isinstance(node, t.LagNode) or (isinstance(node, t.AffineNode) and not node.offset)
+    return linear and bool(of) and no_change.issuperset(of)
+
+
 @lru_cache(maxsize=4)
 def _without(table: t.CompensationTable) -> t.CompensationTable:
-    gates, stand_for = _gates(table), {}
+    gates = _gates(table)
+    stand_for: dict[int, int] = {}
+    no_change: set[int] = set()
+
+    def source(number: int) -> int:
+        while number in stand_for:
+            number = stand_for[number]
+        return number
+
     for number, node in enumerate(table.nodes):
         reading = _guarded_input(table, node)
         if reading is not None:
             stand_for[number] = reading
         elif isinstance(node, t.ProductNode) and len(node.of) == 2 and node.of[1] in gates:
             stand_for[number] = node.of[0]
-
-    def source(number: int) -> int:
-        while number in stand_for:
-            number = stand_for[number]
-        return number
+        elif isinstance(node, t.AffineNode) and node.weights == (1.0, 1.0) and source(node.of[1]) in no_change:
+            stand_for[number] = node.of[0]  # a driver plus what the guard changes of it
+        elif _is_missed_rise(table, node) or _is_no_change(node, [source(n) for n in node.of], no_change):
+            no_change.add(number)
 
     factors = {f for o in table.outputs for m in o.terms for f in m.factors}
     wanted = {source(n) for n in factors | {p.driver for p in table.pairs}}

@@ -5,7 +5,7 @@ The letters are those of `errpipe.guard.description`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from errpipe.domain import driver as d
 from errpipe.guard import composed as c
@@ -13,33 +13,95 @@ from errpipe.guard.description import SensorGuard
 from errpipe.guard.detect import TIE_TOLERANCE, all_normal, faults, shared, trust
 from errpipe.guard.rules import activity
 
+NEWLY_S = 60.0  # time constant: well below that of a body, and above the reading interval of a logger (by judgement)
 LONGEST_S = 1e9  # time constant of the rising clock added to latched values: longer than any session
 
 
-def trusted(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None = None) -> d.Driver:
+def trusted(
+    driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None = None, apart: bool = True
+) -> d.Driver:
     """`guarded`, times `trust`; a driver without guarded sensors is unchanged."""
-    if set(d.inputs(driver)).isdisjoint(guard.names()):
+    if not _reads(driver, guard):
         return driver
-    return d.Product(of=(guarded(driver, guard, within), trust(guard)))
+    return d.Product(of=(guarded(driver, guard, within, apart), trust(guard)))
 
 
-def guarded(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None = None) -> d.Driver:
+def guarded(
+    driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None = None, apart: bool = True
+) -> d.Driver:
     """The driver with every guarded sensor's reading replaced by its guarded one.
+
+    apart: as the driver plus what the replacements change of it (exactly 0 while none has failed). A guarded reading is
+    known only once every sensor has a reading, and the lags and first values of it start then, not with the run;
+    those of the driver itself start with their own sensor. It takes one node more for each lag.
 
     within: sensor -> range of an estimate, degC; default: the range of a healthy sensor. Without a
     range the latched values, which contain a clock, would leave the correction unbounded.
     """
+    if not _reads(driver, guard) or (apart and isinstance(driver, d.First)):
+        return driver
     if isinstance(driver, d.Input):
-        names = guard.names()
-        if driver.name not in names:
-            return driver
-        k = names.index(driver.name)
+        k = guard.names().index(driver.name)
         low, high = (within or {}).get(driver.name, (guard.sensors[k].low, guard.sensors[k].high))
         return d.Clip(of=readings(guard)[k], low=low, high=high)
+    if apart and _is_linear(driver) and _has_lag(driver, guard):
+        return d.Affine(weights=(1.0, 1.0), of=(driver, _change(driver, guard, within)))
+    inside = _with_operands(driver, lambda x: guarded(x, guard, within, apart))
+    missed = _missed_rise(driver, guard) if apart else None
+    return inside if missed is None else d.Affine(weights=(1.0, 1.0), of=(inside, missed))
+
+
+def _change(driver: d.Driver, guard: SensorGuard, within: Mapping[str, tuple[float, float]] | None) -> d.Driver:
+    """What guarded readings change of a driver that reads some."""
+    if isinstance(driver, d.Affine):
+        parts = [p for p in zip(driver.weights, driver.of, strict=True) if _reads(p[1], guard)]
+        changes = tuple(_change(x, guard, within) for _, x in parts if not isinstance(x, d.First))
+        weights = tuple(weight for weight, x in parts if not isinstance(x, d.First))
+        if (missed := _missed_rise(driver, guard)) is not None:
+            return d.Affine(weights=(1.0, 1.0), of=(*changes, missed))
+        return changes[0] if weights == (1.0,) else d.Affine(weights=weights, of=changes)
+    if _is_linear(driver):
+        return _with_operands(driver, lambda x: _change(x, guard, within))
+    return d.Affine(weights=(1.0, -1.0), of=(guarded(driver, guard, within), driver))
+
+
+def _missed_rise(driver: d.Driver, guard: SensorGuard) -> d.Driver | None:
+    """Of the rise of a sensor that others can replace: its estimate when its first reading came, K; else None.
+
+    0 if all sensors have their first reading together. Of a sensor that is not the last one it has faded by then.
+    """
+    replaced = (s for s in guard.sensors if guard.compares and s.stands_in and any(s.estimate))
+    sensor = next((s for s in replaced if driver == d.rise(s.name)), None)
+    if sensor is None:
+        return None
+    others = [(w, d.rise(o.name)) for w, o in zip(sensor.estimate, guard.sensors, strict=True) if w]
+    estimate = d.Affine(weights=tuple(w for w, _ in others), of=tuple(x for _, x in others))
+    there = d.Affine(offset=1.0, weights=(0.0,), of=(d.Input(name=sensor.name),))
+    newly = d.Affine(offset=1.0, weights=(-1.0,), of=(d.lag(there, NEWLY_S),))
+    return d.First(of=d.Product(of=(estimate, newly)))
+
+
+def _reads(driver: d.Driver, guard: SensorGuard) -> bool:
+    return not set(d.inputs(driver)).isdisjoint(guard.names())
+
+
+def _is_linear(driver: d.Driver) -> bool:
+    return isinstance(driver, d.Affine) or (isinstance(driver, d.Lag) and driver.tau_up == driver.tau_down)
+
+
+def _has_lag(driver: d.Driver, guard: SensorGuard) -> bool:
+    """Whether a lag of a guarded reading is in a driver."""
+    if isinstance(driver, d.Lag):
+        return _reads(driver, guard)
+    of = getattr(driver, "of", ())
+    return any(_has_lag(x, guard) for x in (of if isinstance(of, tuple) else (of,)))
+
+
+def _with_operands(driver: d.Driver, change: Callable[[d.Driver], d.Driver]) -> d.Driver:
     of = getattr(driver, "of", None)
     if of is None:
         return driver
-    inside = tuple(guarded(x, guard, within) for x in of) if isinstance(of, tuple) else guarded(of, guard, within)
+    inside = tuple(map(change, of)) if isinstance(of, tuple) else change(of)
     return driver.model_copy(update={"of": inside})
 
 

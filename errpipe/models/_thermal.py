@@ -124,17 +124,18 @@ class ThermalFamily(Family):
         """
 
         from errpipe.fitting import holdout
+        from errpipe.fitting.design import response_name
         from errpipe.fitting.validity import distance
-        from errpipe.thermal.arithmetic import all_known, predicted_since_start, since_start_of, working_sensors
+        from errpipe.thermal.arithmetic import all_known, predicted_since_start, since_start, working_sensors
 
         holdout.check(fold)
         recording = working_sensors(recording, self.component)
         model = self.train(recording, fold.train)
-        since = since_start_of(recording, self.component, self.datum_rows)
-        run = recording.run_codes()
+        run, known = recording.run_codes(), all_known(recording)  # a lag continues after its sensor has failed
+        read = np.where(known, recording.array(response_name(recording, self.component)), np.nan)
+        since, _ = since_start(read, run, self.datum_rows)
         residual = since - predicted_since_start(model.values(recording), run, self.datum_rows, since == since)
-        known = np.where(all_known(recording), since, np.nan)  # a lag continues after its sensor has failed
-        return {self.component: held_out(fold, known, residual, distance(model.validity, recording))}
+        return {self.component: held_out(fold, since, residual, distance(model.validity, recording))}
 
     def grids(self, documents: Mapping[str, Any]) -> list[Grid]:
         """The competition: rms of every family on held-out groups, with no compensation and the noise floor."""
@@ -216,10 +217,13 @@ def _summary(outcome: Outcome, unit: str) -> str:
 
 def _left(recording: Recording, family: ThermalFamily, outcome: Outcome) -> np.ndarray:
     """Residual of the mixture on held-out groups, um, (rows,); NaN where not validated."""
-    from errpipe.thermal.arithmetic import since_start_of
+    from errpipe.fitting.design import response_name
+    from errpipe.thermal.arithmetic import since_start
 
     predicted = next(iter(outcome.predictions.values()))[: len(recording)]
-    return since_start_of(recording, family.component, family.datum_rows) - predicted
+    response = recording.array(response_name(recording, family.component))
+    judged = np.where(np.isfinite(predicted), response, np.nan)
+    return since_start(judged, recording.run_codes(), family.datum_rows)[0] - predicted
 
 
 def _noise_floor(recording: Recording, family: ThermalFamily, outcome: Outcome) -> float | None:

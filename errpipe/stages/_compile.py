@@ -61,11 +61,24 @@ def compile_model(
     try:
         return _table_of(model, options, guard, recording)
     except ValidationError as err:
-        raise GateError(f"export: no table holds this model: {err.title} {first_problem(err)}") from None
+        if guard is None:
+            raise _too_large(err) from None
+    try:
+        return _table_of(model, options, guard, recording, apart=False)
+    except ValidationError as err:
+        raise _too_large(err) from None
+
+
+def _too_large(err: ValidationError) -> GateError:
+    return GateError(f"export: no table holds this model: {err.title} {first_problem(err)}")
 
 
 def _table_of(
-    model: ErrorModel, options: CompileOptions, guard: SensorGuard | None, recording: Recording | None
+    model: ErrorModel,
+    options: CompileOptions,
+    guard: SensorGuard | None,
+    recording: Recording | None,
+    apart: bool = True,
 ) -> CompensationTable:
     from errpipe import __version__, jsonfile, tables
     from errpipe.domain import driver as d
@@ -86,7 +99,7 @@ def _table_of(
     placed = _inputs.with_positions(model, axes.union(*(d.axes(p.driver) for p in followed)), recording)
     inputs = _inputs.table_inputs(placed, guard, recording)
     if guard is not None:
-        lowered = {name: [_guarded(p, guard, inputs) for p in pairs] for name, pairs in lowered.items()}
+        lowered = {name: [_guarded(p, guard, inputs, apart) for p in pairs] for name, pairs in lowered.items()}
     keep = None if model.validity.fades else False  # no box in the table, but it still fades where a sensor is lost
     sources = [
         tables.ComponentSource(c.component, c.unit, tuple(lowered[c.component]), keep)
@@ -178,9 +191,9 @@ def not_exported(name: str, known: Sequence[str]) -> str:
     return f"acts_on: {name!r} is not exported ({', '.join(known)}).{did_you_mean(name, known)}"
 
 
-def _guarded(pair: Lowered, guard: SensorGuard, inputs: Sequence[TableInput]) -> Lowered:
-    """The pair with guarded readings, which stay where the table keeps those that are read."""
+def _guarded(pair: Lowered, guard: SensorGuard, inputs: Sequence[TableInput], apart: bool) -> Lowered:
+    """The pair with guarded readings, which stay where the table keeps those that are read. apart: see `guarded`."""
     from errpipe.guard.replace import trusted
     from errpipe.tables.bounds import input_span
 
-    return replace(pair, driver=trusted(pair.driver, guard, {i.name: input_span(i) for i in inputs}))
+    return replace(pair, driver=trusted(pair.driver, guard, {i.name: input_span(i) for i in inputs}, apart))

@@ -151,8 +151,10 @@ def problem(recording: Recording, component: str, rows: np.ndarray | None, datum
     nodes += [d.lag(d.rise(n), tau) for n in names for tau in taus]
     heat = [*spindle_heat(recording, taus), *coolant_heat(recording, taus)]
     nodes += heat
-    deviation, _ = since_start(recording.array(response), run, datum_rows)
-    values = centred(columns(recording, nodes), run, datum_rows, np.isfinite(deviation), 1.0)
+    values = columns(recording, nodes)
+    read = np.isfinite(values).all(axis=1)  # a sensor that is late: its run counts from the first row that has all
+    deviation, _ = since_start(np.where(read, recording.array(response), np.nan), run, datum_rows)
+    values = centred(values, run, datum_rows, np.isfinite(deviation), 1.0)
     good = again & np.isfinite(deviation) & np.isfinite(values).all(axis=1)
     if not good.any():
         raise no_usable_row(recording, component)

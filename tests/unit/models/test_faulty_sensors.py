@@ -31,3 +31,17 @@ def test_one_run_without_a_sensor_is_named_by_the_fit() -> None:
     said = FAMILY.fit(recording.with_columns({"T_spindle": gone}, {})).summary["E_Z"]
     assert "; without winter2 (most gaps: T_spindle, no reading in" in said
     assert "without" not in FAMILY.fit(recording).summary["E_Z"]
+
+
+def test_runs_in_which_a_sensor_is_late_take_part_from_its_first_reading_on() -> None:
+    """Before: a run took no part if a sensor had no reading at its first deviations."""
+    recording = machine(3, seasons=("winter", "spring"))
+    code = recording.run_codes()
+    number = np.arange(code.size) - np.flatnonzero(np.diff(code, prepend=-1))[code]
+    late = np.where((code % 2 == 0) & (number < 8), np.nan, recording.array("T_spindle"))
+    lacking = recording.with_columns({"T_spindle": late}, {})
+    fitted = FAMILY.train(lacking)
+    assert fitted.report["rows"] > 0.85 * FAMILY.train(recording).report["rows"]
+    (figures,) = held_out(lacking, FAMILY)["components"]
+    assert figures["rows"] > 0.85 * len(recording)
+    assert figures["rms_after"] < 0.3 * figures["rms_before"]

@@ -1,9 +1,12 @@
 """Tables that read temperatures are guarded by default; what cannot be guarded says so."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
+from errpipe.domain import driver as d
 from errpipe.domain.error_model import ErrorModel
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.drivers.shared import drive_all
@@ -12,7 +15,7 @@ from errpipe.guard.detect import faults
 from errpipe.guard.rows import rows_of
 from errpipe.models.lagged import Lagged
 from errpipe.models.terms import Terms
-from errpipe.stages import _guarded
+from errpipe.stages import _compile, _guarded
 from errpipe.stages._checklist import _sensor_monitoring
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages.predict import table_values
@@ -214,3 +217,54 @@ def test_a_guard_of_a_long_recording_is_learnt_from_some_of_its_rows():
     frame = pd.DataFrame({"run": np.repeat(["a", "b"], 30_000), "t": np.tile(np.arange(30_000) * 0.005, 2)})
     quick = _guarded._fewer_rows(Recording(Manifest(recording=1, tables=("r.csv",), columns=columns), frame))
     assert len(quick) == 20_000 and quick.time()[0] == 0.0 and np.allclose(np.diff(quick.time()[:100]), 0.015)
+
+
+@pytest.mark.parametrize("one", [True, False])
+def test_a_sensor_that_is_late_at_the_start_does_not_delay_the_others(one: bool) -> None:
+    """Lags and rises of the other sensors count from the start of the run, as without a guard, not from its reading."""
+    rows = measured(8, 5)
+    shaft = rows_of(rows, sensors.NAMES).lagged(rows_of(rows, sensors.NAMES).x, 5400.0)
+    rows = rows.with_columns({"E_Z": shaft @ GAINS}, {})
+    model = Lagged.model_validate({"family": "lagged", "component": "E_Z"}).fit(rows).model
+    guard = learn.limits(rows, sensors.NAMES) if one else learn.learn(rows)
+    late = rows.with_columns({"T_bed": np.where(rows.time() < 1500.0, np.nan, rows.array("T_bed"))}, {})
+    plain, guarded = (
+        table_values(compile_model(model, CompileOptions(), g, rows), model, late)["E_Z"] for g in (None, guard)
+    )
+    known = np.isfinite(plain) & (rows.time() >= 1500.0)
+    assert np.abs(plain[known]).max() > 5.0
+    assert np.abs(guarded - plain)[known].max() < (0.05 if one else 1.0)  # compared, T_bed's own rise is estimated
+
+
+def test_what_a_late_sensor_missed_is_estimated_from_the_others() -> None:
+    rows = measured(8, 5)
+    model = Lagged.model_validate({"family": "lagged", "component": "E_Z"}).fit(rows).model
+    late = rows.with_columns({"T_housing": np.where(rows.time() < 2400.0, np.nan, rows.array("T_housing"))}, {})
+    tables = [compile_model(model, CompileOptions(), g, rows) for g in (None, learn.learn(rows))]
+    whole = table_values(tables[0], model, rows)["E_Z"]
+    known = rows.time() >= 2400.0
+    off, mended = (np.abs(table_values(t, model, late)["E_Z"] - whole)[known].mean() for t in tables)
+    assert mended < 0.5 * off
+    assert np.array_equal(table_values(tables[1], model, rows)["E_Z"], whole)
+    free = in_table.without_guard(tables[1])
+    assert np.array_equal(table_values(free, model, late)["E_Z"], table_values(tables[0], model, late)["E_Z"])
+
+
+def test_a_model_whose_lags_fill_the_table_is_guarded_all_the_same(watched) -> None:
+    """One node more for each lag does not fit: these then start with the last sensor."""
+    rows, model, _judge, found = watched
+    real, bed = _compile._guarded, d.Input(name="T_bed")
+    many = [d.Clip(of=bed, low=-1.0 - 0.01 * k, high=50.0) for k in range(1100)]
+    sums = [d.Affine(weights=(1.0,) * 44, of=tuple(many[k::25])) for k in range(25)]
+
+    def large(pair, guard, inputs, apart):
+        return (
+            replace(pair, driver=d.Affine(weights=(1e-3,) * 25, of=tuple(sums)))
+            if apart
+            else real(pair, guard, inputs, apart)
+        )
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_compile, "_guarded", large)
+        table = compile_model(model, CompileOptions(), found.guard, rows)
+    assert in_table.has_guard(table) and len(table.nodes) < 1000
