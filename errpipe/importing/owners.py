@@ -14,7 +14,7 @@ _AXES = "XYZABCUVW"
 _NUMBERED = re.compile(r"(.*?)[ _.]?[(\[]?(\d+)[)\]]?")
 
 
-def only_of_axes(columns: list[RawColumn], guesses: Guesses) -> Guesses:
+def drop_other_channels(columns: list[RawColumn], guesses: Guesses) -> Guesses:
     """The guesses without columns of a channel that is not an axis, if channels of axes have a column of the same name.
 
     Otherwise `S1_ActualVelocity` next to `X1_ActualVelocity` would be a velocity of the axis that the file names first.

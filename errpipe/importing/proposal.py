@@ -66,7 +66,7 @@ def propose(layout: Layout, options: ImportOptions, may_be_log: bool = False) ->
     if not layout.columns:
         raise DataError("no column has a value")
     guesses = {c.header: _stated(c, options) or guessing.guess(c) for c in layout.columns}
-    layout, guesses = rows_of.of_one_axis(layout, owners.only_of_axes(layout.columns, guesses), options)
+    layout, guesses = rows_of.of_one_axis(layout, owners.drop_other_channels(layout.columns, guesses), options)
     in_columns = wide.find(layout, guesses) is not None
     guesses = ambiguities.machine_positions(layout, guesses, options, in_columns)
     guesses = guessing.with_position_column(layout.columns, guessing.with_one_clock(guesses), options.axis)
