@@ -56,9 +56,7 @@ def _explains_share(search: Search, explanation: Explanation, noise_estimate: fl
     return bool(explanation.accepted) and residual_rms**2 - noise**2 < (1 - share) * (base**2 - noise**2)
 
 
-def above_size_thresholds(
-    search: Search, explanation: Explanation, conditioned, rows, held: parts.Decomposition
-) -> Explanation:
+def large_enough(search: Search, explanation: Explanation, conditioned, rows, held: parts.Decomposition) -> Explanation:
     """The explanation without findings below the size thresholds, which only correct the form of another effect."""
     kept = list(explanation.accepted)
     while kept:
@@ -281,10 +279,7 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     exact = recalibration.missing_beyond_gains(search, explanation, judged, held, *known)
     if exact:
         (search, explanation, _), nuisance, held = exact, exact[0].nuisance, replace(held, parts=())
-    most, explanation = (
-        len(explanation.accepted),
-        above_size_thresholds(search, explanation, made.recording, rows, held),
-    )
+    most, explanation = len(explanation.accepted), large_enough(search, explanation, made.recording, rows, held)
     if 0 < len(explanation.accepted) < most:  # another name may be likelier on its own
         explanation = replace(explanation, accepted=search.accepted(search.exchanged(explanation.chosen())))
     kept = supported_by_held_out(search, explanation.chosen(), judged)

@@ -81,9 +81,7 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
         return made
 
     heat = (
-        cleaned is not None
-        and scheme is not None
-        and improving_candidates(cleaned, scheme, family, steps, len(sensors))
+        cleaned is not None and scheme is not None and forward_selection(cleaned, scheme, family, steps, len(sensors))
     )
     if not heat:
         return written(()), []
@@ -125,7 +123,7 @@ def scheme_of(recording: Recording) -> HoldOut | None:
     return holdout.HoldOut(scheme="leave-one-group-out" if coarsest else "leave-one-run-out", of=coarsest)
 
 
-def improving_candidates(
+def forward_selection(
     recording: Recording,
     scheme: HoldOut,
     family: Callable[[Sequence[int]], Family],
