@@ -153,7 +153,7 @@ class Table:
 
             return cls(signed.read_table(Path(path), minisign.read_public(Path(public_key))))
 
-        return cls(ect.read_any(Path(path)))
+        return cls(ect.read_either(Path(path)))
 
     @property
     def identity(self) -> str:

@@ -123,7 +123,7 @@ def _response(read: Recording, r: ResponseDiagnosis, findings: list[Finding], le
         left = float(np.sqrt(np.mean((mismatch[rows] - whole @ k_now) ** 2)))
         for j, k in enumerate(columns):
             own = block_of(findings[k], read, r.unit).columns(read)[rows]
-            beside = moved_by(own, whole, mismatch[rows], session, level)
+            beside = contribution_rms(own, whole, mismatch[rows], session, level)
             moved = beside > MOVED * float(np.std(columns[k][rows]))
             held = _judged(r, findings[k], float(k_now[j]), float(sd[j]), degrees, level)
             held = replace(held, state="moved", parameters=()) if moved else held
@@ -132,7 +132,7 @@ def _response(read: Recording, r: ResponseDiagnosis, findings: list[Finding], le
     return [done[k] for k in range(len(findings))]
 
 
-def moved_by(own: np.ndarray, whole: np.ndarray, y: np.ndarray, session: np.ndarray, level: float) -> float:
+def contribution_rms(own: np.ndarray, whole: np.ndarray, y: np.ndarray, session: np.ndarray, level: float) -> float:
     """rms explained by an effect's own columns (rows, k) beyond a design that contains their sum; 0 if not significant.
 
     Wald test of all columns, with the cluster-robust variance.

@@ -102,7 +102,7 @@ class Autoregression(NamedTuple):
     innovations: np.ndarray
     evidence: float
 
-    def comes_in_events(self) -> bool:
+    def has_heavy_tails(self) -> bool:
         """Are the tails of the innovations heavier than those of Gaussian noise (kurtosis)?"""
         centred = self.innovations - np.sum(self.innovations) / max(self.innovations.size, 1)
         return float(np.sum(centred**4)) * centred.size > EVENTS * float(np.sum(centred**2)) ** 2
@@ -199,7 +199,7 @@ def is_linear_noise(left: np.ndarray, run: np.ndarray) -> bool:
     """
     if left.size < LEAST_ROWS:
         return True
-    return not (autoregression(left, run).comes_in_events() or _rhythm(left) or is_nonlinear(left, run))
+    return not (autoregression(left, run).has_heavy_tails() or _rhythm(left) or is_nonlinear(left, run))
 
 
 def _rhythm(left: np.ndarray) -> bool:

@@ -74,7 +74,7 @@ class Table:
             self.colour = colour
         self._forget_products()
 
-    def forget(self, width: int) -> None:
+    def truncate(self, width: int) -> None:
         """Return to the first `width` columns."""
         self.width = width
         self._forget_products()
@@ -182,7 +182,7 @@ class Data:
         return self.table.n - (0 if self.without is None else self.table.rows[self.without].size)
 
     @property
-    def yy(self) -> float:
+    def sum_of_squares(self) -> float:
         """Sum of squares."""
         return float(self.squares.sum() - (0.0 if self.without is None else self.squares[self.without]))
 
@@ -262,7 +262,7 @@ class Scene:
         self.M.flat[:: i.size + 1] += prior + 1e-11 * np.diag(self.M) + 1e-300
         self.chol = np.linalg.cholesky(self.M)
         self.half = evidence.forward(self.chol, self.Zy_all[i])
-        self.Q = max(data.yy - float(self.half @ self.half), 1e-12 * data.yy + 1e-300)
+        self.Q = max(data.sum_of_squares - float(self.half @ self.half), 1e-12 * data.sum_of_squares + 1e-300)
 
     def with_active(self, index: np.ndarray) -> np.ndarray:
         """Products of the active columns with others, shape (active, others)."""

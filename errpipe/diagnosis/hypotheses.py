@@ -108,13 +108,13 @@ class Library:
         index = self.table.add(np.column_stack(blocks))
         self.places += [index[a:b] for a, b in itertools.pairwise(edges)]
 
-    def forget(self, hypotheses: int, columns: int) -> None:
+    def truncate(self, hypotheses: int, columns: int) -> None:
         """Return to the first `hypotheses` hypotheses and `columns` columns."""
         for h in self.hypotheses[hypotheses:]:
             self._families[h.key].pop()
         for listed in (self.hypotheses, self.cores, self.freedoms, self.scales, self.places):
             del listed[hypotheses:]
-        self.table.forget(columns)
+        self.table.truncate(columns)
         self._together = None
 
     def recolour(self, colour: Colour) -> None:

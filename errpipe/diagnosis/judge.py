@@ -15,7 +15,7 @@ from errpipe.diagnosis.case import Case, SetUp, residual
 from errpipe.diagnosis.coloured import USUAL, correlation_time
 from errpipe.diagnosis.evidence import Active, Data
 from errpipe.diagnosis.left_out import datums, predicts_held_out, supported_by_held_out, zeroed_at_starts
-from errpipe.diagnosis.own_noise import DEPENDENT, in_its_own_noise, needs_own_noise, only_noise, rounded, zoomed
+from errpipe.diagnosis.own_noise import DEPENDENT, needs_noise_model, only_noise, refined, rounded, with_noise_model
 from errpipe.diagnosis.prepare import Pair
 from errpipe.diagnosis.search import MISSING, MORE, Explanation, Search, settled
 from errpipe.diagnosis.shapes import Shape, shapes
@@ -56,7 +56,7 @@ def _explains_share(search: Search, explanation: Explanation, noise_estimate: fl
     return bool(explanation.accepted) and residual_rms**2 - noise**2 < (1 - share) * (base**2 - noise**2)
 
 
-def worth_naming(search: Search, explanation: Explanation, conditioned, rows, held: parts.Decomposition) -> Explanation:
+def large_enough(search: Search, explanation: Explanation, conditioned, rows, held: parts.Decomposition) -> Explanation:
     """The explanation without findings below the size thresholds, which only correct the form of another effect."""
     kept = list(explanation.accepted)
     while kept:
@@ -108,7 +108,7 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
     in_part = _with_parts(search, first, conditioned, pair.rows)
     made.prior = search.prior.copy()
     plain = _possible(replace(made, prior=search.prior.copy(), plain=True), copy.copy(search), in_part)
-    if plain.explanation.accepted and needs_own_noise(plain, plain.search, plain.explanation):
+    if plain.explanation.accepted and needs_noise_model(plain, plain.search, plain.explanation):
         _held(plain)
     count, width = len(library.hypotheses), library.table.width
     case = _possible(made, search, *([first] if in_part is first else [first, in_part]))
@@ -120,7 +120,7 @@ def _judge(raw: Recording, conditioned: Recording, pair: Pair, progress: Progres
         return case
     if not _speaks_for_usual_noise(own, plain.held):
         return case
-    library.forget(count, width)
+    library.truncate(count, width)
     library.recolour(USUAL)
     plain.data = plain.search.data = Data(library.table, plain.y)
     return plain
@@ -267,19 +267,19 @@ def _explained(made: SetUp, search: Search, *explanations: Explanation) -> Case:
     nuisance, rows = made.nuisance, made.pair.rows
     explanation = explanations[-1]
     if not made.plain:
-        tried = [zoomed(made, copy.copy(search), e) for e in explanations]
+        tried = [refined(made, copy.copy(search), e) for e in explanations]
         for one, _ in tried:
             one.prior = made.prior
         search, explanation = max(tried, key=lambda t: t[0].joint(t[1].chosen()))
     if not made.in_own_noise and not made.plain:
-        search, explanation = in_its_own_noise(made, search, explanation)
+        search, explanation = with_noise_model(made, search, explanation)
     search, explanation, nuisance = _with_dependent_rows(made, search, explanation)
     held = made.decomposition
     judged, known = made.judged(), (made.nuisances, made.sizes, made.noise_estimate)
     exact = recalibration.missing_beyond_gains(search, explanation, judged, held, *known)
     if exact:
         (search, explanation, _), nuisance, held = exact, exact[0].nuisance, replace(held, parts=())
-    most, explanation = len(explanation.accepted), worth_naming(search, explanation, made.recording, rows, held)
+    most, explanation = len(explanation.accepted), large_enough(search, explanation, made.recording, rows, held)
     if 0 < len(explanation.accepted) < most:  # another name may be likelier on its own
         explanation = replace(explanation, accepted=search.accepted(search.exchanged(explanation.chosen())))
     kept = supported_by_held_out(search, explanation.chosen(), judged)

@@ -26,7 +26,7 @@ def where(h: Hypothesis, recording: Recording, nonlinear: tuple[float, ...]) -> 
         return Where(runs=tuple(h.mask[1]))
     if h.mask:
         return Where(ranges={h.mask[1]: (float(h.mask[2]), float(h.mask[3]))})
-    return Where(ranges=h.terms[0].acts_where(recording, *nonlinear))
+    return Where(ranges=h.terms[0].active_ranges(recording, *nonlinear))
 
 
 def regimes(

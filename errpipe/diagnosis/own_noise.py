@@ -24,7 +24,7 @@ JUMPS = 10.0  # and log Bayes factor by which they must improve on names that on
 EXPLAINED = 20.0  # log Bayes factor by which another noise model must be likelier if names leave white noise
 
 
-def needs_own_noise(made: SetUp, search: Search, explanation: Explanation) -> bool:
+def needs_noise_model(made: SetUp, search: Search, explanation: Explanation) -> bool:
     """Is the residual autocorrelated, or a finding weak?"""
     weak = min((f.gain for f in explanation.accepted), default=np.inf) <= CERTAIN
     return weak or _dependence(made, search, explanation) > DEPENDENT
@@ -35,14 +35,14 @@ def _dependence(made: SetUp, search: Search, explanation: Explanation) -> float:
     return coloured.correlation_time(search.scene(explanation.chosen()).residual(), made.run)
 
 
-def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation]:
+def with_noise_model(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation]:
     """If the residual is autocorrelated or a finding weak: noise and explanation of the largest joint likelihood.
 
     The colour of the noise is fitted to the residual with and without the explanation, and the search repeated in it:
     a slow drift is then no evidence for a slow effect, and a step in it becomes significant.
     """
     made.in_own_noise = True
-    if not needs_own_noise(made, search, explanation):
+    if not needs_noise_model(made, search, explanation):
         return search, explanation
     dependent = _dependence(made, search, explanation) > DEPENDENT
     library, handicap = made.library, 0.0 if dependent else EXPLAINED
@@ -53,7 +53,7 @@ def in_its_own_noise(made: SetUp, search: Search, explanation: Explanation) -> t
     for colour in dict.fromkeys(coloured.fitted(rest, made.run) for rest in (*left, unnamed)):
         library.recolour(colour)
         made.data = Data(library.table, made.y)
-        found, names = zoomed(made, *settled(library, made.data, made.nuisance, made.prior, made.noise_estimate))
+        found, names = refined(made, *settled(library, made.data, made.nuisance, made.prior, made.noise_estimate))
         wandering = max(wandering, likelihood(found, []))
         worth = max(likelihood(found, names.chosen()), _shaped(made, found)[0])
         best = max(best, (worth, colour, found, names), key=lambda t: t[0])
@@ -84,7 +84,7 @@ def likelihood(search: Search, chosen: list[tuple[int, float]]) -> float:
     return search.evidence([]) + gain - price - coloured.scale(table.colour, table.run)
 
 
-def zoomed(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation]:
+def refined(made: SetUp, search: Search, explanation: Explanation) -> tuple[Search, Explanation]:
     """The explanation with non-linear parameters between the grid points, which are added to the library.
 
     Otherwise the residual of a grid value would be mistaken for a second effect, or for slow noise.
@@ -128,7 +128,7 @@ def only_noise(case: Case) -> bool:
     if not case.chosen():
         return False
     bare = coloured.autoregression(residual(case, []), case.run)
-    return not bare.comes_in_events() and _gain_of_names(case, bare) < 0.0
+    return not bare.has_heavy_tails() and _gain_of_names(case, bare) < 0.0
 
 
 def _gain_of_names(case: Case, bare: coloured.Autoregression) -> float:

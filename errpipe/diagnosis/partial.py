@@ -206,7 +206,7 @@ def _best_of_each_effect(search: Search, scene: Scene, basis, parts: list[Part],
 
 def _possible(search: Search, kind: str, clock: str | None) -> np.ndarray:
     """Which hypotheses may act only in some groups of this kind, shape (hypotheses,)."""
-    may = [may_act_in_part(h, kind, clock) and not h.mask for h in search.library.hypotheses]
+    may = [may_act_in_some_groups(h, kind, clock) and not h.mask for h in search.library.hypotheses]
     return np.array(may) & (search.prior > 0.5 * NEVER)
 
 
@@ -222,17 +222,17 @@ def _best_few(search: Search, gain: np.ndarray, leaders: int, each: int = EACH) 
     return out
 
 
-def may_act_in_part(h: Hypothesis, kind: str, clock: str | None) -> bool:
+def may_act_in_some_groups(h: Hypothesis, kind: str, clock: str | None) -> bool:
     """Can this effect act in some groups of this kind and not in others?"""
     term = h.terms[0]
     if kind == "runs" or term.in_part != "anywhere":
         return kind == "runs" and term.in_part != "never"
     if getattr(term, "radial", False) and term.family == "reversal":
         return False  # a step close to a reversal is a spike
-    return kind == clock or on_a_stretch(h, kind) or term.family == "thermal"
+    return kind == clock or depends_on_position(h, kind) or term.family == "thermal"
 
 
-def on_a_stretch(h: Hypothesis, axis: str) -> bool:
+def depends_on_position(h: Hypothesis, axis: str) -> bool:
     """Does this effect depend on the position along an axis?"""
     return axis in h.drivers or h.terms[0].family in ON_A_STRETCH or "axis" in type(h.terms[0]).model_fields
 
@@ -263,7 +263,7 @@ def _best_part(search: Search, scene: Scene, basis, index: int, groups: Groups, 
     Bc = np.tensordot(member, B, 1)
     Sc = np.tensordot(member, S, 1) - Bc.transpose(0, 2, 1) @ Bc
     sc = member @ s - np.einsum("cmk,m->ck", Bc, scene.half)
-    elsewhere = groups.kind not in ("runs", clock) and not on_a_stretch(library.hypotheses[index], groups.kind)
+    elsewhere = groups.kind not in ("runs", clock) and not depends_on_position(library.hypotheses[index], groups.kind)
     price = price + (ELSEWHERE if elsewhere else 0.0)
     gain = averaged(Sc, sc[:, :, None], np.array([scene.Q]), scene.n)[:, 0] - price
     best = int(np.argmax(gain))

@@ -27,7 +27,7 @@ BETTER_WAVE = 1.1  # threshold: variance explained by a wave over the rows, over
 def impossible(case: Case) -> list[model.Modelled]:
     """Implausible accepted findings: at a limit of what the recording resolves, or cancelled by another one."""
     made = [model.modelled(case, k) for k in range(len(case.explanation.accepted))]
-    out = [m for m in made if at_its_limit(case, m) or no_such_size(m)] or cancelling(case, made)
+    out = [m for m in made if at_its_limit(case, m) or implausible_size(m)] or cancelling(case, made)
     shifted = [getattr(t, "column", "") for m in made for t in m.hypothesis.terms if t.only_estimated and t.gain_sd]
     return out or (made[1:] if len(set(shifted)) < len(shifted) else [])
 
@@ -73,7 +73,7 @@ def is_insignificant(m: model.Modelled) -> bool:
     return spans_zero or m.joint < model.CHI2_95.get(m.cores, 2.0 * m.cores)
 
 
-def no_such_size(m: model.Modelled) -> bool:
+def implausible_size(m: model.Modelled) -> bool:
     """Is a size that must be 1 far from it (a time shift acts fully or not at all), or a natural constant too large?"""
     term, spans = m.hypothesis.terms[0], {e.name: e for e in m.estimates}
     if term.gain_sd is not None and abs(m.estimates[0].value - 1.0) > 3.0 * term.gain_sd:

@@ -151,7 +151,7 @@ class Machine(Frozen):
         """Axes in the order of the chain, from workpiece to tool, without primes."""
         return tuple(n for n in (link.rstrip("'") for link in self.chain[1:-1]) if n not in ("bed", "spindle"))
 
-    def moved_by(self, name: str) -> Literal["workpiece", "tool"]:
+    def side_moved_by(self, name: str) -> Literal["workpiece", "tool"]:
         """What an axis (or the spindle) moves."""
         links = [link.rstrip("'") for link in self.chain]
         return "workpiece" if links.index(name) < links.index("bed") else "tool"

@@ -159,7 +159,7 @@ def iter_batches(
         raise DataError(f"{Path(folder) / TABLE}: not a Parquet file, or a damaged one") from None
 
 
-def facts_written(folder: Path) -> tuple[Recording, frozenset[str], dict[str, int] | None]:
+def summary_rows(folder: Path) -> tuple[Recording, frozenset[str], dict[str, int] | None]:
     """Of such a folder, from the file's statistics: two rows, the smallest and the largest value of every column; the
     columns in which no value is missing; and the rows of each run, in order (None if they have to be read).
     """

@@ -99,7 +99,7 @@ class Layout:
         return next((c for c in self.columns if c.header == header), None)
 
 
-def lay_out(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
+def find_layout(sheet: Sheet, stated: tuple[str, ...] = ()) -> Layout:
     """Header, units and data of a sheet. Raises DataError if there is no block of numbers.
 
     stated: names of the columns of a file without a header, from the user.

@@ -16,10 +16,10 @@ _NUMBERED = re.compile(r"(.*?)[ _.]?[(\[]?(\d+)[)\]]?")
 
 def of_axes(columns: list[RawColumn], guesses: Guesses, axis: str | None) -> Guesses:
     """The guesses with the axis of each column. axis: as an option names it."""
-    return _with_first_axis(only_of_axes(columns, guesses), axis)
+    return _with_first_axis(drop_other_channels(columns, guesses), axis)
 
 
-def only_of_axes(columns: list[RawColumn], guesses: Guesses) -> Guesses:
+def drop_other_channels(columns: list[RawColumn], guesses: Guesses) -> Guesses:
     """The guesses without columns of a channel that is not an axis, if channels of axes have a column of the same name.
 
     Otherwise `S1_ActualVelocity` next to `X1_ActualVelocity` would be a velocity of the axis that the file names first.

@@ -29,7 +29,7 @@ CLOCK_RATIO = 3.0  # of mean differences now and at the best shift; by judgement
 STALE_STEPS = 10.0  # steps of a log, by judgement: an older reading is not used for the row
 
 
-def one_after_another(parts: Sequence[Proposal], stems: Sequence[str]) -> Proposal:
+def concatenate_files(parts: Sequence[Proposal], stems: Sequence[str]) -> Proposal:
     """Concatenate files of one layout; the runs of each carry its name, and times count from the first date."""
     if len(parts) == 1:
         return parts[0]
@@ -184,7 +184,7 @@ def runs_of_sheets(sheets: list[tuple[Proposal, str]]) -> list[tuple[Proposal, s
             f"sheets {shown} have the same columns: which one is meant? Select it with --sheet (runs of one test: name "
             "them Run 1, Run 2)"
         )
-    joined = one_after_another(parts, sides_of_names(parts, names))
+    joined = concatenate_files(parts, sides_of_names(parts, names))
     joined.notes.append(f"the sheets {', '.join(names)} are runs of one test")
     return [(joined, ", ".join(names)), *(rest for rest in sheets if rest[1] not in names)]
 

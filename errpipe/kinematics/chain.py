@@ -174,7 +174,7 @@ def compile_chain(machine: Machine) -> Chain:
 def _axis(b: _Builder, machine: Machine, name: str, column: int) -> None:
     axis = machine.axes[name]
     vec, point = machine.direction(name), axis.reference
-    work = machine.moved_by(name) == "workpiece"
+    work = machine.side_moved_by(name) == "workpiece"
     inverse = work and axis.errors_of == "carriage"
     linear = axis.kind == "linear"
     axis_letter = _own_letter(name, vec, linear)
@@ -206,7 +206,7 @@ def _spindle(b: _Builder, machine: Machine) -> None:
     parts = [(f"{d}0S", LETTERS[d]) for d in "XYZ"] if s.growth else []
     if s.tilt:
         parts += [(f"{d}0S", _UNIT[d]) for d in "ABC" if _UNIT[d] != LETTERS[along]]
-    b.error(s.position, parts, inverse=machine.moved_by("spindle") == "workpiece")
+    b.error(s.position, parts, inverse=machine.side_moved_by("spindle") == "workpiece")
 
 
 def _own_letter(name: str, vec: Vector, linear: bool) -> str:

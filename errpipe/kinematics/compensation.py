@@ -204,7 +204,7 @@ def _lattice_bound(errors: MachineErrors, grids: tuple[np.ndarray, ...], tip: np
         chord = np.interp(fine, grids[a], np.interp(grids[a], grid, values))
         total += np.abs(curve - chord).max() * arms[:, c]
         axis = chain.axes[a]
-        apart = chain.machine.axes[axis].errors_travel == (chain.machine.moved_by(axis) == "workpiece")
+        apart = chain.machine.axes[axis].errors_travel == (chain.machine.side_moved_by(axis) == "workpiece")
         if chain.angular[c] and apart:
             step = grids[a][1] - grids[a][0]
             slope = np.abs(np.diff(values)).max() / (grid[1] - grid[0])

@@ -190,7 +190,7 @@ def arms(chain: Chain, axis: str, laser: Laser, position: np.ndarray) -> np.ndar
     """
     machine = chain.machine
     travels = int(laser.read_on == "carriage") - int(machine.axes[axis].errors_travel)
-    sense = -travels if machine.moved_by(axis) == "workpiece" else travels
+    sense = -travels if machine.side_moved_by(axis) == "workpiece" else travels
     along = np.asarray(machine.direction(axis), dtype=float)
     return sense * np.asarray(position)[:, None] * along - np.asarray(laser.offset, dtype=float)
 
@@ -208,7 +208,7 @@ def refuse_unstated_places(chain: Chain, recordings: Mapping[str, Recording], la
     for name, curve in known.items():
         axis, stated = axis_of(name), lasers.get(name, Laser()).model_fields_set
         turn = _turn(axis, curve.position, known)
-        of_table = parse(name).is_straightness and chain.machine.moved_by(axis) != "tool"
+        of_table = parse(name).is_straightness and chain.machine.side_moved_by(axis) != "tool"
         if turn is None or not of_table or "read_on" in stated:
             continue
         way = np.asarray(chain.machine.direction(axis), dtype=float)

@@ -60,7 +60,9 @@ def _refuse_outside(chain: Chain, single: Mapping[str, Recording]) -> None:
                 )
 
 
-def unplaced(chain: Chain, tests: Mapping[str, Recording], squares: Mapping[str, float], found: MachineErrors) -> str:
+def squareness_uncertainty(
+    chain: Chain, tests: Mapping[str, Recording], squares: Mapping[str, float], found: MachineErrors
+) -> str:
     """By how much a squareness may be wrong as a line's place along an axis that turns it is not recorded; or ''."""
     single = {name: r for name, r in tests.items() if records.is_direct(r)}
     causes = []

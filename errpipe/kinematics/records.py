@@ -265,7 +265,7 @@ def sense(chain: Chain, component: str) -> float:
     """
     machine, c = chain.machine, parse(component)
     axis = str(c.axis)
-    against = machine.axes[axis].errors_of == "carriage" and machine.moved_by(axis) == "workpiece"
+    against = machine.axes[axis].errors_of == "carriage" and machine.side_moved_by(axis) == "workpiece"
     sign = -1.0 if against else 1.0
     if c.kind != "positioning":
         return sign
@@ -295,7 +295,7 @@ def _add_other_axes(chain: Chain, own: np.ndarray, r: Record, laser: direct.Lase
 
     Only where the recording has their positions, and for a gauge at the tool.
     """
-    at_tool = {"tool": "carriage", "workpiece": "guideway"}[chain.machine.moved_by(r.axis)]
+    at_tool = {"tool": "carriage", "workpiece": "guideway"}[chain.machine.side_moved_by(r.axis)]
     if parse(r.component).is_straightness and laser.read_on != at_tool:
         return
     q = _positions(chain, r)

@@ -227,7 +227,6 @@ def _left(recording: Recording, family: ThermalFamily, outcome: Outcome) -> np.n
 
 
 def _noise_floor(recording: Recording, family: ThermalFamily, outcome: Outcome) -> float | None:
-
     from errpipe.fitting.noise_floor import noise_floor
 
     residual = _left(recording, family, outcome)

@@ -135,7 +135,6 @@ def _without_zeros(values: np.ndarray, run: np.ndarray) -> np.ndarray:
 
 
 def _components(recording: Recording, rows: np.ndarray) -> set[str]:
-
     components = set()
     for c in recording.components():
         name = recording.name("error", component=c)

@@ -134,7 +134,6 @@ def _curve(options: Force, recording: Recording, parts: Mapping[str, Structure])
 def _error_model(
     options: Force, recording: Recording, parts: Mapping[str, Structure]
 ) -> tuple[ErrorModel, dict[str, list[float]]]:
-
     from errpipe.domain.error_model import ComponentModel, ErrorModel, Validity
     from errpipe.drivers.motion import position_name
     from errpipe.models import _push_tests as push

@@ -56,5 +56,5 @@ class Rises(ThermalFamily):
 
         name = f"{family}, mean of sensors"
         many = width > MANY * len(problem.groups)
-        alone = [replace(linear(name, name, problem, mean), plain=many)] if problem.one_day else []
+        alone = [replace(linear(name, name, problem, mean), plain=many)] if problem.within_one_day else []
         return [*map(ridge, STRENGTHS), *map(common, FREEDOMS), *alone]

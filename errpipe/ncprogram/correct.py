@@ -83,7 +83,7 @@ class _Reader:
         self.room = np.empty(len(nc_blocks.LETTERS)), np.empty(len(self.here))
         self.chord_error = 0.0
         self.mode = self._mode()
-        self.writer.take_over(self.state)
+        self.writer.set_modal_state(self.state)
 
     def chunk(self, chunk: bytes) -> None:
         """Read whole lines. Raises DataError for the first that is not understood or where the table has no value."""
@@ -146,7 +146,7 @@ class _Reader:
             raise refuse(number, source, "a motion or mode that a block delete switch may skip")
         self.here[:] = [math.nan if v is None else v for v in self.state.position]
         self.mode = self._mode()
-        self.writer.take_over(self.state)
+        self.writer.set_modal_state(self.state)
         if motion is None:
             self.writer.line(source)
             return

@@ -46,7 +46,7 @@ class Writer:
         if self.rows.bytes.size < 2 * len(chunk):
             self.rows = self.rows._replace(bytes=np.empty(2 * len(chunk) + 10_000, dtype=np.uint8))
 
-    def take_over(self, state: State) -> None:
+    def set_modal_state(self, state: State) -> None:
         """The modal state in which the following points are meant."""
         if self.emitted is None:
             self.emitted = list(state.position)

@@ -124,6 +124,6 @@ def ancestors(links: Links, names: Sequence[str]) -> set[str]:
     return above
 
 
-def reads_of(links: Links, name: str) -> tuple[str, ...]:
+def upstream(links: Links, name: str) -> tuple[str, ...]:
     """Names of the stages that one stage reads directly, each once, in a stable order."""
     return tuple(dict.fromkeys(other for slot in links[name].values() for other in slot))

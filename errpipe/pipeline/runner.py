@@ -22,7 +22,7 @@ from errpipe import files, jsonfile
 from errpipe.errors import ConfigError, DataError, UsageError, VerifyError
 from errpipe.files import inside
 from errpipe.pipeline import lock
-from errpipe.pipeline.graph import ancestors, reads_of
+from errpipe.pipeline.graph import ancestors, upstream
 from errpipe.pipeline.spec import Pipeline, missing_inputs
 from errpipe.pipeline.stage import Context, Stage
 from errpipe.pipeline.step import NO_CALLBACKS, Callbacks, Step
@@ -34,7 +34,7 @@ def plan(pipeline: Pipeline, out: Path, *, to: str | None = None, force: Sequenc
     steps: list[Step] = []
     unsure: set[str] = set()
     for stage in work.selected:
-        before = [name for name in reads_of(pipeline.links, stage.label) if name in unsure]
+        before = [name for name in upstream(pipeline.links, stage.label) if name in unsure]
         if any(name not in work.records for name in before):
             record, reasons = None, ["has not run"] if stage.label not in work.records else []
         else:
@@ -100,7 +100,7 @@ def _side_by_side(work: _Work, callbacks: Callbacks, jobs: int) -> list[Step]:
     with ThreadPoolExecutor(max_workers=jobs) as pool:
         while waiting or running:
             for stage in list(waiting):
-                ready = all(name in steps for name in reads_of(work.pipeline.links, stage.label))
+                ready = all(name in steps for name in upstream(work.pipeline.links, stage.label))
                 if failures or not ready or len(running) >= jobs:
                     continue
                 waiting.remove(stage)
@@ -155,7 +155,7 @@ class _Work:
         """The present record of a stage, without outputs: hashes every input."""
         inputs = {label: lock.hash_file(path) for label, path in lock.label_inputs(stage.inputs()).items()}
         taken = {need.type for need in stage.takes.values()}
-        for name in reads_of(self.pipeline.links, stage.label):
+        for name in upstream(self.pipeline.links, stage.label):
             outputs = self.records[name].outputs if name in self.records else {}
             unread = {f for f, kind in self.pipeline.stage(name).file_types.items() if kind not in taken}
             inputs |= {f"{name}/{file}": digest for file, digest in outputs.items() if file not in unread}

@@ -97,7 +97,7 @@ class Context:
             raise KeyError(slot)
         return folder
 
-    def maybe(self, slot: str) -> Path | None:
+    def optional(self, slot: str) -> Path | None:
         """The folder of the one stage of a slot, or None."""
         return next(iter(self.stages.get(slot, {}).values()), None)
 

@@ -146,14 +146,14 @@ def _motion(axes: Axes, chain: Chain, name: str, point: np.ndarray, size: float,
     if axis.kind == "linear":
         reach = 0.17 * size
         ends = flat(np.array([point - reach * direction, point + reach * direction]))
-        sign = -1 if chain.machine.moved_by(name) == "workpiece" else 1
+        sign = -1 if chain.machine.side_moved_by(name) == "workpiece" else 1
         start, stop = (ends[0], ends[1]) if sign > 0 else (ends[1], ends[0])
     else:
         u, v = np.linalg.svd(direction[None])[2][1:]
         if np.dot(np.cross(u, v), direction) < 0:
             v = -v
         turn = np.linspace(0.2, 1.6 * np.pi, 40)
-        sense = -1 if chain.machine.moved_by(name) == "workpiece" else 1
+        sense = -1 if chain.machine.side_moved_by(name) == "workpiece" else 1
         ring = flat(point + 0.11 * size * (np.cos(turn)[:, None] * u + sense * np.sin(turn)[:, None] * v))
         axes.plot(ring[:, 0], ring[:, 1], color=colour, linewidth=1.8, zorder=9)
         start, stop = ring[-3], ring[-1]

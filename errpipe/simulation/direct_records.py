@@ -102,7 +102,7 @@ class _Test:
         own = next((n for n in chain.of_axis(axis) if parse(n).kind in ("positioning", "angular positioning")), None)
         if own is not None:
             true[own] = true[own] + 0.5 * side * setup.reversal * rng.normal()
-        if chain.machine.axes[axis].errors_of == "carriage" and chain.machine.moved_by(axis) == "workpiece":
+        if chain.machine.axes[axis].errors_of == "carriage" and chain.machine.side_moved_by(axis) == "workpiece":
             true = {n: -1.0 * value for n, value in true.items()}
         for n in chain.of_axis(axis):
             noise = setup.noise if parse(n).unit == "um" else setup.angle_noise

@@ -89,7 +89,7 @@ def source_in(folder: Path) -> Source | None:
     rows = manifest_folder.rows_written(folder)
     if not rows:
         return None
-    ends, complete, runs = manifest_folder.facts_written(folder)
+    ends, complete, runs = manifest_folder.summary_rows(folder)
     return Source(rows, ends, partial(manifest_folder.iter_batches, folder), complete, runs)
 
 
@@ -179,7 +179,7 @@ def read_table(path: Path) -> CompensationTable:
 
     if not Path(path).exists():
         raise DataError(f"{path}: there is no such file (a compensation table is needed)")
-    return ect.read_any(Path(path))
+    return ect.read_either(Path(path))
 
 
 def model_or_table(path: Path) -> ErrorModel | CompensationTable:

@@ -94,7 +94,7 @@ class Judge:
         shares = [np.hypot(1.0, moved[n] / left) - 1.0 for n, left in self.left.items() if n in moved and left > 0]
         return float(max(shares, default=0.0))
 
-    def of_use(self, moved: Mapping[str, float]) -> bool:
+    def is_useful(self, moved: Mapping[str, float]) -> bool:
         """Whether the residual with a substitute is below `MAX_LEFT` of no compensation, for every component."""
         return all(np.hypot(self.left[n], moved[n]) < MAX_LEFT * self.before[n] for n in self.left if n in moved)
 
@@ -199,16 +199,16 @@ def _with_substitutes(judge: Judge, held: Recording, guard: SensorGuard, folds: 
             gone[i, j, rows] = shift
     x = {n: held.array(n) for n in names}
 
-    def of_use(*failed: int) -> bool:
+    def is_useful(*failed: int) -> bool:
         pair = (failed[0], failed[-1]), (failed[-1], failed[0])
         columns = {names[i]: x[names[i]] - gone[i, j] for i, j in pair}
-        return judge.of_use(
+        return judge.is_useful(
             judge.rms_difference(judge.predicted(judge.plain, held.with_columns(columns, {})), predicted)
         )
 
-    use = [of_use(i) for i in range(len(names))]
+    use = [is_useful(i) for i in range(len(names))]
     both = guard.most_failed > 1 and all(
-        of_use(i, j) for i, j in combinations([i for i, alone in enumerate(use) if alone], 2)
+        is_useful(i, j) for i, j in combinations([i for i, alone in enumerate(use) if alone], 2)
     )
     alone = learn.limits(held, names)  # for a sensor without replacement: a false alarm costs the whole correction
     sensors = tuple(s if u else _alone(s, a) for s, a, u in zip(guard.sensors, alone.sensors, use, strict=True))

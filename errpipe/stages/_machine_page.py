@@ -64,7 +64,7 @@ def solve(stage: Any, context: Context) -> Solved:
             "records": _records(chain, single, stage),
             "noise_of": {n: s for n, s in noise.items() if n in chain.components},
         }
-    if places := readings.unplaced(chain, single, stage.squares, identified.errors()):
+    if places := readings.squareness_uncertainty(chain, single, stage.squares, identified.errors()):
         document["places"] = places
     residual = None
     if true is not None:

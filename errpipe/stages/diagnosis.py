@@ -44,7 +44,7 @@ class Diagnosis(Stage):
         diagnosed = Diagnosis.model_validate(jsonfile.read(context.folder / "diagnosis.json"))
         recording = _artefacts.recording_in(folder)
         context.progress(0.9, "fitting what was accepted")
-        before = context.maybe("error_model")
+        before = context.optional("error_model")
         family = _artefacts.family_in(before) if before is not None else None
         existing = family if isinstance(family, Terms) else None
         decisions = _acceptance.decide(diagnosed, recording, self.accept, whole=existing is not None)

@@ -59,7 +59,7 @@ class Ingest(Stage):
     def run(self, context: Context) -> Mapping[str, Any]:
         from errpipe.formats import manifest_folder
 
-        path = self.recording or context.maybe("simulated")
+        path = self.recording or context.optional("simulated")
         if path is None:
             raise UsageError("ingest: no recording is named and there is no simulate stage before it")
         if self.compensated_as and self.compensated_by is None:

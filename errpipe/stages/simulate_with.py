@@ -45,5 +45,5 @@ class SimulateWith(Stage):
             return None
         if self.file is not None:
             return _artefacts.read_model(self.file)
-        folder = context.maybe("error_model")
+        folder = context.optional("error_model")
         return _artefacts.read_model(folder / _artefacts.MODEL) if folder is not None else None

@@ -42,7 +42,7 @@ class Validate(Stage):
     def run(self, context: Context) -> Mapping[str, Any]:
         document: dict[str, Any] = {"components": []}
         summary: dict[str, Any] = {}
-        folder = context.maybe("error_model")
+        folder = context.optional("error_model")
         if folder is not None:
             from errpipe.validation import between_runs, clocks, held_out, steps
 
@@ -52,7 +52,7 @@ class Validate(Stage):
             for c in document["components"]:
                 found = steps.in_words(c, "; ") + clocks.in_words(c, "; ") + between_runs.in_words(c, "; ")
                 summary[c["component"]] = headline(c) + found + remark
-        machine = context.maybe("identified_machine")
+        machine = context.optional("identified_machine")
         if machine is not None:
             document["machine"] = _of_machine(context, machine)
             summary |= {name: _between(figures) for name, figures in document["machine"]["tests"].items()}

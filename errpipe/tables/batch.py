@@ -194,7 +194,7 @@ class Positions:
         profile_moves = [p.input in moves for p in table.profiles]
         self._plan = _plan(table, self.program, self._node_fixed, node_moves, profile_moves)
         self._profile_fixed = np.array(reference.profiles())
-        self._fade = reference.fade_of({i.name for i in table.inputs if i.name not in moves})
+        self._fade = reference.validity_share({i.name for i in table.inputs if i.name not in moves})
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Deviations, shape (n, outputs), um or urad, at points (n, moving inputs) in mm or deg."""

@@ -55,7 +55,7 @@ def read_json(path: Path) -> t.CompensationTable:
     return _of_json(jsonfile.read(path), path)
 
 
-def read_any(path: Path) -> t.CompensationTable:
+def read_either(path: Path) -> t.CompensationTable:
     """Read either twin, recognised by its content. Raises VerifyError."""
     try:
         with files.open_regular(Path(path)) as stream:

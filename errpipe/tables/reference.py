@@ -74,7 +74,7 @@ class Evaluator:
         self._limits = Limits(table)
         self.reset()
 
-    def take_over(self, before: Evaluator) -> None:
+    def continue_from(self, before: Evaluator) -> None:
         """Start from the state of another table's evaluator: its corrections and its ramp.
 
         Raises ValueError if the outputs are not the same ones.
@@ -82,7 +82,7 @@ class Evaluator:
         theirs, ours = ([(o.name, o.unit, o.correction_unit) for o in e.table.outputs] for e in (before, self))
         if theirs != ours:
             raise ValueError("the tables have other outputs: a correction would jump")
-        self._limits.take_over(before._limits)
+        self._limits.continue_from(before._limits)
 
     def reset(self) -> None:
         """The next cycle is the first of a run; corrections stay where they are, and continue from there."""
@@ -144,7 +144,7 @@ class Evaluator:
         """Values of all profiles at the last cycle's inputs."""
         return tuple(self._profile(n, p) for n, p in enumerate(self.table.profiles))
 
-    def fade_of(self, names: set[str]) -> float:
+    def validity_share(self, names: set[str]) -> float:
         """Share of the table that applies by the validity of some inputs, 0..1, at the last cycle's values."""
         return self._fade_target(False, names)
 

@@ -26,7 +26,7 @@ class Limits:
         self._target = list(self._correction)
         self.status = 0
 
-    def take_over(self, before: Limits) -> None:
+    def continue_from(self, before: Limits) -> None:
         """Begin where the outputs of another table stand: its corrections and its ramp."""
         self._correction, self._ramp = list(before._correction), before._ramp
         self._target = list(self._correction)

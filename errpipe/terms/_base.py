@@ -234,7 +234,7 @@ class Term(Frozen, ABC):
         """
         return iter(())
 
-    def acts_where(self, recording: Recording, *nonlinear: float) -> dict[str, tuple[float, float]]:
+    def active_ranges(self, recording: Recording, *nonlinear: float) -> dict[str, tuple[float, float]]:
         """Ranges of columns outside of which it is zero; empty where it acts everywhere."""
         return {}
 

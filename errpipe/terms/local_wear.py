@@ -70,7 +70,7 @@ class LocalWear(Term):
         for shift in () if self.radial else (-0.6, 0.6):
             yield self.basis(recording, centre + shift * width, width)[:, 0] - base[:, 0], 0.5
 
-    def acts_where(self, recording: Recording, *nonlinear: float) -> dict[str, tuple[float, float]]:
+    def active_ranges(self, recording: Recording, *nonlinear: float) -> dict[str, tuple[float, float]]:
         centre, width = nonlinear
         return {position_name(recording, self.axis): (centre - 2 * width, centre + 2 * width)}
 

@@ -122,7 +122,7 @@ class SensorFault(Term):
         for wave in range(1, (SEEN_BENDS if self._seen else BENDS) + 1):
             yield inside * np.sin(np.pi * wave * along), DRAWN / wave
 
-    def acts_where(self, recording: Recording, *nonlinear: float) -> dict[str, tuple[float, float]]:
+    def active_ranges(self, recording: Recording, *nonlinear: float) -> dict[str, tuple[float, float]]:
         clock, t = recording.name("time"), recording.time()
         return {} if clock is None else {clock: (float(t[self.first]), float(t[self.last]))}
 

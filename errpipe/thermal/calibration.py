@@ -50,7 +50,7 @@ def interval(
     if HALF in outcome.predictions:
         p = outcome.predictions[HALF]
         halves = LeftOut((problem.response - p)[rows], p[rows])
-        half = of_next_run(halves, problem.group[rows], coverage, factor[rows], problem.one_day)
+        half = of_next_run(halves, problem.group[rows], coverage, factor[rows], problem.within_one_day)
         growth = growth_of_one_day(half, coverage) if problem.run_count == 1 else GROWTH
         return driver, Intervals(half, half, 0.0, growth)
     growth = GROWTH if near else 0.0

@@ -94,12 +94,12 @@ class LeftOut:
         return conformal_half_width(scaled, group[finite], level, runs, raised)
 
 
-def of_next_run(left: LeftOut, group: np.ndarray, level: float, factor: np.ndarray, one_day: bool) -> float:
+def of_next_run(left: LeftOut, group: np.ndarray, level: float, factor: np.ndarray, within_one_day: bool) -> float:
     """Half width of a prediction of zero in the next run, um, from halves of one run predicted by each other.
 
-    one_day: whether the run holds fewer days than could be left out.
+    within_one_day: whether the run holds fewer days than could be left out.
     """
-    return (NEXT_DAY if one_day else NEXT_RUN) * left.half_width(group, level, None, False, factor)
+    return (NEXT_DAY if within_one_day else NEXT_RUN) * left.half_width(group, level, None, False, factor)
 
 
 def growth_of_one_day(half: float, level: float) -> float:

@@ -129,7 +129,7 @@ class LinearProblem:
         return self.one_run or len(self.recording) > self.own
 
     @property
-    def one_day(self) -> bool:
+    def within_one_day(self) -> bool:
         """Whether these blocks do not even hold different days."""
         return self.one_run and self.run_count < FEWEST_RUNS
 

@@ -80,7 +80,9 @@ def proposed(text: str, recording: Recording | None) -> tuple[str, list[str]]:
         made: Family = FAMILIES[DEFAULT].model_validate(entry)
         return made
 
-    heat = cleaned is not None and scheme is not None and helpful(cleaned, scheme, family, steps, len(sensors))
+    heat = (
+        cleaned is not None and scheme is not None and forward_selection(cleaned, scheme, family, steps, len(sensors))
+    )
     if not heat:
         return written(()), []
     what = holdout.name(heat.scheme)
@@ -121,7 +123,7 @@ def scheme_of(recording: Recording) -> HoldOut | None:
     return holdout.HoldOut(scheme="leave-one-group-out" if coarsest else "leave-one-run-out", of=coarsest)
 
 
-def helpful(
+def forward_selection(
     recording: Recording,
     scheme: HoldOut,
     family: Callable[[Sequence[int]], Family],

@@ -35,7 +35,7 @@ from errpipe.importing import (
 from errpipe.importing.across import transposed
 from errpipe.importing.columns import with_period
 from errpipe.importing.header import is_legend, with_legend
-from errpipe.importing.layout import NoReadingError, lay_out, stated_by_name
+from errpipe.importing.layout import NoReadingError, find_layout, stated_by_name
 from errpipe.importing.long_form import unstacked
 from errpipe.importing.pairs import paired
 from errpipe.importing.proposal import propose
@@ -119,12 +119,12 @@ def _prepared(
     if not logs:
         temperatures.of_names(measured.values(), names)
     runs = together.sides_of_names([*measured.values()], names)
-    complete = together.one_after_another([*measured.values()], runs)
+    complete = together.concatenate_files([*measured.values()], runs)
     order.sides_of_falling_runs(complete)
     repeated_runs.separate(complete)
     for same_layout in together.of_one_log({file: parts[file] for file in logs}):
         names = together.names_of_files(same_layout, inside)
-        together.add_log(complete, together.one_after_another([parts[file] for file in same_layout], names), names)
+        together.add_log(complete, together.concatenate_files([parts[file] for file in same_layout], names), names)
     complete.notes[:] = [*notes, *left_out, *complete.notes, *empty]
     shown = _shown(complete, sources)
     return complete, {**shown, "checks": _plausible(complete, options)}
@@ -170,7 +170,7 @@ def _of_sheet(sheet: Sheet, reader: ReaderOptions, options: ImportOptions, may_b
     if proposed is not None:
         return proposed
     cells = transposed(unstacked(sheet if reader.names else paired(named_values.tabled(sheet))))
-    return propose(with_period(lay_out(cells, reader.names), reader.period), options, may_be_log)
+    return propose(with_period(find_layout(cells, reader.names), reader.period), options, may_be_log)
 
 
 def _of_any_sheet(

@@ -63,7 +63,6 @@ def _recording(file: Path) -> list[str]:
 
 
 def _table(file: Path) -> list[str]:
-
     from errpipe.stages._plausible import UNBOUNDED
     from errpipe.targets import _sample
 

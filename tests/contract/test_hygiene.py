@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.contract.sources import tree_of
 from tests.contract.test_layers import called
 
 ROOT = Path(__file__).parents[2]
@@ -86,7 +87,7 @@ def bare_numbers(source: str) -> list[str]:
     A ratio of units (`UM_PER_MM`) says it by its name.
     """
     lines, bare = source.splitlines(), []
-    for node in ast.parse(source).body:
+    for node in tree_of(source).body:
         if not isinstance(node, ast.Assign | ast.AnnAssign) or not numeric(node.value):
             continue
         first = node.lineno

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 import errpipe
+from tests.contract.sources import tree_of
 
 TOP = Path(errpipe.__file__).parent
 
@@ -65,7 +66,7 @@ def imports(source: str, module: str) -> tuple[tuple[int, str], ...]:
 
 def _imports(source: str, module: str) -> Iterator[tuple[int, str]]:
     package = module.split(".")
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(tree_of(source)):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

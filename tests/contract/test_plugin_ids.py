@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 import errpipe
+from tests.contract.sources import tree_of
 
 TOP = Path(errpipe.__file__).parent
 
@@ -89,7 +90,7 @@ EXAMPLES = ("cli/formats.py", "cli/targets.py", "verbs/reference.py")
 @cache
 def quoted(path: Path) -> tuple[tuple[int, str], ...]:
     """(line, text) of every string of a file, docstrings apart, and every `several_words` inside a longer one."""
-    tree, out = ast.parse(path.read_text(encoding="utf-8")), []
+    tree, out = tree_of(path.read_text(encoding="utf-8")), []
     prose = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in prose:

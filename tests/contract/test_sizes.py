@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import errpipe
+from tests.contract.sources import tree_of
 
 TOP = Path(errpipe.__file__).parent
 MOST_LINES = {"file": 400, "function": 60}
@@ -21,7 +22,7 @@ LONGER: dict[str, str] = {}
 def lengths(source: str) -> Iterator[tuple[str, str, int]]:
     """(kind, name, lines) of a file and of every function in it."""
     yield "file", "", len(source.splitlines())
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(tree_of(source)):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             yield "function", f":{node.name}", (node.end_lineno or 0) - node.lineno + 1
 

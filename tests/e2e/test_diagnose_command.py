@@ -69,13 +69,13 @@ def first(diagnosis: dict) -> str:
 
 
 @pytest.mark.slow
-def test_beside_its_own_simulated_column(tmp_path: Path) -> None:
+def test_next_to_its_own_simulated_column(tmp_path: Path) -> None:
     done, result = run(tmp_path, drift(6.0, twin=True))
     assert done.returncode == 0 and first(result) in ("backlash", "friction_hysteresis")
     assert (tmp_path / "out/report.html").stat().st_size > 10_000
 
 
-def test_beside_a_csv_on_a_clock_of_its_own(tmp_path: Path) -> None:
+def test_next_to_a_csv_on_a_clock_of_its_own(tmp_path: Path) -> None:
     """Simulated every 7 s: values are drawn straight between the rows of the file."""
     whole = drift(6.0, twin=True)
     t = np.arange(0.0, 12000.0, 7.0)
@@ -87,7 +87,7 @@ def test_beside_a_csv_on_a_clock_of_its_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_beside_an_error_model_fitted_here(tmp_path: Path) -> None:
+def test_next_to_an_error_model_fitted_here(tmp_path: Path) -> None:
     from errpipe.fitting import model
     from errpipe.fitting.spec import ModelSpec
     from errpipe.stages._artefacts import model_json

@@ -25,7 +25,7 @@ def by_reference(parts: list[Part]) -> np.ndarray:
             evaluator.reset()
         elif part.begins == "table" and part is not parts[0]:
             other = Evaluator(table(part.number))
-            other.take_over(evaluator)
+            other.continue_from(evaluator)
             evaluator = other
         for row, news, mode in zip(part.readings, part.fresh, part.mode, strict=True):
             given = {n: v for n, v, new in zip(names, row.tolist(), news, strict=True) if new}

@@ -176,7 +176,7 @@ def test_a_clock_that_steps_moves_nothing(dt):
 def test_a_table_with_other_outputs_is_not_taken_over():
     fewer = sequences.table(0).model_copy(update={"outputs": sequences.table(0).outputs[:1]})
     with pytest.raises(ValueError, match="other outputs"):
-        Evaluator(fewer).take_over(Evaluator(sequences.table(0)))
+        Evaluator(fewer).continue_from(Evaluator(sequences.table(0)))
 
 
 @needs_gcc

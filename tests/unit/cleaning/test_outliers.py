@@ -49,7 +49,7 @@ def test_what_is_physics_stays(shape):
 
 @pytest.mark.parametrize("shape", ["a step", "a staircase", "backlash, there and back", "a steep ramp"])
 @pytest.mark.parametrize("row", [0, 1, 199, 200, 201, 398, 399])
-def test_an_outlier_beside_a_step_or_at_an_end_is_still_found(shape, row):
+def test_an_outlier_next_to_a_step_or_at_an_end_is_still_found(shape, row):
     y = SHAPES[shape] + noise(400)
     if shape == "a step" and row in (0, 1, 398, 399):
         y *= 0.2  # at an end whatever is no further off than a step of the run could be one
@@ -133,7 +133,7 @@ def test_a_steep_end_that_every_pass_repeats_is_no_outlier_and_a_wrong_reading_t
     assert list(outlying(error, run, t, 6.0, position=position)) == [24]
 
 
-def test_beside_a_twin_the_difference_is_judged():
+def test_next_to_a_twin_the_difference_is_judged():
     shape = 30 * np.sin(np.arange(600) * 1.3)  # so rough in time that the record itself shows nothing
     error = shape + noise(600)
     error[300] += 3.0

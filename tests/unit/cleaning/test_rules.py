@@ -123,7 +123,7 @@ def test_a_slipped_position_or_speed_is_refused_with_the_evidence(column, factor
     assert str(refusal.value).splitlines()[0].startswith(f"clean, unit_slips: {message}")
 
 
-def test_a_response_in_millimetres_beside_its_twin_is_refused():
+def test_a_response_in_millimetres_with_its_twin_is_refused():
     shape = 30 * np.sin(np.arange(300) / 30)
     source = recording(run=["1"] * 300, t=np.arange(300.0), E_Z=shape * 1e-3, E_Z_sim=shape)
     with pytest.raises(DataError, match=r"E_Z: E_Z_sim is 1000 times as large .*: mm\. Mend its unit in the manifest"):

@@ -139,7 +139,7 @@ def test_a_drift_whose_datum_was_lost_is_blanked_to_the_end_of_its_run():
 
 
 @pytest.mark.parametrize("also", ["x", "E_Z_sim"])
-def test_a_response_over_a_position_or_beside_its_simulation_keeps_its_steps(also):
+def test_a_response_over_a_position_or_with_its_simulation_keeps_its_steps(also):
     source = warm_up(runs=1)
     columns = {n: source.frame[n] for n in source.frame}
     columns["E_Z"] = source.array("E_Z") + 60.0 * (np.arange(600) >= 300)

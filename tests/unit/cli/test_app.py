@@ -18,7 +18,7 @@ from errpipe.cli._verbs import first_line, verb
 from errpipe.cli.app import VERBS, main
 from errpipe.cli.run import _entry_text
 from errpipe.errors import ConfigError, DataError, GateError, Problem, VerifyError
-from tests.unit.pipeline.stages_for_tests import STAGES, lay_out
+from tests.unit.pipeline.stages_for_tests import STAGES, write_stages
 
 ROOT = Path(__file__).parents[3]
 
@@ -28,7 +28,7 @@ HEAVY = ("pandas", "numba", "sklearn", "scipy", "matplotlib", "pyarrow", "pint",
 @pytest.fixture
 def where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A pipeline of stages that know no physics, in the current folder."""
-    lay_out(tmp_path)
+    write_stages(tmp_path)
     monkeypatch.setattr("errpipe.stages.STAGES", STAGES)
     monkeypatch.setattr("errpipe.pipeline.lock.package_code", lambda: "source")
     monkeypatch.chdir(tmp_path)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from errpipe.diagnosis import diagnose
-from errpipe.diagnosis.against import against, clustered, larger_residuals, moved_by
+from errpipe.diagnosis.against import against, clustered, contribution_rms, larger_residuals
 from errpipe.domain.diagnosis import Diagnosis
 from errpipe.errors import DataError
 from errpipe.simulation import folder
@@ -83,11 +83,11 @@ def test_a_wave_that_moved_has_not_gone() -> None:
     alarms = 0
     for seed in range(100):
         noise = np.convolve(np.random.default_rng(seed).standard_normal(2019), 0.8 ** np.arange(20), mode="valid")
-        alarms += moved_by(own, whole, 12 * np.sin(x) + noise, session, 0.05) > 0
+        alarms += contribution_rms(own, whole, 12 * np.sin(x) + noise, session, 0.05) > 0
         if seed < 5:
-            assert moved_by(own, whole, 12 * np.cos(x) + noise, session, 0.05) == pytest.approx(8.5, rel=0.1)
+            assert contribution_rms(own, whole, 12 * np.cos(x) + noise, session, 0.05) == pytest.approx(8.5, rel=0.1)
     assert alarms <= 10
-    assert moved_by(own[:, :1], whole, 12 * np.sin(x), session, 0.05) == 0.0
+    assert contribution_rms(own[:, :1], whole, 12 * np.sin(x), session, 0.05) == 0.0
 
 
 @pytest.mark.slow

@@ -70,7 +70,7 @@ def module(path: Path):
 
 SLOW = (
     *("friction, no term of a controller", "friction of an axis whose places alone are known"),
-    *("a force that comes late", "a machine that rings"),
+    *("a force that comes late", "a machine that rings", "a wave", "two gains alone"),
 )
 PARAMS = [pytest.param(c, id=c.replace(" ", "-"), marks=[pytest.mark.slow] if c in SLOW else []) for c in CASES]
 

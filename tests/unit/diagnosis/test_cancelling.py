@@ -36,7 +36,7 @@ def test_two_findings_far_larger_than_the_mismatch_cancel(size, cancel):
     assert plausible.cancelling(case, made) == (made[1:] if cancel else [])
 
 
-def test_a_finding_that_a_gain_cancels_stays_beside_another():
+def test_a_finding_that_a_gain_cancels_stays_with_another():
     rng = np.random.default_rng(4)
     large, other = rng.standard_normal((2, 900))
     case = response(other, large[:, None], -5.0)
@@ -59,7 +59,7 @@ def test_a_signal_is_late_or_early_and_not_both(monkeypatch, late, second):
     """Two shifts of a smoothed signal imitate its bends; an axis may be late beside it."""
     terms = DeadTime(**late), ClockOffset(column="F_sim")
     made = [SimpleNamespace(hypothesis=SimpleNamespace(terms=(t,))) for t in terms]
-    for rule in ("at_its_limit", "no_such_size", "cancelling"):
+    for rule in ("at_its_limit", "implausible_size", "cancelling"):
         monkeypatch.setattr(plausible, rule, lambda *_: [])
     monkeypatch.setattr(plausible.model, "modelled", lambda case, k: made[k])
     case = SimpleNamespace(explanation=SimpleNamespace(accepted=[None, None]))

@@ -68,7 +68,10 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("effect", CASES)
+SLOW = ("saturation", "friction_gradient", "coulomb_friction")  # the others show the same of a force in a second each
+
+
+@pytest.mark.parametrize("effect", [pytest.param(c, marks=[pytest.mark.slow] if c in SLOW else []) for c in CASES])
 def test_named_with_its_size_down_to_the_noise(effect: str) -> None:
     change, name, size = CASES[effect]
     said, output, left = answer(change)
@@ -82,11 +85,12 @@ def test_mass_off_by_a_tenth_is_a_recalibration() -> None:
     assert response.responses[0].verdict == "recalibrate"
 
 
+@pytest.mark.slow
 def test_a_spike_that_takes_its_time_to_rise_is_a_spike() -> None:
     assert answer(breaks_away_late)[0] == "reversal_spike"
 
 
-@pytest.mark.parametrize("off", [(0.0, 0.0, 0.12), (0.05, -0.1, 0.12)])
+@pytest.mark.parametrize("off", [(0.0, 0.0, 0.12), pytest.param((0.05, -0.1, 0.12), marks=pytest.mark.slow)])
 def test_one_coefficient_off_in_a_simulation_that_is_right_elsewhere_is_named(off) -> None:
     known = trace(1)
     frame, side = known.frame, np.sign(known.frame.v)
@@ -102,7 +106,7 @@ def test_one_coefficient_off_in_a_simulation_that_is_right_elsewhere_is_named(of
         assert first.parameters[0].ci95[0] <= 24.0 <= first.parameters[0].ci95[1]
 
 
-@pytest.mark.parametrize(("quick", "noise"), [(0.0, 0.01), (1.0, 0.2)])
+@pytest.mark.parametrize(("quick", "noise"), [(0.0, 0.01), pytest.param(1.0, 0.2, marks=pytest.mark.slow)])
 def test_a_dead_time_of_part_of_a_sampling_step_is_named_with_its_size(quick: float, noise: float) -> None:
     """0.3 steps: for straight lines between rows, the curvature would be another effect, such as a mass."""
     known, delay = trace(1), 0.0015

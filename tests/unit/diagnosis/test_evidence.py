@@ -100,7 +100,7 @@ def test_products_are_formed_anew_for_another_noise_and_after_columns_are_forgot
     rng = np.random.default_rng(7)
     _, made = table(rng)
     asked, fresh = np.array([1, 5, 6]), rng.standard_normal((400, 3))
-    for change in (lambda: made.recolour(Colour(20.0, 0.9)), lambda: made.forget(7)):
+    for change in (lambda: made.recolour(Colour(20.0, 0.9)), lambda: made.truncate(7)):
         made.add(fresh)
         made.know(asked)
         made.among(asked)

@@ -9,7 +9,7 @@ import pytest
 
 from errpipe.diagnosis import holdout, judge, model, partial, prepare, report, unnamed
 from errpipe.diagnosis.hypotheses import columns_of
-from errpipe.diagnosis.partial import may_act_in_part, partitions
+from errpipe.diagnosis.partial import may_act_in_some_groups, partitions
 from errpipe.terms import NEVER
 
 from .machines import recording
@@ -94,8 +94,8 @@ def test_a_body_that_warms_may_act_on_a_stretch_but_what_goes_with_time_not():
     columns, kinds, noise = positioning()
     library = judged(columns, kinds, "EXX", 0.5 * noise, 20e-3 * columns["x"]).library
     warm = next(h for h in library.hypotheses if h.effect == "thermal_drift")
-    assert may_act_in_part(warm, "x", "t")
-    assert not may_act_in_part(next(h for h in library.hypotheses if h.effect == "sensor_drift"), "x", "t")
+    assert may_act_in_some_groups(warm, "x", "t")
+    assert not may_act_in_some_groups(next(h for h in library.hypotheses if h.effect == "sensor_drift"), "x", "t")
 
 
 def test_no_sensor_misleads_a_simulation_that_reads_none():

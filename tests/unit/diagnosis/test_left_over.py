@@ -108,7 +108,7 @@ def test_rows_that_repeat_their_neighbours_count_for_less():
     assert significance.chance(with_mismatch(case, slow), surrogates=1).rows < case.y.size / 6
 
 
-def test_a_step_for_good_is_a_change_point_and_noise_has_none(quiet):
+def test_a_permanent_step_is_a_change_point_and_noise_has_none(quiet):
     rng = np.random.default_rng(11)
     recording, rows = quiet.recording, quiet.pair.rows
     t = recording.time()[rows]

@@ -123,7 +123,7 @@ def test_of_many_rows_the_same_ones_are_asked_for_a_name(monkeypatch):
 
 
 @pytest.mark.parametrize(("further", "known"), [(0.2, True), (3.0, False)])
-def test_a_term_that_explains_little_beside_a_name_makes_no_unknown_mechanism(further, known):
+def test_a_term_that_explains_little_with_a_name_makes_no_unknown_mechanism(further, known):
     """What is left of the simulated signal by a gain that played the name is no further term."""
     from errpipe.diagnosis import hypotheses
 
@@ -194,17 +194,17 @@ def test_an_equation_that_is_the_named_effect_is_no_unknown_mechanism():
         assert empirical.has_a_name(case, law, np.zeros(rows.size)) == known  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("low", "high", "no_such_size"), [(7.0, 9.0, True), (4.0, 9.0, False), (-9.0, -7.0, True)])
-def test_air_refracts_by_a_constant_of_nature(low, high, no_such_size):
+@pytest.mark.parametrize(("low", "high", "implausible_size"), [(7.0, 9.0, True), (4.0, 9.0, False), (-9.0, -7.0, True)])
+def test_air_refracts_by_a_constant_of_nature(low, high, implausible_size):
     """What grows by 8 um/m/K is a scale that expands; a scale's own coefficient has no such limit."""
     span = SimpleNamespace(name="per_kelvin", low=low, high=high)
     for term, expected in (
-        (AirRefraction(axis="X", sensor="T_room"), no_such_size),
+        (AirRefraction(axis="X", sensor="T_room"), implausible_size),
         (ScaleExpansion(axis="X", sensor="T_room"), False),
     ):
         spans = [span, SimpleNamespace(name="coefficient", low=1e3 * low, high=1e3 * high)]
         made = SimpleNamespace(hypothesis=SimpleNamespace(terms=[term]), estimates=spans)
-        assert plausible.no_such_size(made) == expected  # type: ignore[arg-type]
+        assert plausible.implausible_size(made) == expected  # type: ignore[arg-type]
 
 
 def test_lost_motion_that_grows_with_a_temperature_is_a_shape():

@@ -159,7 +159,7 @@ def test_events_and_rhythms_are_no_linear_process():
     decays = sum(np.where(i >= a, 12.0 * np.exp(-(i - a) / 15.0), 0.0) for a in (90, 350, 410, 700))
     beat = 3.0 * np.sin(2 * np.pi * i / 60 + 2.0 * np.sin(i / 300))
     steps = sum(np.where((i >= a) & (i < a + 40), 3.5, 0.0) for a in (120, 500, 760))  # hidden from row to row
-    assert not coloured.autoregression(steps + rng.standard_normal(900), run).comes_in_events()
+    assert not coloured.autoregression(steps + rng.standard_normal(900), run).has_heavy_tails()
     for structure in (decays, beat, steps):
         assert not coloured.is_linear_noise(structure + rng.standard_normal(900), run)
 
@@ -174,7 +174,7 @@ def test_what_opens_and_closes_late_is_no_linear_process(size, late):
         opened += size * (rising - falling)
     for seed in range(3):
         noisy = opened + np.random.default_rng(seed).standard_normal(900)
-        assert not coloured.autoregression(noisy, run).comes_in_events()
+        assert not coloured.autoregression(noisy, run).has_heavy_tails()
         assert coloured.is_nonlinear(noisy, run)
     assert not any(coloured.is_nonlinear(c, run) for c in coloured.copies(noisy, 5, np.random.default_rng(1)))
     turned = np.repeat(np.arange(90), 10)  # runs of 10 rows; runs of one hold no means

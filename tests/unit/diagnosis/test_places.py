@@ -57,7 +57,7 @@ def test_a_wave_with_the_lead_that_is_no_sine_is_named_by_its_lead():
     assert by_name["amplitude"] == pytest.approx(3.0, rel=0.1) and by_name.get("period", 10.0) == pytest.approx(10.0)
 
 
-def test_a_wave_beside_another_one_that_the_simulation_holds():
+def test_a_wave_with_another_one_that_the_simulation_holds():
     """The simulation knows that the disc is off centre; that it is oval, too, is another wave and no gain of it."""
     turn = np.pi / 180
     said = positioning(

@@ -42,7 +42,7 @@ def named(raw):
 
 
 @pytest.mark.parametrize(("seed", "lead"), [(0, 10.0), (1, -10.0), (2, 10.0), (1, 0.0)])
-def test_a_lead_error_beside_a_simulated_expansion_is_no_gain_of_it(seed, lead):
+def test_a_lead_error_with_a_simulated_expansion_is_no_gain_of_it(seed, lead):
     assert named(grid(seed, lead)) == (["scale_error"] if lead else [])
 
 

@@ -100,7 +100,7 @@ def log(rows: int = 9000, runs: int = 7, seed: int = 5) -> Recording:
 def on_disk(recording: Recording, folder, rows: int) -> Source:
     manifest_folder.write(recording, folder)
     batches = partial(manifest_folder.iter_batches, folder, rows=rows)
-    ends, complete, runs = manifest_folder.facts_written(folder)
+    ends, complete, runs = manifest_folder.summary_rows(folder)
     return Source(len(recording), ends, batches, complete, runs)
 
 
@@ -253,7 +253,7 @@ def test_a_table_says_of_which_runs_it_consists_so_that_they_are_not_read(tmp_pa
         table = pq.read_table(tmp_path / manifest_folder.TABLE)
         facts = {**table.schema.metadata, b"errpipe.runs": wrong}
         pq.write_table(table.replace_schema_metadata(facts), tmp_path / manifest_folder.TABLE)
-        assert manifest_folder.facts_written(tmp_path)[2] is None, wrong
+        assert manifest_folder.summary_rows(tmp_path)[2] is None, wrong
 
 
 PIPELINE = """\

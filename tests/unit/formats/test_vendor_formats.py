@@ -183,7 +183,7 @@ def test_a_laser_file_with_decimal_commas(tmp_path):
 
 
 @pytest.mark.parametrize("word", ["Axe Y", "Y-Achse", "Y axis", "eje Y", "Achse Y", "y"])
-def test_the_letter_of_an_axis_beside_its_word(tmp_path, word):
+def test_the_letter_of_an_axis_next_to_its_word(tmp_path, word):
     path = tmp_path / "x.rtl"
     path.write_text(RTL.read_text().replace("Axis:Y", f"Axis:{word}"))
     assert formats.read(path).components() == ("EYY",)

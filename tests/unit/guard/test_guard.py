@@ -356,7 +356,7 @@ def test_a_sensor_that_moves_from_the_start_on_is_never_frozen(guard):
     ]
 
 
-def test_a_sensor_that_is_read_seldom_does_not_look_frozen():
+def test_a_sensor_with_a_low_sampling_rate_does_not_look_frozen():
     """Readings of noise alone, five minutes apart: two that are equal by chance are no loss of the noise."""
     rows, column = 3000, Column(role="temperature", unit="degC")
     columns = {"run": Column(role="run"), "t": Column(role="time", unit="s"), "T": column}

@@ -223,7 +223,7 @@ def test_sheets_are_axes_and_the_others_are_named(tmp_path: Path) -> None:
     holds_the_truth(imported(tmp_path, tmp_path / "f.xlsx", ReaderOptions(sheet="X")))
 
 
-def test_matrices_beside_the_targets(tmp_path: Path) -> None:
+def test_matrices_with_the_targets(tmp_path: Path) -> None:
     """Readings of all runs as one matrix a direction, by h5py and by scipy."""
     h5py = pytest.importorskip("h5py", reason="the extra `hdf` is not installed")
     from scipy.io import savemat

@@ -54,7 +54,7 @@ def test_a_drift_of_several_evenings_is_a_run_each(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("order", [0, 1])
-def test_a_log_of_temperatures_stands_beside_the_readings_of_a_probe(tmp_path: Path, order: int) -> None:
+def test_a_log_of_temperatures_stands_with_the_readings_of_a_probe(tmp_path: Path, order: int) -> None:
     files = [temperatures(tmp_path), probe(tmp_path)]
     recording = imported(tmp_path, files[::-1] if order else files)
     frame = recording.frame.assign(at=recording.array(recording.name("time")))

@@ -65,7 +65,7 @@ def test_numbers_that_are_no_degrees_are_not_taken_for_a_temperature(tmp_path: P
     assert set(recording.names("temperature")) == {"T1", "T2"}
 
 
-def test_a_temperature_without_a_unit_beside_fahrenheit_is_asked_for(tmp_path: Path) -> None:
+def test_a_temperature_without_a_unit_with_fahrenheit_is_asked_for(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"no unit is stated for 'ambient', and 'T1' is in degF"):
         imported(tmp_path, drift("run;t;ambient;T1 [degF];T2 [degF];drift [um];month"), component="E_Z")
 

@@ -137,7 +137,7 @@ def test_times_are_seconds(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("form", ["%Y-%m-%d;%H:%M:%S", "%d.%m.%Y;%H:%M:%S"])
-def test_a_date_beside_a_clock(tmp_path: Path, form: str) -> None:
+def test_a_date_with_a_clock(tmp_path: Path, form: str) -> None:
     (tmp_path / "f.csv").write_text(
         long("Datum;Uhrzeit;soll mm;ist mm", lambda r, x, s, d: f"{AT[r, x, s]:{form}};{x};{x + d / 1000:.5f}")
     )

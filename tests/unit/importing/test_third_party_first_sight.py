@@ -82,7 +82,7 @@ def test_series_of_a_line_protocol(tmp_path: Path) -> None:
     has_drifted(imported(tmp_path, written(tmp_path / "dump.lp", lines)))
 
 
-def test_a_list_of_tags_beside_their_history(tmp_path: Path) -> None:
+def test_a_list_of_tags_with_their_history(tmp_path: Path) -> None:
     tags = written(tmp_path / "tags.csv", ["TagId,TagName,Unit", "101,PROBE_Z,um", "102,TE_BEARING,degC"])
     rows = [(k, z, t) for k, (z, t) in enumerate(zip(DRIFT, WARM, strict=True))]
     lines = [f"{tag},{clock(k)},{v}" for k, z, t in rows for tag, v in ((101, z), (102, t))]
@@ -208,7 +208,7 @@ def test_one_row_per_value_with_identifiers_and_two_clocks(tmp_path: Path, heade
     assert recording.array(error) == pytest.approx([d for *_, d in long_rows()], abs=1e-6)
 
 
-def test_two_channels_beside_a_clock_are_no_runs_over_time(tmp_path: Path) -> None:
+def test_two_channels_with_a_clock_are_no_runs_over_time(tmp_path: Path) -> None:
     """The times became targets in s: an internal error. Without a word for a deviation the file is refused."""
     rows = [f"{k + 1},{z},{s},{t}" for k, (s, z, t) in enumerate(zip(SECONDS, DRIFT, WARM, strict=True))]
     header = "Index,Reading 101 (DCV) Z um,Relative Time s,Reading 102 (TC K) C"

@@ -50,7 +50,7 @@ def test_degrees_minutes_and_seconds(tmp_path: Path) -> None:
     assert arcsec == pytest.approx([-2.0, 3.6, 0.0], abs=1e-6)
 
 
-def test_lengths_read_beside_a_rotary_axis_are_no_angle(tmp_path: Path) -> None:
+def test_lengths_read_with_a_rotary_axis_are_no_angle(tmp_path: Path) -> None:
     rows = [f"{b},{c},{c / 100:.2f},1.5,-0.5" for b in (-30, 0, 30) for c in range(0, 360, 60)]
     text = "\n".join(["B [deg],C [deg],U1 [um],U2 [um],U3 [um]", *rows])
     with pytest.raises(DataError, match="which is an angle: declare what was displaced"):

@@ -89,7 +89,7 @@ def test_readings_that_can_be_only_one_of_them_are_taken() -> None:
 
 
 @pytest.mark.parametrize(("factor", "places", "unit"), [(1, "mm", "mm"), (1000, "mm", "um"), (1, "inch", "mm")])
-def test_deviations_beside_both_positions_have_their_unit_from_them(
+def test_deviations_with_both_positions_have_their_unit_from_them(
     tmp_path: Path, factor: int, places: str, unit: str
 ) -> None:
     """Deviations in mm beside both positions were read as um."""
@@ -174,7 +174,7 @@ def test_an_old_workbook_says_what_to_do(tmp_path: Path, content: bytes) -> None
         prepared([tmp_path / "f.xls"])
 
 
-def test_a_quote_beside_an_angle_is_an_arc_second(tmp_path: Path) -> None:
+def test_a_quote_with_an_angle_is_an_arc_second(tmp_path: Path) -> None:
     """`inch of an angle` was a riddle."""
     (tmp_path / "f.csv").write_text("\n".join(['X [mm];Pitch ["]', *(f"{x};{x / 60}" for x in TARGETS)]), "utf-8")
     proposal, _ = prepared([tmp_path / "f.csv"])

@@ -14,7 +14,7 @@ from errpipe.domain.recording import Recording
 from errpipe.errors import DataError, UsageError
 from errpipe.importing.columns import guess
 from errpipe.importing.layout import RawColumn
-from errpipe.importing.owners import only_of_axes
+from errpipe.importing.owners import drop_other_channels
 from errpipe.importing.proposed import Proposal
 from errpipe.importing.sheet import ReaderOptions
 from errpipe.verbs import import_files
@@ -70,7 +70,7 @@ def test_what_moves_with_a_motor_that_was_left_out_is_left_out() -> None:
     columns = [RawColumn(h, None, [*cells], np.array(cells)) for h in ("pos (1)", "speed (1)", "pos (2)", "speed (2)")]
     guesses = {c.header: guess(c) for c in columns}
     guesses["pos (2)"] = type(guesses["pos (2)"])("ignore", None, "")  # as `--set 'pos (2).role=ignore'` says
-    kinds = {h: g.kind for h, g in only_of_axes(columns, guesses).items()}
+    kinds = {h: g.kind for h, g in drop_other_channels(columns, guesses).items()}
     assert kinds == {"pos (1)": "position", "speed (1)": "velocity", "pos (2)": "ignore", "speed (2)": "ignore"}
 
 

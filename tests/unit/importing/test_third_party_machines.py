@@ -183,7 +183,7 @@ def test_a_log_whose_clock_has_no_unit_is_asked_about(tmp_path: Path) -> None:
     assert recording.array(recording.names("time")[0])[-1] == pytest.approx(1.996)
 
 
-def test_a_verdict_beside_a_deviation_empties_nothing(tmp_path: Path) -> None:
+def test_a_verdict_with_a_deviation_empties_nothing(tmp_path: Path) -> None:
     rows = [f"{r},{x},{d},{s:+g},{'ok' if abs(d) < 6 else 'fail'}" for r, x, s, d in long_rows()]
     file = written(tmp_path, ["X axis", "run,target [mm],error [um],dir,status", *rows])
     holds_the_truth(imported(tmp_path, file))

@@ -100,7 +100,7 @@ def test_a_rotary_axis_may_pass_zero_within_a_run(tmp_path: Path) -> None:
     assert side.tolist() == 2 * (13 * [1.0] + 11 * [-1.0])
 
 
-def test_diameters_beside_japanese_signs_are_asked_about(tmp_path: Path) -> None:
+def test_diameters_with_japanese_signs_are_asked_about(tmp_path: Path) -> None:
     lines = ["X軸(直径)位置決め測定", "指令値X(直径mm),測定値(直径mm)"]
     lines += [f"{x},{x + 0.004 * x / 100:.4f}" for x in (0, 50, 100, 150, 200, 150, 100, 50, 0)]
     file = written(tmp_path / "lathe.csv", lines, "cp932")

@@ -116,7 +116,7 @@ def test_a_time_stamp_that_overflows_is_counted_on(tmp_path: Path, bits: int) ->
     assert np.diff(recording.time()) == pytest.approx(step / 1000)
 
 
-def test_a_sensor_that_rises_evenly_beside_a_clock_is_none(tmp_path: Path) -> None:
+def test_a_sensor_that_rises_evenly_next_to_a_clock_is_none(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("\n".join([HEAD, *ROWS]))
     assert imported(tmp_path, tmp_path / "log.csv").names("temperature") == ("T_nut",)
 

@@ -98,7 +98,7 @@ def test_feather_is_read_and_a_pickle_is_not_opened(tmp_path: Path) -> None:
         prepared([tmp_path / "f.pkl"])
 
 
-def test_a_reference_beside_an_encoder_is_asked_about(tmp_path: Path) -> None:
+def test_a_reference_with_an_encoder_is_asked_about(tmp_path: Path) -> None:
     """It was taken as the command: with an interferometer as the reference every deviation had the other sign."""
     rows = [f"{x + d / 1000},{x + 0.001 * i:.4f}" for i, (_, x, _, d) in enumerate(long_rows())]
     (tmp_path / "f.csv").write_text("\n".join(["Reference X [mm],Encoder X [mm]", *rows]))

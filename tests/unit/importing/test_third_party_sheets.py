@@ -182,7 +182,7 @@ def test_an_actual_angle_that_passed_zero_before_its_command(tmp_path: Path) -> 
     assert recording.array("ECC") == pytest.approx(error, abs=0.01)
 
 
-def test_three_readings_beside_moving_axes_are_asked_about(tmp_path: Path) -> None:
+def test_three_readings_with_moving_axes_are_asked_about(tmp_path: Path) -> None:
     """An R-test holds deviations of the tool point; each alone would become the positioning of its axis."""
     t = np.radians(np.arange(0.0, 360.0, 30.0))
     rows = [f"1;{100 * np.cos(a):.4f};{100 * np.sin(a):.4f};{9 * np.cos(a):.2f};{9 * np.sin(a):.2f}" for a in t]
@@ -318,7 +318,7 @@ def test_blocks_below_a_header_with_a_row_of_units(tmp_path: Path) -> None:
     holds_the_truth(imported(tmp_path, written(tmp_path, f"Axis X\n{text}")))
 
 
-def test_decimal_commas_between_blanks_beside_other_words(tmp_path: Path) -> None:
+def test_decimal_commas_between_blanks_with_other_words(tmp_path: Path) -> None:
     rows = [f"{r}  {'+' if s > 0 else '-'}  {de(x)}  {de(d)}" for r, x, s, d in long_rows()]
     holds_the_truth(imported(tmp_path, written(tmp_path, "\n".join(["Run  Dir  X[mm]  Dev[um]", *rows]))))
 

@@ -154,7 +154,7 @@ def test_the_way_there_over_falling_targets_is_asked_for(tmp_path: Path, form: t
         imported(tmp_path, tmp_path / "f.csv")
 
 
-def test_numbers_of_the_targets_beside_a_wide_table(tmp_path: Path) -> None:
+def test_numbers_of_the_targets_with_a_wide_table(tmp_path: Path) -> None:
     table = wide("Target [mm];" + headers("Run {r} ({w}) [um]", "+", "-")).splitlines()
     numbered = [f"Target no.;{table[0]}", *(f"{k};{line}" for k, line in enumerate(table[1:], start=1))]
     (tmp_path / "f.csv").write_text("\n".join(numbered), encoding="utf-8")

@@ -64,7 +64,7 @@ def forces(header: str) -> list[str]:
 
 
 @pytest.mark.parametrize("names", ["Antriebskraft [N],Kraft simuliert [N]", "drive force (N),force model (N)"])
-def test_a_force_beside_its_simulation_is_the_response(tmp_path: Path, names: str) -> None:
+def test_a_force_with_its_simulation_is_the_response(tmp_path: Path, names: str) -> None:
     recording = imported(tmp_path, forces(f"Zeit [s],X [mm],vX [mm/s],{names}"))
     (speed,) = recording.names("velocity")
     sign = np.sign(recording.array(speed))
@@ -95,7 +95,7 @@ def turned(header: str, way: float) -> list[str]:
         ("X [mm],error (commanded - actual) [um],simulated [um]", -1.0),
     ],
 )
-def test_a_simulation_has_the_sign_of_the_recording_beside_it(tmp_path: Path, header: str, way: float) -> None:
+def test_a_simulation_has_the_sign_of_the_recording_with_it(tmp_path: Path, header: str, way: float) -> None:
     """Only the recorded column was turned: twice the simulation was called missing."""
     recording = imported(tmp_path, turned(header, way))
     assert mismatch(recording, "EXX") == pytest.approx(np.full(PLACES.size, MISSING), abs=1e-3)

@@ -30,7 +30,7 @@ def test_sides_as_signs_behind_the_run(tmp_path: Path, pair: str) -> None:
     holds_the_truth(imported(tmp_path, written(tmp_path, wide(header))))
 
 
-def test_the_reversal_value_beside_the_readings_names_no_axis(tmp_path: Path) -> None:
+def test_the_reversal_value_with_the_readings_names_no_axis(tmp_path: Path) -> None:
     header = "Axis X, deviations in um\nTarget [mm];" + headers("{r}{w}", "↑", "↓") + ";B"
     reversal = np.full(TARGETS.size, 4.0)
     holds_the_truth(imported(tmp_path, written(tmp_path, wide(header, [*PAIRS, reversal]))))
@@ -124,7 +124,7 @@ def test_the_way_there_of_an_axis_that_goes_down(tmp_path: Path, there: str, bac
     np.testing.assert_allclose(found.array(found.names("error")[0]), truth)
 
 
-def test_a_difference_beside_both_positions(tmp_path: Path) -> None:
+def test_a_difference_with_both_positions(tmp_path: Path) -> None:
     assert kind_by_name("Soll-Ist [mm]") == "error"
     header = "Lauf;Soll X [mm];Ist X [mm];Soll-Ist [mm]"
     text = long(header, lambda r, x, s, d: f"{r};{x};{x + d / 1000:.6f};{-d / 1000:.6f}")
@@ -282,7 +282,7 @@ def test_sides_that_are_called_plus_and_minus_one_are_no_runs(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("form", ["{w} (um)", "{w}. [um]", "Abw. {w} [um]"])
-def test_pos_beside_neg_is_a_side_and_no_position(tmp_path: Path, form: str) -> None:
+def test_pos_with_neg_is_a_side_and_no_position(tmp_path: Path, form: str) -> None:
     header = "Soll X (mm);" + ";".join(form.format(w=w) for w in ("pos", "neg"))
     parts = []
     for r in RUNS:
@@ -295,7 +295,7 @@ def test_pos_beside_neg_is_a_side_and_no_position(tmp_path: Path, form: str) -> 
     np.testing.assert_allclose(np.sort(found.array(found.names("error")[0])[up]), np.sort(truth))
 
 
-def test_whole_thousands_beside_a_zero_are_no_fractions(tmp_path: Path) -> None:
+def test_whole_thousands_with_a_zero_are_no_fractions(tmp_path: Path) -> None:
     """Nothing but `500,000` and `0` says which mark is which."""
     row = lambda r, x, s, d: f"{r};{mark(s)};{f'{1000 * x:,.0f}' if x else 0};{1000 * d:.0f}"  # noqa: E731
     found = imported(tmp_path, written(tmp_path, long("Run;Dir;Target X [µm];Dev [nm]", row)))

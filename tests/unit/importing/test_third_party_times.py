@@ -149,7 +149,7 @@ def test_nanoseconds_and_a_period_that_a_person_says(
     assert np.abs(recording.array(recording.name("error", component="EXX"))).max() == pytest.approx(10.0, abs=0.01)
 
 
-def test_a_scale_beside_an_encoder_is_no_command(tmp_path: Path) -> None:
+def test_a_scale_with_an_encoder_is_no_command(tmp_path: Path) -> None:
     """Which of them is right is not stated; as a command it would turn the sign."""
     text = log_of_an_axis(
         "t [s],X motor encoder [mm],X linear scale [mm]", lambda i, x, y: f"{0.002 * i},{x:.6f},{y:.6f}"

@@ -86,7 +86,7 @@ BARE = [f"{w} {r} [um]" for w in ("Forward", "Backward") for r in RUNS]
 def test_a_title_that_may_say_corrections_is_asked_about(tmp_path: Path, title: str) -> None:
     """They were taken as deviations, and doubled the error of the machine."""
     (tmp_path / "f.csv").write_text("\n".join([title, *wide(BARE, -1.0)]), encoding="utf-8")
-    with pytest.raises(DataError, match="states .*--sign"):
+    with pytest.raises(DataError, match=r"states .*--sign"):
         imported(tmp_path, tmp_path / "f.csv")
     holds_the_truth(imported(tmp_path, tmp_path / "f.csv", sign="commanded-minus-actual"))
 

@@ -215,7 +215,7 @@ def test_symbols_of_physics_are_no_axes(tmp_path: Path) -> None:
         assert recording.manifest.columns[name].axis == "X"
 
 
-def test_the_travel_of_a_nano_stage_in_um_stands_beside_its_deviations(tmp_path: Path) -> None:
+def test_the_travel_of_a_nano_stage_in_um_stands_with_its_deviations(tmp_path: Path) -> None:
     """Positions of less than a centimetre in um were taken for a second column of deviations, and asked about."""
     x, e = read(tmp_path, table("Run;X (µm);Deviation (nm)", "{r};{x};{e}"))
     assert x == pytest.approx(np.array(TARGETS * 2) / 1000.0)

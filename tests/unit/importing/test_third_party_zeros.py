@@ -33,7 +33,7 @@ def long_file(tmp_path: Path, place: str, other: str, unit: str = "mm", shift: f
         ("Target X (mm)", "X machine coordinate (um)", "mm"),
     ],
 )
-def test_a_curve_lies_over_the_machine_s_positions(tmp_path: Path, place: str, other: str, unit: str) -> None:
+def test_a_curve_is_given_over_the_machine_positions(tmp_path: Path, place: str, other: str, unit: str) -> None:
     recording = imported(tmp_path, long_file(tmp_path, place, other, unit))
     position, error = recording.array(str(recording.name("position"))), recording.array("Error_X")
     up = recording.array(str(recording.name("direction"))) > 0

@@ -149,7 +149,7 @@ def test_an_abbe_offset_whose_angles_were_not_measured_widens_the_interval():
     assert np.all(np.abs(value - values["EXX"](p)) < 4 * unsure + 0.5)
 
 
-def test_straightness_beside_its_point_reads_the_angles_too():
+def test_straightness_with_its_point_reads_the_angles_too():
     beam = {"offset": (0.0, 0.0, 300.0)}
     chain = ready("vertical-centre")
     values = metrology.smooth_machine(chain, 5)

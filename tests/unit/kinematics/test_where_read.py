@@ -78,7 +78,7 @@ def test_the_angle_of_another_axis_where_a_line_was_read_is_no_squareness(place,
     solved = identify.identify(identify.Parametrisation.of(chain, 12, without), seen)
     found = solved.component("B0Z")[0][0]
     assert (abs(found - 7.0) < 1.5) == squareness
-    says = readings.unplaced(chain, tests, {"B0Z": 0.0}, solved.errors())
+    says = readings.squareness_uncertainty(chain, tests, {"B0Z": 0.0}, solved.errors())
     assert ("B0Z by up to 20" in says and "EXZ has no position of X" in says) != squareness
 
 

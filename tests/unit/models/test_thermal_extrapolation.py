@@ -253,7 +253,7 @@ def test_a_log_of_days_in_one_run_counts_as_its_days() -> None:
     everything = np.ones(len(log), dtype=bool)
     assert independent_runs(log, everything) == 5 + 2  # whole days between the first and the last reading
     problem = linear.problem(log, "E_Z", None, 3)
-    assert not problem.one_day and problem.own == len(log) < len(problem.recording)
+    assert not problem.within_one_day and problem.own == len(log) < len(problem.recording)
     assert problem.run_count == 5 + 2
     output = Auto(component="E_Z", among=("rises",)).train(log).predict(log)
     left = since_start(log.array("E_Z"), log.run_codes(), 3)[0] - output.predicted

@@ -248,7 +248,7 @@ def test_a_motion_that_may_be_skipped_is_refused_though_it_ends_where_it_began(s
 
 
 @pytest.mark.parametrize("stop", ["M0", "M1", "M30", "m2"])
-def test_a_stop_beside_a_motion_comes_behind_its_last_segment(stop):
+def test_a_stop_with_a_motion_comes_behind_its_last_segment(stop):
     """It stood in the first segment: the program ended 25 mm into a cut of 100 mm."""
     text, _ = correct(f"G90 G21 G54 G0 X0 Y0 Z0\nN7 G1 X100 F100 {stop} (cut)\n", no_deviation, SETUP)
     *moves, last = text.splitlines()[1:]
@@ -257,7 +257,7 @@ def test_a_stop_beside_a_motion_comes_behind_its_last_segment(stop):
 
 
 @pytest.mark.parametrize("off", ["M5", "M9"])
-def test_spindle_or_coolant_off_beside_a_cut_of_several_segments_is_refused(off):
+def test_spindle_or_coolant_off_with_a_cut_of_several_segments_is_refused(off):
     """LinuxCNC stops before the motion, others behind it: there the rest would be cut with a spindle that stands."""
     with pytest.raises(DataError, match=f"line 2: {off} with a motion of 4 segments"):
         correct(f"G90 G21 G54 G0 X0 Y0 Z0\nG1 X100 F100 {off}\n", no_deviation, SETUP)

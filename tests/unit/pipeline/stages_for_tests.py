@@ -74,7 +74,7 @@ class Sum(Stage):
             for name, folder in context.every("parts").items()
         }
         context.write_json("sum.json", {"total": total, "fingerprint": context.fingerprint, "title": context.title})
-        return {"total": sum(total.values()), "had_lines": context.maybe("lines") is not None}
+        return {"total": sum(total.values()), "had_lines": context.optional("lines") is not None}
 
 
 STAGES = (Take, Scale, Sum)
@@ -90,7 +90,7 @@ stages:
 """
 
 
-def lay_out(folder: Path, text: str = TEXT) -> Path:
+def write_stages(folder: Path, text: str = TEXT) -> Path:
     """Data and a pipeline file in a folder; the pipeline file."""
     (folder / "data").mkdir(parents=True, exist_ok=True)
     (folder / "data" / "a.txt").write_text("1\n2\n")

@@ -12,7 +12,7 @@ import pytest
 from errpipe.errors import UsageError
 from errpipe.pipeline.depfile import depfile, inputs_of, touch
 from errpipe.pipeline.spec import load_pipeline
-from tests.unit.pipeline.stages_for_tests import STAGES, lay_out
+from tests.unit.pipeline.stages_for_tests import STAGES, write_stages
 
 NAMES = [
     "plain.csv",
@@ -92,7 +92,7 @@ def test_what_make_cannot_read_is_refused(name: str) -> None:
 
 
 def test_every_input_is_listed(tmp_path: Path) -> None:
-    pipeline = load_pipeline(lay_out(tmp_path), STAGES)
+    pipeline = load_pipeline(write_stages(tmp_path), STAGES)
     assert [path.name for path in inputs_of(pipeline, pipeline.stages)] == ["a.txt", "b.txt", "p.yaml"]
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from errpipe.pipeline import runner, step
 from errpipe.pipeline.spec import load_pipeline
-from tests.unit.pipeline.stages_for_tests import STAGES, lay_out, tree
+from tests.unit.pipeline.stages_for_tests import STAGES, tree, write_stages
 
 TEXT = """\
 pipeline: 1
@@ -44,7 +44,7 @@ def run_in_a_child(where: Path, sets: list[str], kill_after: float | None) -> bo
 
 def kill_in_a_loop(where: Path, times: int, seed: int) -> None:
     chance = random.Random(seed)
-    lay_out(where, TEXT)
+    write_stages(where, TEXT)
     start = time.perf_counter()
     run_in_a_child(where, [], None)
     whole = time.perf_counter() - start
@@ -70,7 +70,7 @@ def test_killed_a_few_times(tmp_path: Path) -> None:
 
 def test_a_run_interrupted_between_its_records_leaves_nothing_behind(tmp_path: Path) -> None:
     """Killed while outputs were put in place, then wanted as before: nothing would have to run but for the journal."""
-    lay_out(tmp_path, TEXT)
+    write_stages(tmp_path, TEXT)
     run_in_a_child(tmp_path, [], None)
     calm = tree(tmp_path / "out")
     (tmp_path / "out/.errpipe/scale.json").write_text('["parts/0.json", "parts/99.json"]')
@@ -81,7 +81,7 @@ def test_a_run_interrupted_between_its_records_leaves_nothing_behind(tmp_path: P
 
 def test_only_outputs_and_the_last_record_wait_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A journal that lost its bytes in a power failure does not prevent the next run."""
-    lay_out(tmp_path, TEXT)
+    write_stages(tmp_path, TEXT)
     (tmp_path / "out/.errpipe").mkdir(parents=True)
     (tmp_path / "out/.errpipe/scale.json").touch()
     waits: list[int] = []
@@ -98,7 +98,7 @@ def test_killed_a_hundred_times(tmp_path: Path) -> None:
 
 
 def test_two_runs_on_one_out_take_turns(tmp_path: Path) -> None:
-    lay_out(tmp_path, TEXT.replace("parts: 12", "parts: 3, pause: 0.1"))
+    write_stages(tmp_path, TEXT.replace("parts: 12", "parts: 3, pause: 0.1"))
     child = os.fork()
     if child == 0:
         runner.run(load_pipeline(tmp_path / "p.yaml", STAGES), tmp_path / "out")

@@ -16,12 +16,12 @@ from errpipe.errors import ConfigError, DataError, UsageError
 from errpipe.pipeline import lock, runner
 from errpipe.pipeline.spec import load_pipeline
 from errpipe.pipeline.stage import Context
-from tests.unit.pipeline.stages_for_tests import STAGES, TEXT, Scale, Take, lay_out, tree
+from tests.unit.pipeline.stages_for_tests import STAGES, TEXT, Scale, Take, tree, write_stages
 
 
 @pytest.fixture
 def where(tmp_path: Path) -> Path:
-    lay_out(tmp_path)
+    write_stages(tmp_path)
     return tmp_path
 
 
@@ -134,7 +134,7 @@ def test_inputs_count_by_content(where: Path) -> None:
 def test_the_same_data_elsewhere_give_the_same_bytes(where: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     go(where)
     other = tmp_path_factory.mktemp("elsewhere") / "deep" / "down"
-    lay_out(other)
+    write_stages(other)
     go(other)
     assert tree(where / "out") == tree(other / "out")
     shutil.move(where / "data", other / "moved" / "data")

@@ -11,12 +11,12 @@ import pytest
 from errpipe.errors import ConfigError, UsageError
 from errpipe.pipeline.spec import load_pipeline, missing_inputs
 from errpipe.pipeline.stage import Need
-from tests.unit.pipeline.stages_for_tests import STAGES, Scale, Take, lay_out
+from tests.unit.pipeline.stages_for_tests import STAGES, Scale, Take, write_stages
 
 
 def refusal(tmp_path: Path, stages: str, sets: list[str] | None = None) -> list[str]:
     """The lines of the refusal of a pipeline with these stages, without the folder."""
-    lay_out(tmp_path, f"pipeline: 1\nstages:\n{stages}")
+    write_stages(tmp_path, f"pipeline: 1\nstages:\n{stages}")
     with pytest.raises(ConfigError) as caught:
         load_pipeline(tmp_path / "p.yaml", STAGES, sets=sets or [])
     return str(caught.value).replace(f"{tmp_path}/", "").splitlines()
@@ -34,14 +34,14 @@ stages:
   - {kind: sum, from: {parts: [two, scale]}}
   - {kind: sum, name: all}
 """
-    links = load_pipeline(lay_out(tmp_path, text), STAGES).links
+    links = load_pipeline(write_stages(tmp_path, text), STAGES).links
     assert links["two"] == {"lines": ("again",)} and links["three"] == {"lines": ("take",)}
     assert links["sum"] == {"parts": ("two", "scale"), "lines": ("again",), "other": ()}
     assert links["all"] == {"parts": ("scale", "two", "three"), "lines": ("again",), "other": ("sum",)}
 
 
 def test_relative_paths_start_at_the_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lay_out(tmp_path)
+    write_stages(tmp_path)
     inner = tmp_path / "pipelines"
     inner.mkdir()
     text = "pipeline: 1\nroot: ..\nstages:\n  - {kind: take, files: '${WHERE:-data}'}\n"
@@ -54,7 +54,7 @@ def test_relative_paths_start_at_the_root(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_set_changes_a_key_of_a_stage(tmp_path: Path) -> None:
-    path = lay_out(tmp_path)
+    path = write_stages(tmp_path)
     pipeline = load_pipeline(path, STAGES, sets=["thirds.factor=1e-3 mm", "title=other", "scale.parts=0x3"])
     assert pipeline.title == "other"
     assert pipeline.stage("thirds").parameters()["factor"] == 1.0
@@ -73,7 +73,7 @@ def test_set_changes_a_key_of_a_stage(tmp_path: Path) -> None:
 )
 def test_a_set_that_names_nothing_is_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(UsageError) as caught:
-        load_pipeline(lay_out(tmp_path), STAGES, sets=[text])
+        load_pipeline(write_stages(tmp_path), STAGES, sets=[text])
     assert str(caught.value).startswith(f"--set {text}: ") and message in str(caught.value)
 
 
@@ -120,14 +120,14 @@ def test_a_name_that_is_no_folder_name_is_refused(tmp_path: Path) -> None:
 
 def test_inputs_that_are_not_there_are_pointed_at(tmp_path: Path) -> None:
     text = "pipeline: 1\nstages:\n  - kind: take\n    files: ${D:-dat}\n"
-    path = lay_out(tmp_path, text)
+    path = write_stages(tmp_path, text)
     pipeline = load_pipeline(path, STAGES)
     (problem,) = missing_inputs(pipeline, pipeline.stages)
     assert str(problem) == f"{path}:4:12  stages[0].files: {tmp_path}/dat does not exist. Did you mean {tmp_path}/data?"
 
 
 def test_a_registry_of_one_stage_works(tmp_path: Path) -> None:
-    path = lay_out(tmp_path, "pipeline: 1\nstages: [{kind: take, files: data}]\n")
+    path = write_stages(tmp_path, "pipeline: 1\nstages: [{kind: take, files: data}]\n")
     assert load_pipeline(path, (Take,)).stage("take").kind == "take"
 
 
@@ -138,7 +138,7 @@ def test_every_leaves_out_what_was_turned_into_another_one(tmp_path: Path) -> No
         kind: Literal["sort"]
         takes: ClassVar[Mapping[str, Need]] = {"parts": Need("parts")}
 
-    lay_out(
+    write_stages(
         tmp_path,
         "pipeline: 1\nstages:\n  - {kind: take, files: data}\n  - {kind: scale}\n  - {kind: scale, name: other}\n"
         "  - {kind: sort, from: {parts: scale}}\n  - {kind: sum}\n",
@@ -153,5 +153,7 @@ def test_an_output_that_nothing_reads_is_refused(tmp_path: Path) -> None:
         "p.yaml:4:5  stages[1]: its lines is not read, although a later stage takes one "
         "(leave the stage out, or write from: {lines: lost} in scale)"
     ]
-    lay_out(tmp_path, f"pipeline: 1\nstages:\n{stages}  - {{kind: scale, from: {{lines: take}}}}\n  - {{kind: sum}}\n")
+    write_stages(
+        tmp_path, f"pipeline: 1\nstages:\n{stages}  - {{kind: scale, from: {{lines: take}}}}\n  - {{kind: sum}}\n"
+    )
     load_pipeline(tmp_path / "p.yaml", STAGES)  # the sum reads it

@@ -10,14 +10,14 @@ import pytest
 from errpipe.pipeline import lock, runner, unchanged
 from errpipe.pipeline.spec import load_pipeline
 from errpipe.pipeline.step import NO_CALLBACKS, Step
-from tests.unit.pipeline.stages_for_tests import STAGES, TEXT, Take, lay_out
+from tests.unit.pipeline.stages_for_tests import STAGES, TEXT, Take, write_stages
 
 SETS = ["scale.factor=2"]
 
 
 @pytest.fixture
 def where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    lay_out(tmp_path, TEXT.replace("files: data", "files: '${FOLDER:-data}'"))
+    write_stages(tmp_path, TEXT.replace("files: data", "files: '${FOLDER:-data}'"))
     monkeypatch.chdir(tmp_path)
     pipeline = load_pipeline(Path("p.yaml"), STAGES, sets=SETS)
     runner.run(pipeline, Path("out"))
@@ -42,7 +42,7 @@ def test_a_file_that_later_stages_do_not_read_is_no_input_of_theirs(
     monkeypatch.setattr(Take, "outputs", lambda self: ("lines.txt", "about.json"))
     plain = Take.run
     monkeypatch.setattr(Take, "run", lambda self, c: (c.write_json("about.json", {}), plain(self, c))[1])
-    lay_out(tmp_path)
+    write_stages(tmp_path)
     monkeypatch.chdir(tmp_path)
     pipeline = load_pipeline(Path("p.yaml"), STAGES)
     runner.run(pipeline, Path("out"))

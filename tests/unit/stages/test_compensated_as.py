@@ -165,7 +165,7 @@ def test_files_of_a_line_per_kelvin_alone_act_at_the_position_of_each_row(tmp_pa
     assert machine_itself.array("EXX") == pytest.approx(0.01 * x * warm, abs=0.1)
 
 
-def test_export_folders_are_compared_and_what_lies_beside_their_files_is_named(
+def test_export_folders_are_compared_and_what_lies_next_to_their_files_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Two folders were `nothing to compare`, and a copied screw file of another axis went unseen."""

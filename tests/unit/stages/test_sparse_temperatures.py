@@ -44,7 +44,7 @@ def by_table(table, recording: Recording) -> np.ndarray:
 @pytest.mark.parametrize("kind", [Rises, Season])
 @pytest.mark.parametrize("sensors", [SENSORS, SENSORS[:1]])
 @pytest.mark.parametrize("read", [Recording.each_run_alone, short_gaps_held], ids=["no_reading", "held"])
-def test_a_run_left_out_is_as_good_by_the_table_as_was_judged(kind, sensors, read):
+def test_a_held_out_run_by_the_table_has_the_judged_residual(kind, sensors, read):
     recording = sparse(3, sensors)
     family = kind.model_validate({"family": kind.family_name(), "component": "E_Z"})
     fold = family.folds(recording, "leave-one-run-out")[1][0]

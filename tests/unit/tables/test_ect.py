@@ -25,9 +25,9 @@ def test_every_bit_comes_back(seed, tmp_path):
     data = ect.dumps(table)
     assert ect.loads(data) == table and ect.dumps(ect.loads(data)) == data
     assert ect.write(table, tmp_path / "t.ect") and not ect.write(table, tmp_path / "t.ect")
-    assert ect.read(tmp_path / "t.ect") == ect.read_any(tmp_path / "t.ect") == table
+    assert ect.read(tmp_path / "t.ect") == ect.read_either(tmp_path / "t.ect") == table
     ect.write_json(table, tmp_path / "t.json")
-    assert ect.read_json(tmp_path / "t.json") == ect.read_any(tmp_path / "t.json") == table
+    assert ect.read_json(tmp_path / "t.json") == ect.read_either(tmp_path / "t.json") == table
     assert ect.dumps(ect.read_json(tmp_path / "t.json")) == data
 
 

@@ -107,7 +107,7 @@ def test_a_narrow_peak_that_random_states_miss_is_in_the_bound():
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_every_node_of_a_random_table_lies_within_its_expansion(seed):
+def test_every_node_of_a_random_table_is_within_its_expansion(seed):
     """Bounds of nodes and profiles against the evaluator, on tables of every operation."""
     table = everything(seed)
     names, start = _sample.positions_of(table), _sample.middle(table)

@@ -128,7 +128,7 @@ def _warming(rows: int, noise: float, seed: int = 5) -> tuple[np.ndarray, np.nda
     return t, 20 + 15 * (1 - np.exp(-t / 3000)) + np.random.default_rng(seed).normal(0, noise, rows)
 
 
-def test_a_jump_is_seen_whatever_its_size_beside_the_noise() -> None:
+def test_a_jump_is_seen_whatever_its_size_with_the_noise() -> None:
     t, read = _warming(400, 0.02)
     for step in (0.25, 2.5):
         assert suspicious(read + step * ((t > 6000) & (t < 15000)), t)[101, 249]
@@ -150,7 +150,7 @@ def test_readings_that_come_slower_and_pauses_are_no_jumps() -> None:
     assert not any(suspicious(cold, often + 50000.0 * (np.arange(400) >= 200)).values())
 
 
-def test_a_failure_that_ends_beside_a_pause_is_seen() -> None:
+def test_a_failure_that_ends_next_to_a_pause_is_seen() -> None:
     """A body that cooled in the pause jumps there, too: lines through that jump would miss the one beside it."""
     rows, (t, read) = np.arange(400), _warming(400, 0.02)
     warm = np.r_[read[:200], read[:200] - 1.0]

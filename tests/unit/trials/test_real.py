@@ -96,7 +96,7 @@ def test_twin_leaves_the_scatter_of_two_readings(sheet: Sheet, kind: str, noise:
     assert np.std(middle) == pytest.approx(noise, rel=0.12)
 
 
-def test_no_twin_where_neighbours_do_not_tell_what_lies_between() -> None:
+def test_no_twin_where_neighbours_do_not_predict_the_rows_between() -> None:
     assert twins("source", warm_up(bent=6.0)) == []
 
 

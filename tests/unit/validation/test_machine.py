@@ -81,7 +81,7 @@ def test_a_model_without_validation_is_refused(cloud):
         gate.pass_gate(cloud[0], [])
 
 
-def test_one_axis_that_stays_as_bad_refuses_the_table(cloud):
+def test_one_axis_that_does_not_improve_refuses_the_table(cloud):
     """A table of all components whose X goes from 37.7 to 39.2 um on what sat out."""
     document, judged = cloud
     judged = copy.deepcopy(judged)

@@ -84,7 +84,7 @@ def test_small_lost_motion_of_the_other_sign_is_reported(lost: float, says: bool
     assert all(x.of_sign for x in found)
 
 
-def test_backlash_of_the_other_sign_shows_beside_a_larger_curve() -> None:
+def test_backlash_of_the_other_sign_shows_with_a_larger_curve() -> None:
     """8 um of lost motion of an axis that is 60 um too long: judged at each target, not over the whole axis."""
     plain = axis_test(4, warm=False)
     f = plain.frame
@@ -229,7 +229,7 @@ def test_one_side_throughout_is_asked_about() -> None:
     assert findings.code == "direction-not-of-motion" and findings.level == "ask"
 
 
-def test_a_long_axis_that_is_good_is_not_too_small() -> None:
+def test_a_long_accurate_axis_is_not_refused_as_too_small() -> None:
     plain = axis_test(3, travel=(0.0, 5000.0), warm=False)
     f = plain.frame
     good = 1.5 * np.sin(f.x / 900) - 0.4 * f["dir"] + 0.3 * np.random.default_rng(5).normal(size=len(f))

@@ -50,7 +50,7 @@ def test_a_challenger_that_halves_the_residual_is_promoted_within_two_weeks_of_n
     assert decide(scores).promote
 
 
-def test_a_challenger_worse_than_nothing_in_one_season_is_kept_out_however_good_elsewhere() -> None:
+def test_a_challenger_worse_than_uncompensated_in_one_season_is_rejected_however_good_elsewhere() -> None:
     good = [score(k, 16.0, 1.0) for k in range(40)]
     bad = [score(100 + k, 90.0, 130.0, season="summer") for k in range(2)]
     decision = decide(good + bad)

@@ -90,7 +90,7 @@ def test_compiles_without_a_warning_and_needs_only_memcpy_and_memset(tmp_path, c
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
-def test_the_header_is_good_for_cpp(tmp_path):
+def test_the_header_compiles_as_cpp(tmp_path):
     (tmp_path / "use.cpp").write_text('#include "ect.h"\nint main() { return ect_find_input(nullptr, "x") < -1; }\n')
     strict = ["-Wall", "-Wextra", "-Werror", "-pedantic"]
     run("g++", *strict, f"-I{RUNTIME}", "-c", tmp_path / "use.cpp", "-o", tmp_path / "use.o")

@@ -204,7 +204,7 @@ void spoil(size_t at) { kept[at] ^= 4; }
 @needs_gcc
 @pytest.mark.toolchain
 @pytest.mark.parametrize("compiled_by", ["translation", "MATIEC"])
-def test_the_last_good_table_is_there_after_a_loss_of_power(tmp_path, compiled_by):
+def test_the_last_valid_table_is_kept_after_a_loss_of_power(tmp_path, compiled_by):
     if compiled_by == "MATIEC":
         if matiec.compiler() is None:
             pytest.skip("no iec2c: set IEC2C to a MATIEC that was built")
