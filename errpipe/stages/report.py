@@ -156,7 +156,6 @@ def _readings(validation: Mapping[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def _responses(recording: Any, fit: _Fit) -> list[Any]:
-
     from errpipe.domain.components import describe
     from errpipe.fitting.recalibration import is_thermal
     from errpipe.reporting.run_report import Response
