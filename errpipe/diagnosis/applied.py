@@ -201,7 +201,8 @@ def _refusal(f: Finding, r: ResponseDiagnosis, least: float) -> str:
     """Why a finding is not inserted into the simulation, '' if it is."""
     if f.effect != GAIN and not f.all_terms():
         return UNNAMED
-    if f.sure() < least:
+    alone = f.empirical.share if f.empirical is not None and f is r.findings[0] else 0.0  # held-out rows prove it
+    if max(f.sure(), alone) < least:
         return f"its confidence of {f.sure():.2f} is below {least:.2f}"
     if f.effect != GAIN and r.holdout.rms_after_um >= r.holdout.rms_before_um:
         return "held-out rows are no better explained with it"

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from errpipe.diagnosis import diagnose, prepare
-from errpipe.diagnosis.empirical import candidates, equation, unit_over
+from errpipe.diagnosis.empirical import equation
+from errpipe.drivers.library import candidates, unit_over
+from errpipe.terms import resolved_times
 from tests.unit.diagnosis.machines import axis, mornings
 
 
@@ -57,7 +59,8 @@ def test_a_square_that_is_present_in_one_run_only_is_not_reported() -> None:
 
 def test_units_are_those_of_powers_and_products() -> None:
     conditioned = prepare.condition(axis(1))
-    library = {c.name: c.unit for c in candidates(conditioned, np.arange(len(conditioned)))}
+    every = candidates(conditioned, np.arange(len(conditioned)), resolved_times(conditioned)[1])
+    library = {c.name: c.unit for c in every}
     squares = [unit for name, unit in library.items() if name.endswith("^2") and "T_nut" in name and "lag" not in name]
     assert squares == [(("K", 2),)]
     assert unit_over("um", (("K", 2), ("mm", 1))) == "um/(K2 mm)"
