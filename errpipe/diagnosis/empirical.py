@@ -10,9 +10,6 @@ noise of the same spectrum. Time constants, thresholds and exponents of the sele
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
 from errpipe.diagnosis import unnamed
@@ -24,8 +21,9 @@ from errpipe.domain import driver as d
 from errpipe.domain.diagnosis import Empirical, EmpiricalTerm, Finding, FoundParameter, ResponseDiagnosis
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
-from errpipe.drivers.library import Candidate, candidates, unit_over
+from errpipe.drivers.library import candidates, unit_over
 from errpipe.drivers.sessions import sessions
+from errpipe.fitting.pursuit import Beside, Pursuit
 from errpipe.terms import plain, resolved_times
 from errpipe.terms.profile_driver import ProfileDriver
 
@@ -37,23 +35,11 @@ ALIKE = 0.985  # correlation with the form of an effect from which they are equi
 LIKELY = 0.5  # confidence of a name from which no equation replaces it
 MOST_LIKELY = 0.9  # upper limit of an equation's confidence; below it the share that it predicts
 SURROGATES = 99  # surrogates; the smallest resolvable probability is 0.01
-DISTINCT = 0.2  # least share of a column's rms beyond the recalibration, by judgement
-SWEEPS = 3  # over the parameters of an equation, each fitted with the others held
-SIMPLER = 0.01  # share that a parameter of 0, or a whole or half number, may leave in addition
-REFINED = 0.05  # least share of the residual's variance that another parameter, or a further term, must explain
 
 
-@dataclass(frozen=True)
-class Beside:
-    """Nuisances estimated together with an equation: columns (rows, k), noise over the prior deviation of each (k,)."""
-
-    columns: np.ndarray
-    penalty: np.ndarray
-
-    @classmethod
-    def of(cls, case: Case) -> Beside:
-        """The recalibration of a case."""
-        return cls(case.recal, case.search.noise / np.maximum(case.search.nuisance.sd, 1e-300))
+def beside(case: Case) -> Beside:
+    """The recalibration of a case, estimated together with an equation."""
+    return Beside(case.recal, case.search.noise / np.maximum(case.search.nuisance.sd, 1e-300))
 
 
 def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
@@ -66,8 +52,7 @@ def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
     if place is None and (not names or max(f.confidence for f in names) >= LIKELY):
         return response
     whole = residual(case, [])
-    beside = Beside.of(case)
-    empirical = equation(case.recording, case.pair.rows, case.y, response.unit, beside)
+    empirical = equation(case.recording, case.pair.rows, case.y, response.unit, beside(case))
     named = 1.0 - (case.held.names / float(np.std(whole))) ** 2 if names and case.held else 0.0
     if empirical is not None and empirical.share > named + LEAST_SHARE:
         known = has_a_name(case, empirical, whole)
@@ -75,7 +60,7 @@ def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
         if not (known and names):
             return _unknown_first(case, response, min(p, unnamed.PROVISIONAL) if known else p, empirical)
     if place:  # the equation is added to names that predict more
-        empirical = equation(case.recording, case.pair.rows, residual(case), response.unit, beside)
+        empirical = equation(case.recording, case.pair.rows, residual(case), response.unit, beside(case))
     if place is None or empirical is None:
         return response
     better = _stated(response.findings[place], empirical)
@@ -134,7 +119,7 @@ def _drawn(size: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def equation(
-    recording: Recording, rows: np.ndarray, y: np.ndarray, unit: str, beside: Beside | None = None
+    recording: Recording, rows: np.ndarray, y: np.ndarray, unit: str, known: Beside | None = None
 ) -> Empirical | None:
     """The equation of a mismatch y on some rows of a recording, or None if none is significant.
 
@@ -147,10 +132,10 @@ def equation(
         return None
     session = sessions(recording)[rows[part]]
     fold, scheme = folds(recording.run_codes()[rows[part]], session)
-    beside = beside or Beside(np.ones((rows.size, 1)), np.zeros(1))
-    search = _Pursuit(library, fold, beside.columns[part], beside.penalty)
+    known = known or Beside(np.ones((rows.size, 1)), np.zeros(1))
+    search = Pursuit(library, fold, Beside(known.columns[part], known.penalty))
     target = search.projected(y[part])[: part.size]
-    shares, spread = search.held_out(target)
+    shares, spread = search.held_out(target, MOST_TERMS)
     best = int(np.argmax(shares))
     count = next(k for k in range(MOST_TERMS + 1) if shares[k] >= shares[best] - spread[best])
     if count == 0 or shares[count] < LEAST_SHARE:
@@ -159,7 +144,7 @@ def equation(
     for k in range(SURROGATES):
         shifted = np.roll(target, int(rng.integers(*far))) * rng.choice([-1.0, 1.0])
         surrogate = shifted if k % 2 else copies(target, 1, rng)[0]
-        if search.held_out(surrogate)[0].max() >= shares[count]:
+        if search.held_out(surrogate, MOST_TERMS)[0].max() >= shares[count]:
             return None
     chosen = search.refined(target, count)
     columns = search.projected(np.column_stack([c.values for c in chosen]))[: part.size]
@@ -184,99 +169,3 @@ def equation(
         f"(p = {p:.2g} by {SURROGATES} surrogates)."
     )
     return Empirical(terms=terms, constant=constant, unit=unit, share=share, p=p, scheme=scheme, says=says)
-
-
-class _Pursuit:
-    """Products of the library's columns next to nuisances, over all rows and by fold, for repeated pursuits.
-
-    A nuisance with a prior has one more row, which no fold holds out.
-    """
-
-    def __init__(self, library: list[Candidate], fold: np.ndarray, beside: np.ndarray, penalty: np.ndarray):
-        both = np.vstack([beside, np.diag(penalty)])
-        u, s, _ = np.linalg.svd(both / np.linalg.norm(both, axis=0), full_matrices=False)
-        self.known, self.extra = u[:, s > 1e-8 * s[0]], penalty.size
-        columns = np.column_stack([c.values - c.values.mean() for c in library])
-        made = self.projected(columns)
-        left = np.linalg.norm(made, axis=0)
-        kept = np.flatnonzero(left > DISTINCT * np.linalg.norm(columns, axis=0))
-        self.library = [library[k] for k in kept]
-        self.columns = made[:, kept] / left[kept] * np.array([c.weight for c in self.library])
-        self.rows = [np.flatnonzero(fold == f) for f in np.unique(fold)]
-        self.whole = self.columns.T @ self.columns
-        self.grams = [self.whole - self.columns[r].T @ self.columns[r] for r in self.rows]
-
-    def projected(self, values: np.ndarray) -> np.ndarray:
-        """What nuisances leave of values (rows,) or (rows, k), with a row more for each nuisance."""
-        longer = np.concatenate([values, np.zeros((self.extra, *values.shape[1:]))])
-        return longer - self.known @ (self.known.T @ longer)
-
-    def chosen(self, y: np.ndarray, count: int, without: int | None = None) -> list[int]:
-        """Indices of the selected columns, in the order of the pursuit; y: projected; without: a fold to hold out."""
-        from sklearn.linear_model import orthogonal_mp_gram
-
-        gram, xy = self.whole, self.columns.T @ y
-        if without is not None:
-            gram = self.grams[without]
-            xy = xy - self.columns[self.rows[without]].T @ y[self.rows[without]]
-        count = min(count, xy.size)
-        path = orthogonal_mp_gram(gram, xy, n_nonzero_coefs=count, return_path=True, copy_Gram=True, copy_Xy=True)
-        path = np.asarray(path).reshape(xy.size, -1)
-        order: list[int] = []
-        for k in range(path.shape[1]):
-            order += [int(j) for j in np.flatnonzero(path[:, k]) if j not in order]
-        return order
-
-    def held_out(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Share of the held-out variance predicted with 0 to MOST_TERMS terms, and its standard error over folds."""
-        squares, y = np.zeros((len(self.rows), MOST_TERMS + 1)), self.projected(y)
-        for f, test in enumerate(self.rows):
-            train = np.ones(y.size, dtype=bool)
-            train[test] = False
-            order = self.chosen(y, MOST_TERMS, f)
-            for k in range(MOST_TERMS + 1):
-                own = np.column_stack([np.ones(y.size), self.columns[:, order[:k]]])
-                b = np.linalg.lstsq(own[train], y[train], rcond=None)[0]
-                squares[f, k] = float(np.sum((y[test] - own[test] @ b) ** 2))
-        gained = (squares[:, :1] - squares) / max(float(squares[:, 0].mean()), 1e-300)
-        return gained.mean(axis=0), gained.std(axis=0, ddof=1) / np.sqrt(len(self.rows))
-
-    def refined(self, y: np.ndarray, count: int) -> list[Candidate]:
-        """The selected columns with fitted parameters, without those that the others then replace."""
-        y = self.projected(y)
-        made = self._fitted([self.library[j] for j in self.chosen(y, count)], y)
-        while len(made) > 1:
-            fewer = [self._fitted([*made[:k], *made[k + 1 :]], y) for k in range(len(made))]
-            best = min(fewer, key=lambda columns: self._left(columns, y))
-            if self._left(best, y) > (1.0 + REFINED) * self._left(made, y):
-                break
-            made = best
-        return made
-
-    def _fitted(self, columns: list[Candidate], y: np.ndarray) -> list[Candidate]:
-        """The columns with their parameters fitted one by one, where that reduces the residual enough."""
-        from scipy.optimize import minimize_scalar
-
-        start, before = self._left(columns, y), columns
-        for _ in range(SWEEPS):
-            for k, j in [(k, j) for k, one in enumerate(columns) for j in reversed(range(len(one.free)))]:
-
-                def put(value: float, k=k, j=j, columns=columns) -> list[Candidate]:
-                    free = [*columns[k].free[:j], value, *columns[k].free[j + 1 :]]
-                    return [*columns[:k], columns[k].at(*free), *columns[k + 1 :]]
-
-                span = columns[k].spans[j]
-                coarse = {"xatol": 1e-3 * (span[1] - span[0])}
-                best = minimize_scalar(
-                    lambda value, put=put: self._left(put(value), y), bounds=span, method="bounded", options=coarse
-                )
-                least = min(best.fun, self._left(columns, y))
-                value = best.x if best.fun == least else columns[k].free[j]
-                plain = [v for v in (0.0, round(2.0 * value) / 2.0) if span[0] <= v <= span[1]]
-                columns = put(next((v for v in plain if self._left(put(v), y) < (1.0 + SIMPLER) * least), float(value)))
-        return columns if self._left(columns, y) < (1.0 - REFINED) * start else before
-
-    def _left(self, columns: Sequence[Candidate], y: np.ndarray) -> float:
-        """Sum of squares that columns leave of a projected response."""
-        own = self.projected(np.column_stack([c.values for c in columns]))
-        return float(np.sum((y - own @ np.linalg.lstsq(own, y, rcond=None)[0]) ** 2))

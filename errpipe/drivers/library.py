@@ -95,8 +95,8 @@ def _counted(one: Candidate, zero: float, span: tuple[float, float]) -> Candidat
     """A column counted from a reference."""
     driver = d.Affine(offset=-zero, weights=(1.0,), of=(one.driver,))
     values, name = one.values - zero, f"({one.name} - {zero:.5g})".replace("- -", "+ ") if zero else one.name
-    known = {"free": (zero,), "spans": (span,), "at": lambda value: _counted(one, value, span)}
-    return replace(one, name=name, driver=driver, values=values, **known)
+    again = lambda value: _counted(one, value, span)  # noqa: E731
+    return Candidate(name, one.unit, driver, PLAIN, values, (zero,), (span,), again)
 
 
 def _late(one: Candidate, recording: Recording, rows: np.ndarray, longest: float) -> Iterator[Candidate]:

@@ -1,0 +1,138 @@
+"""Sparse regression beside nuisances: orthogonal matching pursuit, held out by folds, parameters of columns fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from errpipe.drivers.library import Candidate
+
+DISTINCT = 0.2  # least share of a column's rms beyond the recalibration, by judgement
+ALTERNATIVES = 8  # columns tried in place of a selected one, with their parameters fitted
+SWEEPS = 3  # over the parameters of an equation, each fitted with the others held
+SIMPLER = 0.01  # share that a parameter of 0, or a whole or half number, may leave in addition
+REFINED = 0.05  # least share of the residual's variance that another parameter, or a further term, must explain
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Nuisances estimated together: columns (rows, k), and noise over the prior standard deviation of each (k,)."""
+
+    columns: np.ndarray
+    penalty: np.ndarray
+
+
+class Pursuit:
+    """Products of the library's columns next to nuisances, over all rows and by fold, for repeated pursuits.
+
+    A nuisance with a prior has one more row, which no fold holds out.
+    """
+
+    def __init__(self, library: list[Candidate], fold: np.ndarray, beside: Beside):
+        both = np.vstack([beside.columns, np.diag(beside.penalty)])
+        u, s, _ = np.linalg.svd(both / np.linalg.norm(both, axis=0), full_matrices=False)
+        self.known, self.extra = u[:, s > 1e-8 * s[0]], beside.penalty.size
+        columns = np.column_stack([c.values - c.values.mean() for c in library])
+        made = self.projected(columns)
+        left = np.linalg.norm(made, axis=0)
+        kept = np.flatnonzero(left > DISTINCT * np.linalg.norm(columns, axis=0))
+        self.library = [library[k] for k in kept]
+        self.columns = made[:, kept] / left[kept] * np.array([c.weight for c in self.library])
+        self.rows = [np.flatnonzero(fold == f) for f in np.unique(fold)]
+        self.whole = self.columns.T @ self.columns
+        self.grams = [self.whole - self.columns[r].T @ self.columns[r] for r in self.rows]
+
+    def projected(self, values: np.ndarray) -> np.ndarray:
+        """What nuisances leave of values (rows,) or (rows, k), with a row more for each nuisance."""
+        longer = np.concatenate([values, np.zeros((self.extra, *values.shape[1:]))])
+        return longer - self.known @ (self.known.T @ longer)
+
+    def chosen(self, y: np.ndarray, count: int, without: int | None = None) -> list[int]:
+        """Indices of the selected columns, in the order of the pursuit; y: projected; without: a fold to hold out."""
+        from sklearn.linear_model import orthogonal_mp_gram
+
+        gram, xy = self.whole, self.columns.T @ y
+        if without is not None:
+            gram = self.grams[without]
+            xy = xy - self.columns[self.rows[without]].T @ y[self.rows[without]]
+        count = min(count, xy.size)
+        path = orthogonal_mp_gram(gram, xy, n_nonzero_coefs=count, return_path=True, copy_Gram=True, copy_Xy=True)
+        path = np.asarray(path).reshape(xy.size, -1)
+        order: list[int] = []
+        for k in range(path.shape[1]):
+            order += [int(j) for j in np.flatnonzero(path[:, k]) if j not in order]
+        return order
+
+    def held_out(self, y: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+        """Share of the held-out variance predicted with 0 to `most` terms, and its standard error over folds."""
+        squares, y = np.zeros((len(self.rows), most + 1)), self.projected(y)
+        for f, test in enumerate(self.rows):
+            train = np.ones(y.size, dtype=bool)
+            train[test] = False
+            order = self.chosen(y, most, f)
+            for k in range(most + 1):
+                own = np.column_stack([np.ones(y.size), self.columns[:, order[:k]]])
+                b = np.linalg.lstsq(own[train], y[train], rcond=None)[0]
+                squares[f, k] = float(np.sum((y[test] - own[test] @ b) ** 2))
+        gained = (squares[:, :1] - squares) / max(float(squares[:, 0].mean()), 1e-300)
+        return gained.mean(axis=0), gained.std(axis=0, ddof=1) / np.sqrt(len(self.rows))
+
+    def refined(self, y: np.ndarray, count: int) -> list[Candidate]:
+        """The selected columns with fitted parameters, without those that the others then replace."""
+        y = self.projected(y)
+        made = self._fitted([self.library[j] for j in self.chosen(y, count)], y)
+        for k in range(len(made)):
+            made = self._exchanged(made, k, y)
+        while len(made) > 1:
+            fewer = [self._fitted([*made[:k], *made[k + 1 :]], y) for k in range(len(made))]
+            best = min(fewer, key=lambda columns: self._left(columns, y))
+            if self._left(best, y) > (1.0 + REFINED) * self._left(made, y):
+                break
+            made = best
+        return made
+
+    def _exchanged(self, columns: list[Candidate], k: int, y: np.ndarray) -> list[Candidate]:
+        """The columns with the k-th replaced by the best of its alternatives, if that leaves less.
+
+        A threshold, for instance, is recognised only once it is fitted.
+        """
+        others = np.linalg.qr(
+            self.projected(
+                np.column_stack([np.zeros(y.size - self.extra), *(c.values for c in [*columns[:k], *columns[k + 1 :]])])
+            )[:, 1:]
+        )[0]
+        own = self.columns - others @ (others.T @ self.columns)
+        gained = (own.T @ y) ** 2 / np.maximum(np.sum(own**2, axis=0), 1e-300)
+        put = [[*columns[:k], self.library[j], *columns[k + 1 :]] for j in np.argsort(-gained)[:ALTERNATIVES]]
+        best = min((self._fitted(one, y) for one in put), key=lambda one: self._left(one, y))
+        return best if self._left(best, y) < (1.0 - REFINED) * self._left(columns, y) else columns
+
+    def _fitted(self, columns: list[Candidate], y: np.ndarray) -> list[Candidate]:
+        """The columns with their parameters fitted one by one, where that reduces the residual enough."""
+        from scipy.optimize import minimize_scalar
+
+        start, before = self._left(columns, y), columns
+        for _ in range(SWEEPS):
+            for k, j in [(k, j) for k, one in enumerate(columns) for j in reversed(range(len(one.free)))]:
+
+                def put(value: float, k=k, j=j, columns=columns) -> list[Candidate]:
+                    free = [*columns[k].free[:j], value, *columns[k].free[j + 1 :]]
+                    return [*columns[:k], columns[k].at(*free), *columns[k + 1 :]]
+
+                span = columns[k].spans[j]
+                coarse = {"xatol": 1e-3 * (span[1] - span[0])}
+                best = minimize_scalar(
+                    lambda value, put=put: self._left(put(value), y), bounds=span, method="bounded", options=coarse
+                )
+                least = min(best.fun, self._left(columns, y))
+                value = best.x if best.fun == least else columns[k].free[j]
+                plain = [v for v in (0.0, round(2.0 * value) / 2.0) if span[0] <= v <= span[1]]
+                columns = put(next((v for v in plain if self._left(put(v), y) < (1.0 + SIMPLER) * least), float(value)))
+        return columns if self._left(columns, y) < (1.0 - REFINED) * start else before
+
+    def _left(self, columns: Sequence[Candidate], y: np.ndarray) -> float:
+        """Sum of squares that columns leave of a projected response."""
+        own = self.projected(np.column_stack([c.values for c in columns]))
+        return float(np.sum((y - own @ np.linalg.lstsq(own, y, rcond=None)[0]) ** 2))
