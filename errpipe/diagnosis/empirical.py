@@ -148,8 +148,10 @@ def equation(
             return None
     chosen = search.refined(target, count)
     columns = search.projected(np.column_stack([c.values for c in chosen]))[: part.size]
-    b, sd, _ = clustered(columns, target, session)
-    reach = 2.02 * sd  # t with 39 degrees of freedom
+    b = np.linalg.lstsq(columns, target, rcond=None)[0]
+    tangents = search.projected(search.tangents(chosen))[: part.size]
+    _, sd, _ = clustered(np.column_stack([columns, tangents]), target, session)
+    reach = 2.02 * sd  # t with 39 degrees of freedom; the fitted parameters are as uncertain
     terms = tuple(
         EmpiricalTerm(
             column=c.name,

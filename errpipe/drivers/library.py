@@ -93,7 +93,7 @@ def _plain(recording: Recording, rows: np.ndarray) -> Iterator[Candidate]:
 
 def _counted(one: Candidate, zero: float, span: tuple[float, float]) -> Candidate:
     """A column counted from a reference."""
-    driver = d.Affine(offset=-zero, weights=(1.0,), of=(one.driver,))
+    driver = d.Affine(offset=-zero, weights=(1.0,), of=(one.driver,)) if zero else one.driver
     values, name = one.values - zero, f"({one.name} - {zero:.5g})".replace("- -", "+ ") if zero else one.name
     again = lambda value: _counted(one, value, span)  # noqa: E731
     return Candidate(name, one.unit, driver, PLAIN, values, (zero,), (span,), again)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from errpipe.domain.driver import inputs
 from errpipe.drivers.library import Candidate
 
 DISTINCT = 0.2  # least share of a column's rms beyond the recalibration, by judgement
@@ -36,8 +38,9 @@ class Pursuit:
         self.known, self.extra = u[:, s > 1e-8 * s[0]], beside.penalty.size
         columns = np.column_stack([c.values - c.values.mean() for c in library])
         made = self.projected(columns)
-        left = np.linalg.norm(made, axis=0)
-        kept = np.flatnonzero(left > DISTINCT * np.linalg.norm(columns, axis=0))
+        left, gain = np.linalg.norm(made, axis=0), np.linalg.lstsq(beside.columns, columns, rcond=None)[0]
+        beyond = np.linalg.norm(columns - beside.columns @ gain, axis=0)
+        kept = np.flatnonzero(beyond > DISTINCT * np.linalg.norm(columns, axis=0))
         self.library = [library[k] for k in kept]
         self.columns = made[:, kept] / left[kept] * np.array([c.weight for c in self.library])
         self.rows = [np.flatnonzero(fold == f) for f in np.unique(fold)]
@@ -96,41 +99,63 @@ class Pursuit:
     def _exchanged(self, columns: list[Candidate], k: int, y: np.ndarray) -> list[Candidate]:
         """The columns with the k-th replaced by the best of its alternatives, if that leaves less.
 
-        A threshold, for instance, is recognised only once it is fitted.
+        A threshold, for instance, is recognised only once it is fitted. Columns that differ in a parameter are one.
         """
-        others = np.linalg.qr(
-            self.projected(
-                np.column_stack([np.zeros(y.size - self.extra), *(c.values for c in [*columns[:k], *columns[k + 1 :]])])
-            )[:, 1:]
-        )[0]
+        held = [c.values for c in [*columns[:k], *columns[k + 1 :]]]
+        others = np.linalg.qr(self.projected(np.column_stack(held)))[0] if held else np.zeros((y.size, 0))
         own = self.columns - others @ (others.T @ self.columns)
         gained = (own.T @ y) ** 2 / np.maximum(np.sum(own**2, axis=0), 1e-300)
-        put = [[*columns[:k], self.library[j], *columns[k + 1 :]] for j in np.argsort(-gained)[:ALTERNATIVES]]
+        kinds: dict[tuple[tuple[str, ...], str], Candidate] = {}
+        for c in (self.library[j] for j in np.argsort(-gained)):
+            kinds.setdefault((inputs(c.driver), re.sub(r"[-+\d.e]+", "", c.name)), c)
+        put = [[*columns[:k], c, *columns[k + 1 :]] for c in list(kinds.values())[:ALTERNATIVES]]
         best = min((self._fitted(one, y) for one in put), key=lambda one: self._left(one, y))
         return best if self._left(best, y) < (1.0 - REFINED) * self._left(columns, y) else columns
 
-    def _fitted(self, columns: list[Candidate], y: np.ndarray) -> list[Candidate]:
-        """The columns with their parameters fitted one by one, where that reduces the residual enough."""
-        from scipy.optimize import minimize_scalar
+    def tangents(self, columns: Sequence[Candidate]) -> np.ndarray:
+        """Derivatives of columns by their fitted parameters, shape (rows, k): what is 0 or a half number is known."""
+        out = [np.zeros((columns[0].values.size, 0))]
+        for c in columns:
+            for j, (value, (low, high)) in enumerate(zip(c.free, c.spans, strict=True)):
+                if c.at is not None and value != round(2.0 * value) / 2.0:
+                    step = 1e-3 * (high - low) * (1.0 if value < high - 1e-3 * (high - low) else -1.0)
+                    moved = c.at(*c.free[:j], value + step, *c.free[j + 1 :])
+                    out.append(((moved.values - c.values) / step)[:, None])
+        return np.column_stack(out)
 
-        start, before = self._left(columns, y), columns
+    def _fitted(self, columns: list[Candidate], y: np.ndarray) -> list[Candidate]:
+        """The columns with their parameters fitted, from their values and from no lag, if that leaves less."""
+        ends = [[0.0 if low == 0.0 else v for v, (low, _) in zip(c.free, c.spans, strict=True)] for c in columns]
+        plain = [c.at(*free) if c.at else c for c, free in zip(columns, ends, strict=True)]
+        best = min((self._swept(one, y) for one in (columns, plain)), key=lambda one: self._left(one, y))
+        return best if self._left(best, y) < (1.0 - REFINED) * self._left(columns, y) else columns
+
+    def _swept(self, columns: list[Candidate], y: np.ndarray) -> list[Candidate]:
+        """The columns with their parameters fitted one by one."""
         for _ in range(SWEEPS):
             for k, j in [(k, j) for k, one in enumerate(columns) for j in reversed(range(len(one.free)))]:
+                columns = self._at_best(columns, k, j, y)
+        return columns
 
-                def put(value: float, k=k, j=j, columns=columns) -> list[Candidate]:
-                    free = [*columns[k].free[:j], value, *columns[k].free[j + 1 :]]
-                    return [*columns[:k], columns[k].at(*free), *columns[k + 1 :]]
+    def _at_best(self, columns: list[Candidate], k: int, j: int, y: np.ndarray) -> list[Candidate]:
+        """The columns with the best value of the j-th parameter of the k-th one, or a plain one that is as good."""
+        from scipy.optimize import minimize_scalar
 
-                span = columns[k].spans[j]
-                coarse = {"xatol": 1e-3 * (span[1] - span[0])}
-                best = minimize_scalar(
-                    lambda value, put=put: self._left(put(value), y), bounds=span, method="bounded", options=coarse
-                )
-                least = min(best.fun, self._left(columns, y))
-                value = best.x if best.fun == least else columns[k].free[j]
-                plain = [v for v in (0.0, round(2.0 * value) / 2.0) if span[0] <= v <= span[1]]
-                columns = put(next((v for v in plain if self._left(put(v), y) < (1.0 + SIMPLER) * least), float(value)))
-        return columns if self._left(columns, y) < (1.0 - REFINED) * start else before
+        one, (low, high) = columns[k], columns[k].spans[j]
+        at = one.at
+        assert at is not None
+
+        def put(value: float) -> list[Candidate]:
+            return [*columns[:k], at(*one.free[:j], value, *one.free[j + 1 :]), *columns[k + 1 :]]
+
+        def left(value: float) -> float:
+            return self._left(put(value), y)
+
+        best = minimize_scalar(left, bounds=(low, high), method="bounded", options={"xatol": 1e-3 * (high - low)})
+        least = min(best.fun, self._left(columns, y))
+        value = float(best.x) if best.fun == least else one.free[j]
+        plain = [v for v in (0.0, round(2.0 * value) / 2.0) if low <= v <= high]
+        return put(next((v for v in plain if left(v) < (1.0 + SIMPLER) * least), value))
 
     def _left(self, columns: Sequence[Candidate], y: np.ndarray) -> float:
         """Sum of squares that columns leave of a projected response."""
