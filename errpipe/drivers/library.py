@@ -114,7 +114,7 @@ def _late(one: Candidate, recording: Recording, rows: np.ndarray, longest: float
         return of.over(name, driver, drive(driver, recording)[rows], **known)
 
     for share in (0.0, *LAGS):
-        span = (0.0, 2.0 * longest)
+        span = (0.0, longest)
         if np.ptp((made := lagged(share * longest)).values) > 0:
             yield made
 

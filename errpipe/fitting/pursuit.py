@@ -85,9 +85,13 @@ class Pursuit:
     def refined(self, y: np.ndarray, count: int) -> list[Candidate]:
         """The selected columns with fitted parameters, without those that the others then replace."""
         y = self.projected(y)
-        made = self._fitted([self.library[j] for j in self.chosen(y, count)], y)
+        made = self._fewest(self._fitted([self.library[j] for j in self.chosen(y, count)], y), y)
         for k in range(len(made)):
             made = self._exchanged(made, k, y)
+        return self._fewest(made, y)
+
+    def _fewest(self, made: list[Candidate], y: np.ndarray) -> list[Candidate]:
+        """Columns without those that the others, fitted again, replace."""
         while len(made) > 1:
             fewer = [self._fitted([*made[:k], *made[k + 1 :]], y) for k in range(len(made))]
             best = min(fewer, key=lambda columns: self._left(columns, y))
