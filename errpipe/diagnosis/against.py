@@ -76,7 +76,7 @@ def against(recording: Recording, earlier: Diagnosis) -> list[Held]:
 
     Raises DataError if there is no named finding, or if the recording has none of the responses with its simulation.
     """
-    named = {r.component: [f for f in r.findings if terms_of(f)] for r in earlier.responses}
+    named = {r.component: _looked_for(r) for r in earlier.responses}
     count = sum(map(len, named.values()))
     if not count:
         raise DataError("against: the earlier diagnosis names no effect: there is nothing to look for")
@@ -88,6 +88,12 @@ def against(recording: Recording, earlier: Diagnosis) -> list[Held]:
     if all(h.state == "not judged" for h in out):
         raise DataError("against: no earlier finding can be judged\n" + "\n".join(f"  {h.says}" for h in out))
     return out
+
+
+def _looked_for(r: ResponseDiagnosis) -> list[Finding]:
+    """Findings that have a term; of an empirical equation of the whole mismatch not the names that it replaces."""
+    alone = bool(r.findings) and r.findings[0].empirical is not None
+    return [f for f in (r.findings[:1] if alone else r.findings) if terms_of(f)]
 
 
 def _response(read: Recording, r: ResponseDiagnosis, findings: list[Finding], level: float) -> list[Held]:

@@ -191,7 +191,8 @@ def _response(read: Recording, recording: Recording, r: ResponseDiagnosis, least
     parts, gain, offset = _Solve(read, r.unit, simulated, mismatch, blocks, gains, held).run()
     added = np.sum([p.contribution for p in parts], axis=0) + (gain - 1.0) * simulated + offset
     better, residual = simulated + added, mismatch - added
-    if np.nanstd(residual) > np.nanstd(mismatch):
+    size = np.nanstd if all(p.finding.empirical is None for p in parts) else lambda left: np.sqrt(np.nanmean(left**2))
+    if size(residual) > size(mismatch):  # the level of an equation is arbitrary where each session has its own datum
         refused += [(p.finding.effect, WORSE) for p in parts]
         return Corrected(r.component, r.unit, twin, (), tuple(refused), simulated, mismatch, mismatch)
     return Corrected(r.component, r.unit, twin, tuple(parts), tuple(refused), better, mismatch, residual, gain, offset)
@@ -201,7 +202,8 @@ def _refusal(f: Finding, r: ResponseDiagnosis, least: float) -> str:
     """Why a finding is not inserted into the simulation, '' if it is."""
     if f.effect != GAIN and not f.all_terms():
         return UNNAMED
-    if f.sure() < least:
+    alone = f.empirical.share if f.empirical is not None and f is r.findings[0] else 0.0  # held-out rows prove it
+    if max(f.sure(), alone) < least:
         return f"its confidence of {f.sure():.2f} is below {least:.2f}"
     if f.effect != GAIN and r.holdout.rms_after_um >= r.holdout.rms_before_um:
         return "held-out rows are no better explained with it"

@@ -6,6 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
+from errpipe.domain.driver import Driver
 from errpipe.domain.recording import Frozen
 
 Verdict = Literal["no_mismatch", "recalibrate", "missing_physics", "unexplained"]
@@ -52,6 +53,7 @@ class EmpiricalTerm(Frozen):
     unit: str
     ci95: tuple[float, float]
     rms_um: float = Field(description="rms of what it contributes.")
+    driver: Driver = Field(description="The column as operations on recorded columns.")
 
 
 class Empirical(Frozen):

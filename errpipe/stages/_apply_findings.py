@@ -36,6 +36,8 @@ OF_MEASURING = "an artefact of measuring: in the corrected recording, not in the
 IN_SOME_RUNS = "it acted in some runs only: no equation predicts in which runs it will act"
 NO_EQUATION = "its term cannot be written as an equation of the inputs of a simulation"
 
+EMPIRICAL = "an empirical equation"
+
 Progress = Callable[[float, str], None]
 
 
@@ -87,7 +89,8 @@ def in_words(document: Mapping[str, Any]) -> list[str]:
     """What was added and the residual, one line each."""
     lines = []
     for r in document["responses"]:
-        names = ", ".join(p["effect"].replace("_", " ") for p in r["put_in"]) or "nothing"
+        words = (EMPIRICAL if p["effect"] == "unknown" else p["effect"].replace("_", " ") for p in r["put_in"])
+        names = ", ".join(words) or "nothing"
         before, after = r["rms_before_um"], r["rms_after_um"]
         lines.append(f"{r['component']}: added to the simulation: {names}; {before:.3g} -> {after:.3g} {r['unit']} rms")
         lines += [f"  not added: {n['effect'].replace('_', ' ')} ({n['reason']})" for n in r["not_put_in"]]
@@ -184,6 +187,8 @@ def _piece(c: Corrected, part: Part, read: Recording) -> Piece | str:
     all_pairs = tuple(pair for p in pairs for pair in p or ())
     numbers = [f"{n} = {v:.6g}" for values in part.values for n, v in values.items()]
     equations = dict.fromkeys(e for t in part.terms if (e := equation(type(t))))
+    if f.empirical is not None:
+        equations = dict.fromkeys(f"gain times {t.column}" for t in f.empirical.terms)
     note = ". ".join([f"{effect.replace('_', ' ')} of {c.component} in {c.unit}: {', '.join(numbers)}", *equations])
     name = "".join(ch if ch.isalnum() else "_" for ch in f"{c.component}_{effect}")
     piece = Piece(name, c.component, c.unit, note, all_pairs, dict(f.where.ranges))

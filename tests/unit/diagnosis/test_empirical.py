@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from errpipe.diagnosis import diagnose, prepare
-from errpipe.diagnosis.empirical import candidates, equation, unit_over
-from tests.unit.diagnosis.machines import axis, mornings
+from errpipe.diagnosis.against import against
+from errpipe.diagnosis.empirical import equation
+from errpipe.drivers.evaluation import drive
+from errpipe.drivers.library import candidates, unit_over
+from errpipe.fitting.pursuit import Beside
+from errpipe.stages._apply_findings import apply_findings, in_words
+from errpipe.terms import resolved_times
+from tests.unit.diagnosis.machines import axis, mornings, spindle
 
 
 def coloured(rng: np.random.Generator, rows: int, memory: float) -> np.ndarray:
@@ -57,7 +65,8 @@ def test_a_square_that_is_present_in_one_run_only_is_not_reported() -> None:
 
 def test_units_are_those_of_powers_and_products() -> None:
     conditioned = prepare.condition(axis(1))
-    library = {c.name: c.unit for c in candidates(conditioned, np.arange(len(conditioned)))}
+    every = candidates(conditioned, np.arange(len(conditioned)), resolved_times(conditioned)[1])
+    library = {c.name: c.unit for c in every}
     squares = [unit for name, unit in library.items() if name.endswith("^2") and "T_nut" in name and "lag" not in name]
     assert squares == [(("K", 2),)]
     assert unit_over("um", (("K", 2), ("mm", 1))) == "um/(K2 mm)"
@@ -74,3 +83,60 @@ def test_an_unknown_mechanism_is_shown_with_its_equation() -> None:
         pytest.fail(f"named {[f.effect for f in response.findings]}")
     assert unknown[0].empirical is not None and unknown[0].empirical.share > 0.3
     assert "Empirical, no mechanism" in unknown[0].says
+
+
+LAWS = {  # of a spindle at changing speed: hidden law, factors, coefficient
+    "a threshold": (lambda c: 1e-3 * np.maximum(c["rpm"] - 6500.0, 0.0), ("max(rpm - 6",), 1e-3),
+    "a late response": (lambda c: 2e-3 * lag(c["t"], c["rpm"], 500.0), ("lag(rpm, ",), 2e-3),
+    "a square times a temperature": (
+        lambda c: 3e-8 * c["rpm"] ** 2 * (c["T_room"] - 20.0),
+        "(rpm)^2 (T_room - 20)",
+        3e-8,
+    ),
+    "speed times a rise": (lambda c: 4e-4 * c["rpm"] * (c["T_room"] - 20.0), ("rpm", "(T_room - 20)"), 4e-4),
+}
+
+
+def lag(t: np.ndarray, u: np.ndarray, tau: float) -> np.ndarray:
+    """First-order lag of an input that is held between rows."""
+    y = np.full(t.size, u[0])
+    for k in range(1, t.size):
+        y[k] = u[k - 1] + (y[k - 1] - u[k - 1]) * np.exp(-(t[k] - t[k - 1]) / tau)
+    return y
+
+
+@pytest.mark.parametrize("law", list(LAWS))
+def test_time_constants_thresholds_exponents_and_references_are_fitted(law: str) -> None:
+    """Beside a gain of the simulation that is 10 % off."""
+    hidden, factors, coefficient = LAWS[law]
+    made = spindle(2, hidden=hidden, gain=1.1)
+    simulated = made.array("E_Z_sim")
+    known = Beside(np.column_stack([np.ones(simulated.size), simulated]), np.array([0.0, 0.3 / 0.1]))
+    found = equation(made, np.arange(len(made)), made.array("E_Z") - simulated, "um", known)
+    assert found is not None
+    (term,) = found.terms
+    assert all(factor in term.column for factor in factors)
+    assert term.coefficient == pytest.approx(coefficient, rel=0.05)
+    assert term.ci95[0] < 1.01 * coefficient and term.ci95[1] > 0.99 * coefficient
+    shown = drive(term.driver, made)
+    assert np.std(shown * term.coefficient) == pytest.approx(term.rms_um)
+
+
+def test_an_equation_is_put_into_the_simulation_and_found_again_later(tmp_path: Path) -> None:
+    """Names that the equation replaces are not looked for beside it."""
+    hidden, *_ = LAWS["a square times a temperature"]
+    made = spindle(2, hidden=hidden)
+    diagnosis, _ = diagnose(made)
+    unknown = diagnosis.responses[0].findings[0]
+    assert unknown.effect == "unknown" and unknown.empirical is not None
+    assert {"rpm", "T_room"} <= set(unknown.drivers)
+    assert {t["term"] for t in unknown.all_terms()} == {"profile_driver"}
+    document = apply_findings(made, diagnosis, tmp_path)
+    (done,) = document["responses"]
+    assert done["put_in"][0]["effect"] == "unknown" and not done["put_in"][0]["not_in_patch"]
+    assert done["rms_after_um"] < 0.33  # noise of 0.3
+    assert "added to the simulation: an empirical equation" in in_words(document)[0]
+    (held,) = against(spindle(3, hidden=hidden), diagnosis)
+    assert (held.effect, held.state) == ("unknown", "unchanged")
+    (held,) = against(spindle(3, hidden=lambda c: 2.0 * hidden(c)), diagnosis)
+    assert held.state == "larger" and held.k == pytest.approx(2.0, rel=0.1)

@@ -12,10 +12,23 @@ from errpipe.diagnosis import coloured, diagnose, empirical, own_noise, plausibl
 from errpipe.diagnosis.holdout import HeldOut
 from errpipe.diagnosis.shapes import shapes
 from errpipe.domain.diagnosis import Empirical, EmpiricalTerm, Finding
+from errpipe.drivers.library import candidates
+from errpipe.terms import resolved_times
 from errpipe.terms.air_refraction import AirRefraction
 from errpipe.terms.scale_expansion import ScaleExpansion
 
 from .machines import axis, recording, spindle
+
+
+def library(made):
+    """Columns of the empirical library on all rows, by name."""
+    return {c.name: c for c in candidates(made, np.arange(len(made)), resolved_times(made)[1])}
+
+
+def term_of(column):
+    return EmpiricalTerm(
+        column=column.name, coefficient=1.0, unit="um/K", ci95=(0.9, 1.1), rms_um=1.0, driver=column.driver
+    )
 
 
 def test_a_decay_at_the_start_of_each_run_is_a_shape():
@@ -101,8 +114,9 @@ def test_one_column_that_an_effect_follows_is_no_unknown_mechanism(column, known
     rows = np.arange(len(made))
     name = column.format(mean=made.array("T_room").mean())
     name = name if known else f"({name[:-2]})^2"
-    term = EmpiricalTerm(column=name, coefficient=1.0, unit="um/K", ci95=(0.9, 1.1), rms_um=1.0)
-    law = Empirical(terms=(term,), constant=0.0, unit="um", share=0.9, p=0.01, scheme="", says="")
+    law = Empirical(
+        terms=(term_of(library(made)[name]),), constant=0.0, unit="um", share=0.9, p=0.01, scheme="", says=""
+    )
     case = SimpleNamespace(recording=made, library=hypotheses.build(made, "E_Z", rows), pair=SimpleNamespace(rows=rows))
     case.explanation, case.simulated = SimpleNamespace(accepted=()), np.zeros(rows.size)
     assert empirical.has_a_name(case, law, np.zeros(rows.size)) == known  # type: ignore[arg-type]
@@ -131,9 +145,7 @@ def test_a_term_that_explains_little_with_a_name_makes_no_unknown_mechanism(furt
     rows, room = np.arange(len(made)), made.array("T_room") - made.array("T_room").mean()
     other = np.random.default_rng(4).normal(size=rows.size) * np.std(room)
     name = f"(T_room - {made.array('T_room').mean():.5g})"
-    terms = [
-        EmpiricalTerm(column=c, coefficient=1.0, unit="um/K", ci95=(0.9, 1.1), rms_um=1.0) for c in (name, "other")
-    ]
+    terms = [term_of(library(made)[c]) for c in (name, "rpm")]
     law = Empirical(terms=tuple(terms), constant=0.0, unit="um", share=0.95, p=0.01, scheme="", says="")
     case = SimpleNamespace(recording=made, library=hypotheses.build(made, "E_Z", rows), pair=SimpleNamespace(rows=rows))
     case.explanation, case.simulated = SimpleNamespace(accepted=()), np.sin(rows / 7.0)
@@ -149,27 +161,26 @@ def test_an_equation_that_two_names_hold_together_is_no_unknown_mechanism(column
 
     made = spindle()
     rows = np.arange(len(made))
-    library = hypotheses.build(made, "E_Z", rows)
+    effects = hypotheses.build(made, "E_Z", rows)
     mean = {"room": made.array("T_room").mean(), "bed": made.array("T_bed").mean()}
     columns = [c.format(**mean) for c in ("(T_room - {room:.5g})", column)]
-    named = {c.name for c in empirical.candidates(made, rows)}
+    listed = library(made)
     columns[1] = (
-        columns[1] if columns[1] in named else " ".join(reversed([f"{c})" for c in columns[1][:-1].split(") ")]))
+        columns[1] if columns[1] in listed else " ".join(reversed([f"{c})" for c in columns[1][:-1].split(") ")]))
     )
-    terms = [EmpiricalTerm(column=c, coefficient=1.0, unit="um/K", ci95=(0.9, 1.1), rms_um=1.0) for c in columns]
+    terms = [term_of(listed[c]) for c in columns]
     law = Empirical(terms=tuple(terms), constant=0.0, unit="um", share=0.9, p=0.01, scheme="", says="")
     drifts = [
         (i, h)
-        for i, h in enumerate(library.hypotheses)
+        for i, h in enumerate(effects.hypotheses)
         if h.effect == "thermal_drift" and h.drivers[0] in ("T_room", "T_bed")
     ]
     accepted = tuple(SimpleNamespace(index=i, hypothesis=h) for i, h in drifts)
-    case = SimpleNamespace(recording=made, library=library, pair=SimpleNamespace(rows=rows))
+    case = SimpleNamespace(recording=made, library=effects, pair=SimpleNamespace(rows=rows))
     case.explanation, case.simulated = SimpleNamespace(accepted=accepted), np.zeros(rows.size)
     case.recal = np.ones((rows.size, 1))
-    values = {c.name: c.values for c in empirical.candidates(made, rows)}
     assert len(drifts) == 2
-    assert empirical.has_a_name(case, law, sum(values[c] for c in columns)) == known  # type: ignore[arg-type]
+    assert empirical.has_a_name(case, law, sum(listed[c].values for c in columns)) == known  # type: ignore[arg-type]
 
 
 def test_an_equation_that_is_the_named_effect_is_no_unknown_mechanism():
@@ -178,17 +189,14 @@ def test_an_equation_that_is_the_named_effect_is_no_unknown_mechanism():
 
     made = spindle()
     rows = np.arange(len(made))
-    library = hypotheses.build(made, "E_Z", rows)
-    column = [
-        c.name for c in empirical.candidates(made, rows) if c.name.startswith("lag(T_bed") and ") " not in c.name
-    ][-1]
-    term = EmpiricalTerm(column=column, coefficient=1.0, unit="um/K", ci95=(0.9, 1.1), rms_um=1.0)
-    law = Empirical(terms=(term,), constant=0.0, unit="um", share=0.9, p=0.01, scheme="", says="")
+    effects = hypotheses.build(made, "E_Z", rows)
+    lags = [c for name, c in library(made).items() if name.startswith("lag(T_bed") and ") " not in name]
+    law = Empirical(terms=(term_of(lags[-1]),), constant=0.0, unit="um", share=0.9, p=0.01, scheme="", says="")
     case = SimpleNamespace(
-        recording=made, library=library, pair=SimpleNamespace(rows=rows), simulated=np.zeros(rows.size)
+        recording=made, library=effects, pair=SimpleNamespace(rows=rows), simulated=np.zeros(rows.size)
     )
-    lag = next(h for h in library.hypotheses if h.effect == "thermal_lag")
-    case.recal, index = np.ones((rows.size, 1)), library.hypotheses.index(lag)
+    lag = next(h for h in effects.hypotheses if h.effect == "thermal_lag")
+    case.recal, index = np.ones((rows.size, 1)), effects.hypotheses.index(lag)
     for accepted, known in (((), False), ((SimpleNamespace(hypothesis=lag, index=index),), True)):
         case.explanation = SimpleNamespace(accepted=accepted)
         assert empirical.has_a_name(case, law, np.zeros(rows.size)) == known  # type: ignore[arg-type]
