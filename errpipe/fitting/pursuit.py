@@ -61,6 +61,8 @@ class Pursuit:
             gram = self.grams[without]
             xy = xy - self.columns[self.rows[without]].T @ y[self.rows[without]]
         count = min(count, xy.size)
+        if count == 0:
+            return []
         path = orthogonal_mp_gram(gram, xy, n_nonzero_coefs=count, return_path=True, copy_Gram=True, copy_Xy=True)
         path = np.asarray(path).reshape(xy.size, -1)
         order: list[int] = []

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.library import Candidate, candidates
+from errpipe.fitting.pursuit import Beside, Pursuit
 from errpipe.terms import resolved_times
 from tests.unit.diagnosis.machines import axis, spindle, trace
 
@@ -42,3 +43,11 @@ def test_a_lag_of_no_time_is_the_input() -> None:
     every, _ = library("spindle")
     late = next(c for c in every if c.name.startswith("lag(T_bed") and c.at is not None)
     assert late.at is not None and late.at(0.0, *late.free[1:]).name.startswith("(T_bed - ")
+
+
+def test_a_pursuit_whose_columns_are_all_nuisances_selects_none() -> None:
+    every, made = library("trace")
+    held = np.column_stack([np.ones(len(made)), *(c.values for c in every)])
+    search = Pursuit(every, np.arange(len(made)) % 4, Beside(held, np.zeros(held.shape[1])))
+    shares, _ = search.held_out(np.sin(np.arange(len(made))), 3)
+    assert search.library == [] and not shares.any()
