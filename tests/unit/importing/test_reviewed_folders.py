@@ -117,3 +117,10 @@ def test_what_a_folder_cannot_give_is_said(tmp_path: Path, monkeypatch: pytest.M
 def test_a_small_letter_as_the_name_of_a_folder_is_its_axis(tmp_path: Path) -> None:
     folder = folder_of(tmp_path / "x", {f"run{r}.csv": of_run(r).replace("X (mm)", "Target (mm)") for r in (1, 2)})
     assert prepared([folder])[0].entries["Error"]["component"] == "EXX"
+
+
+def test_a_link_without_its_file_is_called_so(tmp_path: Path) -> None:
+    """The message proposed the same path again."""
+    (tmp_path / "run1.csv").symlink_to(tmp_path / "gone.csv")
+    with pytest.raises(DataError, match=r"run1\.csv: a link to a file that is not there$"):
+        prepared([tmp_path / "run1.csv"])
