@@ -77,8 +77,8 @@ MOST_NEIGHBOURS = 1000  # names of a folder that are compared with one that is m
 
 
 def missing(path: Path) -> str:
-    """`no such file`, with the name in its folder that is nearest to it."""
-    return f"no such file{nearest(path)}"
+    """`no such file`, with the name in its folder that is nearest to it; a link is there, without its file."""
+    return "a link to a file that is not there" if path.is_symlink() else f"no such file{nearest(path)}"
 
 
 def nearest(path: Path) -> str:

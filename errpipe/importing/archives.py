@@ -35,6 +35,8 @@ def unpacked(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
     Those of an archive are written to a folder. Raises DataError for an archive that cannot be read, is too large, or
     names a place outside its folder.
     """
+    if re.search("[\ud800-\udfff]", path.name):
+        raise DataError(f"{os.fsencode(path)!r}: its name is not UTF-8 (allowed: names in UTF-8): rename it")
     if path.is_dir():
         return _of_folder(path, folder)
     if not path.is_file() or path.stat().st_size > MOST_BYTES:
@@ -75,13 +77,19 @@ def _of_folder(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
 
 def _below(path: Path, notes: list[str]) -> Iterator[str]:
     """The names of the files in a folder and below it; recordings are left out, with a note on each."""
-    for root, folders, files in os.walk(path):
+    for root, folders, files in os.walk(path, onerror=_unreadable):
         place = Path(root).relative_to(path)
+        links = [str(place / name) for name in folders if (path / place / name).is_symlink()]
+        notes += [f"{path.name}: links to folders are not followed: {', '.join(links)}"] if links else []
         if RECORDING in files:
             notes.append(f"{path.name}: excluded, as already a recording: {place}")
             folders.clear()
             continue
         yield from (name for name in ((place / f).as_posix() for f in files) if not _OF_A_SYSTEM.search(name))
+
+
+def _unreadable(err: OSError) -> None:
+    raise DataError(f"{err.filename}: {err.strerror} (needed: the right to read it)") from err
 
 
 def _without_prose(path: Path, names: list[str]) -> tuple[list[str], list[str]]:
@@ -128,7 +136,7 @@ def _tarred(path: Path) -> Iterator[tuple[str, bytes]]:
 
 def _affordable(path: Path, members: int, size: int) -> None:
     if members > MOST_MEMBERS:
-        raise DataError(f"{path}: it holds {members} files (at most {MOST_MEMBERS}): name those that are meant")
+        raise DataError(f"{path}: it holds more than {MOST_MEMBERS} files: name those that are meant")
     if size > MOST_BYTES:
         raise DataError(f"{path}: more than {MOST_BYTES >> 20} MB unpacked (at most so many are imported)")
 

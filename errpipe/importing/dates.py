@@ -69,9 +69,12 @@ def seconds(column: RawColumn) -> tuple[np.ndarray, str | None, str] | None:
     if not candidates:
         return _elapsed(texts)
     since, epoch, form = min(candidates, key=lambda s: (np.nanmin(np.diff(s[0]), initial=0.0) < 0, np.nanmax(s[0])))
-    zone = _ZONE.search(f"{column.header} {column.unit or ''}")
-    if zone is not None and epoch is not None and datetime.fromisoformat(epoch).tzinfo is None:
-        epoch += f"{int(zone[2]):+03d}:{zone[3] or '00'}" if zone[2] else _ZONES.get(zone[1].upper(), "+02:00")
+    zones = {
+        f"{sign}{int(hours):02d}:{minutes or '00'}" if sign else _ZONES.get(name.upper(), "+02:00")
+        for name, sign, hours, minutes in _ZONE.findall(f"{column.header} {column.unit or ''}")
+    }
+    if len(zones) == 1 and epoch is not None and datetime.fromisoformat(epoch).tzinfo is None:  # not `CET/CEST`
+        epoch += zones.pop()
     return since, epoch, form
 
 
@@ -231,7 +234,9 @@ _BEGINNINGS = (
 )
 _MONTHS = {start: name for name, *starts in map(str.split, _BEGINNINGS.split(";")) for start in starts}
 _ZONES = {"UTC": "+00:00", "GMT": "+00:00", "CET": "+01:00", "MEZ": "+01:00"}  # CEST, MESZ: summer time
-_ZONE = re.compile(r"(?<![^\W_])((?i:UTC|GMT)|CES?T|MES?Z)(?:\s?([+-]\d\d?)(?::?(\d\d))?)?(?![^\W_])")  # of a header
+_ZONE = re.compile(  # of a header
+    r"(?<![^\W_])((?i:UTC|GMT)|CES?T|MES?Z)(?:\s?([+-])\s?(0?\d|1[0-4])(?::?([0-5]\d))?)?(?![^\W_]|\s?[+-]\s?\d)"
+)
 _EAST_ASIAN = str.maketrans({"年": "/", "月": "/", "日": " ", "時": ":", "时": ":", "分": ":", "秒": ""})
 
 

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from errpipe.errors import DataError
 from errpipe.importing import dates, wide
 from errpipe.importing.columns import Guesses
 from errpipe.importing.header import is_word
@@ -110,8 +111,14 @@ def _figures_below(layout: Layout, guesses: Guesses, p: Proposal) -> np.ndarray:
         named = [i for i in for_all if not begun[i]]  # in the first filled cell of a row: elsewhere it is a comment
         out[named] |= len(named) < 0.2 * rows
         if guesses[c.header].kind == "run":
-            last = np.flatnonzero(figure)[-1] if figure.any() else rows  # runs are numbered: names below are none
-            out[[i for i, t in words.items() if wide.is_figure_over_runs(t) or i > last]] = True
+            out[[i for i, t in words.items() if wide.is_figure_over_runs(t)]] = True
+            last = np.flatnonzero(figure)[-1] if figure.any() else rows
+            unknown = next((t for i, t in words.items() if i > last and not out[i]), None)
+            if unknown is not None:
+                raise DataError(
+                    f"{c.header} {unknown!r}, below numbered ones: a run, or a statistic over them? Give it a number "
+                    "if it is a run, else delete its rows"
+                )
         texts[[i for i, t in words.items() if c.numeric and is_word(t)]] += 1
         begun |= figure
         begun[list(words)] = True

@@ -172,10 +172,10 @@ def _merged(names: list[str], numbers: Numbers) -> list[str]:
     return out if len(width) > 1 and len(set(width.values())) == 1 else names
 
 
-def stated_by_name(name: str) -> list[str]:
-    """Lines that state the axis, the component, and whether corrections, from the name of a sheet or file."""
+def stated_by_name(name: str, of: str = "") -> list[str]:
+    """Lines that state the axis, the component, and whether corrections, from the name of a sheet, file or folder."""
     text = name.replace("_", " ")
-    kind = [text] if is_correction(text) or is_following_error(text) else []
+    kind = [of + text] if is_correction(text) or is_following_error(text) else []
     axis = [f"Axis: {letter} ({BY_NAME} {name!r})" for letter in axis_of_name(name)]
     return [*kind, *axis, *(f"Component: {found} ({BY_NAME})" for found in re.findall(COMPONENT, text))]
 

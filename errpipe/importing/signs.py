@@ -59,7 +59,8 @@ _READINGS = re.compile(
     r"\b(?:values?|readings?|(?:mess)?werte|valeurs|valor[ei]s?|wartosci|degerler|hodnoty|значения)\b|[数數][値值]"
 )
 _DEFINITION = re.compile(  # of what stands before it: `= A - B`, `: A minus B`, `: difference between A and B`
-    rf"=[^=:]*\w ?(?:-|{words.MINUS_WORD}) ?[^\W\d]|[=:][^=:]*(?: {words.MINUS_WORD} [^\W\d]|\bsubtracted from\b"
+    rf"=[^=:]*\w ?(?:-(?!dire[ck]|axis|achse)|{words.MINUS_WORD}) ?[^\W\d]"
+    rf"|[=:][^=:]*(?: {words.MINUS_WORD} [^\W\d]|\bsubtracted from\b"
     r"|\bdif+eren\w* (?:between|zwischen|entre|tra|fra)\b)"
 )
 # Settings of a control or a laser: `Compensation: none`, `Correction = 0`.

@@ -17,7 +17,7 @@ from errpipe.importing import hours_off
 from errpipe.importing.columns import side
 from errpipe.importing.order import set_side
 from errpipe.importing.proposed import AXIS_ASSUMED, Proposal, slug
-from errpipe.importing.words import plain
+from errpipe.importing.words import BEFORE_A_STATE, plain
 
 OF_A_MACHINE = ("command", "position", "actual")
 MAX_SHEETS_NAMED = 6  # sheets named in a message
@@ -142,7 +142,7 @@ def are_runs(names: Sequence[str]) -> bool:
     return len(bare) == 1 and len(set(names)) == len(names) and (numbered or both)
 
 
-_CORRECTED = r"(?:comp|compensat\w*|kompens\w*|korrektur|korrigiert|correct\w*)"
+_CORRECTED = rf"(?:{BEFORE_A_STATE}[ -])?(?:comp(?:ens\w*)?|kompen[sz]\w*|korrektur|korrigiert|corre[cz]\w*)"
 _STATES = re.compile(
     rf"(?<![^\W_])(before|after|vorher|nachher|avant|apres|{_CORRECTED}[ -]?(?:on|off|ein|aus)"
     rf"|un(?:comp|kompens|korr|corr)\w*|{_CORRECTED})(?![^\W_])"

@@ -32,7 +32,14 @@ FOLLOWING = (
     r"|remaining ?(distance|way))"
 )
 
-_STATE_OF_A_COMPENSATION = r"\b(after|before|with|without|nach|vor|mit|ohne|apres|avant|sans|avec|on|off|ein|aus)\b"
+BEFORE_A_STATE = (
+    r"(?:after|before|with|without|nach|vor|mit|ohne|apres|avant|sans|avec"
+    r"|(?:dopo|prima|con|senza|despues|antes|sin|depois|apos|com|sem|na|met|zonder|voor|po|pred|przed|bez|efter|etter"
+    r"|foere?|før|med|utan|uten|uden|после|до|без)(?= (?:[^\W\d]+ ){0,2}(?:[ck]o[mr]|popraw|ко[мр]|поправ)))"
+)
+_STATE_OF_A_COMPENSATION = (
+    rf"\b({BEFORE_A_STATE}|on|off|ein|aus|oencesi|sonras[iı])\b|(?:補正|补偿|修正|보정) ?(?:[前後后전후]|なし|あり)"
+)
 
 SIMULATED = (
     r"\b(sim|simul\w*|modell?|modele|model[lo]o|predict(ed|ion)|vorhersage|prognose|fe[am]|(digital ?)?twin|zwilling)\b"
@@ -197,7 +204,7 @@ _LESS = rf"\.?(?: {_NOUN})?\s*(?:-|{MINUS_WORD})\s*(?:(?:the|axis|[xyzabcuvw]|{_
 _ONE, _OTHER = (
     "|".join(rf"(?P<{name}{n}>(?<![^\W_])(?:{pattern})(?![^\W_]))" for n, pattern in _OF_A_DIFFERENCE) for name in "ab"
 )
-_ACTUAL_AND_COMMANDED = re.compile(rf"(?:{_ONE}){_LESS}(?:{_OTHER})")
+_ACTUAL_AND_COMMANDED = re.compile(rf"(?:{_ONE}){_LESS}(?:{_OTHER})(?! ?-? ?(?:vergleich|comparison))")
 
 # Words of a header that do not concern the sign of its readings.
 _NEUTRAL = re.compile(

@@ -187,7 +187,7 @@ def _of_any_sheet(
     """
     kind, sheets = open_file(file, reader)
     for sheet in sheets:
-        sheet.above += next((lines for name in folders[::-1] if (lines := stated_by_name(name))), [])
+        sheet.above += next((lines for name in folders[::-1] if (lines := stated_by_name(name, "folder: "))), [])
     out, problems, asked = list[tuple[Proposal, str]](), dict[str, list[str]](), ""
     for sheet in with_legend([*sheets, *legends])[: len(sheets)]:
         if len(out) == MAX_SHEETS:
