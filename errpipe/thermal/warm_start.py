@@ -54,8 +54,8 @@ WITNESSES = 16  # sensors that confirm a difference at most: a table holds 4096 
 # correction fades, because only a faulty sensor differs so much. Chosen on seeds 21, 31, 41 of `days` of the tests: a
 # sensor 40 K off cost four times the uncompensated deviation without it; days of 1.5 times the heat are as before.
 KNOWN = 1.5
-# Least gain, as a share of the mean square of held-out runs. A mixture without lags predicts the same from any start but
-# for rounding, and gains fitted to rounding (1e-17 um/K) change the square by less than 1e-12 of it.
+# Least reduction, as a share of the mean square of held-out runs (by judgement: far above rounding, far below noise). A
+# mixture without lags predicts the same from any start except for rounding, to which gains of 1e-17 um/K were fitted.
 LEAST_GAIN = 1e-9
 FEW_ROWS = 100_000  # of a recording: of more, only every second or third start is used, because they take memory
 
@@ -252,8 +252,8 @@ def _chosen(
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Gains of the columns, what they leave of held-out runs, um, (rows,), and rms without them, um.
 
-    Gains are zero if none of the ridges leaves less of these runs than no correction, beyond rounding. off: triangle of the first
-    columns that represents sensors which are off at the start (errors in variables), per row.
+    Gains are zero if none of the ridges leaves less of these runs than no correction, beyond rounding. off: triangle
+    of the first columns that represents sensors which are off at the start (errors in variables), per row.
     """
     parts = triangles(values[good], later.shown[good], later.code[good], ZERO_SHARE)
     of = {code: int(later.group[later.code == code][0]) for code in parts}
