@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ MIN_STANDARD_ERRORS = 2.0
 MOST = 20  # of --most
 MAX_NAMED = 12  # columns of a file in a message
 OUTLIER_RATIO = 5.0  # times the rms of the other duty cycles: beyond, one of them decides alone, and is named
+SPEED = re.compile(r"(?:^|[^a-z])(?:rpm|speed)(?:[^a-z]|$)")  # in a column's name: a spindle speed has no place
+IGNORE = "to fit these alone: give every other sensor of recording.yaml the role ignore, as {name}: {{role: ignore}}"
 BAR_FLUXES = 3  # duty cycles of the simulated bar: one warm-up and two random ones
 
 
@@ -43,9 +46,17 @@ def place(file: Path, error: str, group: str | None, time: str | None, limit: in
         raise DataError(
             f"{file}: no candidate sensor position except {', '.join(clocks)}, which is a clock (equal steps)"
         )
+    speeds = [n for n in names if SPEED.search(n.lower())]
+    if not (names := [n for n in names if n not in speeds]):
+        raise DataError(f"{file}: no candidate sensor position except {', '.join(speeds)}, which is a speed (its name)")
     document, lines = judge(names, frame[names].to_numpy(float), frame[error].to_numpy(float), labels, limit)
     notes = [f"not a sensor position but a clock: {', '.join(clocks)} (equal steps)"] if clocks else []
-    return document | {"candidates": names, "clocks": clocks}, [f"candidates: {', '.join(names)}", *notes, *lines]
+    notes += [f"not a sensor position but a speed: {', '.join(speeds)} (its name)"] if speeds else []
+    others = [n for n in names if n not in document["chosen"]]
+    if document["chosen"] and others:
+        lines.append(IGNORE.format(name=others[0]))
+    found = {"candidates": names, "clocks": clocks, "speeds": speeds}
+    return document | found, [f"candidates: {', '.join(names)}", *notes, *lines]
 
 
 def _table(file: Path, error: str, group: str | None, time: str | None) -> pd.DataFrame:

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from errpipe.domain.recording import Column, Manifest, Recording
 from errpipe.fitting.statistics import rms
 from errpipe.models.lagged import Lagged
+from errpipe.models.rises import Rises
 from errpipe.stages._compile import CompileOptions, compile_model
 from errpipe.stages.predict import table_values
 from errpipe.thermal import competition, linear, warm_start
@@ -98,6 +99,13 @@ def test_the_table_gives_warm_starts_back() -> None:
     model = family.fit(whole).model
     table = compile_model(model, CompileOptions())
     assert_allclose(table_values(table, model, warm)["E_Z"], family.train(whole).values(warm), atol=1e-3)
+
+
+def test_a_mixture_without_lags_adds_no_gains_of_rounding_size() -> None:
+    fitted = Rises(component="E_Z").train(days(1, 10))
+    assert fitted.parts
+    assert "start on a warm machine" not in {name for name, _, _ in fitted.parts}
+    assert fitted.report["later_starts"][0] == fitted.report["later_starts"][1]
 
 
 def test_a_later_start_is_left_out_with_its_run() -> None:

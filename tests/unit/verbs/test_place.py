@@ -39,6 +39,23 @@ def test_the_places_that_make_the_error_are_chosen(tmp_path, capsys):
     assert two["rms_left_out"] == pytest.approx(0.2 * np.sqrt(2), rel=0.3)  # noise, and the noise of its first row
 
 
+def test_a_spindle_speed_is_no_place_and_the_way_to_fit_the_chosen_alone_is_told(tmp_path, capsys):
+    file = field(tmp_path)
+    frame = pd.read_csv(file)
+    frame.assign(spindle_rpm=1000.0 * frame["error"]).to_csv(file, index=False)
+    code, document = asked(capsys, "place", str(file))
+    assert code == 0
+    assert set(document["result"]["chosen"]) == {"near", "wall"}
+    assert document["result"]["speeds"] == ["spindle_rpm"]
+    assert main(["place", str(file)]) == 0
+    told = capsys.readouterr().out
+    assert "not a sensor position but a speed: spindle_rpm (its name)" in told
+    assert "the role ignore, as far: {role: ignore}" in told
+    frame[["duty_cycle", "error"]].assign(Speed=frame["far"]).to_csv(file, index=False)
+    assert main(["place", str(file)]) == 3
+    assert "no candidate sensor position except Speed, which is a speed" in capsys.readouterr().err
+
+
 def test_the_maximum_number_is_not_called_enough(tmp_path, capsys):
     """Only one sensor was tried: that two are better was not said."""
     file = str(field(tmp_path))
