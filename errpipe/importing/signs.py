@@ -7,6 +7,7 @@ the error of the machine.
 from __future__ import annotations
 
 import re
+from itertools import filterfalse
 
 import numpy as np
 
@@ -179,8 +180,10 @@ def _stated_in_file(p: Proposal, name: str, layout: Layout) -> tuple[bool, str]:
         return True, "a correction is minus the deviation: the sign is changed"
     if any(map(words.is_following_error, headers)):
         return True, "a following error is commanded minus actual: the sign is changed"
-    around = " | ".join([name, *(c.header for c in layout.columns), *layout.above, *layout.below])
-    stated = words.difference(" | ".join(headers)) or words.difference(around)
+    lines = [*layout.above, *layout.below]
+    stated = words.difference(" | ".join(headers)) or words.difference(
+        " | ".join([name, *(c.header for c in layout.columns), *filterfalse(_only_names_both, lines)])
+    )
     if stated is not None and stated[0] == 0:
         raise DataError(
             f"{stated[1]!r}: is the reference the set point, or an instrument that shows where the axis is? Say --sign "
@@ -197,6 +200,19 @@ def _stated_in_file(p: Proposal, name: str, layout: Layout) -> tuple[bool, str]:
             "actual minus commanded. Declare it: --sign commanded-minus-actual, or --sign actual-minus-commanded"
         )
     return False, ASSUMED
+
+
+def _only_names_both(line: str) -> bool:
+    """Whether a line reads `commanded - measured` beside other words, without `=`, `:` or brackets: `Nominal - laser`.
+
+    The dash may then separate two parts of a title.
+    """
+    text, _ = split_header(line)
+    stated = words.difference(text)
+    if stated is None or stated[0] >= 0 or re.search(words.MINUS_WORD, stated[1]):
+        return False
+    before, _, behind = words.plain(text).partition(stated[1])
+    return not re.search(r"[=:(\[]", before) and re.search(r"\w", re.sub(r"\bin$", "", before + behind)) is not None
 
 
 def _doubtful(header: str, why: str) -> bool:
@@ -227,6 +243,10 @@ def _is_on_the_sign(text: str) -> bool:
     return stated or what == "e" or words.kind_by_name(what) == "error" or _ON_THE_SIGN.search(text) is not None
 
 
+def _states_a_sign(line: str) -> bool:
+    return _only_names_both(line) or _is_on_the_sign(words.plain(line))
+
+
 def _ask(headers: tuple[str, ...], layout: Layout, why: str) -> None:
     """Raise DataError for a header, or a line on the sign, with an unknown statement of the sign."""
     for header in headers:
@@ -243,7 +263,7 @@ def _ask(headers: tuple[str, ...], layout: Layout, why: str) -> None:
             "Say --sign actual-minus-commanded (positive: the axis moves too far), or --sign commanded-minus-actual"
         )
     line = next((x for x in layout.below if _titles_corrections(x)), None)
-    line = line or next((x for x in [*layout.above, *layout.below] if _is_on_the_sign(words.plain(x))), None)
+    line = line or next(filter(_states_a_sign, [*layout.above, *layout.below]), None)
     if line is not None:
         raise DataError(
             f"a line states the sign as {line[:60]!r}, which is unknown: declare it with --sign "

@@ -55,6 +55,15 @@ def test_a_title_that_states_no_sign_changes_none(tmp_path: Path, line: str) -> 
     holds_the_truth(imported(tmp_path, of_lines(tmp_path, "Deviation [um]", line)))
 
 
+@pytest.mark.parametrize(
+    "line", ["Control - laser measurement", "Nominal positions - measured with XL-80", "Soll-Ist-Abweichung"]
+)
+def test_a_title_whose_dash_may_be_no_minus_is_asked_about(tmp_path: Path, line: str) -> None:
+    """It reversed the sign of the readings."""
+    with pytest.raises(DataError, match="states the sign as"):
+        imported(tmp_path, of_lines(tmp_path, "Deviation [um]", line))
+
+
 def test_a_folder_of_data_for_a_compensation_does_not_reverse_deviations(tmp_path: Path) -> None:
     folder = folder_of(tmp_path / "compensation data", {f"run{r}.csv": of_run(r) for r in (1, 2)})
     found = imported(tmp_path, folder).array("Error")
