@@ -92,7 +92,7 @@ def against(recording: Recording, earlier: Diagnosis) -> list[Held]:
 
 def _looked_for(r: ResponseDiagnosis) -> list[Finding]:
     """Findings that have a term; of an empirical equation of the whole mismatch not the names that it replaces."""
-    alone = bool(r.findings) and r.findings[0].empirical is not None
+    alone = bool(r.findings) and r.findings[0].empirical is not None and bool(terms_of(r.findings[0]))
     return [f for f in (r.findings[:1] if alone else r.findings) if terms_of(f)]
 
 
@@ -215,8 +215,13 @@ def _judged(r: ResponseDiagnosis, f: Finding, k: float, sd: float, degrees: int,
 
 
 def earlier_spread(f: Finding) -> float:
-    """Relative standard deviation of a finding's earlier size, from the interval of its largest linear parameter."""
-    top = max(_sizes(f), key=lambda q: abs(q.value), default=None)
+    """Relative standard deviation of a finding's earlier size, from the interval of its largest linear parameter.
+
+    Of an equation, whose coefficients have different units: that of the term of the largest rms.
+    """
+    sizes = _sizes(f)
+    weights = [t.rms_um for t in f.empirical.terms] if f.empirical is not None else [abs(q.value) for q in sizes]
+    top = max(zip(weights, sizes, strict=False), key=lambda pair: pair[0], default=(0.0, None))[1]
     return (top.ci95[1] - top.ci95[0]) / (2 * 1.96) / abs(top.value) if top and top.value else 0.0
 
 

@@ -76,7 +76,7 @@ def has_a_name(case: Case, empirical: Empirical, whole: np.ndarray) -> bool:
     """
     library, part = case.library, _drawn(whole.size, np.random.default_rng(SEED))
     rows, whole = case.pair.rows[part], whole[part]
-    columns = [drive(term.driver, case.recording)[rows] for term in empirical.terms]
+    columns = [drive(driver, case.recording)[rows] for driver in empirical.drivers()]
     held = [(f.index, library.cores[f.index]) for f in case.explanation.accepted]
     if names := [library.block(i, case.recording, rows)[:, :cores] for i, cores in held]:
         explained = np.sum([t.coefficient * c for t, c in zip(empirical.terms, columns, strict=True)], axis=0)
@@ -106,9 +106,9 @@ def _unknown_first(case: Case, response: ResponseDiagnosis, p: float, empirical:
 
 def _stated(f: Finding, empirical: Empirical) -> Finding:
     """The finding with its equation, whose terms error models, patches and later checks can use."""
-    first, *more = [plain(ProfileDriver(driver=(t.driver,))) for t in empirical.terms]
+    first, *more = [plain(ProfileDriver(driver=(driver,))) for driver in empirical.drivers()]
     sizes = [FoundParameter(name="gain", value=t.coefficient, unit=t.unit, ci95=t.ci95) for t in empirical.terms]
-    inputs = tuple(dict.fromkeys(name for t in empirical.terms for name in d.inputs(t.driver)))
+    inputs = tuple(dict.fromkeys(name for driver in empirical.drivers() for name in d.inputs(driver)))
     known = {"empirical": empirical, "term": first, "more_terms": tuple(more), "parameters": tuple(sizes)}
     return f.model_copy(update=known | {"says": f"{f.says} {empirical.says}", "drivers": inputs or f.drivers})
 

@@ -53,7 +53,9 @@ class EmpiricalTerm(Frozen):
     unit: str
     ci95: tuple[float, float]
     rms_um: float = Field(description="rms of what it contributes.")
-    driver: Driver = Field(description="The column as operations on recorded columns.")
+    driver: Driver | None = Field(
+        None, description="The column as operations on recorded columns; missing in older files."
+    )
 
 
 class Empirical(Frozen):
@@ -66,6 +68,10 @@ class Empirical(Frozen):
     p: float = Field(description="Share of surrogates that are predicted as well.")
     scheme: str
     says: str
+
+    def drivers(self) -> tuple[Driver, ...]:
+        """The columns of its terms; empty if it was read from an older file."""
+        return tuple(t.driver for t in self.terms if t.driver is not None)
 
 
 class Finding(Frozen):

@@ -161,9 +161,10 @@ def pass_gate(document: Mapping[str, Any], validations: list[Mapping[str, Any]])
     kept = {n: a for n, a in axes.items() if a["effect_rms_um"] > document["noise_um"]}
     wrong = [] if kept else ["no axis has an identified error above the noise of a reading"]
     for name, figures in ({"the machine": volumetric} | kept).items():
-        wrong += [] if figures["probability_worse"] <= MAX_HARM_PROBABILITY else [_harmful(name, figures)]
         required = MIN_IMPROVEMENT if name in kept else MIN_EXPECTED_IMPROVEMENT
-        if kept and figures["left_rms_um"] > (1.0 - required) * figures["before_rms_um"]:
+        if figures["probability_worse"] > MAX_HARM_PROBABILITY:
+            wrong.append(_harmful(name, figures))
+        elif kept and figures["left_rms_um"] > (1.0 - required) * figures["before_rms_um"]:
             wrong.append(_hardly_better(name, figures, required))
     for test, figures in (item for validation in validations for item in _records_together(validation).items()):
         parts = {test: figures} | {f"{n} in {test}": f for n, f in figures["axes"].items() if n in kept}

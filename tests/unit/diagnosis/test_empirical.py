@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from errpipe.diagnosis import diagnose, prepare
-from errpipe.diagnosis.against import against
+from errpipe.diagnosis.against import against, earlier_spread
 from errpipe.diagnosis.empirical import equation
+from errpipe.domain.diagnosis import Diagnosis, Empirical, EmpiricalTerm, Finding, FoundParameter
+from errpipe.domain.driver import Input
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.library import candidates, unit_over
 from errpipe.fitting.pursuit import Beside
@@ -140,3 +142,41 @@ def test_an_equation_is_put_into_the_simulation_and_found_again_later(tmp_path: 
     assert (held.effect, held.state) == ("unknown", "unchanged")
     (held,) = against(spindle(3, hidden=lambda c: 2.0 * hidden(c)), diagnosis)
     assert held.state == "larger" and held.k == pytest.approx(2.0, rel=0.1)
+
+
+def test_an_equation_of_an_older_file_is_read_and_the_names_beside_it_are_looked_for() -> None:
+    """An equation without its columns as operations has no term: only the names can be checked."""
+    hidden = lambda c: 4e-4 * c["rpm"]  # noqa: E731
+    diagnosis, _ = diagnose(spindle(2, hidden=hidden))
+    document = diagnosis.document()
+    (response,) = document["responses"]
+    named = next(f for f in response["findings"] if f.get("term"))
+    term = {"column": "(rpm)^2", "coefficient": 1e-8, "unit": "um/rpm2", "ci95": [0.0, 2e-8], "rms_um": 1.0}
+    equation_of_before = {
+        "terms": [term],
+        "constant": 0.0,
+        "unit": "um",
+        "share": 0.5,
+        "p": 0.01,
+        "scheme": "",
+        "says": "",
+    }
+    unknown = {"effect": "unknown", "confidence": 0.5, "empirical": equation_of_before}
+    response["findings"] = [{**named, "term": None, "more_terms": [], "parameters": [], **unknown}, named]
+    held = against(spindle(3, hidden=hidden), Diagnosis.model_validate(document))
+    assert [h.effect for h in held] == [named["effect"]]
+
+
+def test_the_earlier_spread_of_an_equation_is_that_of_its_largest_contribution() -> None:
+    """Coefficients in um/rpm and um/K cannot be compared: the small number may be the large effect."""
+    terms = [("um/rpm", 1e-3, 0.01, 8.0), ("um/K", 0.5, 0.9, 0.2)]  # unit, coefficient, relative spread, rms in um
+    parts, sizes = [], []
+    for unit, value, spread, rms in terms:
+        ci95 = (value * (1 - 1.96 * spread), value * (1 + 1.96 * spread))
+        parts.append(
+            EmpiricalTerm(column="x", coefficient=value, unit=unit, ci95=ci95, rms_um=rms, driver=Input(name="x"))
+        )
+        sizes.append(FoundParameter(name="gain", value=value, unit=unit, ci95=ci95))
+    made = Empirical(terms=tuple(parts), constant=0.0, unit="um", share=0.9, p=0.01, scheme="", says="")
+    found = Finding.model_construct(effect="unknown", term=None, more_terms=(), parameters=tuple(sizes), empirical=made)
+    assert earlier_spread(found) == pytest.approx(0.01)

@@ -116,6 +116,10 @@ def test_a_table_that_hardly_improves_the_machine_is_refused(cloud):
     document["volumetric"]["axes"]["Z"] |= {"before_rms_um": 60.0, "left_rms_um": 59.5}
     with pytest.raises(GateError, match=r"Z: expected 60 um rms without the table and 59\.5 with it .*1% less"):
         gate.pass_gate(document, [cloud[1]])
+    document["volumetric"]["axes"]["Z"] |= {"probability_worse": 0.3}
+    with pytest.raises(GateError, match="Z: identified") as refused:  # one reason for each axis
+        gate.pass_gate(document, [cloud[1]])
+    assert "Z: expected" not in str(refused.value)
 
 
 def records(**figures):
