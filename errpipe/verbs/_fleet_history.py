@@ -180,11 +180,13 @@ def on_cluster(tasks: Sequence[Task], stage: str, client: Any) -> Map:
             for entry in list(running):
                 future, k, at = entry
                 if future.done():
-                    results[k] = (KILLED, None) if isinstance(future.exception(), KilledWorker) else future.result()
-                elif at & workers:
-                    continue
-                else:  # the workers that it was given to are gone; their successors have other addresses
-                    future.cancel()
+                    with suppress(TimeoutError):  # a result whose worker was killed before it was sent is pending again
+                        killed = isinstance(future.exception(PATIENCE), KilledWorker)
+                        results[k] = (KILLED, None) if killed else future.result(PATIENCE)
+                if k not in results:
+                    if at & workers:
+                        continue
+                    future.cancel()  # the workers that it was given to are gone; their successors have other addresses
                     running.append(submit(k, PATIENCE))
                 running.remove(entry)
         return [results[k] for k in range(len(tasks))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -169,3 +170,53 @@ def test_parts_that_ask_for_different_fits_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="part b sets keys of validate otherwise than a"):
         _fleet_history.fit_together(tasks, spec, lambda *_: [], lambda *_: None)
     _fleet_history._refuse_other_keys([tasks[0], (*tasks[1][:2], sets[1][:1], tasks[1][3])], spec)
+
+
+class _Future:
+    def __init__(self, value: object) -> None:
+        self.value, self.cancelled = value, False
+
+    def done(self) -> bool:
+        return True
+
+    def exception(self, timeout: float) -> None:
+        return None
+
+    def result(self, timeout: float) -> object:
+        if self.value is None:
+            raise TimeoutError
+        return self.value
+
+    def cancel(self) -> None:
+        self.cancelled = True
+
+
+class _Cluster:
+    """The worker `a` finishes its part and is killed before it sends the result; `b` replaces it."""
+
+    def __init__(self) -> None:
+        self.futures = [_Future(None), _Future(("", 5.0))]
+        self.submitted: list[_Future] = []
+
+    def run(self, *_: object, **__: object) -> dict[str, str]:
+        return {"b" if self.submitted else "a": ""}
+
+    def ncores(self) -> dict[str, int]:
+        return {"b": 1}
+
+    def submit(self, *_: object, **__: object) -> _Future:
+        self.submitted.append(self.futures[len(self.submitted)])
+        return self.submitted[-1]
+
+    def as_current(self) -> AbstractContextManager[None]:
+        return nullcontext()
+
+
+def test_a_result_whose_worker_was_killed_before_it_was_sent_is_computed_again(monkeypatch: Any) -> None:
+    """Its future was waited for without end: the scheduler computes it again only on the workers that are gone."""
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(distributed, "wait", lambda *_, **__: None)
+    cluster = _Cluster()
+    mapped = _fleet_history.on_cluster([("pipeline.yaml", "p1", [], "out")], "clean", cluster)
+    assert mapped(len, [()]) == [("", 5.0)]
+    assert len(cluster.submitted) == 2 and cluster.submitted[0].cancelled
