@@ -25,8 +25,9 @@ The correction fades to zero (`trust`) if more than `most_failed` sensors have f
 replacement is too inaccurate (`errpipe.stages._guarded`). A guard without P (one sensor, one run) replaces nothing: a
 sensor that a rule flags fades the correction.
 
-A sensor without a reading when the run starts: lags and rises of the others count from the start, and its own rise
-from the estimate sum v_ij x_j, minus its value at the start, at its first reading (`errpipe.guard.replace`).
+A sensor without a reading when the run starts, where P is known: lags and rises of the others count from the start,
+and its own rise from the estimate sum v_ij x_j, minus its value at the start, at its first reading
+(`errpipe.guard.replace`). Without P all count from the first moment at which every sensor has a reading.
 
 The guard consists of operations of `errpipe.domain.driver`, so it is compiled, exported and evaluated like any
 driver, causally. Missing, implausible and too fast readings are rejected before, by each input's own range, rate and
