@@ -23,7 +23,7 @@ from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.library import candidates, unit_over
 from errpipe.drivers.sessions import sessions
-from errpipe.fitting.pursuit import Beside, Pursuit
+from errpipe.fitting.pursuit import NuisanceColumns, Pursuit
 from errpipe.terms import plain, resolved_times
 from errpipe.terms.profile_driver import ProfileDriver
 
@@ -37,9 +37,9 @@ MOST_LIKELY = 0.9  # upper limit of an equation's confidence; below it the share
 SURROGATES = 99  # surrogates; the smallest resolvable probability is 0.01
 
 
-def beside(case: Case) -> Beside:
+def recalibration_columns(case: Case) -> NuisanceColumns:
     """The recalibration of a case, estimated together with an equation."""
-    return Beside(case.recal, case.search.noise / np.maximum(case.search.nuisance.sd, 1e-300))
+    return NuisanceColumns(case.recal, case.search.noise / np.maximum(case.search.nuisance.sd, 1e-300))
 
 
 def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
@@ -52,7 +52,7 @@ def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
     if place is None and (not names or max(f.confidence for f in names) >= LIKELY):
         return response
     whole = residual(case, [])
-    empirical = equation(case.recording, case.pair.rows, case.y, response.unit, beside(case))
+    empirical = equation(case.recording, case.pair.rows, case.y, response.unit, recalibration_columns(case))
     named = 1.0 - (case.held.names / float(np.std(whole))) ** 2 if names and case.held else 0.0
     if empirical is not None and empirical.share > named + LEAST_SHARE:
         known = has_a_name(case, empirical, whole)
@@ -60,7 +60,7 @@ def with_equation(case: Case, response: ResponseDiagnosis) -> ResponseDiagnosis:
         if not (known and names):
             return _unknown_first(case, response, min(p, unnamed.PROVISIONAL) if known else p, empirical)
     if place:  # the equation is added to names that predict more
-        empirical = equation(case.recording, case.pair.rows, residual(case), response.unit, beside(case))
+        empirical = equation(case.recording, case.pair.rows, residual(case), response.unit, recalibration_columns(case))
     if place is None or empirical is None:
         return response
     better = _stated(response.findings[place], empirical)
@@ -119,7 +119,7 @@ def _drawn(size: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def equation(
-    recording: Recording, rows: np.ndarray, y: np.ndarray, unit: str, known: Beside | None = None
+    recording: Recording, rows: np.ndarray, y: np.ndarray, unit: str, known: NuisanceColumns | None = None
 ) -> Empirical | None:
     """The equation of a mismatch y on some rows of a recording, or None if none is significant.
 
@@ -132,8 +132,8 @@ def equation(
         return None
     session = sessions(recording)[rows[part]]
     fold, scheme = folds(recording.run_codes()[rows[part]], session)
-    known = known or Beside(np.ones((rows.size, 1)), np.zeros(1))
-    search = Pursuit(library, fold, Beside(known.columns[part], known.penalty))
+    known = known or NuisanceColumns(np.ones((rows.size, 1)), np.zeros(1))
+    search = Pursuit(library, fold, NuisanceColumns(known.columns[part], known.penalty))
     target = search.projected(y[part])[: part.size]
     shares, spread = search.held_out(target, MOST_TERMS)
     best = int(np.argmax(shares))

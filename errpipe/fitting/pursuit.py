@@ -19,7 +19,7 @@ REFINED = 0.05  # least share of the residual's variance that another parameter,
 
 
 @dataclass(frozen=True)
-class Beside:
+class NuisanceColumns:
     """Nuisances estimated together: columns (rows, k), and noise over the prior standard deviation of each (k,)."""
 
     columns: np.ndarray
@@ -32,14 +32,14 @@ class Pursuit:
     A nuisance with a prior has one more row, which no fold holds out.
     """
 
-    def __init__(self, library: list[Candidate], fold: np.ndarray, beside: Beside):
-        both = np.vstack([beside.columns, np.diag(beside.penalty)])
+    def __init__(self, library: list[Candidate], fold: np.ndarray, nuisances: NuisanceColumns):
+        both = np.vstack([nuisances.columns, np.diag(nuisances.penalty)])
         u, s, _ = np.linalg.svd(both / np.linalg.norm(both, axis=0), full_matrices=False)
-        self.known, self.extra = u[:, s > 1e-8 * s[0]], beside.penalty.size
+        self.known, self.extra = u[:, s > 1e-8 * s[0]], nuisances.penalty.size
         columns = np.column_stack([c.values - c.values.mean() for c in library])
         made = self.projected(columns)
-        left, gain = np.linalg.norm(made, axis=0), np.linalg.lstsq(beside.columns, columns, rcond=None)[0]
-        beyond = np.linalg.norm(columns - beside.columns @ gain, axis=0)
+        left, gain = np.linalg.norm(made, axis=0), np.linalg.lstsq(nuisances.columns, columns, rcond=None)[0]
+        beyond = np.linalg.norm(columns - nuisances.columns @ gain, axis=0)
         kept = np.flatnonzero(beyond > DISTINCT * np.linalg.norm(columns, axis=0))
         self.library = [library[k] for k in kept]
         self.columns = made[:, kept] / left[kept] * np.array([c.weight for c in self.library])

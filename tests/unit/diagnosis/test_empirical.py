@@ -14,7 +14,7 @@ from errpipe.domain.diagnosis import Diagnosis, Empirical, EmpiricalTerm, Findin
 from errpipe.domain.driver import Input
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.library import candidates, unit_over
-from errpipe.fitting.pursuit import Beside
+from errpipe.fitting.pursuit import NuisanceColumns
 from errpipe.stages._apply_findings import apply_findings, in_words
 from errpipe.terms import resolved_times
 from tests.unit.diagnosis.machines import axis, mornings, spindle
@@ -113,7 +113,7 @@ def test_time_constants_thresholds_exponents_and_references_are_fitted(law: str)
     hidden, factors, coefficient = LAWS[law]
     made = spindle(2, hidden=hidden, gain=1.1)
     simulated = made.array("E_Z_sim")
-    known = Beside(np.column_stack([np.ones(simulated.size), simulated]), np.array([0.0, 0.3 / 0.1]))
+    known = NuisanceColumns(np.column_stack([np.ones(simulated.size), simulated]), np.array([0.0, 0.3 / 0.1]))
     found = equation(made, np.arange(len(made)), made.array("E_Z") - simulated, "um", known)
     assert found is not None
     (term,) = found.terms

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from errpipe.domain.recording import Recording
 from errpipe.drivers.evaluation import drive
 from errpipe.drivers.library import Candidate, candidates
-from errpipe.fitting.pursuit import Beside, Pursuit
+from errpipe.fitting.pursuit import NuisanceColumns, Pursuit
 from errpipe.terms import resolved_times
 from tests.unit.diagnosis.machines import axis, spindle, trace
 
@@ -48,6 +48,6 @@ def test_a_lag_of_no_time_is_the_input() -> None:
 def test_a_pursuit_whose_columns_are_all_nuisances_selects_none() -> None:
     every, made = library("trace")
     held = np.column_stack([np.ones(len(made)), *(c.values for c in every)])
-    search = Pursuit(every, np.arange(len(made)) % 4, Beside(held, np.zeros(held.shape[1])))
+    search = Pursuit(every, np.arange(len(made)) % 4, NuisanceColumns(held, np.zeros(held.shape[1])))
     shares, _ = search.held_out(np.sin(np.arange(len(made))), 3)
     assert search.library == [] and not shares.any()
