@@ -20,6 +20,7 @@ _SENSOR = re.compile(
     r"^(?:t|ts|tc|thc) ?[.:#-]?\d{1,2}(?=[^a-z0-9]|$)|^t(?=[ .:-]+[a-z])"
     r"|(?<![a-z])(?:tc|rtd|ntc|ptc|pt ?1000?|thermistor)(?![a-z])"
 )
+OF_A_SHOP = (-10.0, 50.0)  # degC of the air in a workshop, by judgement
 _IN_A_NAME = re.compile(r"(?<![\w.,])T?(-?\d{1,2}(?:[.,]\d)?)(?:C| ?(?:°C|deg ?C|grad))(?![^\W_])")  # `18C`, `T20 degC`
 _PLACES = (
     # spindle and its bearings
@@ -177,6 +178,8 @@ def of_names(parts: Collection[Proposal], names: Sequence[str]) -> None:
     stated = {of[0] for of in found if len(of) == 1}
     if len(stated) < 2 or any(len(of) != 1 for of in found) or any(part.first("temperature") for part in parts):
         return
+    if any(not OF_A_SHOP[0] <= float(text.replace(",", ".")) <= OF_A_SHOP[1] for text in stated):
+        return  # `DMU 60C` is a machine
     for part, (text,) in zip(parts, found, strict=True):
         values = np.full(part.rows, float(text.replace(",", ".")))
         part.put("temperature", values, "from the names of the files or folders", role="temperature", unit="degC")

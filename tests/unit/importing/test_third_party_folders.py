@@ -143,6 +143,11 @@ def test_temperatures_in_the_names_of_folders_are_a_column(tmp_path: Path, names
     assert "temperature" not in prepared([folder])[0].entries
 
 
+def test_numbers_of_machines_in_the_names_of_folders_are_no_temperatures(tmp_path: Path) -> None:
+    folder = written(tmp_path / "X", {f"DMU {size}C/laser.csv": of_run(r) for r, size in ((1, 60), (2, 80))})
+    assert "temperature" not in prepared([folder])[0].entries
+
+
 def test_a_recording_in_a_folder_is_left_out(tmp_path: Path) -> None:
     folder = written(tmp_path / "X", {f"run{r}.csv": of_run(r) for r in (1, 2, 3)})
     written(folder / "recording", {"recording.yaml": "recording: 1", "recording.csv": of_run(1)})
